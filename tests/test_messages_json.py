@@ -22,7 +22,7 @@ from quatprop.errors import (
     UnsupportedLogError,
 )
 from quatprop.formats import open_log
-from quatprop.logs.clocks import stamps_of
+from quatprop.logs.stamps import stamps_of
 from quatprop.messages.json import JsonDecoder
 from quatprop.messages.times import to_ns
 from quatprop.messages.values import ValueDecoder

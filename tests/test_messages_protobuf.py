@@ -11,7 +11,7 @@ from topics import found_in
 from quatprop.containers.base import Channel
 from quatprop.errors import SchemaError
 from quatprop.formats import open_log
-from quatprop.logs.clocks import place_of, stamps_of
+from quatprop.logs.stamps import place_of, stamps_of
 from quatprop.selection import RateSelection
 from quatprop.series import GyroSeries
 from quatprop.signals.rates import choose_rates

@@ -12,11 +12,11 @@ import pytest
 from quatprop import RemarkWarning, read_rates
 from quatprop.cli.spelling import spelled
 from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError, UsageError
+from quatprop.logs.choose import match_rates
+from quatprop.logs.dialects import DIALECTS
 from quatprop.selection import RateSelection
 from quatprop.tables.base import TableNotes, TimedColumns
-from quatprop.tables.matching.choose import match_rates
-from quatprop.tables.matching.column_names import parse_name
-from quatprop.tables.matching.dialects import DIALECTS
+from quatprop.tables.column_names import parse_name
 
 AXES = ("wx", "wy", "wz")
 NAMED = {"rate_cols": ("x", "y", "z"), "time_col": "t", "rate_unit": "rad/s", "time_unit": "us"}

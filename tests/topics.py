@@ -3,8 +3,8 @@
 from types import SimpleNamespace
 
 from quatprop.containers.topics import TopicTable
-from quatprop.logs.clocks import stamps_of
 from quatprop.logs.matching import find, marks_of
+from quatprop.logs.stamps import stamps_of
 
 
 def found_in(channel, quantity="rate", field=None):

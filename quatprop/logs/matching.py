@@ -208,7 +208,7 @@ def _named(table: TopicTable, quantity: str, field: str) -> list[Found]:
                 "numbers"
             )
         raise SchemaError(table.path, f"field {quoted(field)} of {quoted(table.type)} {what}")
-    from quatprop.tables.matching.column_names import rate_unit_of
+    from quatprop.tables.column_names import rate_unit_of
 
     row = Row(unit=rate_unit_of(names) or "", stamps=())
     part = Part("", "", 0, len(table.columns))

@@ -13,14 +13,14 @@ from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import LogError, NoAttitudesError, UsageError
 from quatprop.kinematics.quaternion import conjugate
 from quatprop.kinematics.uncertainty import reference_covariance
+from quatprop.logs.choose import ColumnMatch, match_quaternion
 from quatprop.logs.reading import without_absent
+from quatprop.logs.rotations import match_rotation
 from quatprop.provenance import JsonObject, entry_of
 from quatprop.series import SIGMA_COLUMNS
 from quatprop.signals.attitude_convention import BY_NAME, meaning_of, recorded_convention
 from quatprop.signals.signal import AttitudeSignal
-from quatprop.tables.matching.choose import ColumnMatch, match_quaternion
-from quatprop.tables.matching.column_names import parse_name
-from quatprop.tables.matching.rotations import match_rotation
+from quatprop.tables.column_names import parse_name
 from quatprop.text import Setting, Text, plain
 
 if TYPE_CHECKING:

@@ -17,9 +17,9 @@ from quatprop.conventions import HAMILTON, Meaning
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.quaternion import IDENTITY, conjugate
 from quatprop.kinematics.uncertainty import reference_covariance
-from quatprop.logs.clocks import are_all, choose_stamp
 from quatprop.logs.matching import Match, field_name, find, marks_of, matching, sets_of
 from quatprop.logs.reading import read_attitudes
+from quatprop.logs.stamps import are_all, choose_stamp
 from quatprop.logs.vocabulary import RATE_PARTS
 from quatprop.signals.attitude_convention import (
     in_order,

@@ -112,8 +112,8 @@ def _beside(rates: Match, quantity: str) -> Iterator[Found]:
 
 
 def _table_forces(log: TableLog, selection: RateSelection) -> Rows | None:
-    from quatprop.tables.matching.choose import match_rates
-    from quatprop.tables.matching.column_names import parse_name
+    from quatprop.logs.choose import match_rates
+    from quatprop.tables.column_names import parse_name
 
     axes: dict[int, int] = {}
     for position, name in enumerate(log.columns()):

@@ -11,9 +11,9 @@ from quatprop.conditioning.calibration import BiasSeries
 from quatprop.containers.topics import topics
 from quatprop.errors import LogError, UsageError
 from quatprop.formats import open_log
-from quatprop.logs.clocks import choose_stamp
 from quatprop.logs.matching import Match, column_beside, find
 from quatprop.logs.reading import read_vectors
+from quatprop.logs.stamps import choose_stamp
 from quatprop.logs.vocabulary import TYPES
 from quatprop.selection import RateSelection, SignalSelection
 from quatprop.signals.rates import UNITS
@@ -71,7 +71,7 @@ def read_biases(source: str, log: AnyLog | None, selection: SignalSelection) -> 
 
 
 def _of_table(source: str, log: TableLog) -> BiasSeries:
-    from quatprop.tables.matching.choose import match_bias
+    from quatprop.logs.choose import match_bias
 
     columns = match_bias(log)
     rows = ((t_ns, bias * UNITS[columns.unit]) for t_ns, bias in log.rows(columns.timed))

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import UndeclaredError
-from quatprop.logs.clocks import choose_stamp
 from quatprop.logs.matching import Match, marks_of
 from quatprop.logs.reading import read_rates, without_absent
+from quatprop.logs.stamps import choose_stamp
 from quatprop.series import GyroSeries
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.signals.choice import RATES, Candidate, choose, message_candidates
@@ -82,7 +82,7 @@ def rate_candidates(log: AnyLog, selection: RateSelection) -> list[Candidate[Rat
 
 
 def _of_table(log: TableLog, selection: RateSelection) -> RateSignal:
-    from quatprop.tables.matching.choose import match_rates
+    from quatprop.logs.choose import match_rates
 
     columns = match_rates(log, selection)
     factors = [factor for factor in (columns.scale, UNITS[columns.unit]) if factor != 1.0]

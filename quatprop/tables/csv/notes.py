@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from quatprop.errors import UnsupportedLogError
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.tables.base import TableNotes
-from quatprop.tables.matching.column_names import RATE_UNITS, TIME_UNITS, parse_name
+from quatprop.tables.column_names import RATE_UNITS, TIME_UNITS, parse_name
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,8 +11,8 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UndeclaredError, UsageError
-from quatprop.tables.matching.dialects import DIALECTS, GENERIC, Dialect
-from quatprop.tables.matching.time_columns import TimeMatcher
+from quatprop.logs.dialects import DIALECTS, GENERIC, Dialect
+from quatprop.logs.time_columns import TimeMatcher
 from quatprop.text import Setting, listed, plain
 
 if TYPE_CHECKING:

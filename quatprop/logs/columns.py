@@ -9,9 +9,9 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError, UsageError
+from quatprop.logs.dialects import SENSOR
 from quatprop.settings.quantities import SCALED_RATE_UNITS
-from quatprop.tables.matching.column_names import TIME_UNITS, parse_name
-from quatprop.tables.matching.dialects import SENSOR
+from quatprop.tables.column_names import TIME_UNITS, parse_name
 from quatprop.tables.timestamps import from_text
 from quatprop.text import Setting, Text, did_you_mean, listed, plain, quoted
 from quatprop.times import NS_PER_S

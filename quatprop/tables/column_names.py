@@ -7,17 +7,25 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.settings.quantities import SCALED_RATE_UNITS
-from quatprop.tables.matching.dialects import (
-    AXIS_FIRST,
-    EULER,
-    EULER_NUMBERED,
-    GYROSCOPE,
-    ROTATION_VECTOR,
-    TIME_NAMES,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+TIME_NAMES = r"_*(?:t|ts|time|timestamp|time_?stamp|stamp)"
+NOT_RATE = r"(?!b_w_|.*(?:bias|cov|std|var|noise|drift|offset|error|setpoint))"
+_GYROSCOPE = (
+    r"(?:gyro(?:scopes?|_?rate)?|gyr|omega|ang(?:ular)?_?(?:velocity|vel|rate)|rotation_?rate)"
+)
+GYROSCOPE = rf"{NOT_RATE}(?:(?:.*[._])?{_GYROSCOPE}[._]?|w[._]?)(?P<part>[xyz]|\[[012]\])"
+AXIS_FIRST = rf"{NOT_RATE}(?:.*[._])?(?P<part>[xyz])_?{_GYROSCOPE}(?:_out)?"
+NOT_ATTITUDE = r"(?!.*(?:cov|std|var|noise|sigma|delta|error|setpoint))"
+NOT_ROTATION = NOT_ATTITUDE + r"(?!.*(?:rate|speed|vel|acc|omega|gyr))"
+ROTATION_VECTOR = (
+    rf"{NOT_ROTATION}(?:.*[._])?(?:rotvec|rotation_?vector|rot_?vec)[._]?(?P<part>[xyz])"
+)
+EULER = rf"{NOT_ROTATION}(?:.*[._])?(?P<part>yaw|pitch|roll)"
+EULER_NUMBERED = NOT_ROTATION + r"(?:.*[._])?euler_{}_(?P<part>[123])"
+"""Names that may end in a unit; the group ``part`` is the component."""
 
 RATE_UNITS = {
     "rad/s": ("rad/s", "rads^-1", "rads-1", "rad_s", "rad_per_s", "rad_per_sec", "radps"),

@@ -7,12 +7,12 @@ from itertools import takewhile
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UndeclaredError, UsageError
+from quatprop.logs import clocks
+from quatprop.logs.clocks import Clock
+from quatprop.logs.columns import TableColumns
+from quatprop.logs.dialects import GENERIC, Dialect
 from quatprop.tables.base import OTHER_DATES
-from quatprop.tables.matching import clocks
-from quatprop.tables.matching.clocks import Clock
-from quatprop.tables.matching.column_names import TIME_UNITS
-from quatprop.tables.matching.columns import TableColumns
-from quatprop.tables.matching.dialects import GENERIC, Dialect
+from quatprop.tables.column_names import TIME_UNITS
 from quatprop.text import Setting, Text, listed, plain
 from quatprop.times import duration_text
 

@@ -9,11 +9,7 @@ from typing import TYPE_CHECKING
 from quatprop.conditioning.mounting import mounting
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import NoAttitudesError, NoRatesError, UndeclaredError, UsageError
-from quatprop.selection import AttitudeSelection, RateSelection
-from quatprop.settings.quantities import SCALED_RATE_UNITS
-from quatprop.tables.matching.column_names import RATE_UNITS
-from quatprop.tables.matching.dialects import (
-    AXIS_FIRST,
+from quatprop.logs.dialects import (
     BARE_RATES,
     BESIDE_BARE_RATES,
     COMPONENT,
@@ -23,14 +19,17 @@ from quatprop.tables.matching.dialects import (
     RATE_PARTS,
     WITH_RATE_UNIT,
 )
-from quatprop.tables.matching.matcher import ColumnMatcher
+from quatprop.logs.matcher import ColumnMatcher
+from quatprop.selection import AttitudeSelection, RateSelection
+from quatprop.settings.quantities import SCALED_RATE_UNITS
+from quatprop.tables.column_names import AXIS_FIRST, RATE_UNITS
 from quatprop.text import Setting, Text, listed, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from quatprop.logs.dialects import Dialect
     from quatprop.tables.base import TableLog, TimedColumns
-    from quatprop.tables.matching.dialects import Dialect
 
 
 @dataclass(frozen=True, slots=True)

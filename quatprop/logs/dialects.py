@@ -12,13 +12,23 @@ from functools import partial
 from typing import NamedTuple
 
 from quatprop.settings import EULER_SEQUENCES
+from quatprop.tables.column_names import (
+    EULER,
+    EULER_NUMBERED,
+    GYROSCOPE,
+    NOT_ATTITUDE,
+    NOT_RATE,
+    NOT_ROTATION,
+    ROTATION_VECTOR,
+    TIME_NAMES,
+)
 
 
 class Dialect(NamedTuple):
     """How one source of tables names its columns.
 
     Patterns are regular expressions for whole
-    :attr:`quatprop.tables.matching.column_names.ColumnName.key` values.
+    :attr:`quatprop.tables.column_names.ColumnName.key` values.
 
     Parameters
     ----------
@@ -65,39 +75,25 @@ _ROS_RATE = r"(?:.*\.)?(?:angular_velocity|twist\.angular)\." + _XYZ
 _ROS_QUATERNION = r"(?:.*\.)?(?:orientation|rotation|quaternion)\." + COMPONENT
 _ROS_STAMP = r"(?:.*\.)?header\.stamp\.secs?"
 
-TIME_NAMES = r"_*(?:t|ts|time|timestamp|time_?stamp|stamp)"
 SENSOR = (
     r"(?:.*[._])?(?:sensor|device|imu|frame|instance|node|module|source|location|placement|side"
     r"|hand|segment|body_part|serial|mac|address|port|unit)(?:_?(?:id|name|type|no|number|index))?"
     r"|id|kind|topic|type|name|msg|message|tag|channel|(?:.*\.)?i"
 )
 """Names of a column that may say which sensor a row is of, such as ``I`` of ArduPilot."""
-_NOT_RATE = r"(?!b_w_|.*(?:bias|cov|std|var|noise|drift|offset|error|setpoint))"
-_GYROSCOPE = (
-    r"(?:gyro(?:scopes?|_?rate)?|gyr|omega|ang(?:ular)?_?(?:velocity|vel|rate)|rotation_?rate)"
-)
-GYROSCOPE = rf"{_NOT_RATE}(?:(?:.*[._])?{_GYROSCOPE}[._]?|w[._]?)(?P<part>[xyz]|\[[012]\])"
-AXIS_FIRST = rf"{_NOT_RATE}(?:.*[._])?(?P<part>[xyz])_?{_GYROSCOPE}(?:_out)?"
 WITH_RATE_UNIT = tuple(
-    rf"{_NOT_RATE}(?:.*[^a-z])?[a-z]?(?P<part>[{axes}])(?:[^a-z].*)?" for axes in ("xyz", "pqr")
+    rf"{NOT_RATE}(?:.*[^a-z])?[a-z]?(?P<part>[{axes}])(?:[^a-z].*)?" for axes in ("xyz", "pqr")
 )
 """Names of an axis, or of a body rate of flight mechanics, whose unit says that it is a rate."""
 BARE_RATES = ("g" + _XYZ, r"(?P<part>[pqr])")
 """Names that may be body rates, and are where the user declares the unit of rates."""
 BESIDE_BARE_RATES = r"(?:a|acc\w*|m|mag\w*)_?[xyz]"
 """Axes of other sensors of the same device."""
-_NOT_ATTITUDE = r"(?!.*(?:cov|std|var|noise|sigma|delta|error|setpoint))"
-_NOT_ROTATION = _NOT_ATTITUDE + r"(?!.*(?:rate|speed|vel|acc|omega|gyr))"
 _QUATERNION = (
-    rf"{_NOT_ATTITUDE}(?:(?:.*[._])?(?:quaternion|quat|orientation|attitude|rotation|rot|ori|q)"
+    rf"{NOT_ATTITUDE}(?:(?:.*[._])?(?:quaternion|quat|orientation|attitude|rotation|rot|ori|q)"
     rf"[._]?|q_[a-z]+_[a-z]+_|q_[a-z]+_){COMPONENT}"
 )
-ROTATION_VECTOR = (
-    rf"{_NOT_ROTATION}(?:.*[._])?(?:rotvec|rotation_?vector|rot_?vec)[._]?(?P<part>[xyz])"
-)
-EULER = rf"{_NOT_ROTATION}(?:.*[._])?(?P<part>yaw|pitch|roll)"
-EULER_NUMBERED = _NOT_ROTATION + r"(?:.*[._])?euler_{}_(?P<part>[123])"
-_MATRIX = rf"{_NOT_ROTATION}(?:.*[._])?(?:r|m|rot|rotation|matrix|dcm)_?(?P<part>[{{0}}]_?[{{0}}])"
+_MATRIX = rf"{NOT_ROTATION}(?:.*[._])?(?:r|m|rot|rotation|matrix|dcm)_?(?P<part>[{{0}}]_?[{{0}}])"
 
 _px4 = partial(
     Dialect,

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UndeclaredError, UsageError
-from quatprop.tables.matching.choose import ColumnMatch
-from quatprop.tables.matching.column_names import ANGLE_UNITS
-from quatprop.tables.matching.columns import TableColumns
-from quatprop.tables.matching.dialects import EULER, EULER_NUMBERED, GENERIC, ROTATIONS
-from quatprop.tables.matching.matcher import ColumnMatcher
+from quatprop.logs.choose import ColumnMatch
+from quatprop.logs.columns import TableColumns
+from quatprop.logs.dialects import GENERIC, ROTATIONS
+from quatprop.logs.matcher import ColumnMatcher
+from quatprop.tables.column_names import ANGLE_UNITS, EULER, EULER_NUMBERED
 from quatprop.text import Setting, listed, plain
 
 if TYPE_CHECKING:

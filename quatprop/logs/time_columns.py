@@ -7,18 +7,18 @@ import re
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
+from quatprop.logs import clocks
+from quatprop.logs.clock_choice import ClockMatcher, goodness, is_readable
 from quatprop.tables.base import OTHER_DATES, TableLog, TimedColumns
-from quatprop.tables.matching import clocks
-from quatprop.tables.matching.clock_choice import ClockMatcher, goodness, is_readable
-from quatprop.tables.matching.column_names import TIME_UNITS
+from quatprop.tables.column_names import TIME_UNITS
 from quatprop.text import Setting, Text, plain
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from fractions import Fraction
 
+    from quatprop.logs.dialects import Dialect
     from quatprop.selection import SignalSelection
-    from quatprop.tables.matching.dialects import Dialect
 
     Positions = tuple[int, ...]
 

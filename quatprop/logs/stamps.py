@@ -1,0 +1,140 @@
+"""Which columns are the time of a row, and why."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from quatprop.errors import SchemaError, TimelineError, UndeclaredError, UsageError
+from quatprop.logs.vocabulary import STAMPS
+from quatprop.messages.schema import at
+from quatprop.messages.times import NANOSECONDS, SECONDS
+from quatprop.tables.model import Stamp
+from quatprop.text import Setting, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from quatprop.arrays import AnyArray
+    from quatprop.containers.topics import TopicTable
+    from quatprop.logs.matching import Found
+    from quatprop.selection import SignalSelection
+
+
+def stamp_at(table: TopicTable, place: str, unit: str | None = None) -> Stamp | None:
+    """Return the time at a place: text, seconds and nanoseconds, or a number in a unit."""
+    columns = table.columns_of(place) or ()
+    codes = "".join(table.columns[k].code[0] for k in columns)
+    names = [table.columns[k].text.removeprefix(place + ".") for k in columns]
+    match [*codes]:
+        case ["M"]:
+            return Stamp(columns, ("ns",))
+        case [_] if unit:
+            return Stamp(columns, (unit,))
+        case ["i" | "u", "i" | "u"] if names[0] in SECONDS and names[1] in NANOSECONDS:
+            return Stamp(columns, ("s", "ns"))
+    return None
+
+
+def place_of(table: TopicTable, stamp: Stamp) -> str:
+    """Return the dotted path of a time, of which there may be two parts."""
+    name = table.columns[stamp.columns[0]].text
+    return name if len(stamp.columns) == 1 else name.rpartition(".")[0]
+
+
+def stamps_of(found: Found) -> list[Stamp]:
+    """Return the stamps that belong to columns: those of the row, then the nearest around."""
+    table, row = found.table, found.row
+    stamps = [stamp_at(table, found.part.prefix + name, row.time_unit) for name in row.stamps]
+    name = table.columns[found.sets[0][0]].text
+    levels = [name[: dot.end()] for dot in re.finditer(r"\.", name)]
+    for prefix in (*reversed(levels), ""):
+        around = (stamp_at(table, prefix + place) for place in STAMPS)
+        stamps.append(next(filter(None, around), None))
+    return [*dict.fromkeys(filter(None, stamps))]
+
+
+def choose_stamp(found: Found, selection: SignalSelection) -> tuple[Stamp, tuple[str, ...]]:
+    """Return the time to read, and remarks: as selected, else a stamp, else the log time.
+
+    Of several stamps it is the best that was set: one that is zero in all rows was not.
+
+    Raises
+    ------
+    UsageError
+        A header stamp or a publish time is asked for and there is none.
+    UndeclaredError
+        The unit of a time field is not declared.
+    TimelineError
+        All stamps are zero.
+    """
+    table, log = found.table, found.table.log
+    stamps = stamps_of(found)
+    has_stamp = bool(stamps) or selection.time_field is not None
+    if selection.clock == "header" and not has_stamp:
+        others = Setting("clock", "log|publish" if log.has_publish_time else "log")
+        raise UsageError(
+            f"{quoted(table.path)}: messages of topic {quoted(table.name)} have no header stamp; "
+            f"choose {others} or name the stamp with {Setting('time_field')}"
+        )
+    if selection.clock == "publish" and not log.has_publish_time:
+        raise UsageError(
+            f"{quoted(table.path)}: a log of kind {log.kind} does not record when messages were "
+            f"published; choose {Setting('clock', 'header|log' if has_stamp else 'log')}"
+        )
+    clock = selection.clock or ("header" if has_stamp else "log")
+    if clock != "header":
+        return Stamp(clock=clock), ()
+    if selection.time_field is not None:
+        stamps = [_named_stamp(table, selection.time_field, selection.time_unit)]
+    for stamp in stamps:
+        if not are_all(table.times(stamp), 0):
+            remark = (
+                f"the stamps in {quoted(place_of(table, stamps[0]))} are all zero; those in "
+                f"{quoted(place_of(table, stamp))} are used"
+            )
+            return stamp, () if stamp is stamps[0] else (remark,)
+    raise TimelineError(
+        table.path,
+        f"all header stamps of topic {quoted(table.name)} are zero; for the time of recording "
+        f"choose {Setting('clock', 'log')}",
+    )
+
+
+def _named_stamp(table: TopicTable, place: str, unit: str | None) -> Stamp:
+    at(table.root, place, table.path)
+    if (stamp := stamp_at(table, place, unit)) is not None:
+        return stamp
+    if len(table.columns_of(place) or ()) == 1:
+        raise UndeclaredError(
+            table.path,
+            f"the unit of the time in field {quoted(place)}",
+            Setting("time_unit", "s|ms|us|ns"),
+        )
+    raise SchemaError(
+        table.path,
+        f"field {quoted(place)} of {quoted(table.type)} is not a time; "
+        "name a time of seconds and nanoseconds, or a number",
+    )
+
+
+def are_all(batches: Iterable[AnyArray], value: object, limit: int | None = None) -> bool:
+    """Tell whether several rows all have one value; reads up to the first other one.
+
+    Parameters
+    ----------
+    batches
+        Rows, shape ``(N, ...)``.
+    value
+        What each is compared with.
+    limit
+        So many rows are enough; None is all.
+    """
+    count = 0
+    for rows in batches:
+        if (rows != value).any():
+            return False
+        count += len(rows)
+        if limit is not None and count >= limit:
+            break
+    return count > 1

@@ -1,1 +1,0 @@
-"""Which columns of a table are the time, the rates or the attitude."""
