@@ -12,11 +12,13 @@ import pytest
 from quatprop import RemarkWarning, read_rates
 from quatprop.cli.spelling import spelled
 from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError, UsageError
-from quatprop.logs.choose import match_rates
-from quatprop.logs.dialects import DIALECTS
+from quatprop.logs.rate_columns import match_rates
 from quatprop.selection import RateSelection
-from quatprop.tables.base import TableNotes, TimedColumns
+from quatprop.settings.quantities import RATES
+from quatprop.tables.base import TableNotes
 from quatprop.tables.column_names import parse_name
+from quatprop.tables.file_table import FileTable
+from quatprop.tables.model import Stamp
 
 AXES = ("wx", "wy", "wz")
 NAMED = {"rate_cols": ("x", "y", "z"), "time_col": "t", "rate_unit": "rad/s", "time_unit": "us"}
@@ -105,16 +107,26 @@ FILES = {"xyz[0]": "a_vehicle_angular_velocity_0.csv", ",device_id,": "a_sensor_
 def chosen(header, name="log.csv", notes=None, **options):
     """Choose the columns of a header line."""
     names = header.split(";" if ";" in header else ",")
+    return match_rates(table_of(names, name, notes), RateSelection(**options))
+
+
+def table_of(names, name="log.csv", notes=None):
+    """Return a file without rows."""
     log = SimpleNamespace(
-        path=Path(name), notes=notes or TableNotes(), columns=lambda: names, head=lambda _: []
+        kind="csv",
+        path=Path(name),
+        notes=notes or TableNotes(),
+        columns=lambda: names,
+        head=lambda _: [],
     )
-    return match_rates(log, RateSelection(**options))
+    return FileTable(log)
 
 
 def matched(columns):
     """Return what is said of the columns of a table: where they are, and their units."""
-    timed = columns.timed
-    return timed.numbers, columns.unit, timed.time, timed.time_unit, columns.dialect
+    numbers, stamp = (*columns.found.sets[0], *columns.marks), columns.stamp
+    units = (*stamp.units, "ns")
+    return numbers, columns.unit, stamp.columns, units[0], columns.row.name
 
 
 @pytest.mark.parametrize("header", KNOWN)
@@ -123,11 +135,6 @@ def test_a_header_that_names_columns_and_units_needs_no_options(header):
     dialect, *columns = KNOWN[header]
     name = next((name for sign, name in FILES.items() if sign in header), "log.csv")
     assert matched(chosen(header, name)) == (*columns, dialect)
-
-
-def test_every_dialect_has_a_name():
-    """The summary says which convention was recognised, so each has a name to say."""
-    assert all(dialect.name for dialect in DIALECTS)
 
 
 def test_the_reversed_columns_of_a_phone_are_taken_by_name():
@@ -147,7 +154,7 @@ def test_gcsv_times_and_rates_are_scaled_as_its_keys_say():
     notes = TableNotes(units={0: "ms"}, rate_scale=0.5, title="GYROFLOW IMU LOG")
     found = chosen("t,gx,gy,gz", notes=notes)
     assert matched(found) == ((1, 2, 3), "rad/s", (0,), "ms", "gcsv")
-    assert found.scale == 0.5
+    assert found.factor == 0.5
 
 
 def test_a_turned_sensor_of_a_gcsv_is_remarked_on():
@@ -173,7 +180,7 @@ def test_a_left_handed_orientation_of_a_gcsv_is_not_proposed():
 def test_stamps_that_a_sample_rate_replaces_are_named():
     """Rows are counted as asked, and the stamps beside them are not passed over in silence."""
     found = chosen("time,wx,wy,wz", sample_rate=200.0, rate_unit="rad/s")
-    assert (found.timed.time, found.timed.sample_rate) == ((), 200.0)
+    assert (found.stamp.columns, found.stamp.sample_rate) == ((), 200.0)
     assert [spelled(remark) for remark in found.remarks] == [
         "--sample-rate 200 counts the rows; the stamps in 'time' are not used",
     ]
@@ -183,8 +190,8 @@ def test_stamps_that_a_sample_rate_replaces_are_named():
 def test_averages_of_px4_want_the_method_end():
     """sensor_combined holds averages over the interval before each stamp."""
     header = "timestamp,gyro_rad[0],gyro_rad[1],gyro_rad[2],gyro_integral_dt"
-    assert chosen(header).method == "end"
-    assert chosen("#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y,w_RS_S_z").method is None
+    assert chosen(header).row.method == "end"
+    assert chosen("#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y,w_RS_S_z").row.method is None
 
 
 def test_gx_alone_needs_a_unit():
@@ -306,7 +313,7 @@ def test_the_same_names_twice_are_refused(header, sets):
     """Nothing tells which of them is meant but their numbers."""
     with pytest.raises(UndeclaredError, match=f"which set of rates to use .*{sets}.*rate_cols="):
         chosen(header)
-    assert chosen(header, rate_cols=("1", "2", "3")).timed.numbers == (1, 2, 3)
+    assert chosen(header, rate_cols=("1", "2", "3")).found.sets == ((1, 2, 3),)
 
 
 def test_a_column_is_not_both_a_rate_and_the_time():
@@ -332,7 +339,7 @@ def test_columns_are_named_by_name_or_number(cols):
 def test_a_name_wins_over_a_number():
     """A column called "1" is found by its name, not as the second column."""
     found = chosen("1,2,3,0", **{**NAMED, "rate_cols": ("1", "2", "3"), "time_col": "0"})
-    assert (found.timed.numbers, found.timed.time) == ((0, 1, 2), (3,))
+    assert (found.found.sets, found.stamp.columns) == (((0, 1, 2),), (3,))
 
 
 def test_a_column_that_is_not_there_is_told_with_those_that_are():
@@ -397,7 +404,7 @@ def test_other_units_of_rates_are_multiplied_and_remarked_on(unit, read_as, scal
     """They are read as one of the two units of rates, and a user may not say that they are it."""
     header = ",".join(["t_ns", *(f"G_{axis} [{unit}]" for axis in "xyz")])
     found = chosen(header)
-    assert (found.unit, found.scale) == (read_as, pytest.approx(scale, rel=1e-15))
+    assert (found.unit, found.factor) == (read_as, pytest.approx(scale * RATES[read_as], rel=1e-15))
     assert found.remarks == (f"the rates are in {unit}, which is read as {scale:.4g} {read_as}",)
     with pytest.raises(UsageError, match=f"are in {unit}; leave the option out"):
         chosen(header, rate_unit="rad/s")
@@ -424,13 +431,13 @@ def test_a_declared_sample_rate_stands_in_for_a_time_column():
         "Counter,Gyr_X,Gyr_Y,Gyr_Z", notes=TableNotes(sample_rate=50.0), rate_unit="rad/s"
     )
     assert matched(found) == ((1, 2, 3), "rad/s", (), "ns", "")
-    assert found.timed == TimedColumns((1, 2, 3), (), "ns", 50.0)
+    assert found.stamp == Stamp(clock="50 Hz", sample_rate=50.0)
 
 
 def test_a_sample_rate_said_wins_over_a_time_column():
     """Rows are counted where the user says so."""
     found = chosen("t_ns,wx,wy,wz", sample_rate=200.0)
-    assert (found.timed.time, found.timed.sample_rate) == ((), 200.0)
+    assert (found.stamp.columns, found.stamp.sample_rate) == ((), 200.0)
 
 
 @pytest.mark.parametrize("sample_rate", [0.0, -1.0, float("nan"), float("inf")])
@@ -449,8 +456,8 @@ def test_sample_rate_and_time_column_contradict():
 def test_the_log_clock_of_rostopic_is_its_first_column():
     """With clock='log' the time of recording is taken instead of the message's stamp."""
     header = next(header for header in KNOWN if header.startswith("%time"))
-    assert chosen(header, clock="log").timed.time == (0,)
-    assert chosen(header, clock="header").timed.time == (2,)
+    assert chosen(header, clock="log").stamp.columns == (0,)
+    assert chosen(header, clock="header").stamp.columns == (2,)
 
 
 def test_a_clock_that_a_table_does_not_have_is_refused():
@@ -595,14 +602,12 @@ def test_a_sensor_that_joins_later_is_found(tmp_path, suffix):
 def test_what_tells_two_instruments_apart_goes_by_many_names(name):
     """Where it comes and goes from row to row, the rows are of several."""
     table = pd.DataFrame({"t_ns": range(9), name: ["l", "r", "l"] * 3, **dict.fromkeys(AXES, 1.0)})
-    log = SimpleNamespace(
-        path=Path("log.csv"),
-        notes=TableNotes(),
-        columns=lambda: list(table.columns),
-        head=lambda columns: list(table.iloc[:, list(columns)].itertuples(index=False, name=None)),
+    rows = table_of(list(table.columns))
+    rows.head = lambda columns: list(
+        table.iloc[:, list(columns)].itertuples(index=False, name=None)
     )
     with pytest.raises(UnsupportedLogError, match="its rows are of several sensors, 'l', 'r' in"):
-        match_rates(log, RateSelection(rate_unit="rad/s"))
+        match_rates(rows, RateSelection(rate_unit="rad/s"))
 
 
 def test_differences_of_time_are_not_the_time():

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
     from quatprop.containers.kept_blocks import KeptBlocks
     from quatprop.containers.time_range import TimeRange
+    from quatprop.containers.topics import TopicTable
+    from quatprop.tables.model import Table
 
 NO_BOUND = int(np.iinfo(np.int64).min)
 """`not_before_ns` of a block that says nothing about the blocks after it."""
@@ -217,6 +219,10 @@ class Log(ABC):
         self.path = path
         self.losses = Losses()
 
+    @abstractmethod
+    def tables(self, topic: str | None = None) -> Sequence[Table]:
+        """Return the tables of rows that the log has; those of a topic, or all of them."""
+
     def close(self) -> None:  # noqa: B027  # nothing to do where files are open only while read
         """Release files and temporary copies."""
 
@@ -241,6 +247,12 @@ class MessageLog(Log):
 
     has_log_time = True
     has_publish_time = False
+
+    def tables(self, topic: str | None = None) -> Sequence[TopicTable]:
+        """Return the topics that have messages; see :func:`quatprop.containers.topics.topics`."""
+        from quatprop.containers.topics import topics
+
+        return topics(self, topic)
 
     @abstractmethod
     def channels(self) -> list[Channel]:

@@ -15,6 +15,7 @@ from quatprop.containers.base import LATEST
 from quatprop.containers.coalesce import coalesce_blocks
 from quatprop.containers.kept_blocks import blocks_of
 from quatprop.containers.merge import Columns, merge_by_time
+from quatprop.containers.time_range import TimeRange
 from quatprop.errors import MessageError, UsageError
 from quatprop.messages.cursor import first_names
 from quatprop.messages.decoders import DECODERS, decoder_of
@@ -25,6 +26,7 @@ from quatprop.messages.schema import (
     Primitive,
     String,
     Struct,
+    at,
     find,
     numbers,
 )
@@ -41,10 +43,9 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import AnyArray, Float64, Int64
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
-    from quatprop.containers.time_range import TimeRange
     from quatprop.messages.schema import Type
     from quatprop.provenance import JsonObject
-    from quatprop.tables.model import Convert, Group, Stamp
+    from quatprop.tables.model import Convert, Group, Stamp, Within
 
     Decode = Callable[[MessageBlock], Columns]
 
@@ -113,27 +114,23 @@ class TopicTable(Table):
         One of its channels.
     """
 
+    is_typed = True
+
     def __init__(self, log: MessageLog, channel: Channel) -> None:
         self.log = log
         self.channel = channel
         self.path = log.path
         self.name = channel.topic
         self.type = channel.type_name
+        self.kind = log.kind
+        self.log_clocks = ("log", "publish") if log.has_publish_time else ("log",)
+        self.is_decodable = channel.encoding in DECODERS
+        self.is_secondary = is_secondary(channel)
 
     def __str__(self) -> str:
         """Return topic, type, and the encoding where it is not read."""
         encoding = f", encoded as {self.channel.encoding or 'nothing known'}, which is not read"
         return f"{self.name} ({self.type}{'' if self.is_decodable else encoding})"
-
-    @property
-    def is_decodable(self) -> bool:
-        """Whether the encoding of its messages is read."""
-        return self.channel.encoding in DECODERS
-
-    @property
-    def is_secondary(self) -> bool:
-        """Whether it has the message of another, main topic."""
-        return is_secondary(self.channel)
 
     def may_contain(self, types: Iterable[str]) -> bool:
         """Tell by the text of the definition, cheaply, whether one of some types may be inside."""
@@ -160,18 +157,15 @@ class TopicTable(Table):
     def _numbers(self) -> dict[str, int]:
         return {column.text: k for k, column in enumerate(self.columns)}
 
-    def columns_of(self, field: str) -> Group | None:
-        """Return the columns that a field consists of.
-
-        None where there is no such field, nothing where it is not made of a few numbers.
-        """
-        kind = find(self.root, field)
+    def columns_of(self, name: str) -> Group | None:
+        """Return the columns that a field consists of; nothing where it is not a few numbers."""
+        kind = find(self.root, name)
         if kind is None:
             return None
-        leaves = [*islice(_leaves(field, kind), MAX_ELEMENTS + 1)]
+        leaves = [*islice(_leaves(name, kind), MAX_ELEMENTS + 1)]
         if len(leaves) > MAX_ELEMENTS or not all(isinstance(one, Primitive) for _, one in leaves):
             return ()
-        return tuple(self._column(name, one) for name, one in leaves if isinstance(one, Primitive))
+        return tuple(self._column(own, one) for own, one in leaves if isinstance(one, Primitive))
 
     def _column(self, name: str, kind: Primitive) -> int:
         if name not in self._numbers:
@@ -179,7 +173,15 @@ class TopicTable(Table):
             self.columns.append(Column(name, name, code=kind.code))
         return self._numbers[name]
 
-    def field_of(self, group: Group) -> tuple[list[str], list[int]]:
+    def field_of(self, group: Group) -> str:
+        """Return columns as settings name them: a vector by its own name."""
+        return ",".join(self.fields_of(group)[0])
+
+    def refuse_unknown(self, name: str) -> None:
+        """Refuse a field that is not there, with what there is."""
+        at(self.root, name, self.path)
+
+    def fields_of(self, group: Group) -> tuple[list[str], list[int]]:
         """Return the fields to decode for a group, and where its numbers are among theirs.
 
         A vector is one field; where the numbers are in its order, no places are given.
@@ -203,14 +205,14 @@ class TopicTable(Table):
             )
         return self
 
-    def texts(self, field: str) -> list[str]:
-        """Return what a text is in the first messages; nothing where it is none."""
+    def texts(self, name: str) -> list[str]:
+        """Return what a text is in the first messages; nothing where it cannot be read."""
         if self.channel.encoding not in TEXT_ENCODINGS:
             return []
         block = next((block for block in blocks_of(self.log, self.channel) if len(block)), None)
-        if block is None or not isinstance(find(self.root, field), String):
+        if block is None or not isinstance(find(self.root, name), String):
             return []
-        return first_names(self.channel, block, self.root, field, self.path)
+        return first_names(self.channel, block, self.root, name, self.path)
 
     # Rows.
 
@@ -219,16 +221,20 @@ class TopicTable(Table):
         stamp: Stamp,
         groups: Sequence[Group],
         convert: Convert,
-        within: TimeRange | None = None,
+        within: Within = None,
     ) -> Iterator[Columns]:
         """Yield batches in the order of the log times, if these are recorded."""
         decode = self.decoder(stamp, groups)
-        if within is None:
-            blocks = metered(coalesce_blocks(blocks_of(self.log, self.channel)), self.channel.count)
-        else:
+        if isinstance(within, TimeRange):
             blocks = metered(coalesce_blocks(self.log.blocks_within(self.channel, within)), None)
+        else:
+            blocks = metered(coalesce_blocks(blocks_of(self.log, self.channel)), self.channel.count)
         batches = (self._readable(lambda rows: convert(decode(rows)), block) for block in blocks)
         return merge_by_time([batches]) if self.log.has_log_time else filter(len, batches)
+
+    def recorded_span(self) -> TimeRange | None:
+        """Return when the topic was recorded by the index of the log, if it has one."""
+        return self.log.recorded_span(self.channel)
 
     def times(self, stamp: Stamp) -> Iterator[Int64]:
         """Yield the times of all messages, ns."""
@@ -245,7 +251,7 @@ class TopicTable(Table):
     def decoder(self, stamp: Stamp, groups: Sequence[Group]) -> Decode:
         """Return what decodes the time and some groups of columns of a block."""
         times = [self.columns[k].text for k in stamp.columns]
-        wanted = [self.field_of(group) for group in groups]
+        wanted = [self.fields_of(group) for group in groups]
         fields = [*times, *(name for names, _ in wanted for name in names)]
         decoder = decoder_of(self.channel, fields, self.path)
 

@@ -42,16 +42,15 @@ class TransformTable(TopicTable):
         super().__init__(log, channel)
         self.columns = [*_COLUMNS]
 
-    def columns_of(self, field: str) -> Group | None:
+    def columns_of(self, name: str) -> Group | None:
         """Return the columns that a field of an element consists of."""
-        below = (field, field + ".")
-        found = (k for k, one in enumerate(_COLUMNS) if (one.text + ".").startswith(below[1]))
+        found = (k for k, one in enumerate(_COLUMNS) if f"{one.text}.".startswith(f"{name}."))
         return tuple(found) or None
 
-    def field_of(self, group: Group) -> tuple[list[str], list[int]]:  # noqa: ARG002  # all of it
+    def field_of(self, group: Group) -> str:  # noqa: ARG002  # it has nothing else
         """Return the frames, where they are chosen."""
         frames = self.frames
-        return ["transforms" if frames is None else f"{frames.parent} <- {frames.child}"], []
+        return "transforms" if frames is None else f"{frames.parent} <- {frames.child}"
 
     def of_frames(self, wanted: str | None) -> TransformTable:
         """Return the transforms of the only pair of frames, after looking through the topic.

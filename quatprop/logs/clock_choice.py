@@ -10,7 +10,7 @@ from quatprop.errors import UndeclaredError, UsageError
 from quatprop.logs import clocks
 from quatprop.logs.clocks import Clock
 from quatprop.logs.columns import TableColumns
-from quatprop.logs.dialects import GENERIC, Dialect
+from quatprop.logs.vocabulary import GENERIC, Row
 from quatprop.tables.base import OTHER_DATES
 from quatprop.tables.column_names import TIME_UNITS
 from quatprop.text import Setting, Text, listed, plain
@@ -29,20 +29,20 @@ _PARTS_OF_A_SECOND = "|".join(name for unit in ("ms", "us", "ns") for name in TI
 class ClockMatcher(TableColumns):
     """Finds the clocks of a table; takes the parameters of :class:`TableColumns`."""
 
-    def clocks_of(self, dialect: Dialect, numbers: Positions) -> list[Clock]:
+    def clocks_of(self, row: Row, numbers: Positions) -> list[Clock]:
         """Return the columns that may be the time, those that can be read if there are any."""
         keys = [self.columns[k].key for k in numbers]
         found: dict[int, Clock] = {}
-        for place, pattern in enumerate(self._conventional(dialect)):
+        for place, pattern in enumerate(self._conventional(row)):
             for k in self.matching(pattern):
-                found.setdefault(k, self._clock(k, clocks.CONVENTION, dialect.time_unit, place))
+                found.setdefault(k, self._clock(k, clocks.CONVENTION, row.time_unit, place))
         if self.selection.clock is None:
             for k, column in enumerate(self.columns):
                 named = clocks.named_clock(column.key, keys)
                 if k in found or k in numbers or not (named or k in self.notes.units):
                     continue
                 rank, unit, place = named or (clocks.EPOCH, "", len(clocks.CLOCKS))
-                if re.fullmatch(dialect.log_time or "(?!)", column.key):
+                if re.fullmatch(row.log_time or "(?!)", column.key):
                     rank = clocks.ARRIVAL
                 found[k] = self._clock(k, rank, unit, place)
         # T (K) beside t (s) is a temperature.
@@ -51,15 +51,15 @@ class ClockMatcher(TableColumns):
         by_unit = [clock for clock in every if {*clock.units} <= {*units, OTHER_DATES}] or every
         return self._nearest([*filter(is_readable, by_unit)] or by_unit, keys)
 
-    def _conventional(self, dialect: Dialect) -> tuple[str, ...]:
+    def _conventional(self, row: Row) -> tuple[str, ...]:
         """Return the patterns of the time columns of a convention, for the chosen clock."""
         match self.selection.clock:
             case None:
-                return () if dialect is GENERIC else dialect.time
+                return () if row is GENERIC else row.stamps
             case "header":
-                return tuple(pattern for pattern in dialect.time if pattern != dialect.log_time)
-            case "log" if dialect.log_time:
-                return (dialect.log_time,)
+                return tuple(pattern for pattern in row.stamps if pattern != row.log_time)
+            case "log" if row.log_time:
+                return (row.log_time,)
             case clock:
                 raise UsageError(
                     f"{plain(self.path)}: this table has no {clock} time; choose the column with "

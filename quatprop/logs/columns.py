@@ -9,7 +9,8 @@ from itertools import groupby
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError, UsageError
-from quatprop.logs.dialects import SENSOR
+from quatprop.logs.matching import matching
+from quatprop.logs.names import SENSOR
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.tables.column_names import TIME_UNITS, parse_name
 from quatprop.tables.timestamps import from_text
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection
 
     from quatprop.selection import SignalSelection
-    from quatprop.tables.base import TableLog
+    from quatprop.tables.model import Table
 
     Positions = tuple[int, ...]
 
@@ -33,17 +34,18 @@ class TableColumns:
 
     Parameters
     ----------
-    log
+    table
         The table.
     selection
         What the user chose.
     """
 
-    def __init__(self, log: TableLog, selection: SignalSelection) -> None:
-        self.path = log.path
-        self.notes = log.notes
-        self._head = log.head
-        self.columns = [parse_name(name) for name in log.columns()]
+    def __init__(self, table: Table, selection: SignalSelection) -> None:
+        self.table = table
+        self.path = table.path
+        self.notes = table.notes
+        self._head = table.head
+        self.columns = table.columns
         self.selection = selection
         self.unknown: list[tuple[str, Setting]] = []
         self.overruled: list[Text] = []
@@ -72,9 +74,8 @@ class TableColumns:
                 )
 
     def matching(self, pattern: str) -> list[int]:
-        """Return the columns whose keys match a pattern."""
-        fits = re.compile(pattern).fullmatch
-        return [k for k, column in enumerate(self.columns) if fits(column.key)]
+        """Return the columns whose names match a pattern."""
+        return [k for k, _ in matching(self.table, self.table.parts[0], pattern)]
 
     def position(self, name: str, setting: str) -> int:
         """Return the column of a name: as spelled, by key, or by number from 0."""
@@ -100,6 +101,10 @@ class TableColumns:
                 f"columns are {listed(names)}{did_you_mean(name, names)}"
             )
         return positions[0]
+
+    def spelled(self, positions: Collection[int]) -> str:
+        """Return the names of columns as settings take them."""
+        return ",".join(self.columns[k].text for k in positions)
 
     def names(self, positions: Collection[int]) -> str:
         """Return the names of columns, quoted."""

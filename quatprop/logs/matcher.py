@@ -7,19 +7,19 @@ that settles it.
 from __future__ import annotations
 
 import re
-from itertools import product
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UndeclaredError, UsageError
-from quatprop.logs.dialects import DIALECTS, GENERIC, Dialect
+from quatprop.logs.matching import sets_of
 from quatprop.logs.time_columns import TimeMatcher
+from quatprop.logs.vocabulary import GENERIC, ROWS, Row
 from quatprop.text import Setting, listed, plain
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.selection import SignalSelection
-    from quatprop.tables.base import TableLog
+    from quatprop.tables.model import Table
 
     Positions = tuple[int, ...]
 
@@ -29,7 +29,7 @@ class ColumnMatcher(TimeMatcher):
 
     Parameters
     ----------
-    log
+    table
         The table.
     selection
         What the user chose.
@@ -40,15 +40,10 @@ class ColumnMatcher(TimeMatcher):
     """
 
     def __init__(
-        self, log: TableLog, selection: SignalSelection, setting: str, parts: Sequence[str]
+        self, table: Table, selection: SignalSelection, setting: str, parts: Sequence[str]
     ) -> None:
-        super().__init__(log, selection, setting)
-        self._count = len(parts)
-        self._components = {
-            spelling: component
-            for component, spellings in enumerate(parts)
-            for spelling in spellings.split("|")
-        }
+        super().__init__(table, selection, setting)
+        self._components = parts
         for name in ("topic", "rate_field", "time_field", "quat_field", "frame"):
             if getattr(selection, name, None) is not None:
                 raise UsageError(
@@ -63,33 +58,25 @@ class ColumnMatcher(TimeMatcher):
 
         Where a name comes up twice there are two sets.
         """
-        by_name: dict[tuple[str, str], dict[int, list[int]]] = {}
-        for pattern, (position, column) in product(filter(None, patterns), enumerate(self.columns)):
-            if match := re.fullmatch(pattern, column.key):
-                rest = f"{column.key[: match.start('part')]}*{column.key[match.end('part') :]}"
-                places = by_name.setdefault((pattern, rest), {})
-                places.setdefault(self._components[match["part"]], []).append(position)
-        return [
-            tuple(places[component][: k + 1][-1] for component in range(self._count))
-            for places in by_name.values()
-            if len(places) == self._count
-            for k in range(max(map(len, places.values())))
-        ]
+        (part,) = self.table.parts
+        every = (sets_of(self.table, part, self._components, pattern) for pattern in patterns)
+        return [one for sets in every for one in sets]
 
-    def dialect(self, quantity: str) -> Dialect:
-        """Return the convention of a table with ``"rate"`` or ``"quaternion"`` columns."""
+    def row(self, quantity: str) -> Row:
+        """Return the row of the vocabulary for a table with columns of a quantity."""
         # rostopic marks its first column; everyone else's mark is decoration.
         names = {column.key for column in self.columns}
         names |= {column.text.strip("\ufeff ").lower() for column in self.columns}
         names.add(self.notes.title.lower())
-        for dialect in DIALECTS:
+        for row in ROWS:
             if (
-                names.issuperset(dialect.needs)
-                and re.search(dialect.file, self.path.name)
-                and self.sets(getattr(dialect, quantity))
-                and (not dialect.time or any(map(self.matching, dialect.time)))
+                row.name
+                and names.issuperset(row.needs)
+                and re.search(row.file, self.path.name)
+                and self.sets(getattr(row, quantity))
+                and (not row.stamps or any(map(self.matching, row.stamps)))
             ):
-                return dialect
+                return row
         return GENERIC
 
     def only_set(self, sets: Sequence[Positions], quantity: str, component: str) -> Positions:
@@ -112,7 +99,7 @@ class ColumnMatcher(TimeMatcher):
             raise UndeclaredError(
                 self.path,
                 f"which {quantity} to use ({reason})",
-                Setting(self.setting, "A,B,C,D" if self._count > 3 else "X,Y,Z"),  # noqa: PLR2004
+                Setting(self.setting, "A,B,C,D" if len(self._components) > 3 else "X,Y,Z"),  # noqa: PLR2004
             )
         return sets[0]
 

@@ -6,15 +6,15 @@ import re
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import SchemaError
-from quatprop.logs.vocabulary import PARTS, TYPES, Row, row_of_type
+from quatprop.logs.vocabulary import GENERIC, PARTS, TYPES, Row, row_of_type
+from quatprop.tables.column_names import rate_unit_of
 from quatprop.tables.model import Part
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from quatprop.containers.topics import TopicTable
-    from quatprop.tables.model import Group, Stamp
+    from quatprop.tables.model import Group, Stamp, Table
     from quatprop.text import Text
 
 
@@ -33,7 +33,7 @@ class Found(NamedTuple):
         Its name, as the settings ``rate_field`` and ``quat_field`` take it.
     """
 
-    table: TopicTable
+    table: Table
     row: Row
     part: Part
     sets: tuple[Group, ...]
@@ -56,6 +56,13 @@ class Match(NamedTuple):
         none.
     remarks
         What the user should know of the choice.
+    unit
+        ``"rad/s"`` or ``"deg/s"`` of rates, ``"rad"`` or ``"deg"`` of angles, ``""`` of the rest.
+    representation
+        Of an attitude: ``"quaternion"``, ``"rotvec"``, ``"matrix"``, ``"euler-zyx"`` and the like.
+    layout
+        ``"scalar-first"`` or ``"scalar-last"`` as it is stored; ``""`` where names say which is
+        which.
     """
 
     found: Found
@@ -63,9 +70,12 @@ class Match(NamedTuple):
     factor: float = 1.0
     marks: Group = ()
     remarks: tuple[str | Text, ...] = ()
+    unit: str = ""
+    representation: str = "quaternion"
+    layout: str = ""
 
     @property
-    def table(self) -> TopicTable:
+    def table(self) -> Table:
         """The table."""
         return self.found.table
 
@@ -85,18 +95,21 @@ def marks_of(found: Found) -> Group:
     return tuple(k for k, column in enumerate(table.columns) if fits(column.key))[:1]
 
 
-def matching(table: TopicTable, part: Part, pattern: str) -> Iterator[tuple[int, re.Match[str]]]:
+def matching(table: Table, part: Part, pattern: str) -> Iterator[tuple[int, re.Match[str]]]:
     """Yield the columns of a part whose names fit a pattern, and how."""
     fits = re.compile(pattern).fullmatch
     for k in range(part.begin, part.end) if pattern else ():
-        if match := fits(table.columns[k].key[len(part.prefix) :]):
-            yield k, match
+        column = table.columns[k]
+        for name in dict.fromkeys((column.key, column.text.strip())):
+            if match := fits(name[len(part.prefix) :]):
+                yield k, match
+                break
 
 
-def sets_of(
-    table: TopicTable, part: Part, components: Sequence[str], pattern: str
-) -> tuple[Group, ...]:
+def sets_of(table: Table, part: Part, components: Sequence[str], pattern: str) -> tuple[Group, ...]:
     """Return each complete set of columns of a part whose names differ in the component alone.
+
+    Where a name comes up twice there are two sets.
 
     Parameters
     ----------
@@ -108,21 +121,22 @@ def sets_of(
         As in a row of the vocabulary.
     """
     number = {own: k for k, spellings in enumerate(components) for own in spellings.split("|")}
-    found: dict[str, dict[int, int]] = {}
+    found: dict[str, dict[int, list[int]]] = {}
     for k, match in matching(table, part, pattern):
         if match["part"] in number:
             name = match.string
             rest = f"{name[: match.start('part')]}*{name[match.end('part') :]}"
-            found.setdefault(rest, {}).setdefault(number[match["part"]], k)
+            found.setdefault(rest, {}).setdefault(number[match["part"]], []).append(k)
     count = len(components)
     return tuple(
-        tuple(places[component] for component in range(count))
+        tuple(places[component][: k + 1][-1] for component in range(count))
         for places in found.values()
         if len(places) == count
+        for k in range(max(map(len, places.values())))
     )
 
 
-def find(table: TopicTable, quantity: str, field: str | None = None) -> list[Found]:
+def find(table: Table, quantity: str, field: str | None = None) -> list[Found]:
     """Return what a table has of a quantity: by its types, or at a field that is named.
 
     Parameters
@@ -153,7 +167,7 @@ def find(table: TopicTable, quantity: str, field: str | None = None) -> list[Fou
         return []
 
 
-def _recognised(table: TopicTable, quantity: str) -> Iterator[Found]:
+def _recognised(table: Table, quantity: str) -> Iterator[Found]:
     """Yield what the types of a message say, but for types inside such types."""
     outer: list[str] = []
     for part in table.parts:
@@ -171,19 +185,27 @@ def _recognised(table: TopicTable, quantity: str) -> Iterator[Found]:
             yield Found(table, row, part, sets, field_name(table, sets))
 
 
-def column_beside(table: TopicTable, part: Part, name: str) -> Group:
+def column_beside(table: Table, part: Part, name: str) -> Group:
     """Return the column of a number in a part of a table, if it is there."""
     columns = table.columns_of(part.prefix + name) if name else ()
     return columns if columns and len(columns) == 1 else ()
 
 
-def field_name(table: TopicTable, sets: Sequence[Group]) -> str:
-    """Return columns as settings name them: a vector by its own name."""
+def field_name(table: Table, sets: Sequence[Group]) -> str:
+    """Return columns as settings name them; of many samples those of each component."""
     groups = sets if len(sets) == 1 else [*zip(*sets, strict=True)]
-    return ",".join(name for group in groups for name in table.field_of(tuple(group))[0])
+    return ",".join(table.field_of(tuple(group)) for group in groups)
 
 
-def _named(table: TopicTable, quantity: str, field: str) -> list[Found]:
+def beside(match: Match, quantity: str) -> list[Found]:
+    """Return what is in the same part of a table as a match."""
+    table, part = match.table, match.found.part
+    row = match.row if match.table.is_typed or getattr(match.row, quantity) else GENERIC
+    sets = sets_of(table, part, PARTS[quantity], getattr(row, quantity))
+    return [Found(table, row, part, (one,), table.field_of(one)) for one in sets]
+
+
+def _named(table: Table, quantity: str, field: str) -> list[Found]:
     """Return the quantity at a field; nothing where the table has no such field."""
     names = [name.strip() for name in field.split(",")] if quantity == "rate" else [field]
     if not table.is_decodable:
@@ -208,14 +230,12 @@ def _named(table: TopicTable, quantity: str, field: str) -> list[Found]:
                 "numbers"
             )
         raise SchemaError(table.path, f"field {quoted(field)} of {quoted(table.type)} {what}")
-    from quatprop.tables.column_names import rate_unit_of
-
     row = Row(unit=rate_unit_of(names) or "", stamps=())
     part = Part("", "", 0, len(table.columns))
     return [Found(table, row, part, (group,), ",".join(names))]
 
 
-def _quaternion(table: TopicTable, field: str, group: Group) -> Group:
+def _quaternion(table: Table, field: str, group: Group) -> Group:
     """Return the columns of w, x, y, z where they have names, those of an array as they are."""
     if not group or not _are_floats(table, group):
         return ()
@@ -228,5 +248,5 @@ def _quaternion(table: TopicTable, field: str, group: Group) -> Group:
 _WXYZ = (".w", ".x", ".y", ".z")
 
 
-def _are_floats(table: TopicTable, group: Group) -> bool:
+def _are_floats(table: Table, group: Group) -> bool:
     return all(table.columns[k].code[0] == "f" for k in group)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.merge import Columns
+from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import MessageError
 from quatprop.logs.matching import column_beside
 from quatprop.messages.times import to_ns
@@ -17,10 +18,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from quatprop.arrays import AnyArray, Float64, Int64
-    from quatprop.containers.time_range import TimeRange
     from quatprop.logs.matching import Match
     from quatprop.logs.vocabulary import Burst
-    from quatprop.tables.model import Group
+    from quatprop.tables.model import Group, Within
 
 ABSENT = -1.0
 """What the first number of a covariance is where the value beside it is not measured."""
@@ -29,7 +29,7 @@ MAX_SPACING_NS = NS_PER_S
 """Samples of a burst are not further apart than this, unless the message is damaged."""
 
 
-def read_rates(match: Match, within: TimeRange | None = None) -> Iterator[Columns]:
+def read_rates(match: Match, within: Within = None) -> Iterator[Columns]:
     """Yield batches of stamps, ns, rates, rad/s, ``(N, 3)``, and integration times of increments.
 
     Only the parts of the log that have a range of log times by its index; None is all.
@@ -61,7 +61,7 @@ def read_rates(match: Match, within: TimeRange | None = None) -> Iterator[Column
     return match.table.read(match.stamp, groups, convert, within)
 
 
-def _read_bursts(match: Match, burst: Burst, within: TimeRange | None) -> Iterator[Columns]:
+def _read_bursts(match: Match, burst: Burst, within: Within) -> Iterator[Columns]:
     """Read many samples a message, evenly spaced up to the stamp; one row a sample."""
     table, part = match.table, match.found.part
     axes = [tuple(axis) for axis in zip(*match.found.sets, strict=True)]
@@ -97,14 +97,19 @@ def _read_bursts(match: Match, burst: Burst, within: TimeRange | None) -> Iterat
 
 
 def read_attitudes(match: Match, beside: Sequence[Group] = ()) -> Iterator[Columns]:
-    """Yield stamps, ns, quaternions as stored, wxyz, ``(N, 4)``, and other groups beside them."""
-    marks = [match.marks] if match.marks else []
+    """Yield stamps, ns, quaternions wxyz, ``(N, 4)``, and other groups beside them."""
+    marks, form = [match.marks] if match.marks else [], match.representation
 
     def convert(rows: Columns) -> Columns:
-        t_ns, wxyz, *others = rows.values
+        t_ns, stored, *others = rows.values
         if marks:
-            without_absent(wxyz, others.pop(0))
-        return Columns(rows.log_ns, (t_ns, wxyz, *others), rows.not_before_ns)
+            without_absent(stored, others.pop(0))
+        if form != "quaternion":
+            stored = np.radians(stored) if match.unit == "deg" else stored
+            # What is not finite is reported later, row by row.
+            with np.errstate(invalid="ignore", over="ignore"):
+                stored = REPRESENTATIONS[form].attitudes(stored)
+        return Columns(rows.log_ns, (t_ns, stored, *others), rows.not_before_ns)
 
     return match.table.read(match.stamp, (*match.found.sets, *marks, *beside), convert)
 
@@ -120,6 +125,8 @@ def read_vectors(match: Match) -> Iterator[tuple[Int64, Float64]]:
                 vectors = np.where(mark[:, None] != 0, vectors, np.nan)
             else:
                 without_absent(vectors, mark)
+        if match.factor != 1.0:
+            vectors = vectors * match.factor
         return Columns(rows.log_ns, (t_ns, vectors), rows.not_before_ns)
 
     for rows in match.table.read(match.stamp, groups, convert):

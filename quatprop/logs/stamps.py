@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import SchemaError, TimelineError, UndeclaredError, UsageError
 from quatprop.logs.vocabulary import STAMPS
-from quatprop.messages.schema import at
 from quatprop.messages.times import NANOSECONDS, SECONDS
 from quatprop.tables.model import Stamp
 from quatprop.text import Setting, quoted
@@ -16,12 +15,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from quatprop.arrays import AnyArray
-    from quatprop.containers.topics import TopicTable
     from quatprop.logs.matching import Found
     from quatprop.selection import SignalSelection
+    from quatprop.tables.model import Table
 
 
-def stamp_at(table: TopicTable, place: str, unit: str | None = None) -> Stamp | None:
+def stamp_at(table: Table, place: str, unit: str | None = None) -> Stamp | None:
     """Return the time at a place: text, seconds and nanoseconds, or a number in a unit."""
     columns = table.columns_of(place) or ()
     codes = "".join(table.columns[k].code[0] for k in columns)
@@ -36,7 +35,7 @@ def stamp_at(table: TopicTable, place: str, unit: str | None = None) -> Stamp | 
     return None
 
 
-def place_of(table: TopicTable, stamp: Stamp) -> str:
+def place_of(table: Table, stamp: Stamp) -> str:
     """Return the dotted path of a time, of which there may be two parts."""
     name = table.columns[stamp.columns[0]].text
     return name if len(stamp.columns) == 1 else name.rpartition(".")[0]
@@ -68,18 +67,18 @@ def choose_stamp(found: Found, selection: SignalSelection) -> tuple[Stamp, tuple
     TimelineError
         All stamps are zero.
     """
-    table, log = found.table, found.table.log
+    table = found.table
     stamps = stamps_of(found)
     has_stamp = bool(stamps) or selection.time_field is not None
     if selection.clock == "header" and not has_stamp:
-        others = Setting("clock", "log|publish" if log.has_publish_time else "log")
+        others = Setting("clock", "|".join(table.log_clocks))
         raise UsageError(
             f"{quoted(table.path)}: messages of topic {quoted(table.name)} have no header stamp; "
             f"choose {others} or name the stamp with {Setting('time_field')}"
         )
-    if selection.clock == "publish" and not log.has_publish_time:
+    if selection.clock == "publish" and "publish" not in table.log_clocks:
         raise UsageError(
-            f"{quoted(table.path)}: a log of kind {log.kind} does not record when messages were "
+            f"{quoted(table.path)}: a log of kind {table.kind} does not record when messages were "
             f"published; choose {Setting('clock', 'header|log' if has_stamp else 'log')}"
         )
     clock = selection.clock or ("header" if has_stamp else "log")
@@ -101,8 +100,8 @@ def choose_stamp(found: Found, selection: SignalSelection) -> tuple[Stamp, tuple
     )
 
 
-def _named_stamp(table: TopicTable, place: str, unit: str | None) -> Stamp:
-    at(table.root, place, table.path)
+def _named_stamp(table: Table, place: str, unit: str | None) -> Stamp:
+    table.refuse_unknown(place)
     if (stamp := stamp_at(table, place, unit)) is not None:
         return stamp
     if len(table.columns_of(place) or ()) == 1:

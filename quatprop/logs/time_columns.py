@@ -9,16 +9,17 @@ from typing import TYPE_CHECKING, NamedTuple
 from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.logs import clocks
 from quatprop.logs.clock_choice import ClockMatcher, goodness, is_readable
-from quatprop.tables.base import OTHER_DATES, TableLog, TimedColumns
+from quatprop.tables.base import OTHER_DATES
 from quatprop.tables.column_names import TIME_UNITS
+from quatprop.tables.model import Stamp
 from quatprop.text import Setting, Text, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from fractions import Fraction
 
-    from quatprop.logs.dialects import Dialect
+    from quatprop.logs.vocabulary import Row
     from quatprop.selection import SignalSelection
+    from quatprop.tables.model import Table
 
     Positions = tuple[int, ...]
 
@@ -51,7 +52,7 @@ class TimeMatcher(ClockMatcher):
 
     Parameters
     ----------
-    log
+    table
         The table.
     selection
         What the user chose.
@@ -59,16 +60,12 @@ class TimeMatcher(ClockMatcher):
         The setting that names the columns, such as ``"rate_cols"``.
     """
 
-    def __init__(self, log: TableLog, selection: SignalSelection, setting: str) -> None:
-        super().__init__(log, selection)
+    def __init__(self, table: Table, selection: SignalSelection, setting: str) -> None:
+        super().__init__(table, selection)
         self.setting = setting
 
-    def timed_and_named(
-        self, numbers: Positions, dialect: Dialect, named: Sequence[int] = ()
-    ) -> tuple[TimedColumns, str, str]:
-        """Return columns with their time, the names of those to be named, and of the time.
-
-        All of them are named if none are given. The time may be a sample rate.
+    def stamp(self, numbers: Positions, row: Row) -> Stamp:
+        """Return the time of some columns, which may be a sample rate.
 
         Raises
         ------
@@ -78,7 +75,7 @@ class TimeMatcher(ClockMatcher):
             The time is one of the columns.
         """
         self.refuse_several_sensors(numbers, self.setting)
-        time, sample_rate, implied = self._time(dialect, numbers)
+        time, sample_rate, implied = self._time(row, numbers)
         if both := set(numbers) & set(time):
             raise UsageError(
                 f"{plain(self.path)}: {self.names(both)} cannot be both the time and one of "
@@ -101,39 +98,30 @@ class TimeMatcher(ClockMatcher):
             unknown, ways = (" and ".join(f"{part}" for part in parts)
                              for parts in zip(*self.unknown, strict=True))  # fmt: skip
             raise UndeclaredError(self.path, unknown, ways, several=len(self.unknown) > 1)
-        names, clock = (
-            ",".join(self.columns[k].text for k in columns) for columns in (named or numbers, time)
-        )
+        clock = self.spelled(time)
         if sample_rate is not None:
             clock = (
                 f"{clock} at {float(sample_rate):g} Hz" if clock else f"{float(sample_rate):g} Hz"
             )
-        timed = TimedColumns(
-            numbers,
-            time,
-            units[0],
-            sample_rate,
-            fraction_unit=units[1],
-            utc_offset_ns=sum(map(self.utc_offset_ns, time)),
-        )
-        return timed, names, clock
+        offset_ns = sum(map(self.utc_offset_ns, time))
+        return Stamp(time, units[: len(time)], clock, sample_rate, offset_ns)
 
-    def unused_stamps(self, dialect: Dialect) -> Positions:
+    def unused_stamps(self, row: Row) -> Positions:
         """Return the time columns that are there although rows are counted at a sample rate."""
         if self.selection.sample_rate is None or self.selection.time_col is not None:
             return ()
-        others = self.clocks_of(dialect, ())
+        others = self.clocks_of(row, ())
         return min(others, key=goodness).columns if others else ()
 
-    def _time(self, dialect: Dialect, numbers: Positions) -> TimeSource:
+    def _time(self, row: Row, numbers: Positions) -> TimeSource:
         name, sample_rate = self.selection.time_col, self.selection.sample_rate
         if sample_rate is not None:
             if not (math.isfinite(sample_rate) and sample_rate > 0):
                 raise UsageError(f"{Setting('sample_rate')} {sample_rate} is not a rate above 0 Hz")
             return self._counted(name, sample_rate, numbers)
         if name is not None:
-            return TimeSource(self._named_time(name), None, self._implied_unit(name, dialect))
-        found = self.clocks_of(dialect, numbers)
+            return TimeSource(self._named_time(name), None, self._implied_unit(name, row))
+        found = self.clocks_of(row, numbers)
         by_unit = [k for k in self.matching(_INSTANT) if self.columns[k].unit in TIME_UNITS]
         if len(by_unit) == 1 and not any(map(is_readable, found)):
             return TimeSource(tuple(by_unit))
@@ -165,11 +153,11 @@ class TimeMatcher(ClockMatcher):
             else (first, fraction)
         )
 
-    def _implied_unit(self, name: str, dialect: Dialect) -> str:
+    def _implied_unit(self, name: str, row: Row) -> str:
         """Return the unit of a named time column by convention or by its name."""
         k = self._named_time(name)[0]
-        if any(k in self.matching(pattern) for pattern in dialect.time):
-            return dialect.time_unit
+        if any(k in self.matching(pattern) for pattern in row.stamps):
+            return row.time_unit
         return (clocks.named_clock(self.columns[k].key, ()) or ("", "", ""))[1]
 
     # Counted samples.

@@ -1,8 +1,9 @@
 """What columns mean: one row for each message type and program.
 
-A new device is one new row of :data:`ROWS`. Names are regular expressions for whole names of
-columns; in messages they are relative to the message of the row's type, wherever it is. The group
-``part`` of a pattern is the component, the rest of the name must be the same in all of them.
+A new device is one new row of :data:`ROWS`, for its messages and its files alike. Names are regular
+expressions for whole names of columns, as they are spelled or as keys (lower case, without unit);
+in messages they are relative to the message of the row's type, wherever it is. The group ``part``
+of a pattern is the component, the rest of the name must be the same in all of them.
 """
 
 from __future__ import annotations
@@ -10,7 +11,9 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
+from quatprop.logs.names import BIAS, FORCE, POSITION, QUATERNION
 from quatprop.messages.schema import ros_name
+from quatprop.tables.column_names import GYROSCOPE, TIME_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -39,14 +42,15 @@ class Row(NamedTuple):
 
     Parameters
     ----------
+    name
+        What summaries call it; ``""`` where files have other names than messages, as of ROS.
     types
         The message types, as ROS spells them.
-    name
-        What summaries call it; ``""`` for types of ROS.
     rate, quat, bias, force
         Patterns of the components of a rate, a quaternion, a gyroscope's bias, a specific force.
     stamps
-        Its time, the best first: times, or numbers in the `time_unit`.
+        Its time, the best first: times, or numbers in the `time_unit`. In a file a column ``sec``
+        or ``secs`` has its nanoseconds in a column beside it.
     unit
         Of the rate and the bias; ``""`` where names must declare it.
     time_unit
@@ -74,10 +78,16 @@ class Row(NamedTuple):
         over the interval that ends at the stamp.
     burst
         Where a message has many samples; the pattern of the rate is that of all their components.
+    needs
+        Further columns, or the first line, by which a file is recognised.
+    file
+        Pattern found in the name of a file, where columns alone are not enough.
+    log_time
+        The column of the time of recording, if a file has one beside the message's own stamp.
     """
 
-    types: tuple[str, ...] = ()
     name: str = ""
+    types: tuple[str, ...] = ()
     rate: str = ""
     quat: str = ""
     bias: str = ""
@@ -95,6 +105,9 @@ class Row(NamedTuple):
     method: str | None = None
     span: str = ""
     burst: Burst | None = None
+    needs: tuple[str, ...] = ()
+    file: str = ""
+    log_time: str = ""
 
 
 XYZ = r"[.\[](?P<part>[xyz012])\]?"
@@ -114,51 +127,55 @@ PARTS: Mapping[str, tuple[str, ...]] = {
 }
 """The same by the field of a row."""
 
-COVARIANCE = r"_covariance(?:\[0\]|_?0|\.0)"
+ABSENT = r"_covariance(?:\[0\]|_?0|\.0)"
 """The first number of a covariance of ROS: -1 where the quantity is absent."""
 
 STAMPS = ("header.stamp", "stamp", "timestamp")
 """Where a message may have its time, whatever its type."""
 
-_ros = partial(Row, absent=COVARIANCE)
+_AXIS, _PART = "(?P<part>[xyz])", "(?P<part>[wxyz])"
+_ros = partial(Row, absent=ABSENT)
 _foxglove = partial(Row, stamps=("timestamp",))
-_px4 = partial(Row, name="PX4", stamps=("timestamp_sample", "timestamp"), time_unit="us")
+_px4 = partial(Row, "PX4 ulog2csv", stamps=("timestamp_sample", "timestamp"), time_unit="us")
 _frd = partial(_px4, quat="q" + WXYZ, layout="scalar-first", frames="FRD body to NED reference")
+_sensor_logger = partial(
+    Row, "Sensor Logger", stamps=("time",), time_unit="ns", needs=("seconds_elapsed",)
+)
 
-ROWS = (
+_OF_MESSAGES = (
     _ros(
-        ("sensor_msgs/msg/Imu",),
+        types=("sensor_msgs/msg/Imu",),
         rate="angular_velocity" + XYZ,
         quat="orientation" + WXYZ,
         force="linear_acceleration" + XYZ,
         covariance=r"orientation_covariance\[\d\]",
     ),
-    _ros(("geometry_msgs/msg/QuaternionStamped",), quat="quaternion" + WXYZ),
+    _ros(types=("geometry_msgs/msg/QuaternionStamped",), quat="quaternion" + WXYZ),
     _ros(
-        ("geometry_msgs/msg/PoseStamped",),
+        types=("geometry_msgs/msg/PoseStamped",),
         quat=r"pose\.orientation" + WXYZ,
         position=r"pose\.position" + XYZ,
     ),
     _ros(
-        ("geometry_msgs/msg/PoseWithCovarianceStamped",),
+        types=("geometry_msgs/msg/PoseWithCovarianceStamped",),
         quat=r"pose\.pose\.orientation" + WXYZ,
         position=r"pose\.pose\.position" + XYZ,
         covariance=r"pose\.covariance\[\d+\]",
     ),
     _ros(
-        ("geometry_msgs/msg/TransformStamped",),
+        types=("geometry_msgs/msg/TransformStamped",),
         quat=r"transform\.rotation" + WXYZ,
         position=r"transform\.translation" + XYZ,
     ),
-    _ros(("geometry_msgs/msg/TwistStamped",), rate=r"twist\.angular" + XYZ, measured=False),
+    _ros(types=("geometry_msgs/msg/TwistStamped",), rate=r"twist\.angular" + XYZ, measured=False),
     _ros(
-        ("geometry_msgs/msg/TwistWithCovarianceStamped",),
+        types=("geometry_msgs/msg/TwistWithCovarianceStamped",),
         rate=r"twist\.twist\.angular" + XYZ,
         measured=False,
     ),
-    _ros(("geometry_msgs/msg/Vector3Stamped",), bias="vector" + XYZ),
+    _ros(types=("geometry_msgs/msg/Vector3Stamped",), bias="vector" + XYZ),
     _ros(
-        ("nav_msgs/msg/Odometry",),
+        types=("nav_msgs/msg/Odometry",),
         rate=r"twist\.twist\.angular" + XYZ,
         quat=r"pose\.pose\.orientation" + WXYZ,
         position=r"pose\.pose\.position" + XYZ,
@@ -166,51 +183,169 @@ ROWS = (
         measured=False,
     ),
     _foxglove(
-        ("foxglove_msgs/msg/FrameTransform",),
+        types=("foxglove_msgs/msg/FrameTransform",),
         quat="rotation" + WXYZ,
         position="translation" + XYZ,
     ),
     _foxglove(
-        ("foxglove_msgs/msg/Odometry",),
+        types=("foxglove_msgs/msg/Odometry",),
         rate="angular_velocity" + XYZ,
         quat=r"pose\.orientation" + WXYZ,
         position=r"pose\.position" + XYZ,
         measured=False,
     ),
     _foxglove(
-        ("foxglove_msgs/msg/PoseInFrame",),
+        types=("foxglove_msgs/msg/PoseInFrame",),
         quat=r"pose\.orientation" + WXYZ,
         position=r"pose\.position" + XYZ,
     ),
+)
+
+_PX4 = (
     _px4(
-        ("px4_msgs/msg/SensorCombined",),
+        types=("px4_msgs/msg/EstimatorSensorBias", "px4_msgs/msg/SensorBias"),
+        bias="gyro_bias" + XYZ,
+        valid="gyro_bias_valid",
+    ),
+    _px4(
+        types=("px4_msgs/msg/SensorCombined",),
         rate="gyro_rad" + XYZ,
         force="accelerometer_m_s2" + XYZ,
         method="end",
     ),
-    _px4(("px4_msgs/msg/SensorGyro",), rate="(?P<part>[xyz])"),
+    _frd(rate="(?P<part>roll|pitch|yaw)speed", needs=("rollspeed", "q[0]", "q[3]")),
     _px4(
-        ("px4_msgs/msg/SensorGyroFifo",),
-        rate=r"(?P<part>[xyz])\[\d+\]",
-        burst=Burst("samples", "scale", "dt"),
+        types=("px4_msgs/msg/VehicleAngularVelocity",),
+        rate="xyz" + XYZ,
+        file="vehicle_angular_velocity",
     ),
-    _px4(("px4_msgs/msg/VehicleAngularVelocity",), rate="xyz" + XYZ),
-    _frd(("px4_msgs/msg/VehicleAttitude",)),
-    _px4(("px4_msgs/msg/VehicleImu",), rate="delta_angle" + XYZ, span="delta_angle_dt"),
+    _px4(
+        types=("px4_msgs/msg/SensorGyro",),
+        rate=_AXIS,
+        needs=("device_id",),
+        file=r"sensor_gyro(?!_fifo)",
+    ),
+    _px4(
+        types=("px4_msgs/msg/SensorGyroFifo",),
+        rate=_AXIS + r"\[\d+\]",
+        burst=Burst("samples", "scale", "dt"),
+        needs=("samples", "scale", "dt"),
+    ),
+    _px4(
+        types=("px4_msgs/msg/VehicleImu",),
+        rate="delta_angle" + XYZ,
+        span="delta_angle_dt",
+        needs=("delta_angle_dt",),
+    ),
+    _frd(types=("px4_msgs/msg/VehicleAttitude",), needs=("delta_q_reset[0]",)),
     _frd(
-        ("px4_msgs/msg/VehicleOdometry",),
+        types=("px4_msgs/msg/VehicleOdometry",),
         rate="angular_velocity" + XYZ,
         position="position" + XYZ,
         measured=False,
+        file=r"vehicle_(?:visual_)?odometry",
     ),
-    _px4(
-        ("px4_msgs/msg/EstimatorSensorBias", "px4_msgs/msg/SensorBias"),
-        bias="gyro_bias" + XYZ,
-        valid="gyro_bias_valid",
-    ),
+    _frd(needs=("quat_reset_counter",)),
+    _frd(file=r"vehicle_attitude(?!_setpoint)"),
 )
-"""The rows. The states of PX4's estimator are not among those with a bias: older versions hold one
-of the angle there, newer ones of the rate, and messages do not say which."""
+
+_OF_FILES = (
+    Row(
+        "quatprop",
+        rate="w" + _AXIS,
+        quat="q" + _PART,
+        stamps=("t",),
+        time_unit="ns",
+        needs=("t_ns",),
+    ),
+    Row(
+        "TUM",
+        quat="q" + _PART,
+        stamps=("timestamp|time|t",),
+        time_unit="s",
+        needs=("tx", "ty", "tz"),
+    ),
+    Row(
+        "EuRoC",
+        rate=r"w_[a-z]+_[a-z]+_" + _AXIS,
+        quat=r"q_[a-z]+_" + _PART,
+        bias=r"b_w_[a-z]+_[a-z]+_" + _AXIS,
+        stamps=("timestamp",),
+        time_unit="ns",
+    ),
+    *_PX4,
+    Row(
+        "rostopic echo -p",
+        rate=rf"field\.(?:.*\.)?(?:angular_velocity|twist\.angular)\.{_AXIS}",
+        quat=rf"field\.(?:.*\.)?(?:orientation|rotation|quaternion)\.{_PART}",
+        stamps=(r"field\.(?:.*\.)?header\.stamp", "time"),
+        time_unit="ns",
+        absent=ABSENT,
+        log_time="time",
+        needs=("%time",),
+    ),
+    Row(
+        "ROS messages as columns",
+        rate=rf"(?:.*\.)?(?:angular_velocity|twist\.angular)\.{_AXIS}",
+        quat=rf"(?:.*\.)?(?:orientation|rotation|quaternion)\.{_PART}",
+        stamps=(r"(?:.*\.)?header\.stamp\.secs?", r"(?:.*\.)?header\.stamp"),
+        absent=ABSENT,
+        log_time="time",
+    ),
+    Row("ArduPilot", rate="gyr_" + _AXIS, stamps=("time",), time_unit="us", needs=("timeus",)),
+    Row(
+        "Betaflight",
+        rate="gyro_adc" + XYZ,
+        unit="deg/s",
+        stamps=("time",),
+        time_unit="us",
+        needs=("loopiteration",),
+    ),
+    Row(
+        "Android GnssLogger",
+        rate="uncal_gyro_" + _AXIS,
+        unit="",
+        stamps=("elapsed_realtime_nanos",),
+        time_unit="ns",
+        needs=("elapsedrealtimenanos",),
+    ),
+    Row("gcsv", rate="g" + _AXIS, stamps=("t",), needs=("gyroflow imu log",)),
+    Row(
+        "phyphox",
+        rate="gyroscope_" + _AXIS,
+        unit="",
+        stamps=("time",),
+        needs=("gyroscope x (rad/s)",),
+    ),
+    Row(
+        "x-io",
+        rate="gyroscope_" + _AXIS,
+        quat=_PART + "_element",
+        unit="",
+        stamps=("time|timestamp",),
+    ),
+    Row("x-io", quat="quaternion_" + _PART, stamps=("time|timestamp",)),
+    _sensor_logger(rate=_AXIS, file="(?i)gyroscope"),
+    _sensor_logger(rate="rotation_rate_" + _AXIS, quat="quaternion_" + _PART),
+    _sensor_logger(quat="q_?" + _PART),
+)
+
+ROWS = (*_OF_MESSAGES, *_OF_FILES)
+"""The rows, in the order in which files are tried. The states of PX4's estimator are not among
+those with a bias: older versions hold one of the angle there, newer ones of the rate, and messages
+do not say which."""
+
+GENERIC = Row(
+    rate=GYROSCOPE,
+    quat=QUATERNION,
+    bias=BIAS,
+    force=FORCE,
+    position=POSITION,
+    absent=ABSENT,
+    unit="",
+    stamps=(r"(?:.*\.)?header\.stamp\.secs?", r"(?:stamp[._])?secs?", TIME_NAMES),
+)
+"""Names that clearly mean a quantity and time, but declare no units."""
 
 TYPES = {name: row for row in ROWS for name in row.types}
 """The row of each message type."""

@@ -18,8 +18,8 @@ from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
+from quatprop.settings.quantities import RATES
 from quatprop.signals.beside_rates import conditioning_inputs
-from quatprop.signals.rates import UNITS
 from quatprop.signals.signal import RateSignal, no_parts
 from quatprop.text import Setting, Text
 from quatprop.timeline import Timeline
@@ -90,7 +90,7 @@ class AttitudeStream:
         self._batches, self._conditioned = condition(
             source.batches,
             settings.conditioning,
-            UNITS[source.unit],
+            RATES[source.unit],
             conditioning_inputs(log, source, settings.selection, settings.conditioning),
             # Sorted, samples may belong to the range wherever they are in the log.
             part_reader=no_parts if settings.policy.on_backwards == "sort" else source.part_reader,

@@ -189,7 +189,7 @@ def _force(log: AnyLog, recording: Recording, first_ns: int) -> Float64:
     """Return the mean specific force over the first second from a stamp on, shape ``(3,)``."""
     from quatprop.signals.beside_rates import specific_forces
 
-    rows = specific_forces(log, recording.source, recording.selection)
+    rows = specific_forces(recording.source)
     if rows is None:
         raise LogError(
             log.path, f"it has no accelerations to take roll and pitch from; give {Setting('q0')}"

@@ -20,7 +20,6 @@ from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.signals.sensor_frames import sensor_frames
-from quatprop.tables.base import AnyLog, TableLog
 from quatprop.text import Setting, Text, listed
 from quatprop.times import utc_text
 
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64, Int64
     from quatprop.signals.signal import RateSignal
+    from quatprop.tables.base import AnyLog
 
 
 Series = TypeVar("Series", GyroSeries, AttitudeSeries)
@@ -109,7 +109,7 @@ def stamp_remarks(source: RateSignal) -> list[Text]:
 
 def orientation_remarks(log: AnyLog, source: RateSignal) -> list[str | Text]:
     """Return remarks on the rates, compared with the orientation beside them, if there is one."""
-    topic = None if isinstance(log, TableLog) else source.name
+    topic = next((match.table.name for match in source.matches), None) or None
     try:
         own = choose_attitudes(log, AttitudeSelection(topic=topic))
         check = QuaternionCheck(log.path, drop=True)

@@ -11,7 +11,7 @@ from quatprop.conventions.representations import euler_angles
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.plot.lines import TURN, Unwrap
 from quatprop.plot.reduction import Reduced, Reduction
-from quatprop.signals.rates import UNITS
+from quatprop.settings.quantities import RATES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -150,7 +150,7 @@ class RateAccumulator(Accumulator):
 
     def __init__(self, unit: str) -> None:
         super().__init__(tuple(Quantity(f"rate {axis}", unit, axis) for axis in "xyz"))
-        self._scale = 1.0 / UNITS[unit]
+        self._scale = 1.0 / RATES[unit]
 
     def passing(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Yield the batches as they are, having accumulated them."""

@@ -26,8 +26,9 @@ from quatprop.provenance import entry_of
 from quatprop.rendering import Row, count_text, instant_text, samples_text, source_text
 from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.series import AttitudeSeries
+from quatprop.settings.quantities import RATES
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.rates import UNITS, choose_rates
+from quatprop.signals.rates import choose_rates
 from quatprop.signals.signal import AttitudeSignal, RateSignal
 from quatprop.text import Text, plain
 from quatprop.timeline import Timeline
@@ -148,7 +149,7 @@ def _choose(log: AnyLog, view: View) -> RateSignal | AttitudeSignal:
 
 
 def _view_rates(path: str, log: AnyLog, source: RateSignal, view: View) -> FileView:
-    batches, done = condition(source.batches, view.part, UNITS[source.unit], ConditioningInputs())
+    batches, done = condition(source.batches, view.part, RATES[source.unit], ConditioningInputs())
     drawn, checks, timeline = RateAccumulator(source.unit), RateChecks(), Timeline(OBSERVE, path)
     counts = timeline.counts
     deque(timeline.apply(drawn.passing(checks.observe(batches))), maxlen=0)
@@ -159,7 +160,7 @@ def _view_rates(path: str, log: AnyLog, source: RateSignal, view: View) -> FileV
         remarks += log_remarks(log, source)
     convention = "rates as recorded, in the axes of the sensor; nothing subtracted"
     about = [("convention", convention), ("rate", f"{source.field} in {source.unit}")]
-    last = ("largest rate", f"{counts.max_rate / UNITS[source.unit]:.6g} {source.unit}")
+    last = ("largest rate", f"{counts.max_rate / RATES[source.unit]:.6g} {source.unit}")
     return FileView(
         plotted=_plotted(path, source, drawn, counts),
         meaning=f"body rates as recorded, {source.unit}, {source.clock} clock",

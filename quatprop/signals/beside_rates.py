@@ -2,29 +2,20 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from quatprop.conditioning import FROM_TRANSFORMS, Conditioning, ConditioningInputs
 from quatprop.errors import LogError, UsageError
-from quatprop.logs.matching import Found, Match, find, marks_of
+from quatprop.logs.matching import Match, beside, marks_of
 from quatprop.logs.reading import read_vectors
 from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.signals.quaternion_check import QuaternionCheck
-from quatprop.tables.base import AnyLog, TableLog
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from quatprop.conditioning.cells import Rows
     from quatprop.signals.signal import AttitudeSignal, RateSignal
-
-_ACCELERATION = (
-    r"(?i)(?:.*\.)?(?:a_rs_s_|acc(?:el(?:eration|erometer)?)?[ _]?|linear_acceleration\.|"
-    r"accelerometer_m_s2\[?|a)(?P<axis>[xyz012])\]?"
-)
-"""Columns of specific force, by their name without a unit."""
+    from quatprop.tables.base import AnyLog
 
 
 def conditioning_inputs(
@@ -61,7 +52,7 @@ def conditioning_inputs(
     if log is None:
         return ConditioningInputs(biases=biases, mounting=mounting)
     return ConditioningInputs(
-        force=lambda: _force(log, source, selection),
+        force=lambda: _force(source),
         orientation=lambda: _orientation(log, source, selection),
         biases=biases,
         mounting=mounting,
@@ -69,10 +60,10 @@ def conditioning_inputs(
     )
 
 
-def _force(log: AnyLog, source: RateSignal, selection: RateSelection) -> Rows:
+def _force(source: RateSignal) -> Rows:
     """Yield specific forces, if the log has some that can be read."""
     try:
-        yield from specific_forces(log, source, selection) or ()
+        yield from specific_forces(source) or ()
     except (LogError, UsageError):
         return
 
@@ -88,41 +79,15 @@ def _orientation(log: AnyLog, source: RateSignal, selection: RateSelection) -> R
             yield series.t_ns, series.wxyz
 
 
-def specific_forces(log: AnyLog, source: RateSignal, selection: RateSelection) -> Rows | None:
-    """Return stamps, ns, and specific forces in sensor axes, ``(N, 3)``; None where there are none.
+def specific_forces(source: RateSignal) -> Rows | None:
+    """Return stamps, ns, and specific forces in sensor axes, ``(N, 3)``, in the rows of rates.
 
-    Parameters
-    ----------
-    log
-        An open log that can be read again.
-    source, selection
-        Its rates, and how they were chosen.
+    None where there are none.
     """
-    if isinstance(log, TableLog):
-        return _table_forces(log, selection)
     for match in source.matches:
-        for force in _beside(match, "force"):
+        for force in beside(match, "force"):
             return read_vectors(Match(force, match.stamp, marks=marks_of(force)))
     return None
-
-
-def _beside(rates: Match, quantity: str) -> Iterator[Found]:
-    """Yield what is in the same part of the messages as some rates."""
-    return (one for one in find(rates.table, quantity) if one.part == rates.found.part)
-
-
-def _table_forces(log: TableLog, selection: RateSelection) -> Rows | None:
-    from quatprop.logs.choose import match_rates
-    from quatprop.tables.column_names import parse_name
-
-    axes: dict[int, int] = {}
-    for position, name in enumerate(log.columns()):
-        if match := re.fullmatch(_ACCELERATION, parse_name(name).key):
-            axes.setdefault("xyz012".index(match["axis"]) % 3, position)
-    if len(axes) != 3:  # noqa: PLR2004  # axes
-        return None
-    timed = match_rates(log, selection).timed
-    return log.metered_rows(timed._replace(numbers=tuple(axes[axis] for axis in range(3))))
 
 
 def own_orientation(log: AnyLog, source: RateSignal, selection: RateSelection) -> AttitudeSignal:
@@ -130,8 +95,10 @@ def own_orientation(log: AnyLog, source: RateSignal, selection: RateSelection) -
 
     Parameters
     ----------
-    log, source, selection
-        As for :func:`specific_forces`.
+    log
+        An open log that can be read again.
+    source, selection
+        Its rates, and how they were chosen.
 
     Raises
     ------
@@ -141,10 +108,10 @@ def own_orientation(log: AnyLog, source: RateSignal, selection: RateSelection) -
     from quatprop.signals.attitudes import choose_attitudes
 
     wanted = AttitudeSelection.like(selection)
-    if not isinstance(log, TableLog):
-        beside = (one.field for match in source.matches for one in _beside(match, "quat"))
-        field = next(beside, None)
-        wanted = replace(wanted, topic=source.name, quat_field=field)
-        if source.clock in {"header", "log", "publish"}:
-            wanted = replace(wanted, clock=source.clock)
+    for match in source.matches:
+        if match.table.is_typed:
+            field = next((own.field for own in beside(match, "quat")), None)
+            clock = match.stamp.clock if selection.time_field is None else wanted.clock
+            wanted = replace(wanted, topic=source.name, quat_field=field, clock=clock)
+            break
     return choose_attitudes(log, wanted)

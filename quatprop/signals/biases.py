@@ -8,23 +8,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.conditioning.calibration import BiasSeries
-from quatprop.containers.topics import topics
 from quatprop.errors import LogError, UsageError
 from quatprop.formats import open_log
-from quatprop.logs.matching import Match, column_beside, find
+from quatprop.logs.matching import Found, Match, column_beside, find
 from quatprop.logs.reading import read_vectors
 from quatprop.logs.stamps import choose_stamp
-from quatprop.logs.vocabulary import TYPES
+from quatprop.logs.vocabulary import GENERIC, TYPES
 from quatprop.selection import RateSelection, SignalSelection
-from quatprop.signals.rates import UNITS
-from quatprop.tables.base import AnyLog, TableLog
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.logs.matching import Found
+    from quatprop.tables.base import AnyLog
+    from quatprop.tables.model import Table
 
 
 def read_biases(source: str, log: AnyLog | None, selection: SignalSelection) -> BiasSeries:
@@ -46,20 +44,18 @@ def read_biases(source: str, log: AnyLog | None, selection: SignalSelection) -> 
     """
     if Path(source).exists():
         with open_log(source) as opened:
-            if isinstance(opened, TableLog):
-                return _of_table(source, opened)
-            known = [one for table in topics(opened) for one in find(table, "bias")]
+            known = [one for table in opened.tables() for one in _biases_in(table)]
             if len(known) != 1:
                 names = listed(one.table.name for one in known)
                 there = f"several topics with biases: {names}" if known else "no topic with biases"
                 raise UsageError(f"{Setting('bias')} {plain(source)}: it has {there}")
-            return _of_topic(source, known[0], RateSelection())
-    if log is None or isinstance(log, TableLog) or not (tables := topics(log, source)):
+            return _of_match(source, _match(known[0], RateSelection()))
+    if log is None or not (tables := log.tables(source)):
         raise UsageError(
             f"{Setting('bias')} {plain(source)} is neither three numbers X,Y,Z nor static[:DUR], "
             "no such file is there, and the log has no such topic"
         )
-    known = [one for table in tables for one in find(table, "bias")]
+    known = [one for table in tables for one in _biases_in(table)]
     if len(known) != 1:
         types = listed(name for name, row in TYPES.items() if row.bias)
         raise LogError(
@@ -67,21 +63,27 @@ def read_biases(source: str, log: AnyLog | None, selection: SignalSelection) -> 
             f"messages of topic {quoted(source)} are of type {quoted(tables[0].type)}, of "
             f"which no bias is known; types with one are {types}",
         )
-    return _of_topic(source, known[0], RateSelection(clock=selection.clock))
+    return _of_match(source, _match(known[0], RateSelection(clock=selection.clock)))
 
 
-def _of_table(source: str, log: TableLog) -> BiasSeries:
-    from quatprop.logs.choose import match_bias
+def _biases_in(table: Table) -> list[Found]:
+    """Return the biases of a topic; of a file it is found out later which columns they are."""
+    if table.is_typed:
+        return find(table, "bias")
+    return [Found(table, GENERIC, table.parts[0], (), "")]
 
-    columns = match_bias(log)
-    rows = ((t_ns, bias * UNITS[columns.unit]) for t_ns, bias in log.rows(columns.timed))
-    return _series(source, columns.name, rows)
+
+def _match(found: Found, selection: SignalSelection) -> Match:
+    if not found.table.is_typed:
+        from quatprop.logs.rate_columns import match_bias
+
+        return match_bias(found.table)
+    return Match(found, choose_stamp(found, selection)[0])
 
 
-def _of_topic(source: str, found: Found, selection: SignalSelection) -> BiasSeries:
-    stamp, _ = choose_stamp(found, selection)
-    valid = column_beside(found.table, found.part, found.row.valid)
-    return _series(source, found.field, read_vectors(Match(found, stamp, marks=valid)))
+def _of_match(source: str, match: Match) -> BiasSeries:
+    valid = column_beside(match.table, match.found.part, match.row.valid)
+    return _series(source, match.found.field, read_vectors(match._replace(marks=valid)))
 
 
 def _series(source: str, name: str, rows: Iterable[tuple[Int64, Float64]]) -> BiasSeries:

@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from quatprop.containers.merge import Columns, merge_by_time
-from quatprop.containers.topics import topics
 from quatprop.errors import (
     AmbiguousTopicError,
     NoAttitudesError,
@@ -20,16 +19,14 @@ from quatprop.errors import (
     UnsupportedLogError,
     UsageError,
 )
-from quatprop.logs.matching import find
-from quatprop.messages.schema import at
+from quatprop.logs.matching import Found, find
+from quatprop.logs.vocabulary import GENERIC
 from quatprop.signals.signal import RateSignal, Signal, no_parts, series_of, stamps_of
 from quatprop.text import Setting, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from quatprop.containers.base import MessageLog
-    from quatprop.logs.matching import Found
     from quatprop.selection import SignalSelection
     from quatprop.tables.base import AnyLog
 
@@ -52,8 +49,8 @@ class Candidate(NamedTuple, Generic[SignalT]):
 
     Parameters
     ----------
-    topic, field
-        Where it is in messages; ``""`` in a table.
+    found
+        Where it is.
     signal
         Returns it; raises a LogError or UsageError where something about it is not declared.
     preferred
@@ -61,10 +58,19 @@ class Candidate(NamedTuple, Generic[SignalT]):
         ones, the attitude of a vehicle before those of its several estimators.
     """
 
-    topic: str
-    field: str
+    found: Found
     signal: Callable[[], SignalT]
     preferred: bool = True
+
+    @property
+    def topic(self) -> str:
+        """Its topic; ``""`` in a file."""
+        return self.found.table.name
+
+    @property
+    def field(self) -> str:
+        """Its field; ``""`` in a file."""
+        return self.found.field
 
 
 class SignalKind(NamedTuple):
@@ -172,10 +178,10 @@ def _joined(log: AnyLog, signals: list[SignalT]) -> SignalT:
     )
 
 
-def message_candidates(
-    log: MessageLog, selection: SignalSelection, kind: SignalKind
-) -> list[Found]:
-    """Return what a selection leaves of a kind in a log of messages, at least one.
+def candidates(log: AnyLog, selection: SignalSelection, kind: SignalKind) -> list[Found]:
+    """Return what a selection leaves of a kind in the tables of a log, at least one.
+
+    Which columns of a file it is, is found when its signal is asked for.
 
     Raises
     ------
@@ -188,12 +194,15 @@ def message_candidates(
     NoRatesError, NoAttitudesError
         The log holds nothing of this kind.
     """
+    tables = log.tables(selection.topic)
+    if files := [table for table in tables or log.tables() if not table.is_typed]:
+        return [Found(table, GENERIC, table.parts[0], (), "") for table in files]
     for name in TABLE_SETTINGS:
         if getattr(selection, name, None) is not None:
             raise UsageError(
                 f"{Setting(name)} is for tables, and {quoted(log.path)} holds messages"
             )
-    tables, field = topics(log, selection.topic), getattr(selection, kind.field)
+    field = getattr(selection, kind.field)
     if found := [one for table in tables for one in find(table, kind.quantity, field)]:
         return found
     if tables and field is not None:
@@ -205,10 +214,10 @@ def message_candidates(
             if len(tables) == 1:
                 # Its definition says what is there, unless that is what is missing.
                 for part in field.split(","):
-                    at(tables[0].root, part.strip(), log.path)
+                    tables[0].refuse_unknown(part.strip())
             there = f"the topics are {listed(map(str, tables))}"
         raise UsageError(f"{plain(log.path)}: no message has a field {quoted(field)}; {there}")
-    every = topics(log)
+    every = log.tables()
     carrying = [table.name for table in every if find(table, kind.quantity)]
     if selection.topic is None or not carrying:
         raise kind.none(log.path, map(str, every))

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from quatprop.containers.topics import topics
 from quatprop.errors import (
     LogError,
     NoAttitudesError,
@@ -28,7 +27,6 @@ from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.beside_rates import own_orientation
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import choose_rates
-from quatprop.tables.base import AnyLog, TableLog
 from quatprop.text import Setting, Text, plain, quoted
 from quatprop.times import NS_PER_UNIT, duration_text
 
@@ -38,6 +36,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
     from quatprop.series import AttitudeSeries
     from quatprop.signals.signal import RateSignal
+    from quatprop.tables.base import AnyLog
 
     Row = tuple[int, Float64]
 
@@ -82,7 +81,7 @@ def attitude_at(
     is_file = Path(source).exists()
     if not is_file:
         topic = str(source)
-        if log is None or isinstance(log, TableLog) or not topics(log, topic):
+        if log is None or not log.tables(topic):
             raise UsageError(
                 f"{Setting('q0')} {plain(topic)} is neither four numbers W,X,Y,Z nor level or log, "
                 "no such file is there, and the log has no such topic"

@@ -5,29 +5,25 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from quatprop.errors import UndeclaredError
 from quatprop.logs.matching import Match, marks_of
-from quatprop.logs.reading import read_rates, without_absent
+from quatprop.logs.reading import read_rates
 from quatprop.logs.stamps import choose_stamp
-from quatprop.series import GyroSeries
+from quatprop.settings import quantities
 from quatprop.settings.quantities import SCALED_RATE_UNITS
-from quatprop.signals.choice import RATES, Candidate, choose, message_candidates
+from quatprop.signals.choice import RATES, Candidate, candidates, choose
 from quatprop.signals.signal import RateSignal, series_of, stamps_of
-from quatprop.tables.base import AnyLog, TableLog
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.containers.time_range import TimeRange
+    from quatprop.conditioning.time_range import PartReader
     from quatprop.logs.matching import Found
     from quatprop.selection import RateSelection
-    from quatprop.signals.time_ranges import RangeReader, TableRangeReader
-
-UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
-"""rad/s in each unit of angular rate."""
+    from quatprop.series import GyroSeries
+    from quatprop.tables.base import AnyLog
+    from quatprop.tables.model import Within
 
 
 def choose_rates(log: AnyLog, selection: RateSelection) -> RateSignal:
@@ -72,52 +68,55 @@ def rate_candidates(log: AnyLog, selection: RateSelection) -> list[Candidate[Rat
         As for :func:`choose_rates`, but for the ambiguity; what is not declared about a candidate
         is refused when its signal is asked for.
     """
-    if isinstance(log, TableLog):
-        return [Candidate("", "", partial(_of_table, log, selection))]
     return [
-        Candidate(found.table.name, found.field, partial(_signal, found, selection), measured)
-        for found in message_candidates(log, selection, RATES)
-        for measured in [found.row.measured]
+        Candidate(found, partial(_signal, found, selection), found.row.measured)
+        for found in candidates(log, selection, RATES)
     ]
 
 
-def _of_table(log: TableLog, selection: RateSelection) -> RateSignal:
-    from quatprop.logs.choose import match_rates
+def _signal(found: Found, selection: RateSelection) -> RateSignal:
+    """Return rates with their unit and their time."""
+    match = _match(found, selection)
+    table, row, stamp = match.table, match.row, match.stamp
+    averages = row.method == "end"
 
-    columns = match_rates(log, selection)
-    factors = [factor for factor in (columns.scale, UNITS[columns.unit]) if factor != 1.0]
+    def batches(within: Within = None) -> Iterator[GyroSeries]:
+        return series_of(read_rates(match, within), averages=averages)
 
-    def batches(parts: frozenset[int] | None = None) -> Iterator[GyroSeries]:
-        for t_ns, numbers in log.metered_rows(columns.timed._replace(parts=parts)):
-            rate = numbers[:, :3]
-            for mark in numbers[:, 3:].T:
-                without_absent(rate, mark)
-            for factor in factors:
-                np.multiply(rate, factor, out=rate)
-            yield GyroSeries(t_ns, rate, averages=columns.method == "end")
+    def part_reader() -> PartReader | None:
 
-    def part_reader() -> TableRangeReader | None:
-        from quatprop.signals.time_ranges import TableRangeReader
+        from quatprop.signals.time_ranges import RangeReader, TableRangeReader
 
-        spans = log.spans(columns.timed)
-        return TableRangeReader(spans, batches) if spans else None
+        if spans := table.spans(stamp):
+            return TableRangeReader(spans, batches)
+        if (span := table.recorded_span()) is None:
+            return None
+        return RangeReader(span, lambda within: stamps_of(read_rates(match, within)), batches)
 
     return RateSignal(
-        name=columns.name,
-        type_name=columns.dialect,
-        field=columns.name,
-        clock=columns.clock,
-        remarks=columns.remarks,
+        name=table.name or match.found.field,
+        type_name=table.type or row.name,
+        field=match.found.field,
+        clock=stamp.clock,
+        remarks=match.remarks,
+        stamps=lambda: stamps_of(read_rates(match)),
         batches=batches,
-        unit=columns.unit,
-        method=columns.method,
+        rows=lambda: read_rates(match),
+        unit=match.unit,
+        method=row.method,
+        increments=row.span != "",
         part_reader=part_reader,
+        matches=(match,),
     )
 
 
-def _signal(found: Found, selection: RateSelection) -> RateSignal:
-    """Return rates of a topic with their unit and their time."""
+def _match(found: Found, selection: RateSelection) -> Match:
+    """Return rates with their unit and their time, by their type or by the names of columns."""
     table, row = found.table, found.row
+    if not table.is_typed:
+        from quatprop.logs.rate_columns import match_rates
+
+        return match_rates(table, selection)
     unit, scale = SCALED_RATE_UNITS.get(row.unit, (row.unit, 1.0))
     if selection.rate_unit is not None:
         unit, scale = selection.rate_unit, 1.0
@@ -128,35 +127,8 @@ def _signal(found: Found, selection: RateSelection) -> RateSignal:
             Setting("rate_unit", "rad/s|deg/s"),
         )
     stamp, remarks = choose_stamp(found, selection)
-    match = Match(found, stamp, scale * UNITS[unit], marks_of(found))
-    averages = row.method == "end"
-
-    def batches(within: TimeRange | None = None) -> Iterator[GyroSeries]:
-        return series_of(read_rates(match, within), averages=averages)
-
-    def part_reader() -> RangeReader | None:
-        span = table.log.recorded_span(table.channel)
-        if span is None:
-            return None
-        from quatprop.signals.time_ranges import RangeReader
-
-        return RangeReader(span, lambda within: stamps_of(read_rates(match, within)), batches)
-
-    return RateSignal(
-        name=table.name,
-        type_name=table.type,
-        field=found.field,
-        clock=stamp.clock,
-        remarks=(*_remarks(found, selection.rate_unit), *remarks),
-        stamps=lambda: stamps_of(read_rates(match)),
-        batches=batches,
-        rows=lambda: read_rates(match),
-        unit=unit,
-        method=row.method,
-        increments=row.span != "",
-        part_reader=part_reader,
-        matches=(match,),
-    )
+    remarks = (*_remarks(found, selection.rate_unit), *remarks)
+    return Match(found, stamp, scale * quantities.RATES[unit], marks_of(found), remarks, unit)
 
 
 def _remarks(found: Found, unit: str | None) -> Iterator[str]:

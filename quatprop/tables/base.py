@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64, Int64
     from quatprop.provenance import JsonObject
+    from quatprop.tables.file_table import FileTable
 
     Batches = Iterator[tuple[Int64, Float64]]
 
@@ -118,6 +119,12 @@ class TableLog(Log):
         if self._losses_at_opening is None:
             self._losses_at_opening = len(self.losses)
         self.losses.restart(self._losses_at_opening)
+
+    def tables(self, topic: str | None = None) -> list[FileTable]:
+        """Return the file as the only table; no topic has a name here."""
+        from quatprop.tables.file_table import FileTable
+
+        return [] if topic is not None else [FileTable(self)]
 
     @property
     @abstractmethod

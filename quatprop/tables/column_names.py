@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from quatprop.settings.quantities import SCALED_RATE_UNITS
+from quatprop.tables.model import Column
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -85,27 +86,8 @@ _MAY_HAVE_SUFFIX = (
 )
 
 
-class ColumnName(NamedTuple):
-    """A column name taken apart.
-
-    Parameters
-    ----------
-    text
-        As the header spells it.
-    key
-        In lower case, words joined by ``_``, levels by ``.``, without its unit.
-    unit
-        The unit as one of this package's names, ``""`` where the name declares none, or the text
-        of one that is not recognised.
-    """
-
-    text: str
-    key: str
-    unit: str = ""
-
-
 @lru_cache(maxsize=1024)
-def parse_name(text: str) -> ColumnName:
+def parse_name(text: str) -> Column:
     """Take a column name apart.
 
     Examples
@@ -119,7 +101,7 @@ def parse_name(text: str) -> ColumnName:
     bracketed = _BRACKETS.fullmatch(name)
     if bracketed and not bracketed[2].strip().isdecimal():
         unit = "".join(bracketed[2].lower().split())
-        return ColumnName(text, _key(bracketed[1]), UNITS.get(_spelling(unit), unit))
+        return Column(text, _key(bracketed[1]), UNITS.get(_spelling(unit), unit))
     name = _CAPITAL.sub("_", name)
     if suffixed := _SUFFIX.fullmatch(name):
         stem, suffix, axis = suffixed.groups(default="")
@@ -127,8 +109,8 @@ def parse_name(text: str) -> ColumnName:
         # PX4's gyro_rad[0] is in rad/s.
         may_have_it = unit not in ANGLE_UNITS if axis else True
         if may_have_it and any(re.fullmatch(known, key) for known in _MAY_HAVE_SUFFIX):
-            return ColumnName(text, key, unit)
-    return ColumnName(text, _key(name))
+            return Column(text, key, unit)
+    return Column(text, _key(name))
 
 
 def rate_unit_of(fields: Sequence[str]) -> str | None:

@@ -10,8 +10,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
+from quatprop.tables.base import TableNotes
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from fractions import Fraction
     from pathlib import Path
 
@@ -19,8 +21,10 @@ if TYPE_CHECKING:
     from quatprop.containers.merge import Columns
     from quatprop.containers.time_range import TimeRange
     from quatprop.provenance import JsonObject
+    from quatprop.tables.base import Span
 
     Convert = Callable[[Columns], Columns]
+    Within = TimeRange | frozenset[int] | None
 
 Group: TypeAlias = tuple[int, ...]
 """Columns that are read together: rows ``(N, k)`` of float64; of one column ``(N,)`` as stored."""
@@ -78,13 +82,16 @@ class Stamp(NamedTuple):
     clock
         ``"header"``, ``"log"``, ``"publish"``, or the names of columns.
     sample_rate
-        Rows a second, Hz, where they are counted instead.
+        Rows a second, Hz, where they are counted instead, or what a counter counts a second.
+    utc_offset_ns
+        By how much the time is ahead of UTC, ns, where the header says so.
     """
 
     columns: Group = ()
     units: tuple[str, ...] = ()
     clock: str = "header"
     sample_rate: Fraction | float | None = None
+    utc_offset_ns: int = 0
 
 
 class Table(ABC):
@@ -98,11 +105,29 @@ class Table(ABC):
         The message type; ``""`` of a file.
     path
         The log.
+    kind
+        The kind of the log.
+    notes
+        What a file declares besides the names of its columns.
+    log_clocks
+        The times that the log itself has of each row: ``"log"``, ``"publish"``.
+    is_decodable
+        Whether its rows can be read.
+    is_typed
+        Whether its columns are of message types; else their names are all that there is.
+    is_secondary
+        Whether it has the rows of another, main table.
     """
 
     name: str
     type: str
     path: Path
+    kind = ""
+    notes = TableNotes()
+    log_clocks: tuple[str, ...] = ()
+    is_typed = False
+    is_decodable = True
+    is_secondary = False
 
     @property
     @abstractmethod
@@ -115,18 +140,61 @@ class Table(ABC):
         """Every struct that each row has exactly once, outermost first."""
 
     @abstractmethod
+    def columns_of(self, name: str) -> Group | None:
+        """Return the numbers that a field or a column consists of; None where it is not there."""
+
+    def field_of(self, group: Group) -> str:
+        """Return columns as settings name them."""
+        return ",".join(self.columns[k].text for k in group)
+
+    def refuse_unknown(self, name: str) -> None:  # noqa: B027  # of some tables
+        """Refuse a field that is not there, with what there is."""
+
+    def may_contain(self, types: Iterable[str]) -> bool:  # noqa: ARG002  # of some tables
+        """Tell cheaply whether one of some types may be among its parts."""
+        return True
+
+    def of_frames(self, wanted: str | None) -> Table:  # noqa: ARG002  # of some tables
+        """Return the rows between two frames, of a table of transforms."""
+        return self
+
+    def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:  # noqa: ARG002
+        """Return cells of the first rows of a file; empty where they cannot be read."""
+        return []
+
+    def texts(self, name: str) -> list[str]:  # noqa: ARG002  # of some tables
+        """Return what a text is in the first rows; nothing where it cannot be read."""
+        return []
+
+    @abstractmethod
     def read(
         self,
         stamp: Stamp,
         groups: Sequence[Group],
         convert: Convert,
-        within: TimeRange | None = None,
+        within: Within = None,
     ) -> Iterator[Columns]:
         """Yield batches of rows whose values are their times, ns, and the groups, converted.
 
         Rows that cannot be decoded, or that `convert` refuses by their positions, are left out and
         noted among the losses of the log.
+
+        Parameters
+        ----------
+        stamp, groups, convert
+            What to read, and how to go on with each batch.
+        within
+            Only the parts of the log with a range of :meth:`recorded_span`, or some of the parts of
+            :meth:`spans`; None is all.
         """
+
+    def recorded_span(self) -> TimeRange | None:
+        """Return when rows were recorded by an index that says it of each part of the log."""
+        return None
+
+    def spans(self, stamp: Stamp) -> Sequence[Span] | None:  # noqa: ARG002  # of some tables
+        """Return which stamps each part of the log has; None where nothing says it."""
+        return None
 
     @abstractmethod
     def times(self, stamp: Stamp) -> Iterator[Int64]:

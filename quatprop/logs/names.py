@@ -1,0 +1,67 @@
+"""Names that mean a quantity whatever wrote the table; what single sources do is in the rows.
+
+Their units count only where the header declares them. Components of a quaternion that are numbered
+do not say which is the scalar: only a row that is certain about it is trusted with those.
+"""
+
+from __future__ import annotations
+
+from quatprop.settings import EULER_SEQUENCES
+from quatprop.tables.column_names import (
+    EULER,
+    EULER_NUMBERED,
+    NOT_ATTITUDE,
+    NOT_RATE,
+    NOT_ROTATION,
+    ROTATION_VECTOR,
+)
+
+COMPONENT = r"(?P<part>[wxyz])"
+"""A name that is a component alone means a quaternion only where a user says so."""
+
+SENSOR = (
+    r"(?:.*[._])?(?:sensor|device|imu|frame|instance|node|module|source|location|placement|side"
+    r"|hand|segment|body_part|serial|mac|address|port|unit)(?:_?(?:id|name|type|no|number|index))?"
+    r"|id|kind|topic|type|name|msg|message|tag|channel|(?:.*\.)?i"
+)
+"""Names of a column that may say which sensor a row is of, such as ``I`` of ArduPilot."""
+WITH_RATE_UNIT = tuple(
+    rf"{NOT_RATE}(?:.*[^a-z])?[a-z]?(?P<part>[{axes}])(?:[^a-z].*)?" for axes in ("xyz", "pqr")
+)
+"""Names of an axis, or of a body rate of flight mechanics, whose unit says that it is a rate."""
+BARE_RATES = ("g(?P<part>[xyz])", r"(?P<part>[pqr])")
+"""Names that may be body rates, and are where the user declares the unit of rates."""
+BESIDE_BARE_RATES = r"(?:a|acc\w*|m|mag\w*)_?[xyz]"
+"""Axes of other sensors of the same device."""
+QUATERNION = (
+    rf"{NOT_ATTITUDE}(?:(?:.*[._])?(?:quaternion|quat|orientation|attitude|rotation|rot|ori|q)"
+    rf"[._]?|q_[a-z]+_[a-z]+_|q_[a-z]+_){COMPONENT}"
+)
+_MATRIX = rf"{NOT_ROTATION}(?:.*[._])?(?:r|m|rot|rotation|matrix|dcm)_?(?P<part>[{{0}}]_?[{{0}}])"
+
+BIAS = (
+    r"(?:.*[._])?(?:gyro(?:scope)?_?bias|bias_?gyro(?:scope)?|b_?g)[._]?"
+    r"(?P<part>[xyz]|\[[012]\])"
+)
+FORCE = (
+    r"(?:.*\.)?(?:a_rs_s_|acc(?:el(?:eration|erometer)?)?[ _]?|linear_acceleration\.|"
+    r"accelerometer_m_s2\[?|a)(?P<part>[xyz012])\]?"
+)
+POSITION = r"(?:t|(?:.*\.)?(?:position|translation)\.|p_[a-z]+_[a-z]+_)(?P<part>[xyz])"
+ROTATIONS = (
+    ("rotvec", ROTATION_VECTOR, ("x", "y", "z")),
+    ("euler-zyx", EULER, ("yaw", "pitch", "roll")),
+    *(
+        (f"euler-{sequence}", EULER_NUMBERED.format(sequence), ("1", "2", "3"))
+        for sequence in EULER_SEQUENCES
+    ),
+    *(
+        (
+            "matrix",
+            _MATRIX.format(i),
+            tuple(f"{row}{column}|{row}_{column}" for row in i for column in i),
+        )
+        for i in ("123", "012")
+    ),
+)
+"""Representation, pattern and spellings of the components of attitudes that are no quaternions."""

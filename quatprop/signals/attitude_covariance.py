@@ -1,0 +1,156 @@
+"""What is known of the errors of recorded attitudes: covariances, or standard deviations."""
+
+from __future__ import annotations
+
+import math
+from itertools import chain
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from quatprop.errors import LogError
+from quatprop.kinematics.quaternion import conjugate
+from quatprop.kinematics.uncertainty import reference_covariance
+from quatprop.logs.matching import matching
+from quatprop.provenance import entry_of
+from quatprop.series import SIGMA_COLUMNS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from quatprop.arrays import Float64, Int64
+    from quatprop.logs.matching import Match
+    from quatprop.provenance import JsonObject
+    from quatprop.tables.model import Group, Table
+
+CONSTANT_MESSAGES = 20_000
+"""An orientation that is the identity in so many messages was never set, and a covariance that is
+the same in all of them is a constant."""
+
+SIZES = (9, 36)
+"""Numbers in the covariance of an orientation, and of a position and an orientation."""
+
+
+class CovarianceColumns(NamedTuple):
+    """The columns that say how certain attitudes are.
+
+    Parameters
+    ----------
+    table
+        Where they are.
+    columns
+        One group; none where there are no such columns.
+    axes
+        ``"reference"`` or ``"body"``: whose axes the errors are about.
+    are_sigmas
+        Whether they are standard deviations, rad, and not a covariance, rad^2.
+    own
+        Whether this package wrote them, and no driver.
+    """
+
+    table: Table
+    columns: tuple[Group, ...] = ()
+    axes: str = "reference"
+    are_sigmas: bool = False
+    own: bool = False
+
+    def in_body_axes(self, rows: Iterator[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]]:
+        """Yield rows whose last numbers are covariances about body axes, ``(N, 3, 3)``, rad^2.
+
+        They are None where nothing is known. The first two of a row are stamps and quaternions.
+
+        Raises
+        ------
+        LogError
+            A standard deviation is negative or not finite.
+        """
+        if self.are_sigmas:
+            rows = self._of_sigmas(rows)
+        else:
+            rows = _known(self.table, rows, may_be_constant=self.own)
+        for t_ns, wxyz, *others, covariance in rows:
+            if covariance is not None and self.axes == "reference":
+                # Quaternions are not checked yet.
+                with np.errstate(over="ignore", invalid="ignore"):
+                    covariance = reference_covariance(conjugate(wxyz), covariance)  # noqa: PLW2901
+            yield t_ns, wxyz, *others, covariance
+
+    def _of_sigmas(self, rows: Iterator[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]]:
+        read = 0
+        for t_ns, wxyz, *others, sigmas in rows:
+            good = _checked(self.table, sigmas, wxyz, t_ns, read)
+            yield t_ns, wxyz, *others, good[:, :, None] ** 2 * np.eye(3)
+            read += len(t_ns)
+
+
+def covariance_beside(match: Match, provenance: JsonObject) -> CovarianceColumns:
+    """Return the columns that say how certain matched attitudes are."""
+    table = match.table
+    matrix = tuple(k for k, _ in matching(table, match.found.part, match.row.covariance))
+    if len(matrix) in SIZES:
+        return CovarianceColumns(table, (matrix,), own=bool(provenance))
+    keys = [column.key for column in table.columns]
+    if not {*SIGMA_COLUMNS} <= {*keys}:
+        return CovarianceColumns(table)
+    sigmas = tuple(keys.index(name) for name in SIGMA_COLUMNS)
+    axes = entry_of(provenance, "uncertainty", dict).get("columns_axes")
+    axes = "reference" if axes == "reference" else "body"
+    return CovarianceColumns(table, (sigmas,), axes, are_sigmas=True)
+
+
+def _known(
+    table: Table, rows: Iterator[tuple[Any, ...]], *, may_be_constant: bool
+) -> Iterator[tuple[Any, ...]]:
+    """Yield rows with their covariances, NaN where these are marked as unknown.
+
+    With None where all of the first messages have the same: that is a constant of the sensor's
+    driver, not what is known of each attitude; and where it is zero, it is not set.
+    """
+    first: list[tuple[Any, ...]] = []
+    count, varies = 0, False
+    while not varies and count < CONSTANT_MESSAGES and (batch := next(rows, None)) is not None:
+        first.append(batch)
+        count += len(batch[0])
+        constant = 0.0 if may_be_constant else first[0][-1][:1]
+        varies = bool((batch[-1] != constant).any())
+    if not varies and first and first[0][-1][:1].any():
+        table.remark(
+            f"the covariance of the orientation does not change in {count} messages, so it "
+            "is taken as a constant of the driver, not as what is known of each attitude",
+        )
+    in_part = 0
+    for *row, numbers in chain(first, rows):
+        if not varies:
+            yield (*row, None)
+            continue
+        size = math.isqrt(numbers.shape[1])
+        of_rotation = numbers.reshape(-1, size, size)[:, -3:, -3:]
+        variances = np.diagonal(of_rotation, axis1=1, axis2=2)
+        is_known = np.isfinite(of_rotation).all(axis=(1, 2)) & (variances >= 0).all(axis=1)
+        in_part += int(np.count_nonzero(~is_known & (variances > 0).any(axis=1)))
+        of_rotation[~is_known] = np.nan
+        yield (*row, of_rotation)
+    if in_part:
+        table.remark(
+            f"the covariances of {in_part} messages are known in part, which is not kept: they "
+            "are taken as unknown",
+        )
+
+
+def _checked(table: Table, sigmas: Float64, wxyz: Float64, t_ns: Int64, first: int) -> Float64:
+    """Return standard deviations that can be used; `first` is the number of the first row."""
+    # A row without an attitude needs no standard deviations.
+    has_attitude = np.isfinite(wxyz).all(axis=1, keepdims=True)
+    sigmas = np.where(has_attitude, sigmas, 0.0)
+    # Unknown ones are written as three NaN.
+    is_unknown = np.isnan(sigmas).all(axis=1, keepdims=True)
+    is_usable = is_unknown | (np.isfinite(sigmas) & (sigmas >= 0))
+    if not is_usable.all():
+        row, axis = np.argwhere(~is_usable)[0]
+        raise LogError(
+            table.path,
+            f"{SIGMA_COLUMNS[axis]} is {sigmas[row, axis]:g} in row {first + row} at "
+            f"{t_ns[row]} ns, which is not a standard deviation; correct it, or leave out "
+            f"the columns {', '.join(SIGMA_COLUMNS)}",
+        )
+    return sigmas

@@ -1,0 +1,117 @@
+"""A file of rows as a table, the only one of its log."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.containers.merge import Columns
+from quatprop.errors import MessageError
+from quatprop.tables.base import TimedColumns
+from quatprop.tables.column_names import parse_name
+from quatprop.tables.model import Part, Table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from quatprop.arrays import Int64
+    from quatprop.provenance import JsonObject
+    from quatprop.tables.base import Span, TableLog
+    from quatprop.tables.model import Column, Convert, Group, Stamp, Within
+
+
+class FileTable(Table):
+    """A file of rows as a table.
+
+    Parameters
+    ----------
+    log
+        The file.
+    """
+
+    name = type = ""
+
+    def __init__(self, log: TableLog) -> None:
+        self._log = log
+        self.path = log.path
+        self.kind = log.kind
+        self.notes = log.notes
+        self._columns = tuple(map(parse_name, log.columns()))
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """The columns, by their names."""
+        return self._columns
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The only part: all of the file."""
+        return (Part("", "", 0, len(self._columns)),)
+
+    def columns_of(self, name: str) -> Group | None:
+        """Return the column of a name, as spelled or as a key."""
+        spelled = (k for k, one in enumerate(self._columns) if one.text.strip() == name)
+        by_key = (k for k, one in enumerate(self._columns) if one.key == name)
+        found = next(spelled, next(by_key, None))
+        return None if found is None else (found,)
+
+    def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
+        """Return cells of the first rows."""
+        return self._log.head(columns)
+
+    def read(
+        self,
+        stamp: Stamp,
+        groups: Sequence[Group],
+        convert: Convert,
+        within: Within = None,
+    ) -> Iterator[Columns]:
+        """Yield batches in the order of the file, whose stamps stand for the log times."""
+        parts = within if isinstance(within, frozenset) else None
+        timed = self._timed(stamp, groups)._replace(parts=parts)
+        ends = pairwise(np.cumsum([0, *map(len, groups)]).tolist())
+        places = [a if b - a == 1 else slice(a, b) for a, b in ends]
+        for t_ns, cells in self._log.metered_rows(timed):
+            values = [cells[:, place] for place in places]
+            yield self._converted(Columns(t_ns, (t_ns, *values)), convert)
+
+    def _converted(self, rows: Columns, convert: Convert) -> Columns:
+        """Return rows without those that cannot be converted."""
+        try:
+            return convert(rows)
+        except MessageError as error:
+            if not error.positions:
+                raise
+            first_ns, count = int(rows.log_ns[error.positions[0]]), len(error.positions)
+            self._log.losses.note("rows", str(error.reason), count, part=first_ns)
+            keep = np.delete(np.arange(len(rows)), error.positions)
+            return self._converted(rows.rows(keep), convert)
+
+    def times(self, stamp: Stamp) -> Iterator[Int64]:
+        """Yield the times of all rows, ns."""
+        return (t_ns for t_ns, _ in self._log.rows(self._timed(stamp, ())))
+
+    def spans(self, stamp: Stamp) -> list[Span] | None:
+        """Return which stamps each part of the file has."""
+        return self._log.spans(self._timed(stamp, ()))
+
+    def _timed(self, stamp: Stamp, groups: Sequence[Group]) -> TimedColumns:
+        units = (*stamp.units, "ns", "ns")
+        return TimedColumns(
+            tuple(k for group in groups for k in group),
+            stamp.columns,
+            units[0],
+            stamp.sample_rate,
+            fraction_unit=units[1] if len(stamp.units) > 1 else "ns",
+            utc_offset_ns=stamp.utc_offset_ns,
+        )
+
+    def provenance(self) -> JsonObject:
+        """Return how the file was made, if this package made it."""
+        return self._log.provenance()
+
+    def remark(self, text: str) -> None:
+        """Add a remark on the file, as the last one."""
+        self._log.remarks = [*(one for one in self._log.remarks if one != text), text]
