@@ -188,7 +188,9 @@ def test_time_fields_are_times_or_numbers_with_a_unit():
     """A time says its unit itself; a number needs one."""
     channel = channel_of("builtin_interfaces/Time t\nuint64 us\nstring s\nfloat64[3] w\n")
     (found,) = found_in(channel, field="w")
-    log = SimpleNamespace(path="log", has_publish_time=False, kept=None, blocks=lambda _: [])
+    log = SimpleNamespace(
+        path="log", kind="mcap", has_publish_time=False, kept=None, blocks=lambda _: []
+    )
     found = found._replace(table=TopicTable(log, channel))
 
     def chosen(**named):

@@ -6,10 +6,12 @@ from quatprop.containers.topics import TopicTable
 from quatprop.logs.matching import find, marks_of
 from quatprop.logs.stamps import stamps_of
 
+LOG = SimpleNamespace(path="log", kind="mcap", has_publish_time=False)
+
 
 def found_in(channel, quantity="rate", field=None):
     """Return what the messages of a channel have of a quantity."""
-    return find(TopicTable(SimpleNamespace(path="log"), channel), quantity, field)
+    return find(TopicTable(LOG, channel), quantity, field)
 
 
 def names(found, group):

@@ -34,7 +34,7 @@ from quatprop.messages.times import to_ns
 from quatprop.messages.ulog import is_secondary
 from quatprop.messages.values import raw_messages
 from quatprop.progress import metered
-from quatprop.tables.model import Column, Part, Table
+from quatprop.tables.model import Column, Part, Stamp, Table
 from quatprop.text import Setting, listed, plain, quoted
 from quatprop.times import duration_text
 
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.messages.schema import Type
     from quatprop.provenance import JsonObject
-    from quatprop.tables.model import Convert, Group, Stamp, Within
+    from quatprop.tables.model import Convert, Group, Within
 
     Decode = Callable[[MessageBlock], Columns]
 
@@ -236,17 +236,23 @@ class TopicTable(Table):
         """Return when the topic was recorded by the index of the log, if it has one."""
         return self.log.recorded_span(self.channel)
 
+    def glance(self, groups: Sequence[Group]) -> Iterator[tuple[AnyArray, ...]]:
+        """Yield groups of columns of all messages."""
+        return (values[1:] for values in self._quietly(self.decoder(Stamp(clock="log"), groups)))
+
     def times(self, stamp: Stamp) -> Iterator[Int64]:
         """Yield the times of all messages, ns."""
-        decode = self.decoder(stamp, ())
+        return (t_ns for (t_ns,) in self._quietly(self.decoder(stamp, ())))
+
+    def _quietly(self, decode: Decode) -> Iterator[tuple[AnyArray, ...]]:
+        """Yield what is decoded; messages that do not fit are noted when they are read for good."""
         for block in blocks_of(self.log, self.channel):
             try:
-                yield decode(block).values[0]
+                yield decode(block).values
             except MessageError as error:
                 if not error.positions:
                     raise
-                # Messages that do not fit are noted when they are read for good.
-                yield np.ones(1, np.int64)
+                yield decode(_without(block, error.positions)).values
 
     def decoder(self, stamp: Stamp, groups: Sequence[Group]) -> Decode:
         """Return what decodes the time and some groups of columns of a block."""
@@ -289,9 +295,7 @@ class TopicTable(Table):
             first_ns = int(log_ns[error.positions[0]])
             reason, count = str(error.reason), len(error.positions)
             self.log.losses.note(f"topic {self.name}", reason, count, part=first_ns)
-            keep = np.ones(len(block), np.bool_)
-            keep[list(error.positions)] = False
-            return self._readable(decode, block.at(keep))
+            return self._readable(decode, _without(block, error.positions))
 
     def _remark_on_step(self, log_ns: Int64) -> None:
         """Remark on log times, in the order of the log, that step back as after setting a clock."""
@@ -311,6 +315,10 @@ class TopicTable(Table):
     def remark(self, text: str) -> None:
         """Add a remark on the log, as the last one."""
         self.log.remarks = [*(one for one in self.log.remarks if one != text), text]
+
+
+def _without(block: MessageBlock, positions: Sequence[int]) -> MessageBlock:
+    return block.at(np.delete(np.arange(len(block)), positions))
 
 
 def as_rows(fields: list[AnyArray], places: Sequence[int] = ()) -> Float64:

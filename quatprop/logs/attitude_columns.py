@@ -92,9 +92,10 @@ def match_quaternion(
         matcher.spelled(sorted(wxyz)),
     )
     marks = marks_of(found)
+    stamp, rows = matcher.stamp((*wxyz, *marks), row)
     return Match(
-        found,
-        matcher.stamp((*wxyz, *marks), row),
+        found._replace(table=rows),
+        stamp,
         marks=marks,
         remarks=tuple(matcher.overruled),
         layout=_layout(sorted(wxyz), wxyz),
@@ -194,7 +195,7 @@ def match_rotation(table: Table, selection: AttitudeSelection) -> Match | None:
     representation, matcher, columns = matches[0]
     unit = _angle_unit(matcher, representation, columns, selection.from_angle_unit)
     found = Found(table, GENERIC, table.parts[0], (columns,), matcher.spelled(sorted(columns)))
-    stamp = matcher.stamp(columns, GENERIC)
+    stamp, rows = matcher.stamp(columns, GENERIC)
     remarks = (
         *matcher.overruled,
         "which of q and -q is meant is not stored: signs are those of each row by itself",
@@ -202,7 +203,13 @@ def match_rotation(table: Table, selection: AttitudeSelection) -> Match | None:
     if representation.startswith("euler-"):
         first, second, third = tuple(representation.removeprefix("euler-"))
         remarks += (f"the angles turn about {first}, the new {second}, and the newest {third}",)
-    return Match(found, stamp, remarks=remarks, unit=unit, representation=representation)
+    return Match(
+        found._replace(table=rows),
+        stamp,
+        remarks=remarks,
+        unit=unit,
+        representation=representation,
+    )
 
 
 def _matches(

@@ -63,6 +63,8 @@ class Match(NamedTuple):
     layout
         ``"scalar-first"`` or ``"scalar-last"`` as it is stored; ``""`` where names say which is
         which.
+    is_named
+        Whether the user names a rate, which is then read where it is marked as absent, too.
     """
 
     found: Found
@@ -73,6 +75,7 @@ class Match(NamedTuple):
     unit: str = ""
     representation: str = "quaternion"
     layout: str = ""
+    is_named: bool = False
 
     @property
     def table(self) -> Table:

@@ -21,7 +21,7 @@ COMPONENT = r"(?P<part>[wxyz])"
 
 SENSOR = (
     r"(?:.*[._])?(?:sensor|device|imu|frame|instance|node|module|source|location|placement|side"
-    r"|hand|segment|body_part|serial|mac|address|port|unit)(?:_?(?:id|name|type|no|number|index))?"
+    r"|hand|segment|body_part|serial|mac|address|port|unit)(?:_?(?:id|name|type|no|num|number|index))?"
     r"|id|kind|topic|type|name|msg|message|tag|channel|(?:.*\.)?i"
 )
 """Names of a column that may say which sensor a row is of, such as ``I`` of ArduPilot."""

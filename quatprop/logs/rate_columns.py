@@ -59,9 +59,9 @@ def match_rates(table: Table, selection: RateSelection) -> Match:
     unit, scale = SCALED_RATE_UNITS.get(declared, (declared, 1.0))
     found = Found(table, own, table.parts[0], (rate,), matcher.spelled(rate))
     marks = marks_of(found)
-    stamp = matcher.stamp((*rate, *marks), row)
+    stamp, rows = matcher.stamp((*rate, *marks), row)
     return Match(
-        found,
+        found._replace(table=rows),
         stamp,
         scale * table.notes.rate_scale * RATES[unit],
         marks,
@@ -91,6 +91,7 @@ def match_bias(table: Table) -> Match:
         No columns look like biases, or their unit is not declared.
     """
     matcher = ColumnMatcher(table, RateSelection(), "rate_cols", RATE_PARTS)
+    matcher.may_choose_series = False
     row = matcher.row("bias")
     sets = matcher.sets(row.bias)
     if not sets:
@@ -107,7 +108,8 @@ def match_bias(table: Table) -> Match:
             "declared; name it in the header, such as gyro_bias_x [rad/s]"
         )
     found = Found(table, row, table.parts[0], (bias,), matcher.spelled(bias))
-    return Match(found, matcher.stamp(bias, row), RATES[unit], unit=unit)
+    stamp, rows = matcher.stamp(bias, row)
+    return Match(found._replace(table=rows), stamp, RATES[unit], unit=unit)
 
 
 def _remarks(matcher: ColumnMatcher, row: Row, unit: str) -> Iterator[str | Text]:

@@ -8,10 +8,11 @@ import numpy as np
 
 from quatprop.containers.merge import Columns
 from quatprop.conventions.representations import REPRESENTATIONS
-from quatprop.errors import MessageError
+from quatprop.errors import MessageError, TimelineError
 from quatprop.logs.matching import column_beside
+from quatprop.logs.stamps import are_all
 from quatprop.messages.times import to_ns
-from quatprop.text import quoted
+from quatprop.text import Setting, quoted
 from quatprop.times import NS_PER_S, NS_PER_UNIT
 
 if TYPE_CHECKING:
@@ -52,6 +53,8 @@ def read_rates(match: Match, within: Within = None) -> Iterator[Columns]:
             with np.errstate(divide="ignore", invalid="ignore"):
                 rate /= (span_ns / NS_PER_S)[:, None]
             values = (t_ns, rate, span_ns)
+        elif beside and match.is_named:
+            _note_marked(match, rate, beside[0])
         elif beside:
             without_absent(rate, beside[0])
         if match.factor != 1.0:
@@ -94,6 +97,44 @@ def _read_bursts(match: Match, burst: Burst, within: Within) -> Iterator[Columns
         return Columns(rows.log_ns[message], values, rows.not_before_ns)
 
     return table.read(match.stamp, groups, convert, within)
+
+
+def refuse_marked(match: Match) -> None:
+    """Refuse finite rates that are all marked as absent, unless they are named.
+
+    Drivers mark what they do measure, too: every /gps/imu of NovAtel's has finite rates beside -1.
+
+    Raises
+    ------
+    TimelineError
+        They are, and the sentence names the setting that reads them.
+    """
+    if match.is_named or not match.marks:
+        return
+    rows = match.table.glance((match.found.sets[0], match.marks))
+    marked = ((mark == ABSENT) & np.isfinite(rate).all(axis=1) for rate, mark in rows)
+    if are_all(marked, value=True):
+        setting = Setting("rate_field" if match.table.is_typed else "rate_cols", match.found.field)
+        raise TimelineError(
+            match.table.path,
+            f"all rates are marked as absent, by a covariance of -1 in {_place_of_marks(match)}; "
+            f"if they are measured all the same, read them with {setting}",
+        )
+
+
+def _note_marked(match: Match, rates: Float64, mark: AnyArray) -> None:
+    """Remark on finite rates that are read although they are marked as absent."""
+    if np.isfinite(rates[mark == ABSENT]).all(axis=1).any():
+        match.table.remark(
+            f"rates that a covariance of -1 in {_place_of_marks(match)} marks as absent are read "
+            "all the same, as asked for"
+        )
+
+
+def _place_of_marks(match: Match) -> str:
+    if match.table.is_typed:
+        return f"topic {quoted(match.table.name)}"
+    return f"column {quoted(match.table.columns[match.marks[0]].text)}"
 
 
 def read_attitudes(match: Match, beside: Sequence[Group] = ()) -> Iterator[Columns]:

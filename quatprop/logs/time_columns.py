@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.logs import clocks
 from quatprop.logs.clock_choice import ClockMatcher, goodness, is_readable
+from quatprop.logs.series import SeriesChoice
 from quatprop.tables.base import OTHER_DATES
 from quatprop.tables.column_names import TIME_UNITS
 from quatprop.tables.model import Stamp
@@ -64,8 +65,8 @@ class TimeMatcher(ClockMatcher):
         super().__init__(table, selection)
         self.setting = setting
 
-    def stamp(self, numbers: Positions, row: Row) -> Stamp:
-        """Return the time of some columns, which may be a sample rate.
+    def stamp(self, numbers: Positions, row: Row) -> tuple[Stamp, Table]:
+        """Return the time of some columns, which may be a sample rate, and the rows to read.
 
         Raises
         ------
@@ -74,8 +75,8 @@ class TimeMatcher(ClockMatcher):
         UsageError
             The time is one of the columns.
         """
-        self.refuse_several_sensors(numbers, self.setting)
         time, sample_rate, implied = self._time(row, numbers)
+        series = SeriesChoice(self, numbers, time).chosen()
         if both := set(numbers) & set(time):
             raise UsageError(
                 f"{plain(self.path)}: {self.names(both)} cannot be both the time and one of "
@@ -104,7 +105,8 @@ class TimeMatcher(ClockMatcher):
                 f"{clock} at {float(sample_rate):g} Hz" if clock else f"{float(sample_rate):g} Hz"
             )
         offset_ns = sum(map(self.utc_offset_ns, time))
-        return Stamp(time, units[: len(time)], clock, sample_rate, offset_ns)
+        stamp = Stamp(time, units[: len(time)], clock, sample_rate, offset_ns)
+        return stamp, self.table.of_series(series)
 
     def unused_stamps(self, row: Row) -> Positions:
         """Return the time columns that are there although rows are counted at a sample rate."""
@@ -188,7 +190,7 @@ class TimeMatcher(ClockMatcher):
     def _counter(self, numbers: Positions) -> Positions:
         """Return the only column that counts samples; none where there is none."""
         columns = [k for k in self.matching(clocks.COUNTER) if k not in numbers]
-        rows = self._head(columns)[: clocks.FIRST_ROWS] if columns else []
+        rows = self.head(columns)[: clocks.FIRST_ROWS] if columns else []
         cells = zip(*rows, strict=True)
         counters = [k for k, c in zip(columns, cells, strict=False) if clocks.counts_samples(c)]
         return tuple(counters[:1])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import UndeclaredError
 from quatprop.logs.matching import Match, marks_of
-from quatprop.logs.reading import read_rates
+from quatprop.logs.reading import read_rates, refuse_marked
 from quatprop.logs.stamps import choose_stamp
 from quatprop.settings import quantities
 from quatprop.settings.quantities import SCALED_RATE_UNITS
@@ -76,7 +76,9 @@ def rate_candidates(log: AnyLog, selection: RateSelection) -> list[Candidate[Rat
 
 def _signal(found: Found, selection: RateSelection) -> RateSignal:
     """Return rates with their unit and their time."""
-    match = _match(found, selection)
+    is_named = selection.rate_field is not None or selection.rate_cols is not None
+    match = _match(found, selection)._replace(is_named=is_named)
+    refuse_marked(match)
     table, row, stamp = match.table, match.row, match.stamp
     averages = row.method == "end"
 

@@ -11,15 +11,15 @@ from quatprop.containers.merge import Columns
 from quatprop.errors import MessageError
 from quatprop.tables.base import TimedColumns
 from quatprop.tables.column_names import parse_name
-from quatprop.tables.model import Part, Table
+from quatprop.tables.model import Part, Stamp, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
-    from quatprop.arrays import Int64
+    from quatprop.arrays import AnyArray, Float64, Int64
     from quatprop.provenance import JsonObject
     from quatprop.tables.base import Span, TableLog
-    from quatprop.tables.model import Column, Convert, Group, Stamp, Within
+    from quatprop.tables.model import Column, Convert, Group, Series, Within
 
 
 class FileTable(Table):
@@ -29,12 +29,15 @@ class FileTable(Table):
     ----------
     log
         The file.
+    series
+        Columns and the labels that the rows to read have in them.
     """
 
     name = type = ""
 
-    def __init__(self, log: TableLog) -> None:
+    def __init__(self, log: TableLog, series: Series = ()) -> None:
         self._log = log
+        self._series = series
         self.path = log.path
         self.kind = log.kind
         self.notes = log.notes
@@ -57,6 +60,14 @@ class FileTable(Table):
         found = next(spelled, next(by_key, None))
         return None if found is None else (found,)
 
+    def of_series(self, series: Series) -> FileTable:
+        """Return the rows that have some labels in some columns."""
+        return FileTable(self._log, series) if series else self
+
+    def label_columns(self) -> Mapping[int, bool]:
+        """Return the columns that begin with text or a whole number, and whether it is a number."""
+        return self._log.label_columns()
+
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return cells of the first rows."""
         return self._log.head(columns)
@@ -71,11 +82,9 @@ class FileTable(Table):
         """Yield batches in the order of the file, whose stamps stand for the log times."""
         parts = within if isinstance(within, frozenset) else None
         timed = self._timed(stamp, groups)._replace(parts=parts)
-        ends = pairwise(np.cumsum([0, *map(len, groups)]).tolist())
-        places = [a if b - a == 1 else slice(a, b) for a, b in ends]
         for t_ns, cells in self._log.metered_rows(timed):
-            values = [cells[:, place] for place in places]
-            yield self._converted(Columns(t_ns, (t_ns, *values)), convert)
+            values = (t_ns, *_split(cells, groups))
+            yield self._converted(Columns(t_ns, values), convert)
 
     def _converted(self, rows: Columns, convert: Convert) -> Columns:
         """Return rows without those that cannot be converted."""
@@ -88,6 +97,16 @@ class FileTable(Table):
             self._log.losses.note("rows", str(error.reason), count, part=first_ns)
             keep = np.delete(np.arange(len(rows)), error.positions)
             return self._converted(rows.rows(keep), convert)
+
+    def glance(self, groups: Sequence[Group]) -> Iterator[tuple[AnyArray, ...]]:
+        """Yield groups of columns of the first rows, and then, but of stdin, of all rows."""
+        first = self.head([k for group in groups for k in group])
+        if first:
+            yield _split(np.array([[*map(_number, row)] for row in first]), groups)
+        # Text on stdin is read only once.
+        if str(self.path) != "-":
+            for _, cells in self._log.rows(self._timed(Stamp(sample_rate=1), groups)):
+                yield _split(cells, groups)
 
     def times(self, stamp: Stamp) -> Iterator[Int64]:
         """Yield the times of all rows, ns."""
@@ -106,6 +125,7 @@ class FileTable(Table):
             stamp.sample_rate,
             fraction_unit=units[1] if len(stamp.units) > 1 else "ns",
             utc_offset_ns=stamp.utc_offset_ns,
+            series=self._series,
         )
 
     def provenance(self) -> JsonObject:
@@ -115,3 +135,16 @@ class FileTable(Table):
     def remark(self, text: str) -> None:
         """Add a remark on the file, as the last one."""
         self._log.remarks = [*(one for one in self._log.remarks if one != text), text]
+
+
+def _split(cells: Float64, groups: Sequence[Group]) -> tuple[AnyArray, ...]:
+    """Return columns by their groups."""
+    ends = pairwise(np.cumsum([0, *map(len, groups)]).tolist())
+    return tuple(cells[:, begin if end - begin == 1 else slice(begin, end)] for begin, end in ends)
+
+
+def _number(cell: object) -> float:
+    try:
+        return float(f"{cell}".replace(",", "."))
+    except ValueError:
+        return np.nan

@@ -13,17 +13,18 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 from quatprop.tables.base import TableNotes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from fractions import Fraction
     from pathlib import Path
 
-    from quatprop.arrays import Int64
+    from quatprop.arrays import AnyArray, Int64
     from quatprop.containers.merge import Columns
     from quatprop.containers.time_range import TimeRange
     from quatprop.provenance import JsonObject
     from quatprop.tables.base import Span
 
     Convert = Callable[[Columns], Columns]
+    Series = tuple[tuple[int, str], ...]
     Within = TimeRange | frozenset[int] | None
 
 Group: TypeAlias = tuple[int, ...]
@@ -158,6 +159,14 @@ class Table(ABC):
         """Return the rows between two frames, of a table of transforms."""
         return self
 
+    def of_series(self, series: Series) -> Table:  # noqa: ARG002  # of some tables
+        """Return the rows that have some labels in some columns."""
+        return self
+
+    def label_columns(self) -> Mapping[int, bool]:
+        """Return the columns that begin with text or a whole number, and whether it is a number."""
+        return {}
+
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:  # noqa: ARG002
         """Return cells of the first rows of a file; empty where they cannot be read."""
         return []
@@ -195,6 +204,10 @@ class Table(ABC):
     def spans(self, stamp: Stamp) -> Sequence[Span] | None:  # noqa: ARG002  # of some tables
         """Return which stamps each part of the log has; None where nothing says it."""
         return None
+
+    @abstractmethod
+    def glance(self, groups: Sequence[Group]) -> Iterator[tuple[AnyArray, ...]]:
+        """Yield groups of columns of all rows, the first ones first; nothing is noted."""
 
     @abstractmethod
     def times(self, stamp: Stamp) -> Iterator[Int64]:
