@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from click.testing import CliRunner
-from quatprop.logs.series import labels_of, take_turns
 
 from quatprop import RemarkWarning, propagate, read_attitudes, read_rates
 from quatprop.cli.commands import cli
 from quatprop.errors import UndeclaredError, UsageError
+from quatprop.logs.series import labels_of, take_turns
 
 AXES = ["wx", "wy", "wz"]
 ROWS = 40

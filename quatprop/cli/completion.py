@@ -95,15 +95,15 @@ def _names_in(path: str, setting: str, ctx: click.Context) -> list[str]:
     from quatprop.containers.stores import is_address
     from quatprop.errors import QuatpropError
     from quatprop.formats import open_log
-    from quatprop.tables.base import TableLog
 
     if is_address(path):
         return []
     try:
         with open_log(path, ctx.params.get("kind")) as log:
-            if isinstance(log, TableLog):
-                return log.columns() if setting.endswith(("_cols", "_col")) else []
-            return list(dict.fromkeys(_in_messages(log, setting, ctx)))
+            if setting.endswith(("_cols", "_col")):
+                files = (table for table in log.tables() if not table.is_typed)
+                return [column.text for table in files for column in table.columns]
+            return list(dict.fromkeys(filter(None, _in_messages(log, setting, ctx))))
     except (QuatpropError, OSError):
         return []
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from quatprop.containers.coalesce import coalesce_blocks
 from quatprop.containers.merge import Columns
-from quatprop.containers.topics import TopicTable
+from quatprop.containers.topics import TEXT_ENCODINGS, TopicTable
 from quatprop.errors import MessageError, NoSamplesError, UsageError
 from quatprop.messages.schema import TIME
 from quatprop.messages.transforms import Frames, TransformDecoder
@@ -16,8 +16,9 @@ from quatprop.tables.model import Column, Part
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
+    from quatprop.arrays import Float64
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
     from quatprop.containers.topics import Decode
     from quatprop.tables.model import Group, Stamp
@@ -90,6 +91,19 @@ class TransformTable(TopicTable):
         chosen = TransformTable(self.log, self.channel)
         chosen.frames = fits[0]
         return chosen
+
+    def transforms(self, way_out: Setting) -> Iterator[tuple[Frames, Float64]]:
+        """Yield the frames and the rotation of each transform."""
+        if self.channel.encoding not in TEXT_ENCODINGS:
+            raise UsageError(
+                f"{plain(self.path)}: transforms in {quoted(self.channel.encoding)} on "
+                f"{quoted(self.name)} are not read; give {way_out}"
+            )
+        decoder = TransformDecoder(self.channel, self.path)
+        for block in self.log.blocks(self.channel):
+            found = decoder.transforms(block)
+            for number, wxyz in zip(found.frames.tolist(), found.wxyz, strict=True):
+                yield decoder.frames[number], wxyz
 
     def decoder(self, stamp: Stamp, groups: Sequence[Group]) -> Decode:
         """Return what decodes the elements between the two frames."""

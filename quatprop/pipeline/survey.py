@@ -9,7 +9,7 @@ import math
 from collections import deque
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from quatprop.concurrency.threads import thread_count, use_threads
 from quatprop.containers.kept_blocks import beginnings_kept
@@ -31,7 +31,6 @@ from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import attitude_candidates
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import rate_candidates
-from quatprop.tables.base import AnyLog, TableLog
 from quatprop.text import Text, plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Counts
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
     from quatprop.series import GyroSeries
     from quatprop.signals.choice import Candidate, SelectionT, SignalT
     from quatprop.signals.signal import AttitudeSignal, RateSignal
+    from quatprop.tables.base import AnyLog
 
     Seen = dict[tuple[str, str], "_AttitudeReading"]
 
@@ -89,7 +89,7 @@ def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
         read_once = str(log.path) == "-"
         only_rates = selection.rate_field is not None or selection.rate_cols is not None
         no_rates: LogError | None = None
-        seen: Seen | None = None if only_rates or isinstance(log, TableLog) else {}
+        seen: Seen | None = None if only_rates else {}
         rates: tuple[RateSurvey, ...] = ()
         try:
             rates = tuple(_rates(log, selection, seen, read_once=read_once))
@@ -143,7 +143,9 @@ def _rates(
         except (TimelineError, UndeclaredError) as error:
             yield RateSurvey(source=candidate.topic or None, missing=error.reason)
             continue
-        beside = None if seen is None else _reading_beside(log, selection, signal, seen)
+        beside = None
+        if seen is not None and candidate.found.table.is_typed:
+            beside = _reading_beside(log, selection, signal, seen)
         surveyed = _survey_rates(signal, log, beside)
         remarks: tuple[str, ...] = ()
         if missing is None:
@@ -224,8 +226,7 @@ def _attitudes(log: AnyLog, selection: RateSelection, seen: Seen) -> Iterator[At
         return
     except LogError as error:
         # A topic that cannot be read here does not hide the others.
-        channels = [] if isinstance(log, TableLog) else log.channels()
-        topics = dict.fromkeys(channel.topic for channel in channels)
+        topics = dict.fromkeys(table.name for table in log.tables() if table.is_typed)
         if selection.topic is not None or len(topics) <= 1:
             yield AttitudeSurvey(source=selection.topic or "", missing=error.reason)
             return
@@ -240,7 +241,8 @@ def _attitudes(log: AnyLog, selection: RateSelection, seen: Seen) -> Iterator[At
         except NoAttitudesError:
             continue
         except LogError as error:
-            name = candidate.topic or ",".join(cast("TableLog", log).columns())
+            columns = candidate.found.table.columns
+            name = candidate.topic or ",".join(column.text for column in columns)
             yield AttitudeSurvey(source=name, attitude=candidate.field, missing=error.reason)
         except UsageError as error:
             sentence, *rest = error.text.parts

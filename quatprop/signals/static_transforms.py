@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.conditioning.mounting import FrameMounting
-from quatprop.containers.topics import TEXT_ENCODINGS, TRANSFORM_LISTS
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import (
     IDENTITY,
@@ -17,15 +16,13 @@ from quatprop.kinematics.quaternion import (
     normalize,
     rotation_matrix,
 )
-from quatprop.messages.transforms import TransformDecoder
 from quatprop.signals.sensor_frames import bare_frame, sensor_frames
-from quatprop.tables.base import AnyLog, TableLog
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
-    from quatprop.containers.base import MessageLog
     from quatprop.signals.signal import RateSignal
+    from quatprop.tables.base import AnyLog
 
     Steps = dict[str, dict[str, Float64]]
     """Of each frame the rotations from it to its neighbours."""
@@ -55,7 +52,7 @@ def frame_mounting(log: AnyLog | None, source: RateSignal, frame: str) -> FrameM
     LogError
         The transforms cannot be read.
     """
-    if log is None or isinstance(log, TableLog):
+    if log is None or not any(match.table.is_typed for match in source.matches):
         mount = Setting("mount", f"tf:{frame}")
         raise UsageError(f"{mount} needs a log of messages with /tf_static")
     sensor, wanted = next(iter(sensor_frames(source)), ""), bare_frame(frame)
@@ -87,29 +84,20 @@ def frame_mounting(log: AnyLog | None, source: RateSignal, frame: str) -> FrameM
     return FrameMounting(rotation_matrix(normalize(wxyz)), frames)
 
 
-def _static_steps(log: MessageLog) -> Steps:
+def _static_steps(log: AnyLog) -> Steps:
     """Return the rotations between neighbouring frames; of several for a frame the last counts."""
     parents: dict[str, tuple[str, Float64]] = {}
-    for channel in log.channels():
-        is_static = channel.count != 0 and channel.topic.rpartition("/")[2] == STATIC_TOPIC
-        if not (is_static and channel.type_name in TRANSFORM_LISTS):
+    for table in log.tables():
+        if table.name.rpartition("/")[2] != STATIC_TOPIC:
             continue
-        if channel.encoding not in TEXT_ENCODINGS:
-            raise UsageError(
-                f"{plain(log.path)}: transforms in {quoted(channel.encoding)} on "
-                f"{quoted(channel.topic)} are not read; give {GIVEN}"
-            )
-        decoder = TransformDecoder(channel, log.path)
-        for block in log.blocks(channel):
-            transforms = decoder.transforms(block)
-            for number, wxyz in zip(transforms.frames.tolist(), transforms.wxyz, strict=True):
-                parent, child = (bare_frame(name) for name in decoder.frames[number])
-                if abs(float(np.linalg.norm(wxyz)) - 1) > UNIT_TOLERANCE:
-                    raise UsageError(
-                        f"{plain(log.path)}: the transform from {quoted(child)} to "
-                        f"{quoted(parent)} on {quoted(channel.topic)} is not a rotation"
-                    )
-                parents[child] = parent, wxyz
+        for frames, wxyz in table.transforms(GIVEN):
+            parent, child = map(bare_frame, frames)
+            if abs(float(np.linalg.norm(wxyz)) - 1) > UNIT_TOLERANCE:
+                raise UsageError(
+                    f"{plain(log.path)}: the transform from {quoted(child)} to {quoted(parent)} "
+                    f"on {quoted(table.name)} is not a rotation"
+                )
+            parents[child] = parent, wxyz
     steps: Steps = {}
     for child, (parent, wxyz) in parents.items():
         steps.setdefault(child, {})[parent] = wxyz

@@ -230,7 +230,7 @@ class TableLog(Log):
 
 
 AnyLog: TypeAlias = MessageLog | TableLog
-"""A log of either kind; ``isinstance(log, TableLog)`` tells them apart."""
+"""A log of either kind."""
 
 
 def refuse_second_file(path: Path, begin: int) -> NoReturn:

@@ -17,11 +17,12 @@ if TYPE_CHECKING:
     from fractions import Fraction
     from pathlib import Path
 
-    from quatprop.arrays import AnyArray, Int64
+    from quatprop.arrays import AnyArray, Float64, Int64
     from quatprop.containers.merge import Columns
     from quatprop.containers.time_range import TimeRange
     from quatprop.provenance import JsonObject
     from quatprop.tables.base import Span
+    from quatprop.text import Setting
 
     Convert = Callable[[Columns], Columns]
     Series = tuple[tuple[int, str], ...]
@@ -158,6 +159,10 @@ class Table(ABC):
     def of_frames(self, wanted: str | None) -> Table:  # noqa: ARG002  # of some tables
         """Return the rows between two frames, of a table of transforms."""
         return self
+
+    def transforms(self, way_out: Setting) -> Iterator[tuple[tuple[str, str], Float64]]:  # noqa: ARG002
+        """Yield parent and child frame and the rotation of each transform, of a table of them."""
+        return iter(())
 
     def of_series(self, series: Series) -> Table:  # noqa: ARG002  # of some tables
         """Return the rows that have some labels in some columns."""
