@@ -222,7 +222,7 @@ def test_rates_of_which_some_are_marked_as_absent_are_a_matter_of_policy(tmp_pat
         remarks(path, tmp_path)
     with pytest.warns(RemarkWarning, match="read all the same"):
         assert len(read_rates(path, rate_field="angular_velocity").t_ns) == 50
-    with pytest.warns(DataLossWarning, match="25 rows were dropped"):
+    with pytest.warns(RemarkWarning), pytest.warns(DataLossWarning, match="25 rows were dropped"):
         propagate(path, on_nonfinite="drop")
 
 

@@ -6,7 +6,7 @@ from bisect import bisect_left
 from collections import deque
 from dataclasses import replace
 from functools import cached_property, lru_cache
-from itertools import islice
+from itertools import chain, islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -209,12 +209,16 @@ class TopicTable(Table):
         """Return what a text is in the first messages; nothing where it cannot be read."""
         if self.channel.encoding not in TEXT_ENCODINGS:
             return []
-        block = next((block for block in blocks_of(self.log, self.channel) if len(block)), None)
-        if block is None or not isinstance(find(self.root, name), String):
+        if self._first is None or not isinstance(find(self.root, name), String):
             return []
-        return first_names(self.channel, block, self.root, name, self.path)
+        return first_names(self.channel, self._first, self.root, name, self.path)
 
     # Rows.
+
+    @cached_property
+    def _first(self) -> MessageBlock | None:
+        """The first block with messages, at which several checks look."""
+        return next((block for block in blocks_of(self.log, self.channel) if len(block)), None)
 
     def read(
         self,
@@ -246,7 +250,8 @@ class TopicTable(Table):
 
     def _quietly(self, decode: Decode) -> Iterator[tuple[AnyArray, ...]]:
         """Yield what is decoded; messages that do not fit are noted when they are read for good."""
-        for block in blocks_of(self.log, self.channel):
+        first = [] if self._first is None else [self._first]
+        for block in chain(first, blocks_of(self.log, self.channel)):
             try:
                 yield decode(block).values
             except MessageError as error:

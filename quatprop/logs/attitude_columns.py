@@ -193,9 +193,10 @@ def match_rotation(table: Table, selection: AttitudeSelection) -> Match | None:
             "a table that holds one of them",
         )
     representation, matcher, columns = matches[0]
-    unit = _angle_unit(matcher, representation, columns, selection.from_angle_unit)
-    found = Found(table, GENERIC, table.parts[0], (columns,), matcher.spelled(sorted(columns)))
-    stamp, rows = matcher.stamp(columns, GENERIC)
+    row = matcher.row("angles") if representation == "euler-zyx" and named is None else GENERIC
+    unit = _angle_unit(matcher, representation, columns, selection.from_angle_unit, row.angle_unit)
+    found = Found(table, row, table.parts[0], (columns,), matcher.spelled(sorted(columns)))
+    stamp, rows = matcher.stamp(columns, row)
     remarks = (
         *matcher.overruled,
         "which of q and -q is meant is not stored: signs are those of each row by itself",
@@ -249,7 +250,11 @@ def _rotations(sequence: str | None) -> Iterable[tuple[str, str, Sequence[str]]]
 
 
 def _angle_unit(
-    matcher: ColumnMatcher, representation: str, columns: tuple[int, ...], chosen: str | None
+    matcher: ColumnMatcher,
+    representation: str,
+    columns: tuple[int, ...],
+    chosen: str | None,
+    by_row: str,
 ) -> str:
     names = matcher.names(columns)
     if representation == "matrix":
@@ -259,7 +264,7 @@ def _angle_unit(
                 f"{names} are a matrix; leave it out",
             )
         return ""
-    declared = matcher.declared(columns)
+    declared = matcher.declared(columns) or by_row
     matcher.refuse_unknown(columns, declared, ANGLE_UNITS)
     if chosen is not None and declared not in {"", chosen}:
         raise UsageError(

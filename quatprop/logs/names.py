@@ -29,7 +29,7 @@ WITH_RATE_UNIT = tuple(
     rf"{NOT_RATE}(?:.*[^a-z])?[a-z]?(?P<part>[{axes}])(?:[^a-z].*)?" for axes in ("xyz", "pqr")
 )
 """Names of an axis, or of a body rate of flight mechanics, whose unit says that it is a rate."""
-BARE_RATES = ("g(?P<part>[xyz])", r"(?P<part>[pqr])")
+BARE_RATES = ("g_?(?P<part>[xyz])", r"(?P<part>[pqr])")
 """Names that may be body rates, and are where the user declares the unit of rates."""
 BESIDE_BARE_RATES = r"(?:a|acc\w*|m|mag\w*)_?[xyz]"
 """Axes of other sensors of the same device."""
@@ -37,7 +37,10 @@ QUATERNION = (
     rf"{NOT_ATTITUDE}(?:(?:.*[._])?(?:quaternion|quat|orientation|attitude|rotation|rot|ori|q)"
     rf"[._]?|q_[a-z]+_[a-z]+_|q_[a-z]+_){COMPONENT}"
 )
-_MATRIX = rf"{NOT_ROTATION}(?:.*[._])?(?:r|m|rot|rotation|matrix|dcm)_?(?P<part>[{{0}}]_?[{{0}}])"
+_MATRIX = (
+    NOT_ROTATION + r"(?:.*[._])?(?:r|m|mat|rot|rotation|matrix|dcm)_?"
+    r"\[?(?P<part>[{0}](?:_|\]\[)?[{0}])\]?"
+)
 
 BIAS = (
     r"(?:.*[._])?(?:gyro(?:scope)?_?bias|bias_?gyro(?:scope)?|b_?g)[._]?"
@@ -59,7 +62,7 @@ ROTATIONS = (
         (
             "matrix",
             _MATRIX.format(i),
-            tuple(f"{row}{column}|{row}_{column}" for row in i for column in i),
+            tuple(f"{row}{column}|{row}_{column}|{row}][{column}" for row in i for column in i),
         )
         for i in ("123", "012")
     ),

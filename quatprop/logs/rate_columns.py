@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from quatprop.conditioning.mounting import mounting
-from quatprop.errors import NoRatesError, UsageError
+from quatprop.errors import LogError, NoRatesError, UndeclaredError, UsageError
 from quatprop.logs.matcher import ColumnMatcher
 from quatprop.logs.matching import Found, Match, marks_of
 from quatprop.logs.names import BARE_RATES, BESIDE_BARE_RATES, WITH_RATE_UNIT
@@ -51,7 +51,7 @@ def match_rates(table: Table, selection: RateSelection) -> Match:
     if selection.rate_cols is not None:
         rate = matcher.named(selection.rate_cols)
     elif not sets:
-        raise NoRatesError(table.path, [column.text for column in table.columns], "columns")
+        raise _no_rates(matcher)
     else:
         rate = matcher.only_set(sets, "set of rates", "x")
     own = row if rate in by_row else GENERIC
@@ -68,6 +68,18 @@ def match_rates(table: Table, selection: RateSelection) -> Match:
         tuple(_remarks(matcher, row, declared)),
         unit,
     )
+
+
+def _no_rates(matcher: ColumnMatcher) -> LogError:
+    """Return the error for a table without rates, or with some whose axes nobody knows."""
+    if angles := matcher.matching(r"(?:.*[._])?(?:roll|pitch|yaw)_?rate")[:3]:
+        return UndeclaredError(
+            matcher.path,
+            f"about which axes {matcher.names(angles)} turn (those of the body, or others, as in "
+            "OpenRocket)",
+            Text(f"{Setting('rate_cols', 'X,Y,Z')} if they are those of the body"),
+        )
+    return NoRatesError(matcher.path, [column.text for column in matcher.columns], "columns")
 
 
 def _bare_sets(matcher: ColumnMatcher) -> list[Group]:
@@ -122,7 +134,7 @@ def _remarks(matcher: ColumnMatcher, row: Row, unit: str) -> Iterator[str | Text
     if unused := matcher.unused_stamps(row):
         sample_rate = Setting("sample_rate", f"{float(matcher.selection.sample_rate or 0):g}")
         names = matcher.names(unused)
-        yield Text(f"{sample_rate} counts the rows; the stamps in {names} are not used")
+        yield Text(f"{sample_rate} counts {matcher.counted}; the stamps in {names} are not used")
 
 
 def _mount_remark(mount: str) -> Text:

@@ -64,6 +64,7 @@ class TimeMatcher(ClockMatcher):
     def __init__(self, table: Table, selection: SignalSelection, setting: str) -> None:
         super().__init__(table, selection)
         self.setting = setting
+        self.counted = "the rows"
 
     def stamp(self, numbers: Positions, row: Row) -> tuple[Stamp, Table]:
         """Return the time of some columns, which may be a sample rate, and the rows to read.
@@ -171,6 +172,7 @@ class TimeMatcher(ClockMatcher):
         if name is None:
             counter = self._counter(numbers)
             if counter:
+                self.counted = "the samples"
                 self.overruled.append(Text(
                     f"{Setting('sample_rate', f'{float(sample_rate):g}')} is that of the counter "
                     f"{self.names(counter)}, which also counts lost samples; to count rows, give "

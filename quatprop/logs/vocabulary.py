@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.logs.names import BIAS, FORCE, POSITION, QUATERNION
 from quatprop.messages.schema import ros_name
-from quatprop.tables.column_names import GYROSCOPE, TIME_NAMES
+from quatprop.tables.column_names import EULER, GYROSCOPE, TIME_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -78,6 +78,8 @@ class Row(NamedTuple):
         over the interval that ends at the stamp.
     burst
         Where a message has many samples; the pattern of the rate is that of all their components.
+    angles, angle_unit
+        Pattern of Euler angles, and their unit where names do not declare it.
     needs
         Further columns, or the first line, by which a file is recognised.
     file
@@ -105,6 +107,8 @@ class Row(NamedTuple):
     method: str | None = None
     span: str = ""
     burst: Burst | None = None
+    angles: str = ""
+    angle_unit: str = ""
     needs: tuple[str, ...] = ()
     file: str = ""
     log_time: str = ""
@@ -292,7 +296,15 @@ _OF_FILES = (
         absent=ABSENT,
         log_time="time",
     ),
-    Row("ArduPilot", rate="gyr_" + _AXIS, stamps=("time",), time_unit="us", needs=("timeus",)),
+    Row(
+        "ArduPilot",
+        rate="gyr_" + _AXIS,
+        angles=EULER,
+        angle_unit="deg",
+        stamps=("time",),
+        time_unit="us",
+        needs=("timeus",),
+    ),
     Row(
         "Betaflight",
         rate="gyro_adc" + XYZ,
@@ -317,6 +329,9 @@ _OF_FILES = (
         stamps=("time",),
         needs=("gyroscope x (rad/s)",),
     ),
+    _sensor_logger(rate=_AXIS, file="(?i)gyroscope"),
+    _sensor_logger(rate="rotation_rate_" + _AXIS, quat="quaternion_" + _PART),
+    _sensor_logger(quat="q_?" + _PART),
     Row(
         "x-io",
         rate="gyroscope_" + _AXIS,
@@ -325,9 +340,21 @@ _OF_FILES = (
         stamps=("time|timestamp",),
     ),
     Row("x-io", quat="quaternion_" + _PART, stamps=("time|timestamp",)),
-    _sensor_logger(rate=_AXIS, file="(?i)gyroscope"),
-    _sensor_logger(rate="rotation_rate_" + _AXIS, quat="quaternion_" + _PART),
-    _sensor_logger(quat="q_?" + _PART),
+    Row(
+        "TUM-VI",
+        rate=r"w\." + _AXIS,
+        stamps=("timestamp",),
+        time_unit="ns",
+        needs=("a.x", "a.y", "a.z"),
+    ),
+    Row(
+        "Project Aria",
+        rate=f"angular_velocity_{_AXIS}_device",
+        quat=f"q{_PART}_(?:world|odometry)_device",
+        stamps=("tracking_timestamp",),
+        time_unit="us",
+    ),
+    Row("Xsens", quat="quat_q(?P<part>[0123])", stamps=()),
 )
 
 ROWS = (*_OF_MESSAGES, *_OF_FILES)

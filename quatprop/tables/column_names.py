@@ -20,7 +20,9 @@ _GYROSCOPE = (
 GYROSCOPE = rf"{NOT_RATE}(?:(?:.*[._])?{_GYROSCOPE}[._]?|w[._]?)(?P<part>[xyz]|\[[012]\])"
 AXIS_FIRST = rf"{NOT_RATE}(?:.*[._])?(?P<part>[xyz])_?{_GYROSCOPE}(?:_out)?"
 NOT_ATTITUDE = r"(?!.*(?:cov|std|var|noise|sigma|delta|error|setpoint))"
-NOT_ROTATION = NOT_ATTITUDE + r"(?!.*(?:rate|speed|vel|acc|omega|gyr))"
+NOT_ROTATION = (
+    NOT_ATTITUDE + r"(?!.*(?:rate|speed|vel|acc|omega|gyr))(?!(?:.*[._])?des(?:ired)?[._])"
+)
 ROTATION_VECTOR = (
     rf"{NOT_ROTATION}(?:.*[._])?(?:rotvec|rotation_?vector|rot_?vec)[._]?(?P<part>[xyz])"
 )
@@ -77,7 +79,7 @@ _SUFFIX = re.compile(rf"(?i)(.+?)_({'|'.join(map(re.escape, _SUFFIXES))})(\.[xyz
 _MAY_HAVE_SUFFIX = (
     GYROSCOPE,
     AXIS_FIRST,
-    r"(?:.*[._])?g[xyz]",
+    r"(?:.*[._])?g_?[xyz]",
     r"[pqr]|(?:.*[._])?(?:roll|pitch|yaw)_?rate",
     rf"(?:.*[._])?(?:{TIME_NAMES})(?:_[a-z]+)?",
     ROTATION_VECTOR,
