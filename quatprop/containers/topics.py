@@ -6,7 +6,7 @@ from bisect import bisect_left
 from collections import deque
 from dataclasses import replace
 from functools import cached_property, lru_cache
-from itertools import chain, islice
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -205,6 +205,12 @@ class TopicTable(Table):
             )
         return self
 
+    def _blocks(self) -> Iterator[MessageBlock]:
+        """Yield all blocks with messages; the first one without reading it again."""
+        if self._first is not None:
+            yield self._first
+            yield from islice(filter(len, blocks_of(self.log, self.channel)), 1, None)
+
     def texts(self, name: str) -> list[str]:
         """Return what a text is in the first messages; nothing where it cannot be read."""
         if self.channel.encoding not in TEXT_ENCODINGS:
@@ -250,8 +256,7 @@ class TopicTable(Table):
 
     def _quietly(self, decode: Decode) -> Iterator[tuple[AnyArray, ...]]:
         """Yield what is decoded; messages that do not fit are noted when they are read for good."""
-        first = [] if self._first is None else [self._first]
-        for block in chain(first, blocks_of(self.log, self.channel)):
+        for block in self._blocks():
             try:
                 yield decode(block).values
             except MessageError as error:
