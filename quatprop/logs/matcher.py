@@ -10,9 +10,10 @@ import re
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UndeclaredError, UsageError
+from quatprop.logs import vocabulary
 from quatprop.logs.matching import sets_of
 from quatprop.logs.time_columns import TimeMatcher
-from quatprop.logs.vocabulary import GENERIC, ROWS, Row
+from quatprop.logs.vocabulary import GENERIC, Row
 from quatprop.text import Setting, listed, plain
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ class ColumnMatcher(TimeMatcher):
         names = {column.key for column in self.columns}
         names |= {column.text.strip("\ufeff ").lower() for column in self.columns}
         names.add(self.notes.title.lower())
-        for row in ROWS:
+        for row in vocabulary.ROWS:
             if (
                 row.name
                 and names.issuperset(row.needs)

@@ -1,0 +1,85 @@
+"""One row of the vocabulary is all that a new device needs, for its messages and its files."""
+
+import json
+import struct
+
+import numpy as np
+import pandas as pd
+import pytest
+from mcap.writer import Writer
+from rosbags.rosbag1 import Writer as BagWriter
+
+from quatprop import read_attitudes, read_rates
+from quatprop.logs import vocabulary
+from quatprop.logs.vocabulary import WXYZ, XYZ, Row
+
+NAME = "my_msgs/msg/Gyro"
+ROW = Row(
+    "Made up",
+    (NAME,),
+    rate="turn" + XYZ,
+    quat="att" + WXYZ,
+    unit="deg/s",
+    layout="scalar-first",
+    stamps=("stamp_us",),
+    time_unit="us",
+)
+DEFINITION = "uint64 stamp_us\nfloat64[3] turn\nfloat64[4] att\n"
+STAMPS = 1_700_000_000_000_000 + 10_000 * np.arange(20)
+RATES = np.random.default_rng(1).uniform(-90.0, 90.0, (20, 3)).round(3)
+ATTITUDES = np.tile([0.5, -0.5, 0.5, 0.5], (20, 1))
+
+
+def rows():
+    """Yield stamp, rates and attitude of each sample."""
+    return zip(STAMPS.tolist(), RATES.tolist(), ATTITUDES.tolist(), strict=True)
+
+
+def write_mcap(path, encoding, schema_encoding, schema, packed):
+    """Write messages of the made-up type."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        number = writer.register_schema(NAME, schema_encoding, schema.encode())
+        channel = writer.register_channel("/gyro", encoding, number)
+        for (stamp, *_), data in zip(rows(), packed, strict=True):
+            writer.add_message(channel, stamp * 1000, data, stamp * 1000)
+        writer.finish()
+
+
+def write(path, kind):
+    """Write the samples as one kind of log."""
+    plain = [struct.pack("<Q7d", stamp, *rate, *attitude) for stamp, rate, attitude in rows()]
+    if kind == "cdr":
+        write_mcap(path, "cdr", "ros2msg", DEFINITION, [b"\0\1\0\0" + data for data in plain])
+    elif kind == "json":
+        names = ("stamp_us", "turn", "att")
+        packed = [json.dumps(dict(zip(names, row, strict=True))).encode() for row in rows()]
+        write_mcap(path, "json", "jsonschema", "{}", packed)
+    elif kind == "bag":
+        with BagWriter(path) as writer:
+            connection = writer.add_connection("/gyro", NAME, msgdef=DEFINITION, md5sum="0" * 32)
+            for stamp, data in zip(STAMPS.tolist(), plain, strict=True):
+                writer.write(connection, stamp * 1000, data)
+    else:
+        names = [*(f"turn[{k}]" for k in range(3)), *(f"att[{k}]" for k in range(4))]
+        frame = pd.DataFrame(np.hstack((RATES, ATTITUDES)), columns=names)
+        frame.insert(0, "stamp_us", STAMPS)
+        frame.to_csv(path, index=False) if kind == "csv" else frame.to_parquet(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "suffix"),
+    [("cdr", "mcap"), ("bag", "bag"), ("json", "mcap"), ("csv", "csv"), ("parquet", "parquet")],
+)
+def test_a_row_is_read_from_every_kind_of_log(tmp_path, monkeypatch, kind, suffix):
+    """Unit, time and layout are those of the row, whatever the log."""
+    monkeypatch.setattr(vocabulary, "ROWS", (*vocabulary.ROWS, ROW))
+    monkeypatch.setitem(vocabulary.TYPES, NAME, ROW)
+    path = write(tmp_path / f"log.{suffix}", kind)
+    rates, attitudes = read_rates(path), read_attitudes(path)
+    for series in (rates, attitudes):
+        assert series.t_ns.tolist() == (STAMPS * 1000).tolist()
+    np.testing.assert_array_equal(rates.rate, RATES * (np.pi / 180.0))
+    np.testing.assert_array_equal(attitudes.wxyz, ATTITUDES)
