@@ -359,37 +359,34 @@ def test_a_name_that_two_columns_share_is_refused():
         chosen("t,x,x,y,z", **NAMED)
 
 
-def test_a_unit_against_the_header_is_refused():
-    """A unit option alone does not overrule a header that says another."""
-    with pytest.raises(UsageError, match=r"rate_unit says rad/s, but .* 'gyro_z_dps' are in deg/s"):
-        chosen("t_ns,gyro_x_dps,gyro_y_dps,gyro_z_dps", rate_unit="rad/s")
-    with pytest.raises(UsageError, match=r"time_unit says us, but .* give time_col too"):
-        chosen("t_ns,gyro_x_dps,gyro_y_dps,gyro_z_dps", time_unit="us")
-
-
-def test_naming_the_columns_and_the_unit_overrules_the_header():
-    """Who names both the columns and their unit knows that the header is wrong."""
-    names = ("gyro_x_dps", "gyro_y_dps", "gyro_z_dps")
-    found = chosen(",".join(("t_ns", *names)), rate_cols=names, rate_unit="rad/s")
-    assert found.unit == "rad/s"
+def test_a_unit_that_the_user_gives_overrules_the_header():
+    """As it does the definition of a message; the remark says what the header has."""
+    header = "t_ns,gyro_x_dps,gyro_y_dps,gyro_z_dps"
+    for options in ({}, {"rate_cols": ("gyro_x_dps", "gyro_y_dps", "gyro_z_dps")}):
+        found = chosen(header, rate_unit="rad/s", **options)
+        assert (found.unit, found.factor) == ("rad/s", 1.0)
+        (remark,) = found.remarks
+        assert spelled(remark) == (
+            "--rate-unit says rad/s, but by header or convention 'gyro_x_dps', 'gyro_y_dps', "
+            "'gyro_z_dps' are in deg/s; read in rad/s, as asked for"
+        )
+    assert chosen(header, time_unit="us").stamp.units == ("us",)
 
 
 def test_columns_in_different_units_are_refused():
-    """One unit read for all would be wrong for some, whether the user says it or not."""
+    """One unit read for all would be wrong for some, unless the user says it."""
     header = "t_s,wx_rad_s,wy_rad_s,wz_deg_s"
     facts = "by header or convention 'wx_rad_s', 'wy_rad_s' are in rad/s and 'wz_deg_s' is in deg/s"
     with pytest.raises(UsageError, match=f": {facts}; convert them to one unit$"):
         chosen(header)
-    with pytest.raises(UsageError, match=f" says rad/s, but {facts}; convert them to one unit or"):
-        chosen(header, rate_unit="rad/s")
-    named = chosen(header, rate_unit="rad/s", rate_cols=("1", "2", "3"))
-    assert f" says rad/s, but {facts}; read in rad/s" in str(named.remarks[0])
+    given = chosen(header, rate_unit="rad/s")
+    assert f" says rad/s, but {facts}; read in rad/s" in str(given.remarks[0])
 
 
-def test_a_unit_against_that_of_one_column_is_refused():
+def test_a_unit_against_that_of_one_column_is_remarked_on():
     """A unit that the header declares of one column alone counts too."""
-    with pytest.raises(UsageError, match="convention 'wx_rad_s' is in rad/s; leave the option"):
-        chosen("t_s,wx_rad_s,wy,wz", rate_unit="deg/s")
+    (remark,) = chosen("t_s,wx_rad_s,wy,wz", rate_unit="deg/s").remarks
+    assert "convention 'wx_rad_s' is in rad/s; read in deg/s, as asked for" in str(remark)
 
 
 def test_a_unit_of_another_kind_is_refused_by_name():
@@ -406,13 +403,13 @@ def test_a_unit_of_another_kind_is_refused_by_name():
      ("rpm", "deg/s", 6.0)],
 )  # fmt: skip
 def test_other_units_of_rates_are_multiplied_and_remarked_on(unit, read_as, scale):
-    """They are read as one of the two units of rates, and a user may not say that they are it."""
+    """They are read as one of the two units of rates, unless the user says that they are it."""
     header = ",".join(["t_ns", *(f"G_{axis} [{unit}]" for axis in "xyz")])
     found = chosen(header)
     assert (found.unit, found.factor) == (read_as, pytest.approx(scale * RATES[read_as], rel=1e-15))
     assert found.remarks == (f"the rates are in {unit}, which is read as {scale:.4g} {read_as}",)
-    with pytest.raises(UsageError, match=f"are in {unit}; leave the option out"):
-        chosen(header, rate_unit="rad/s")
+    (remark,) = chosen(header, rate_unit="rad/s").remarks
+    assert f"are in {unit}; read in rad/s, as asked for" in str(remark)
 
 
 @pytest.mark.parametrize("note", ["drift", "bias", "cov", "error"])

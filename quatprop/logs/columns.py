@@ -103,7 +103,6 @@ class TableColumns:
         str
             ``""`` where nothing declares it, which :meth:`timed_and_named` then refuses.
         """
-        columns = "rate_cols" if quantity == "rate" else "time_col"
         chosen: str | None = getattr(self.selection, f"{quantity}_unit")
         stated = {k: self.declared((k,)) or convention for k in positions}
         found = [unit for unit in dict.fromkeys(stated.values()) if unit in units]
@@ -113,16 +112,12 @@ class TableColumns:
             facts.append(f"{self.names(these)} {'is' if len(these) == 1 else 'are'} in {unit}")
         by_header = f"by header or convention {' and '.join(facts)}"
         if chosen is not None:
+            # Who gives a unit knows better than the header.
             if {*found} - {chosen}:
-                contradiction = f"{Setting(f'{quantity}_unit')} says {chosen}, but {by_header}"
-                # Who names the columns and the unit knows better than the header.
-                if getattr(self.selection, columns) is None:
-                    instead = "convert them to one unit" if facts[1:] else "leave the option out"
-                    raise UsageError(
-                        f"{plain(self.path)}: {contradiction}; {instead} or, if the option is "
-                        f"right, give {Setting(columns)} too"
-                    )
-                self.overruled.append(Text(f"{contradiction}; read in {chosen}, as asked for"))
+                given = f"{Setting(f'{quantity}_unit')} says {chosen}"
+                self.overruled.append(
+                    Text(f"{given}, but {by_header}; read in {chosen}, as asked for")
+                )
             return chosen
         if facts[1:]:
             raise UsageError(f"{plain(self.path)}: {by_header}; convert them to one unit")
