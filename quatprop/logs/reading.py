@@ -12,6 +12,7 @@ from quatprop.errors import MessageError, TimelineError
 from quatprop.logs.matching import column_beside
 from quatprop.logs.stamps import are_all
 from quatprop.messages.times import to_ns
+from quatprop.tables.column_names import as_option
 from quatprop.text import Setting, quoted
 from quatprop.times import NS_PER_S, NS_PER_UNIT
 
@@ -111,12 +112,16 @@ def refuse_marked(match: Match) -> None:
     """
     if match.is_named or not match.marks:
         return
-    rows = match.table.glance((match.found.sets[0], match.marks))
+    table, (columns, *_) = match.table, match.found.sets
+    rows = table.glance((columns, match.marks))
     marked = ((mark == ABSENT) & np.isfinite(rate).all(axis=1) for rate, mark in rows)
     if are_all(marked, value=True):
-        setting = Setting("rate_field" if match.table.is_typed else "rate_cols", match.found.field)
+        setting = Setting("rate_field", match.found.field)
+        if not table.is_typed:
+            names = [column.text for column in table.columns]
+            setting = Setting("rate_cols", ",".join(as_option(names, k) for k in columns))
         raise TimelineError(
-            match.table.path,
+            table.path,
             f"all rates are marked as absent, by a covariance of -1 in {_place_of_marks(match)}; "
             f"if they are measured all the same, read them with {setting}",
         )
