@@ -27,8 +27,8 @@ GROUPS = {
     "Input": (
         "topic rate_cols rate_unit",
         (
-            "kind msg_path clock time_col time_field time_unit sample_rate rate_field quat_cols "
-            "quat_field frame from_layout from_convention from_direction from_angle_unit "
+            "kind msg_path clock time_col time_field time_unit sample_rate series rate_field "
+            "quat_cols quat_field frame from_layout from_convention from_direction from_angle_unit "
             "from_euler normalize on_invalid"
         ),
     ),

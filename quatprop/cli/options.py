@@ -38,6 +38,8 @@ HELP = {
     "time_unit": "Unit of the time in {log}.  [default: as the log says]",
     "sample_rate": "HZ  Rows a second of {log}, a table without a time, or what its counter of "
     "samples counts a second.  [default: none]",
+    "series": "VALUE|COLUMN=VALUE  Which of the series that take turns in the rows of {log}, such "
+    "as those of two sensors; all reads them as one.  [default: the only one there is]",
     "rate_field": "A.B.C  Message field that is the rate.  [default: known from the message type]",
     "rate_cols": "X,Y,Z  Rate columns of a table; by name or number from 0.  [default: by the "
     "header]",

@@ -76,6 +76,9 @@ class SelectOptions(TypedDict, total=False):
         ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
     sample_rate : float
         Rows a second of a table without a time, or what its counter counts a second, Hz.
+    series : str or int
+        Which of the series that take turns in the rows of a table, by its label (``"gyro"``) or by
+        column and label (``"sensor=gyro"``); ``"all"`` reads the rows of all as those of one.
     """
 
     kind: Annotated[str | None, Choice(*KINDS)]
@@ -86,6 +89,7 @@ class SelectOptions(TypedDict, total=False):
     time_col: Annotated[str | int | None, lambda value: text(str(value))]
     time_unit: Annotated[str | None, Choice(*TIME_UNITS)]
     sample_rate: Annotated[float | Fraction | str | None, frequency]
+    series: Annotated[str | int | None, lambda value: text(str(value))]
 
 
 class RateOptions(SelectOptions, total=False):

@@ -7,9 +7,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, NoReturn, TypeAlias
 
 from quatprop.containers.base import Log, MessageLog
-from quatprop.errors import UnsupportedLogError
+from quatprop.errors import UnsupportedLogError, UsageError
 from quatprop.progress import metered
 from quatprop.tables.counters import counted_rows
+from quatprop.text import Setting, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -47,6 +48,8 @@ class TimedColumns(NamedTuple):
         The unit of the second of two time columns.
     utc_offset_ns
         By how much the time column is ahead of UTC, ns, where the header says so.
+    series
+        Columns and the labels that the rows to read have in them.
     """
 
     numbers: tuple[int, ...]
@@ -56,6 +59,12 @@ class TimedColumns(NamedTuple):
     parts: frozenset[int] | None = None
     fraction_unit: str = "ns"
     utc_offset_ns: int = 0
+    series: tuple[tuple[int, str], ...] = ()
+
+    @property
+    def used(self) -> set[int]:
+        """All columns that are needed."""
+        return {*self.time, *self.numbers, *(k for k, _ in self.series)}
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -107,14 +116,22 @@ class Span(NamedTuple):
 
 
 class TableLog(Log):
-    """Rows of named or numbered columns: text, Arrow, NumPy and JSON Lines files."""
+    """Rows of named or numbered columns: text, Arrow, NumPy and JSON Lines files.
+
+    Attributes
+    ----------
+    other_rows
+        How many rows of other series were passed over; grows while the log is read.
+    """
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._losses_at_opening: int | None = None
+        self.other_rows = 0
 
     def _forget_earlier_reading(self) -> None:
         """Remove the losses of rows that are about to be read again."""
+        self.other_rows = 0
         if self._losses_at_opening is None:
             self._losses_at_opening = len(self.losses)
         self.losses.restart(self._losses_at_opening)
@@ -131,6 +148,10 @@ class TableLog(Log):
     @abstractmethod
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return cells of the first rows, as they are stored; empty where they cannot be read."""
+
+    @abstractmethod
+    def label_columns(self) -> Mapping[int, bool]:
+        """Return the columns that begin with text or a whole number, and whether it is a number."""
 
     def provenance(self) -> JsonObject:
         """Return how the content came about, as written beside it; empty where it is not.
@@ -166,11 +187,35 @@ class TableLog(Log):
             fit.
         """
         batches = self._stored_rows(columns)
+        if columns.series:
+            batches = self._of_series(batches, columns.series)
         if columns.time and columns.sample_rate is not None:
             return counted_rows(batches, columns.sample_rate)
         if columns.utc_offset_ns:
             return ((t_ns - columns.utc_offset_ns, numbers) for t_ns, numbers in batches)
         return batches
+
+    def _of_series(self, batches: Batches, series: tuple[tuple[int, str], ...]) -> Batches:
+        """Yield rows of a series, and remark on how many there are of others.
+
+        Raises
+        ------
+        UsageError
+            There are none of it.
+        """
+        count = 0
+        for batch in batches:
+            count += len(batch[0])
+            yield batch
+        names = self.columns()
+        which = " and ".join(f"{quoted(label)} in column {quoted(names[k])}" for k, label in series)
+        if not count:
+            raise UsageError(
+                f"{plain(self.path)}: no row is of the series {which}; check {Setting('series')}"
+            )
+        remark = f"{self.other_rows} rows of other series than {which} were not read"
+        if self.other_rows and remark not in self.remarks:
+            self.remarks = [*self.remarks, remark]
 
     @abstractmethod
     def _stored_rows(self, columns: TimedColumns) -> Batches:

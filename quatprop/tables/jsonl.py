@@ -80,6 +80,15 @@ class JsonLinesLog(TypedTable):
         """Return cells of the first rows; see :class:`quatprop.tables.base.TableLog`."""
         return [tuple(_cell(line, self._leaves[k]) for k in columns) for line in self._lines]
 
+    def label_columns(self) -> dict[int, bool]:
+        """Return columns that may hold labels; see :class:`quatprop.tables.base.TableLog`."""
+        cells = [_cell(self._lines[0], leaf) for leaf in self._leaves]
+        return {
+            k: isinstance(cell, str) and cell.isdecimal()
+            for k, cell in enumerate(cells)
+            if isinstance(cell, str | None) and not pa.types.is_timestamp(self._leaves[k].type)
+        }
+
     def _refuse_text(self, columns: TimedColumns) -> None:
         super()._refuse_text(columns)
         if any(self._leaves[k].element is not None for k in columns.time):
@@ -99,7 +108,7 @@ class JsonLinesLog(TypedTable):
     def _batches(self, columns: TimedColumns) -> Iterator[pa.RecordBatch | int]:
         parser = LineParser(
             RejectedRows(self.path, self.losses),
-            [self._leaves[k] for k in columns.numbers],
+            [self._leaves[k] for k in (*columns.numbers, *(k for k, _ in columns.series))],
             [(self._leaves[k], unit) for k, unit in zip(columns.time, columns.units, strict=True)],
         )
         with closing(open_text(self.path)) as text:

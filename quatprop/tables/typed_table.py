@@ -122,11 +122,7 @@ class TypedTable(TableLog):
                 for k, leaf in enumerate(self._leaves)
                 if pa.types.is_timestamp(leaf.type) or pa.types.is_duration(leaf.type)
             },
-            texts=frozenset(
-                k
-                for k, leaf in enumerate(self._leaves)
-                if pa.types.is_string(leaf.type) or pa.types.is_large_string(leaf.type)
-            ),
+            texts=frozenset(k for k, leaf in enumerate(self._leaves) if _is_text(leaf.type)),
         )
 
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
@@ -151,11 +147,12 @@ class TypedTable(TableLog):
                 if isinstance(batch, int):
                     count += batch
                     continue
-                t_ns, numbers = self._values(batch, columns, first + count)
+                own = self._own_rows(batch, columns) if columns.series else batch
+                t_ns, numbers = self._values(own, columns, first + count)
                 if len(t_ns):
                     yield t_ns, numbers
-                count += batch.num_rows
-            first += max(group.rows, count)
+                count += own.num_rows
+            first += count if columns.series else max(group.rows, count)
 
     def _whole_batches(self, group: RowGroup) -> Iterator[pa.RecordBatch | int]:
         """Yield the batches of a row group up to where it is damaged."""
@@ -189,7 +186,25 @@ class TypedTable(TableLog):
 
     def _wanted(self, columns: TimedColumns) -> list[Leaf]:
         """Return the columns to read, each once."""
-        return [self._leaves[k] for k in dict.fromkeys((*columns.time, *columns.numbers))]
+        return [self._leaves[k] for k in sorted(columns.used)]
+
+    def label_columns(self) -> dict[int, bool]:
+        """Return columns that may hold labels; see :class:`quatprop.tables.base.TableLog`."""
+        return {
+            k: _is_number(leaf.type)
+            for k, leaf in enumerate(self._leaves)
+            if _is_whole(leaf.type) or _is_text(leaf.type)
+        }
+
+    def _own_rows(self, batch: pa.RecordBatch, columns: TimedColumns) -> pa.RecordBatch:
+        """Return the rows of the series, and count the others."""
+        own = np.ones(batch.num_rows, np.bool_)
+        for k, label in columns.series:
+            values = values_of(batch, self._leaves[k])
+            texts = pc.utf8_trim_whitespace(values.cast(pa.string()))
+            own &= to_numpy(pc.equal(texts, label).fill_null(False))  # its only one
+        self.other_rows += int(np.count_nonzero(~own))
+        return batch.filter(to_arrow(own))
 
     def _refuse_text(self, columns: TimedColumns) -> None:
         declared = self.notes.units
@@ -261,6 +276,14 @@ def _is_number(kind: pa.DataType) -> bool:
     return bool(
         pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal128(kind)
     )
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
+
+
+def _is_whole(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_integer(kind) or (pa.types.is_decimal128(kind) and kind.scale == 0))
 
 
 def _has_value(column: pa.Array) -> Bool:

@@ -6,6 +6,7 @@ import csv
 import re
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError
@@ -175,7 +176,8 @@ def _text(line: bytes) -> str:
 
 def is_data(row: list[str]) -> bool:
     """Return whether a row has numbers enough for one of rates."""
-    return sum(1 for cell in row if NUMBER.fullmatch(cell)) >= RATES
+    numbers = filter(NUMBER.fullmatch, row)
+    return sum(1 for _ in islice(numbers, RATES)) == RATES
 
 
 def _delimiter(texts: list[str]) -> str:

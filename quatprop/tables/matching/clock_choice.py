@@ -145,7 +145,7 @@ class ClockMatcher(TableColumns):
 
     def _first_times(self, found: list[Clock]) -> dict[Clock, Float64 | None]:
         columns = [k for clock in found for k in clock.columns]
-        rows = self._head(columns)[: clocks.FIRST_ROWS]
+        rows = self.head(columns)[: clocks.FIRST_ROWS]
         cells = dict(zip(columns, zip(*rows, strict=True), strict=True)) if rows else {}
         return {
             clock: clocks.first_times([cells[k] for k in clock.columns], clock) if rows else None

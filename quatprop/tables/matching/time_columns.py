@@ -11,6 +11,7 @@ from quatprop.tables.base import OTHER_DATES, TableLog, TimedColumns
 from quatprop.tables.matching import clocks
 from quatprop.tables.matching.clock_choice import ClockMatcher, goodness, is_readable
 from quatprop.tables.matching.column_names import TIME_UNITS
+from quatprop.tables.matching.series import SeriesChoice
 from quatprop.text import Setting, Text, plain
 
 if TYPE_CHECKING:
@@ -77,8 +78,8 @@ class TimeMatcher(ClockMatcher):
         UsageError
             The time is one of the columns.
         """
-        self.refuse_several_sensors(numbers, self.setting)
         time, sample_rate, implied = self._time(dialect, numbers)
+        series = SeriesChoice(self, numbers, time).chosen()
         if both := set(numbers) & set(time):
             raise UsageError(
                 f"{plain(self.path)}: {self.names(both)} cannot be both the time and one of "
@@ -115,6 +116,7 @@ class TimeMatcher(ClockMatcher):
             sample_rate,
             fraction_unit=units[1],
             utc_offset_ns=sum(map(self.utc_offset_ns, time)),
+            series=series,
         )
         return timed, names, clock
 
@@ -200,7 +202,7 @@ class TimeMatcher(ClockMatcher):
     def _counter(self, numbers: Positions) -> Positions:
         """Return the only column that counts samples; none where there is none."""
         columns = [k for k in self.matching(clocks.COUNTER) if k not in numbers]
-        rows = self._head(columns)[: clocks.FIRST_ROWS] if columns else []
+        rows = self.head(columns)[: clocks.FIRST_ROWS] if columns else []
         cells = zip(*rows, strict=True)
         counters = [k for k, c in zip(columns, cells, strict=False) if clocks.counts_samples(c)]
         return tuple(counters[:1])
