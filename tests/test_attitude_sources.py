@@ -94,7 +94,7 @@ def test_real_tables_are_read_by_their_names(shared_logs, name):
 def test_xsens_tables_carry_attitudes_beside_their_rates(shared_logs):
     """Quat_w is the scalar, rows are counted at the rate of the comments."""
     t_ns, wxyz, source, _ = read(shared_logs / "csv" / "data_xsens.txt")
-    assert (t_ns[0], t_ns[1], source.clock) == (0, 20_000_000, "50 Hz")
+    assert (t_ns[0], t_ns[1], source.clock) == (0, 20_000_000, "Counter at 50 Hz")
     assert wxyz[0].tolist() == [0.567189, 0.769786, 0.003829, 0.292765]
 
 
