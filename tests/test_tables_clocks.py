@@ -1,6 +1,7 @@
 """The clock of a table: the best that moves, what the others say, counters, stated offsets."""
 
 import json
+import re
 from datetime import UTC, datetime, timedelta
 from itertools import permutations
 
@@ -78,8 +79,9 @@ def test_of_two_clocks_the_better_is_used_wherever_it_stands(tmp_path, recwarn, 
         ]
     else:
         assert remarks == []
-    # What a remark advises works.
-    named, remarks = read(path, recwarn, time_col=other)
+    # What a remark advises works, in a shell too.
+    advised = re.search(r"time_col='([\w.]+)'$", remarks[0])[1] if remarks else other
+    named, remarks = read(path, recwarn, time_col=advised)
     alone, _ = read(table(tmp_path / f"alone.{suffix}", {other: CLOCKS[other]}), recwarn)
     assert (named.tolist(), remarks) == (alone.tolist(), [])
 

@@ -96,8 +96,6 @@ class Clock(NamedTuple):
     ----------
     columns
         Where they are.
-    name
-        What the user calls them.
     rank, place
         How good it is, and which of those of its rank.
     units
@@ -109,7 +107,6 @@ class Clock(NamedTuple):
     """
 
     columns: tuple[int, ...]
-    name: str
     rank: int
     place: int
     units: tuple[str, ...]
