@@ -189,7 +189,8 @@ def test_a_row_is_all_that_help_and_documents_need():
 
     class Options(TypedDict, total=False):
         upside: Annotated[float | str | None, Keyword(
-            Choice("down", "up"), f"Way of {{log}}, as {Setting('clock', 'log')} has it.", "up")]  # fmt: skip
+            Choice("down", "up"), f"Way of {{log}}, as {Setting('clock', 'log')} has it.",
+            "up")]  # fmt: skip
 
     assert parameters(Options) == (
         "upside : float or str\n"
