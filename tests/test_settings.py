@@ -4,17 +4,22 @@ import ast
 import datetime as dt
 from fractions import Fraction
 from pathlib import Path
+from typing import Annotated, TypedDict
 
+import click
 import numpy as np
 import pytest
 
 import quatprop
+from quatprop.cli.options import setting_options, with_options
 from quatprop.cli.propagate import command
 from quatprop.errors import UsageError
 from quatprop.pipeline.settings import PropagationSettings, propagation_settings
 from quatprop.settings import METHODS, PROPAGATE
-from quatprop.settings.parsers import StaticBias, file_beside
+from quatprop.settings.keyword import Keyword, keywords_of, parameters
+from quatprop.settings.parsers import Choice, StaticBias, file_beside
 from quatprop.settings.values import parse_all
+from quatprop.text import Setting
 from quatprop.times import Instant
 
 
@@ -146,7 +151,7 @@ def test_words_of_settings_are_no_files(tmp_path, monkeypatch):
         assert propagation_settings({name: text}).inputs == {}
 
 
-READS_MARKS = {"Text", "__init__", "_refuse", "refuse_placeholder"}
+READS_MARKS = {"Text", "Keyword", "__init__", "_refuse", "refuse_placeholder"}
 """What makes a sentence of an f-string, beside every error."""
 
 
@@ -177,3 +182,22 @@ def test_what_mentions_a_setting_is_a_sentence(path):
     for node in nodes:
         if isinstance(node, ast.FormattedValue) and ast.unparse(node.value).startswith("Setting("):
             assert is_in_sentence(node), f"{path.name}:{node.lineno}: {ast.unparse(above[node])}"
+
+
+def test_a_row_is_all_that_help_and_documents_need():
+    """A made-up setting gets its option, on either side, and its paragraph of numpydoc."""
+
+    class Options(TypedDict, total=False):
+        upside: Annotated[float | str | None, Keyword(
+            Choice("down", "up"), f"Way of {{log}}, as {Setting('clock', 'log')} has it.",
+            "up")]  # fmt: skip
+
+    assert parameters(Options) == (
+        "upside : float or str\n"
+        "    Way of the log, as clock='log' has it. One of 'down', 'up'. By default: up."
+    )
+    command = click.Command("do", params=[])
+    with_options(setting_options(keywords_of(Options), log="B", side="b"))(command)
+    (option,) = command.params
+    assert (option.opts, option.name, option.group) == (["--upside-b"], "upside_b", "Input B")
+    assert option.help == "Way of B, as --clock-b log has it.  [default: up]"

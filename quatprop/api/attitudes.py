@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Unpack
 import numpy as np
 
 from quatprop.api.propagation import PropagatedSeries
-from quatprop.api.reading import path_text, read_attitudes
+from quatprop.api.reading import path_text, read_attitudes, with_keywords_of
+from quatprop.comparison.settings import CompareOptions
 from quatprop.errors import DataLossWarning, SeriesError
 from quatprop.series import AttitudeSeries
 from quatprop.settings import READ_ATTITUDES, AttitudeOptions
@@ -18,10 +19,10 @@ from quatprop.settings.values import refuse_unknown
 if TYPE_CHECKING:
     from quatprop.api.reading import StrPath
     from quatprop.comparison.result import Comparison
-    from quatprop.comparison.settings import CompareOptions
     from quatprop.conversion.job import ConversionReport
 
 
+@with_keywords_of(CompareOptions, log="`b`")
 def compare(
     a: StrPath | AttitudeSeries, b: StrPath | AttitudeSeries, **options: Unpack[CompareOptions]
 ) -> Comparison:
@@ -31,31 +32,8 @@ def compare(
     ----------
     a, b
         Paths as for :func:`read_attitudes`, or series in memory.
-    tol, rms_tol, final_tol, p95_tol : str or float
-        Limits on the worst, the RMS and the final error and on their 95th percentile: text such as
-        ``"0.1deg"``, or rad; or ``"3sigma"``, of series that have standard deviations.
-    window_tol, window_rms_tol : str or float
-        Limits on the worst and the RMS error of rotations over windows.
-    drift_tol : str
-        Limit on the drift of the error, such as ``"10deg/h"``; with `align` none or first.
-    min_coverage : float
-        Percentage of B, of its samples and of its time, that must be compared.
-    max_sigma : float
-        Limit on the largest error in standard deviations (the Mahalanobis distance), of series
-        that have them.
-    align : str
-        What B is rotated by first: ``"none"`` (the default), ``"first"``, ``"mean"`` or
-        ``"mount"``.
-    time_offset : str or int
-        Added to B's stamps: text such as ``"-12ms"``, ns, or ``"auto"`` to find it.
-    match : str
-        ``"exact"``, ``"nearest"`` or ``"interpolate"``; by default what fits the stamps.
-    max_dt : str or int
-        How far apart samples that are matched may be: text such as ``"5ms"``, or ns.
-    min_matched : float
-        Percentage of the shorter series that must be matched, 50 by default.
-    window : str or int
-        Compare also the rotations over windows of this length: text such as ``"1s"``, or ns.
+    **options
+        Limits on the error, and how the series are aligned and matched.
 
     Returns
     -------

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Unpack
 from quatprop.api.reading import path_text, warn, with_keywords_of
 from quatprop.errors import SeriesError, UsageError
 from quatprop.series import AttitudeSeries, GyroSeries
-from quatprop.settings import READ_RATES, PropagateOptions, RateOptions, SelectOptions
+from quatprop.settings import READ_RATES, PropagateOptions
 from quatprop.text import Setting
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class PropagatedSeries(AttitudeSeries):
         return AttitudeSeries(self.t_ns, self.wxyz, covariance=self.covariance)[chosen]
 
 
-@with_keywords_of(SelectOptions, RateOptions, PropagateOptions)
+@with_keywords_of(PropagateOptions)
 def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) -> PropagatedSeries:
     """Turn body rates into attitudes.
 

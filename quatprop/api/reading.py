@@ -11,7 +11,8 @@ import numpy as np
 
 from quatprop.errors import DataLossWarning, RemarkWarning, UsageError
 from quatprop.series import AttitudeSeries, GyroSeries
-from quatprop.settings import READ_RATES, AttitudeOptions, RateOptions, SelectOptions, SeriesOptions
+from quatprop.settings import READ_RATES, AttitudeOptions, RateOptions
+from quatprop.settings.keyword import parameters
 from quatprop.settings.parsers import path as parse_path
 from quatprop.settings.values import parse_all
 from quatprop.text import Setting, Text
@@ -27,21 +28,22 @@ if TYPE_CHECKING:
 Function = TypeVar("Function", bound="Callable[..., object]")
 
 
-def with_keywords_of(*classes: type) -> Callable[[Function], Function]:
-    """Return a decorator that adds the keywords of classes to the parameters in a docstring."""
+def with_keywords_of(
+    options: type, signal: str = "rates", log: str = "the log"
+) -> Callable[[Function], Function]:
+    """Return a decorator that adds the keywords of a class to the parameters in a docstring."""
 
     def documented(function: Function) -> Function:
         # Without docstrings, as by python -OO, there is nothing to add to.
         if function.__doc__:
-            added = [cleandoc(one.__doc__ or "").partition("---\n")[2] for one in classes]
             head, returns, rest = cleandoc(function.__doc__).partition("\n\nReturns\n")
-            function.__doc__ = "\n".join([head, *added]) + returns + rest
+            function.__doc__ = f"{head}\n{parameters(options, signal, log)}{returns}{rest}"
         return function
 
     return documented
 
 
-@with_keywords_of(SelectOptions, RateOptions)
+@with_keywords_of(RateOptions)
 def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
     """Read the body rates of a log.
 
@@ -82,7 +84,7 @@ def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
     return GyroSeries.joined(batches or [GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))])
 
 
-@with_keywords_of(SelectOptions, SeriesOptions, AttitudeOptions)
+@with_keywords_of(AttitudeOptions, "attitudes")
 def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> AttitudeSeries:
     """Read an attitude series, of a log or of a table.
 

@@ -12,7 +12,7 @@ from quatprop.text import Setting, Text
 if TYPE_CHECKING:
     from quatprop.errors import QuatpropError
 
-FLAGS = {name for name, parser in {**PROPAGATE, **READ_ATTITUDES}.items() if parser is flag}
+FLAGS = {name for name, row in {**PROPAGATE, **READ_ATTITUDES}.items() if row.parse is flag}
 """Settings that are on or off."""
 
 

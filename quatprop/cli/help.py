@@ -23,51 +23,38 @@ FIRST = 25
 OWN = "Options"
 """Title of options that are in no group: those of one command alone."""
 
-GROUPS = {
-    "Input": (
-        "topic rate_cols rate_unit",
-        (
-            "kind msg_path clock time_col time_field time_unit sample_rate series rate_field "
-            "quat_cols quat_field frame from_layout from_convention from_direction from_angle_unit "
-            "from_euler normalize on_invalid"
-        ),
+GROUPS = (
+    *("Input", "Time range", "Rates", "Initial attitude", "Integration", "Timestamps"),
+    *("Uncertainty", "Limits", "Alignment", "Output", "Execution", "Display"),
+)
+"""Titles of groups, in the order of help."""
+
+SIDES = ("a", "b", "ref")
+"""Endings of options about one of several inputs, which have a group of their own."""
+
+OUTPUT = "output folder to layout beside convention direction sign representation plot"
+BATCH = "processes skip_existing"
+DISPLAY = "quiet as_json as_config help help_all"
+COMMON = {*f"{OUTPUT} {BATCH} {DISPLAY}".split()}
+"""Parameters beside settings that help always shows; the others on request."""
+
+GROUP = {
+    **dict.fromkeys(
+        f"{OUTPUT} euler_unit into comment message out_topic frames report".split(), "Output"
     ),
-    "Time range": ("start end", ""),
-    "Rates": ("bias mount", "calibration"),
-    "Initial attitude": ("q0", "heading reference_z q0_layout"),
-    "Integration": ("method", "rates"),
-    "Timestamps": ("on_gap on_backwards", "on_nonfinite max_gap"),
-    "Uncertainty": ("", "imu noise_density bias_sigma random_walk scale_sigma sigma_axes"),
-    "Limits": (
-        "tol",
-        "rms_tol final_tol p95_tol window_tol window_rms_tol drift_tol min_coverage max_sigma",
-    ),
-    "Alignment": ("align time_offset window", "match max_dt min_matched"),
-    "Output": (
-        ("output folder to layout beside convention direction sign representation rate sigma plot"),
-        "euler_unit into every at comment message out_topic frames report",
-    ),
-    "Execution": ("processes skip_existing", "threads config list_file root shard dask retries"),
-    "Display": ("quiet as_json as_config help help_all", "verbose"),
+    **dict.fromkeys(f"{BATCH} config list_file root shard dask retries".split(), "Execution"),
+    **dict.fromkeys(f"{DISPLAY} verbose".split(), "Display"),
 }
-"""Title of a group -> the parameters that help always shows, and those it shows on request."""
-
-COMMON = {name for common, _ in GROUPS.values() for name in common.split()}
-GROUP = {name: title for title, names in GROUPS.items() for name in " ".join(names).split()}
-SIDES = {"a": "Input A", "b": "Input B", "ref": "Input REF"}
-"""Ending of options about one of several inputs -> their group."""
+"""The group of each parameter beside settings; others are in none."""
 
 
-def group_of(name: str) -> str:
-    """Return the title of the group of a parameter.
+class SettingOption(click.Option):
+    """The option of a setting, with its group in help and whether help always shows it."""
 
-    Examples
-    --------
-    >>> group_of("method"), group_of("topic_b"), group_of("seed")
-    ('Integration', 'Input B', 'Options')
-    """
-    base, _, side = name.rpartition("_")
-    return SIDES[side] if side in SIDES and base in GROUP else GROUP.get(name, OWN)
+    def __init__(self, *args: Any, group: str, common: bool, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.group = group
+        self.common = common
 
 
 def brief(names: str, text: str) -> tuple[str, str]:
@@ -135,8 +122,11 @@ class Command(click.Command):
         for option in self.get_params(ctx):
             name = "help" if "--help" in option.opts else str(option.name)
             record = option.get_help_record(ctx) if isinstance(option, click.Option) else None
-            title = group_of(name) if self._grouped else OWN
-            if record is not None and (every or name in COMMON or title == OWN):
+            title, common = GROUP.get(name, OWN), name in COMMON
+            if isinstance(option, SettingOption):
+                title, common = option.group, option.common
+            title = title if self._grouped else OWN
+            if record is not None and (every or common or title == OWN):
                 groups.setdefault(title, []).append(record if every else brief(*record))
         for title, rows in groups.items():
             if rows:

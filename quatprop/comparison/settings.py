@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, TypedDict, Unpack
 
 from quatprop.errors import UsageError
-from quatprop.settings import parsers_of
+from quatprop.settings.keyword import Keyword, keywords_of
 from quatprop.settings.parsers import Choice, duration, length, number
 from quatprop.settings.quantities import RAD_PER_UNIT, quantity, quantity_of
 from quatprop.settings.values import parse_all
@@ -170,30 +170,61 @@ drift_deg_h = quantity_of(DEG_H_PER_UNIT, "a drift", "10deg/h")
 
 
 class CompareOptions(TypedDict, total=False):
-    """Keywords of :func:`quatprop.compare`, as for :class:`ComparisonSettings`.
+    """Keywords of :func:`quatprop.compare`; texts with a unit, or numbers in rad, ns or percent."""
 
-    Angles may be texts with a unit, such as ``"0.1deg"``, durations such as ``"-12ms"``.
-    """
+    # fmt: off
+    tol: Annotated[float | str | None, Keyword(
+        error_limit, "Largest error that passes, such as 1e-9rad or 0.1deg, or 3sigma where a "
+        "series has standard deviations; so for the next three.", "none, all pass", "ANGLE",
+        "Limits", common=True)]
+    rms_tol: Annotated[float | str | None, Keyword(
+        error_limit, "Largest RMS error that passes.", takes="ANGLE", group="Limits")]
+    final_tol: Annotated[float | str | None, Keyword(
+        error_limit, "Largest final error that passes.", takes="ANGLE", group="Limits")]
+    p95_tol: Annotated[float | str | None, Keyword(
+        error_limit, "Largest 95th percentile of the error that passes.", takes="ANGLE",
+        group="Limits")]
+    window_tol: Annotated[float | str | None, Keyword(
+        angle_rad, f"Largest error over windows that passes; with {Setting('window')}.",
+        takes="ANGLE", group="Limits")]
+    window_rms_tol: Annotated[float | str | None, Keyword(
+        angle_rad, f"Largest RMS error over windows that passes; with {Setting('window')}.",
+        takes="ANGLE", group="Limits")]
+    drift_tol: Annotated[float | str | None, Keyword(
+        drift_deg_h, f"Largest drift that passes, in either direction, such as 10deg/h; with "
+        f"{Setting('align', 'none|first')}.", takes="DRIFT", group="Limits")]
+    min_coverage: Annotated[float | None, Keyword(
+        _percentage, "Least part of {log}, of its time and of its samples, that must be compared.",
+        takes="PERCENT", group="Limits")]
+    max_sigma: Annotated[float | None, Keyword(
+        _sigmas, "Largest error that passes, in standard deviations (Mahalanobis distance), beside "
+        "one in rad or deg.", takes="N", group="Limits")]
+    align: Annotated[str, Keyword(
+        Choice(*ALIGNMENTS), "How {log} is rotated first: not at all; its reference frame, by the "
+        "first pair or by the mean of all; or its reference and body frame (mount), from the "
+        "motion.", group="Alignment", common=True)]
+    time_offset: Annotated[int | str, Keyword(
+        time_offset_ns, "Added to the stamps of {log}, such as -12ms; auto estimates it from the "
+        "angular speeds.", takes="DUR|auto", group="Alignment", common=True)]
+    match: Annotated[str | None, Keyword(
+        Choice(*MATCHES), "How attitudes are matched: equal stamps, the nearest, or interpolated "
+        "ones (slerp), at the stamps of the series with the longer intervals.", f"exact where at "
+        f"least half have equal stamps, else nearest if there is {Setting('max_dt')}, else "
+        f"interpolate", group="Alignment")]
+    max_dt: Annotated[int | str | None, Keyword(
+        length, "Largest distance in time of samples that are matched or interpolated between.",
+        "half the median interval to the nearest, 10 to interpolate", "DUR", "Alignment")]
+    min_matched: Annotated[float | None, Keyword(
+        _percentage, "Percentage of the shorter series that must be matched.", "50", "PERCENT",
+        "Alignment")]
+    window: Annotated[int | str | None, Keyword(
+        length, "Also compare the rotations over windows of this length.", takes="DUR",
+        group="Alignment", common=True)]
+    # fmt: on
 
-    tol: Annotated[float | str | None, error_limit]
-    rms_tol: Annotated[float | str | None, error_limit]
-    final_tol: Annotated[float | str | None, error_limit]
-    p95_tol: Annotated[float | str | None, error_limit]
-    window_tol: Annotated[float | str | None, angle_rad]
-    window_rms_tol: Annotated[float | str | None, angle_rad]
-    drift_tol: Annotated[float | str | None, drift_deg_h]
-    min_coverage: Annotated[float | None, _percentage]
-    max_sigma: Annotated[float | None, _sigmas]
-    align: Annotated[str, Choice(*ALIGNMENTS)]
-    time_offset: Annotated[int | str, time_offset_ns]
-    match: Annotated[str | None, Choice(*MATCHES)]
-    max_dt: Annotated[int | str | None, length]
-    min_matched: Annotated[float | None, _percentage]
-    window: Annotated[int | str | None, length]
 
-
-COMPARE = parsers_of(CompareOptions)
-"""How two series are compared: setting -> its parser, which takes text or a Python value."""
+COMPARE = keywords_of(CompareOptions)
+"""How two series are compared: name -> its row."""
 
 
 def comparison_settings(**options: Unpack[CompareOptions]) -> ComparisonSettings:

@@ -2,19 +2,20 @@
 
 The names are those of the library's keywords. The command line spells them as options
 (``on_gap`` is ``--on-gap``), a suite as keys (``on-gap``). Each has one row in a class of keywords
-here: the types that the library takes, and the parser, which takes a value as text, as TOML has it,
-or as Python has it. Nothing heavy is imported, so that ``quatprop --help`` is quick.
+here: the types that the library takes, the parser, which takes a value as text, as TOML has it, or
+as Python has it, and what help and documents say. Nothing heavy is imported, so that ``quatprop
+--help`` is quick.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from datetime import datetime, timedelta
 from fractions import Fraction
 from os import PathLike
 from typing import Annotated, TypedDict
 
+from quatprop.settings.keyword import Keyword, keywords_of
 from quatprop.settings.parsers import (
     Choice,
-    Parser,
     bias,
     columns,
     count,
@@ -29,6 +30,7 @@ from quatprop.settings.parsers import (
     text,
 )
 from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES, RATIOS, quantity_of
+from quatprop.text import Setting
 
 KINDS = (
     *("mcap", "bag", "db3", "rosbag2", "ulog"),
@@ -55,233 +57,204 @@ OPTION_NAMES = {"kind": "from", "representation": "as", "beside": "with"}
 
 
 class SelectOptions(TypedDict, total=False):
-    """Keywords that choose a topic and its time base.
+    """Keywords that choose a topic and its time base."""
 
-    Parameters
-    ----------
-    kind : str
-        Kind of the log; by default told by its content, then by its suffix.
-    topic : str
-        Which topic; by default the only one that has what is read.
-    msg_path : str or path
-        Message definitions for a log that carries none: a ``.msg`` file, or a folder of them.
-    clock : str
-        Timestamp source: ``"header"``, ``"log"`` or ``"publish"``.
-    time_field : str
-        Field of a message that is the time, such as ``"header.stamp"``.
-    time_col : str or int
-        Column of a table that is the time, by name or number from 0; ``"none"`` counts rows at
-        `sample_rate`.
-    time_unit : str
-        ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
-    sample_rate : float
-        Rows a second of a table without a time, or what its counter counts a second, Hz.
-    series : str or int
-        Which of the series that take turns in the rows of a table, by its label (``"gyro"``) or by
-        column and label (``"sensor=gyro"``); ``"all"`` reads the rows of all as those of one.
-    """
-
-    kind: Annotated[str | None, Choice(*KINDS)]
-    topic: Annotated[str | None, text]
-    msg_path: Annotated[str | PathLike[str] | None, path]
-    clock: Annotated[str | None, Choice(*CLOCKS)]
-    time_field: Annotated[str | None, text]
-    time_col: Annotated[str | int | None, lambda value: text(str(value))]
-    time_unit: Annotated[str | None, Choice(*TIME_UNITS)]
-    sample_rate: Annotated[float | Fraction | str | None, frequency]
-    series: Annotated[str | int | None, lambda value: text(str(value))]
+    # fmt: off
+    kind: Annotated[str | None, Keyword(
+        Choice(*KINDS), "Kind of {log}.", "told by its content, then by its suffix", takes="KIND")]
+    topic: Annotated[str | None, Keyword(
+        text, "Topic of {log}.", "the only one with {signal}", "NAME", common=True)]
+    msg_path: Annotated[str | PathLike[str] | None, Keyword(
+        path, "Message definitions for {log}: a .msg file, or a folder of them.", "those in the "
+        "log or beside it", "PATH")]
+    clock: Annotated[str | None, Keyword(
+        Choice(*CLOCKS), "Timestamp source.", "header where the message has one, else log")]
+    time_field: Annotated[str | None, Keyword(
+        text, "Message field of {log} that is the time.", "the header stamp", "A.B")]
+    time_col: Annotated[str | int | None, Keyword(
+        lambda value: text(str(value)), f"Time column of {{log}}, by name or number from 0; two "
+        "(SEC,NANOSEC, SEC,USEC or SEC,MSEC) of one stamp; none counts rows at "
+        f"{Setting('sample_rate')}.", "by the header", "C")]
+    time_unit: Annotated[str | None, Keyword(
+        Choice(*TIME_UNITS), "Unit of the time in {log}.", "as the log says")]
+    sample_rate: Annotated[float | Fraction | str | None, Keyword(
+        frequency, "Rows a second of {log}, a table without a time, or what its counter of samples "
+        "counts a second, Hz.", takes="HZ")]
+    series: Annotated[str | int | None, Keyword(
+        lambda value: text(str(value)), "Which of the series that take turns in the rows of {log}, "
+        "such as those of two sensors; all reads them as one.", "the only one there is",
+        "VALUE|COLUMN=VALUE")]
+    # fmt: on
 
 
 class RateOptions(SelectOptions, total=False):
-    """Keywords of :func:`quatprop.read_rates`, beside those of :class:`SelectOptions`.
+    """Keywords of :func:`quatprop.read_rates`, beside those of :class:`SelectOptions`."""
 
-    Parameters
-    ----------
-    rate_field : str
-        Field of a message, such as ``"imu.angular_velocity"``.
-    rate_cols : str or sequence
-        Columns of a table, by name or number from 0.
-    rate_unit : str
-        ``"rad/s"`` or ``"deg/s"``.
-    """
-
-    rate_field: Annotated[str | None, text]
-    rate_cols: Annotated[str | Sequence[str | int] | None, columns("X,Y,Z")]
-    rate_unit: Annotated[str | None, Choice(*RATE_UNITS)]
+    # fmt: off
+    rate_field: Annotated[str | None, Keyword(
+        text, "Message field that is the rate.", "known from the message type", "A.B.C")]
+    rate_cols: Annotated[str | Sequence[str | int] | None, Keyword(
+        columns("X,Y,Z"), "Rate columns of a table; by name or number from 0.", "by the header",
+        "X,Y,Z", common=True)]
+    rate_unit: Annotated[str | None, Keyword(
+        Choice(*RATE_UNITS), "Unit of the rates.", "as the log says", common=True)]
+    # fmt: on
 
 
 class SeriesOptions(SelectOptions, total=False):
-    """Keywords that say which attitudes to read, beside those of :class:`SelectOptions`.
+    """Keywords that say which attitudes to read, beside those of :class:`SelectOptions`."""
 
-    Parameters
-    ----------
-    quat_field : str
-        Field of a message that is the quaternion.
-    quat_cols : str or sequence
-        The four columns of a table as stored, by name or number from 0; with `from_euler` the
-        three angles in the order of its letters.
-    frame : str
-        Of a list of transforms, ``"child"`` or ``"parent:child"``.
-    from_layout : str
-        ``"scalar-first"`` or ``"scalar-last"``; needed where names and metadata do not say it.
-    from_convention : str
-        ``"hamilton"`` (the default) or ``"jpl"``.
-    from_direction : str
-        ``"body-to-ref"`` (the default) or ``"ref-to-body"``.
-    from_angle_unit : str
-        ``"rad"`` or ``"deg"``, of Euler angles and rotation vectors.
-    from_euler : str
-        Sequence of Euler angles, such as ``"xyz"``: intrinsic rotations about x, the new y and the
-        newest z. Columns yaw, pitch and roll are ``"zyx"`` by default, and with another sequence
-        the angles about z, y and x.
-    """
-
-    quat_field: Annotated[str | None, text]
-    quat_cols: Annotated[str | Sequence[str | int] | None, columns("A,B,C[,D]")]
-    frame: Annotated[str | None, text]
-    from_layout: Annotated[str | None, Choice(*LAYOUTS)]
-    from_convention: Annotated[str | None, Choice(*CONVENTIONS)]
-    from_direction: Annotated[str | None, Choice(*DIRECTIONS)]
-    from_angle_unit: Annotated[str | None, Choice("rad", "deg")]
-    from_euler: Annotated[str | None, Choice(*EULER_SEQUENCES)]
+    # fmt: off
+    quat_field: Annotated[str | None, Keyword(
+        text, "Message field of {log} that is the quaternion.", "known from the message type",
+        "A.B.C")]
+    quat_cols: Annotated[str | Sequence[str | int] | None, Keyword(
+        columns("A,B,C[,D]"), f"Columns of the quaternion in {{log}} in the order in which they "
+        f"are stored, by name or number from 0; or of three angles, with {Setting('from_euler')}.",
+        "by the header", "A,B,C[,D]")]
+    frame: Annotated[str | None, Keyword(
+        text, "Which transform of {log}, where it is a list of them.", "the only one there is",
+        "[PARENT:]CHILD")]
+    from_layout: Annotated[str | None, Keyword(
+        Choice(*LAYOUTS), "Order of the quaternion in {log}.", "by names, definitions or metadata; "
+        "required where none of them says it")]
+    from_convention: Annotated[str | None, Keyword(
+        Choice(*CONVENTIONS), "Convention of {log}.", "by metadata, else hamilton")]
+    from_direction: Annotated[str | None, Keyword(
+        Choice(*DIRECTIONS), "Which coordinates {log} turns into which.", "by metadata, else "
+        "body-to-ref")]
+    from_angle_unit: Annotated[str | None, Keyword(
+        Choice("rad", "deg"), "Unit of angles in {log}, a table of yaw, pitch, roll or rotation "
+        "vectors.", "by names; required where they do not say it")]
+    from_euler: Annotated[str | None, Keyword(
+        Choice(*EULER_SEQUENCES), "Sequence of the angles in {log}: xyz turns about x, the new y "
+        "and the newest z. yaw, pitch and roll are about z, y and x.", "zyx, or by names")]
+    # fmt: on
 
 
 class AttitudeOptions(SeriesOptions, total=False):
-    """Keywords of :func:`quatprop.read_attitudes`, beside those of :class:`SeriesOptions`.
+    """Keywords of :func:`quatprop.read_attitudes`, beside those of :class:`SeriesOptions`."""
 
-    Parameters
-    ----------
-    normalize : bool
-        Scale quaternions to unit length; by default those off by more than 0.001 are refused.
-    on_invalid : str
-        ``"error"`` (the default) or ``"drop"``: invalid quaternions.
-    """
-
-    normalize: Annotated[bool | None, flag]
-    on_invalid: Annotated[str | None, Choice("error", "drop")]
+    # fmt: off
+    normalize: Annotated[bool | None, Keyword(
+        flag, "Scale quaternions to unit length.", "refuse those off by more than 0.001")]
+    on_invalid: Annotated[str | None, Keyword(
+        Choice("error", "drop"), "Invalid quaternions (zero, NaN, marked absent, not of unit "
+        "length): refuse or leave out.", "error")]
+    # fmt: on
 
 
 class PropagateOptions(RateOptions, total=False):
-    """Keywords of :func:`quatprop.propagate`, beside those of :class:`RateOptions`.
+    """Keywords of :func:`quatprop.propagate`, beside those of :class:`RateOptions`."""
 
-    Parameters
-    ----------
-    method : str
-        Integration rule: ``"start"``, ``"end"``, ``"mean"``, ``"coning"`` or ``"cubic"``; see
-        :func:`quatprop.kinematics.increments.rotation_vectors`. By default ``"end"`` where samples
-        are averages or increments, else ``"start"``.
-    rates : str
-        Frame in which the rates are resolved: ``"body"`` (the default; steps multiply on the right)
-        or ``"inertial"`` (on the left).
-    q0 : sequence of float, str or path
-        Attitude body to reference at the first sample: four numbers in the order of `q0_layout`;
-        ``"level"``, roll and pitch from the accelerometer at rest; ``"log"``, the log's own
-        orientation; or an attitude series, a path or a topic of the log. By default the identity.
-    heading : float
-        For ``q0="level"``: rotation about the reference's z axis, deg.
-    reference_z : str
-        For ``q0="level"``: where that axis points, ``"up"`` (the default) or ``"down"``.
-    q0_layout : str
-        ``"scalar-first"`` (the default) or ``"scalar-last"``.
-    bias : sequence of float, str or path
-        Subtracted from the rates, in their unit (rad/s for rates in memory); or ``"static"``, the
-        mean rate over a rest of at least a second, or of DUR with ``"static:DUR"``, found in the
-        whole log; or a series of biases, a file (EuRoC's ground truth, PX4's estimator_sensor_bias)
-        or a topic of the log, interpolated in time.
-    calibration : path
-        Scale, misalignment and bias of the gyroscope: YAML or JSON with ``matrix``, 3x3, and
-        ``bias``, rad/s, applied as matrix (w - bias), or kalibr's file of an IMU. A bias given
-        beside it takes the place of its own.
-    mount : str or sequence
-        Sensor axes to body axes: signed axes such as ``"x,-y,-z"``, or a unit quaternion w, x, y, z
-        with v_body = m v_sensor m*; or ``"tf:FRAME"``, the axes of a frame by the log's own
-        ``/tf_static``, from the frame in the header of the rates.
-    start, end : str, int or datetime
-        The part of the log to use: RFC 3339 text, ns, a datetime with its zone, or relative to the
-        first (``"+10s"``) or the last sample (``"-30s"``).
-    on_backwards : str
-        Timestamps that go backwards: ``"error"`` (the default), ``"drop"`` or ``"sort"``.
-    on_nonfinite : str
-        Rates that are NaN or infinite: ``"error"`` (the default), ``"drop"`` or ``"hold"``.
-    max_gap : str, int or timedelta
-        Intervals longer than this count as gaps (text such as ``"20ms"``, or ns); by default 10
-        median intervals.
-    on_gap : str
-        ``"hold"`` (the default) propagates across a gap like over any interval, by the method,
-        ``"zero"`` takes the rate across as zero, ``"split"`` begins again at q0, ``"error"``
-        refuses gaps.
-    every : int
-        Keep every N-th attitude.
-    rate : float, Fraction or str
-        Attitudes at this rate, Hz, exact at those times under the method.
-    at : path
-        Attitudes at the stamps of this series, exact at those times.
-    threads : int
-        How many threads compute at a time, by default as many as there are cores; the result is
-        the same.
-    noise_density, bias_sigma, random_walk, scale_sigma : str or float
-        Standard deviations of the gyroscope's errors: its noise density (``"0.2deg/sqrt(h)"``, or
-        rad/s/sqrt(Hz)), constant bias (``"20deg/h"``, or rad/s), rate random walk
-        (``"3deg/h/sqrt(h)"``, or rad/s^2/sqrt(Hz)) and scale factors (``"1000ppm"``, or a ratio).
-        From them follows the uncertainty of the result, in its report.
-    imu : path
-        A file of Kalibr or of an Allan variance tool that states the first and the third.
-    sigma : bool
-        Give every attitude its covariance.
-    sigma_axes : str
-        For tables, the axes of the columns of standard deviations: ``"body"`` (the default) or
-        ``"reference"``.
-    """
-
-    start: Annotated[str | int | datetime | None, moment]
-    end: Annotated[str | int | datetime | None, moment]
-    method: Annotated[str | None, Choice(*METHODS)]
-    rates: Annotated[str | None, Choice(*FRAMES)]
-    q0: Annotated[str | PathLike[str] | Collection[float] | None, initial_attitude]
-    heading: Annotated[float | None, number]
-    reference_z: Annotated[str | None, Choice("up", "down")]
-    q0_layout: Annotated[str | None, Choice(*LAYOUTS)]
-    bias: Annotated[str | PathLike[str] | Collection[float] | None, bias]
-    calibration: Annotated[str | PathLike[str] | None, path]
-    mount: Annotated[str | Collection[float] | None, mounting]
-    on_backwards: Annotated[str | None, Choice("error", "drop", "sort")]
-    on_nonfinite: Annotated[str | None, Choice("error", "drop", "hold")]
-    max_gap: Annotated[str | int | timedelta | None, length]
-    on_gap: Annotated[str | None, Choice("hold", "zero", "split", "error")]
-    every: Annotated[int | None, count]
-    rate: Annotated[float | Fraction | str | None, frequency]
-    at: Annotated[str | PathLike[str] | None, path]
-    threads: Annotated[int | None, count]
-    noise_density: Annotated[
-        str | float | None, quantity_of(NOISE_DENSITIES, "a noise density", "0.2deg/sqrt(h)")
-    ]
-    bias_sigma: Annotated[str | float | None, quantity_of(RATES, "a rate", "20deg/h")]
-    random_walk: Annotated[
-        str | float | None, quantity_of(RATE_WALKS, "a rate random walk", "1e-5rad/s^2/sqrt(Hz)")
-    ]
-    scale_sigma: Annotated[str | float | None, quantity_of(RATIOS, "a ratio", "1000ppm or 0.1%")]
-    imu: Annotated[str | PathLike[str] | None, path]
-    sigma: Annotated[bool | None, flag]
-    sigma_axes: Annotated[str | None, Choice(*SIGMA_AXES)]
+    # fmt: off
+    start: Annotated[str | int | datetime | None, Keyword(
+        moment, "Use {log} from here: RFC 3339, ns, +10s from its first or -30s from its last "
+        "sample.", "all", "TIME", "Time range", common=True)]
+    end: Annotated[str | int | datetime | None, Keyword(
+        moment, f"Use {{log}} up to here; as {Setting('start')}.", "all", "TIME", "Time range",
+        common=True)]
+    method: Annotated[str | None, Keyword(
+        Choice(*METHODS), "Integration rule: the rate over an interval is that of the sample at "
+        "its start, of the one at its end, their mean, linear between them (coning), or a cubic "
+        "through four samples (cubic). Coning and cubic also correct averages and increments for "
+        "coning.", "start; end where the log's samples are averages or increments",
+        group="Integration", common=True)]
+    rates: Annotated[str | None, Keyword(
+        Choice(*FRAMES), "Frame the rates are resolved in: body multiplies right, inertial left.",
+        "body", group="Integration")]
+    q0: Annotated[str | PathLike[str] | Collection[float] | None, Keyword(
+        initial_attitude, "First attitude, body-to-ref: four numbers; level, roll and pitch from "
+        "gravity at rest; log, the orientation beside the rates; or FILE, an attitude series, or "
+        "TOPIC of the log, at that time.", "identity", "W,X,Y,Z|level|log|FILE|TOPIC", "Initial "
+        "attitude", common=True)]
+    heading: Annotated[float | None, Keyword(
+        number, f"For {Setting('q0', 'level')}: rotation about the reference's z axis, deg.", "0",
+        "DEG", "Initial attitude")]
+    reference_z: Annotated[str | None, Keyword(
+        Choice("up", "down"), f"For {Setting('q0', 'level')}: where the reference's z axis points "
+        f"(down for north-east-down).", "up", group="Initial attitude")]
+    q0_layout: Annotated[str | None, Keyword(
+        Choice(*LAYOUTS), f"Order of the four numbers of {Setting('q0')}.", "scalar-first",
+        group="Initial attitude")]
+    bias: Annotated[str | PathLike[str] | Collection[float] | None, Keyword(
+        bias, f"Subtracted from the rates; in {Setting('rate_unit')}. static takes the mean rate "
+        f"over a rest of at least DUR (1s), found in the whole log by rate, accelerometer and "
+        f"orientation; FILE or TOPIC is a series of biases, interpolated in time.",
+        takes="X,Y,Z|static[:DUR]|FILE|TOPIC", group="Rates", common=True)]
+    calibration: Annotated[str | PathLike[str] | None, Keyword(
+        path, "Scale, misalignment and bias of the gyroscope: YAML or JSON with matrix (3x3) and "
+        "bias (rad/s), applied as matrix (w - bias), or kalibr's file of an IMU.", takes="FILE",
+        group="Rates")]
+    mount: Annotated[str | Collection[float] | None, Keyword(
+        mounting, "Sensor axes to body axes: a quaternion with v_body = m v_sensor m*, the sensor "
+        "axes that become x, y and z, or those of a frame by the log's own /tf_static.", "the same",
+        "W,X,Y,Z|x,-y,-z|tf:FRAME", "Rates", common=True)]
+    on_backwards: Annotated[str | None, Keyword(
+        Choice("error", "drop", "sort"), "Timestamps that go backwards: refuse, drop until the "
+        "clock has caught up, or sort (holds the log in memory).", "error", group="Timestamps",
+        common=True)]
+    on_nonfinite: Annotated[str | None, Keyword(
+        Choice("error", "drop", "hold"), "Rates that are NaN or infinite: refuse, drop, or hold "
+        "the previous rate.", "error", group="Timestamps")]
+    max_gap: Annotated[str | int | timedelta | None, Keyword(
+        length, "Intervals longer than this count as gaps.", "10 median intervals", "DUR",
+        "Timestamps")]
+    on_gap: Annotated[str | None, Keyword(
+        Choice("hold", "zero", "split", "error"), f"What to do about gaps: hold propagates across "
+        f"like over any interval, by {Setting('method')}, and warns; zero takes the rate across as "
+        f"zero; split begins again at {Setting('q0')}; error refuses.", "hold", group="Timestamps",
+        common=True)]
+    every: Annotated[int | None, Keyword(
+        count, "Write every N-th attitude only.", "all", "N", "Output")]
+    rate: Annotated[float | Fraction | str | None, Keyword(
+        frequency, "Rate of the attitudes: exact at its times under the method.", "at the samples",
+        "HZ", "Output", common=True)]
+    at: Annotated[str | PathLike[str] | None, Keyword(
+        path, "Write attitudes at the stamps of this series of attitudes or rates, exact under the "
+        "method; times outside the log are left out.", "at the samples", "FILE", "Output")]
+    threads: Annotated[int | None, Keyword(
+        count, "Threads that compute at a time; the output is the same for any number.", "the "
+        "cores of this machine", "N", "Execution")]
+    noise_density: Annotated[str | float | None, Keyword(
+        quantity_of(NOISE_DENSITIES, "a noise density", "0.2deg/sqrt(h)"), "Noise of the gyroscope "
+        "(angle random walk), such as 0.2deg/sqrt(h) or 1.7e-4rad/s/sqrt(Hz), for the uncertainty "
+        "of the result.", f"by {Setting('imu')} or {Setting('bias', 'static')}", "X",
+        "Uncertainty")]
+    bias_sigma: Annotated[str | float | None, Keyword(
+        quantity_of(RATES, "a rate", "20deg/h"), "Standard deviation of its constant bias, such as "
+        "20deg/h; a bias instability counts as this.", f"by {Setting('bias', 'static')}, else 0",
+        "X", "Uncertainty")]
+    random_walk: Annotated[str | float | None, Keyword(
+        quantity_of(RATE_WALKS, "a rate random walk", "1e-5rad/s^2/sqrt(Hz)"), "Rate random walk "
+        "of its bias, such as 1e-5rad/s^2/sqrt(Hz) or 3deg/h/sqrt(h).", f"by {Setting('imu')}, "
+        f"else 0", "X", "Uncertainty")]
+    scale_sigma: Annotated[str | float | None, Keyword(
+        quantity_of(RATIOS, "a ratio", "1000ppm or 0.1%"), "Standard deviation of its scale "
+        "factors, such as 1000ppm or 0.1%.", "0", "X", "Uncertainty")]
+    imu: Annotated[str | PathLike[str] | None, Keyword(
+        path, "Noise density and random walk from a file: Kalibr's, or that of an Allan variance "
+        "tool.", takes="FILE.yaml", group="Uncertainty")]
+    sigma: Annotated[bool | None, Keyword(
+        flag, "Write the standard deviations of every attitude: columns sigma_x, sigma_y, sigma_z "
+        "in rad, covariances in messages that have them.", group="Output", common=True)]
+    sigma_axes: Annotated[str | None, Keyword(
+        Choice(*SIGMA_AXES), "Axes of those columns.", "body", group="Uncertainty")]
+    # fmt: on
 
 
-def parsers_of(options: type) -> Mapping[str, Parser]:
-    """Return the parser of each keyword of a class."""
-    return {name: hint.__metadata__[0] for name, hint in options.__annotations__.items()}
+READ_RATES = keywords_of(RateOptions)
+"""How rates are read: name -> its row."""
 
+ONE_SERIES = keywords_of(SeriesOptions)
+"""What has to be known of each series where several are read: name -> its row."""
 
-READ_RATES = parsers_of(RateOptions)
-"""How rates are read: setting -> its parser."""
-
-ONE_SERIES = parsers_of(SeriesOptions)
-"""What has to be known of each series where several are read: setting -> its parser."""
-
-READ_ATTITUDES = parsers_of(AttitudeOptions)
-"""How attitudes are read: setting -> its parser."""
+READ_ATTITUDES = keywords_of(AttitudeOptions)
+"""How attitudes are read: name -> its row."""
 
 CHECKS = {name: READ_ATTITUDES[name] for name in READ_ATTITUDES if name not in ONE_SERIES}
-"""How attitudes are checked, those of several series alike: setting -> its parser."""
+"""How attitudes are checked, those of several series alike: name -> its row."""
 
-PROPAGATE = parsers_of(PropagateOptions)
-"""Everything that determines the attitudes of a log, and how many threads compute them: setting
--> its parser."""
+PROPAGATE = keywords_of(PropagateOptions)
+"""Everything that determines the attitudes of a log, and how many threads compute them: name ->
+its row."""

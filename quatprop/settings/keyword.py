@@ -1,0 +1,87 @@
+"""A setting in one row: how its value is read, and what help, options and documents say of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, get_args
+
+from quatprop.settings.parsers import Choice
+from quatprop.text import Text
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from quatprop.settings.parsers import Parser
+
+PYTHON_TYPES = {
+    "PathLike": "path",
+    "Fraction": "float",
+    "Collection": "sequence",
+    "Sequence": "sequence",
+}
+"""What documents call types, where that is not their own name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Keyword:
+    """A keyword of the library, which is an option and a key of a suite too.
+
+    `parse`: reads its value
+    `says`: one or more sentences; settings in them are marks (:class:`quatprop.text.Setting`),
+        ``{log}`` is what the interface calls the input, ``{signal}`` what is read of it
+    `default`: what holds where it is not given
+    `takes`: what help calls the value; of a choice it lists the names
+    `group`: the heading in help
+    `common`: whether help shows it without being asked for all
+    """
+
+    parse: Parser
+    says: str
+    default: str = "none"
+    takes: str = ""
+    group: str = "Input"
+    common: bool = False
+
+    def __call__(self, value: object) -> Any:
+        """Return the value in the type that the program uses."""
+        return self.parse(value)
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """The names that it takes; none of other parsers."""
+        return self.parse.names if isinstance(self.parse, Choice) else ()
+
+
+def keywords_of(options: type) -> Mapping[str, Keyword]:
+    """Return the row of each keyword of a class, by name."""
+    return {name: hint.__metadata__[0] for name, hint in options.__annotations__.items()}
+
+
+def parameters(options: type, signal: str = "rates", log: str = "the log") -> str:
+    """Return the paragraphs of numpydoc about the keywords of a class, for a function's help."""
+    from textwrap import fill
+
+    lines = []
+    for name, hint in options.__annotations__.items():
+        keyword: Keyword = hint.__metadata__[0]
+        says = keyword.says
+        if keyword.choices:
+            says += f" One of {', '.join(map(repr, keyword.choices))}."
+        if keyword.default != "none" or "none" in keyword.choices:
+            says += f" By default: {keyword.default}."
+        said = str(Text(says.format(log=log, signal=signal)))
+        indent = " " * 4
+        lines.append(f"{name} : {_type(hint.__origin__)}")
+        lines.append(fill(said, 96, initial_indent=indent, subsequent_indent=indent))
+    return "\n".join(lines)
+
+
+def _type(hint: Any) -> str:
+    """Return what numpydoc calls a type: ``"str or float"``."""
+    names = [
+        getattr(one, "__name__", str(one))
+        for one in get_args(hint) or [hint]
+        if one is not type(None)
+    ]
+    *first, last = dict.fromkeys(PYTHON_TYPES.get(name, name) for name in names)
+    return f"{', '.join(first)} or {last}" if first else last
