@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -39,6 +39,7 @@ from quatprop.text import Setting, listed, plain, quoted
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
+    import re
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from quatprop.arrays import AnyArray, Float64, Int64
@@ -146,12 +147,17 @@ class TopicTable(Table):
     @cached_property
     def columns(self) -> list[Column]:
         """The numbers of fixed place; grows by those that are named."""
-        return [*_flattened(self.root)[0]]
+        return [*_flattened(self.root).columns]
 
     @property
     def parts(self) -> tuple[Part, ...]:
         """The structs of fixed place."""
-        return _flattened(self.root)[1]
+        return _flattened(self.root).parts
+
+    @cached_property
+    def matches(self) -> dict[object, list[tuple[int, re.Match[str]]]]:  # type: ignore[override]
+        """What was found in the columns of the definition."""
+        return _flattened(self.root).matches
 
     @cached_property
     def _numbers(self) -> dict[str, int]:
@@ -347,8 +353,16 @@ def as_rows(fields: list[AnyArray], places: Sequence[int] = ()) -> Float64:
         return rows
 
 
+class _Flat(NamedTuple):
+    """A definition as columns, and what was found in them."""
+
+    columns: tuple[Column, ...]
+    parts: tuple[Part, ...]
+    matches: dict[object, list[tuple[int, re.Match[str]]]]
+
+
 @lru_cache(maxsize=64)
-def _flattened(root: Struct) -> tuple[tuple[Column, ...], tuple[Part, ...]]:
+def _flattened(root: Struct) -> _Flat:
     """Return the numbers and the structs that every message has at a fixed place.
 
     Breadth first and bounded: types that double at every level have 2^50 leaves, and what is wanted
@@ -381,7 +395,7 @@ def _flattened(root: Struct) -> tuple[tuple[Column, ...], tuple[Part, ...]]:
         )
         for place, prefix, type_name in structs
     )
-    return tuple(column for _, column in leaves), tuple(parts)
+    return _Flat(tuple(column for _, column in leaves), tuple(parts), {})
 
 
 def _below(

@@ -42,6 +42,7 @@ class TransformTable(TopicTable):
     def __init__(self, log: MessageLog, channel: Channel) -> None:
         super().__init__(log, channel)
         self.columns = [*_COLUMNS]
+        self.matches = {}
 
     def columns_of(self, name: str) -> Group | None:
         """Return the columns that a field of an element consists of."""

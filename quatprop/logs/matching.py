@@ -90,23 +90,28 @@ class Match(NamedTuple):
 
 def marks_of(found: Found) -> Group:
     """Return the column that is -1 where a quantity is absent, if there is one."""
-    if not found.row.absent:
-        return ()
-    table = found.table
+    table, part = found.table, found.part
     name = re.sub(r"[.\[][^.\[]*$", "", table.columns[found.sets[0][0]].key)
-    fits = re.compile(re.escape(name) + found.row.absent).fullmatch
-    return tuple(k for k, column in enumerate(table.columns) if fits(column.key))[:1]
+    pattern = found.row.absent and re.escape(name[len(part.prefix) :]) + found.row.absent
+    return tuple(k for k, _ in matching(table, part, pattern)[:1])
 
 
-def matching(table: Table, part: Part, pattern: str) -> Iterator[tuple[int, re.Match[str]]]:
-    """Yield the columns of a part whose names fit a pattern, and how."""
-    fits = re.compile(pattern).fullmatch
-    for k in range(part.begin, part.end) if pattern else ():
-        column = table.columns[k]
-        for name in dict.fromkeys((column.key, column.text.strip())):
-            if match := fits(name[len(part.prefix) :]):
-                yield k, match
-                break
+def matching(table: Table, part: Part, pattern: str) -> Sequence[tuple[int, re.Match[str]]]:
+    """Return the columns of a part whose names fit a pattern, and how."""
+    key = (part, pattern)
+    if pattern and key not in table.matches:
+        fits = re.compile(pattern).fullmatch
+        begin = len(part.prefix)
+        table.matches[key] = [
+            (k, match)
+            for k, column in enumerate(table.columns[part.begin : part.end], part.begin)
+            for match in [
+                fits(column.key[begin:])
+                or (column.text != column.key and fits(column.text.strip()[begin:]))
+            ]
+            if match
+        ]
+    return table.matches[key] if pattern else ()
 
 
 def sets_of(table: Table, part: Part, components: Sequence[str], pattern: str) -> tuple[Group, ...]:

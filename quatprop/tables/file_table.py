@@ -41,6 +41,7 @@ class FileTable(Table):
         self.path = log.path
         self.kind = log.kind
         self.notes = log.notes
+        self.matches = {}
         self._columns = tuple(map(parse_name, log.columns()))
 
     @property

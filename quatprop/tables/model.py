@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 from quatprop.tables.base import TableNotes
 
 if TYPE_CHECKING:
+    import re
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from fractions import Fraction
     from pathlib import Path
@@ -119,11 +120,14 @@ class Table(ABC):
         Whether its columns are of message types; else their names are all that there is.
     is_secondary
         Whether it has the rows of another, main table.
+    matches
+        The columns whose names fit a pattern, once somebody has asked for them.
     """
 
     name: str
     type: str
     path: Path
+    matches: dict[object, list[tuple[int, re.Match[str]]]]
     kind = ""
     notes = TableNotes()
     log_clocks: tuple[str, ...] = ()
