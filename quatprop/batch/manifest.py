@@ -12,13 +12,15 @@ import io
 import json
 import os
 from contextlib import contextmanager, suppress
+from functools import partial
 from io import BufferedReader, FileIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard
 
 from quatprop import __version__
 from quatprop.containers.stores import is_address, objects_of, without_secret
 from quatprop.errors import StoreError
+from quatprop.guarded_text import ContentError, read_json
 from quatprop.provenance import as_json
 from quatprop.writers.atomic import OutputFile
 
@@ -98,6 +100,10 @@ class Manifest:
     ----------
     files
         The manifest and its table.
+    place
+        The manifest as it may be shown.
+    unused
+        Numbers of the lines that were no entries when they were last read.
     """
 
     NAME = "manifest.jsonl"
@@ -106,6 +112,7 @@ class Manifest:
         self._path = Path(folder, self.NAME)
         self._table = self._path.with_suffix(".parquet")
         self.files: tuple[str, ...] = (str(self._path), str(self._table))
+        self.place, self.unused = str(self._path), list[int]()
 
     def prepare(self) -> None:
         """Make the folder."""
@@ -118,11 +125,12 @@ class Manifest:
 
     def entries(self) -> dict[str, Mapping[str, Any]]:
         """Return the valid entry of each output, by its path in the folder."""
+        self.unused = []
         return {entry["output"]: entry for entry in self._read()}
 
     def _read(self) -> Iterator[Mapping[str, Any]]:
         with suppress(FileNotFoundError), self._path.open("rb") as stream:
-            yield from entries_in(stream)
+            yield from entries_in(stream, self.unused)
 
     def append(self, entry: ManifestEntry) -> None:
         """Append an entry."""
@@ -140,7 +148,7 @@ class Manifest:
         """
         with self._locked() as stream:
             lines = BufferedReader(stream)
-            entries = {entry["output"]: entry for entry in entries_in(lines)}
+            entries = {entry["output"]: entry for entry in entries_in(lines, [])}
             write_table((entry for _, entry in sorted(entries.items())), self._table)
 
     @contextmanager
@@ -155,13 +163,67 @@ class Manifest:
             yield stream
 
 
-def entries_in(lines: Iterable[bytes]) -> Iterator[Mapping[str, Any]]:
-    """Yield the entries of the lines of a manifest; a line that was cut is none."""
-    for line in lines:
-        with suppress(ValueError):
-            entry = json.loads(line)
-            if isinstance(entry, dict) and {"log", "output", "state"} <= entry.keys():
-                yield entry
+def entries_in(lines: Iterable[bytes], unused: list[int]) -> Iterator[Mapping[str, Any]]:
+    """Yield the entries of the lines of a manifest.
+
+    Parameters
+    ----------
+    lines
+        The lines.
+    unused
+        Where the numbers of lines go that are no entries, but for those that a kill has cut.
+    """
+    for number, line in enumerate(lines, 1):
+        try:
+            entry = read_json(line)
+        except ContentError:
+            entry = None
+        if _is_entry(entry):
+            yield entry
+        elif line.strip() and not (line.startswith(_BEGINNING) and line.rstrip()[-1:] != b"}"):
+            unused.append(number)
+
+
+_BEGINNING = b'{"state": '
+
+_MAX_COUNT = (1 << 63) - 1
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str)
+
+
+def _is_count(value: object) -> bool:
+    return type(value) is int and 0 <= value <= _MAX_COUNT
+
+
+def _is_number(value: object) -> bool:
+    return type(value) in {int, float}
+
+
+def _is_list(value: object, is_valid: Callable[[object], bool]) -> bool:
+    return isinstance(value, list) and all(map(is_valid, value))
+
+
+_IS_VALID: Mapping[str, Callable[[object], bool]] = {
+    **dict.fromkeys(ManifestEntry._fields, _is_text),
+    **dict.fromkeys(("samples", "rows", "log_bytes", "output_bytes"), _is_count),
+    **dict.fromkeys(("span_s", "sample_rate_hz", "seconds"), _is_number),
+    **dict.fromkeys(("remarks", "losses"), partial(_is_list, is_valid=_is_text)),
+    "final_wxyz": partial(_is_list, is_valid=_is_number),
+}
+"""Field of an entry -> whether a value in the manifest is valid."""
+
+
+def _is_entry(entry: object) -> TypeGuard[Mapping[str, Any]]:
+    """Return whether a line is what a batch writes; other versions may have other fields."""
+    return (
+        isinstance(entry, dict)
+        and all(isinstance(entry.get(name), str) for name in ("state", "log", "output"))
+        and all(
+            entry.get(name) is None or is_valid(entry[name]) for name, is_valid in _IS_VALID.items()
+        )
+    )
 
 
 def json_line(entry: ManifestEntry | Mapping[str, Any]) -> bytes:
