@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
-from quatprop.batch.manifest import Manifest, ManifestEntry, entries_in, json_line, write_table
+from quatprop.batch.entries import ManifestEntry, entries_in, json_line
+from quatprop.batch.manifest import Manifest, write_table
 from quatprop.containers.stores import below, is_address, list_objects, without_secret
 from quatprop.containers.transfers import get, put, upload
 
