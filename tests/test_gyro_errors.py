@@ -107,8 +107,11 @@ def test_files_of_kalibr_and_of_allan_variance_tools(tmp_path, text):
     ("content", "message"),
     [
         (None, "no such file or folder; check the path"),
-        (b"\xff\xfe", "it is neither YAML nor JSON"),
-        (b"a: [1", "it is neither YAML nor JSON"),
+        (b"\xff\xfe", "it is not UTF-8 text: byte 0"),
+        (
+            b"a: [1",
+            "it is neither YAML nor JSON: line 1: expected ',' or ']', but got '<stream end>'",
+        ),
         (b"- 1", "it holds no names with values"),
         (
             b"gyr_n: 1.0",
