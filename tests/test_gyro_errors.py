@@ -191,7 +191,7 @@ def test_the_series_has_its_covariance():
     series = noisy(2)
     result = propagate(series, sigma=True, noise_density=1e-3, scale_sigma="1%", method="cubic")
     errors = SensorErrors(noise_density=1e-3, scale_sigma=0.01)
-    expected = ErrorGrowth(errors).advance(series, result.wxyz)
+    expected = ErrorGrowth(errors, method="cubic").advance(series, result.wxyz)
     assert np.array_equal(result.covariance, expected)
     assert np.array_equal(result.sigma, np.sqrt(np.diagonal(expected, axis1=1, axis2=2)))
     uncertainty = result.report.uncertainty

@@ -177,6 +177,8 @@ class AttitudeStream:
             rates=settings.rates,
             times=self._times,
             errors=self._errors[0] if self._errors and self._needs_growth else None,
+            # Rates in the reference frame are not turned by the mounting.
+            mount=self._conditioned.mount if settings.rates == "body" else None,
         )
 
     def report(self, *, layout: str | None = None, digest: Digest | None = None) -> RunReport:
