@@ -28,6 +28,7 @@ RUNS = {
     "averages": {},
     "increments": {},
     "calibrated": {"calibration": "calibration.yaml"},
+    "gap holds": {"on_gap": "hold"},
     "gap is zero": {"on_gap": "zero"},
     "gap is zero, dense": {"on_gap": "zero", "rate": 333},
     "gap splits": {"on_gap": "split"},

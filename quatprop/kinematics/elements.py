@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from quatprop.kinematics.cubic import cross
+
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
 
@@ -43,6 +45,17 @@ def rotation_elements(wxyz: Float64) -> Float64:
         np.add(product, turn, out=elements[below])
         np.subtract(product, turn, out=elements[above])
     return elements
+
+
+def mean_on_the_way(turn: Float64, rotvec: Float64) -> Float64:
+    """Return the mean of R exp([v] s), s from 0 to 1, of R ``(9, n)`` and v ``(3, n)``, not 0."""
+    angle = np.sqrt((rotvec**2).sum(axis=0))
+    first, second = (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    rows = []
+    for row in (turn[:3], turn[3:6], turn[6:]):
+        once = cross(row, rotvec)
+        rows.append(row + first * once + second * cross(once, rotvec))
+    return np.concatenate(rows)
 
 
 def rotate_covariance(elements: Float64, turn: Float64, out: Float64) -> None:

@@ -20,6 +20,7 @@ axes, and R P R' that about reference axes.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ import numpy as np
 from quatprop.kinematics.elements import (
     DIAGONAL,
     TRANSPOSED,
+    mean_on_the_way,
     rotate_covariance,
     rotated,
     rotation_elements,
@@ -45,6 +47,10 @@ if TYPE_CHECKING:
 
 TILE: Final = 8192
 """Samples computed together, from fixed sample indices: few enough for the caches."""
+
+LARGE_ANGLE: Final = 0.1
+"""rad: over an interval in which the body rotates further, R is integrated by its rotation, not as
+the mean of both ends; the mean is off by the square of the angle / 12."""
 
 
 class SensorErrors(NamedTuple):
@@ -76,12 +82,11 @@ class ErrorGrowth:
     errors
         Of the gyroscope.
     rates
-        ``"body"`` or ``"inertial"``: the axes in which rates, and so their errors, are resolved.
+        ``"body"`` or ``"inertial"``: the axes in which rates and their errors are resolved.
     method
         The integration rule: which samples a scale factor acts on in an interval.
     mount
-        Sensor axes to body axes, shape ``(3, 3)``: scale factors belong to the sensor's axes. None
-        where they are those of the rates.
+        Sensor axes to body axes, shape ``(3, 3)``, for scale factors; None where they are the same.
 
     Attributes
     ----------
@@ -112,7 +117,8 @@ class ErrorGrowth:
         self._is_after_gap = not restart
         if not restart:
             return
-        self._first_ns: np.int64 | None = None
+        self._first_ns = np.int64(0)
+        self._last_ns: np.int64 | None = None
         self._integrated_ns = np.int64(0)
         self._previous: tuple[GyroSeries, Float64] | None = None
         self._sums = {
@@ -141,9 +147,10 @@ class ErrorGrowth:
         """
         self._rows = slice(-1, None) if to_end else slice(None)
         covariance = np.zeros((3, 3, 1 if to_end else len(gyro)))
-        if self._first_ns is None:
+        if self._last_ns is None:
             self._first_ns = self._last_ns = gyro.t_ns[0]
-        spans_ns = self._spans_ns(gyro)
+        spans_ns = self._spans_ns(gyro, self._last_ns)
+        self._last_ns = gyro.t_ns[-1]
         # The covariance of noise is the same in all axes.
         integrated_ns = self._integrated_ns + np.cumsum(spans_ns)
         self._integrated_ns = integrated_ns[-1]
@@ -155,8 +162,7 @@ class ErrorGrowth:
                 turn = rotation_elements(wxyz[tile])
                 if self._inertial:
                     turn = turn[TRANSPOSED, :]
-                time_s = (gyro.t_ns[tile] - self._first_ns) / NS_PER_S
-                fixed = self._fixed(gyro[tile], turn, spans_ns[tile] / NS_PER_S, time_s)
+                fixed = self._fixed(gyro[tile], turn, spans_ns[tile] / NS_PER_S)
                 out = covariance if to_end else covariance[..., tile]
                 if self._inertial:
                     write_covariance(fixed, out=out)
@@ -167,17 +173,16 @@ class ErrorGrowth:
         self.final = covariance[..., -1].copy()
         return np.moveaxis(covariance, -1, 0)
 
-    def _spans_ns(self, gyro: GyroSeries) -> Int64:
+    def _spans_ns(self, gyro: GyroSeries, last_ns: np.int64) -> Int64:
         """Return over how much time the interval that ends at each sample is integrated, ns."""
-        spans_ns = np.diff(gyro.t_ns, prepend=self._last_ns)
-        self._last_ns = gyro.t_ns[-1]
+        spans_ns = np.diff(gyro.t_ns, prepend=last_ns)
         if gyro.span_ns is not None:
             spans_ns = np.where(spans_ns > 0, gyro.span_ns, 0)
         if self._is_after_gap:
             spans_ns[0], self._is_after_gap = 0, False
         return spans_ns
 
-    def _fixed(self, gyro: GyroSeries, turn: Float64, span: Float64, time_s: Float64) -> Float64:
+    def _fixed(self, gyro: GyroSeries, turn: Float64, span: Float64) -> Float64:
         """Return the covariance ``(6, n)`` where it is a sum of integrals, but for noise.
 
         That is about reference axes for body rates, and about body axes for inertial ones.
@@ -187,26 +192,29 @@ class ErrorGrowth:
             self._previous = gyro[:1], turn[:, :1]
         last, last_turn = self._previous
         self._previous = gyro[-1:], turn[:, -1:].copy()
-        errors = self._errors
         # The integral of R over the interval that ends at each sample.
         step = _with_previous(turn, last_turn)
         step *= span / 2
+        # A bound of all angles: whether one of them is large does not depend on the others.
+        extremes = [edge(one.rate) for one in (gyro, last) for edge in (np.max, np.min)]
+        if math.sqrt(3) * np.abs(extremes).max() * span.max() > LARGE_ANGLE:
+            rotvec = self._rate(gyro, last) * (-span if self._inertial else span)
+            large = np.flatnonzero((rotvec**2).sum(axis=0) > LARGE_ANGLE**2)
+            begin = np.where(large > 0, turn[:, large - 1], last_turn)
+            step[:, large] = mean_on_the_way(begin, rotvec[:, large]) * span[large]
         fixed = np.zeros((6, 1 if rows.start else len(gyro)))
-        if errors.scale_sigma:
-            rate = errors.scale_sigma * self._rate(gyro, last)
-            columns = step
-            if self._mount is not None:
-                rate = rotated(rate, self._mount)
-                columns = np.concatenate(
-                    [rotated(step[row : row + 3], self._mount) for row in (0, 3, 6)]
-                )
-            g = self._sum("G", (columns.reshape(3, 3, -1) * rate).reshape(9, -1))[:, rows]
+        if (scale := self._errors.scale_sigma) != 0:
+            rate = scale * self._rate(gyro, last)
+            rows_of_step = step.reshape(3, 3, -1)
+            if (mount := self._mount) is not None:
+                rate = rotated(rate, mount)
+                rows_of_step = np.stack([rotated(row, mount) for row in rows_of_step])
+            g = self._sum("G", (rows_of_step * rate).reshape(9, -1))[:, rows]
             square = symmetric_product(g, g)
             self.variances["scale_sigma"] = trace(square)
             fixed += square
-        if errors.bias_sigma or errors.random_walk:
-            h = np.diff(gyro.t_ns, prepend=last.t_ns) / NS_PER_S
-            fixed += self._of_bias(step, time_s, h, span)
+        if self._errors.bias_sigma or self._errors.random_walk:
+            fixed += self._of_bias(step, span, gyro.t_ns, last.t_ns)
         return fixed
 
     def _rate(self, gyro: GyroSeries, last: GyroSeries) -> Float64:
@@ -221,7 +229,7 @@ class ErrorGrowth:
         mean /= 2
         return mean
 
-    def _of_bias(self, step: Float64, time_s: Float64, h: Float64, span: Float64) -> Float64:
+    def _of_bias(self, step: Float64, span: Float64, t_ns: Int64, last_ns: Int64) -> Float64:
         """Return what the bias and its random walk contribute."""
         rows, bias, walk = self._rows, self._errors.bias_sigma**2, self._errors.random_walk**2
         before = self._sums["S"]
@@ -230,6 +238,8 @@ class ErrorGrowth:
         if not walk:
             s = s[:, rows]
             return bias * symmetric_product(s, s)
+        h = np.diff(t_ns, prepend=last_ns) / NS_PER_S
+        time_s = (t_ns[rows] - self._first_ns) / NS_PER_S
         twice = _with_previous(s, before[:, None])
         # S is linear within an interval: the integral of its square is that of the middle, and
         # that of the deviation from it, R being orthogonal.
@@ -241,7 +251,7 @@ class ErrorGrowth:
         b = self._sum("B", square)[:, rows]
         s = s[:, rows]
         # b^2 S S' + K^2 (t S S' - S A' - A S') = S C' + C S'
-        c = s * ((bias + walk * time_s[rows]) / 2)
+        c = s * ((bias + walk * time_s) / 2)
         c -= walk * a
         total = symmetric_product(s, c)
         total *= 2
