@@ -234,7 +234,7 @@ def _look_ahead(
     from quatprop.conditioning.static_detection import find_rest
 
     cells = cells_of(((batch.t_ns, batch.rate) for batch in read()), settings.static_ns // 2 or 1)
-    rest = find_rest(cells, inputs, settings.static_ns)
+    rest = find_rest(cells, inputs, settings.static_ns, settings.rates)
     return rest.searched_first_ns, rest.searched_last_ns, rest
 
 

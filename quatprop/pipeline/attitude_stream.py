@@ -86,7 +86,9 @@ class AttitudeStream:
         self._observer, self._sensitivity, self._rate = observer, sensitivity, rate
         self._rows = 0
         # First, since the beginning of the log may be kept until it is read for good.
-        self._log_remarks = [] if log is None or path == "-" else log_remarks(log, source)
+        self._log_remarks = (
+            [] if log is None or path == "-" else log_remarks(log, source, settings.rates)
+        )
         self._batches, self._conditioned = condition(
             source.batches,
             settings.conditioning,
@@ -177,6 +179,8 @@ class AttitudeStream:
             rates=settings.rates,
             times=self._times,
             errors=self._errors[0] if self._errors and self._needs_growth else None,
+            # Rates in the reference frame are not turned by the mounting.
+            mount=self._conditioned.mount if settings.rates == "body" else None,
         )
 
     def report(self, *, layout: str | None = None, digest: Digest | None = None) -> RunReport:
