@@ -134,6 +134,11 @@ class Listed:
     def __len__(self) -> int:
         return len(self._t_ns)
 
+    def count_outside(self, first_ns: int, last_ns: int) -> int:
+        """Return how many of the times are before or after a range."""
+        first = int(np.searchsorted(self._t_ns, first_ns))
+        return len(self) - int(np.searchsorted(self._t_ns, last_ns, side="right")) + first
+
     def up_to(self, first_ns: int, last_ns: int) -> Iterator[Int64]:
         """Yield the next times, as :meth:`Steady.up_to` does."""
         first = max(self._next, int(np.searchsorted(self._t_ns, first_ns)))
@@ -207,16 +212,20 @@ def at_times(
 def _with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64) -> AttitudeSeries:
     """Return attitudes between known ones, with what those have beside them.
 
-    Rates are taken as linear in time, and so are covariances in reference axes.
+    Rates are taken as linear in time, and so are covariances in reference axes. What is between two
+    samples is recorded as long after the first as it is, but not after the second.
     """
-    if known.covariance is None and known.rate is None:
+    if known.covariance is None and known.rate is None and known.log_ns is None:
         return AttitudeSeries(wanted, wxyz)
     before = np.searchsorted(known.t_ns, wanted, side="right") - 1
     after = np.minimum(before + 1, len(known) - 1)
     interval = known.t_ns[after] - known.t_ns[before]
     elapsed = wanted - known.t_ns[before]
     fraction = np.divide(elapsed, interval, out=np.zeros(len(wanted)), where=interval > 0)
-    covariance = rate = None
+    covariance = rate = log_ns = None
+    if known.log_ns is not None:
+        recorded, latest = known.log_ns[before], np.maximum(*known.log_ns[[before, after]])
+        log_ns = np.minimum(recorded + elapsed, latest)
     if known.covariance is not None:
         first, second = (
             reference_covariance(known.wxyz[index], known.covariance[index])
@@ -227,7 +236,7 @@ def _with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64) -> Attitu
     if known.rate is not None:
         first, second = known.rate[before], known.rate[after]
         rate = first + fraction[:, None] * (second - first)
-    return AttitudeSeries(wanted, wxyz, covariance=covariance, rate=rate)
+    return AttitudeSeries(wanted, wxyz, covariance=covariance, rate=rate, log_ns=log_ns)
 
 
 def _curvature(gyro: GyroSeries, method: str, gap_limit_ns: int | None) -> Curvature | None:
