@@ -4,6 +4,7 @@ Written from the documentation, with SciPy's rotations, sample by sample. Nothin
 used.
 """
 
+from bisect import bisect_left
 from fractions import Fraction
 from itertools import pairwise
 from math import radians
@@ -35,10 +36,12 @@ def propagated(raw, options):
     """
     mount = mounting(options.get("mount"))
     matrix, own_bias = options.get("calibration", (np.eye(3), (0, 0, 0)))
-    rate = (raw["w"] - np.array(options.get("bias", own_bias))) @ matrix.T
+    rows, rate = used(raw["t"], raw["w"], options)
+    t = raw["t"][rows]
+    bias = np.broadcast_to(options.get("bias", own_bias), raw["w"].shape)
+    rate = (rate - bias[rows]) @ matrix.T
     if options.get("rates", "body") == "body":
         rate = mount.apply(rate)
-    t, rate = used(raw["t"], rate, options)
     q0 = initial(raw, options, int(t[0]), mount).as_matrix()
     steps = np.diff(t)
     limit = options.get("max_gap", 10 * int(np.median(steps[steps > 0])))
@@ -76,34 +79,77 @@ def mounting(text):
 
 
 def used(t, rate, options):
-    """Return the samples that the part and the policies leave."""
-    inside = np.ones(len(t), dtype=bool)
+    """Return the rows that the policies and the part leave, in the order of use, and their rates.
+
+    First what goes backwards, then the part, then what is not finite.
+    """
+    rows = ordered(t, options)
+    latest = t[rows].max()
     for name, sign in (("start", 1), ("end", -1)):
         if name in options:
-            inside &= sign * (t - instant(options[name], t)) >= 0
-    t, rate = t[inside], rate[inside].copy()
-    finite = np.isfinite(rate).all(axis=1)
-    if options.get("on_nonfinite") == "drop":
-        t, rate = t[finite], rate[finite]
-    elif options.get("on_nonfinite") == "hold":
-        for k in np.flatnonzero(~finite):
-            rate[k] = rate[k - 1]
+            at = instant(options[name], int(t[rows[0]]), int(latest))
+            rows = [row for row in rows if sign * (int(t[row]) - at) >= 0]
+    rates, last = {}, None
+    for row in rows:
+        if np.isfinite(rate[row]).all():
+            rates[row] = last = rate[row]
+        elif options.get("on_nonfinite") == "hold":
+            rates[row] = last
+    rows = [row for row in rows if row in rates]
+    return np.array(rows, int), np.array([rates[row] for row in rows]).reshape(-1, 3)
+
+
+def ordered(t, options):
+    """Return the rows that --on-backwards leaves, in the order of use."""
+    stamps, ahead = t.tolist(), outliers(t.tolist())
+    kept = [row for row in range(len(t)) if row not in ahead]
     if options.get("on_backwards") == "sort":
-        order = np.argsort(t, kind="stable")
-    else:
-        order, latest = [], t[0]
-        for k, stamp in enumerate(t):
-            if stamp >= latest:
-                order.append(k)
-                latest = stamp
-    return t[order], rate[order]
+        others = sorted(stamps[row] for row in kept)
+        intervals = [b - a for a, b in pairwise(others) if b > a]
+        for row in ahead:
+            after = bisect_left(others, stamps[row])
+            inside = 0 < after < len(others)
+            if inside and others[after] - others[after - 1] > 1.5 * np.median(intervals):
+                kept.append(row)
+        return sorted(sorted(kept), key=stamps.__getitem__)
+    rows = kept[:1]
+    for row in kept[1:]:
+        if stamps[row] >= stamps[rows[-1]]:
+            rows.append(row)
+    return rows
 
 
-def instant(value, t):
+def outliers(t):
+    """Return the rows whose stamps jump ahead, which the next ones contradict."""
+    found = set()
+    for j in range(1, len(t)):
+        if t[j] >= t[j - 1]:
+            continue
+        following = sorted(t[j : j + 8])
+        middle = following[(len(following) - 1) // 2]
+        k = j
+        while k > 0 and t[k - 1] > middle:
+            k -= 1
+        run = j - k
+        if not 0 < run <= 32:
+            continue
+        before = t[k - 1] if k else middle
+        following = t[j : j + max(run + 1, 8)]
+        back = [s for s in following if s <= before or s - before < t[k] - s]
+        contradicts = t[j] in back and 2 * len(back) > len(following)
+        enough = len(back) >= run if k else len(back) > run
+        span = max(max(back, default=before) - before, 0)
+        far = 10 * span < (t[k] - before) * len(back) and (span > 0 or len(back) >= 8)
+        if contradicts and enough and far:
+            found.update(range(k, j))
+    return found
+
+
+def instant(value, first, last):
     """Return an instant on the clock of the log: ns, or from an end of the log such as +200ms."""
     if isinstance(value, int):
         return value
-    return (t.min() if value[0] == "+" else t.max()) + int(value.removesuffix("ms")) * NS // 1000
+    return (first if value[0] == "+" else last) + int(value.removesuffix("ms")) * NS // 1000
 
 
 def initial(raw, options, t0, mount):

@@ -499,7 +499,7 @@ def test_attitudes_at_the_stamps_of_another_series(log, tmp_path):
         other.write_text("\n".join([header, *rows]) + "\n")
         result = run("propagate", log, "-o", out, "--at", other)
         assert result.exit_code == 0, result.output
-        assert "2 of the 5 times asked for with --at are outside the log, so they" in result.stderr
+        assert "2 of the 5 times asked for with --at have no attitude: 2 outside" in result.stderr
         rows = [row.split(",") for row in out.read_text().splitlines()[1:]]
         assert [row[0] for row in rows] == ["0", "123456789", "1000000000"]
         half = 0.123456789 / 2

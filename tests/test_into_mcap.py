@@ -6,7 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from into_logs import BOOT, RATE, START, moments, run, write_mcap
+from into_logs import BOOT, RATE, START, moments, run, write_bag, write_mcap
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, IndexType
@@ -409,3 +409,42 @@ def test_log_times_hold_no_more_than_is_needed():
     finally:
         tracemalloc.stop()
     assert peak < batches * size * 16 / 2
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+@pytest.mark.parametrize("more", [(), ("--rate", "50"), ("--every", "3")])
+def test_sorted_attitudes_have_the_log_times_of_their_messages(kind, more, tmp_path):
+    """They had those of other messages, where stamps did not rise with log times."""
+    random = np.random.default_rng(4)
+    stamps = BOOT + np.arange(100) * 10_000_000
+    stamps += random.integers(-30_000_000, 30_000_000, 100)
+    stamps[40] = stamps[41]  # two messages of one stamp
+    logged = START + np.arange(100) * 10_000_000
+    log, out = tmp_path / f"log.{kind}", tmp_path / f"out.{kind}"
+    times = zip(stamps.tolist(), logged.tolist(), strict=True)
+    (write_mcap if kind == "mcap" else write_bag)(log, times=list(times))
+    result = run("propagate", log, "--into", out, "--on-backwards", "sort", "-q", *more)
+    assert result.exit_code == 0, result.output
+    with AnyReader([out]) as reader:
+        found = sorted(
+            (stamp.sec * 10**9 + stamp.nanosec, at)
+            for connection, at, data in reader.messages()
+            if connection.topic == "/attitude"
+            for stamp in [reader.deserialize(data, connection.msgtype).header.stamp]
+        )
+    pairs = sorted(zip(stamps.tolist(), logged.tolist(), strict=True))
+    if not more:
+        assert found == pairs
+    elif more[0] == "--every":
+        assert found == pairs[::3]
+    else:
+        known = dict(pairs)
+        assert all(at in {known.get(stamp), at} for stamp, at in found)
+        assert len(found) > 40
+
+
+def test_messages_of_one_stamp_keep_their_own_log_times(tmp_path):
+    """The second had the log time of the first."""
+    times = [(BOOT + k // 2 * 10_000_000, START + k * 10_000_000) for k in range(20)]
+    out = added(write_mcap(tmp_path / "log.mcap", times=times))
+    assert [(stamp, logged) for logged, stamp, _ in attitudes(out)] == times

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from mcap.writer import Writer as McapWriter
-from options_reference import NS, propagated
+from options_reference import NS, ordered, propagated
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
@@ -188,6 +188,7 @@ def test_options_together(seed, files, tmp_path):
         rest = series.report.conditioning.rest
         inside = (raw["t"] >= rest.first_ns) & (raw["t"] <= rest.last_ns)
         inside &= np.isfinite(raw["w"]).all(axis=1)
+        inside &= np.isin(np.arange(len(inside)), ordered(raw["t"], options))
         expected["bias"] = raw["w"][inside].mean(axis=0)
         assert BEGIN_NS < rest.first_ns < rest.last_ns < raw["t"][RESTING + 5]
     t, attitudes = propagated(raw, expected)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Int64
     from quatprop.containers.base import Log, MessageLog
+    from quatprop.series import AttitudeSeries
     from quatprop.tables.base import AnyLog
 
     Stamps = Callable[[], Iterator[tuple[Int64, Int64]]]
@@ -101,8 +102,8 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
     target
         Where the copy goes.
     stamps
-        Yields the stamps of the messages that the attitudes come from, and when
-        they were logged: an attitude is logged when its message was.
+        Yields the stamps of the messages that the attitudes come from, and when they were logged,
+        for attitudes that do not say it themselves: an attitude is logged when its message was.
     layout, comment, message, sigma, beside
         As for :func:`quatprop.writers.open_writer`.
 
@@ -133,7 +134,12 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
         )
     module, _, name = COPIERS[log.kind][1].partition(":")
     container = getattr(import_module(f"quatprop.into.{module}"), name)(log, target, message)
-    return attitude_messages(container, container.encoder, target, LogTimes(stamps()).at)
+    times = LogTimes(stamps())
+
+    def log_times(series: AttitudeSeries) -> Int64:
+        return times.at(series.t_ns) if series.log_ns is None else series.log_ns
+
+    return attitude_messages(container, container.encoder, target, log_times)
 
 
 class LogTimes:

@@ -137,6 +137,11 @@ class Listed:
     def __len__(self) -> int:
         return len(self._t_ns)
 
+    def count_outside(self, first_ns: int, last_ns: int) -> int:
+        """Return how many of the times are before or after a range."""
+        first = int(np.searchsorted(self._t_ns, first_ns))
+        return len(self) - int(np.searchsorted(self._t_ns, last_ns, side="right")) + first
+
     def up_to(self, first_ns: int, last_ns: int) -> Iterator[Int64]:
         """Yield the next times, as :meth:`Steady.up_to` does."""
         first = max(self._next, int(np.searchsorted(self._t_ns, first_ns)))
@@ -213,9 +218,10 @@ def _with_columns(
     """Return attitudes between known ones, with what those have beside them.
 
     Rates are taken as linear in time in the axes in which they are resolved, and covariances in
-    the others, where they are sums of integrals.
+    the others, where they are sums of integrals. What is between two
+    samples is recorded as long after the first as it is, but not after the second.
     """
-    if known.covariance is None and known.rate is None:
+    if known.covariance is None and known.rate is None and known.log_ns is None:
         return AttitudeSeries(wanted, wxyz)
     before = np.searchsorted(known.t_ns, wanted, side="right") - 1
     after = np.minimum(before + 1, len(known) - 1)
@@ -232,12 +238,15 @@ def _with_columns(
         result = first + part * (second - first)
         return result if turn is None else turn(conjugate(wxyz), result)
 
-    covariance = rate = None
+    covariance = rate = log_ns = None
+    if known.log_ns is not None:
+        recorded, latest = known.log_ns[before], np.maximum(*known.log_ns[[before, after]])
+        log_ns = np.minimum(recorded + elapsed, latest)
     if known.covariance is not None:
         covariance = between(known.covariance, None if inertial else reference_covariance)
     if known.rate is not None:
         rate = between(known.rate, rotate if inertial else None)
-    return AttitudeSeries(wanted, wxyz, covariance=covariance, rate=rate)
+    return AttitudeSeries(wanted, wxyz, covariance=covariance, rate=rate, log_ns=log_ns)
 
 
 def _curvature(gyro: GyroSeries, method: str, gap_limit_ns: int | None) -> Curvature | None:

@@ -9,6 +9,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.containers.kept_blocks import beginnings_kept
 from quatprop.containers.stores import digest_of_object, is_address
@@ -18,6 +20,7 @@ from quatprop.pipeline.attitude_stream import AttitudeStream
 from quatprop.pipeline.report import ReportFile, RunReport, digests_of_inputs
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.provenance import digest_ahead
+from quatprop.series import AttitudeSeries
 from quatprop.signals.rates import choose_rates
 from quatprop.text import Setting
 from quatprop.writers import open_writer
@@ -25,7 +28,7 @@ from quatprop.writers.formats import format_remarks, layout_of
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from quatprop.arrays import Int64
     from quatprop.pipeline.attitude_stream import Observer
@@ -92,6 +95,8 @@ def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> 
         job = job._replace(output=output)
         with beginnings_kept(log):
             source = choose_rates(log, settings.selection)
+            if output.into:
+                source = source.with_log_times()
             stream = AttitudeStream(
                 job.log,
                 source,
@@ -126,7 +131,8 @@ def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: AnyL
         digest_ahead(job.log, hashed=output.keeps_report and stream.reads_all) as digest,
         closing(in_background(stream)) as attitudes,
     ):
-        for series in attitudes:
+        is_sorted = job.settings.policy.on_backwards == "sort"
+        for series in _as_logged(attitudes) if output.into and is_sorted else attitudes:
             writer.write(series)
         report = stream.report(layout=output.layout, digest=stored or digest())
     return replace(
@@ -135,6 +141,14 @@ def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: AnyL
         files=digests_of_inputs(job.settings.inputs, log) if output.keeps_report else {},
         remarks=(*report.remarks, *format_remarks(output.path, output.to)),
     )
+
+
+def _as_logged(attitudes: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
+    """Yield sorted attitudes in the order in which their messages were logged, all at once."""
+    parts = list(attitudes)
+    if parts:
+        series = AttitudeSeries.joined(parts)
+        yield series if series.log_ns is None else series[np.argsort(series.log_ns, kind="stable")]
 
 
 def with_format(output: OutputSettings, log: AnyLog) -> OutputSettings:

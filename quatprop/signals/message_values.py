@@ -175,11 +175,17 @@ def stamps_of(rows: Iterable[Columns]) -> Iterator[tuple[Int64, Int64]]:
         yield columns.values[0], columns.log_ns
 
 
-def series_of(rows: Iterable[Columns], *, averages: bool) -> Iterator[GyroSeries]:
-    """Yield rates, rad/s, of rows whose values are their stamps, the rates, and their spans."""
+def series_of(
+    rows: Iterable[Columns], *, averages: bool, logged: bool = False
+) -> Iterator[GyroSeries]:
+    """Yield rates, rad/s, of rows whose values are their stamps, the rates, and their spans.
+
+    With their log times, if those are asked for.
+    """
     for columns in rows:
         t_ns, rate, *spans = columns.values
-        yield GyroSeries(t_ns, rate, spans[0] if spans else None, averages)
+        log_ns = columns.log_ns if logged else None
+        yield GyroSeries(t_ns, rate, spans[0] if spans else None, averages, log_ns)
 
 
 def logged_values(

@@ -188,6 +188,7 @@ def _of_field(
         remarks=(*_remarks(channel, field, selection.rate_unit), *clock.remarks),
         stamps=lambda: stamps_of(rows()),
         batches=batches,
+        logged_batches=lambda: series_of(rows(), averages=averages, logged=True),
         rows=rows,
         unit=unit,
         method=field.method,

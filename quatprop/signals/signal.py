@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from quatprop.errors import LogError
@@ -82,6 +82,8 @@ class RateSignal(Signal):
     rows
         Reads the samples of messages with their log times: their values are the arguments of
         :class:`quatprop.series.GyroSeries`; nothing for a table.
+    logged_batches
+        Reads the samples of messages as series that have their log times; None for a table.
     """
 
     batches: Callable[[], Iterator[GyroSeries]]
@@ -90,6 +92,13 @@ class RateSignal(Signal):
     increments: bool = False
     part_reader: Callable[[], PartReader | None] = no_parts
     rows: Callable[[], Iterator[Columns]] = lambda: iter(())
+    logged_batches: Callable[[], Iterator[GyroSeries]] | None = None
+
+    def with_log_times(self) -> RateSignal:
+        """Return the same rates with the log times of their messages, read as a whole."""
+        if self.logged_batches is None:
+            return self
+        return replace(self, batches=self.logged_batches, part_reader=no_parts)
 
     @property
     def samples(self) -> str:
