@@ -11,10 +11,10 @@ import numpy as np
 import zstandard
 
 MAGIC = b"\x89MCAP0\r\n"
-COUNT, CHUNKS = 200, 4
-T_NS = 1_700_000_000 * 10**9 + 10_000_000 * np.arange(COUNT)
-RATES = np.stack([np.arange(1.0, COUNT + 1), np.zeros(COUNT), np.zeros(COUNT)], axis=1)
-"""What each file has on ``/imu``: all other topics hold nothing that can be read as rates."""
+COUNT, MOST, CHUNKS = 200, 6000, 4
+T_NS = 1_700_000_000 * 10**9 + 10_000_000 * np.arange(MOST)
+RATES = np.stack([np.arange(1.0, MOST + 1), np.zeros(MOST), np.zeros(MOST)], axis=1)
+"""What files begin with on ``/imu``: all other topics hold nothing that can be read as rates."""
 
 MESSAGE, CHUNK, ATTACHMENT = 5, 6, 9
 NAMES = {
@@ -130,6 +130,7 @@ def message_index(channel, rows):
 def mcap(  # noqa: PLR0913  # each part of a file can be missing
     compression="zstd",
     *,
+    count=COUNT,
     closed=True,
     summary=True,
     statistics=True,
@@ -140,12 +141,14 @@ def mcap(  # noqa: PLR0913  # each part of a file can be missing
     has_data_crc=False,
     attached=b"",
 ):
-    """Return a file of 200 samples in four chunks.
+    """Return a file of samples in four chunks.
 
     Parameters
     ----------
     compression
         Of its chunks.
+    count
+        How many samples it has.
     closed
         Whether it has data end, summary and footer.
     summary, statistics, chunk_indexes, message_indexes
@@ -164,7 +167,7 @@ def mcap(  # noqa: PLR0913  # each part of a file can be missing
     indexes, counts = [], {1: 0, 2: 0}
     attachment_index = b""
     for number in range(CHUNKS):
-        some = list(messages(number * COUNT // CHUNKS, (number + 1) * COUNT // CHUNKS))
+        some = list(messages(number * count // CHUNKS, (number + 1) * count // CHUNKS))
         for channel, _, _ in some:
             counts[channel] += 1
         start = len(out)
@@ -206,7 +209,7 @@ def mcap(  # noqa: PLR0913  # each part of a file can be missing
         if statistics:
             head = struct.pack(
                 "<QHIIIIQQ", sum(counts.values()), 2, 2, bool(attached), 0, len(indexes),
-                int(T_NS[0]), int(T_NS[-1]),
+                int(T_NS[0]), int(T_NS[count - 1]),
             )  # fmt: skip
             end += record(11, head + text(struct.pack("<HQHQ", 1, counts[1], 2, counts[2])))
         end += b"".join(indexes) * chunk_indexes + attachment_index

@@ -22,14 +22,13 @@ from quatprop.containers.mcap.walk import walk_records
 from quatprop.errors import UnsupportedLogError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     import numpy as np
     from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageBlock
     from quatprop.containers.file_source import FileSource
-    from quatprop.containers.loading import ChunkGroup
     from quatprop.containers.mcap.messages import LocatedMessages
     from quatprop.containers.mcap.redefinitions import DefinitionCheck
 
@@ -90,10 +89,10 @@ class McapReader(ChunkReader[Region, Loaded]):
     def _is_read_in_part(self, chunk: Region) -> bool:
         return chunk.is_uncompressed and chunk.length >= LARGE and self.is_mixed(chunk)
 
-    def whole(self, chunk: Region, into: Bytes | None = None) -> Loaded:
+    def whole(self, chunk: Region) -> Loaded:
         """Return the records of a region."""
         try:
-            return load(self.source, chunk, self.budget, into=into)
+            return load(self.source, chunk, self.budget)
         except UnreadableDataError as error:
             return Loaded(damage=error.reason, is_readable=False)
 
@@ -120,18 +119,16 @@ class McapReader(ChunkReader[Region, Loaded]):
             return None
         return messages.block
 
-    def located(
-        self, group: ChunkGroup[Region], contents: list[Loaded]
-    ) -> Iterator[tuple[int, MessageBlock | None]]:
-        """Yield the messages of loaded regions."""
-        pairs = zip(group.chunks, contents, strict=True)
-        self.unchecked.update(region.start for region, loaded in pairs if loaded.is_partial)
-        return super().located(group, contents)
+    def located(self, content: Loaded, chunk: Region) -> MessageBlock | None:
+        """Return the messages of a loaded region."""
+        if content.is_partial:
+            self.unchecked.add(chunk.start)
+        return super().located(content, chunk)
 
-    def only_messages(self, data: Bytes, first: Region) -> tuple[MessageBlock, int] | None:
-        """Return the messages of regions that hold nothing else behind the first definitions."""
+    def only_messages(self, data: Bytes, chunk: Region) -> tuple[MessageBlock, int] | None:
+        """Return the messages of a region that holds nothing else behind its definitions."""
         try:
-            begin = self.definitions.check_leading(data.data, first, first.own(self.ids))
+            begin = self.definitions.check_leading(data.data, chunk, chunk.own(self.ids))
         except UnreadableDataError:
             return None
         messages = only_messages(data.data, begin)

@@ -156,12 +156,7 @@ TORN = "the file ends inside it"
 
 
 def load(
-    source: FileSource,
-    region: Region,
-    budget: DecompressionBudget,
-    *,
-    check: bool = True,
-    into: NDArray[np.uint8] | None = None,
+    source: FileSource, region: Region, budget: DecompressionBudget, *, check: bool = True
 ) -> Loaded:
     """Read a region and decompress it.
 
@@ -175,8 +170,6 @@ def load(
         How much may be decompressed.
     check
         Whether to refuse a chunk whose checksum is wrong.
-    into
-        Memory for the decompressed records; used if it has their size.
 
     Raises
     ------
@@ -184,46 +177,29 @@ def load(
         The region is damaged.
     """
     try:
-        return _load(source, region, budget, into, check=check)
+        return _load(source, region, budget, check=check)
     except OSError as error:
         raise UnreadableDataError(os_reason(error)) from error
 
 
 def _load(
-    source: FileSource,
-    region: Region,
-    budget: DecompressionBudget,
-    into: NDArray[np.uint8] | None,
-    *,
-    check: bool,
+    source: FileSource, region: Region, budget: DecompressionBudget, *, check: bool
 ) -> Loaded:
     if not region.is_chunk:
-        loose: Buffer
-        if into is None or len(into) != region.length:
-            loose = source.read(region.start, region.length)
-        else:
-            loose = source.read_into(region.start, into)
+        loose = source.read(region.start, region.length)
         return Loaded(loose, TORN if len(loose) < region.length else "")
-    in_place = into is not None and region.is_uncompressed
-    at_once = not in_place and region.length <= _AT_ONCE
+    at_once = region.length <= _AT_ONCE
     front = memoryview(source.read(region.start, region.length if at_once else PEEK))
     chunk = chunk_head(front, region.length)
     if chunk is None:
         raise UnreadableDataError("no chunk of the indexed length begins there")
     budget.check()
-    if into is not None and len(into) != chunk.size:
-        into = None
     begin, size = region.start + chunk.begin, chunk.end - chunk.begin
-    if into is not None and in_place and chunk.is_uncompressed:
-        data: Buffer = source.read_into(begin, into)
-        if len(data) < size:
-            return Loaded(data, TORN)
-    else:
-        content = front[chunk.begin : chunk.end] if at_once else source.read(begin, size)
-        if len(content) < size or region.start + region.length > source.size:
-            prefix = decompress_prefix(content, chunk.compression, chunk.size)
-            return Loaded(prefix[: chunk.size], TORN)
-        data = decompress(content, chunk.compression, chunk.size or None, into)
+    content = front[chunk.begin : chunk.end] if at_once else source.read(begin, size)
+    if len(content) < size or region.start + region.length > source.size:
+        prefix = decompress_prefix(content, chunk.compression, chunk.size)
+        return Loaded(prefix[: chunk.size], TORN)
+    data = decompress(content, chunk.compression, chunk.size or None)
     budget.spend(len(data) if chunk.compression else 0)
     if check and chunk.crc and crc32(data) != chunk.crc and checksums_matter():
         raise UnreadableDataError(
