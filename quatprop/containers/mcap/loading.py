@@ -156,7 +156,8 @@ class McapReader(ChunkReader[Region, Loaded]):
                 reason = error.reason
             else:
                 return messages.block if messages else None
-        lost = message_count([chunk], self.ids)
+        # An index that lists none may be damaged.
+        lost = message_count([chunk], self.ids) or None
         self.losses.note(chunk.place, reason, lost, self.topic)
         self.lost += lost or 0
         return None
@@ -167,11 +168,12 @@ class McapReader(ChunkReader[Region, Loaded]):
         ids = region.own(self.ids)
         index = index_of(self.source, region)
         offsets = indexed_offsets(index, region, ids)
-        if offsets is not None and len(offsets) == message_count([region], self.ids):
-            messages = messages_at(data, offsets)
-            if messages and messages.are_all_of(ids):  # an empty index may be a damaged one
+        messages = None if offsets is None else messages_at(data, offsets)
+        if messages and messages.are_all_of(ids):
+            leading = self.definitions.check_leading(data, region, ids)
+            # Among other records there may be messages that no index lists.
+            if messages.fill(data, leading):
                 _check_times(loaded, region, messages)
-                self.definitions.check_beside(data, region, ids, messages)
                 return messages
         walked = walk_records(data)
         self.definitions.check(data, walked.definitions, region, ids)
@@ -184,12 +186,13 @@ class McapReader(ChunkReader[Region, Loaded]):
             messages = messages_at(data, walked.offsets)
         if messages:
             _check_times(loaded, region, messages)
-        if offsets is None and messages:
-            self._note_undefined(region, messages)
+        every = messages
         messages = messages.of(ids) if messages else None
         found = len(messages) if messages else 0
         listed = found if offsets is None else len(offsets)
         lost = max(0, listed - found - walked.malformed)
+        if every and not lost:
+            self._note_undefined(region, every)
         if walked.end < len(data):
             damage = (
                 damage or f"its records cannot be followed beyond byte {walked.end} of {len(data)}"
