@@ -30,7 +30,7 @@ RATES = np.arange(1, SAMPLES + 1)
 """Rates about x, rad/s, by which every sample is told; the other two are 0."""
 SPACING_NS = 10_000_000
 
-FORMATS = {"bag": ("flips_rosbag1", ".bag")}
+FORMATS = {"bag": ("flips_rosbag1", ".bag"), "mcap": ("flips_mcap", ".mcap")}
 """Modules and suffixes."""
 
 HARMLESS, DETECTED, REFUSED = "harmless", "detected", "refused"

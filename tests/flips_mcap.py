@@ -23,8 +23,6 @@ NAMES = {
     11: "statistics", 15: "data end",
 }  # fmt: skip
 """Of records, by opcode."""
-COUNTED = frozenset({"full", "no chunk indexes", "attachment"})
-"""Layouts that state how many samples there are, wherever the damage is."""
 _IMU = b"""std_msgs/Header header
 geometry_msgs/Quaternion orientation
 float64[9] orientation_covariance

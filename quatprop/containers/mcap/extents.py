@@ -65,6 +65,8 @@ _FORMS = {
     METADATA: _Form(0, 2),
     DATA_END: _Form(4, 0),
 }
+FIRST_PRIVATE_OPCODE = 0x80
+"""Records with this opcode or a higher one are those of other programs."""
 _PIECE = 1 << 22
 
 
@@ -103,12 +105,13 @@ def length_by_content(source: FileSource, position: int, opcode: int, head: byte
 def opcode_by_content(source: FileSource, position: int, head: bytes) -> int | None:
     """Return of which kind a record is that is not of the kind that its opcode says.
 
-    Only one bit of the opcode may differ, and the content must be exactly as long as that of the
-    other kind would be. A data end has no lengths that could show that it is one.
+    The content must be exactly as long as that of the other kind would be. Only one bit of the
+    opcode may differ, for programs may have records of their own; but none may write the opcodes
+    that are reserved. A data end has no lengths that could show that it is one.
     """
     opcode, length = RECORD.unpack_from(head)
-    for bit in range(8):
-        other: int = opcode ^ 1 << bit
+    others: list[int] = [opcode ^ 1 << bit for bit in range(8)]
+    for other in [*others, CHUNK] if opcode < FIRST_PRIVATE_OPCODE else others:
         if other == DATA_END or length_by_content(source, position, other, head) != length:
             continue
         if other != CHUNK or plausible_chunk(head, length):

@@ -14,7 +14,12 @@ from quatprop.containers.base import LATEST, Losses
 from quatprop.containers.compression import MAX_SIZE
 from quatprop.containers.limits import checksums_matter
 from quatprop.containers.mcap.definitions import Definitions, leading_definitions
-from quatprop.containers.mcap.extents import attachment_end, length_by_content, opcode_by_content
+from quatprop.containers.mcap.extents import (
+    FIRST_PRIVATE_OPCODE,
+    attachment_end,
+    length_by_content,
+    opcode_by_content,
+)
 from quatprop.containers.mcap.messages import messages_at
 from quatprop.containers.mcap.regions import (
     ATTACHMENT,
@@ -43,7 +48,6 @@ if TYPE_CHECKING:
 _LOOSE_SIZE = 1 << 22
 """Bytes of messages outside chunks that are one region."""
 _NOT_MESSAGES = frozenset(range(256)) - {SCHEMA, CHANNEL, MESSAGE}
-_FIRST_PRIVATE_OPCODE = 0x80
 _UNKNOWN = 0x7F
 """Stands for an opcode that is wrong, though the length of the record is right."""
 
@@ -210,7 +214,7 @@ class Scan:
         skipped_to = limit if resumed_at is None else resumed_at
         if self.is_ended and resumed_at is None:
             return skipped_to  # a damaged summary, which holds no messages
-        is_opcode = 0 < opcode <= DATA_END or opcode >= _FIRST_PRIVATE_OPCODE
+        is_opcode = 0 < opcode <= DATA_END or opcode >= FIRST_PRIVATE_OPCODE
         if is_opcode and skipped_to == self.end == self.source.size:
             place = f"chunk at byte {position}" if opcode == CHUNK else f"byte {position}"
             self.losses.note(place, TORN)
