@@ -30,6 +30,9 @@ class SignalSelection:
         ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
     sample_rate
         Rows a second, Hz, of a table without a time column.
+    series
+        Which of the series that take turns in a table: a label, or column and label with ``=``
+        between them; ``"all"`` reads all as one.
     """
 
     topic: str | None = None
@@ -39,6 +42,7 @@ class SignalSelection:
     time_col: str | None = None
     time_unit: str | None = None
     sample_rate: Fraction | float | None = None
+    series: str | None = None
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Self:

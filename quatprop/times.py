@@ -120,15 +120,33 @@ def regular_stamps(start: int, stop: int, rate: Fraction) -> NDArray[np.int64]:
     """
     import numpy as np
 
+    return numbered_stamps(np.arange(start, stop), rate)
+
+
+def numbered_stamps(numbers: NDArray[np.int64], rate: Fraction) -> NDArray[np.int64]:
+    """Return the stamps of some of the samples that :func:`regular_stamps` counts, shape ``(N,)``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fractions import Fraction
+    >>> numbered_stamps(np.array([3, 2]), Fraction(3)).tolist()
+    [1000000000, 666666667]
+    """
+    import numpy as np
+
+    if not len(numbers):
+        return np.empty(0, np.int64)
+    start, low, high = (int(x) for x in (numbers[0], numbers.min(), numbers.max()))
     period, divisor = NS_PER_S * rate.denominator, rate.numerator
-    if max(abs(start), abs(stop)) * period // divisor > _LONGEST_NS:
+    if max(abs(low), abs(high) + 1) * period // divisor > _LONGEST_NS:
         raise UsageError(
-            f"at {float(rate):.6g} Hz the times of {stop} samples do not fit in int64 ns"
+            f"at {float(rate):.6g} Hz the times of {high + 1} samples do not fit in int64 ns"
         )
     # The first in unbounded integers, the others relative to it, in 64 bits where they fit.
     whole, rest = divmod(start * period, divisor)
-    small = (stop - start) * period + 2 * divisor <= _LONGEST_NS
-    relative = np.arange(stop - start, dtype=np.int64 if small else object) * period + rest
+    small = (high - low + 1) * period + 2 * divisor <= _LONGEST_NS
+    relative = (numbers - start).astype(np.int64 if small else object) * period + rest
     stamps = whole + relative // divisor
     excess = 2 * (relative % divisor)
     up = (excess > divisor) | ((excess == divisor) & (stamps % 2 == 1))

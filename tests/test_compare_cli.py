@@ -360,6 +360,7 @@ OF_A_SIDE = {
     "--time-col": ("3", "time_col", "3"),
     "--time-unit": ("us", "time_unit", "us"),
     "--sample-rate": ("12.5", "sample_rate", 12.5),
+    "--series": ("sensor=gyro", "series", "sensor=gyro"),
 }
 """Option of a side -> what is given, where it arrives in what is read, and as what."""
 

@@ -125,7 +125,8 @@ def test_rows_that_are_counted_keep_their_times_around_damage(tmp_path):
 def test_text_beside_the_numbers_is_passed_over(tmp_path, block):
     """Escapes in text do not confuse where a row ends, however many blocks there are."""
     rows = [
-        f'{{"note":"{block * (k % 3)}","t_ns":{k},"wx":1,"wy":2,"wz":3}}\n' for k in range(90_000)
+        f'{{"note":"{block * (k % 3)}{k}","t_ns":{k},"wx":1,"wy":2,"wz":3}}\n'
+        for k in range(90_000)
     ]
     t_ns, _, losses = read(written(tmp_path, "".join(rows)))
     assert t_ns == list(range(90_000))

@@ -127,7 +127,7 @@ def test_nested_records_and_fields_that_are_arrays_are_opened(tmp_path):
         assert log.columns() == ["header.t_ns", *(f"gyro[{k}]" for k in range(3)), "mode"]
     t_ns, rate, _ = read(path, rate_unit="rad/s", time_col="header.t_ns")
     assert (t_ns.tolist(), rate.tolist()) == ([7, 9], [[1, 2, 3], [4, 5, 6]])
-    with pytest.raises(UnsupportedLogError, match="column 'mode' holds binary, not numbers"):
+    with pytest.raises(UnsupportedLogError, match="column 'mode' holds string, not numbers"):
         read(path, rate_unit="rad/s", time_col="mode", time_unit="ns")
 
 

@@ -72,12 +72,18 @@ class SelectOptions(TypedDict, total=False):
     time_field: Annotated[str | None, Keyword(
         text, "Message field of {log} that is the time.", "the header stamp", "A.B")]
     time_col: Annotated[str | int | None, Keyword(
-        lambda value: text(str(value)), "Time column of {log}, by name or number from 0; two "
-        "(SEC,NANOSEC, SEC,USEC or SEC,MSEC) of one stamp.", "by the header", "C")]
+        lambda value: text(str(value)), f"Time column of {{log}}, by name or number from 0; two "
+        "(SEC,NANOSEC, SEC,USEC or SEC,MSEC) of one stamp; none counts rows at "
+        f"{Setting('sample_rate')}.", "by the header", "C")]
     time_unit: Annotated[str | None, Keyword(
         Choice(*TIME_UNITS), "Unit of the time in {log}.", "as the log says")]
     sample_rate: Annotated[float | Fraction | str | None, Keyword(
-        frequency, "Rows a second of {log}, a table without a time, Hz.", takes="HZ")]
+        frequency, "Rows a second of {log}, a table without a time, or what its counter of samples "
+        "counts a second, Hz.", takes="HZ")]
+    series: Annotated[str | int | None, Keyword(
+        lambda value: text(str(value)), "Which of the series that take turns in the rows of {log}, "
+        "such as those of two sensors; all reads them as one.", "the only one there is",
+        "VALUE|COLUMN=VALUE")]
     # fmt: on
 
 

@@ -38,6 +38,7 @@ TABLE_SETTINGS = (
     "quat_cols",
     "time_col",
     "sample_rate",
+    "series",
     "from_angle_unit",
     "from_euler",
 )

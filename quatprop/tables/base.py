@@ -7,8 +7,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, NoReturn, TypeAlias
 
 from quatprop.containers.base import Log, MessageLog
-from quatprop.errors import UnsupportedLogError
+from quatprop.errors import UnsupportedLogError, UsageError
 from quatprop.progress import metered
+from quatprop.tables.counters import counted_rows
+from quatprop.text import Setting, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -38,11 +40,16 @@ class TimedColumns(NamedTuple):
     time_unit
         ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; of the first column where they are two.
     sample_rate
-        Rows a second, Hz, where there is no time column.
+        Rows a second, Hz, where there is no time column; what it counts a second where the time
+        column is a counter.
     parts
         Which of the parts of :meth:`TableLog.spans` to read; None for all.
     fraction_unit
         The unit of the second of two time columns.
+    utc_offset_ns
+        By how much the time column is ahead of UTC, ns, where the header says so.
+    series
+        Columns and the labels that the rows to read have in them.
     """
 
     numbers: tuple[int, ...]
@@ -51,6 +58,13 @@ class TimedColumns(NamedTuple):
     sample_rate: Fraction | float | None = None
     parts: frozenset[int] | None = None
     fraction_unit: str = "ns"
+    utc_offset_ns: int = 0
+    series: tuple[tuple[int, str], ...] = ()
+
+    @property
+    def used(self) -> set[int]:
+        """All columns that are needed."""
+        return {*self.time, *self.numbers, *(k for k, _ in self.series)}
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -81,6 +95,8 @@ class TableNotes(NamedTuple):
     rate_scale: float = 1.0
     title: str = ""
     mount: str = ""
+    dates: Mapping[int, bool] = MappingProxyType({})
+    texts: frozenset[int] = frozenset()
 
 
 class Span(NamedTuple):
@@ -100,14 +116,22 @@ class Span(NamedTuple):
 
 
 class TableLog(Log):
-    """Rows of named or numbered columns: text, Arrow, NumPy and JSON Lines files."""
+    """Rows of named or numbered columns: text, Arrow, NumPy and JSON Lines files.
+
+    Attributes
+    ----------
+    other_rows
+        How many rows of other series were passed over; grows while the log is read.
+    """
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._losses_at_opening: int | None = None
+        self.other_rows = 0
 
     def _forget_earlier_reading(self) -> None:
         """Remove the losses of rows that are about to be read again."""
+        self.other_rows = 0
         if self._losses_at_opening is None:
             self._losses_at_opening = len(self.losses)
         self.losses.restart(self._losses_at_opening)
@@ -124,6 +148,10 @@ class TableLog(Log):
     @abstractmethod
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return cells of the first rows, as they are stored; empty where they cannot be read."""
+
+    @abstractmethod
+    def label_columns(self) -> Mapping[int, bool]:
+        """Return the columns that begin with text or a whole number, and whether it is a number."""
 
     def provenance(self) -> JsonObject:
         """Return how the content came about, as written beside it; empty where it is not.
@@ -147,7 +175,6 @@ class TableLog(Log):
         """Return :meth:`rows`, whose progress an interface may show."""
         return metered(self.rows(columns), self.row_count(), lambda batch: len(batch[0]))
 
-    @abstractmethod
     def rows(self, columns: TimedColumns) -> Batches:
         """Yield stamps in ns, shape ``(N,)``, and numbers as stored, shape ``(N, k)``.
 
@@ -159,6 +186,40 @@ class TableLog(Log):
             A column does not hold numbers, a stamp does not fit in int64 ns, or most rows do not
             fit.
         """
+        batches = self._stored_rows(columns)
+        if columns.series:
+            batches = self._of_series(batches, columns.series)
+        if columns.time and columns.sample_rate is not None:
+            return counted_rows(batches, columns.sample_rate)
+        if columns.utc_offset_ns:
+            return ((t_ns - columns.utc_offset_ns, numbers) for t_ns, numbers in batches)
+        return batches
+
+    def _of_series(self, batches: Batches, series: tuple[tuple[int, str], ...]) -> Batches:
+        """Yield rows of a series, and remark on how many there are of others.
+
+        Raises
+        ------
+        UsageError
+            There are none of it.
+        """
+        count = 0
+        for batch in batches:
+            count += len(batch[0])
+            yield batch
+        names = self.columns()
+        which = " and ".join(f"{quoted(label)} in column {quoted(names[k])}" for k, label in series)
+        if not count:
+            raise UsageError(
+                f"{plain(self.path)}: no row is of the series {which}; check {Setting('series')}"
+            )
+        remark = f"{self.other_rows} rows of other series than {which} were not read"
+        if self.other_rows and remark not in self.remarks:
+            self.remarks = [*self.remarks, remark]
+
+    @abstractmethod
+    def _stored_rows(self, columns: TimedColumns) -> Batches:
+        """Yield :meth:`rows` with the stamps, or the counts of samples, that columns hold."""
 
 
 AnyLog: TypeAlias = MessageLog | TableLog

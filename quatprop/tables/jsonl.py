@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.provenance import JsonObject
-    from quatprop.tables.base import TimedColumns
+    from quatprop.tables.base import TableNotes, TimedColumns
 
 HEAD_BYTES = 1 << 16
 """How much of the file is looked at for the names of its columns."""
@@ -69,9 +69,25 @@ class JsonLinesLog(TypedTable):
                 path, "its first lines are no JSON objects; write each row as one, on one line"
             )
 
+    @property
+    def notes(self) -> TableNotes:
+        """Columns of dates, which are text here."""
+        types = {k: leaf.type for k, leaf in enumerate(self._leaves)}
+        dates = {k: kind.tz is not None for k, kind in types.items() if pa.types.is_timestamp(kind)}
+        return super().notes._replace(dates=dates)
+
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return cells of the first rows; see :class:`quatprop.tables.base.TableLog`."""
         return [tuple(_cell(line, self._leaves[k]) for k in columns) for line in self._lines]
+
+    def label_columns(self) -> dict[int, bool]:
+        """Return columns that may hold labels; see :class:`quatprop.tables.base.TableLog`."""
+        cells = [_cell(self._lines[0], leaf) for leaf in self._leaves]
+        return {
+            k: isinstance(cell, str) and cell.isdecimal()
+            for k, cell in enumerate(cells)
+            if isinstance(cell, str | None) and not pa.types.is_timestamp(self._leaves[k].type)
+        }
 
     def _refuse_text(self, columns: TimedColumns) -> None:
         super()._refuse_text(columns)
@@ -92,7 +108,7 @@ class JsonLinesLog(TypedTable):
     def _batches(self, columns: TimedColumns) -> Iterator[pa.RecordBatch | int]:
         parser = LineParser(
             RejectedRows(self.path, self.losses),
-            [self._leaves[k] for k in columns.numbers],
+            [self._leaves[k] for k in (*columns.numbers, *(k for k, _ in columns.series))],
             [(self._leaves[k], unit) for k, unit in zip(columns.time, columns.units, strict=True)],
         )
         with closing(open_text(self.path)) as text:

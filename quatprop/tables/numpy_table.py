@@ -62,7 +62,7 @@ class NumpyTable(TypedTable):
         wanted = [
             (leaf.name, *self._members[k])
             for k, leaf in enumerate(self._leaves)
-            if k in {*columns.time, *columns.numbers}
+            if k in columns.used
         ]
         counts = {column.rows for *_, column in wanted}
         if len(counts) > 1:
@@ -116,7 +116,9 @@ def rows_at_once(size: int) -> int:
 
 
 def _arrow_type(dtype: np.dtype[Any]) -> pa.DataType:
-    """Return what a column is read as; bytes where it is no column of numbers or times."""
+    """Return what a column is read as; bytes where it is none of numbers, times or text."""
+    if dtype.kind == "S":
+        return pa.string()
     try:
         return pa.from_numpy_dtype(dtype.newbyteorder("="))
     except (pa.ArrowException, TypeError):

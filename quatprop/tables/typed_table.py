@@ -121,15 +121,22 @@ class TypedTable(TableLog):
                 k: leaf.type.unit
                 for k, leaf in enumerate(self._leaves)
                 if pa.types.is_timestamp(leaf.type) or pa.types.is_duration(leaf.type)
-            }
+            },
+            texts=frozenset(k for k, leaf in enumerate(self._leaves) if _is_text(leaf.type)),
         )
 
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return cells of the first rows; see :class:`quatprop.tables.base.TableLog`."""
-        first = [values[:_HEAD_ROWS].to_pylist() for values in self._first_values(columns)]
-        return list(zip(*first, strict=True))
+        first = [values[:_HEAD_ROWS] for values in self._first_values(columns)]
+        # Dates of nanoseconds are none of Python's.
+        times = [pa.types.is_timestamp(values.type) for values in first]
+        cells = [
+            (values.cast(pa.int64()) if is_time else values).to_pylist()
+            for values, is_time in zip(first, times, strict=True)
+        ]
+        return list(zip(*cells, strict=True))
 
-    def rows(self, columns: TimedColumns) -> Batches:
+    def _stored_rows(self, columns: TimedColumns) -> Batches:
         """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         self._refuse_text(columns)
         self._forget_earlier_reading()
@@ -140,11 +147,12 @@ class TypedTable(TableLog):
                 if isinstance(batch, int):
                     count += batch
                     continue
-                t_ns, numbers = self._values(batch, columns, first + count)
+                own = self._own_rows(batch, columns) if columns.series else batch
+                t_ns, numbers = self._values(own, columns, first + count)
                 if len(t_ns):
                     yield t_ns, numbers
-                count += batch.num_rows
-            first += max(group.rows, count)
+                count += own.num_rows
+            first += count if columns.series else max(group.rows, count)
 
     def _whole_batches(self, group: RowGroup) -> Iterator[pa.RecordBatch | int]:
         """Yield the batches of a row group up to where it is damaged."""
@@ -181,7 +189,25 @@ class TypedTable(TableLog):
 
     def _wanted(self, columns: TimedColumns) -> list[Leaf]:
         """Return the columns to read, each once."""
-        return [self._leaves[k] for k in dict.fromkeys((*columns.time, *columns.numbers))]
+        return [self._leaves[k] for k in sorted(columns.used)]
+
+    def label_columns(self) -> dict[int, bool]:
+        """Return columns that may hold labels; see :class:`quatprop.tables.base.TableLog`."""
+        return {
+            k: _is_number(leaf.type)
+            for k, leaf in enumerate(self._leaves)
+            if _is_whole(leaf.type) or _is_text(leaf.type)
+        }
+
+    def _own_rows(self, batch: pa.RecordBatch, columns: TimedColumns) -> pa.RecordBatch:
+        """Return the rows of the series, and count the others."""
+        own = np.ones(batch.num_rows, np.bool_)
+        for k, label in columns.series:
+            values = values_of(batch, self._leaves[k])
+            texts = pc.utf8_trim_whitespace(values.cast(pa.string()))
+            own &= to_numpy(pc.equal(texts, label).fill_null(False))  # its only one
+        self.other_rows += int(np.count_nonzero(~own))
+        return batch.filter(to_arrow(own))
 
     def _refuse_text(self, columns: TimedColumns) -> None:
         declared = self.notes.units
@@ -253,6 +279,14 @@ def _is_number(kind: pa.DataType) -> bool:
     return bool(
         pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal128(kind)
     )
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
+
+
+def _is_whole(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_integer(kind) or (pa.types.is_decimal128(kind) and kind.scale == 0))
 
 
 def _has_value(column: pa.Array) -> Bool:

@@ -6,6 +6,7 @@ import csv
 import re
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError
@@ -131,7 +132,7 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
         body=sum(map(len, raw[:body])),
         line=b"".join(raw[:body]).count(b"\n") + 1,
         header=b"" if header is None else raw[header].removeprefix(_MARK).rstrip(b"\r\n"),
-        notes=notes._replace(units=units),
+        notes=notes._replace(units=units, dates={k: zone is not None for k, zone in dates.items()}),
         dates=dates,
     )
 
@@ -175,7 +176,8 @@ def _text(line: bytes) -> str:
 
 def is_data(row: list[str]) -> bool:
     """Return whether a row has numbers enough for one of rates."""
-    return sum(1 for cell in row if NUMBER.fullmatch(cell)) >= RATES
+    numbers = filter(NUMBER.fullmatch, row)
+    return sum(1 for _ in islice(numbers, RATES)) == RATES
 
 
 def _delimiter(texts: list[str]) -> str:

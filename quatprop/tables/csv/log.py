@@ -13,6 +13,7 @@ from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogE
 from quatprop.provenance import COMMENT, JsonObject, provenance_in
 from quatprop.tables.base import TableLog
 from quatprop.tables.csv.headers import HEAD_BYTES, detect_layout, is_data, split_cells
+from quatprop.tables.csv.notes import NUMBER
 from quatprop.tables.csv.reading import BlockReader
 from quatprop.tables.csv.row_parser import RowParser
 from quatprop.tables.csv.truncation import TAIL_BYTES, is_truncated
@@ -26,7 +27,7 @@ from quatprop.tables.text_stream import (
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from quatprop.tables.base import Batches, TableNotes, TimedColumns
     from quatprop.tables.text_stream import TextBlock
@@ -64,6 +65,7 @@ class CsvLog(TableLog):
         self._stream = None if isinstance(source, Path) else source
         self._text = open_text(source) if isinstance(source, Path) else TextStream(source)
         self._was_read = False
+        self._first_rows: list[list[str]] | None = None
         self._head = self._text.read(HEAD_BYTES)
         if self._stream is None:
             self._text.close()
@@ -96,15 +98,29 @@ class CsvLog(TableLog):
 
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return cells of the first rows; see :class:`quatprop.tables.base.TableLog`."""
+        if self._first_rows is None:
+            self._first_rows = list(self._whole_rows())
+        return [tuple(row[k] for k in columns) for row in self._first_rows]
+
+    def _whole_rows(self) -> Iterator[list[str]]:
+        """Yield the cells of the first rows, where they fit the header."""
         whole = self._head
         if len(whole) == HEAD_BYTES:
             whole = whole[: whole.rfind(b"\n") + 1]
         lines = whole[self._layout.body :].decode(errors="replace").splitlines()
         rows = (split_cells(line, self._layout.delimiter) for line in lines)
         width = len(self._layout.names)
-        return [
-            tuple(row[k] for k in columns) for row in rows if len(row) == width and is_data(row)
-        ]
+        return (row for row in rows if len(row) == width and is_data(row))
+
+    def label_columns(self) -> dict[int, bool]:
+        """Return columns that may hold labels; see :class:`quatprop.tables.base.TableLog`."""
+        first = next(self._whole_rows(), [])
+        dates = self._layout.notes.units
+        return {
+            k: cell.strip().isdecimal()
+            for k, cell in enumerate(first)
+            if k not in dates and (cell.strip().isdecimal() or not NUMBER.fullmatch(cell))
+        }
 
     def row_count(self) -> int | None:
         """Return the size of the file divided by that of its first rows; None if compressed."""
@@ -114,7 +130,7 @@ class CsvLog(TableLog):
             return None
         return max(rows, round(self.path.stat().st_size / len(head) * rows))
 
-    def rows(self, columns: TimedColumns) -> Batches:
+    def _stored_rows(self, columns: TimedColumns) -> Batches:
         """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         text = self._restart()
         rejected = RejectedRows(self.path, self.losses)
@@ -130,6 +146,7 @@ class CsvLog(TableLog):
                 rejected.refuse_if_most()
                 if len(t_ns):
                     yield t_ns, numbers
+            self.other_rows = reader.other_rows
             if text.damage:
                 self.losses.note("end of the file", text.damage)
         finally:
@@ -169,7 +186,7 @@ class CsvLog(TableLog):
             begin = data.rfind(b"\n") + 1  # a stray quote, and no cell with line breaks
         last = data[begin:]
         before = (tail + data[max(0, begin - TAIL_BYTES) : begin])[-TAIL_BYTES:]
-        used = {*columns.time, *columns.numbers}
+        used = columns.used
         damaged = is_padded or bool(text.damage)
         truncated = damaged or is_truncated(before, last, self._layout, used)
         if truncated is None:

@@ -13,14 +13,14 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from quatprop.arrow_arrays import readable, to_numpy
+from quatprop.arrow_arrays import readable, to_arrow, to_numpy
 from quatprop.concurrency.threads import thread_count
 from quatprop.tables import timestamps
 from quatprop.tables.csv.row_parser import MISFITS, ParsedRows, RowParser, date_type, squeeze_blanks
 from quatprop.tables.text_stream import RejectedRows, TextBlock, TextStream, record_blocks
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from quatprop.arrays import Float64, Int64
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from quatprop.tables.csv.headers import CsvLayout
 
 
+_LABELS = pa.dictionary(pa.int32(), pa.string())
 _TASK_BYTES = 1 << 19  # what one thread of pyarrow parses at a time
 _PIECE_BYTES = 1 << 16
 _ENOUGH_ROWS = 100_000
@@ -47,6 +48,11 @@ class BlockReader:
         How it is laid out.
     columns
         Which columns to read.
+
+    Attributes
+    ----------
+    other_rows
+        How many rows of other series were passed over.
     """
 
     def __init__(
@@ -56,6 +62,7 @@ class BlockReader:
         self._layout = layout
         self._columns = columns
         self._row_parser = RowParser(path, layout, columns)
+        self.other_rows = 0
         # Stamps finer than ns are tried for once; without stamps there is nothing to try.
         self._spare = 0 if columns.time else timestamps.SPARE_PLACES
 
@@ -65,6 +72,7 @@ class BlockReader:
             parts = [self._parse(block.data, quoted=block.quoted)]
         except MISFITS:
             parts = list(self._piecewise(block))
+        self.other_rows += sum(rows.others for rows in parts)
         stamps = [self._stamps(rows) for rows in parts]
         if len(parts) == 1:
             return stamps[0], parts[0].numbers
@@ -89,6 +97,7 @@ class BlockReader:
         types = {str(k): pa.float64() for k in self._columns.numbers}
         for k, unit in zip(self._columns.time, self._columns.units, strict=True):
             types[str(k)] = date_type(self._layout, k) or timestamps.decimal_type(unit, spare)
+        types |= {str(k): _LABELS for k, _ in self._columns.series}
         read = partial(
             arrow_csv.read_csv,
             readable(data),
@@ -108,10 +117,14 @@ class BlockReader:
             table = _other_thread(os.getpid()).submit(read).result()
         else:
             table = read()
+        rows = table.num_rows
+        if self._columns.series:
+            table = table.filter(_own_rows(table, self._columns.series))
         numbers = np.empty((table.num_rows, len(self._columns.numbers)))
         for place, k in enumerate(self._columns.numbers):
             numbers[:, place] = to_numpy(table.column(str(k)))
-        return ParsedRows(self._times(table), numbers, table.num_rows)
+        others = rows - table.num_rows
+        return ParsedRows(self._times(table), numbers, table.num_rows, others=others)
 
     def _times(self, table: pa.Table) -> Int64 | None:
         if not self._columns.time:
@@ -148,6 +161,20 @@ class BlockReader:
             t_ns = t_ns if rows.kept is None else t_ns[rows.kept]
         self._rejected.count += rows.total
         return t_ns
+
+
+def _own_rows(table: pa.Table, series: Iterable[tuple[int, str]]) -> pa.ChunkedArray:
+    """Return which rows are of a series, by the labels that they have in some columns."""
+    own = np.ones(table.num_rows, np.bool_)
+    for k, label in series:
+        chunks = []
+        for chunk in table.column(str(k)).chunks:
+            texts = [(text or "").strip() for text in chunk.dictionary.to_pylist()]
+            wanted = np.array([*(text == label for text in texts), False])
+            # No cell at all has the index of the last one.
+            chunks.append(wanted[to_numpy(chunk.indices.fill_null(len(texts)))])
+        own &= np.concatenate(chunks) if chunks else own
+    return to_arrow(own)
 
 
 @lru_cache(maxsize=1)

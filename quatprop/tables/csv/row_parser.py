@@ -58,6 +58,8 @@ class ParsedRows(NamedTuple):
         Which of them were kept, shape ``(N,)``, int64; None where all were.
     rejected
         Line number and reason of each row that was rejected.
+    others
+        How many rows of other series there were besides.
     """
 
     t_ns: Int64 | None
@@ -65,6 +67,7 @@ class ParsedRows(NamedTuple):
     total: int
     kept: Int64 | None = None
     rejected: tuple[tuple[int, str], ...] = ()
+    others: int = 0
 
 
 def date_type(layout: CsvLayout, k: int) -> pa.DataType | None:
@@ -109,11 +112,14 @@ class RowParser:
         numbers: list[list[float]] = []
         kept: list[int] = []
         rejected: list[tuple[int, str]] = []
-        count = 0
+        count = others = 0
         for place, cells in self._records(data, line):
             if isinstance(cells, str):
                 rejected.append((place, cells))
             elif self._is_no_row([cell.strip() for cell in cells], place):
+                continue
+            elif self._is_of_another_series(cells):
+                others += 1
                 continue
             else:
                 try:
@@ -131,6 +137,7 @@ class RowParser:
             count,
             np.array(kept, np.int64),
             tuple(rejected),
+            others,
         )
 
     def has_line_breaks_in_cells(self, data: bytes | memoryview) -> bool:
@@ -221,6 +228,9 @@ class RowParser:
                 self.path, f"another table begins at line {line}; split it there into two"
             )
         return True
+
+    def _is_of_another_series(self, cells: list[str]) -> bool:
+        return any(k < len(cells) and cells[k].strip() != label for k, label in self.columns.series)
 
     def _row(self, cells: list[str]) -> tuple[int, list[float]]:
         names = self.layout.names

@@ -145,6 +145,7 @@ def match_bias(log: TableLog) -> ColumnMatch:
         No columns look like biases, or their unit is not declared.
     """
     matcher = ColumnMatcher(log, RateSelection(), "rate_cols", RATE_PARTS)
+    matcher.may_choose_series = False
     dialect = matcher.dialect("bias")
     sets = matcher.sets(dialect.bias)
     if not sets:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from contextlib import suppress
-from itertools import groupby
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError, UsageError
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.tables.matching.column_names import TIME_UNITS, parse_name
-from quatprop.tables.matching.dialects import SENSOR
 from quatprop.tables.timestamps import from_text
 from quatprop.text import Setting, Text, did_you_mean, listed, plain, quoted
 from quatprop.times import NS_PER_S
@@ -23,9 +20,6 @@ if TYPE_CHECKING:
     from quatprop.tables.base import TableLog
 
     Positions = tuple[int, ...]
-
-_MOST_SENSORS = 8
-_ABSENT = {"", "nan", "none"}
 
 
 class TableColumns:
@@ -42,34 +36,13 @@ class TableColumns:
     def __init__(self, log: TableLog, selection: SignalSelection) -> None:
         self.path = log.path
         self.notes = log.notes
-        self._head = log.head
+        self.head = log.head
+        self.label_columns = log.label_columns
+        self.may_choose_series = True
         self.columns = [parse_name(name) for name in log.columns()]
         self.selection = selection
         self.unknown: list[tuple[str, Setting]] = []
         self.overruled: list[Text] = []
-
-    def refuse_several_sensors(self, numbers: Collection[int], setting: str) -> None:
-        """Refuse rows of sensors that take turns: those of one would be taken for another's.
-
-        A user who has named the columns knows them, and is only told.
-        """
-        for k in self.matching(SENSOR):
-            rows = self._head((k, *numbers))
-            of_rows = [row[0] for row in rows if not _ABSENT & {str(cell).lower() for cell in row}]
-            turns = Counter(str(sensor).strip() for sensor, _ in groupby(of_rows))
-            # Counters and blocks of rows do not come back, nor does a damaged cell.
-            sensors = sorted(sensor for sensor, times in turns.items() if times > 1)
-            if 1 < len(sensors) <= _MOST_SENSORS:
-                several = f"its rows are of several sensors, {listed(sensors)} in column "
-                several += self.names((k,))
-                if getattr(self.selection, setting, None):
-                    self.overruled.append(Text(f"{several}, and are read as those of one"))
-                    continue
-                raise UnsupportedLogError(
-                    self.path,
-                    f"{several}; write each to a file of its own, or if it is only one, name its "
-                    f"columns with {Setting(setting)}",
-                )
 
     def matching(self, pattern: str) -> list[int]:
         """Return the columns whose keys match a pattern."""
@@ -169,7 +142,7 @@ class TableColumns:
         In odd messages of ROS the nanoseconds go on a little beyond a second.
         """
         unit = self.fraction_unit(part)
-        for cells in self._head((seconds, part)):
+        for cells in self.head((seconds, part)):
             with suppress(ValueError):
                 whole, fraction = from_text(f"{cells[0]}", "s"), from_text(f"{cells[1]}", unit)
                 if whole % NS_PER_S or fraction >= 2 * NS_PER_S:

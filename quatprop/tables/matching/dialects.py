@@ -68,7 +68,7 @@ _ROS_STAMP = r"(?:.*\.)?header\.stamp\.secs?"
 TIME_NAMES = r"_*(?:t|ts|time|timestamp|time_?stamp|stamp)"
 SENSOR = (
     r"(?:.*[._])?(?:sensor|device|imu|frame|instance|node|module|source|location|placement|side"
-    r"|hand|segment|body_part|serial|mac|address|port|unit)(?:_?(?:id|name|type|no|number|index))?"
+    r"|hand|segment|body_part|serial|mac|address|port|unit)(?:_?(?:id|name|type|no|num|number|index))?"
     r"|id|kind|topic|type|name|msg|message|tag|channel|(?:.*\.)?i"
 )
 """Names of a column that may say which sensor a row is of, such as ``I`` of ArduPilot."""

@@ -1,0 +1,208 @@
+"""The time of a table: the best of its clocks, a counter of samples, or a sample rate."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
+from quatprop.tables.base import OTHER_DATES, TableLog, TimedColumns
+from quatprop.tables.matching import clocks
+from quatprop.tables.matching.clock_choice import ClockMatcher, goodness, is_readable
+from quatprop.tables.matching.column_names import TIME_UNITS
+from quatprop.tables.matching.series import SeriesChoice
+from quatprop.text import Setting, Text, plain
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from fractions import Fraction
+
+    from quatprop.selection import SignalSelection
+    from quatprop.tables.matching.dialects import Dialect
+
+    Positions = tuple[int, ...]
+
+_INSTANT = r"(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|delay|dt)).*"
+"""Names of columns that may be the time where a unit says that they are one."""
+
+_NO_COLUMN = "none"
+
+
+class TimeSource(NamedTuple):
+    """Where the time of each row comes from.
+
+    Parameters
+    ----------
+    columns
+        Those of the stamps or of the counter; none where rows are counted.
+    sample_rate
+        Samples a second, Hz, where they are counted.
+    implied_unit
+        The unit by convention; ``""`` where there is none.
+    """
+
+    columns: tuple[int, ...] = ()
+    sample_rate: Fraction | float | None = None
+    implied_unit: str = ""
+
+
+class TimeMatcher(ClockMatcher):
+    """Finds the time of some columns of a table.
+
+    Parameters
+    ----------
+    log
+        The table.
+    selection
+        What the user chose.
+    setting
+        The setting that names the columns, such as ``"rate_cols"``.
+    """
+
+    def __init__(self, log: TableLog, selection: SignalSelection, setting: str) -> None:
+        super().__init__(log, selection)
+        self.setting = setting
+
+    def timed_and_named(
+        self, numbers: Positions, dialect: Dialect, named: Sequence[int] = ()
+    ) -> tuple[TimedColumns, str, str]:
+        """Return columns with their time, the names of those to be named, and of the time.
+
+        All of them are named if none are given. The time may be a sample rate.
+
+        Raises
+        ------
+        UndeclaredError
+            A unit or the time is not declared.
+        UsageError
+            The time is one of the columns.
+        """
+        time, sample_rate, implied = self._time(dialect, numbers)
+        series = SeriesChoice(self, numbers, time).chosen()
+        if both := set(numbers) & set(time):
+            raise UsageError(
+                f"{plain(self.path)}: {self.names(both)} cannot be both the time and one of "
+                f"{Setting(self.setting)}; name other columns, or the time with "
+                f"{Setting('time_col')}",
+            )
+        if any(self.notes.units.get(k) == OTHER_DATES for k in time):
+            raise UnsupportedLogError(
+                self.path,
+                f"{self.names(time)} holds {OTHER_DATES}; write them as 2023-11-14T22:13:20.5, "
+                f"name another column with {Setting('time_col', 'C')}, or count rows at a steady "
+                f"rate with {Setting('sample_rate', 'HZ')}",
+            )
+        units = ("ns", "ns")
+        if time[1:]:
+            units = ("s", self.fraction_unit(time[1]))
+        elif time and sample_rate is None:
+            units = (self.unit("time", time, TIME_UNITS, implied), "ns")
+        if self.unknown:
+            unknown, ways = (" and ".join(f"{part}" for part in parts)
+                             for parts in zip(*self.unknown, strict=True))  # fmt: skip
+            raise UndeclaredError(self.path, unknown, ways, several=len(self.unknown) > 1)
+        names, clock = (
+            ",".join(self.columns[k].text for k in columns) for columns in (named or numbers, time)
+        )
+        if sample_rate is not None:
+            clock = (
+                f"{clock} at {float(sample_rate):g} Hz" if clock else f"{float(sample_rate):g} Hz"
+            )
+        timed = TimedColumns(
+            numbers,
+            time,
+            units[0],
+            sample_rate,
+            fraction_unit=units[1],
+            utc_offset_ns=sum(map(self.utc_offset_ns, time)),
+            series=series,
+        )
+        return timed, names, clock
+
+    def unused_stamps(self, dialect: Dialect) -> Positions:
+        """Return the time columns that are there although rows are counted at a sample rate."""
+        if self.selection.sample_rate is None or self.selection.time_col is not None:
+            return ()
+        others = self.clocks_of(dialect, ())
+        return min(others, key=goodness).columns if others else ()
+
+    def _time(self, dialect: Dialect, numbers: Positions) -> TimeSource:
+        name, sample_rate = self.selection.time_col, self.selection.sample_rate
+        if sample_rate is not None:
+            if not (math.isfinite(sample_rate) and sample_rate > 0):
+                raise UsageError(f"{Setting('sample_rate')} {sample_rate} is not a rate above 0 Hz")
+            return self._counted(name, sample_rate, numbers)
+        if name is not None:
+            return TimeSource(self._named_time(name), None, self._implied_unit(name, dialect))
+        found = self.clocks_of(dialect, numbers)
+        by_unit = [k for k in self.matching(_INSTANT) if self.columns[k].unit in TIME_UNITS]
+        if len(by_unit) == 1 and not any(map(is_readable, found)):
+            return TimeSource(tuple(by_unit))
+        steady = self.notes.sample_rate
+        counter = self._counter(numbers) if steady is not None else ()
+        if found:
+            best = self.best(found)
+            self.refuse_unknown_beside_arrival(best, found)
+            # A rate that is only stated is no better than a clock of numbers.
+            if best.rank < clocks.TEXT or not (counter or (steady and not is_readable(best))):
+                return TimeSource(best.columns, None, best.units[0])
+        if steady is not None:
+            return TimeSource(counter, steady)
+        likely = (rf".*[._](?:{clocks.TIME})", r".*(?:time|stamp|sec|clock|date).*", ".*")
+        raise self.ambiguous_time(by_unit or next(filter(None, map(self.matching, likely))))
+
+    # What the user names.
+
+    def _named_time(self, name: str) -> Positions:
+        """Return the time column that the user names, or those of seconds and their fraction."""
+        parts = name.split(",")
+        if len(parts) == 2 and name not in (column.text.strip() for column in self.columns):  # noqa: PLR2004
+            return tuple(self.position(part, "time_col") for part in parts)
+        first = self.position(name, "time_col")
+        fraction = self.fraction(first)
+        return (
+            (first,)
+            if fraction is None or self.are_two_clocks(first, fraction)
+            else (first, fraction)
+        )
+
+    def _implied_unit(self, name: str, dialect: Dialect) -> str:
+        """Return the unit of a named time column by convention or by its name."""
+        k = self._named_time(name)[0]
+        if any(k in self.matching(pattern) for pattern in dialect.time):
+            return dialect.time_unit
+        return (clocks.named_clock(self.columns[k].key, ()) or ("", "", ""))[1]
+
+    # Counted samples.
+
+    def _counted(
+        self, name: str | None, sample_rate: Fraction | float, numbers: Positions
+    ) -> TimeSource:
+        """Return the counter that the user names, or the only one, or none: rows are counted."""
+        if name is None:
+            counter = self._counter(numbers)
+            if counter:
+                self.overruled.append(Text(
+                    f"{Setting('sample_rate', f'{float(sample_rate):g}')} is that of the counter "
+                    f"{self.names(counter)}, which also counts lost samples; to count rows, give "
+                    f"{Setting('time_col', _NO_COLUMN)} too"
+                ))  # fmt: skip
+            return TimeSource(counter, sample_rate)
+        if name == _NO_COLUMN and name not in (column.text.strip() for column in self.columns):
+            return TimeSource((), sample_rate)
+        k = self.position(name, "time_col")
+        if re.fullmatch(clocks.COUNTER, self.columns[k].key) is None:
+            raise UsageError(
+                f"{Setting('time_col')} and {Setting('sample_rate')} contradict each other; give "
+                "one",
+            )  # fmt: skip
+        return TimeSource((k,), sample_rate)
+
+    def _counter(self, numbers: Positions) -> Positions:
+        """Return the only column that counts samples; none where there is none."""
+        columns = [k for k in self.matching(clocks.COUNTER) if k not in numbers]
+        rows = self.head(columns)[: clocks.FIRST_ROWS] if columns else []
+        cells = zip(*rows, strict=True)
+        counters = [k for k, c in zip(columns, cells, strict=False) if clocks.counts_samples(c)]
+        return tuple(counters[:1])

@@ -1,0 +1,296 @@
+"""The clock of a table: the best that moves, what the others say, counters, stated offsets."""
+
+import json
+from datetime import UTC, datetime, timedelta
+from itertools import permutations
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+
+from quatprop import propagate, read_rates
+from quatprop.cli.commands import cli
+from quatprop.errors import UndeclaredError
+from quatprop.tables.counters import counted
+
+E0 = 1_700_000_000
+TIMES = np.arange(300) / 100
+RATES = [f"gyro_{axis}_dps" for axis in "xyz"]
+
+
+def date(seconds, zone=""):
+    """Return a time since 1970 as text to the millisecond."""
+    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(milliseconds=round(seconds * 1000))
+    return moment.isoformat(timespec="milliseconds").removesuffix("+00:00") + zone
+
+
+JITTER = np.random.default_rng(1).uniform(0, 3.4, len(TIMES))
+CLOCKS = {
+    "device_timestamp_ms": (TIMES * 1000).round().astype(int),
+    "epoch (ms)": ((E0 + TIMES) * 1000).round().astype(int),
+    "zoned": [date(E0 + t + 3600, "+01:00") for t in TIMES],
+    "local": [date(E0 + t + 7200) for t in TIMES],
+    "server_time (s)": [f"{E0 + t:.3f}" for t in TIMES + JITTER],
+}
+"""A clock of each rank, the best first."""
+
+
+def table(path, columns):
+    """Write columns and rates of 1, 2 and 3 deg/s."""
+    frame = pd.DataFrame(columns).assign(**dict(zip(RATES, (1.0, 2.0, 3.0), strict=True)))
+    if path.suffix == ".csv":
+        frame.to_csv(path, index=False)
+    elif path.suffix == ".jsonl":
+        frame.to_json(path, orient="records", lines=True)
+    else:
+        frame.to_parquet(path)
+    return path
+
+
+def read(path, recwarn, **options):
+    """Return the stamps of a table, and the remarks on it without its path."""
+    recwarn.clear()
+    t_ns = read_rates(path, **options).t_ns
+    return t_ns, [str(warning.message).removeprefix(f"{path}: ") for warning in recwarn]
+
+
+@pytest.mark.parametrize("suffix", ["csv", "jsonl"])
+@pytest.mark.parametrize("pair", list(permutations(CLOCKS, 2)), ids=",".join)
+def test_of_two_clocks_the_better_is_used_wherever_it_stands(tmp_path, recwarn, pair, suffix):
+    """Local text beat the epoch, and the time of arrival that of the device: by name alone."""
+    path = table(tmp_path / f"log.{suffix}", {name: CLOCKS[name] for name in pair})
+    best, other = sorted(pair, key=list(CLOCKS).index)
+    t_ns, remarks = read(path, recwarn)
+    alone, _ = read(table(tmp_path / f"alone.{suffix}", {best: CLOCKS[best]}), recwarn)
+    assert t_ns.tolist() == alone.tolist()
+    if other == "server_time (s)":
+        (remark,) = remarks
+        assert remark.startswith(
+            f"the times in 'server_time (s)' differ from those in '{best}', which are used, by up "
+        )
+    elif other == "local" and best != "device_timestamp_ms":
+        assert remarks == [
+            (
+                f"the times in 'local' are those in '{best}', which are used, at a UTC offset of "
+                "+02:00; to use them, name them with time_col='local'"
+            )
+        ]
+    else:
+        assert remarks == []
+    # What a remark advises works.
+    named, remarks = read(path, recwarn, time_col=other)
+    alone, _ = read(table(tmp_path / f"alone.{suffix}", {other: CLOCKS[other]}), recwarn)
+    assert (named.tolist(), remarks) == (alone.tolist(), [])
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+@pytest.mark.parametrize("value", [0, -1])
+def test_a_clock_that_stands_still_is_not_the_time(tmp_path, recwarn, value, suffix):
+    """It was never set; the next best is used, with a remark."""
+    columns = {"device_time (s)": value, "epoch (ms)": CLOCKS["epoch (ms)"]}
+    t_ns, remarks = read(table(tmp_path / f"log.{suffix}", columns), recwarn)
+    assert t_ns[0] == E0 * 10**9
+    assert remarks == [
+        "the times in 'device_time (s)' are all the same; those in 'epoch (ms)' are used"
+    ]
+
+
+def test_two_clocks_of_one_rank_that_disagree_are_refused(tmp_path, recwarn):
+    """Nothing tells which of them is right; either can be named."""
+    path = table(tmp_path / "log.csv", {"epoch (s)": TIMES * 1.1, "time (s)": TIMES})
+    with pytest.raises(UndeclaredError) as caught:
+        read_rates(path)
+    assert str(caught.value) == (
+        f"{path}: the time column (one of 'epoch (s)', 'time (s)', which differ by up to 149.5 ms "
+        "beyond a constant) is not declared; say it with time_col='C', or sample_rate='HZ' for "
+        "rows at a steady rate"
+    )
+    assert read(path, recwarn, time_col="time (s)")[0][-1] == 2_990_000_000
+    assert read(path, recwarn, sample_rate=50)[0][1] == 20_000_000
+
+
+def test_two_clocks_of_one_rank_that_agree_are_one(tmp_path, recwarn):
+    """A constant between them is where each begins to count."""
+    columns = {"elapsed (s)": TIMES, "epoch (ms)": CLOCKS["epoch (ms)"]}
+    t_ns, remarks = read(table(tmp_path / "log.csv", columns), recwarn)
+    assert (t_ns[0], remarks) == (E0 * 10**9, [])
+
+
+@pytest.mark.parametrize(
+    ("offset", "seconds"),
+    [("01:00", 3600), ("-07:00", -25_200), ("+0530", 19_800), ("UTC-3:30", -12_600)],
+)
+@pytest.mark.parametrize("suffix", ["csv", "jsonl"])
+def test_a_stated_utc_offset_of_local_text_is_honoured(tmp_path, recwarn, offset, seconds, suffix):
+    """MetaMotion says it in brackets after the name, which was taken for a unit and dropped."""
+    local = {f"time ({offset})": [date(E0 + t + seconds) for t in TIMES]}
+    t_ns, remarks = read(table(tmp_path / f"log.{suffix}", local), recwarn)
+    assert (t_ns[0], t_ns[-1], remarks) == (E0 * 10**9, E0 * 10**9 + 2_990_000_000, [])
+    both = {"epoch (ms)": CLOCKS["epoch (ms)"], **local, "elapsed (s)": TIMES}
+    t_ns, remarks = read(table(tmp_path / f"both.{suffix}", both), recwarn)
+    assert (t_ns[0], remarks) == (E0 * 10**9, [])
+
+
+SOURCES = {
+    "SensorLog": (
+        ("loggingTime(txt),accelerometerTimestamp_sinceReboot(s),motionTimestamp_sinceReboot(s),"
+        "motionRotationRateX(rad/s),motionRotationRateY(rad/s),motionRotationRateZ(rad/s)"),
+        lambda t: f"{date(E0 + t)},{7 + t / 2},{100 + t:.2f},1,2,3",
+        100,
+    ),
+    "SensorLog before": (
+        ("Timestamp,timeIntervalSince1970,rotationRateX(rad/s),rotationRateY(rad/s),"
+        "rotationRateZ(rad/s)"),
+        lambda t: f"{date(E0 + t - 14_400)},{E0 + t:.2f},1,2,3",
+        E0,
+    ),
+    "AndroSensor": (
+        ("GYROSCOPE X (rad/s);GYROSCOPE Y (rad/s);GYROSCOPE Z (rad/s);Time since start in ms ;"
+        "YYYY-MO-DD HH-MI-SS_SSS"),
+        lambda t: f"1;2;3;{t * 1000:.0f};2015-07-12 11:05:{33 + int(t)}:{t % 1 * 1000:.0f}",
+        0,
+    ),
+    "ST BlueST": (
+        "Date,HostTimestamp (ms),NodeName,X (dps),Y (dps),Z (dps)",
+        lambda t: f"12/07/2015 11:05:{33 + int(t)},{t * 1000:.0f},WESU,1,2,3",
+        0,
+    ),
+    "Polar": (
+        "Phone timestamp;sensor timestamp [ns];X [dps];Y [dps];Z [dps]",
+        lambda t: f"{date(E0 + t - t % 0.2)};{round(t * 100) * 10**7};1;2;3",
+        0,
+    ),
+    "unit alone": ("Date,lap [s],X [dps],Y [dps],Z [dps]",
+                   lambda t: f"12.07.2015 11:05:33,{t:.2f},1,2,3", 0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_the_clock_of_a_program_is_recognised(tmp_path, recwarn, name):
+    """A date beside it, in whatever form, is not preferred and not refused."""
+    header, row, first = SOURCES[name]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([header, *map(row, TIMES), ""]))
+    t_ns, remarks = read(path, recwarn)
+    assert len(remarks) == (name == "SensorLog before")
+    assert t_ns.tolist() == [first * 10**9 + k * 10**7 for k in range(300)]
+
+
+@pytest.mark.parametrize("suffix", ["parquet", "feather"])
+def test_a_column_of_text_is_no_clock_of_a_typed_table(tmp_path, recwarn, suffix):
+    """It cannot be read, whatever its name says, and a number beside it can."""
+    columns = {"timestamp": CLOCKS["local"], "epoch (ms)": CLOCKS["epoch (ms)"]}
+    frame = pd.DataFrame(columns).assign(**dict.fromkeys(RATES, 1.0))
+    path = tmp_path / f"log.{suffix}"
+    getattr(frame, f"to_{suffix}")(path)
+    t_ns, remarks = read(path, recwarn)
+    assert (t_ns[0], remarks) == (E0 * 10**9, [])
+
+
+def test_an_arrival_is_not_taken_where_another_column_may_be_the_sensors(tmp_path):
+    """An unknown name with a clock's ending may be better; either can be named."""
+    path = table(tmp_path / "log.csv", {"server_t": TIMES, "kit_t": TIMES})
+    with pytest.raises(UndeclaredError, match=r"the time column \(one of 'server_t', 'kit_t'\)"):
+        read_rates(path)
+    assert len(read_rates(path, time_col="kit_t", time_unit="s").t_ns) == 300
+
+
+# Counters
+
+RATE = "// Update Rate: 100.0Hz\n"
+
+
+def xsens(path, counts, head=RATE):
+    """Write rows of an Xsens MTw, which have a counter."""
+    rows = "".join(f"{n:05d}\t\t1\t2\t3\t\n" for n in counts)
+    path.write_text(f"{head}PacketCounter\tSampleTimeFine\tGyr_X\tGyr_Y\tGyr_Z\t\n{rows}")
+    return path
+
+
+@pytest.mark.parametrize("bits", [8, 16, 32])
+@pytest.mark.parametrize("lost", [0, 1, 30])
+def test_a_counter_at_a_stated_rate_tells_of_lost_samples(tmp_path, recwarn, bits, lost):
+    """Rows were counted, so that samples that were lost took no time: 23.7 s instead of 33.7."""
+    first = 2**bits - 150
+    numbers = [n for n in range(300) if not 140 <= n < 140 + lost]
+    path = xsens(tmp_path / "log.txt", [(first + n) % 2**bits for n in numbers])
+    t_ns, remarks = read(path, recwarn, rate_unit="deg/s")
+    assert (t_ns.tolist(), remarks) == ([n * 10**7 for n in numbers], [])
+
+
+def test_the_lost_samples_of_a_counter_are_a_gap(tmp_path):
+    """They are said, and the rotation over them is propagated or not as over any gap."""
+    path = xsens(
+        tmp_path / "log.txt",
+        [n % 65536 for n in range(65000, 67000) if n not in range(65100, 66100)],
+    )
+    result = CliRunner().invoke(
+        cli,
+        [
+            "propagate",
+            str(path),
+            "-o",
+            "-",
+            "--rate-unit",
+            "deg/s",
+            "--report",
+            str(tmp_path / "r"),
+        ],
+    )
+    assert result.exit_code == 0, result.output
+    report = json.loads((tmp_path / "r").read_text())
+    assert report["counts"]["gaps"]["count"] == 1
+    assert report["result"]["span_s"] == pytest.approx(19.99)
+    assert report["source"]["clock"] == "PacketCounter at 100 Hz"
+
+
+def test_a_counter_is_used_at_a_sample_rate_unless_rows_are_to_be_counted(tmp_path, recwarn):
+    """The remark says how to count rows, and that works."""
+    path = xsens(tmp_path / "log.txt", [0, 1, 2, 5, 6, 7], head="")
+    t_ns, remarks = read(path, recwarn, rate_unit="deg/s", sample_rate=100)
+    assert t_ns.tolist() == [k * 10**7 for k in (0, 1, 2, 5, 6, 7)]
+    assert remarks == [
+        (
+            "sample_rate='100' is that of the counter 'PacketCounter', which also counts lost "
+            "samples; to count rows, give time_col='none' too"
+        )
+    ]
+    t_ns, remarks = read(path, recwarn, rate_unit="deg/s", sample_rate=100, time_col="none")
+    assert (t_ns.tolist(), remarks) == ([k * 10**7 for k in range(6)], [])
+    t_ns, _ = read(path, recwarn, rate_unit="deg/s", sample_rate=100, time_col="PacketCounter")
+    assert t_ns[-1] == 70_000_000
+
+
+@pytest.mark.parametrize(
+    "counts", [[0, 0, 1, 1, 2, 2], [0, 5, 10, 15], [3, 2, 1, 0], [0.5, 1.5, 2.5]]
+)
+def test_what_does_not_count_samples_is_no_counter(tmp_path, recwarn, counts):
+    """Rows are counted then, as if it were not there."""
+    path = tmp_path / "log.csv"
+    rows = "".join(f"{n},1,2,3\n" for n in counts)
+    path.write_text(f"# Sample rate: 100 Hz\ncounter,wx_dps,wy_dps,wz_dps\n{rows}")
+    t_ns, _ = read(path, recwarn)
+    assert t_ns.tolist() == [k * 10**7 for k in range(len(counts))]
+
+
+@pytest.mark.parametrize("cut", [1, 7, 150, 299])
+def test_a_counter_goes_on_from_batch_to_batch(cut):
+    """Wherever a batch ends, also where the counter begins again."""
+    values = (np.arange(300) + 65_400) % 65536
+    whole = counted(values)
+    first = counted(values[:cut])
+    rest = counted(values[cut:], (int(values[cut - 1]), int(first[-1])))
+    assert np.concatenate([first, rest]).tolist() == whole.tolist() == list(range(300))
+
+
+def test_a_counter_that_begins_anew_steps_back():
+    """Far from the end of its range it was reset, and nobody knows what was lost."""
+    assert counted(np.array([40_000, 40_001, 0, 1])).tolist() == [0, 1, -40_000, -39_999]
+
+
+def test_a_counter_gives_attitudes_as_stamps_do(tmp_path):
+    """Through the whole run."""
+    path = xsens(tmp_path / "log.txt", [0, 1, 2, 12, 13])
+    attitudes = propagate(path, rate_unit="deg/s")
+    assert attitudes.t_ns.tolist() == [0, 10**7, 2 * 10**7, 12 * 10**7, 13 * 10**7]
