@@ -36,7 +36,6 @@ TABLES = {kind for kind, reader in READERS.items() if reader.load.startswith("qu
 
 
 REFUSED = "its key has an empty part, '.', '..' or '?', which no address can have; rename it"
-"""Why an object is not read."""
 
 
 class FoundLog(NamedTuple):
@@ -118,12 +117,13 @@ class LogSearch:
         if parts[-1] == "**":
             self._add_folder(root, root)
             return
+        noted = len(self.logs)
         if is_address(pattern):
             names = _matching(root, parts[count:])
             matches = [below(root, name) for name in names if self._is_usable(root, name)]
         else:
             matches = sorted(glob.iglob(pattern, recursive=True))
-        if not matches:
+        if not matches and len(self.logs) == noted:
             raise UsageError(f"nothing matches {quoted(pattern)}; check the pattern")
         for match in matches:
             if _is_plain_folder(match):

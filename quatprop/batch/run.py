@@ -208,7 +208,7 @@ def propagate_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
     """Propagate one log; an error becomes its result."""
     began = time.perf_counter()
     # Before the log is read: if it changes meanwhile, the next batch propagates it again.
-    origin = settings.origin(task)
+    origin = None if task.refused else settings.origin(task)
     try:
         result = _done(task, settings)
     except QuatpropError as error:

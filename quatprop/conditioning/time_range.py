@@ -225,8 +225,10 @@ def clipped(
     UsageError
         A number is so small that it must be in seconds or milliseconds.
     """
-    low = np.iinfo(np.int64).min if start_ns is None else start_ns
-    high = np.iinfo(np.int64).max if end_ns is None else end_ns
+    first, last = np.iinfo(np.int64).min, np.iinfo(np.int64).max
+    # A date may be beyond what a clock of 64 bits can say.
+    low = first if start_ns is None else min(max(start_ns, first), last)
+    high = last if end_ns is None else min(max(end_ns, first), last)
     for number, (batch, rows) in enumerate(numbered):
         if not number:
             _refuse_seconds(settings, batch.t_ns[:2].tolist())
