@@ -32,7 +32,7 @@ from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES, RAT
 
 KINDS = (
     *("mcap", "bag", "db3", "rosbag2", "ulog"),
-    *("parquet", "feather", "npy", "npz", "hdf5", "jsonl", "tum", "kitti", "csv"),
+    *("parquet", "feather", "npy", "npz", "hdf5", "matlab", "jsonl", "tum", "kitti", "csv"),
 )
 """The keys of :data:`quatprop.log_kinds.READERS`."""
 
