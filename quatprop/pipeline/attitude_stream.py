@@ -86,7 +86,7 @@ class AttitudeStream:
         self._observer, self._sensitivity, self._rate = observer, sensitivity, rate
         self._rows = 0
         # First, since the beginning of the log may be kept until it is read for good.
-        self._log_remarks = [] if log is None or path == "-" else log_remarks(log, source)
+        self._log_remarks = [] if log is None or str(log.path) == "-" else log_remarks(log, source)
         self._batches, self._conditioned = condition(
             source.batches,
             settings.conditioning,

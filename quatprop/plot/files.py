@@ -155,7 +155,7 @@ def _view_rates(path: str, log: AnyLog, source: RateSignal, view: View) -> FileV
     if not counts.used:
         raise NoSamplesError(path, source.name, done.outside, losses=log.losses)
     remarks = [*source.remarks, *_irregularities(counts), *checks.remarks(counts), *log.remarks]
-    if path != "-":
+    if str(log.path) != "-":
         remarks += log_remarks(log, source)
     convention = "rates as recorded, in the axes of the sensor; nothing subtracted"
     about = [("convention", convention), ("rate", f"{source.field} in {source.unit}")]
