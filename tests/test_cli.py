@@ -231,7 +231,7 @@ def test_unknown_format(tmp_path):
         run("propagate", path, "-o", tmp_path / "out.csv"),
         f"{path}: neither its content nor its suffix is that of a log this version reads; "
         "if you know its kind, use --from mcap|bag|db3|rosbag2|ulog|parquet|feather|"
-        "npy|npz|hdf5|jsonl|tum|kitti|csv",
+        "npy|npz|hdf5|matlab|jsonl|tum|kitti|csv",
     )
 
 

@@ -258,10 +258,16 @@ def _kind(path: str) -> str:
     if kind := _kind_by_suffix(path):
         return kind
     try:
-        with open(path, "rb") as stream:
-            return "other" if stream.read(MAGIC_BYTES).startswith(MAGIC) else ""
+        # Nobody may ever write to a pipe.
+        with open(path, "rb", 0, opener=_at_once) as stream:
+            head = stream.read(MAGIC_BYTES)
+            return "other" if head and head.startswith(MAGIC) else ""
     except OSError:
         return ""
+
+
+def _at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def _kind_by_suffix(name: str) -> str:

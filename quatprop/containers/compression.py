@@ -233,6 +233,8 @@ def decompressed_pieces(file: BinaryIO, compression: str) -> Iterator[bytes]:
             import bz2
 
             yield from _frames(file, bz2.BZ2Decompressor, _PIECE)
+        elif compression == "zlib":
+            yield from _frames(file, zlib.decompressobj)
         else:
             yield from _frames(file, partial(zlib.decompressobj, _GZIP), padding=b"\0")
     except _decompression_errors(compression) as error:

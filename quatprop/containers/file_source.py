@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
     from pyarrow import NativeFile
 
+_BINARY, _AT_ONCE = getattr(os, "O_BINARY", 0), getattr(os, "O_NONBLOCK", 0)
+
 
 class FileSource:
     """A file that several threads may read at once.
@@ -46,7 +48,8 @@ class FileSource:
         self.path = path
         self._lock = threading.Lock()
         try:
-            self._file = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
+            # Nobody may ever write to what turns out to be a pipe.
+            self._file = os.open(path, os.O_RDONLY | _BINARY | _AT_ONCE)
         except OSError as error:
             raise UnreadableLogError(path, os_reason(error)) from error
         # Also runs when the log that reads from it is no longer used, whoever forgot to close it.
@@ -55,8 +58,10 @@ class FileSource:
         self.size = status.st_size
         if not stat.S_ISREG(status.st_mode):
             self.close()
-            what = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
-            raise UnreadableLogError(path, f"it is {what}, not a file; name a file")
+            reason = "it is a pipe or a device, not a file; name a file, or - with stdin from it"
+            if stat.S_ISDIR(status.st_mode):
+                reason = "it is a folder, not a file; name a file"
+            raise UnreadableLogError(path, reason)
 
     def read(self, start: int, length: int) -> bytes:
         """Return the bytes from `start`, fewer than `length` at the end of the file.

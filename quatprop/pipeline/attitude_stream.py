@@ -87,7 +87,7 @@ class AttitudeStream:
         self._rows = 0
         # First, since the beginning of the log may be kept until it is read for good.
         self._log_remarks = (
-            [] if log is None or path == "-" else log_remarks(log, source, settings.rates)
+            [] if log is None or str(log.path) == "-" else log_remarks(log, source, settings.rates)
         )
         self._timeline, self._checks = Timeline(settings.policy, path), RateChecks()
         self._batches, self._conditioned = condition(

@@ -15,7 +15,7 @@ from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.containers.kept_blocks import beginnings_kept
 from quatprop.containers.stores import digest_of_object, is_address
 from quatprop.errors import UsageError
-from quatprop.formats import open_log
+from quatprop.formats import is_stream, open_log
 from quatprop.pipeline.attitude_stream import AttitudeStream
 from quatprop.pipeline.report import ReportFile, RunReport, digests_of_inputs
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
@@ -206,9 +206,9 @@ def _refuse_contradictions(job: Job) -> None:
     if not output.into:
         layout_of(output.kind, output.layout)
     refuse_overlap([job.log, *settings.inputs.values()], [output.path, output.report])
-    if job.log == "-" and settings.needs_second_read:
+    if settings.needs_second_read and is_stream(job.log):
         raise UsageError(
-            f"stdin can be read only once; {Setting('bias', 'static')}, "
-            f"{Setting('q0', 'level|log')} and relative {Setting('start')} and {Setting('end')} "
-            "need a file"
+            f"{'stdin' if job.log == '-' else 'a pipe'} can be read only once; "
+            f"{Setting('bias', 'static')}, {Setting('q0', 'level|log')} and relative "
+            f"{Setting('start')} and {Setting('end')} need a file"
         )

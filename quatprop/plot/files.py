@@ -163,7 +163,7 @@ def _view_rates(path: str, log: AnyLog, source: RateSignal, view: View) -> FileV
         raise NoSamplesError(path, source.name, done.outside, losses=log.losses)
     found = *_irregularities(counts), *done.all_remarks, *checks.remarks(counts)
     remarks = [*source.remarks, *found, *log.remarks]
-    if path != "-":
+    if str(log.path) != "-":
         remarks += log_remarks(log, source)
     convention = "rates as recorded, in the axes of the sensor; nothing subtracted"
     about = [("convention", convention), ("rate", f"{source.field} in {source.unit}")]

@@ -34,7 +34,7 @@ from quatprop.text import Setting
 
 KINDS = (
     *("mcap", "bag", "db3", "rosbag2", "ulog"),
-    *("parquet", "feather", "npy", "npz", "hdf5", "jsonl", "tum", "kitti", "csv"),
+    *("parquet", "feather", "npy", "npz", "hdf5", "matlab", "jsonl", "tum", "kitti", "csv"),
 )
 """The keys of :data:`quatprop.log_kinds.READERS`."""
 
