@@ -30,7 +30,11 @@ RATES = np.arange(1, SAMPLES + 1)
 """Rates about x, rad/s, by which every sample is told; the other two are 0."""
 SPACING_NS = 10_000_000
 
-FORMATS = {"bag": ("flips_rosbag1", ".bag"), "mcap": ("flips_mcap", ".mcap")}
+FORMATS = {
+    "bag": ("flips_rosbag1", ".bag"),
+    "mcap": ("flips_mcap", ".mcap"),
+    "ulog": ("flips_ulog", ".ulg"),
+}
 """Modules and suffixes."""
 
 HARMLESS, DETECTED, REFUSED = "harmless", "detected", "refused"
@@ -59,13 +63,13 @@ class Flip(NamedTuple):
     detail: str = ""
 
 
-def read(path):
+def read(path, options):
     """Return what :func:`quatprop.read_rates` gives, and what it warns of as lost."""
     empty = np.zeros(0, np.int64), np.zeros((0, 3))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            series = quatprop.read_rates(path)
+            series = quatprop.read_rates(path, **options)
         except quatprop.QuatpropError as error:
             return Reading(*empty, error=str(error))
         except Exception as error:  # noqa: BLE001  # whatever it is, it is a finding
@@ -155,13 +159,14 @@ class Format(NamedTuple):
         path = Path(folder) / f"flipped{self.suffix}"
         intact = {}
         for flip in flips:
+            options = getattr(self.module, "OPTIONS", {}).get(flip.layout, {})
             if flip.layout not in intact:
                 path.write_bytes(layouts[flip.layout])
-                intact[flip.layout] = whole(read(path))
+                intact[flip.layout] = whole(read(path, options))
             data = bytearray(layouts[flip.layout])
             data[flip.position] ^= 1 << flip.bit
             path.write_bytes(data)
-            found = read(path)
+            found = read(path, options)
             result = verdict(found, intact[flip.layout], flip.layout in counted)
             detail = found.error or f"{len(found.t_ns)} samples, {found.losses}"
             yield flip._replace(verdict=result, detail=detail)

@@ -9,8 +9,8 @@ from px4_messages import DEFINITIONS, write_mcap
 from streams import propagated
 
 import quatprop
-from quatprop.containers import ulog
-from quatprop.containers.ulog import SYNC
+from quatprop.containers import ulog_records
+from quatprop.containers.ulog_records import SYNC
 from quatprop.errors import (
     AmbiguousTopicError,
     DamagedLogError,
@@ -343,7 +343,7 @@ def test_windows_change_nothing(tmp_path, monkeypatch):
     assert len(whole) == len(stamps)
     assert len(losses) == 1
     for window in (1 << 17, 70_001, 66_000):
-        monkeypatch.setattr(ulog, "_WINDOW", window)
+        monkeypatch.setattr(ulog_records, "WINDOW", window)
         series, told = read(path)
         assert series.t_ns.tolist() == [stamp * 1000 for stamp in stamps]
         assert series.rate.tobytes() == whole.rate.tobytes()

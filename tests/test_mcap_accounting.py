@@ -168,6 +168,16 @@ def test_no_sample_of_an_attached_log_is_found_after_damage(tmp_path):
     assert read(tmp_path / "log.mcap", data)[0] == mcap.COUNT
 
 
+def test_a_file_that_ends_in_an_attached_log_has_no_samples_of_it(tmp_path, layouts):
+    """The records of the attachment were read where its end is missing."""
+    data = layouts["attachment, unclosed"]
+    (at,) = places(data, mcap.ATTACHMENT)
+    for cut in range(at + 1, at + 9000, 731):
+        count, lost = read(tmp_path / "log.mcap", data[:cut])
+        assert count == mcap.COUNT // 2
+        assert lost
+
+
 @pytest.mark.parametrize("layout", [name for name in mcap.layouts() if name != "unchunked"])
 def test_what_is_lost_of_a_chunk_is_counted(tmp_path, layouts, layout):
     """Statistics or the message index say it, also where the head of the chunk is damaged."""

@@ -55,13 +55,13 @@ def build_index(source: FileSource) -> McapIndex:
 
 def _scanned(source: FileSource, end: int, summary: Summary, *, is_closed: bool) -> Scan:
     """Scan the data section; what the summary says of its chunks is used where it fits the file."""
-    scan = Scan(source, end, _usable_chunks(source, summary), summary.attachments)
+    usable = _usable_chunks(source, summary)
+    scan = Scan(source, end, dict(usable), summary.attachments)
     scan.run(is_closed=is_closed)
     # Chunks that the scan did not come by, or records that do not begin where a chunk ends.
-    if not summary.chunks or not (scan.indexed or scan.losses):
-        return scan
-    scan = Scan(source, end, {}, summary.attachments)
-    scan.run(is_closed=is_closed)
+    if usable and (scan.indexed or scan.losses):
+        scan = Scan(source, end, {}, summary.attachments)
+        scan.run(is_closed=is_closed)
     if scan.losses:
         scan.add_lost(summary.chunks.values())
     return scan
@@ -75,4 +75,4 @@ def _usable_chunks(source: FileSource, summary: Summary) -> dict[int, Region]:
     if not summary.chunks:
         return {}
     last = summary.chunks[max(summary.chunks)]
-    return dict(summary.chunks) if head_of(source, last) else {}
+    return summary.chunks if head_of(source, last) else {}

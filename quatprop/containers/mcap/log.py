@@ -185,4 +185,6 @@ class McapLog(ChunkedLog[Region]):
 
     def _undefined(self) -> int:
         """Return how many messages are lost since their channel is unknown: it may be any."""
-        return sum(loss.messages or 0 for loss in self.losses if loss.reason == UNDEFINED)
+        stated = {f"channel {id_}" for id_ in self._stated or ()}
+        lost = [loss for loss in self.losses if loss.reason == UNDEFINED]
+        return sum(loss.messages or 0 for loss in lost if loss.place not in stated)

@@ -7,6 +7,7 @@ goes on at the next place that is certain to be a record.
 from __future__ import annotations
 
 from bisect import bisect_right
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from quatprop.checksum import crc32
@@ -48,8 +49,6 @@ if TYPE_CHECKING:
 _LOOSE_SIZE = 1 << 22
 """Bytes of messages outside chunks that are one region."""
 _NOT_MESSAGES = frozenset(range(256)) - {SCHEMA, CHANNEL, MESSAGE}
-_UNKNOWN = 0x7F
-"""Stands for an opcode that is wrong, though the length of the record is right."""
 
 
 class Scan:
@@ -76,14 +75,9 @@ class Scan:
     """
 
     def __init__(
-        self,
-        source: FileSource,
-        end: int,
-        indexed: dict[int, Region],
-        attachments: dict[int, int],
+        self, source: FileSource, end: int, indexed: dict[int, Region], attachments: dict[int, int]
     ) -> None:
-        self.source = source
-        self.end = end
+        self.source, self.end = source, end
         self.indexed, self.attachments = indexed, attachments
         self.starts = sorted(indexed)
         self.regions: list[Region] = []
@@ -116,7 +110,8 @@ class Scan:
 
     def add_lost(self, chunks: Iterable[Region]) -> None:
         """Add chunks that are not where the summary has them, so that what is lost is counted."""
-        for chunk in chunks:
+        starts = {region.start for region in self.regions}
+        for chunk in [chunk for chunk in chunks if chunk.start not in starts]:
             if all(chunk.end <= each.start or each.end <= chunk.start for each in self.regions):
                 self.regions.append(chunk)
         self.regions.sort(key=lambda region: region.start)
@@ -137,6 +132,10 @@ class Scan:
         if opcode == CHUNK and self._is_followed(end):
             self.regions.append(Region(position, length, True, 0))
             return opcode, end
+        if opcode == ATTACHMENT and end > self.end:
+            # What follows may be records of a file that is attached.
+            self.losses.note(f"attachment at byte {position}", TORN)
+            return opcode, self._next_indexed(position)
         if opcode in {0, CHUNK}:
             return 0, self._damaged(position, head[0])
         if opcode == MESSAGE:
@@ -158,7 +157,8 @@ class Scan:
             if other is not None and stated <= self.end:
                 return other, stated
         if by_content in {length, None}:
-            return (opcode if stated <= self.end or opcode == CHUNK else 0), stated
+            is_read = stated <= self.end or opcode in {CHUNK, ATTACHMENT}
+            return (opcode if is_read else 0), stated
         ends = [stated, position + RECORD.size + max(by_content, 0)]
         ends = [end for end in ends if position + RECORD.size < end <= self.end]
         followed = [end for end in ends if self._is_followed(end)]
@@ -166,11 +166,12 @@ class Scan:
             return opcode, self._attachment_end(position, ends, followed)
         if not followed:
             return (opcode if opcode == CHUNK else 0), stated
-        # A data end that is not as long as it must be is none.
-        return (_UNKNOWN if opcode == DATA_END and followed[0] == stated else opcode), followed[0]
+        if opcode == DATA_END and followed[0] == stated:
+            opcode = 0x7F  # any that is unknown: a data end is not as long
+        return opcode, followed[0]
 
     def _is_followed(self, end: int) -> bool:
-        return end == self.end or is_record(self.source, end, self.end)
+        return end == self.end or (end < self.end and is_record(self.source, end, self.end))
 
     def _attachment_end(self, position: int, ends: list[int], followed: list[int]) -> int:
         """Return where an attachment ends: its records may be those of another file."""
@@ -205,7 +206,7 @@ class Scan:
             # The length of the chunk before may be wrong.
             resumed_at = self._next_record(last.start + 1, position, CHUNKS)
             # The damage may have hit the message index of another channel of that chunk.
-            last.holds, last.index_length = None, 0
+            self.regions[-1] = replace(last, holds=None, index_length=0)
         if resumed_at is None:
             resumed_at = self._next_record(position + 1, limit, RECORDS)
             for begin, length in self.attachments.items():

@@ -23,7 +23,7 @@ from quatprop.containers.rosbag1.records import (
     Record,
     RecordFile,
     data_fields,
-    index_offsets,
+    index_data,
 )
 
 if TYPE_CHECKING:
@@ -62,6 +62,15 @@ class BagChunk:
         have numbers of their own, each counted from 0.
     last_ns
         Log time of its latest message; None if it is unknown.
+    record
+        Its record, once it was read.
+    is_checked
+        Whether it ends where the next chunk begins, or whatever is between them was read.
+    is_missing
+        Whether `counts` are what is missing of a chunk whose rest was found elsewhere.
+    is_proved
+        Whether `counts` are certain, so that it holds no other connection; None if that was not
+        looked at yet.
     """
 
     start: int
@@ -71,6 +80,10 @@ class BagChunk:
     is_unchunked: bool = False
     first_conn: int = 0
     last_ns: int | None = None
+    record: Record | None = None
+    is_checked: bool = False
+    is_missing: bool = False
+    is_proved: bool | None = None
 
     @property
     def place(self) -> str:
@@ -99,7 +112,7 @@ class ChunkRecords(ChunkContent):
     def entries(self) -> dict[int, NDArray[np.void]]:
         """Index entries of each connection."""
         try:
-            return index_offsets(self.read_index())
+            return index_data(self.read_index())[0]
         except UnreadableDataError:
             return {}
 
@@ -137,6 +150,10 @@ class BagIndex:
         Where it ends.
     first_conn
         What is added to the numbers of connections in the current bag of joined ones.
+    origin
+        Where the current bag begins, from which its own index counts.
+    infos
+        What chunk infos say that were met among the records.
     """
 
     connections: dict[int, dict[bytes, bytes]] = field(default_factory=dict)
@@ -144,10 +161,13 @@ class BagIndex:
     losses: Losses = field(default_factory=Losses)
     end: int = 0
     first_conn: int = 0
+    origin: int = 0
+    infos: list[BagChunk] = field(default_factory=list)
 
-    def begin_bag(self) -> None:
+    def begin_bag(self, origin: int) -> None:
         """Begin another bag that follows in the same file; no number keeps its meaning."""
         self.first_conn += _NUMBERS
+        self.origin = origin
 
     def add_connection(self, record: Record, data: bytes) -> None:
         """Add a connection record; the first of a connection counts, and later ones repeat it."""
@@ -222,7 +242,7 @@ def read_index(file: RecordFile, header: Record) -> BagIndex | None:
     Returns
     -------
     BagIndex or None
-        None if it has no complete index.
+        None if it has no index of all chunks.
     """
     index = BagIndex()
     try:
@@ -246,7 +266,7 @@ def read_index(file: RecordFile, header: Record) -> BagIndex | None:
             if record.op == OP_CONNECTION:
                 index.add_connection(record, data)
             else:
-                index.chunks.append(_chunk_of_info(record, data))
+                index.chunks.append(chunk_of_info(record, data))
             at = record.end
     except UnreadableDataError:
         return None
@@ -256,10 +276,12 @@ def read_index(file: RecordFile, header: Record) -> BagIndex | None:
     if index.chunks:
         index.chunks[-1].end = end
     index.end = at
-    return index
+    begins = [chunk.start for chunk in index.chunks]
+    is_full = len({*begins}) == len(begins) and begins[:1] in ([header.end], [])
+    return index if is_full else None
 
 
-def _chunk_of_info(record: Record, data: bytes) -> BagChunk:
+def chunk_of_info(record: Record, data: bytes) -> BagChunk:
     """Return the chunk that a chunk info record describes."""
     if record.number(b"ver") != 1 or len(data) != 8 * record.number(b"count"):
         raise UnreadableDataError("its chunk info is damaged")
