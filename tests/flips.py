@@ -30,7 +30,11 @@ RATES = np.arange(1, SAMPLES + 1)
 """Rates about x, rad/s, by which every sample is told; the other two are 0."""
 SPACING_NS = 10_000_000
 
-FORMATS = {"bag": ("flips_rosbag1", ".bag"), "ulog": ("flips_ulog", ".ulg")}
+FORMATS = {
+    "bag": ("flips_rosbag1", ".bag"),
+    "ulog": ("flips_ulog", ".ulg"),
+    "db3": ("flips_db3", ".db3"),
+}
 """Modules and suffixes."""
 
 HARMLESS, DETECTED, REFUSED = "harmless", "detected", "refused"
