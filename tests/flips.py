@@ -37,8 +37,9 @@ CUTS = 64
 
 FORMATS = {
     "bag": ("flips_rosbag1", ".bag"),
-    "ulog": ("flips_ulog", ".ulg"),
+    "mcap": ("flips_mcap", ".mcap"),
     "db3": ("flips_db3", ".db3"),
+    "ulog": ("flips_ulog", ".ulg"),
 }
 """Modules and suffixes."""
 

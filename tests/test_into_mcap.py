@@ -217,7 +217,7 @@ def test_bytes_that_are_no_records_are_passed_over(tmp_path):
         third = make_reader(stream).get_summary().chunk_indexes[3]
     at = third.chunk_start_offset
     data = bytearray(log.read_bytes())
-    data[at : at + 9] = bytes(9)
+    data[at : at + 60] = bytes(60)
     log.write_bytes(data)
     out = tmp_path / "out.mcap"
     assert run("propagate", log, "--into", out, "-q").exit_code == 3

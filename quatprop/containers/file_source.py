@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
     from pyarrow import NativeFile
 
 
@@ -74,24 +72,6 @@ class FileSource:
         while (place := start + len(data)) < end and (more := self._read(end - place, place)):
             data += more
         return data
-
-    def read_into(self, start: int, into: NDArray[np.uint8]) -> memoryview:
-        """Fill memory with the bytes from `start` and return it; it ends where the file does.
-
-        Raises
-        ------
-        OSError
-            The medium is damaged there.
-        """
-        view = into.data
-        done = 0
-        if hasattr(os, "preadv") and not self.is_remote:
-            done = os.preadv(self._file, [view], start)
-        if done < len(view):
-            rest = self.read(start + done, len(view) - done)
-            view[done : done + len(rest)] = rest
-            done += len(rest)
-        return view[:done]
 
     def read_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
         """Return the bytes of some ranges, one after another.

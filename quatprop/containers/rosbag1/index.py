@@ -180,12 +180,7 @@ class BagIndex:
         self.connections.setdefault(number, described | record.fields)
 
 
-def read_chunk(
-    file: RecordFile,
-    chunk: BagChunk,
-    into: NDArray[np.uint8] | None = None,
-    record: Record | None = None,
-) -> ChunkRecords:
+def read_chunk(file: RecordFile, chunk: BagChunk, record: Record | None = None) -> ChunkRecords:
     """Read and decompress a chunk.
 
     Parameters
@@ -194,8 +189,6 @@ def read_chunk(
         The bag.
     chunk
         Where in it.
-    into
-        Memory for its records; it has their size.
     record
         Its record, if it is known.
 
@@ -205,8 +198,7 @@ def read_chunk(
         There is no chunk where the index points, or it cannot be decompressed.
     """
     if chunk.is_unchunked:
-        size = chunk.end - chunk.start
-        records = file.at(chunk.start, size) if into is None else file.into(chunk.start, into)
+        records = file.at(chunk.start, chunk.end - chunk.start)
         return ChunkRecords(np.frombuffer(records, np.uint8))
     record = record or file.record(chunk.start)
     if record.op != OP_CHUNK:
@@ -215,7 +207,7 @@ def read_chunk(
     compression = record.fields.get(b"compression", b"").decode(errors="replace")
     index = index_reader(file, chunk, record, size)
     if compression == "none":
-        records = file.at(record.data, length) if into is None else file.into(record.data, into)
+        records = file.at(record.data, length)
         damage = "its end is cut off" if len(records) < length else ""
         return ChunkRecords(np.frombuffer(records, np.uint8), damage, read_index=index)
     content = file.at(record.data, length)
@@ -223,7 +215,7 @@ def read_chunk(
         prefix = decompress_prefix(content, compression, size)
         damage = f"its {compression} data is cut off"
         return ChunkRecords(np.frombuffer(prefix, np.uint8), damage, read_index=index)
-    data = decompress(content, compression, size, into)
+    data = decompress(content, compression, size)
     return ChunkRecords(np.frombuffer(data, np.uint8), read_index=index)
 
 

@@ -72,13 +72,13 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         """Return whether a chunk holds other connections."""
         return not chunk.is_unchunked and not chunk.counts.keys() <= chunk.inside(self.connections)
 
-    def whole(self, chunk: BagChunk, into: NDArray[np.uint8] | None = None) -> ChunkRecords:
+    def whole(self, chunk: BagChunk) -> ChunkRecords:
         """Return the records of a chunk."""
         if chunk.is_missing:
             return ChunkRecords(damage="a part of it is missing")
         try:
             self.budget.check()
-            loaded = read_chunk(self.file, chunk, into, record_of(self.file, chunk))
+            loaded = read_chunk(self.file, chunk, record_of(self.file, chunk))
         except UnreadableDataError as error:
             return ChunkRecords(damage=str(error))
         self.budget.spend(0 if chunk.is_unchunked else len(loaded.data))
@@ -101,9 +101,9 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
     def only_messages(
         self,
         data: NDArray[np.uint8],
-        first: BagChunk,  # noqa: ARG002  # the numbers are compared with each chunk's
+        chunk: BagChunk,  # noqa: ARG002  # its numbers are compared by `may_have`
     ) -> tuple[MessageBlock, int] | None:
-        """Return the messages of chunks that hold nothing else behind the first definitions."""
+        """Return the messages of a chunk that holds nothing else behind its definitions."""
         begin = begin_of_messages(data)
         return None if begin is None else only_messages(data, begin)
 

@@ -110,10 +110,6 @@ class RecordFile:
         """Return `size` bytes, fewer at the end of the file."""
         return _read(self.source.read, start, size)
 
-    def into(self, start: int, into: NDArray[np.uint8]) -> memoryview:
-        """Fill memory and return it; it ends where the file does."""
-        return _read(self.source.read_into, start, into)
-
     def at_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
         """Return the bytes of some ranges, one after another."""
         return _read(self.source.read_ranges, begins, ends)
