@@ -90,6 +90,11 @@ def heads(data):
     return names
 
 
+def ends(data):
+    """Return where the chunks end."""
+    return [record.end for record in _records(data, 13, len(data)) if record.op == "chunk"]
+
+
 def _records(data, at, stop):
     """Yield the records from one place to another."""
     while at < stop:

@@ -278,7 +278,8 @@ def read_index(file: RecordFile, header: Record) -> BagIndex | None:
     index.end = at
     begins = [chunk.start for chunk in index.chunks]
     is_full = len({*begins}) == len(begins) and begins[:1] in ([header.end], [])
-    return index if is_full else None
+    is_known = all(chunk.counts.keys() <= index.connections.keys() for chunk in index.chunks)
+    return index if is_full and is_known else None
 
 
 def chunk_of_info(record: Record, data: bytes) -> BagChunk:

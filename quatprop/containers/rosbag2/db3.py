@@ -15,6 +15,7 @@ from quatprop.containers.rosbag2.fetches import ROWS, Fetch, combined, fetch_of,
 from quatprop.containers.rosbag2.parts import custom_data
 from quatprop.containers.rosbag2.sqlite_files import (
     files_beside,
+    limit_steps,
     note_joined_bytes,
     open_database,
     read_wal,
@@ -141,6 +142,7 @@ class Db3Log(MessageLog):
         """Fetch messages in time order, and read the pages themselves where SQLite cannot."""
         ids = [id_ for id_, described in self._topics.items() if described == channel]
         count = 0
+        limit_steps(self._database, self.path.stat().st_size)
         try:
             self._check_indexes()
             for fetch in self._queried(channel, ids, within):
@@ -150,23 +152,39 @@ class Db3Log(MessageLog):
             yield from self._recovered(channel, ids, within, count, str(error))
 
     def _check_indexes(self) -> None:
-        """Raise an error of SQLite where an index does not list all rows."""
-        indexes = self._database.execute(
-            "SELECT name FROM pragma_index_list('messages') WHERE partial = 0"
-        ).fetchall()
-        for (name,) in indexes:
-            quoted_name = str(name).replace('"', '""')
-            rows = self._number("count(*)", f'INDEXED BY "{quoted_name}"')
+        """Raise an error of SQLite where an index does not list each row once.
+
+        That is told by how many there are, and by the sum of their numbers.
+        """
+        indexes = self._indexes()
+        if not indexes and self._database.execute("PRAGMA quick_check(1)").fetchall() != [("ok",)]:
+            raise apsw.CorruptError("its pages do not account for all messages")
+        what = "count(*), sum(rowid)" if self._has_rowid() else "count(*)"
+        for name in indexes:
+            quoted_name = name.replace('"', '""')
+            rows = self._numbers(what, f'INDEXED BY "{quoted_name}"')
             # Where no row number is left out these are all. Otherwise the whole table is counted.
-            is_complete = self._has_rowid() and rows == 1 + self._number(
-                "ifnull((SELECT max(rowid) FROM messages) - min(rowid), -1)"
-            )
-            if not is_complete and rows != self._number("count(*)", "NOT INDEXED"):
+            if rows != self._consecutive() and rows != self._numbers(what, "NOT INDEXED"):
                 raise apsw.CorruptError(f"its index {quoted(name)} does not list all messages")
 
-    def _number(self, expression: str, how: str = "") -> int:
-        rows = self._database.execute(f"SELECT {expression} FROM messages {how}")  # noqa: S608
-        return int(str(next(rows)[0]))
+    def _consecutive(self) -> list[int]:
+        """Return how many rows there are, and the sum of their numbers, if none is left out."""
+        if not self._has_rowid():
+            return []
+        first, last = self._numbers("min(rowid), (SELECT max(rowid) FROM messages)")
+        count = last - first + 1
+        return [count, (first + last) * count // 2]
+
+    def _indexes(self) -> list[str]:
+        """Return the names of the indexes that list all rows."""
+        rows = self._database.execute(
+            "SELECT name FROM pragma_index_list('messages') WHERE partial = 0"
+        )
+        return [str(name) for (name,) in rows]
+
+    def _numbers(self, expressions: str, how: str = "") -> list[int]:
+        rows = self._database.execute(f"SELECT {expressions} FROM messages {how}")  # noqa: S608  # no text of others
+        return [int(str(value or 0)) for value in next(rows)]
 
     def _queried(
         self, channel: Channel, ids: list[SQLiteValue], within: TimeRange
@@ -201,6 +219,9 @@ class Db3Log(MessageLog):
                 count += len(fetch.times)
                 yield fetch
         except (TypeError, UnicodeDecodeError):
+            # An index may have other values than the rows.
+            if self._database.execute("PRAGMA integrity_check(1)").fetchall() != [("ok",)]:
+                raise apsw.CorruptError("its index has values of another type") from None
             # Columns of SQLite hold values of any type; to ask for that of each takes time.
             query = (
                 f"SELECT timestamp, data FROM messages WHERE {in_range}{is_message} {order} "  # noqa: S608  # only question marks go in
