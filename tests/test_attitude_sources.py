@@ -10,6 +10,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from quatprop import read_attitudes
 from quatprop.errors import (
     AmbiguousTopicError,
     LogError,
@@ -94,7 +95,7 @@ def test_real_tables_are_read_by_their_names(shared_logs, name):
 def test_xsens_tables_carry_attitudes_beside_their_rates(shared_logs):
     """Quat_w is the scalar, rows are counted at the rate of the comments."""
     t_ns, wxyz, source, _ = read(shared_logs / "csv" / "data_xsens.txt")
-    assert (t_ns[0], t_ns[1], source.clock) == (0, 20_000_000, "50 Hz")
+    assert (t_ns[0], t_ns[1], source.clock) == (0, 20_000_000, "Counter at 50 Hz")
     assert wxyz[0].tolist() == [0.567189, 0.769786, 0.003829, 0.292765]
 
 
@@ -604,3 +605,61 @@ def test_a_log_whose_orientation_is_absent_has_none(tmp_path):
     log = ros2(tmp_path / "bag", {"/imu": ("sensor_msgs/msg/Imu", [message])})
     with pytest.raises(LogError, match=r"the orientation of '/imu' is absent or invalid through"):
         own_orientation(log, None)
+
+
+def test_attitudes_of_sensor_logger_are_not_taken_for_those_of_x_io(tmp_path):
+    """Its stamps are in ns, which x-io's would have to declare."""
+    path = tmp_path / "WatchMotion.csv"
+    header = "time,seconds_elapsed,quaternionX,quaternionY,quaternionZ,quaternionW\n"
+    path.write_text(header + "".join(f"{k}0000000,{k / 100},0.6,0,0,0.8\n" for k in range(9)))
+    attitudes = read_attitudes(path)
+    assert attitudes.t_ns.tolist() == [k * 10**7 for k in range(9)]
+    assert attitudes.wxyz[0].tolist() == [0.8, 0.6, 0, 0]
+
+
+def test_numbered_quaternions_of_xsens_begin_with_the_scalar(tmp_path):
+    """Quat_q0 is w, by its manual; the counter is the time."""
+    path = tmp_path / "mt.txt"
+    names = "\t".join(("PacketCounter", *(f"Quat_q{k}" for k in range(4))))
+    rows = "".join(f"{k}\t0.8\t0.6\t0.0\t0.0\n" for k in (0, 1, 2, 5))
+    path.write_text(f"// Update Rate: 100.0Hz\n{names}\n{rows}")
+    attitudes = read_attitudes(path)
+    assert attitudes.t_ns.tolist() == [0, 10**7, 2 * 10**7, 5 * 10**7]
+    assert attitudes.wxyz[0].tolist() == [0.8, 0.6, 0, 0]
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+def test_matrices_of_xsens_are_read_by_row_and_column(tmp_path):
+    """Mat[2][1] is in the second row, wherever it stands."""
+    path = tmp_path / "mt.txt"
+    cells = {(1, 1): 1, (2, 2): 0, (2, 3): -1, (3, 2): 1, (3, 3): 0}
+    names = [(row, column) for column in (1, 2, 3) for row in (1, 2, 3)]
+    header = "\t".join(("PacketCounter", *(f"Mat[{row}][{column}]" for row, column in names)))
+    row = "\t".join(f"{float(cells.get(name, 0))}" for name in names)
+    path.write_text(f"// Update Rate: 100.0Hz\n{header}\n0\t{row}\n1\t{row}\n")
+    half = 0.5**0.5
+    np.testing.assert_allclose(read_attitudes(path).wxyz[0], [half, half, 0, 0], atol=1e-15)
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+def test_angles_of_ardupilot_are_those_it_has_and_in_degrees(tmp_path):
+    """DesRoll and the like are what was wanted; the unit is known by convention."""
+    path = tmp_path / "att.csv"
+    header = "timestamp,TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw\n"
+    rows = "".join(f"{1.7e9 + k / 100},{k}0000,9,0,9,0,9,90,0,0\n" for k in range(9))
+    path.write_text(header + rows)
+    attitudes = read_attitudes(path)
+    half = 0.5**0.5
+    assert attitudes.t_ns[1] == 10**7
+    np.testing.assert_allclose(attitudes.wxyz[0], [half, 0, 0, half], atol=1e-15)
+
+
+def test_attitudes_of_project_aria_are_read_by_their_names(tmp_path):
+    """Those of the device in the world, at the time of tracking."""
+    path = tmp_path / "closed_loop_trajectory.csv"
+    quaternion = ",".join(f"q{axis}_world_device" for axis in "xyzw")
+    rows = "".join(f"a,{k}0000,-1,0.6,0,0,0.8\n" for k in range(9))
+    path.write_text(f"graph_uid,tracking_timestamp_us,utc_timestamp_ns,{quaternion}\n{rows}")
+    attitudes = read_attitudes(path)
+    assert attitudes.t_ns[1] == 10**7
+    assert attitudes.wxyz[0].tolist() == [0.8, 0.6, 0, 0]

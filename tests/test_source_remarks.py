@@ -1,12 +1,13 @@
 """What is said about a source of rates before anything is propagated."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from quatprop import propagate
-from quatprop.errors import LogError, UsageError
+from quatprop import DataLossWarning, RemarkWarning, propagate, read_rates
+from quatprop.errors import LogError, TimelineError, UsageError
 from quatprop.formats import open_log
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
@@ -20,8 +21,8 @@ T0 = 1_700_000_000_000_000_000
 STEP_NS = 10_000_000
 
 
-def bag(path, stamps, frames=("imu",), recorded=None):
-    """Write Imu messages with these header stamps, ns; their frames take turns.
+def bag(path, stamps, frames=("imu",), recorded=None, marks=(0.0,)):
+    """Write Imu messages with these header stamps, ns; their frames and covariances take turns.
 
     They are recorded every 10 ms from T0 on, or at other times.
     """
@@ -35,7 +36,8 @@ def bag(path, stamps, frames=("imu",), recorded=None):
             rate = vector(0.1, 0.2, 0.3 + 0.01 * (number % 7))
             message = types[IMU](
                 types["std_msgs/msg/Header"](0, time, frames[number % len(frames)]),
-                *(attitude, zeros, rate, zeros, vector(0.0, 0.0, 9.8), zeros),
+                *(attitude, zeros, rate, np.full(9, marks[number % len(marks)])),
+                *(vector(0.0, 0.0, 9.8), zeros),
             )
             packed = STORE.serialize_ros1(message, IMU)
             log_ns = T0 + number * STEP_NS if recorded is None else recorded[number]
@@ -187,3 +189,64 @@ def test_where_all_messages_are_lost_the_reason_is_said(tmp_path):
         f"{T0} ns and 2 others ends, after 9 bytes, before the wanted field of "
         "'sensor_msgs/msg/Imu'; the log is damaged or its definition is not that of its messages"
     )
+
+
+STAMPS = [T0 + k * STEP_NS for k in range(50)]
+
+
+def test_measured_rates_that_are_all_marked_as_absent_are_named(tmp_path):
+    """Every /gps/imu of NovAtel's driver has -1 beside finite rates; nothing read them."""
+    path = bag(tmp_path / "log.bag", STAMPS, marks=(-1.0,))
+    sentence = (
+        "all rates are marked as absent, by a covariance of -1 in topic '/imu'; if they are "
+        "measured all the same, read them with rate_field='angular_velocity'"
+    )
+    with pytest.raises(TimelineError) as caught:
+        remarks(path, tmp_path)
+    assert str(caught.value) == f"{path}: {sentence}"
+    (source,) = survey(str(path), None, RateSelection()).sources
+    assert str(source.missing) == sentence
+    (said,) = remarks(path, tmp_path, rate_field="angular_velocity")
+    assert said == (
+        "rates that a covariance of -1 in topic '/imu' marks as absent are read all the same, as "
+        "asked for"
+    )
+    (source,) = survey(str(path), None, RateSelection(rate_field="angular_velocity")).sources
+    assert (source.samples, source.nonfinite) == (50, 0)
+
+
+def test_rates_of_which_some_are_marked_as_absent_are_a_matter_of_policy(tmp_path):
+    """They are dropped or held as asked; a field that is named is read as it is."""
+    path = bag(tmp_path / "log.bag", STAMPS, marks=(0.5, -1.0))
+    with pytest.raises(TimelineError, match=r"sample 1 .* is absent or not finite; choose"):
+        remarks(path, tmp_path)
+    with pytest.warns(RemarkWarning, match="read all the same"):
+        assert len(read_rates(path, rate_field="angular_velocity").t_ns) == 50
+    with pytest.warns(RemarkWarning), pytest.warns(DataLossWarning, match="25 rows were dropped"):
+        propagate(path, on_nonfinite="drop")
+
+
+def test_a_field_that_is_named_and_present_is_not_remarked_on(tmp_path):
+    """Nothing marks it."""
+    assert remarks(bag(tmp_path / "a.bag", STAMPS), tmp_path, rate_field="angular_velocity") == []
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_rates_of_a_table_that_are_all_marked_as_absent_are_named(tmp_path, suffix):
+    """For files as for messages."""
+    names = [f"angular_velocity.{axis}" for axis in "xyz"]
+    columns = {"header.stamp.sec": range(30), "header.stamp.nanosec": 0, "o": 1.0}
+    frame = pd.DataFrame(columns).assign(**dict.fromkeys(names, 0.1))
+    frame["angular_velocity_covariance[0]"] = -1.0
+    path = tmp_path / f"log.{suffix}"
+    frame.to_csv(path, index=False) if suffix == "csv" else frame.to_parquet(path)
+    with pytest.raises(TimelineError) as caught:
+        read_rates(path)
+    assert str(caught.value) == (
+        f"{path}: all rates are marked as absent, by a covariance of -1 in column "
+        "'angular_velocity_covariance[0]'; if they are measured all the same, read them with "
+        "rate_cols='angular_velocity.x,angular_velocity.y,angular_velocity.z'"
+    )
+    with pytest.warns(RemarkWarning, match="marks as absent are read all the same, as asked for"):
+        rates = read_rates(path, rate_cols=",".join(names))
+    assert np.isfinite(rates.rate).all()

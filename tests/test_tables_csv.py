@@ -6,6 +6,7 @@ import io
 import json
 import lzma
 import math
+import re
 import subprocess
 import sys
 from decimal import Decimal
@@ -534,6 +535,73 @@ def test_a_second_header_of_other_columns_is_refused(header):
         UnsupportedLogError, match=r"^-: another table begins at line 11; split it "
     ):
         read(f"{first}{header}\n9,4,5,6\n".encode(), rate_unit="rad/s")
+
+
+@pytest.mark.parametrize("commas", [["", ""], [",", ","], [",,,", ",,,"], ["", ",,"], [",,", ","]])
+@pytest.mark.parametrize("names", ["t_ns,wx,wy,wz,a,b", "t_ns,wx,wy,wz,a,b,"])
+@pytest.mark.parametrize("rest", ["1,2", ",2", ","])
+def test_cells_of_trailing_commas_have_no_names(names, rest, commas):
+    """SensorLog ends its rows with several; the whole header was discarded."""
+    rows = [f"{k},1,2,3,{rest}{commas[k % 2]}\n" for k in range(9)]
+    t_ns, rate, losses = read(f"{names}\n{''.join(rows)}".encode())
+    # A row that is narrower than the first has lost its end.
+    assert len(losses) == sum(row.count(",") < rows[0].count(",") for row in rows)
+    assert len(t_ns) + len(losses) == 9
+    assert rate[0].tolist() == [1, 2, 3]
+
+
+def test_times_on_lines_of_their_own_are_refused_with_a_way_to_join_them():
+    """Each was a lost row that took a sample period: twice the time."""
+    rows = "".join(f"2023-11-14 22:13:{k:02d}.5\n0.1,0.2,0.3\n" for k in range(30))
+    with pytest.raises(UnsupportedLogError) as caught:
+        read(rows.encode(), rate_cols=("0", "1", "2"), rate_unit="rad/s", sample_rate=100)
+    assert str(caught.value) == (
+        "-: times such as '2023-11-14 22:13:01.5' are on lines of their own between its rows; "
+        "write each on the line of its row, such as with paste -d, - -"
+    )
+    joined = rows.replace(".5\n", ".5,")
+    named = {"rate_cols": ("1", "2", "3"), "time_col": "0"}
+    t_ns, _, losses = read(joined.encode(), rate_unit="rad/s", **named)
+    assert (len(t_ns), losses) == (30, [])
+    assert {*np.diff(t_ns).tolist()} == {10**9}
+
+
+@pytest.mark.parametrize("time", ["14.11.2023 22:13:20", "22:13:20.5", "1700000000.5"])
+def test_a_time_in_any_form_between_rows_is_no_row(time):
+    """With a header above, joining pairs of lines would not do, and is not advised."""
+    text = "wx,wy,wz\n" + f"0.1,0.2,0.3\n{time}\n" * 9
+    with pytest.raises(UnsupportedLogError, match=r"write each on the line of its row$"):
+        read(text.encode(), rate_unit="rad/s", sample_rate=100)
+
+
+def test_checksums_at_the_end_of_rows_are_no_numbers():
+    """VectorNav's sentences of NMEA; what takes them off is said, and works."""
+    rows = "".join(f"$VNIMU,{k / 100},+00.1,-00.2,+00.3*{k + 16:02X}\n" for k in range(30))
+    with pytest.raises(UnsupportedLogError) as caught:
+        read(rows.encode())
+    assert str(caught.value) == (
+        "-: its rows end in NMEA checksums, such as '*10'; take them off, such as with sed -E "
+        r"'s/\*[0-9A-Fa-f]{2}//'"
+    )
+    bare = re.sub(r"\*[0-9A-Fa-f]{2}", "", rows)
+    named = {"rate_cols": ("2", "3", "4"), "time_col": "1", "time_unit": "s"}
+    t_ns, rate, _ = read(bare.encode(), rate_unit="rad/s", **named)
+    assert (t_ns[1], rate[0].tolist()) == (10**7, [0.1, -0.2, 0.3])
+
+
+@pytest.mark.parametrize(
+    "comment",
+    [
+        "data_rate = 2000.0 Hz",
+        "Output Rate: 2 kHz",
+        "sample-rate 2000Hz",
+        "Sampling frequency=2kHz",
+    ],
+)
+def test_a_rate_in_a_comment_goes_by_many_names(comment):
+    """It counts the rows of a table without a time."""
+    t_ns, _, _ = read(f"# {comment}\nwx,wy,wz\n1,2,3\n1,2,3\n".encode(), rate_unit="rad/s")
+    assert t_ns.tolist() == [0, 500_000]
 
 
 def test_a_row_of_a_date_and_words_is_no_header():

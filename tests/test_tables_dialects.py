@@ -90,6 +90,11 @@ KNOWN = {
     "t [s],\u03c9x [rad\u00b7s\u207b\u00b9],\u03c9y [rad\u00b7s\u207b\u00b9],\u03c9z [rad s-1]": (
         *("", (1, 2, 3), "rad/s", (0,), "s"),
     ),
+    "timestamp[ns],w.x,w.y,w.z,a.x,a.y,a.z": ("TUM-VI", (1, 2, 3), "rad/s", (0,), "ns"),
+    "graph_uid,tracking_timestamp_us,utc_timestamp_ns,qx_world_device,qy_world_device,"
+    "qz_world_device,qw_world_device,angular_velocity_x_device,angular_velocity_y_device,"
+    "angular_velocity_z_device": ("Project Aria", (7, 8, 9), "rad/s", (1,), "us"),
+    "t_ms,aX,aY,aZ,gX_dps,gY_dps,gZ_dps": ("", (4, 5, 6), "deg/s", (0,), "ms"),
     "t (s),gx (degrees per second),gy (degrees per second),gz (degrees per second)": (
         *("", (1, 2, 3), "deg/s", (0,), "s"),
     ),
@@ -204,6 +209,8 @@ def test_gx_alone_needs_a_unit():
     ("header", "numbers"),
     [
         ("t_s,gx,gy,gz", (1, 2, 3)),
+        ("t_s,aX,aY,aZ,gX,gY,gZ", (4, 5, 6)),
+        ("t_s,AX,AY,AZ,GX,GY,GZ", (4, 5, 6)),
         ("t_s,ax,ay,az,gx,gy,gz,mag_x,mag_y,mag_z,temp", (4, 5, 6)),
         ("t_s,p,q,r", (1, 2, 3)),
     ],
@@ -524,3 +531,17 @@ def test_differences_of_time_are_not_the_time():
     """Each is the length of an interval."""
     with pytest.raises(UndeclaredError, match=r"the time column \(one of 'timediff \(ms\)'\)"):
         chosen("timediff (ms),gx_dps,gy_dps,gz_dps")
+
+
+def test_rates_about_axes_that_nobody_knows_are_named_by_the_user():
+    """OpenRocket's pitch and yaw rates are about axes that follow the airflow, not the body."""
+    header = "Time (s),Roll rate (\u00b0/s),Pitch rate (\u00b0/s),Yaw rate (\u00b0/s)"
+    with pytest.raises(UndeclaredError) as caught:
+        chosen(header)
+    assert str(caught.value) == (
+        "log.csv: about which axes 'Roll rate (\u00b0/s)', 'Pitch rate (\u00b0/s)', "
+        "'Yaw rate (\u00b0/s)' turn (those of the body, or others, as in OpenRocket) is not "
+        "declared; say it with rate_cols='X,Y,Z' if they are those of the body"
+    )
+    named = chosen(header, rate_cols=("Roll rate", "Pitch rate", "Yaw rate"))
+    assert matched(named) == ((1, 2, 3), "deg/s", (0,), "s", "")

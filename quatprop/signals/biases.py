@@ -102,7 +102,7 @@ def read_biases(source: str, log: AnyLog | None, selection: SignalSelection) -> 
 
 
 def _of_table(source: str, log: TableLog) -> BiasSeries:
-    from quatprop.tables.matching.choose import match_bias
+    from quatprop.tables.matching.biases import match_bias
 
     columns = match_bias(log)
     rows = ((t_ns, bias * UNITS[columns.unit]) for t_ns, bias in log.rows(columns.timed))

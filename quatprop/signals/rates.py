@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.containers.kept_blocks import beginnings_kept
 from quatprop.containers.merge import Columns
 from quatprop.errors import MessageError, UndeclaredError
 from quatprop.messages.signal_fields import rate_field_at, rate_fields
 from quatprop.series import GyroSeries
 from quatprop.settings.quantities import SCALED_RATE_UNITS
+from quatprop.signals import absent_rates
 from quatprop.signals.choice import RATES, Candidate, choose, message_candidates
 from quatprop.signals.clock import Clock, choose_clock
 from quatprop.signals.message_values import (
@@ -21,7 +23,6 @@ from quatprop.signals.message_values import (
     logged_values,
     series_of,
     stamps_of,
-    without_absent,
 )
 from quatprop.signals.signal import RateSignal
 from quatprop.tables.base import AnyLog, TableLog
@@ -99,9 +100,12 @@ def _of_table(log: TableLog, selection: RateSelection) -> RateSignal:
     columns = match_rates(log, selection)
     factors = [factor for factor in (columns.scale, UNITS[columns.unit]) if factor != 1.0]
 
+    if not (is_named := selection.rate_cols is not None):
+        absent_rates.refuse_marked_rows(log, columns)
+
     def batches(parts: frozenset[int] | None = None) -> Iterator[GyroSeries]:
         for t_ns, numbers in log.metered_rows(columns.timed._replace(parts=parts)):
-            rate = without_absent(numbers[:, :3], numbers[:, 3:].T)
+            rate = absent_rates.rates_of_rows(log, columns, numbers, is_named=is_named)
             for factor in factors:
                 np.multiply(rate, factor, out=rate)
             yield GyroSeries(t_ns, rate, averages=columns.method == "end")
@@ -158,8 +162,12 @@ def _of_field(
             Setting("rate_unit", "rad/s|deg/s"),
         )
     factor, averages = scale * UNITS[unit], field.method == "end"
-    clock = choose_clock(log, channel, field.stamps, selection)
-    reader = partial(_reader, log, channel, field, clock)
+    is_named = selection.rate_field is not None
+    with beginnings_kept(log):
+        if not is_named:
+            absent_rates.refuse_marked_messages(log, channel, field)
+        clock = choose_clock(log, channel, field.stamps, selection)
+    reader = partial(_reader, log, channel, field, clock, is_named=is_named)
 
     def scaled(columns: Columns) -> Columns:
         if factor != 1.0:
@@ -209,7 +217,9 @@ def _remarks(channel: Channel, field: RateField, unit: str | None) -> Iterator[s
         )
 
 
-def _reader(log: MessageLog, channel: Channel, field: RateField, clock: Clock) -> MessageReader:
+def _reader(
+    log: MessageLog, channel: Channel, field: RateField, clock: Clock, *, is_named: bool
+) -> MessageReader:
     """Return what turns the messages of a channel into rates.
 
     Parameters
@@ -220,6 +230,8 @@ def _reader(log: MessageLog, channel: Channel, field: RateField, clock: Clock) -
         What they carry.
     clock
         Time base.
+    is_named
+        Whether the user names the field: then it is read where it is marked as absent, too.
 
     Returns
     -------
@@ -231,6 +243,8 @@ def _reader(log: MessageLog, channel: Channel, field: RateField, clock: Clock) -
         return _burst_reader(log, channel, field, field.burst, clock)
     if field.span is not None:
         return _increment_reader(log, channel, field, field.span, clock)
+    if is_named and field.absent is not None:
+        return absent_rates.named_reader(log, channel, field, clock)
     return field_reader(log, channel, clock, field.fields, [field.absent])
 
 

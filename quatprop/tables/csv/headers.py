@@ -13,7 +13,7 @@ from quatprop.errors import UnsupportedLogError
 from quatprop.provenance import COMMENT
 from quatprop.tables.base import OTHER_DATES, TableNotes
 from quatprop.tables.csv.notes import NUMBER, RATES, column_names, declared_notes, header_row
-from quatprop.text import listed
+from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -39,6 +39,7 @@ _THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*")
 _DATE = re.compile(
     r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:\.\d+)?(?P<zone>Z|[+-]\d\d(?::?\d\d)?)?\s*"
 )
+_CHECKSUM = re.compile(rf"{NUMBER.pattern}\*[0-9A-Fa-f]{{2}}", re.IGNORECASE)
 _OTHER_DATE = re.compile(r"\s*\d+([/.:-])\d+\1\d+(?:\D.*)?")
 
 
@@ -118,6 +119,8 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
             f"none of its first {len(rows)} lines is a row of {RATES} numbers or more; is it a "
             "table with a row a sample?",
         )
+    _refuse_turns(rows, first, data, path)
+    _refuse_checksums(data, path)
     _refuse_mixture(data[:-1] or data, rows[header][0] if header is not None else "", width, path)
     names = [str(k) for k in range(width)] if header is None else column_names(rows, header, width)
     body = first if header is None else header + 1
@@ -208,6 +211,42 @@ def _decimal(data: list[list[str]], delimiter: str) -> str:
 def _dates(row: list[str]) -> dict[int, str | None]:
     matches = ((k, _DATE.fullmatch(cell)) for k, cell in enumerate(row))
     return {k: "UTC" if match["zone"] else None for k, match in matches if match}
+
+
+def _refuse_turns(rows: list[list[str]], first: int, data: list[list[str]], path: Path) -> None:
+    """Refuse times on lines of their own: each would be counted as a row that was lost.
+
+    Parameters
+    ----------
+    rows, first
+        All lines, and which is the first row of numbers.
+    data, path
+        The rows of numbers, and the log.
+    """
+    others = [row for row in rows[first:] if row and not is_data(row) and any(map(str.strip, row))]
+    if len(data) > 2 and len(others) >= len(data) - 1 and all(map(_is_time, others)):  # noqa: PLR2004
+        in_pairs = first == 1 and _is_time(rows[0])
+        how = ", such as with paste -d, - -" if in_pairs else ""
+        reason = f"times such as {quoted(' '.join(others[0]))} are on lines of their own between"
+        raise UnsupportedLogError(
+            path, f"{reason} its rows; write each on the line of its row{how}"
+        )
+
+
+def _is_time(row: list[str]) -> bool:
+    text = " ".join(row)
+    return any(pattern.fullmatch(text) for pattern in (_DATE, _OTHER_DATE, NUMBER))
+
+
+def _refuse_checksums(data: list[list[str]], path: Path) -> None:
+    """Refuse rows whose last number ends in a checksum of NMEA 0183: it is no part of it."""
+    last = [row[-1].strip() for row in data]
+    if last and all(_CHECKSUM.fullmatch(cell) for cell in last):
+        raise UnsupportedLogError(
+            path,
+            f"its rows end in NMEA checksums, such as {quoted(last[0][-3:])}; take them off, such "
+            "as with sed -E 's/\\*[0-9A-Fa-f]{2}//'",
+        )
 
 
 def _refuse_mixture(data: list[list[str]], title: str, width: int, path: Path) -> None:

@@ -23,7 +23,9 @@ NUMBER = re.compile(
 RATES = 3
 """Numbers that a row of rates has at least."""
 
-_SAMPLE_RATE = re.compile(r"(?i)(?:sample|sampling|update) (?:rate|frequency)\W*([\d.]+) *(k?)Hz")
+_SAMPLE_RATE = re.compile(
+    r"(?i)(?:sample|sampling|update|data|output)[ _-]?(?:rate|frequency)\W*([\d.]+) *(k?)Hz"
+)
 _POWERS = {0: "s", -3: "ms", -6: "us", -9: "ns"}
 
 
@@ -70,20 +72,25 @@ def header_row(before: list[list[str]], data: list[list[str]]) -> int | None:
         for k, row in enumerate(before)
         if len(row) >= RATES
         and not any(map(NUMBER.fullmatch, row))
-        and (
-            not data
-            or len(row) == len(data[0])
-            or len(_without_trailing_cell(row)) == len(_without_trailing_cell(data[0]))
-        )
+        and (not data or _is_as_wide(row, data[0]))
     ]
     kind = data[0][0].strip() if data else ""
     of_kind = [k for k in fitting if kind and before[k][0].lstrip("#%/ ") == kind]
     return next(reversed(of_kind or fitting), None)
 
 
-def _without_trailing_cell(row: list[str]) -> list[str]:
-    """Leave out the empty cell that a delimiter at the end of the line makes."""
-    return row[:-1] if row and not row[-1].strip() else row
+def _is_as_wide(header: list[str], row: list[str]) -> bool:
+    """Return whether names fit a row, but for the empty cells of delimiters at their ends."""
+    names, cells = map(without_trailing_cells, (header, row))
+    return len(header) == len(row) or len(cells) <= len(names) <= len(row)
+
+
+def without_trailing_cells(row: list[str]) -> list[str]:
+    """Leave out the empty cells that delimiters at the end of the line make."""
+    count = len(row)
+    while count and not row[count - 1].strip():
+        count -= 1
+    return row[:count]
 
 
 def column_names(rows: list[list[str]], header: int, width: int) -> list[str]:

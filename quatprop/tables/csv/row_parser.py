@@ -18,7 +18,7 @@ import pyarrow as pa
 from quatprop.errors import UnsupportedLogError
 from quatprop.tables import timestamps
 from quatprop.tables.csv.headers import COMMENTS, CsvLayout
-from quatprop.tables.csv.notes import NUMBER
+from quatprop.tables.csv.notes import NUMBER, without_trailing_cells
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
@@ -234,6 +234,9 @@ class RowParser:
 
     def _row(self, cells: list[str]) -> tuple[int, list[float]]:
         names = self.layout.names
+        if len(cells) > len(names):
+            # Delimiters at the end of a line make empty cells.
+            cells = cells[: max(len(names), len(without_trailing_cells(cells)))]
         if len(cells) != len(names):
             raise ValueError(f"it has {len(cells)} columns instead of {len(names)}")
         row = [self._number(cells[k], names[k]) for k in self.columns.numbers]

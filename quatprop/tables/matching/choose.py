@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.conditioning.mounting import mounting
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
-from quatprop.errors import NoAttitudesError, NoRatesError, UndeclaredError, UsageError
-from quatprop.selection import AttitudeSelection, RateSelection
+from quatprop.errors import LogError, NoAttitudesError, NoRatesError, UndeclaredError, UsageError
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.tables.matching.column_names import RATE_UNITS
 from quatprop.tables.matching.dialects import (
@@ -24,11 +23,12 @@ from quatprop.tables.matching.dialects import (
     WITH_RATE_UNIT,
 )
 from quatprop.tables.matching.matcher import ColumnMatcher
-from quatprop.text import Setting, Text, listed, plain
+from quatprop.text import Setting, Text, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from quatprop.selection import AttitudeSelection, RateSelection
     from quatprop.tables.base import TableLog, TimedColumns
     from quatprop.tables.matching.dialects import Dialect
 
@@ -107,7 +107,7 @@ def match_rates(log: TableLog, selection: RateSelection) -> ColumnMatch:
     if selection.rate_cols is not None:
         rate = matcher.named(selection.rate_cols)
     elif not sets:
-        raise NoRatesError(log.path, log.columns(), "columns")
+        raise _no_rates(matcher, log)
     else:
         rate = matcher.only_set(sets, "set of rates", "x")
     convention = dialect if rate in by_convention else GENERIC
@@ -124,6 +124,18 @@ def match_rates(log: TableLog, selection: RateSelection) -> ColumnMatch:
     )
 
 
+def _no_rates(matcher: ColumnMatcher, log: TableLog) -> LogError:
+    """Return the error for a table without rates, or with some whose axes nobody knows."""
+    if angles := matcher.matching(r"(?:.*[._])?(?:roll|pitch|yaw)_?rate")[:3]:
+        return UndeclaredError(
+            log.path,
+            f"about which axes {matcher.names(angles)} turn (those of the body, or others, as in "
+            "OpenRocket)",
+            Text(f"{Setting('rate_cols', 'X,Y,Z')} if they are those of the body"),
+        )
+    return NoRatesError(log.path, log.columns(), "columns")
+
+
 def _bare_sets(matcher: ColumnMatcher) -> list[tuple[int, ...]]:
     """Return gx or p and the like, whose unit the user has to declare.
 
@@ -132,35 +144,6 @@ def _bare_sets(matcher: ColumnMatcher) -> list[tuple[int, ...]]:
     sets = matcher.sets(*WITH_RATE_UNIT)
     others = {k for columns in sets for k in columns} - {*matcher.matching(BESIDE_BARE_RATES)}
     return [columns for columns in matcher.sets(*BARE_RATES) if others == {*columns}]
-
-
-def match_bias(log: TableLog) -> ColumnMatch:
-    """Return which columns hold time and the biases of a gyroscope, and their units.
-
-    Raises
-    ------
-    UndeclaredError
-        The time, or one of several sets, is not declared.
-    UsageError
-        No columns look like biases, or their unit is not declared.
-    """
-    matcher = ColumnMatcher(log, RateSelection(), "rate_cols", RATE_PARTS)
-    matcher.may_choose_series = False
-    dialect = matcher.dialect("bias")
-    sets = matcher.sets(dialect.bias)
-    if not sets:
-        raise UsageError(
-            f"{Setting('bias')} {plain(log.path)}: no columns are named as biases of a gyroscope, "
-            f"such as b_w_RS_S_x or gyro_bias_x; there are {listed(log.columns())}"
-        )
-    bias = matcher.only_set(sets, "set of biases", "x")
-    unit = matcher.unit("rate", bias, RATE_UNITS, dialect.rate_unit)
-    if not unit:
-        raise UsageError(
-            f"{Setting('bias')} {plain(log.path)}: the unit of {matcher.names(bias)} is not "
-            "declared; name it in the header, such as gyro_bias_x [rad/s]"
-        )
-    return ColumnMatch(*matcher.timed_and_named(bias, dialect), unit, dialect.name)
 
 
 def _remarks(matcher: ColumnMatcher, dialect: Dialect, unit: str) -> Iterator[str | Text]:

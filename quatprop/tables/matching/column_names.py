@@ -68,7 +68,7 @@ _SUFFIX = re.compile(rf"(?i)(.+?)_({'|'.join(map(re.escape, _SUFFIXES))})(\.[xyz
 _MAY_HAVE_SUFFIX = (
     GYROSCOPE,
     AXIS_FIRST,
-    r"(?:.*[._])?g[xyz]",
+    r"(?:.*[._])?g_?[xyz]",
     r"[pqr]|(?:.*[._])?(?:roll|pitch|yaw)_?rate",
     rf"(?:.*[._])?(?:{TIME_NAMES})(?:_[a-z]+)?",
     ROTATION_VECTOR,

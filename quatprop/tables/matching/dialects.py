@@ -41,6 +41,8 @@ class Dialect(NamedTuple):
     method
         The integration rule that fits the samples, where the convention defines it: ``"end"`` for
         averages over the interval before the stamp.
+    angles, angle_unit
+        The columns of Euler angles, and their unit where names do not declare it.
     """
 
     name: str
@@ -54,6 +56,8 @@ class Dialect(NamedTuple):
     file: str = ""
     method: str | None = None
     bias: str = ""
+    angles: str = ""
+    angle_unit: str = ""
 
 
 _XYZ = r"(?P<part>[xyz])"
@@ -82,12 +86,14 @@ WITH_RATE_UNIT = tuple(
     rf"{_NOT_RATE}(?:.*[^a-z])?[a-z]?(?P<part>[{axes}])(?:[^a-z].*)?" for axes in ("xyz", "pqr")
 )
 """Names of an axis, or of a body rate of flight mechanics, whose unit says that it is a rate."""
-BARE_RATES = ("g" + _XYZ, r"(?P<part>[pqr])")
+BARE_RATES = ("g_?" + _XYZ, r"(?P<part>[pqr])")
 """Names that may be body rates, and are where the user declares the unit of rates."""
 BESIDE_BARE_RATES = r"(?:a|acc\w*|m|mag\w*)_?[xyz]"
 """Axes of other sensors of the same device."""
 _NOT_ATTITUDE = r"(?!.*(?:cov|std|var|noise|sigma|delta|error|setpoint))"
-_NOT_ROTATION = _NOT_ATTITUDE + r"(?!.*(?:rate|speed|vel|acc|omega|gyr))"
+_NOT_ROTATION = (
+    _NOT_ATTITUDE + r"(?!.*(?:rate|speed|vel|acc|omega|gyr))(?!(?:.*[._])?des(?:ired)?[._])"
+)
 _QUATERNION = (
     rf"{_NOT_ATTITUDE}(?:(?:.*[._])?(?:quaternion|quat|orientation|attitude|rotation|rot|ori|q)"
     rf"[._]?|q_[a-z]+_[a-z]+_|q_[a-z]+_){COMPONENT}"
@@ -97,7 +103,10 @@ ROTATION_VECTOR = (
 )
 EULER = rf"{_NOT_ROTATION}(?:.*[._])?(?P<part>yaw|pitch|roll)"
 EULER_NUMBERED = _NOT_ROTATION + r"(?:.*[._])?euler_{}_(?P<part>[123])"
-_MATRIX = rf"{_NOT_ROTATION}(?:.*[._])?(?:r|m|rot|rotation|matrix|dcm)_?(?P<part>[{{0}}]_?[{{0}}])"
+_MATRIX = (
+    _NOT_ROTATION + r"(?:.*[._])?(?:r|m|mat|rot|rotation|matrix|dcm)_?"
+    r"\[?(?P<part>[{0}](?:_|\]\[)?[{0}])\]?"
+)
 
 _px4 = partial(
     Dialect,
@@ -153,7 +162,16 @@ DIALECTS = (
         "rad/s",
         log_time="time",
     ),
-    Dialect("ArduPilot", "gyr_" + _XYZ, "", ("time",), "rad/s", "us", needs=("timeus",)),
+    Dialect(
+        "ArduPilot",
+        "gyr_" + _XYZ,
+        time=("time",),
+        rate_unit="rad/s",
+        time_unit="us",
+        needs=("timeus",),
+        angles=EULER,
+        angle_unit="deg",
+    ),
     Dialect(
         "Betaflight", "gyro_adc" + _INDEX, "", ("time",), "deg/s", "us", needs=("loopiteration",)
     ),
@@ -166,11 +184,23 @@ DIALECTS = (
     ),
     Dialect("gcsv", "g" + _XYZ, time=("t",), rate_unit="rad/s", needs=("gyroflow imu log",)),
     Dialect("phyphox", "gyroscope_" + _XYZ, time=("time",), needs=("gyroscope x (rad/s)",)),
-    Dialect("x-io", "gyroscope_" + _XYZ, COMPONENT + "_element", ("time|timestamp",)),
-    Dialect("x-io", quaternion="quaternion_" + COMPONENT, time=("time|timestamp",)),
     _sensor_logger(_XYZ, file="(?i)gyroscope"),
     _sensor_logger("rotation_rate_" + _XYZ, "quaternion_" + COMPONENT),
     _sensor_logger(quaternion="q_?" + COMPONENT),
+    Dialect("x-io", "gyroscope_" + _XYZ, COMPONENT + "_element", ("time|timestamp",)),
+    Dialect("x-io", quaternion="quaternion_" + COMPONENT, time=("time|timestamp",)),
+    Dialect(
+        "TUM-VI", r"w\." + _XYZ, "", ("timestamp",), "rad/s", "ns", needs=("a.x", "a.y", "a.z")
+    ),
+    Dialect(
+        "Project Aria",
+        f"angular_velocity_{_XYZ}_device",
+        f"q{COMPONENT}_(?:world|odometry)_device",
+        ("tracking_timestamp",),
+        "rad/s",
+        "us",
+    ),
+    Dialect("Xsens", quaternion=r"quat_q(?P<part>[0123])"),
 )
 """The conventions, tried in this order."""
 
@@ -195,7 +225,7 @@ ROTATIONS = (
         (
             "matrix",
             _MATRIX.format(i),
-            tuple(f"{row}{column}|{row}_{column}" for row in i for column in i),
+            tuple(f"{row}{column}|{row}_{column}|{row}][{column}" for row in i for column in i),
         )
         for i in ("123", "012")
     ),

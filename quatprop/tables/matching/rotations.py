@@ -63,10 +63,15 @@ def match_rotation(log: TableLog, selection: AttitudeSelection) -> ColumnMatch |
             "a table that holds one of them",
         )
     representation, matcher, columns = matches[0]
-    unit = _angle_unit(matcher, representation, columns, selection.from_angle_unit)
-    found = matcher.timed_and_named(columns, GENERIC, sorted(columns))
+    dialect = GENERIC
+    if representation == "euler-zyx" and named is None:
+        dialect = matcher.dialect("angles")
+    unit = _angle_unit(
+        matcher, representation, columns, selection.from_angle_unit, dialect.angle_unit
+    )
+    found = matcher.timed_and_named(columns, dialect, sorted(columns))
     remarks = tuple(matcher.overruled)
-    return ColumnMatch(*found, unit, representation=representation, remarks=remarks)
+    return ColumnMatch(*found, unit, dialect.name, representation=representation, remarks=remarks)
 
 
 def _matches(
@@ -106,7 +111,11 @@ def _rotations(sequence: str | None) -> Iterable[tuple[str, str, Sequence[str]]]
 
 
 def _angle_unit(
-    matcher: ColumnMatcher, representation: str, columns: tuple[int, ...], chosen: str | None
+    matcher: ColumnMatcher,
+    representation: str,
+    columns: tuple[int, ...],
+    chosen: str | None,
+    convention: str = "",
 ) -> str:
     names = matcher.names(columns)
     if representation == "matrix":
@@ -116,7 +125,7 @@ def _angle_unit(
                 f"{names} are a matrix; leave it out",
             )
         return ""
-    declared = matcher.declared(columns)
+    declared = matcher.declared(columns) or convention
     matcher.refuse_unknown(columns, declared, ANGLE_UNITS)
     if chosen is not None and declared not in {"", chosen}:
         raise UsageError(
