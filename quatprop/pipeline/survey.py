@@ -262,8 +262,8 @@ def _made(log: AnyLog, topic: str, wanted: AttitudeSelection) -> AttitudeSurvey:
         made = log.provenance() if isinstance(log, TableLog) else log.provenance(topic)
         meaning = meaning_of(log.path, wanted, recorded_convention(made))
         meant: dict[str, Any] = {"convention": meaning.convention, "direction": meaning.direction}
-        return AttitudeSurvey(topic, **meant, **making(made))
-    return AttitudeSurvey(topic)
+        return AttitudeSurvey(source=topic, **meant, **making(made))
+    return AttitudeSurvey(source=topic)
 
 
 def _survey_attitudes(signal: AttitudeSignal, log: AnyLog, seen: Seen) -> AttitudeSurvey:
