@@ -323,6 +323,23 @@ def test_rows_without_a_time(hz, files, tmp_path):
     assert (attitudes.inv() * ours).magnitude().max() < 1e-11
 
 
+@pytest.mark.parametrize("series", ["gyro", "kind=gyro"])
+@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+def test_one_of_the_series_of_a_table(series, files, tmp_path):
+    """Rows of others between its own change nothing."""
+    header, *rows = files["rad", "t_ns", False].read_text().splitlines()
+    path = tmp_path / "two.csv"
+    others = [",".join(["0", *row.split(",")[1:]]) for row in rows]
+    turns = (line for pair in zip(rows, others, strict=True) for line in pair)
+    kinds = (f"{line},{('gyro', 'acc')[k % 2]}" for k, line in enumerate(turns))
+    path.write_text("\n".join([f"{header},kind", *kinds]) + "\n")
+    made = propagate(path, series=series, **reading("rad", "t_ns"))
+    t, attitudes = propagated(RAW[False], {})
+    assert made.t_ns.tolist() == t.tolist()
+    ours = Rotation.from_quat(made.wxyz, scalar_first=True)
+    assert (attitudes.inv() * ours).magnitude().max() < 1e-11
+
+
 @pytest.mark.parametrize("layout", [None, "scalar-first", "wxyz", "scalar-last", "xyzw"])
 def test_the_layout_that_is_written(layout, files, tmp_path):
     """The four columns are in the order asked for, under their names."""
@@ -347,7 +364,7 @@ def test_every_option_is_in_some_test():
     errors = ("noise_density", "bias_sigma", "random_walk", "scale_sigma", "imu", "sigma")
     elsewhere |= dict.fromkeys((*errors, "sigma_axes"), "test_gyro_errors.py")
     here = {"rate_cols", "rate_unit", "time_col", "time_unit", "sample_rate", "q0_layout"}
-    here |= {"topic", "kind", "clock", "time_field", "rate_field"}
+    here |= {"series", "topic", "kind", "clock", "time_field", "rate_field"}
     for seed in range(130):
         here |= chosen(seed)[0].keys()
     assert set(PROPAGATE) == here | elsewhere.keys()

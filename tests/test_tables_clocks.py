@@ -1,6 +1,7 @@
 """The clock of a table: the best that moves, what the others say, counters, stated offsets."""
 
 import json
+import re
 from datetime import UTC, datetime, timedelta
 from itertools import permutations
 
@@ -11,7 +12,7 @@ from click.testing import CliRunner
 
 from quatprop import propagate, read_rates
 from quatprop.cli.commands import cli
-from quatprop.errors import UndeclaredError
+from quatprop.errors import TimelineError, UndeclaredError, UnsupportedLogError
 from quatprop.tables.counters import counted
 
 E0 = 1_700_000_000
@@ -78,8 +79,9 @@ def test_of_two_clocks_the_better_is_used_wherever_it_stands(tmp_path, recwarn, 
         ]
     else:
         assert remarks == []
-    # What a remark advises works.
-    named, remarks = read(path, recwarn, time_col=other)
+    # What a remark advises works, in a shell too.
+    advised = re.search(r"time_col='([\w.]+)'$", remarks[0])[1] if remarks else other
+    named, remarks = read(path, recwarn, time_col=advised)
     alone, _ = read(table(tmp_path / f"alone.{suffix}", {other: CLOCKS[other]}), recwarn)
     assert (named.tolist(), remarks) == (alone.tolist(), [])
 
@@ -294,3 +296,36 @@ def test_a_counter_gives_attitudes_as_stamps_do(tmp_path):
     path = xsens(tmp_path / "log.txt", [0, 1, 2, 12, 13])
     attitudes = propagate(path, rate_unit="deg/s")
     assert attitudes.t_ns.tolist() == [0, 10**7, 2 * 10**7, 12 * 10**7, 13 * 10**7]
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+def test_one_damaged_count_steps_back_and_hides_no_other(tmp_path):
+    """The counter is used all the same, and the policy for such stamps counts."""
+    path = xsens(tmp_path / "log.txt", [*range(50), 90_000, *range(51, 99)])
+    with pytest.raises(TimelineError, match="time steps back by"):
+        propagate(path, rate_unit="deg/s")
+    kept = propagate(path, rate_unit="deg/s", on_backwards="sort").t_ns
+    assert (len(kept), kept[97]) == (99, 98 * 10**7)
+
+
+@pytest.mark.parametrize("count", [10**17, 9 * 10**18])
+def test_counts_beyond_the_clock_are_refused_with_a_way_out_that_works(tmp_path, recwarn, count):
+    """Far behind the first rows, where the counter was taken for one."""
+    path = xsens(tmp_path / "log.txt", [*range(1500), count])
+    with pytest.raises(UnsupportedLogError) as caught:
+        read_rates(path, rate_unit="deg/s")
+    assert str(caught.value) == (
+        f"{path}: at 100 Hz, the counts in column 'PacketCounter' do not fit in int64 ns; count "
+        "rows with sample_rate='100' and time_col='none'"
+    )
+    t_ns, _ = read(path, recwarn, rate_unit="deg/s", sample_rate="100", time_col="none")
+    assert t_ns[-1] == 15 * 10**9
+
+
+def test_stamps_beside_a_counter_that_is_used_are_named(tmp_path, recwarn):
+    """Samples are counted, and not the rows."""
+    columns = {"counter": range(300), "server_time (s)": TIMES}
+    _, remarks = read(table(tmp_path / "log.csv", columns), recwarn, sample_rate=100)
+    assert remarks[1] == (
+        "sample_rate='100' counts the samples; the stamps in 'server_time (s)' are not used"
+    )

@@ -71,11 +71,14 @@ def refuse_marked_rows(log: TableLog, columns: ColumnMatch) -> None:
     first = [[_number(cell) for cell in row] for row in log.head(columns.timed.numbers)]
     if not first or not marked(np.array(first)).all():
         return
+    from quatprop.tables.matching.column_names import as_option
+
     # Of text on stdin the first rows have to do.
     is_once = str(log.path) == "-"
     if is_once or are_all((marked(n) for _, n in log.rows(columns.timed)), value=True):
         names = log.columns()
-        setting = Setting("rate_cols", ",".join(names[k] for k in columns.timed.numbers[:3]))
+        named = ",".join(as_option(names, k) for k in columns.timed.numbers[:3])
+        setting = Setting("rate_cols", named)
         raise _refusal(log, f"column {quoted(names[columns.timed.numbers[3]])}", setting)
 
 

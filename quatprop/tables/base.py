@@ -190,10 +190,24 @@ class TableLog(Log):
         if columns.series:
             batches = self._of_series(batches, columns.series)
         if columns.time and columns.sample_rate is not None:
-            return counted_rows(batches, columns.sample_rate)
+            return self._counted(batches, columns)
         if columns.utc_offset_ns:
             return ((t_ns - columns.utc_offset_ns, numbers) for t_ns, numbers in batches)
         return batches
+
+    def _counted(self, batches: Batches, columns: TimedColumns) -> Batches:
+        """Yield rows at the times of their counter."""
+        rate = columns.sample_rate or 1.0
+        try:
+            yield from counted_rows(batches, rate)
+        except OverflowError:
+            name = quoted(self.columns()[columns.time[0]])
+            raise UnsupportedLogError(
+                self.path,
+                f"at {float(rate):g} Hz, the counts in column {name} do not fit in int64 ns; count "
+                f"rows with {Setting('sample_rate', f'{float(rate):g}')} and "
+                f"{Setting('time_col', 'none')}",
+            ) from None
 
     def _of_series(self, batches: Batches, series: tuple[tuple[int, str], ...]) -> Batches:
         """Yield rows of a series, and remark on how many there are of others.

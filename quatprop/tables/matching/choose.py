@@ -156,7 +156,7 @@ def _remarks(matcher: ColumnMatcher, dialect: Dialect, unit: str) -> Iterator[st
     if unused := matcher.unused_stamps(dialect):
         sample_rate = Setting("sample_rate", f"{float(matcher.selection.sample_rate or 0):g}")
         names = matcher.names(unused)
-        yield Text(f"{sample_rate} counts the rows; the stamps in {names} are not used")
+        yield Text(f"{sample_rate} counts {matcher.counted}; the stamps in {names} are not used")
 
 
 def _mount_remark(mount: str) -> Text:

@@ -10,7 +10,7 @@ from quatprop.errors import UndeclaredError, UsageError
 from quatprop.tables.base import OTHER_DATES
 from quatprop.tables.matching import clocks
 from quatprop.tables.matching.clocks import Clock
-from quatprop.tables.matching.column_names import TIME_UNITS
+from quatprop.tables.matching.column_names import TIME_UNITS, as_option
 from quatprop.tables.matching.columns import TableColumns
 from quatprop.tables.matching.dialects import GENERIC, Dialect
 from quatprop.text import Setting, Text, listed, plain
@@ -72,7 +72,7 @@ class ClockMatcher(TableColumns):
         offset = self.utc_offset_ns(k)
         if zoned is not None or unit == OTHER_DATES:
             rank = max(rank, clocks.TEXT if zoned or offset else clocks.LOCAL)
-        return Clock((k,), self.columns[k].text.strip(), rank, place, (unit,), bool(zoned), offset)
+        return Clock((k,), rank, place, (unit,), bool(zoned), offset)
 
     def utc_offset_ns(self, k: int) -> int:
         """Return the offset of local text from UTC that the header states, ns; else 0."""
@@ -139,8 +139,9 @@ class ClockMatcher(TableColumns):
     def _note_difference(self, best: Clock, other: Clock, differ: clocks.Difference) -> None:
         names = self.names(other.columns), self.names(best.columns)
         sentence = clocks.difference_text(*names, differ)
+        column = as_option([column.text for column in self.columns], other.columns[0])
         self.overruled.append(
-            Text(f"{sentence}; to use them, name them with {Setting('time_col', other.name)}")
+            Text(f"{sentence}; to use them, name them with {Setting('time_col', column)}")
         )
 
     def _first_times(self, found: list[Clock]) -> dict[Clock, Float64 | None]:

@@ -33,6 +33,9 @@ _LARGEST_OFFSET_NS = 14 * 3600 * NS_PER_S
 _ROUNDING_NS = NS_PER_S
 _FROM_2000_NS = 946_684_800 * NS_PER_S
 
+_DOUBTFUL = 20
+"""One step of so many may be back, or none, where a column counts samples."""
+
 TIME = r"(?:t|ts|time|timestamp|time_?stamp|stamp)"
 
 
@@ -93,8 +96,6 @@ class Clock(NamedTuple):
     ----------
     columns
         Where they are.
-    name
-        What the user calls them.
     rank, place
         How good it is, and which of those of its rank.
     units
@@ -106,7 +107,6 @@ class Clock(NamedTuple):
     """
 
     columns: tuple[int, ...]
-    name: str
     rank: int
     place: int
     units: tuple[str, ...]
@@ -280,7 +280,9 @@ def difference_text(other: str, used: str, found: Difference) -> str:
 def counts_samples(cells: Sequence[object]) -> bool:
     """Return whether the first rows of a column count samples one by one, but for lost ones."""
     numbers = _numbers(cells)
-    if len(numbers) < 2 or not (np.isfinite(numbers).all() and (numbers % 1 == 0).all()):  # noqa: PLR2004
+    if len(numbers) < 2 or not (np.abs(numbers) < 2**60).all() or (numbers % 1).any():  # noqa: PLR2004
         return False
     steps = np.diff(counted(numbers.astype(np.int64)))
-    return bool((steps > 0).all() and np.median(steps) == 1)
+    # One damaged value is seen as a time that steps back.
+    doubtful = np.count_nonzero(steps <= 0)
+    return bool(np.median(steps) == 1 and doubtful <= max(1, len(steps) // _DOUBTFUL))

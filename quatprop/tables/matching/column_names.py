@@ -123,6 +123,19 @@ def parse_name(text: str) -> ColumnName:
     return ColumnName(text, _key(name))
 
 
+def as_option(names: Sequence[str], k: int) -> str:
+    """Return how an option names a column: by its name, or by its number where that needs quotes.
+
+    Examples
+    --------
+    >>> as_option(["t_ns", "server time (s)"], 0), as_option(["t_ns", "server time (s)"], 1)
+    ('t_ns', '1')
+    """
+    name = names[k].strip()
+    is_plain = re.fullmatch(r"[\w.+-]*[^\W\d][\w.+-]*", name, re.ASCII) and names.count(name) == 1
+    return name if is_plain else str(k)
+
+
 def rate_unit_of(fields: Sequence[str]) -> str | None:
     """Return the unit of rates that names declare, three of an axis or one of a vector.
 

@@ -63,6 +63,7 @@ class TimeMatcher(ClockMatcher):
     def __init__(self, log: TableLog, selection: SignalSelection, setting: str) -> None:
         super().__init__(log, selection)
         self.setting = setting
+        self.counted = "the rows"
 
     def timed_and_named(
         self, numbers: Positions, dialect: Dialect, named: Sequence[int] = ()
@@ -183,6 +184,7 @@ class TimeMatcher(ClockMatcher):
         if name is None:
             counter = self._counter(numbers)
             if counter:
+                self.counted = "the samples"
                 self.overruled.append(Text(
                     f"{Setting('sample_rate', f'{float(sample_rate):g}')} is that of the counter "
                     f"{self.names(counter)}, which also counts lost samples; to count rows, give "
