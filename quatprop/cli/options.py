@@ -86,7 +86,8 @@ HELP = {
     "sample.  [default: all]",
     "end": "TIME  Use {log} up to here; as --start.  [default: all]",
     "on_backwards": "Timestamps that go backwards: refuse, drop until the clock has caught up, or "
-    "sort (holds the log in memory).  [default: error]",
+    "sort (holds the log in memory); drop and sort leave out timestamps that are far ahead of "
+    "those after them.  [default: error]",
     "on_nonfinite": "Rates that are NaN or infinite: refuse, drop, or hold the previous rate.  "
     "[default: error]",
     "max_gap": "DUR  Intervals longer than this count as gaps.  [default: 10 median intervals]",

@@ -195,7 +195,8 @@ class PropagateOptions(RateOptions, total=False):
         The part of the log to use: RFC 3339 text, ns, a datetime with its zone, or relative to the
         first (``"+10s"``) or the last sample (``"-30s"``).
     on_backwards : str
-        Timestamps that go backwards: ``"error"`` (the default), ``"drop"`` or ``"sort"``.
+        Timestamps that go backwards: ``"error"`` (the default), ``"drop"`` or ``"sort"``; both of
+        these drop outliers, which are far ahead of the timestamps after them.
     on_nonfinite : str
         Rates that are NaN or infinite: ``"error"`` (the default), ``"drop"`` or ``"hold"``.
     max_gap : str, int or timedelta
