@@ -42,10 +42,15 @@ def propagated(raw, options):
     rate = (rate - bias[rows]) @ matrix.T
     if options.get("rates", "body") == "body":
         rate = mount.apply(rate)
+    of_log = options.get("q0") in ("level", "log")
+    if options.get("rates") == "inertial" and "mount" in options and not of_log:
+        raise Refused("a mount that turns nothing")
     q0 = initial(raw, options, int(t[0]), mount).as_matrix()
     steps = np.diff(t)
-    limit = options.get("max_gap", 10 * int(np.median(steps[steps > 0])))
-    on_gap = options.get("on_gap", "hold")
+    usual = 10 * int(np.median(steps[steps > 0])) if (steps > 0).any() else 2**63 - 1
+    limit, on_gap = options.get("max_gap", usual), options.get("on_gap", "hold")
+    if on_gap == "error" and (steps > limit).any():
+        raise Refused("a gap")
     cuts = np.flatnonzero(steps > limit) + 1 if on_gap in {"zero", "split"} else []
     wanted = times(t, options)
     stamps, attitudes, q = [], [], q0
@@ -61,8 +66,14 @@ def propagated(raw, options):
             inside = wanted[(wanted > t[last - 1]) & (wanted < t[last])].tolist()
             stamps += inside
             attitudes += [q] * len(inside)
+    if not stamps:
+        raise Refused("no attitude at the times asked for")
     keep = slice(None, None, options.get("every", 1))
     return np.array(stamps[keep]), Rotation.from_matrix(np.array(attitudes[keep]))
+
+
+class Refused(Exception):  # noqa: N818  # that is what the command does
+    """What is asked for is an error."""
 
 
 def mounting(text):
@@ -84,19 +95,40 @@ def used(t, rate, options):
     First what goes backwards, then the part, then what is not finite.
     """
     rows = ordered(t, options)
-    latest = t[rows].max()
-    for name, sign in (("start", 1), ("end", -1)):
-        if name in options:
-            at = instant(options[name], int(t[rows[0]]), int(latest))
-            rows = [row for row in rows if sign * (int(t[row]) - at) >= 0]
+    if options.get("on_backwards", "error") == "error" and rows != list(range(len(t))):
+        raise Refused("outliers, or stamps that go backwards")
+    low, high = part(options, t, rows)
+    rows = [row for row in rows if low <= int(t[row]) <= high]
     rates, last = {}, None
     for row in rows:
         if np.isfinite(rate[row]).all():
             rates[row] = last = rate[row]
-        elif options.get("on_nonfinite") == "hold":
+        elif options.get("on_nonfinite") == "hold" and last is not None:
             rates[row] = last
+        elif options.get("on_nonfinite") != "drop":
+            raise Refused("a rate that is not finite")
     rows = [row for row in rows if row in rates]
-    return np.array(rows, int), np.array([rates[row] for row in rows]).reshape(-1, 3)
+    if not rows:
+        raise Refused("no samples")
+    return np.array(rows, int), np.array([rates[row] for row in rows])
+
+
+def part(options, t, rows):
+    """Return the first and the last stamp of the part, given the rows in order."""
+    low, high = (
+        instant(options[name], t, rows, name) if name in options else limit
+        for name, limit in (("start", -(2**63)), ("end", 2**63))
+    )
+    second, first = int(t[rows[:2][-1]]), int(t[rows[0]])
+    for name in ("start", "end"):
+        ns = options[name][1] if is_date(options.get(name)) else options.get(name)
+        if isinstance(ns, int) and 0 < ns < min(10**6, second):
+            raise Refused("a number that is meant in seconds")
+        if name == "start" and isinstance(ns, int) and ns > 0 and first // ns >= 100_000:
+            raise Refused("a start that is meant in seconds")
+    if low > high:
+        raise Refused("a start after the end")
+    return low, high
 
 
 def ordered(t, options):
@@ -145,11 +177,38 @@ def outliers(t):
     return found
 
 
-def instant(value, first, last):
+def is_date(value):
+    """Tell whether a time is a date with its ns."""
+    return isinstance(value, tuple) and value[0] == "date"
+
+
+def instant(value, t, rows, name):
     """Return an instant on the clock of the log: ns, or from an end of the log such as +200ms."""
     if isinstance(value, int):
         return value
-    return (first if value[0] == "+" else last) + int(value.removesuffix("ms")) * NS // 1000
+    if isinstance(value, str):
+        value = value[0], abs(int(value.removesuffix("ms"))) * NS // 1000
+    origin, ns = value
+    first, last = int(t[rows[0]]), int(t[rows[-1]])
+    # A start that is longer ago than the log is its first sample.
+    return {"date": ns, "+": first + ns, "-": max(last - ns, first if name == "start" else 0)}[
+        origin
+    ]
+
+
+def recorded(raw, log_ns, stamps, options):
+    """Return when attitudes are recorded, given when the messages of all rows were.
+
+    Between two samples as long after the first as the stamp is, but not after the second.
+    """
+    rows, _ = used(raw["t"], raw["w"], options)
+    if "rate" not in options and "at" not in options:
+        return log_ns[rows][:: options.get("every", 1)]
+    before = np.searchsorted(raw["t"][rows], stamps, side="right") - 1
+    after = np.minimum(before + 1, len(rows) - 1)
+    elapsed = stamps - raw["t"][rows][before]
+    latest = np.maximum(log_ns[rows][before], log_ns[rows][after])
+    return np.minimum(log_ns[rows][before] + elapsed, latest)
 
 
 def initial(raw, options, t0, mount):
@@ -166,6 +225,8 @@ def initial(raw, options, t0, mount):
         roll, pitch = np.arctan2(y, z), np.arctan2(-x, np.hypot(y, z))
         return Rotation.from_euler("ZYX", [radians(options.get("heading", 0)), pitch, roll])
     if isinstance(q0[1], Rotation):
+        if not q0[0][0] <= t0 <= q0[0][-1]:
+            raise Refused("a first sample outside of the series")
         # As floats, stamps of today would be 256 ns apart.
         return Slerp((q0[0] - t0) / NS, q0[1])(0.0)
     return Rotation.from_quat(

@@ -2,7 +2,6 @@
 
 import json
 import struct
-import tracemalloc
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from mcap.writer import CompressionType, IndexType
 from mcap_doctor import MAGIC, examine
 from rosbags.highlevel import AnyReader
 
-from quatprop.into import LogTimes
 from quatprop.writers.mcap.contents import McapContents
 
 FORMS = {
@@ -373,44 +371,6 @@ def test_rosbags_reads_the_copy(tmp_path):
     assert topics == {"/imu": 300, "/attitude": 300}
 
 
-def test_log_times_pass_over_stamps_that_step_back():
-    """The clock that has not caught up again yet counts for nothing."""
-    pairs = [([10, 20, 15], [100, 200, 300]), ([20, 30], [400, 500]), ([40], [600])]
-    times = LogTimes((np.array(stamps), np.array(logged)) for stamps, logged in pairs)
-    assert times.at(np.array([5, 10, 20])).tolist() == [95, 100, 200]
-    assert times.at(np.array([25, 30])).tolist() == [205, 500]
-    assert times.at(np.array([], np.int64)).tolist() == []
-    assert times.at(np.array([40, 50])).tolist() == [600, 610]
-
-
-def test_log_times_never_step_back():
-    """An attitude is not logged before the one ahead of it."""
-    times = LogTimes(iter([(np.array([10, 20, 30]), np.array([100, 90, 95]))]))
-    assert times.at(np.array([10])).tolist() == [100]
-    assert times.at(np.array([20, 30])).tolist() == [100, 100]
-
-
-def test_log_times_hold_no_more_than_is_needed():
-    """What lies behind is let go: a long log is not held in memory."""
-    batches = 50
-    size = 20_000
-
-    def pairs():
-        for k in range(batches):
-            stamps = np.arange(size) + k * size
-            yield stamps, stamps + 1000
-
-    times = LogTimes(pairs())
-    tracemalloc.start()
-    try:
-        for k in range(batches):
-            times.at(np.arange(size) + k * size)
-        _, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert peak < batches * size * 16 / 2
-
-
 @pytest.mark.parametrize("kind", ["mcap", "bag"])
 @pytest.mark.parametrize("more", [(), ("--rate", "50"), ("--every", "3")])
 def test_sorted_attitudes_have_the_log_times_of_their_messages(kind, more, tmp_path):
@@ -447,4 +407,13 @@ def test_messages_of_one_stamp_keep_their_own_log_times(tmp_path):
     """The second had the log time of the first."""
     times = [(BOOT + k // 2 * 10_000_000, START + k * 10_000_000) for k in range(20)]
     out = added(write_mcap(tmp_path / "log.mcap", times=times))
+    assert [(stamp, logged) for logged, stamp, _ in attitudes(out)] == times
+
+
+def test_converted_messages_keep_their_own_log_times(tmp_path):
+    """Those whose stamps step back or are repeated had the log times of others."""
+    stamps = [0, 1, 2, 2, 9, 3, 4, 4, 5]
+    times = [(BOOT + t * 10_000_000, START + k * 10_000_000) for k, t in enumerate(stamps)]
+    log, out = write_mcap(tmp_path / "log.mcap", times=times), tmp_path / "out.mcap"
+    assert run("convert", log, "--into", out, "-q").exit_code == 0
     assert [(stamp, logged) for logged, stamp, _ in attitudes(out)] == times

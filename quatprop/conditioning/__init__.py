@@ -164,7 +164,7 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
     read
         Reads the samples; called twice where the conditioning looks ahead.
     timeline
-        Orders them, and drops or replaces rates that are not finite.
+        Orders them, and deals with rates that are not finite.
     settings
         What to do.
     unit
@@ -184,12 +184,10 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
     Raises
     ------
     UsageError
-        The log has no rest to take a bias from, the mounting is not a rotation, or the part ends
-        before it starts.
+        The log has no rest, the mounting is not a rotation, or the part ends before it starts.
     """
-    mount = None if inputs.mounting is None else inputs.mounting.matrix
-    if mount is None and settings.mount is not None:
-        mount = mounting(settings.mount)
+    mount = None if settings.mount is None or inputs.mounting else mounting(settings.mount)
+    mount = inputs.mounting.matrix if inputs.mounting else mount
     matrix, bias, remarks = _calibration_of(settings, inputs)
     clips = settings.start is not None or settings.end is not None
     parts = part_reader() if clips else None
@@ -214,11 +212,10 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
         remarks=remarks,
         part=part,
     )
-    numbered = timeline.ordered(batches)
+    numbered, outside = timeline.ordered(batches), report.outside
     if clips:
-        numbered = timeline.without(
-            clipped(numbered, settings, start_ns, end_ns, report.outside), report.outside
-        )
+        inside = clipped(numbered, settings, start_ns, end_ns, outside)
+        numbered = timeline.without(inside, outside)
     # Rates in the reference frame are not turned by the mounting.
     if mount is not None and settings.rates == "body":
         matrix = mount if matrix is None else mount @ matrix
@@ -252,17 +249,15 @@ def _look_ahead(
         return ends, None
     finder = EndsFinder(earliest=timeline.policy.on_backwards == "sort")
     samples = timeline.looked_ahead(read(), finder.add)
-    rest = None
     if settings.static_ns is None:
         deque(samples, maxlen=0)
-    else:
-        from quatprop.conditioning.cells import cells_of
-        from quatprop.conditioning.static_detection import find_rest
+        return finder.ends(), None
+    from quatprop.conditioning.cells import cells_of
+    from quatprop.conditioning.static_detection import find_rest
 
-        rows = ((batch.t_ns, batch.rate) for batch in samples)
-        cells = cells_of(rows, settings.static_ns // 2 or 1)
-        rest = find_rest(cells, inputs, settings.static_ns, settings.rates)
-    return finder.ends() or Ends(0, 0), rest
+    cells = cells_of(((each.t_ns, each.rate) for each in samples), settings.static_ns // 2 or 1)
+    rest = find_rest(cells, inputs, settings.static_ns, settings.rates)
+    return finder.ends(), rest
 
 
 def conditioned(

@@ -105,10 +105,10 @@ class EndsFinder:
             t_ns = np.sort(t_ns)
         self._tail = np.sort(np.concatenate([self._tail, t_ns[-some:]]))[-some:]
 
-    def ends(self) -> Ends | None:
-        """Return what was found; None where there was no sample."""
+    def ends(self) -> Ends:
+        """Return what was found; zeros where there was no sample."""
         if not len(self._head):
-            return None
+            return Ends(0, 0)
         # What is earlier than the first is dropped, or refused.
         head = np.sort(self._head[self._head >= self._head[0]])
         tail = self._tail

@@ -28,9 +28,8 @@ from quatprop.writers.formats import format_remarks, layout_of
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterable, Iterator
 
-    from quatprop.arrays import Int64
     from quatprop.pipeline.attitude_stream import Observer
     from quatprop.tables.base import AnyLog
     from quatprop.writers.attitudes import AttitudeWriter
@@ -108,7 +107,7 @@ def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> 
             )
         with (
             ReportFile(output.report) as report_file,
-            open_output(output, log, source.stamps, settings.errors.columns_axes) as writer,
+            open_output(output, log, settings.errors.columns_axes) as writer,
         ):
             report = _written(stream, writer, job, log)
             # Everything that can fail comes before the first output is put in its place.
@@ -170,7 +169,6 @@ def _is_small(log: str) -> bool:
 def open_output(
     output: OutputSettings,
     log: AnyLog,
-    stamps: Callable[[], Iterator[tuple[Int64, Int64]]],
     sigma: str | None = None,
 ) -> AttitudeWriter:
     """Open a file of attitudes, or a copy of the log to which they are added.
@@ -181,15 +179,13 @@ def open_output(
         Where and how.
     log
         The log that the attitudes come from.
-    stamps
-        As for :func:`quatprop.into.open_into`.
     sigma
         As for :func:`quatprop.writers.open_writer`.
     """
     if output.into:
         from quatprop.into import open_into
 
-        opened = partial(open_into, log, output.path, stamps)
+        opened = partial(open_into, log, output.path)
     else:
         opened = partial(open_writer, output.path, output.to)
     return opened(

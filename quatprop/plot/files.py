@@ -6,13 +6,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from quatprop.conditioning import Conditioning, ConditioningInputs, condition
-from quatprop.conditioning.time_range import (
-    Ends,
-    EndsFinder,
-    absolute_range,
-    clipped,
-    pause_remarks,
-)
+from quatprop.conditioning.time_range import EndsFinder, absolute_range, clipped, pause_remarks
 from quatprop.containers.stores import without_secret
 from quatprop.conventions import HAMILTON
 from quatprop.errors import (
@@ -190,7 +184,7 @@ def _view_attitudes(path: str, log: AnyLog, source: AttitudeSignal, view: View) 
     if view.part.looks_ahead:
         for t_ns, outliers, _ in marked((t_ns for t_ns, _ in source.rows()), lambda t_ns: t_ns):
             finder.add(t_ns if outliers is None else t_ns[~outliers])
-    ends = finder.ends() or Ends(0, 0)
+    ends = finder.ends()
     numbered = ((batch, batch.t_ns) for batch in read)
     part = clipped(numbered, view.part, *absolute_range(view.part, ends), outside)
     shown = drawn.passing(batch for batch, _ in part)

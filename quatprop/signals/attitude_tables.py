@@ -166,6 +166,7 @@ def _read(  # noqa: PLR0913  # what to read, and how
     *,
     positions: bool = False,
     covariances: bool = False,
+    logged: bool = False,  # noqa: ARG001  # rows of tables have no log times
 ) -> Rows:
     """Yield attitudes, and positions and covariances if they are wanted.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from functools import partial
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -135,14 +135,15 @@ def _of_field(
     clock = choose_clock(log, channel, field.stamps, selection)
     reader = partial(field_reader, log, channel, clock, field.fields, [field.absent])
 
-    def read(*, positions: bool = False, covariances: bool = False) -> Rows:
+    def read(*, positions: bool = False, covariances: bool = False, logged: bool = False) -> Rows:
         position = [field.position] if positions else []
         covariance = [field.covariance] if covariances else []
-        rows = timed_values(log, channel, reader(position, covariance))
+        rows = timed_values(log, channel, reader(position, covariance), logged=logged)
         if covariances:
             # What this package wrote is of no driver.
             rows = _known(log, rows, may_be_constant=bool(provenance))
-        return _in_terms(rows, order, meaning, positions=positions, covariances=covariances)
+        beside = _Beside(positions=positions, covariances=covariances, logged=logged)
+        return _in_terms(rows, order, meaning, beside)
 
     remarks: tuple[str, ...] = (f"by its type {field.frames}",) if field.frames else ()
     placeholder = _is_beside_rate(channel, field, log.path) and are_all(
@@ -192,10 +193,11 @@ def _of_transforms(
     meaning = meaning_of(log.path, selection, recorded_convention(provenance))
     reader = transform_reader(log, channel, frames, clock)
 
-    def read(*, positions: bool = False, covariances: bool = False) -> Rows:
-        rows = timed_values(log, channel, reader)
+    def read(*, positions: bool = False, covariances: bool = False, logged: bool = False) -> Rows:
+        rows = timed_values(log, channel, reader, logged=logged)
         order = SCALAR_FIRST.order
-        return _in_terms(rows, order, meaning, positions=positions, covariances=covariances)
+        beside = _Beside(positions=positions, covariances=covariances, logged=logged)
+        return _in_terms(rows, order, meaning, beside)
 
     if clock.name == "header" and are_all(
         (t_ns for t_ns, *_ in timed_values(log, channel, reader)), 0
@@ -215,24 +217,29 @@ def _of_transforms(
     )
 
 
+class _Beside(NamedTuple):
+    """What is read beside stamps and attitudes."""
+
+    positions: bool
+    covariances: bool
+    logged: bool
+
+
 def _in_terms(
-    values: Iterator[tuple[Any, ...]],
-    order: tuple[int, ...],
-    meaning: Meaning,
-    *,
-    positions: bool,
-    covariances: bool,
+    values: Iterator[tuple[Any, ...]], order: tuple[int, ...], meaning: Meaning, wanted: _Beside
 ) -> Rows:
-    """Yield attitudes that are stored in the order `order`, and what is beside them."""
+    """Yield attitudes that are stored in the order `order`, and what is wanted beside them."""
     places = [order.index(part) for part in range(4)]
     for t_ns, stored, *beside in values:
+        log_ns = beside.pop(0) if wanted.logged else None
         wxyz = meaning.converted(stored[:, places])
-        covariance = beside[-1] if covariances else None
+        covariance = beside[-1] if wanted.covariances else None
         if covariance is not None:
             # Quaternions are not checked yet.
             with np.errstate(over="ignore", invalid="ignore"):
                 covariance = reference_covariance(conjugate(wxyz), covariance)
-        yield t_ns, wxyz, beside[0] if positions else None, covariance
+        row = t_ns, wxyz, beside[0] if wanted.positions else None, covariance
+        yield row if log_ns is None else (*row, None, log_ns)
 
 
 def _known(

@@ -146,7 +146,7 @@ def as_rows(fields: list[AnyArray]) -> Float64:
 
 
 def timed_values(
-    log: MessageLog, channel: Channel, reader: MessageReader
+    log: MessageLog, channel: Channel, reader: MessageReader, *, logged: bool = False
 ) -> Iterator[tuple[AnyArray, ...]]:
     """Yield the values of one channel with their stamps, in order of their log times.
 
@@ -158,6 +158,8 @@ def timed_values(
         One of its channels.
     reader
         Turns its blocks into rows.
+    logged
+        Whether log times follow the values.
 
     Yields
     ------
@@ -166,7 +168,8 @@ def timed_values(
         ``(N, k)``, float64, first.
     """
     for columns in logged_values(log, channel, reader):
-        yield columns.values
+        t_ns, values, *beside = columns.values
+        yield (t_ns, values, columns.log_ns, *beside) if logged else columns.values
 
 
 def stamps_of(rows: Iterable[Columns]) -> Iterator[tuple[Int64, Int64]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from quatprop.errors import LogError
 from quatprop.text import Text, quoted
@@ -19,13 +19,21 @@ if TYPE_CHECKING:
     from quatprop.provenance import JsonObject
     from quatprop.series import GyroSeries
 
-    Rows: TypeAlias = Iterator[tuple[Int64, Float64, Float64 | None, Float64 | None]]
+    Rows: TypeAlias = Iterator[
+        tuple[Int64, Float64, Float64 | None, Float64 | None, *tuple[Any, ...]]
+    ]
 
     class ReadRows(Protocol):
         """Reads attitudes from the beginning."""
 
-        def __call__(self, *, positions: bool = False, covariances: bool = False) -> Rows:
-            """Yield stamps, quaternions and, if they are wanted, what is beside them."""
+        def __call__(
+            self, *, positions: bool = False, covariances: bool = False, logged: bool = False
+        ) -> Rows:
+            """Yield stamps, quaternions and, if they are wanted, what is beside them.
+
+            These are the arguments of :class:`quatprop.series.AttitudeSeries`, those of messages
+            up to their log times if these are wanted.
+            """
 
 
 def no_parts() -> None:

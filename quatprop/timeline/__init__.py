@@ -18,13 +18,14 @@ from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries
 from quatprop.text import Setting
 from quatprop.timeline.outliers import fits
-from quatprop.timeline.stamps import LONGEST_NS, Examined, Policy, StampChecks
+from quatprop.timeline.stamps import LONGEST_NS, Policy, StampChecks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from quatprop.arrays import Bool, Float64, Int64
+    from quatprop.timeline.steps import Examined
 
     Numbered: TypeAlias = tuple[GyroSeries, Int64]
     """A batch, and which of the samples that were read it holds."""

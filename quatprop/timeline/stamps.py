@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from quatprop.errors import TimelineError
 from quatprop.text import Setting
 from quatprop.timeline.counts import LISTED_GAPS, Counts, Event
 from quatprop.timeline.outliers import Rows, marked
+from quatprop.timeline.steps import Examined, cause_of_step
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -23,12 +24,6 @@ Batch = TypeVar("Batch", bound=Rows)
 
 GAP_FACTOR = 10
 """Intervals longer than this many median intervals count as gaps, unless the policy says so."""
-
-_FAR = 10
-"""A counter that has wrapped around goes on after at most so many intervals."""
-
-COUNTERS = {"ns": 2**32, "us": 2**32 * 1_000, "ms": 2**32 * 1_000_000}
-"""After how many ns a counter of 32 bits begins again, by its unit."""
 
 LONGEST_NS = int(np.iinfo(np.int64).max)
 """The longest interval that fits in 64 bits."""
@@ -70,37 +65,6 @@ class Policy(NamedTuple):
 
 OBSERVE = Policy(on_backwards="keep", on_nonfinite="keep")
 """Change nothing, count everything."""
-
-
-class Examined(NamedTuple, Generic[Batch]):
-    """A batch, and what is irregular about its stamps.
-
-    Parameters
-    ----------
-    batch
-        The samples.
-    rows
-        Which of the samples that were read they are, shape ``(N,)``.
-    outliers, back
-        Masks of outliers, and of stamps that are earlier than one before; None where none is.
-    """
-
-    batch: Batch
-    rows: Int64
-    outliers: Bool | None
-    back: Bool | None
-
-    @property
-    def outlier_mask(self) -> Bool:
-        """The mask of outliers, also where none is."""
-        return np.zeros(len(self.rows), np.bool_) if self.outliers is None else self.outliers
-
-    @property
-    def irregular(self) -> Bool | None:
-        """The mask of both; None where none is."""
-        if self.outliers is None or self.back is None:
-            return self.back if self.outliers is None else self.outliers
-        return self.outliers | self.back
 
 
 class StampChecks:
@@ -311,22 +275,3 @@ class StampChecks:
                 f"longer than {duration_text(limit)}; choose "
                 f"{Setting('on_gap', 'hold|zero|split')} or a longer {Setting('max_gap')}",
             )
-
-
-def cause_of_step(t_ns: Int64, first: int) -> str:
-    """Return the likely cause of a step back in time, if the stamps show one.
-
-    Parameters
-    ----------
-    t_ns
-        Stamps, ns.
-    first
-        The first that is earlier than one before.
-    """
-    if first < 2:  # noqa: PLR2004  # it and two before
-        return ""
-    before, middle, after = t_ns[first - 2 : first + 1].tolist()
-    for unit, period in COUNTERS.items():
-        if 0 < period - (middle - after) <= min(_FAR * (middle - before), period // 1000):
-            return f" as if a counter of 32 bits in {unit} had wrapped around"
-    return ""
