@@ -86,7 +86,6 @@ CUTS = {
         (coalesce, "ENOUGH_MESSAGES"): 10,
         (fetches, "FETCHES"): 1,
         (ulog, "BLOCK"): 501,
-        (ulog, "_WINDOW"): 70_001,
         (mcap_scan, "_LOOSE_SIZE"): 5000,
         (rosbag1_rebuild, "_LOOSE_SIZE"): 5000,
     },
