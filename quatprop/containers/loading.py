@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 Chunk = TypeVar("Chunk")
 Content = TypeVar("Content")
 
-GROUP = 1 << 22
+GROUP = 1 << 20
 """Bytes in a group: the chunks in it stay in the processor's cache until they are decoded."""
 
 FIRST = 1 << 16

@@ -14,7 +14,7 @@ import numpy as np
 
 from quatprop.containers.coalesce import coalesce_blocks
 from quatprop.containers.kept_blocks import blocks_of
-from quatprop.containers.merge import Columns, merge_by_time
+from quatprop.containers.merge import Columns, joined_rows, merge_by_time
 from quatprop.errors import MessageError
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.values import raw_messages
@@ -42,6 +42,9 @@ ABSENT = -1.0
 
 CLOCK_STEP_NS = 100_000_000
 """Time services set a clock that is wrong by more than this; what is less they catch up slowly."""
+
+_ROWS = 1 << 13
+"""Rows of a batch that is large enough."""
 
 
 def channels_of(log: MessageLog, topic: str | None = None) -> list[Channel]:
@@ -197,7 +200,21 @@ def logged_values(
     every = blocks_of(log, channel) if within is None else log.blocks_within(channel, within)
     blocks = metered(coalesce_blocks(every), channel.count if within is None else None)
     batches = (_readable(log, channel, reader, block) for block in blocks)
-    return merge_by_time([batches]) if log.has_log_time else filter(len, batches)
+    return merge_by_time([_joined(batches)]) if log.has_log_time else filter(len, batches)
+
+
+def _joined(batches: Iterable[Columns]) -> Iterator[Columns]:
+    """Yield batches of more rows, each of which takes less time; the first one as it is."""
+    waiting: list[Columns] = []
+    rows, enough = 0, 0
+    for batch in batches:
+        waiting.append(batch)
+        rows += len(batch)
+        if rows >= enough:
+            yield joined_rows(waiting)
+            waiting, rows, enough = [], 0, _ROWS
+    if waiting:
+        yield joined_rows(waiting)
 
 
 def _remark_on_step(log: MessageLog, channel: Channel, log_ns: Int64) -> None:
