@@ -43,6 +43,9 @@ FORMATS = {
 }
 """Modules and suffixes."""
 
+TABLE = r"(?m)^\| format \| damaged \| and read as \|\n(?:\|.*\n)+"
+"""Of what formats cannot notice, in formats.md."""
+
 HARMLESS, DETECTED, REFUSED = "harmless", "detected", "refused"
 GOOD = {HARMLESS, DETECTED, REFUSED}
 """Verdicts that are right of any flip; the others are not."""
@@ -156,7 +159,8 @@ class Format(NamedTuple):
             ends = self.module.ends(data) if hasattr(self.module, "ends") else ()
             for position in sorted({end + k for end in ends for k in range(-CUTS, CUTS + 1)}):
                 if position < len(data):
-                    yield Flip(layout, position, None, "cut")
+                    name = "cut behind a chunk" if position in ends else "cut"
+                    yield Flip(layout, position, None, name)
 
     def unnoticed(self):
         """Return what the format cannot notice, with the reasons."""
@@ -199,6 +203,16 @@ def sample(name, count):
     flips = list(Format.named(name).flips())
     # A step that is odd meets every bit.
     return flips[:: max(1, len(flips) // count) | 1]
+
+
+def unnoticed_table():
+    """Return the table of what formats cannot notice, as formats.md shows it."""
+    rows = [
+        f"| {Format.named(name).module.TITLE} | {name_of_part} | {reason} |\n"
+        for name in FORMATS
+        for name_of_part, reason in Format.named(name).unnoticed().items()
+    ]
+    return "".join(["| format | damaged | and read as |\n|---|---|---|\n", *rows])
 
 
 def problems(flips, unnoticed):

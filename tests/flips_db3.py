@@ -12,6 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 
 IMU = "sensor_msgs/msg/Imu"
 T0 = 1_700_000_000_000_000_000
+TITLE = "SQLite"
 COUNTED = ()
 LEAF_TABLE, INNER_TABLE, LEAF_INDEX, INNER_INDEX = 13, 5, 10, 2
 NAMES = {LEAF_TABLE: "table page", INNER_TABLE: "inner table page", LEAF_INDEX: "index page",
@@ -69,7 +70,7 @@ def _bag(tables, *, notes=False):
         return path.read_bytes()
 
 
-UNNOTICED: dict[str, str] = {}
+UNNOTICED = {"table page: topic": "a message of another topic"}
 
 
 def heads(data):

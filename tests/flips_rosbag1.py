@@ -39,6 +39,8 @@ class Record(NamedTuple):
     end: int
 
 
+TITLE = "ROS 1 bag"
+UNNOTICED = {"cut behind a chunk": "a bag that was not closed and ends there"}
 COUNTED = ("none", "lz4", "bz2", "one topic")
 
 

@@ -11,6 +11,7 @@ KINDS = {
     "A": "subscription", "R": "end of a subscription", "D": "message", "L": "logged text",
     "S": "synchronisation", "O": "dropout",
 }  # fmt: skip
+TITLE = "ULog"
 COUNTED = ()
 OPTIONS = {"two instances": {"topic": "sensor_gyro/0"}}
 """Of reading, for layouts with several topics of rates."""
@@ -59,8 +60,8 @@ def _between(messages, others):
 
 
 UNNOTICED = {
-    "format: definition": "a field under another name of the same length",
-    "message: id of an instance": "a message under the id of another instance of its topic",
+    "format: definition": "a field of another name",
+    "message: id of an instance": "a message of another instance of the topic",
 }
 
 

@@ -673,3 +673,14 @@ def test_an_index_that_leads_to_a_row_twice_is_not_followed(tmp_path):
         "its database is damaged (its index 'timestamp_idx' does not list all messages); "
         "what intact pages hold is read"
     )
+
+
+def test_a_bag_whose_first_rows_have_no_topic_gives_the_others(tmp_path):
+    """A block without any message was a crash."""
+    path = old_bag(tmp_path / "a.db3", [(k, HEADER) for k in range(3)])
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("UPDATE messages SET topic_id = 9")
+        database.commit()
+    found, losses = messages(path)
+    assert found == {("/imu", "sensor_msgs/msg/Imu"): []}
+    assert losses == [Loss("topic id 9", "no topic has this id", 3)]

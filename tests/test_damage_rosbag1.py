@@ -282,3 +282,14 @@ def numbers_of_chunk(count, begin, folder):
     (chunk,) = [k for k, (place, _) in enumerate(places) if place == begin]
     assert places[chunk][1] == count
     return numbers_of(places, chunk)
+
+
+def test_a_closed_bag_that_was_cut_between_two_records_is_not_whole(tmp_path):
+    """Its messages were taken for all, though the bag header says that more followed."""
+    path = tmp_path / "log.bag"
+    content = written(path)
+    end = chunk_places(path)[4][0]
+    numbers, losses = read(path, content[:end])
+    assert numbers == [*range(len(numbers))]
+    reason = f"it ends before its index, which should begin at byte {index_place(content)}"
+    assert losses == [Loss(f"byte {end}", reason)]

@@ -44,6 +44,9 @@ MESSAGE_OF_TOPIC: Mapping[str, str] = {
 }
 """Topics with the message of another topic, as the TOPICS lines of PX4 declare."""
 
+_MOST_BYTES = 1 << 16
+"""A record has less."""
+
 _FIELD = r"(?a)([\w/-]+)(?:\[(\d+)\])? ([\w\[\]]+)"
 
 
@@ -78,7 +81,7 @@ def definition_text(name: str, formats: Mapping[str, str]) -> bytes:
 def message_sizes(name: str, formats: Mapping[str, str]) -> tuple[int, int] | None:
     """Return the bytes of a message without the padding at its end, and with it.
 
-    None where its format does not say that.
+    None where its format does not say that, or is of no message.
 
     Examples
     --------
@@ -90,7 +93,7 @@ def message_sizes(name: str, formats: Mapping[str, str]) -> tuple[int, int] | No
         padded = _size(name, formats, sizes)
         *_, last = _matches(name, formats)
         padding = _size_of(last, formats, sizes) if last[3].startswith("_padding") else 0
-        return padded - padding, padded
+        return (padded - padding, padded) if padded <= _MOST_BYTES else None
     except (BadDefinitionError, KeyError, RecursionError, ValueError):
         return None
 

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 _MAGIC = re.compile(rb"#ROS(?:BAG|RECORD) V(\d+\.\d+)\n")
 _VERSION = "2.0"
+_PLACE = 8
+"""Bytes of a place in the bag header."""
 
 
 class Rosbag1Log(ChunkedLog[BagChunk]):
@@ -103,6 +105,8 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
                 f"it is encrypted with {quoted(encryptor.decode(errors='replace'))}; "
                 "decrypt it with `rosbag decrypt`",
             )
+        place = header.fields.get(b"index_pos", b"")
+        self._index_place = int.from_bytes(place, "little") if len(place) == _PLACE else 0
         self._begin = header.end if self._is_record(header.end) else header.data
         index = read_index(self._file, header)
         if index is None or self._file.at(index.end, len(MAGIC)) not in {b"", MAGIC}:
@@ -122,6 +126,9 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
         """Return the index of the records that are there."""
         index = BagIndex(end=self._begin)
         rebuild_index(self._file, index)
+        if self._index_place > self._file.size and not index.losses:
+            reason = f"it ends before its index, which should begin at byte {self._index_place}"
+            index.losses.note(f"byte {self._file.size}", reason)
         return index
 
     def _channels_of(self, index: BagIndex) -> dict[int, Channel]:

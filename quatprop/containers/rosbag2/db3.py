@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import apsw
@@ -10,6 +9,7 @@ import apsw
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog, by_topic
 from quatprop.containers.compressed_messages import decompressed
 from quatprop.containers.file_source import FileSource
+from quatprop.containers.rosbag2.db3_indexes import check_indexes, has_rowid
 from quatprop.containers.rosbag2.db3_topics import columns_of, read_topics
 from quatprop.containers.rosbag2.fetches import ROWS, Fetch, combined, fetch_of, fetched, next_group
 from quatprop.containers.rosbag2.parts import custom_data
@@ -109,7 +109,7 @@ class Db3Log(MessageLog):
     def recorded_span(self, channel: Channel) -> TimeRange | None:  # noqa: ARG002  # of all topics
         """Return when the bag was recorded; None where it has no sound index of the times."""
         try:
-            self._check_indexes()
+            check_indexes(self._database)
             indexed = self._database.execute(
                 "SELECT 1 FROM pragma_index_list('messages') AS one, pragma_index_info(one.name) "
                 "AS part WHERE partial = 0 AND seqno = 0 AND part.name = 'timestamp'"
@@ -144,47 +144,12 @@ class Db3Log(MessageLog):
         count = 0
         limit_steps(self._database, self.path.stat().st_size)
         try:
-            self._check_indexes()
+            check_indexes(self._database)
             for fetch in self._queried(channel, ids, within):
                 count += len(fetch.times)
                 yield fetch
         except apsw.Error as error:
             yield from self._recovered(channel, ids, within, count, str(error))
-
-    def _check_indexes(self) -> None:
-        """Raise an error of SQLite where an index does not list each row once.
-
-        That is told by how many there are, and by the sum of their numbers.
-        """
-        indexes = self._indexes()
-        if not indexes and self._database.execute("PRAGMA quick_check(1)").fetchall() != [("ok",)]:
-            raise apsw.CorruptError("its pages do not account for all messages")
-        what = "count(*), sum(rowid)" if self._has_rowid() else "count(*)"
-        for name in indexes:
-            quoted_name = name.replace('"', '""')
-            rows = self._numbers(what, f'INDEXED BY "{quoted_name}"')
-            # Where no row number is left out these are all. Otherwise the whole table is counted.
-            if rows != self._consecutive() and rows != self._numbers(what, "NOT INDEXED"):
-                raise apsw.CorruptError(f"its index {quoted(name)} does not list all messages")
-
-    def _consecutive(self) -> list[int]:
-        """Return how many rows there are, and the sum of their numbers, if none is left out."""
-        if not self._has_rowid():
-            return []
-        first, last = self._numbers("min(rowid), (SELECT max(rowid) FROM messages)")
-        count = last - first + 1
-        return [count, (first + last) * count // 2]
-
-    def _indexes(self) -> list[str]:
-        """Return the names of the indexes that list all rows."""
-        rows = self._database.execute(
-            "SELECT name FROM pragma_index_list('messages') WHERE partial = 0"
-        )
-        return [str(name) for (name,) in rows]
-
-    def _numbers(self, expressions: str, how: str = "") -> list[int]:
-        rows = self._database.execute(f"SELECT {expressions} FROM messages {how}")  # noqa: S608  # no text of others
-        return [int(str(value or 0)) for value in next(rows)]
 
     def _queried(
         self, channel: Channel, ids: list[SQLiteValue], within: TimeRange
@@ -205,7 +170,7 @@ class Db3Log(MessageLog):
         if within != EVERY_TIME:
             in_range = f"timestamp BETWEEN {within.first_ns} AND {within.last_ns} AND "
         # Bags have an index of the times: this order costs a tenth more than none, and no memory.
-        order = f"ORDER BY timestamp, {'rowid' if self._has_rowid() else 'timestamp'}"
+        order = f"ORDER BY timestamp, {'rowid' if has_rowid(self._database) else 'timestamp'}"
         # Rows of no topic come without a time: another scan for them would take longer.
         query = (
             f"SELECT CASE WHEN {this_topic} THEN timestamp END, data FROM messages "  # noqa: S608  # only question marks go in
@@ -250,12 +215,6 @@ class Db3Log(MessageLog):
                 self._lose(channel, reason, int(str(count)))
             else:
                 self.losses.note(f"topic id {key}", "no topic has this id", int(str(count)))
-
-    def _has_rowid(self) -> bool:
-        with suppress(apsw.SQLError):  # WITHOUT ROWID
-            self._database.execute("SELECT rowid FROM messages LIMIT 0").fetchall()
-            return True
-        return False
 
     def _recovered(
         self, channel: Channel, ids: list[SQLiteValue], within: TimeRange, done: int, damage: str
