@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
@@ -28,6 +29,7 @@ from quatprop.pipeline.log_survey import AttitudeSurvey, LogSurvey, RateSurvey, 
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.selection import AttitudeSelection, RateSelection
+from quatprop.signals.attitude_convention import meaning_of, recorded_convention
 from quatprop.signals.attitudes import attitude_candidates
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import rate_candidates
@@ -227,7 +229,8 @@ def _attitudes(log: AnyLog, selection: RateSelection, seen: Seen) -> Iterator[At
         channels = [] if isinstance(log, TableLog) else log.channels()
         topics = dict.fromkeys(channel.topic for channel in channels)
         if selection.topic is not None or len(topics) <= 1:
-            yield AttitudeSurvey(source=selection.topic or "", missing=error.reason)
+            made = _made(log, selection.topic or next(iter(topics), ""), wanted)
+            yield replace(made, missing=error.reason)
             return
         for topic in topics:
             yield from _attitudes(log, replace(selection, topic=topic), seen)
@@ -251,6 +254,16 @@ def _attitudes(log: AnyLog, selection: RateSelection, seen: Seen) -> Iterator[At
         else:
             facts = {**dict.fromkeys(unknown), "missing": missing}
             yield replace(surveyed, **facts)  # type: ignore[arg-type]  # all optional
+
+
+def _made(log: AnyLog, topic: str, wanted: AttitudeSelection) -> AttitudeSurvey:
+    """Return what the metadata of a topic say about its attitudes; nothing where they are none."""
+    with suppress(LogError, UsageError):
+        made = log.provenance() if isinstance(log, TableLog) else log.provenance(topic)
+        meaning = meaning_of(log.path, wanted, recorded_convention(made))
+        meant: dict[str, Any] = {"convention": meaning.convention, "direction": meaning.direction}
+        return AttitudeSurvey(source=topic, **meant, **making(made))
+    return AttitudeSurvey(source=topic)
 
 
 def _survey_attitudes(signal: AttitudeSignal, log: AnyLog, seen: Seen) -> AttitudeSurvey:
