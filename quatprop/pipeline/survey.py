@@ -229,8 +229,8 @@ def _attitudes(log: AnyLog, selection: RateSelection, seen: Seen) -> Iterator[At
         channels = [] if isinstance(log, TableLog) else log.channels()
         topics = dict.fromkeys(channel.topic for channel in channels)
         if selection.topic is not None or len(topics) <= 1:
-            topic = selection.topic or next(iter(topics), "")
-            yield replace(_made(log, topic, wanted), missing=error.reason)
+            made = _made(log, selection.topic or next(iter(topics), ""), wanted)
+            yield replace(made, missing=error.reason)
             return
         for topic in topics:
             yield from _attitudes(log, replace(selection, topic=topic), seen)
