@@ -18,7 +18,7 @@ help:
 	@echo 'make test         run the tests'
 	@echo 'make lowest       run the tests with the lowest versions that pyproject.toml allows'
 	@echo 'make dist         build wheel and sdist, and run the tests of the sdist'
-	@echo 'make fuzz         read 10,000 damaged logs and report what goes wrong'
+	@echo 'make fuzz         damaged logs, flipped bits, random command lines: report what goes wrong'
 	@echo 'make lint         ruff and mypy'
 	@echo 'make format       let ruff format the code'
 	@echo 'make documents    update what commands print in the documents'
@@ -67,6 +67,8 @@ dist:
 
 fuzz: $(READY)
 	$(BIN)/python tests/fuzz.py
+	$(BIN)/python tests/flips.py
+	$(BIN)/python tests/command_lines.py
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -47,7 +47,17 @@ class QuatpropWarning(UserWarning):
 
 
 class DataLossWarning(QuatpropWarning):
-    """A part of a log could not be read, or samples were dropped."""
+    """A part of a log could not be read, or samples were dropped.
+
+    Attributes
+    ----------
+    messages
+        How many messages or rows are lost, where that is known.
+    """
+
+    def __init__(self, message: str, messages: int | None = None) -> None:
+        super().__init__(message)
+        self.messages = messages
 
 
 class RemarkWarning(QuatpropWarning):

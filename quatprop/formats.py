@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 _MAGIC_BYTES = 16
 
+_SHELL_PIPES = ("/dev/fd/", "/dev/stdin", "/proc/self/fd/")
+
 _INDEXED_KINDS = {"mcap", "bag", "parquet", "feather"}
 """Kinds of which only a part is read from an object store: they say where everything is."""
 
@@ -81,8 +83,11 @@ def open_log(
         The log is recognised but cannot be opened.
     """
     with as_errors_of(without_secret(path)), ExitStack() as stack:
-        if str(path) == "-":
-            yield _open_stdin(kind, msg_path, stack)
+        if msg_path is not None and not Path(msg_path).exists():
+            sentence = f"{plain(msg_path)}: no such file or folder; check {Setting('msg_path')}"
+            raise UsageError(sentence)
+        if is_stream(path):
+            yield _open_stream(str(path), kind, msg_path, stack)
         elif is_address(path):
             stack.enter_context(_renamed_errors(without_secret(path)))
             yield _open_remote(str(path), kind, msg_path, stack, copied=copied)
@@ -157,13 +162,8 @@ def _complete(log: AnyLog, folders: list[Path], msg_path: str | Path | None) -> 
     """
     if not isinstance(log, MessageLog):
         return
-    if msg_path is not None:
-        if not Path(msg_path).exists():
-            sentence = f"{plain(msg_path)}: no such file or folder; check {Setting('msg_path')}"
-            raise UsageError(sentence)
-        files = MsgFiles([Path(msg_path)], is_given=True)
-    else:
-        files = MsgFiles(folders)
+    given = msg_path is not None
+    files = MsgFiles([Path(msg_path)] if msg_path is not None else folders, is_given=given)
     log.complete(files.completed)
     log.definition_files = list(files.used.values())
     types: defaultdict[str, set[str]] = defaultdict(set)
@@ -207,14 +207,26 @@ def _other_kind(path: str | Path, what: str, kind: str) -> UnreadableLogError:
     )
 
 
-def _open_stdin(kind: str | None, msg_path: str | Path | None, stack: ExitStack) -> AnyLog:
+def is_stream(path: str | Path) -> bool:
+    """Whether a log is read once, as it comes: stdin, or a pipe of the shell as ``<(...)``."""
+    name = str(path)
+    # Only these have a writer for certain: to open a pipe with a name could take forever.
+    return name == "-" or (name.startswith(_SHELL_PIPES) and Path(path).is_fifo())
+
+
+def _open_stream(
+    name: str, kind: str | None, msg_path: str | Path | None, stack: ExitStack
+) -> AnyLog:
     """Open text as it comes; a binary log, which is read at places, from a temporary copy."""
     stream: Any = sys.stdin.buffer
+    if name != "-":
+        stream = stack.enter_context(Path(name).open("rb"))  # noqa: SIM115  # the stack closes it
     if kind == "rosbag2":
-        raise UnsupportedLogError("-", "a ROS 2 bag is a folder; name it")
+        raise UnsupportedLogError(name, "a ROS 2 bag is a folder; name it")
     head = stream.peek(_MAGIC_BYTES) if hasattr(stream, "peek") else b""
     named = (name for name, reader in READERS.items() if head.startswith(reader.magic))
     kind = kind or next(named, "csv")
+    stack.enter_context(_renamed_errors(name))
     if kind in TEXT_KINDS:
         return _enter(kind, stream, stack)
     folder = temp_folder()
@@ -224,7 +236,6 @@ def _open_stdin(kind: str | None, msg_path: str | Path | None, stack: ExitStack)
         import shutil
 
         shutil.copyfileobj(stream, file)
-    stack.enter_context(_renamed_errors("-"))
     return stack.enter_context(open_log(copy, kind, msg_path=msg_path))
 
 

@@ -66,6 +66,7 @@ READERS: dict[str, Reader] = {
     "hdf5": Reader(
         "quatprop.tables.hdf5:Hdf5Log", (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3"), (".h5", ".hdf5")
     ),
+    "matlab": Reader("quatprop.tables.matlab:MatlabLog", (b"MATLAB 5.0",), (".mat",)),
     "jsonl": Reader(
         "quatprop.tables.jsonl:JsonLinesLog", (b"{", b"\xef\xbb\xbf{"), (".jsonl", ".ndjson")
     ),
@@ -79,7 +80,6 @@ OTHER_FORMATS = {
     rb"version https://git-lfs": "it is a pointer of Git LFS; get the log with git lfs pull",
     rb"\xfd7zXZ\0|7z\xbc\xaf'\x1c|\x1f\x9d|Rar!": "it is an archive; unpack it",
     rb"(?s).{257}ustar": "it is a tar archive; unpack it, and name a log in it",
-    rb"MATLAB 5\.0": "it is a MATLAB file before version 7.3; save it again with '-v7.3'",
     rb"\xa3\x95\x80": "it is an ArduPilot log; convert it to CSV with mavlogdump.py",
     rb"H Product:Blackbox": "it is a Betaflight log; convert it with blackbox_decode",
     rb"\s*\[\s*[\[{]": "it is a JSON array; write an element a line, such as with jq -c '.[]'",

@@ -7,7 +7,6 @@ Arrow keep it in their metadata, text in a comment if that was asked for.
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import os
 from collections import deque
@@ -19,6 +18,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.errors import DamagedLogError, UnreadableLogError, os_reason
+from quatprop.guarded_text import ContentError, read_json
 
 JsonObject: TypeAlias = dict[str, Any]
 """An object of JSON, as it is read or about to be written."""
@@ -96,8 +96,8 @@ def provenance_in(text: bytes | str | None, path: Path | str) -> JsonObject:
     if text is None:
         return {}
     try:
-        provenance = json.loads(text)
-    except ValueError:
+        provenance = read_json(text)
+    except ContentError:
         provenance = None
     if not isinstance(provenance, dict):
         raise DamagedLogError(

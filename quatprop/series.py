@@ -96,6 +96,9 @@ class GyroSeries(_Series):
     averages
         Whether each rate is the average over the interval that ends at its stamp, instead of the
         rate at that moment. Then method ``"end"`` is the default, and exact about a fixed axis.
+    log_ns
+        When the message of each sample was recorded, shape ``(N,)``, int64, ns; None where it is
+        not known or not needed.
 
     Raises
     ------
@@ -113,6 +116,7 @@ class GyroSeries(_Series):
     rate: Float64
     span_ns: Int64 | None = None
     averages: bool = False
+    log_ns: Int64 | None = None
 
     if TYPE_CHECKING:  # what is taken, beside what is kept
 
@@ -122,17 +126,13 @@ class GyroSeries(_Series):
             rate: ArrayLike,
             span_ns: ArrayLike | None = None,
             averages: bool = False,
+            log_ns: ArrayLike | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        t_ns, span_ns = stamps_of("t_ns", self.t_ns), self.span_ns
-        if span_ns is not None:
-            span_ns = stamps_of("span_ns", span_ns)
-            if len(span_ns) != len(t_ns):
-                raise SeriesError(
-                    f"Expected `span_ns` of shape ({len(t_ns)},), got {span_ns.shape}"
-                )
-        self._keep(t_ns=t_ns, rate=rows_of("rate", self.rate, len(t_ns), 3), span_ns=span_ns)
+        t_ns = stamps_of("t_ns", self.t_ns)
+        times = {name: _times(name, getattr(self, name), len(t_ns)) for name in _TIMES}
+        self._keep(t_ns=t_ns, rate=rows_of("rate", self.rate, len(t_ns), 3), **times)
 
     def is_integrated(self, method: str) -> bool:
         """Tell whether a method takes each sample as the whole rotation since the one before.
@@ -201,6 +201,8 @@ class AttitudeSeries(_Series):
     rate
         Angular rate of the body in its own axes, shape ``(N, 3)``, rad/s; None where it is not
         known.
+    log_ns
+        As for :class:`GyroSeries`.
 
     Raises
     ------
@@ -214,16 +216,18 @@ class AttitudeSeries(_Series):
     position: Float64 | None = None
     covariance: Float64 | None = None
     rate: Float64 | None = None
+    log_ns: Int64 | None = None
 
     if TYPE_CHECKING:
 
-        def __init__(
+        def __init__(  # noqa: PLR0913, PLR0917  # as many as there are columns
             self,
             t_ns: ArrayLike,
             wxyz: ArrayLike,
             position: ArrayLike | None = None,
             covariance: ArrayLike | None = None,
             rate: ArrayLike | None = None,
+            log_ns: ArrayLike | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -232,7 +236,7 @@ class AttitudeSeries(_Series):
         for name, shape in (("position", [3]), ("rate", [3]), ("covariance", [3, 3])):
             if (values := getattr(self, name)) is not None:
                 rows[name] = rows_of(name, values, len(t_ns), *shape)
-        self._keep(t_ns=t_ns, **rows)
+        self._keep(t_ns=t_ns, **rows, log_ns=_times("log_ns", self.log_ns, len(t_ns)))
 
     @classmethod
     def from_seconds(cls, t_s: ArrayLike, wxyz: ArrayLike) -> Self:
@@ -300,6 +304,19 @@ class AttitudeSeries(_Series):
             pandas is not installed.
         """
         return _data_frame(self.to_arrow(scalar_first=scalar_first))
+
+
+_TIMES = ("span_ns", "log_ns")
+
+
+def _times(name: str, values: ArrayLike | None, rows: int) -> Int64 | None:
+    """Return a column of times beside the stamps, as an array of int64 ns."""
+    if values is None:
+        return None
+    times = stamps_of(name, values)
+    if len(times) != rows:
+        raise SeriesError(f"Expected `{name}` of shape ({rows},), got {times.shape}")
+    return times
 
 
 def _table(t_ns: Int64, columns: Mapping[str, Float64]) -> pa.Table:

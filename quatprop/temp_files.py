@@ -1,7 +1,8 @@
 """Temporary files beside a target, and the removal of those that killed runs have left.
 
 A run holds a lock on the files it writes. A temporary file of the same target that is not locked
-belongs to a run that was killed, and is removed when the target is written next.
+belongs to a run that was killed, and is removed when the target is written next. Folders may be
+shared: only files and folders of this user are opened, and nobody else can open those made here.
 """
 
 from __future__ import annotations
@@ -9,11 +10,12 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import stat
 import time
 import weakref
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, BinaryIO, Generic, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,6 +29,8 @@ MANY_FILES = 50
 
 RELIST_S = 60.0
 """For how long the listing of such a folder is used, s."""
+
+_OURS = {stat.S_IFREG, stat.S_IFDIR}
 
 _LISTINGS: dict[Path, tuple[float, list[str]]] = {}
 """The time and the temporary files of the last listing of a large folder."""
@@ -70,11 +74,38 @@ class LockedTemp(Generic[T]):
             self._lock = None
 
 
-def temp_folder() -> LockedTemp[None]:
-    """Return a new folder for copies of logs; those that killed runs have left are removed."""
+def temp_folder(place: Path | None = None) -> LockedTemp[None]:
+    """Return a new folder beside a place; without one, for copies of logs.
+
+    Those that killed runs have left are removed.
+    """
     import tempfile
 
-    return LockedTemp(Path(tempfile.gettempdir(), "copies"), lambda path: path.mkdir(0o700))
+    place = place or Path(tempfile.gettempdir(), "copies")
+    return LockedTemp(place, lambda path: path.mkdir(0o700))
+
+
+def temp_file(place: Path) -> LockedTemp[BinaryIO]:
+    """Return a new file beside a place, open for writing; only this user may read it."""
+
+    def make(path: Path) -> BinaryIO:
+        return os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb")
+
+    return LockedTemp(place, make)
+
+
+def take_mode_of(path: Path, place: Path) -> None:
+    """Give a finished file the mode of the one that it replaces, or that of any new file."""
+    try:
+        mode = place.stat().st_mode
+    except FileNotFoundError:
+        # What the umask and the folder's own rules make of a new file can only be tried.
+        trial = place.with_name(f"{_prefix(place)}{os.urandom(4).hex()}.part")
+        with trial.open("xb") as empty:
+            trial.unlink()
+            mode = os.fstat(empty.fileno()).st_mode
+    if path.stat().st_mode != mode:
+        path.chmod(stat.S_IMODE(mode))
 
 
 def _prefix(place: Path) -> str:
@@ -117,8 +148,13 @@ def _lock(path: Path, *, wait: bool) -> int | None:
     except ImportError:  # Windows: what a killed run has left stays
         return None
     try:
-        descriptor = os.open(path, os.O_RDONLY)
+        # A pipe of this name would be waited for, and a link may lead to one.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
     except OSError:
+        return None
+    status = os.fstat(descriptor)
+    if status.st_uid != os.geteuid() or stat.S_IFMT(status.st_mode) not in _OURS:
+        os.close(descriptor)
         return None
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))

@@ -12,6 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from click.testing import CliRunner
+from flips import TABLE, unnoticed_table
 
 from quatprop import RemarkWarning
 from quatprop.cli.commands import cli
@@ -126,5 +127,7 @@ if __name__ == "__main__":
     logs = Path(os.environ.get("QUATPROP_SHARED_LOGS", ROOT.parent / "shared" / "logs"))
     for document in (ROOT / "README.md", *sorted(GUIDES.glob("*.md"))):
         with TemporaryDirectory() as place:
+            text = re.sub(TABLE, unnoticed_table(), document.read_text())
+            document.write_text(text)
             if document.name not in {"ci.md", "fleets.md"}:
                 document.write_text(Document(document, Path(place), logs).run())

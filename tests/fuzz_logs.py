@@ -23,6 +23,7 @@ from mcap.writer import Writer as McapWriter
 from pyarrow import feather, parquet
 from rosbags.rosbag1 import Reader as BagReader
 from rosbags.rosbag1 import Writer as BagWriter
+from scipy.io import savemat
 
 from quatprop import propagate, write
 from quatprop.simulate.gyroscope import Gyroscope
@@ -215,6 +216,8 @@ def _write_tables(folder):
     np.savez_compressed(folder / "packed.npz", **columns)
     rows = list(zip(*(column.to_pylist() for column in table.columns), strict=True))
     _write_hdf5(folder, columns)
+    for name, is_packed in (("plain.mat", False), ("packed.mat", True)):
+        savemat(folder / name, columns, do_compression=is_packed)
     lines = {
         "small.csv": ["t_ns,wx,wy,wz", *(",".join(map(str, row)) for row in rows)],
         "semicolons.csv": [

@@ -1,11 +1,12 @@
 """Intact logs of messages that are not of ROS: ULog, and JSON and protobuf in MCAP."""
 
 import json
+import struct
 
 import numpy as np
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
-from test_containers_ulog import SYNC, added, data, gyro, record
+from test_containers_ulog import SYNC, added, gyro, record
 from test_containers_ulog import write as write_ulog
 from test_messages_json import imu
 from test_messages_protobuf import FOXGLOVE, described, made, stamp_file
@@ -32,8 +33,9 @@ def write_message_logs(folder, samples):
         folder / "protobuf.mcap", "foxglove.Odometry", ("protobuf", "protobuf", schema), messages
     )
     between = [record(b"S", SYNC), record(b"L", b"6" + bytes(8) + b"hello"),
-               data("sensor_combined", 7, timestamp=3)]  # fmt: skip
-    records = [added("sensor_gyro", 0, 1)]
+               record(b"D", struct.pack("<HQf", 7, 3, 1.0))]  # fmt: skip
+    baro = record(b"F", b"sensor_baro:uint64_t timestamp;float pressure;")
+    records = [baro, added("sensor_gyro", 0, 1), added("sensor_baro", 0, 7)]
     for i, message in enumerate(gyro(1, (10_000 * (k + 1)).tolist(), 1e-3)):
         records += [message, between[i % len(between)]]
     write_ulog(folder / "gyro.ulg", *records)

@@ -49,10 +49,11 @@ def moments(count, start=0):
         yield BOOT + k * 10_000_000, START + k * 10_000_000 + (k % 7) * 1000
 
 
-def write_mcap(path, count=300, profile="ros2", start=0, **options):
+def write_mcap(path, count=300, profile="ros2", start=0, times=None, **options):
     """Write an MCAP file of rates, a camera, an attachment and metadata.
 
-    Every other option is that of the library's writer.
+    Stamps and log times are those of `times`, or of :func:`moments`. Every other option is that of
+    the library's writer.
     """
     store = get_typestore(Stores.ROS1_NOETIC) if profile == "ros1" else ros2_types()
     ros1 = profile == "ros1"
@@ -69,7 +70,7 @@ def write_mcap(path, count=300, profile="ros2", start=0, **options):
         imu = writer.register_channel("/imu", "ros1" if ros1 else "cdr", schema)
         camera = writer.register_channel("/camera", "jpeg", 0, {"lens": "wide"})
         writer.add_metadata("vehicle", {"name": "truck"})
-        for k, (stamp, logged) in enumerate(moments(count, start)):
+        for k, (stamp, logged) in enumerate(times or moments(count, start)):
             writer.add_message(imu, logged, imu_message(store, stamp, ros1), logged + 1, k)
             if k % 10 == 0:
                 writer.add_message(camera, logged, bytes([k % 256]) * 500, logged, k)
@@ -80,7 +81,7 @@ def write_mcap(path, count=300, profile="ros2", start=0, **options):
     return path
 
 
-def write_bag(path, count=300, compression=None, chunk_size=4000):
+def write_bag(path, count=300, compression=None, chunk_size=4000, times=None):
     """Write a ROS 1 bag of rates and of a camera's shutter."""
     store = get_typestore(Stores.ROS1_NOETIC)
     writer = Rosbag1Writer(path)
@@ -92,7 +93,7 @@ def write_bag(path, count=300, compression=None, chunk_size=4000):
         shutter = writer.add_connection(
             "/shutter", "std_msgs/msg/Header", typestore=store, callerid="/camera", latching=1
         )
-        for k, (stamp, logged) in enumerate(moments(count)):
+        for k, (stamp, logged) in enumerate(times or moments(count)):
             writer.write(imu, logged, imu_message(store, stamp, ros1=True))
             if k % 10 == 0:
                 header = store.types["std_msgs/msg/Header"]

@@ -4,6 +4,7 @@ Written from the documentation, with SciPy's rotations, sample by sample. Nothin
 used.
 """
 
+from bisect import bisect_left
 from fractions import Fraction
 from itertools import pairwise
 from math import radians
@@ -35,14 +36,21 @@ def propagated(raw, options):
     """
     mount = mounting(options.get("mount"))
     matrix, own_bias = options.get("calibration", (np.eye(3), (0, 0, 0)))
-    rate = (raw["w"] - np.array(options.get("bias", own_bias))) @ matrix.T
+    rows, rate = used(raw["t"], raw["w"], options)
+    t = raw["t"][rows]
+    bias = np.broadcast_to(options.get("bias", own_bias), raw["w"].shape)
+    rate = (rate - bias[rows]) @ matrix.T
     if options.get("rates", "body") == "body":
         rate = mount.apply(rate)
-    t, rate = used(raw["t"], rate, options)
+    of_log = options.get("q0") in ("level", "log")
+    if options.get("rates") == "inertial" and "mount" in options and not of_log:
+        raise Refused("a mount that turns nothing")
     q0 = initial(raw, options, int(t[0]), mount).as_matrix()
     steps = np.diff(t)
-    limit = options.get("max_gap", 10 * int(np.median(steps[steps > 0])))
-    on_gap = options.get("on_gap", "hold")
+    usual = 10 * int(np.median(steps[steps > 0])) if (steps > 0).any() else 2**63 - 1
+    limit, on_gap = options.get("max_gap", usual), options.get("on_gap", "hold")
+    if on_gap == "error" and (steps > limit).any():
+        raise Refused("a gap")
     cuts = np.flatnonzero(steps > limit) + 1 if on_gap in {"zero", "split"} else []
     wanted = times(t, options)
     stamps, attitudes, q = [], [], q0
@@ -58,8 +66,14 @@ def propagated(raw, options):
             inside = wanted[(wanted > t[last - 1]) & (wanted < t[last])].tolist()
             stamps += inside
             attitudes += [q] * len(inside)
+    if not stamps:
+        raise Refused("no attitude at the times asked for")
     keep = slice(None, None, options.get("every", 1))
     return np.array(stamps[keep]), Rotation.from_matrix(np.array(attitudes[keep]))
+
+
+class Refused(Exception):  # noqa: N818  # that is what the command does
+    """What is asked for is an error."""
 
 
 def mounting(text):
@@ -76,34 +90,125 @@ def mounting(text):
 
 
 def used(t, rate, options):
-    """Return the samples that the part and the policies leave."""
-    inside = np.ones(len(t), dtype=bool)
-    for name, sign in (("start", 1), ("end", -1)):
-        if name in options:
-            inside &= sign * (t - instant(options[name], t)) >= 0
-    t, rate = t[inside], rate[inside].copy()
-    finite = np.isfinite(rate).all(axis=1)
-    if options.get("on_nonfinite") == "drop":
-        t, rate = t[finite], rate[finite]
-    elif options.get("on_nonfinite") == "hold":
-        for k in np.flatnonzero(~finite):
-            rate[k] = rate[k - 1]
+    """Return the rows that the policies and the part leave, in the order of use, and their rates.
+
+    First what goes backwards, then the part, then what is not finite.
+    """
+    rows = ordered(t, options)
+    if options.get("on_backwards", "error") == "error" and rows != list(range(len(t))):
+        raise Refused("outliers, or stamps that go backwards")
+    low, high = part(options, t, rows)
+    rows = [row for row in rows if low <= int(t[row]) <= high]
+    rates, last = {}, None
+    for row in rows:
+        if np.isfinite(rate[row]).all():
+            rates[row] = last = rate[row]
+        elif options.get("on_nonfinite") == "hold" and last is not None:
+            rates[row] = last
+        elif options.get("on_nonfinite") != "drop":
+            raise Refused("a rate that is not finite")
+    rows = [row for row in rows if row in rates]
+    if not rows:
+        raise Refused("no samples")
+    return np.array(rows, int), np.array([rates[row] for row in rows])
+
+
+def part(options, t, rows):
+    """Return the first and the last stamp of the part, given the rows in order."""
+    low, high = (
+        instant(options[name], t, rows, name) if name in options else limit
+        for name, limit in (("start", -(2**63)), ("end", 2**63))
+    )
+    second, first = int(t[rows[:2][-1]]), int(t[rows[0]])
+    for name in ("start", "end"):
+        ns = options[name][1] if is_date(options.get(name)) else options.get(name)
+        if isinstance(ns, int) and 0 < ns < min(10**6, second):
+            raise Refused("a number that is meant in seconds")
+        if name == "start" and isinstance(ns, int) and ns > 0 and first // ns >= 100_000:
+            raise Refused("a start that is meant in seconds")
+    if low > high:
+        raise Refused("a start after the end")
+    return low, high
+
+
+def ordered(t, options):
+    """Return the rows that --on-backwards leaves, in the order of use."""
+    stamps, ahead = t.tolist(), outliers(t.tolist())
+    kept = [row for row in range(len(t)) if row not in ahead]
     if options.get("on_backwards") == "sort":
-        order = np.argsort(t, kind="stable")
-    else:
-        order, latest = [], t[0]
-        for k, stamp in enumerate(t):
-            if stamp >= latest:
-                order.append(k)
-                latest = stamp
-    return t[order], rate[order]
+        others = sorted(stamps[row] for row in kept)
+        intervals = [b - a for a, b in pairwise(others) if b > a]
+        for row in ahead:
+            after = bisect_left(others, stamps[row])
+            inside = 0 < after < len(others)
+            if inside and others[after] - others[after - 1] > 1.5 * np.median(intervals):
+                kept.append(row)
+        return sorted(sorted(kept), key=stamps.__getitem__)
+    rows = kept[:1]
+    for row in kept[1:]:
+        if stamps[row] >= stamps[rows[-1]]:
+            rows.append(row)
+    return rows
 
 
-def instant(value, t):
+def outliers(t):
+    """Return the rows whose stamps jump ahead, which the next ones contradict."""
+    found = set()
+    for j in range(1, len(t)):
+        if t[j] >= t[j - 1]:
+            continue
+        following = sorted(t[j : j + 8])
+        middle = following[(len(following) - 1) // 2]
+        k = j
+        while k > 0 and t[k - 1] > middle:
+            k -= 1
+        run = j - k
+        if not 0 < run <= 32:
+            continue
+        before = t[k - 1] if k else middle
+        following = t[j : j + max(run + 1, 8)]
+        back = [s for s in following if s <= before or s - before < t[k] - s]
+        contradicts = t[j] in back and 2 * len(back) > len(following)
+        enough = len(back) >= run if k else len(back) > run
+        span = max(max(back, default=before) - before, 0)
+        far = 10 * span < (t[k] - before) * len(back) and (span > 0 or len(back) >= 8)
+        if contradicts and enough and far:
+            found.update(range(k, j))
+    return found
+
+
+def is_date(value):
+    """Tell whether a time is a date with its ns."""
+    return isinstance(value, tuple) and value[0] == "date"
+
+
+def instant(value, t, rows, name):
     """Return an instant on the clock of the log: ns, or from an end of the log such as +200ms."""
     if isinstance(value, int):
         return value
-    return (t.min() if value[0] == "+" else t.max()) + int(value.removesuffix("ms")) * NS // 1000
+    if isinstance(value, str):
+        value = value[0], abs(int(value.removesuffix("ms"))) * NS // 1000
+    origin, ns = value
+    first, last = int(t[rows[0]]), int(t[rows[-1]])
+    # A start that is longer ago than the log is its first sample.
+    return {"date": ns, "+": first + ns, "-": max(last - ns, first if name == "start" else 0)}[
+        origin
+    ]
+
+
+def recorded(raw, log_ns, stamps, options):
+    """Return when attitudes are recorded, given when the messages of all rows were.
+
+    Between two samples as long after the first as the stamp is, but not after the second.
+    """
+    rows, _ = used(raw["t"], raw["w"], options)
+    if "rate" not in options and "at" not in options:
+        return log_ns[rows][:: options.get("every", 1)]
+    before = np.searchsorted(raw["t"][rows], stamps, side="right") - 1
+    after = np.minimum(before + 1, len(rows) - 1)
+    elapsed = stamps - raw["t"][rows][before]
+    latest = np.maximum(log_ns[rows][before], log_ns[rows][after])
+    return np.minimum(log_ns[rows][before] + elapsed, latest)
 
 
 def initial(raw, options, t0, mount):
@@ -120,6 +225,8 @@ def initial(raw, options, t0, mount):
         roll, pitch = np.arctan2(y, z), np.arctan2(-x, np.hypot(y, z))
         return Rotation.from_euler("ZYX", [radians(options.get("heading", 0)), pitch, roll])
     if isinstance(q0[1], Rotation):
+        if not q0[0][0] <= t0 <= q0[0][-1]:
+            raise Refused("a first sample outside of the series")
         # As floats, stamps of today would be 256 ns apart.
         return Slerp((q0[0] - t0) / NS, q0[1])(0.0)
     return Rotation.from_quat(

@@ -17,8 +17,9 @@ from click.testing import CliRunner
 from quatprop import __version__
 from quatprop.batch import run as batch
 from quatprop.batch.cluster import on_a_cluster, propagate_on_worker
+from quatprop.batch.entries import ManifestEntry
 from quatprop.batch.logs import LogSearch
-from quatprop.batch.manifest import Manifest, ManifestEntry, write_table
+from quatprop.batch.manifest import Manifest, write_table
 from quatprop.batch.outputs import output_paths, shard
 from quatprop.batch.run import BatchSettings, BatchTask, propagate_log
 from quatprop.cli.batch import command
@@ -905,3 +906,83 @@ def test_options_that_fit_no_log_are_refused_once(tmp_path):
     assert result.exit_code == 2
     assert result.output.count("--sigma needs the errors of the gyroscope; give") == 1
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["a.parquet", "sub", "manifest.jsonl", "manifest.parquet"])
+def test_links_in_the_folder_of_outputs_are_not_followed_out_of_it(tmp_path, name):
+    """Files outside were replaced through links, which anyone who writes there may put there."""
+    log(tmp_path / "in" / "a.csv")
+    log(tmp_path / "in" / "sub" / "b.csv")
+    out, outside = tmp_path / "out", tmp_path / "outside"
+    (tmp_path / "real").mkdir()
+    out.symlink_to("real")  # the folder itself may be a link
+    target = outside if name == "sub" else outside / "file"
+    outside.mkdir()
+    if name != "sub":
+        target.write_text("precious")
+    (out / name).symlink_to(target)
+    done = run(tmp_path / "in", "-o", out)
+    assert done.exit_code == 2
+    place = target / "b.parquet" if name == "sub" else target
+    shown = out / "sub" / "b.parquet" if name == "sub" else out / name
+    assert (
+        f"Error: {shown}: {place} is written to, which is not in {tmp_path / 'real'}; remove the "
+        "link or the path that leads there\n"
+    ) in done.stderr
+    assert [path.name for path in outside.iterdir()] == ["file"] * (name != "sub")
+    assert name == "sub" or target.read_text() == "precious"
+    written = {path.name for path in out.rglob("*.parquet") if not path.is_symlink()}
+    one = {"a.parquet": {"b.parquet"}, "sub": {"a.parquet"}}
+    assert written - {"manifest.parquet"} == one.get(name, set())
+
+
+def test_a_manifest_that_is_a_pipe_is_not_waited_for(tmp_path):
+    """It would be read for ever."""
+    (tmp_path / "out").mkdir()
+    pipe = tmp_path / "out" / "manifest.jsonl"
+    os.mkfifo(pipe)
+    done = run(log(tmp_path / "a.csv"), "-o", tmp_path / "out")
+    assert (done.exit_code, done.stderr) == (2, f"Error: {pipe}: is no file; remove it\n")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b'{"state": "done", "log": 5, "output": "a.parquet"}',
+        b'{"state": ["done"], "log": "x", "output": "a.parquet"}',
+        b'{"state": "done", "log": "x", "output": null}',
+        b'{"state": "done", "log": "x", "output": "a.parquet", "samples": "many"}',
+        b'{"state": "done", "log": "x", "output": "a.parquet", "rows": 100000000000000000000}',
+        b'{"state": "done", "log": "x", "output": "a.parquet", "final_wxyz": [1, "x"]}',
+        b'{"state": "done", "log": "x", "output": "a.parquet", "span_s": NaN}',
+        b'{"state": "done", "log": "\\ud800", "output": "a.parquet"}',
+        b'{"state": "done", "log": "\\u0000", "output": "a.parquet"}',
+        b'{"state": "done", "log": "x", "log": "y", "output": "a.parquet"}',
+        b"[" * 100_000,
+        b"9" * 5000,
+        b"\xff\x00",
+    ],
+    ids=range(13),
+)
+def test_a_line_that_no_batch_writes_is_said(tmp_path, line):
+    """A log that is a number, and 100,000 brackets, were bugs, or errors without a file."""
+    path, out = log(tmp_path / "a.csv"), tmp_path / "out"
+    out.mkdir()
+    manifest = out / "manifest.jsonl"
+    manifest.write_bytes(b"\n" + line + b"\n" + line + b"\n")
+    done = run(path, "-o", out, "-q")
+    assert done.exit_code == 0
+    assert done.stderr == (
+        f"Warning: {manifest}: line 2 and 1 more: not what a batch writes; ignored, so that a log "
+        "may be propagated again\n"
+    )
+    assert list(entries(out)) == ["a.parquet"]
+
+
+def test_a_log_whose_name_is_no_unicode_is_in_the_manifest(tmp_path):
+    """Its line could not be read again, so that it was propagated by every batch."""
+    name = os.fsdecode(b"a\xff.csv")
+    log(tmp_path / "in" / name)
+    assert run(tmp_path / "in", "-o", tmp_path / "out").exit_code == 0
+    done = run(tmp_path / "in", "-o", tmp_path / "out", "--skip-existing")
+    assert done.stderr == "nothing to do: its output is up to date\n"

@@ -248,3 +248,23 @@ def test_the_examples_of_array_jobs_divide_the_logs(scheduler, variables, tmp_pa
     every = [FoundLog(f"{number}.csv", f"{number}") for number in range(50)]
     parts = [log.name for text in shards for log in shard(every, text)]
     assert sorted(parts) == sorted(log.name for log in every)
+
+
+@pytest.mark.parametrize("key", ["s3://b/k.csv", "../../x.csv", "a/./b.csv", "/c.csv", "a?b.csv"])
+def test_a_key_that_is_no_path_fails_alone(monkeypatch, tmp_path, key):
+    """One of them stopped the batch, or could name an output outside of the folder."""
+    monkeypatch.setattr("quatprop.batch.logs.list_objects", lambda _address: {key: None})
+    monkeypatch.setattr("quatprop.batch.logs._is_folder", lambda path: "://" in path)
+    monkeypatch.setattr("quatprop.batch.logs.exists", lambda _path: False)
+    good, out = log(tmp_path / "good.csv"), tmp_path / "deep" / "out"
+    names = ["s3://bucket/logs", "s3://bucket/logs/**/*.csv"][: 1 + ("?" in key)]
+    for name in names:
+        done = run(name, good, "-o", out, "--to", "csv")
+        assert done.exit_code == 2
+        assert (
+            f"Error: s3://bucket/logs/{key}: its key has an empty part, '.', '..' or '?', which no "
+            "address can have; rename it\n"
+        ) in done.stderr
+        assert done.stderr.endswith("1 of 2 logs done, 5 samples\n")
+    files = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
+    assert files == ["good.csv", "good.csv", "manifest.jsonl", "manifest.parquet"]

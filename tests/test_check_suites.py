@@ -984,3 +984,56 @@ def test_a_log_of_one_sample_is_judged_by_every_limit(tmp_path, limit, code, sen
         result = check(tmp_path / "suite.toml")
     assert result.exit_code == code, result.output
     assert sentence in result.output
+
+
+@pytest.mark.parametrize("way", ["../{}", "{}/outside/r.parquet", "refs/r.parquet", "r.parquet"])
+def test_an_update_writes_only_in_the_folder_of_the_suite(folder, way):
+    """A reference with ../ or an absolute path, or behind a link, replaced any Parquet file."""
+    outside, inside = folder / "outside", folder / "suite"
+    outside.mkdir()
+    inside.mkdir()
+    shutil.move(folder / "logs", inside / "logs")
+    target = outside / "r.parquet"
+    reference = way.format("outside/r.parquet" if way.startswith("..") else folder)
+    if reference == "refs/r.parquet":
+        (inside / "refs").symlink_to(outside)
+    elif reference == "r.parquet":
+        (inside / "r.parquet").symlink_to(target)
+    suite = write(inside, stored().replace("refs/spin.parquet", reference))
+    result = check(suite, "--update")
+    assert result.exit_code == 2
+    assert (
+        f"{inside / reference}: {target} is written to, which is not in {inside}; remove the link "
+        "or the path that leads there\n"
+    ) in result.output
+    assert list(outside.iterdir()) == []
+
+
+def test_a_lock_that_is_a_link_out_of_the_folder_is_refused(folder):
+    """An update would replace what it leads to."""
+    inside = folder / "suite"
+    inside.mkdir()
+    shutil.move(folder / "logs", inside / "logs")
+    (inside / "suite.lock.json").symlink_to(folder / "precious")
+    result = check(write(inside, stored()), "--update")
+    assert result.exit_code == 2
+    assert result.output.startswith(f"Error: {inside / 'suite.lock.json'}: {folder / 'precious'} ")
+    assert not (folder / "precious").exists()
+
+
+@pytest.mark.parametrize("name", ["", "attitude.parquet", "error.html", "commands.txt"])
+def test_artifacts_are_not_written_through_links(folder, name):
+    """Links in their folder led anywhere."""
+    suite = write(folder, TRUTH)
+    assert check(suite, "--update").exit_code == 0
+    write(folder, TRUTH.replace("0.1deg", "1e-9deg"))
+    place, outside = folder / "failed" / "coning", folder / "outside"
+    outside.mkdir()
+    (place if name else place.parent).mkdir(parents=True)
+    (place / name).symlink_to(outside / name)
+    result = check(suite, "--artifacts", folder / "failed")
+    assert result.exit_code == 1
+    assert (
+        f"its artifacts cannot be kept: {place / (name or 'attitude.parquet')}: " in result.output
+    )
+    assert list(outside.iterdir()) == []

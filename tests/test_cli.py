@@ -231,7 +231,7 @@ def test_unknown_format(tmp_path):
         run("propagate", path, "-o", tmp_path / "out.csv"),
         f"{path}: neither its content nor its suffix is that of a log this version reads; "
         "if you know its kind, use --from mcap|bag|db3|rosbag2|ulog|parquet|feather|"
-        "npy|npz|hdf5|jsonl|tum|kitti|csv",
+        "npy|npz|hdf5|matlab|jsonl|tum|kitti|csv",
     )
 
 
@@ -499,7 +499,7 @@ def test_attitudes_at_the_stamps_of_another_series(log, tmp_path):
         other.write_text("\n".join([header, *rows]) + "\n")
         result = run("propagate", log, "-o", out, "--at", other)
         assert result.exit_code == 0, result.output
-        assert "2 of the 5 times asked for with --at are outside the log, so they" in result.stderr
+        assert "2 of the 5 times asked for with --at have no attitude: 2 outside" in result.stderr
         rows = [row.split(",") for row in out.read_text().splitlines()[1:]]
         assert [row[0] for row in rows] == ["0", "123456789", "1000000000"]
         half = 0.123456789 / 2

@@ -11,7 +11,7 @@ from quatprop.containers import coalesce as module
 from quatprop.containers.base import MessageBlock
 from quatprop.containers.byte_ranges import ranges_of, ranges_worth_reading
 from quatprop.containers.coalesce import coalesce_blocks
-from quatprop.containers.loading import BUFFER, Buffers, in_groups
+from quatprop.containers.loading import GROUP, LARGE, MOST_PARTS, in_groups
 
 PLACES = st.lists(st.tuples(st.integers(0, 40), st.integers(0, 30)), min_size=1, max_size=30)
 """Gap before each message, and its length."""
@@ -120,35 +120,12 @@ def test_an_index_that_points_elsewhere_picks_nothing(starts, ends):
     assert ranges_worth_reading(*places, 1_000_000) is None
 
 
-def test_memory_is_used_again_when_nobody_refers_to_it():
-    """What still has a reader keeps its memory; what has none gives it to the next."""
-    memory = Buffers()
-    kept, dropped = memory.take(BUFFER), memory.take(BUFFER)
-    place = dropped.__array_interface__["data"][0]
-    kept[:] = 7
-    part = dropped[5:]
-    del dropped
-    between = memory.take(BUFFER)
-    assert not np.shares_memory(between, part)
-    del part
-    first, second = memory.take(BUFFER), memory.take(BUFFER)
-    assert first.__array_interface__["data"][0] == place
-    second[:] = first[:] = between[:] = 1
-    assert (kept == 7).all()
-
-
-@given(st.lists(st.none() | st.integers(1, 60), max_size=30))
-def test_chunks_that_follow_each_other_share_a_buffer(sizes):
-    """Each has its own part of it, in order; one without a size has none."""
+@given(st.lists(st.none() | st.integers(1, LARGE + 9), max_size=30))
+def test_chunks_are_loaded_in_groups_in_their_order(sizes):
+    """Each is in one group, and those of a group are no more than it may have; large ones alone."""
     groups = list(in_groups(list(enumerate(sizes))))
-    parts = [part for group in groups for part in group.parts()]
-    assert [item for item, _ in parts] == list(range(len(sizes)))
-    assert [into if into is None else len(into) for _, into in parts] == sizes
-    for group in groups:
-        if group.buffer is not None:
-            for number, (_, into) in enumerate(group.parts()):
-                into[:] = number
-            expected = np.repeat(
-                np.arange(len(group.chunks)), [sizes[item] for item in group.chunks]
-            )
-            assert (group.buffer == expected).all()
+    assert [chunk for chunks, _ in groups for chunk in chunks] == list(range(len(sizes)))
+    for chunks, is_large in groups:
+        shares = [GROUP // MOST_PARTS if sizes[k] is None else sizes[k] for k in chunks]
+        assert is_large == (max(shares) > LARGE)
+        assert len(chunks) == 1 or sum(shares) <= GROUP

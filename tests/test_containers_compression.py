@@ -22,6 +22,7 @@ from quatprop.containers.compression import (
     decompress,
     decompressed_pieces,
 )
+from quatprop.tables.text_stream import open_text
 
 PACK = {
     "": bytes,
@@ -141,6 +142,32 @@ def test_a_file_of_several_frames_is_one_file(tmp_path, temporary, suffix):
     with closing(DecompressedCopy(path)) as copy:
         assert copy.path.read_bytes() == TEXT + TEXT[:100]
     assert list(temporary.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", [".lz4", ".zstd"])
+@pytest.mark.parametrize("skipped", [0, 4, 20])
+@pytest.mark.usefixtures("temporary")
+def test_frames_to_be_skipped_are_skipped(tmp_path, suffix, skipped):
+    """Pzstd begins with one, and its files were taken for other ones (RFC 8878, 3.1.2)."""
+    skip = struct.pack("<II", 0x184D2A50 + skipped % 16, skipped) + b"\x28" * skipped
+    pack = PACK_FILE[suffix]
+    path = tmp_path / ("log.csv" + suffix)
+    path.write_bytes(skip + skip + pack(TEXT) + skip + pack(TEXT[:99]) + skip)
+    with closing(DecompressedCopy(path)) as copy:
+        assert copy.path.read_bytes() == TEXT + TEXT[:99]
+    assert file_compression(path.read_bytes()) == suffix[1:]
+    with closing(open_text(path)) as text:
+        assert text.read(2 * len(TEXT)) == TEXT + TEXT[:99]
+    path.write_bytes(path.read_bytes()[: -len(skip) // 2])
+    with closing(DecompressedCopy(path)) as copy:
+        assert copy.damage.endswith("data is damaged or cut off")
+
+
+def test_a_long_frame_to_be_skipped_is_of_zstd():
+    """What comes behind it is not looked for; what ends within its head is nothing."""
+    assert file_compression(struct.pack("<II", 0x184D2A5F, 1000) + bytes(50)) == "zstd"
+    assert file_compression(struct.pack("<II", 0x184D2A5F, 8)[:7]) == ""
+    assert file_compression(struct.pack("<II", 0x184D2A5F, 0) + b"no frame") == ""
 
 
 @pytest.mark.parametrize("suffix", PACK_FILE)

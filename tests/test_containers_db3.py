@@ -3,6 +3,7 @@
 import shutil
 import sqlite3
 from collections import defaultdict
+from contextlib import closing
 
 import apsw
 import numpy as np
@@ -14,6 +15,7 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from quatprop.containers.base import Loss
 from quatprop.containers.rosbag2.db3 import Db3Log
+from quatprop.containers.rosbag2.sqlite_files import open_database
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -599,3 +601,86 @@ def test_a_malformed_page_costs_its_own_messages(tmp_path):
     assert [stamp for stamp, _ in rows] == expected
     missing = f"{1000 - len(expected)} messages of any topic between them are missing"
     assert loss.reason.endswith(missing)
+
+
+COMPUTED = {
+    "CREATE VIEW messages AS SELECT * FROM rows": "view",
+    "CREATE VIEW messages AS SELECT id, topic_id, timestamp, zeroblob(900000000) AS data FROM rows":
+        "view",
+    "CREATE VIEW Messages AS WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r) "
+    "SELECT rows.* FROM rows, r": "view",
+    "CREATE VIRTUAL TABLE messages USING fts4(topic_id, timestamp, data)": "virtual table",
+    "ALTER TABLE rows RENAME TO messages; CREATE TRIGGER endless AFTER INSERT ON messages BEGIN "
+    "SELECT 1; END": "trigger",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("statement", COMPUTED)
+def test_what_is_no_table_is_refused(tmp_path, statement):
+    """A view that took 23.7 GiB, or never ended: nothing is computed before it is refused."""
+    path = old_bag(tmp_path / "a.db3", [(k, HEADER) for k in range(3)])
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(f"ALTER TABLE messages RENAME TO rows; {statement};")
+    name = {"trigger": "endless"}.get(COMPUTED[statement], statement.split()[2])
+    if COMPUTED[statement] == "virtual table":
+        name = "messages"
+    with pytest.raises(UnsupportedLogError) as refused:
+        Db3Log(path)
+    assert str(refused.value) == (
+        f"{path}: its '{name}' is a {COMPUTED[statement]}, and only tables that hold their rows "
+        "are read; name a database that `ros2 bag` recorded"
+    )
+
+
+def test_a_view_with_the_name_of_a_function_is_not_asked(tmp_path):
+    """The size of the database was taken from whatever was called `pragma_page_count`."""
+    path = old_bag(tmp_path / "a.db3", [(k, HEADER) for k in range(3)])
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(
+            "CREATE VIEW pragma_page_count AS WITH RECURSIVE r(page_count) AS "
+            "(SELECT 1 UNION ALL SELECT 1 FROM r) SELECT * FROM r"
+        )
+    found, losses = messages(path)
+    assert (len(found["/imu", "sensor_msgs/msg/Imu"]), losses) == (3, [])
+
+
+def test_a_query_that_takes_more_steps_than_its_rows_need_is_interrupted(tmp_path):
+    """Whatever makes a database endless, it ends."""
+    path = old_bag(tmp_path / "a.db3", [(k, HEADER) for k in range(3)])
+    with closing(open_database(path)) as database:
+        endless = (
+            "WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r) SELECT max(n) FROM r"
+        )
+        with pytest.raises(apsw.InterruptError):
+            database.execute(endless).fetchall()
+        with pytest.raises(apsw.TooBigError):
+            database.execute("SELECT zeroblob(2000000)").fetchall()
+
+
+def test_an_index_that_leads_to_a_row_twice_is_not_followed(tmp_path):
+    """One row was read twice, and another one not at all, as the index has the right number."""
+    path = old_bag(tmp_path / "a.db3", [(T0 + k, HEADER + bytes([k])) for k in range(100)])
+    content = bytearray(path.read_bytes())
+    entry = (T0 + 40).to_bytes(8, "big") + bytes([41])
+    at = content.index(entry) + 8
+    content[at] = 43
+    path.write_bytes(content)
+    found, losses = messages(path)
+    rows = found["/imu", "sensor_msgs/msg/Imu"]
+    assert rows == [(T0 + k, HEADER + bytes([k])) for k in range(100)]
+    (loss,) = losses
+    assert loss.reason == (
+        "its database is damaged (its index 'timestamp_idx' does not list all messages); "
+        "what intact pages hold is read"
+    )
+
+
+def test_a_bag_whose_first_rows_have_no_topic_gives_the_others(tmp_path):
+    """A block without any message was a crash."""
+    path = old_bag(tmp_path / "a.db3", [(k, HEADER) for k in range(3)])
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("UPDATE messages SET topic_id = 9")
+        database.commit()
+    found, losses = messages(path)
+    assert found == {("/imu", "sensor_msgs/msg/Imu"): []}
+    assert losses == [Loss("topic id 9", "no topic has this id", 3)]

@@ -196,9 +196,8 @@ def test_a_topic_with_two_types_is_two_channels(tmp_path):
     }
 
 
-def test_blocks_promise_what_does_not_come_any_more(tmp_path, monkeypatch):
+def test_blocks_promise_what_does_not_come_any_more(tmp_path):
     """Chunks that overlap in time come by their first time, with promises that are kept."""
-    monkeypatch.setattr(loading, "BUFFER", 1)
     buffer = io.BytesIO()
     writer = Writer(buffer, chunk_size=200)
     writer.start()
@@ -511,7 +510,7 @@ def test_an_index_that_leads_to_images_is_found_out(tmp_path):
 def test_threads_change_nothing(tmp_path, monkeypatch, workers):
     """The messages are the same however many threads unpack them."""
     monkeypatch.setattr(threads, "available_cores", lambda: workers)
-    monkeypatch.setattr(loading, "BUFFER", 1)
+    monkeypatch.setattr(loading, "GROUP", 1)
     path = beside_images(tmp_path, chunk_size=100_000, compression=CompressionType.LZ4)
     assert numbers_of(McapLog(path)) == list(range(400))
 
@@ -519,7 +518,7 @@ def test_threads_change_nothing(tmp_path, monkeypatch, workers):
 def test_stopping_early_ends_the_threads(tmp_path, monkeypatch):
     """A closed iteration leaves no thread and no open file behind."""
     monkeypatch.setattr(threads, "available_cores", lambda: 3)
-    monkeypatch.setattr(loading, "BUFFER", 1)
+    monkeypatch.setattr(loading, "GROUP", 1)
     log = McapLog(saved(tmp_path, written(messages=2000)))
     before = threading.active_count()
     blocks = log.blocks(IMU)

@@ -7,6 +7,7 @@ import struct
 import sys
 import threading
 from collections import Counter
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 
@@ -21,8 +22,10 @@ from quatprop import read_rates
 from quatprop.cli.commands import cli
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.mcap.log import McapLog
-from quatprop.errors import DataLossWarning, RemarkWarning, UnreadableLogError
+from quatprop.errors import DataLossWarning, RemarkWarning, UnreadableLogError, UsageError
 from quatprop.formats import open_log
+
+SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
 
 OPENED: Counter[str] | None = None
 
@@ -119,10 +122,74 @@ def test_a_pipe_is_refused_with_the_way_out(tmp_path):
     os.mkfifo(pipe)
     end = os.open(pipe, os.O_RDWR)
     try:
-        with pytest.raises(UnreadableLogError, match=r"pipe.csv: it is a pipe or a device"):
+        with pytest.raises(UnreadableLogError) as error:
             open_log(pipe).__enter__()
     finally:
         os.close(end)
+    reason = "it is a pipe or a device, not a file; name a file, or - with stdin from it"
+    assert str(error.value) == f"{pipe}: {reason}"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_a_pipe_that_nobody_writes_to_is_not_waited_for(tmp_path):
+    """A search through folders hung at the first one, and so did a run that named one."""
+    spin = (SAMPLE_LOGS / "spin.csv").read_bytes()
+    (tmp_path / "log.csv").write_bytes(spin)
+    for name in ("pipe.csv", "pipe"):
+        os.mkfifo(tmp_path / name)
+    with pytest.raises(UnreadableLogError, match="it is a pipe or a device, not a file"):
+        open_log(tmp_path / "pipe").__enter__()
+    command = ["batch", str(tmp_path), "-o", str(tmp_path / "out"), "-j", "1"]
+    result = CliRunner().invoke(cli, command)
+    assert result.exit_code == 2
+    assert "pipe.csv: it is a pipe or a device, not a file" in result.output
+    assert (tmp_path / "out" / "log.parquet").exists()
+
+
+@contextmanager
+def pipe_with(data):
+    """Give the name of a pipe of the shell, as ``<(...)`` is one, out of which bytes come."""
+    end, other = os.pipe()
+    with os.fdopen(other, "wb") as file:
+        file.write(data)
+    try:
+        yield f"/dev/fd/{end}"
+    finally:
+        os.close(end)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/fd"), reason="no pipes of the shell here")  # noqa: PTH110
+@pytest.mark.parametrize("kind", ["csv", "bag", "parquet"])
+def test_a_pipe_of_the_shell_is_read(tmp_path, kind):
+    """Of a process in the place of a file, such as <(zcat log.csv.gz), only - was read."""
+    log = tmp_path / f"log.{kind}"
+    assert CliRunner().invoke(cli, ["simulate", str(log), "--duration", "1s"]).exit_code == 0
+    assert log.stat().st_size < 1 << 16  # all of a pipe is written before it is read
+    outs = [tmp_path / "file.csv", tmp_path / "pipe.csv"]
+    with pipe_with(log.read_bytes()) as pipe:
+        for path, out in zip((str(log), pipe), outs, strict=True):
+            result = CliRunner().invoke(cli, ["propagate", path, "-o", str(out), "-q"])
+            assert (result.exit_code, result.stderr) == (0, "")
+    assert outs[0].read_bytes() == outs[1].read_bytes()
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/fd"), reason="no pipes of the shell here")  # noqa: PTH110
+def test_what_reads_a_pipe_twice_is_refused(tmp_path):
+    """As of stdin, and before it is read."""
+    with pipe_with(b"t_ns,wx,wy,wz\n") as pipe:
+        command = ["propagate", pipe, "-o", str(tmp_path / "a.csv"), "--bias", "static"]
+        result = CliRunner().invoke(cli, command)
+    assert result.exit_code == 2
+    assert result.stderr.startswith("Error: a pipe can be read only once; --bias static, ")
+
+
+@pytest.mark.parametrize("log", ["spin.csv", "rest.parquet", "tumbling.bag"])
+def test_definitions_that_are_not_there_are_missed_by_every_kind(tmp_path, log):
+    """The option was ignored where a table was read."""
+    missing = str(tmp_path / "nowhere")
+    with pytest.raises(UsageError) as error:
+        open_log(SAMPLE_LOGS / log, msg_path=missing).__enter__()
+    assert str(error.value) == f"{missing}: no such file or folder; check msg_path"
 
 
 def test_a_topic_of_two_types_is_remarked_on(tmp_path):

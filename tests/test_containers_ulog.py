@@ -9,8 +9,9 @@ from px4_messages import DEFINITIONS, write_mcap
 from streams import propagated
 
 import quatprop
-from quatprop.containers import ulog
-from quatprop.containers.ulog import SYNC
+from quatprop.containers import ulog_records
+from quatprop.containers.base import Loss
+from quatprop.containers.ulog_records import SYNC
 from quatprop.errors import (
     AmbiguousTopicError,
     DamagedLogError,
@@ -343,7 +344,7 @@ def test_windows_change_nothing(tmp_path, monkeypatch):
     assert len(whole) == len(stamps)
     assert len(losses) == 1
     for window in (1 << 17, 70_001, 66_000):
-        monkeypatch.setattr(ulog, "_WINDOW", window)
+        monkeypatch.setattr(ulog_records, "WINDOW", window)
         series, told = read(path)
         assert series.t_ns.tolist() == [stamp * 1000 for stamp in stamps]
         assert series.rate.tobytes() == whole.rate.tobytes()
@@ -389,3 +390,40 @@ def test_dropouts_are_losses(tmp_path, shared_logs):
         (loss,) = log.losses
         assert loss.place == "4 dropouts, first at byte 36590"
         assert loss.reason == "the recorder lost all messages for 119 ms in total"
+
+
+def test_a_message_of_an_id_that_was_not_subscribed_is_lost(tmp_path):
+    """A damaged bit of an id cost the message without a word."""
+    messages = gyro(1, range(0, 100, 10))
+    messages[4] = messages[4][:3] + b"\x05" + messages[4][4:]
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *messages)
+    series, losses = read(path)
+    assert series.t_ns.tolist() == [t * 1000 for t in range(0, 100, 10) if t != 40]
+    place = path.read_bytes().index(messages[4])
+    assert losses == [Loss(f"1 messages, first at byte {place}", "no topic has their number", 1)]
+
+
+def test_a_format_that_is_defined_again_is_refused(tmp_path):
+    """The second definition was applied to all messages, those before it included."""
+    again = record(b"F", b"sensor_gyro:uint64_t timestamp;float[3] x;")
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, range(0, 100, 10)),
+                 again, *gyro(1, range(100, 200, 10)))  # fmt: skip
+    place = path.read_bytes().index(again)
+    with pytest.raises(UnsupportedLogError) as refused:
+        read(path)
+    assert str(refused.value) == (
+        f"{path}: byte {place}: it redefines format 'sensor_gyro', so it is not certain what the "
+        "messages of topic 'sensor_gyro/0' hold; ULog forbids that; cut the file there and read "
+        "both parts"
+    )
+
+
+def test_a_record_of_no_known_kind_costs_itself(tmp_path):
+    """A damaged bit of a kind made a message a text, which was passed over without a word."""
+    messages = gyro(1, range(0, 100, 10))
+    messages[4] = messages[4][:2] + b"L" + messages[4][3:]
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *messages)
+    series, losses = read(path)
+    assert len(series) == 9
+    place = path.read_bytes().index(messages[4])
+    assert losses == [Loss(f"byte {place}", "a record is of no known kind", 1)]

@@ -193,7 +193,8 @@ def test_what_follows_a_damaged_chunk_head_is_read(tmp_path, compression, layout
     numbers, losses = read(tmp_path, bytes(content))
     assert set(without(numbers_of_chunks(intact)[4])) <= set(numbers)
     assert numbers == sorted(set(numbers))
-    assert losses
+    # Of head and content, one is enough to tell where a chunk ends, if an index does not.
+    assert losses or numbers == list(range(MESSAGES))
 
 
 def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path):
@@ -290,7 +291,7 @@ def test_a_damaged_message_index_hides_no_channel(tmp_path):
     """Where the index of one of two channels is damaged, the chunk is asked for both."""
     content = bytearray(unclosed(two_topics()))
     begin = [begin for opcode, begin, _ in records(content) if opcode == 7][9]
-    content[begin + 1 : begin + 9] = b"\xff" * 8
+    content[begin : begin + 15] = b"\xff" * 15
     numbers, losses = read(tmp_path, bytes(content))
     assert sorted(numbers) == list(range(MESSAGES))
     assert losses[0].place == f"byte {begin}"

@@ -232,3 +232,64 @@ def test_a_damaged_beginning_of_a_second_bag_gives_no_topic_the_messages_of_anot
     assert log.losses
     assert read["/a"] == set(range(0, MESSAGES, 2))
     assert read["/b"] <= set(range(1, MESSAGES, 2)) | set(range(MESSAGES, 2 * MESSAGES, 2))
+
+
+def chunk_infos(content):
+    """Return where the records of chunk infos begin."""
+    place = content.index(b"op=\x06", index_place(content))
+    found = []
+    while place > 0:
+        found.append(place - 8)
+        place = content.find(b"op=\x06", place + 1)
+    return found
+
+
+def test_an_index_that_lacks_a_chunk_costs_nothing(tmp_path):
+    """The bag header said one chunk less: its messages were missing without a word."""
+    path = tmp_path / "log.bag"
+    content = bytearray(written(path))
+    at = content.index(b"chunk_count=") + 12
+    content[at] -= 1
+    assert read(path, bytes(content)) == ([*range(MESSAGES)], [])
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_a_chunk_that_is_said_to_hold_another_connection_is_read(tmp_path, compression):
+    """One damaged bit of a chunk info cost all messages of the chunk without a word."""
+    path = tmp_path / "log.bag"
+    content = bytearray(written(path, compression))
+    at = chunk_infos(content)[3]
+    data = at + 8 + int.from_bytes(content[at : at + 4], "little")
+    content[data] ^= 1
+    assert read(path, bytes(content)) == ([*range(MESSAGES)], [])
+
+
+def test_a_chunk_whose_head_is_damaged_has_the_amount_of_its_info(tmp_path):
+    """What the index says is lost is said, though the records must be walked."""
+    path = tmp_path / "log.bag"
+    content = bytearray(written(path, "LZ4"))
+    begin, count = chunk_places(path)[4]
+    content[begin : begin + 4] = bytes(4)
+    numbers, losses = read(path, bytes(content))
+    assert set(range(MESSAGES)) - {*numbers} == numbers_of_chunk(count, begin, tmp_path)
+    assert sum(loss.messages or 0 for loss in losses) == count
+
+
+def numbers_of_chunk(count, begin, folder):
+    """Return the numbers of the messages of a chunk of the intact bag."""
+    written(folder / "intact.bag", "LZ4")
+    places = chunk_places(folder / "intact.bag")
+    (chunk,) = [k for k, (place, _) in enumerate(places) if place == begin]
+    assert places[chunk][1] == count
+    return numbers_of(places, chunk)
+
+
+def test_a_closed_bag_that_was_cut_between_two_records_is_not_whole(tmp_path):
+    """Its messages were taken for all, though the bag header says that more followed."""
+    path = tmp_path / "log.bag"
+    content = written(path)
+    end = chunk_places(path)[4][0]
+    numbers, losses = read(path, content[:end])
+    assert numbers == [*range(len(numbers))]
+    reason = f"it ends before its index, which should begin at byte {index_place(content)}"
+    assert losses == [Loss(f"byte {end}", reason)]

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from quatprop import AttitudeSeries, GyroSeries, compare, propagate, read_attitudes, write
 from quatprop.cli.commands import cli
 from quatprop.errors import DataLossWarning, LogError, RemarkWarning, UsageError
+from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import multiply
 from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
 from quatprop.pipeline.gyro_errors import read_imu
@@ -107,8 +108,11 @@ def test_files_of_kalibr_and_of_allan_variance_tools(tmp_path, text):
     ("content", "message"),
     [
         (None, "no such file or folder; check the path"),
-        (b"\xff\xfe", "it is neither YAML nor JSON"),
-        (b"a: [1", "it is neither YAML nor JSON"),
+        (b"\xff\xfe", "it is not UTF-8 text: byte 0"),
+        (
+            b"a: [1",
+            "it is neither YAML nor JSON: line 1: expected ',' or ']', but got '<stream end>'",
+        ),
         (b"- 1", "it holds no names with values"),
         (
             b"gyr_n: 1.0",
@@ -191,7 +195,7 @@ def test_the_series_has_its_covariance():
     series = noisy(2)
     result = propagate(series, sigma=True, noise_density=1e-3, scale_sigma="1%", method="cubic")
     errors = SensorErrors(noise_density=1e-3, scale_sigma=0.01)
-    expected = ErrorGrowth(errors).advance(series, result.wxyz)
+    expected = ErrorGrowth(errors, method="cubic").advance(series, result.wxyz)
     assert np.array_equal(result.covariance, expected)
     assert np.array_equal(result.sigma, np.sqrt(np.diagonal(expected, axis1=1, axis2=2)))
     uncertainty = result.report.uncertainty
@@ -431,6 +435,26 @@ def test_a_constant_of_the_driver_is_no_covariance(shared_logs):
     assert any(found.pop())
     with pytest.warns(RemarkWarning, match="it is taken as a constant of the driver"):
         assert read_attitudes(log, topic="/xsens/imu_data").covariance is None
+
+
+@pytest.mark.parametrize("known", ["a", "b"])
+def test_standard_deviations_are_of_the_axes_of_each_body(known):
+    """By a mounting, those of B are turned into the axes of A, in which the errors are.
+
+    They were not: an error of one deviation about a noisy axis was ten about a better one.
+    """
+    random = np.random.default_rng(1)
+    t_ns = np.arange(2000) * SECOND
+    true = Rotation.from_quat(attitudes(t_ns, random.normal(size=(2000, 3))), scalar_first=True)
+    deviations = np.array([1e-3, 1e-4, 1e-4])
+    error = Rotation.from_rotvec(random.normal(size=(2000, 3)) * deviations)
+    mount = Rotation.from_rotvec([0.3, -1.2, 0.5])
+    covariance = np.tile(np.diag(deviations**2), (2000, 1, 1))
+    noisy = AttitudeSeries(t_ns, (true * error).as_quat(scalar_first=True), covariance=covariance)
+    exact = AttitudeSeries(t_ns, (true * mount).as_quat(scalar_first=True))
+    a, b = (noisy, exact) if known == "a" else (exact, noisy)
+    # The mounting is estimated of the same attitudes, and not quite right.
+    assert compare(a, b, align="mount").sigmas.rms == pytest.approx(math.sqrt(3), rel=0.2)
 
 
 def test_an_error_is_given_in_standard_deviations():

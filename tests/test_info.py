@@ -247,6 +247,12 @@ def test_a_topic_that_needs_an_extra_does_not_hide_the_others(tmp_path, monkeypa
     assert [one["source"] for one in facts["sources"]] == ["/imu"]
     ((said,),) = [[one["missing"]] for one in facts["attitudes"]]
     assert "is encoded as protobuf, which needs the package protobuf" in said
+    alone = tmp_path / "alone.mcap"
+    out = ["propagate", str(SAMPLES / "coning.mcap"), "-o", str(alone), "-q"]
+    assert CliRunner().invoke(cli, [*out, "--message", "FrameTransform"]).exit_code == 0
+    lines = text(alone)
+    assert lines[3].startswith(f"  /tf: from {SAMPLES / 'coning.mcap'}, method start, q0 1,0,0,0 ")
+    assert lines[3].endswith(", stored as hamilton body-to-ref")
 
 
 def test_a_topic_of_several_transforms_is_said_in_one_sentence(shared_logs):

@@ -2,18 +2,16 @@
 
 import json
 import struct
-import tracemalloc
 
 import numpy as np
 import pytest
-from into_logs import BOOT, RATE, START, moments, run, write_mcap
+from into_logs import BOOT, RATE, START, moments, run, write_bag, write_mcap
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, IndexType
 from mcap_doctor import MAGIC, examine
 from rosbags.highlevel import AnyReader
 
-from quatprop.into import LogTimes
 from quatprop.writers.mcap.contents import McapContents
 
 FORMS = {
@@ -217,7 +215,7 @@ def test_bytes_that_are_no_records_are_passed_over(tmp_path):
         third = make_reader(stream).get_summary().chunk_indexes[3]
     at = third.chunk_start_offset
     data = bytearray(log.read_bytes())
-    data[at : at + 9] = bytes(9)
+    data[at : at + 60] = bytes(60)
     log.write_bytes(data)
     out = tmp_path / "out.mcap"
     assert run("propagate", log, "--into", out, "-q").exit_code == 3
@@ -373,39 +371,49 @@ def test_rosbags_reads_the_copy(tmp_path):
     assert topics == {"/imu": 300, "/attitude": 300}
 
 
-def test_log_times_pass_over_stamps_that_step_back():
-    """The clock that has not caught up again yet counts for nothing."""
-    pairs = [([10, 20, 15], [100, 200, 300]), ([20, 30], [400, 500]), ([40], [600])]
-    times = LogTimes((np.array(stamps), np.array(logged)) for stamps, logged in pairs)
-    assert times.at(np.array([5, 10, 20])).tolist() == [95, 100, 200]
-    assert times.at(np.array([25, 30])).tolist() == [205, 500]
-    assert times.at(np.array([], np.int64)).tolist() == []
-    assert times.at(np.array([40, 50])).tolist() == [600, 610]
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+@pytest.mark.parametrize("more", [(), ("--rate", "50"), ("--every", "3")])
+def test_sorted_attitudes_have_the_log_times_of_their_messages(kind, more, tmp_path):
+    """They had those of other messages, where stamps did not rise with log times."""
+    random = np.random.default_rng(4)
+    stamps = BOOT + np.arange(100) * 10_000_000
+    stamps += random.integers(-30_000_000, 30_000_000, 100)
+    stamps[40] = stamps[41]  # two messages of one stamp
+    logged = START + np.arange(100) * 10_000_000
+    log, out = tmp_path / f"log.{kind}", tmp_path / f"out.{kind}"
+    times = zip(stamps.tolist(), logged.tolist(), strict=True)
+    (write_mcap if kind == "mcap" else write_bag)(log, times=list(times))
+    result = run("propagate", log, "--into", out, "--on-backwards", "sort", "-q", *more)
+    assert result.exit_code == 0, result.output
+    with AnyReader([out]) as reader:
+        found = sorted(
+            (stamp.sec * 10**9 + stamp.nanosec, at)
+            for connection, at, data in reader.messages()
+            if connection.topic == "/attitude"
+            for stamp in [reader.deserialize(data, connection.msgtype).header.stamp]
+        )
+    pairs = sorted(zip(stamps.tolist(), logged.tolist(), strict=True))
+    if not more:
+        assert found == pairs
+    elif more[0] == "--every":
+        assert found == pairs[::3]
+    else:
+        known = dict(pairs)
+        assert all(at in {known.get(stamp), at} for stamp, at in found)
+        assert len(found) > 40
 
 
-def test_log_times_never_step_back():
-    """An attitude is not logged before the one ahead of it."""
-    times = LogTimes(iter([(np.array([10, 20, 30]), np.array([100, 90, 95]))]))
-    assert times.at(np.array([10])).tolist() == [100]
-    assert times.at(np.array([20, 30])).tolist() == [100, 100]
+def test_messages_of_one_stamp_keep_their_own_log_times(tmp_path):
+    """The second had the log time of the first."""
+    times = [(BOOT + k // 2 * 10_000_000, START + k * 10_000_000) for k in range(20)]
+    out = added(write_mcap(tmp_path / "log.mcap", times=times))
+    assert [(stamp, logged) for logged, stamp, _ in attitudes(out)] == times
 
 
-def test_log_times_hold_no_more_than_is_needed():
-    """What lies behind is let go: a long log is not held in memory."""
-    batches = 50
-    size = 20_000
-
-    def pairs():
-        for k in range(batches):
-            stamps = np.arange(size) + k * size
-            yield stamps, stamps + 1000
-
-    times = LogTimes(pairs())
-    tracemalloc.start()
-    try:
-        for k in range(batches):
-            times.at(np.arange(size) + k * size)
-        _, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert peak < batches * size * 16 / 2
+def test_converted_messages_keep_their_own_log_times(tmp_path):
+    """Those whose stamps step back or are repeated had the log times of others."""
+    stamps = [0, 1, 2, 2, 9, 3, 4, 4, 5]
+    times = [(BOOT + t * 10_000_000, START + k * 10_000_000) for k, t in enumerate(stamps)]
+    log, out = write_mcap(tmp_path / "log.mcap", times=times), tmp_path / "out.mcap"
+    assert run("convert", log, "--into", out, "-q").exit_code == 0
+    assert [(stamp, logged) for logged, stamp, _ in attitudes(out)] == times

@@ -7,7 +7,7 @@ from rosbags.rosbag1 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from quatprop.containers.file_source import FileSource
-from quatprop.containers.rosbag1.records import RecordFile, index_offsets, walked_records
+from quatprop.containers.rosbag1.records import RecordFile, index_data, walked_records
 from quatprop.formats import open_log
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
@@ -74,7 +74,7 @@ def test_chunks_stand_in_order_of_time_and_the_index_tells_them(tmp_path):
                 inside = {r.start: r for r in walked_records(chunk) if r.op == 2}
                 latest = at
             else:
-                (conn, entries), *_ = index_offsets(file.at(at, record.end - at)).items()
+                (conn, entries), *_ = index_data(file.at(at, record.end - at))[0].items()
                 times = [int(e["sec"]) * 10**9 + int(e["nsec"]) for e in entries]
                 places[latest][conn] = times
                 for entry, time in zip(entries, times, strict=True):

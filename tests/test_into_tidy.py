@@ -63,7 +63,7 @@ def refused(log, target, error, **options):
     folder = log.path.parent.parent
     before = sorted(opened(folder))
     with pytest.raises(QuatpropError) as raised:
-        open_into(log, str(target), lambda: iter(()), **options)
+        open_into(log, str(target), **options)
     assert raised.type is error
     assert sorted(opened(folder)) == before
     return str(raised.value)

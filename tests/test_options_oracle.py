@@ -10,8 +10,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from command_lines import difference
 from mcap.writer import Writer as McapWriter
-from options_reference import NS, propagated
+from options_reference import NS, ordered, propagated
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
@@ -188,6 +189,7 @@ def test_options_together(seed, files, tmp_path):
         rest = series.report.conditioning.rest
         inside = (raw["t"] >= rest.first_ns) & (raw["t"] <= rest.last_ns)
         inside &= np.isfinite(raw["w"]).all(axis=1)
+        inside &= np.isin(np.arange(len(inside)), ordered(raw["t"], options))
         expected["bias"] = raw["w"][inside].mean(axis=0)
         assert BEGIN_NS < rest.first_ns < rest.last_ns < raw["t"][RESTING + 5]
     t, attitudes = propagated(raw, expected)
@@ -355,6 +357,15 @@ def test_the_layout_that_is_written(layout, files, tmp_path):
     )
     _, attitudes = propagated(RAW[False], {})
     assert (attitudes.inv() * written).magnitude().max() < 1e-11
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("seed", range(60))
+def test_command_lines_do_what_the_documents_say(seed, tmp_path):
+    """Random logs and options together, with errors and copies; `make fuzz` runs 2,000."""
+    code, told = difference(seed, tmp_path)
+    assert told is None
+    assert code in {0, 2, 3}
 
 
 def test_every_option_is_in_some_test():

@@ -61,6 +61,7 @@ LAYERS = (
     {
         "arrays",
         "errors",
+        "guarded_text",
         "text",
         "times",
         "checksum",

@@ -8,6 +8,7 @@ import pytest
 
 from quatprop.formats import open_log
 from quatprop.kinematics.propagate import attitudes
+from quatprop.kinematics.quaternion import exp, rotate
 from quatprop.pipeline.plausibility import against_orientation, log_remarks, orientation_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.selection import RateSelection
@@ -156,6 +157,20 @@ def test_an_orientation_that_does_not_move_tells_nothing():
     assert against_orientation([noise], [still]) is None
     assert against_orientation([GyroSeries(t_ns + 1, noise.rate)], [still]) is None
     assert against_orientation([], []) is None
+
+
+def test_rates_are_compared_in_the_axes_in_which_they_are_resolved():
+    """Turns by x, y and -x, and back, in every second: of body rates they undo one another.
+
+    The orientation to which they lead in reference axes was said to rotate endlessly faster.
+    """
+    x, y = 2 * np.eye(3)[:2]
+    rate = np.tile(4 * np.array([x, y, -x, rotate(exp(x), -y)]), (40, 1))
+    t_ns = np.arange(len(rate)) * 250 * MS
+    own = AttitudeSeries(t_ns, attitudes(t_ns, rate, rates="inertial"))
+    gyro = GyroSeries(t_ns, rate)
+    assert "times as far as its rates" in str(against_orientation([gyro], [own], "body"))
+    assert against_orientation([gyro], [own], "inertial") is None
 
 
 def test_an_orientation_that_was_never_filled_tells_nothing_of_a_body_that_turns():

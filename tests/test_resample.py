@@ -12,7 +12,7 @@ from streams import propagated
 from quatprop.blocks import reblock
 from quatprop.errors import UsageError
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.kinematics.quaternion import conjugate, geodesic_angle, rotate
 from quatprop.kinematics.resample import PIECE, Listed, Steady, at_times, every
 from quatprop.series import AttitudeSeries, GyroSeries
 
@@ -68,6 +68,23 @@ def test_a_time_between_samples_is_as_if_a_sample_were_there(method, rates):
         assert geodesic_angle(found, finer[1]) < 1e-15
         # For coning the two halves agree with the whole to the method's own order only.
         assert geodesic_angle(finer[2], wxyz[k + 1]) < (1e-5 if method == "coning" else 2e-15)
+
+
+@pytest.mark.parametrize("rates", ["body", "inertial"])
+def test_rates_between_samples_are_linear_in_the_axes_in_which_they_are_resolved(rates):
+    """Those in reference axes were interpolated after they were turned to body axes."""
+    t_ns = np.arange(51) * 20_000_000
+    first, slope = np.array([[1.0, -2.0, 0.5], [3.0, 1.0, -2.0]])
+    rate = first + np.outer(t_ns / 1e9, slope)
+    gyro = GyroSeries(t_ns, rate)
+    wxyz = attitudes(t_ns, rate, method="coning", rates=rates)
+    body = rate if rates == "body" else rotate(conjugate(wxyz), rate)
+    pairs = [(gyro, AttitudeSeries(t_ns, wxyz, rate=body))]
+    (found,) = at_times(pairs, Steady(Fraction(333)), method="coning", rates=rates)
+    expected = first + np.outer(found.t_ns / 1e9, slope)
+    if rates == "inertial":
+        expected = rotate(conjugate(found.wxyz), expected)
+    np.testing.assert_allclose(found.rate, expected, rtol=1e-12)
 
 
 def test_times_at_samples_are_the_samples():

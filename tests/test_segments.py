@@ -233,10 +233,22 @@ def test_times_inside_the_gaps_of_a_split_log_are_counted(tmp_path):
     with pytest.warns(RemarkWarning) as caught:
         propagate(tmp_path / "log.csv", at=times, on_gap="split", max_gap="5s")
     assert any(
-        "2 of the 3 times asked for with at are outside the log or in a gap, so they have no "
-        "attitude" in str(one.message)
+        "2 of the 3 times asked for with at have no attitude: 1 outside the samples used and 1 in "
+        "gaps" in str(one.message)
         for one in caught
     )
+
+
+def test_times_in_gaps_alone_are_not_said_to_be_outside_the_log(tmp_path):
+    """All of them are between the first and the last sample, and were said not to be."""
+    times = tmp_path / "times.csv"
+    times.write_text("t_ns,qw,qx,qy,qz\n3000000000,1,0,0,0\n4000000000,1,0,0,0\n")
+    with pytest.raises(
+        TimelineError,
+        match=r"none of the times asked for with at has an attitude: 2 in gaps; its samples are "
+        r"from 0 to 13000000000 ns: are both on the same clock\?$",
+    ):
+        angles(tmp_path, Policy("error", "error", "split", 5_000_000_000), at=str(times))
 
 
 def test_times_outside_the_log_are_refused(tmp_path):
@@ -245,8 +257,8 @@ def test_times_outside_the_log_are_refused(tmp_path):
     times.write_text("t_ns,qw,qx,qy,qz\n14000000000,1,0,0,0\n")
     with pytest.raises(
         TimelineError,
-        match=r"none of the times asked for with at is between its first sample at 0 ns and its "
-        r"last at 13000000000 ns; are both on the same clock\?$",
+        match=r"none of the times asked for with at has an attitude: 1 outside the samples used; "
+        r"its samples are from 0 to 13000000000 ns: are both on the same clock\?$",
     ):
         angles(tmp_path, Policy(), at=str(times))
     assert not (tmp_path / "out.csv").exists()

@@ -210,6 +210,23 @@ def test_the_orientation_shows_a_turn_about_the_vertical(tmp_path):
     assert "steady by rate, accelerometer; the whole log was searched" in result.stderr
 
 
+@pytest.mark.parametrize("frame", ["body", "inertial"])
+@pytest.mark.parametrize("tilt", [0.0, 1.0, 2.0, 3.0])
+def test_the_orientation_shows_a_turn_in_the_axes_of_the_rates(tmp_path, frame, tilt):
+    """On a tilted body a turn has other numbers in the axes of the reference.
+
+    Of rates in those axes it was taken for rest, and the rotation for the bias.
+    """
+    motion = Motion((4, [0, 0, 0.08]))
+    attitude = Rotation.from_euler("x", tilt) * motion.attitude
+    if frame == "inertial":
+        motion.rate = attitude.apply(motion.rate)
+    path = motion.write(tmp_path, orientation=attitude.as_quat(scalar_first=True))
+    result, _ = static(path, "--rates", frame)
+    assert result.exit_code == 2
+    assert "(where the rates are steady, the log's own orientation turns by 4.58" in result.stderr
+
+
 def test_an_orientation_that_settles_does_not_hide_rest(tmp_path):
     """Estimators drift and converge at rest; only a turn that the rates have too is a turn."""
     motion = Motion((20, np.zeros(3)))

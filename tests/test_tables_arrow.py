@@ -268,6 +268,44 @@ def test_damaged_row_groups_are_lost_alone(tmp_path):
     assert [(loss.place, loss.messages) for loss in losses] == [("row group 1", 10_000)]
 
 
+PAGES = [{}, {"data_page_version": "2.0"}, {"compression": "none", "use_dictionary": False}]
+
+
+@pytest.mark.parametrize("options", PAGES, ids=str)
+def test_no_flipped_bit_in_checked_pages_is_believed(tmp_path, options, monkeypatch):
+    """A sign bit in a page with a checksum gave a wrong rate, one in its head a group less."""
+    path = tmp_path / "log.parquet"
+    rates = np.random.default_rng(3).normal(size=(40, 3))
+    columns = dict(zip(RATES, rates.T, strict=True))
+    table = pa.table({"t_ns": np.arange(40), **columns})
+    parquet.write_table(table, path, write_page_checksum=True, row_group_size=20, **options)
+    good = path.read_bytes()
+    groups = parquet.ParquetFile(path).metadata
+    end = len(good) - 8 - groups.serialized_size
+    lost = 0
+    for byte in range(4, end, 29):
+        data = bytearray(good)
+        data[byte] ^= 1 << byte % 8
+        path.write_bytes(data)
+        t_ns, rate, losses = read(ParquetLog(path))
+        assert np.array_equal(rate, rates[t_ns])
+        assert 40 - len(t_ns) == sum(loss.messages for loss in losses)
+        lost += len(losses)
+    assert lost > 50
+    begin = groups.row_group(1).column(1).data_page_offset
+    data = bytearray(good)
+    data[begin + groups.row_group(1).column(1).total_compressed_size - 2] ^= 1
+    path.write_bytes(data)
+    _, _, (loss,) = read(ParquetLog(path))
+    reason = "could not verify page integrity, CRC checksum verification failed for page_ordinal 0"
+    assert loss[1:] == (f"it is damaged: {reason}", 20)
+    if "compression" in options:
+        monkeypatch.setenv("QUATPROP_CHECKSUMS", "ignore")
+        t_ns, rate, losses = read(ParquetLog(path))
+        assert (len(t_ns), losses) == (40, [])
+        assert not np.array_equal(rate, rates)
+
+
 def test_a_feather_file_without_its_footer_is_read_to_its_end(tmp_path):
     """An Arrow file that was cut off is still a stream of batches."""
     path = tmp_path / "log.feather"

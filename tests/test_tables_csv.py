@@ -465,7 +465,6 @@ def test_the_series_does_not_depend_on_where_blocks_end(data):
         ),
         (lzma.compress(b"t_ns,wx,wy,wz\n"), "it is an archive; unpack it"),
         (b"log.csv".ljust(257, b"\0") + b"ustar\0", "it is a tar archive; unpack it"),
-        (b"MATLAB 5.0 MAT-file".ljust(128), "save it again with '-v7.3'"),
         (b"\xa3\x95\x80\x80\x59FMT", "convert it to CSV with mavlogdump.py"),
         (b"H Product:Blackbox flight data recorder\n", "convert it with blackbox_decode"),
         (b'[\n {"t_ns": 0, "wx": 1}]\n', r"such as with jq -c '.\[\]'"),

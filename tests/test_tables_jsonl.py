@@ -208,3 +208,18 @@ def test_a_null_inside_of_text_is_no_row(tmp_path):
     """What only looks like a row of its own is read as what it is."""
     text = '{"t_ns":1,"note":"} null","wx":1,"wy":2,"wz":3}\n'
     assert read(written(tmp_path, text)) == ([1], [[1, 2, 3]], [])
+
+
+@pytest.mark.parametrize("indent", [None, 1])
+@pytest.mark.parametrize("count", [1, 5000])
+def test_one_object_with_all_rows_is_named_as_such(tmp_path, indent, count):
+    """Movesense writes one, and its rows were said to be no JSON objects."""
+    row = {"gyro": {"Timestamp": 10, "ArrayGyro": [{"x": 1.5, "y": 2, "z": 3}]}}
+    with pytest.raises(UnsupportedLogError) as error:
+        read(written(tmp_path, json.dumps({"data": [row] * count}, indent=indent)))
+    assert str(error.value).endswith(
+        "it is one JSON object with its rows in the list 'data'; write a row a line, such as with "
+        "jq -c '.data[]'"
+    )
+    line = '{"list":[{"a":1}],"t_ns":1,"wx":1,"wy":2,"wz":3}'
+    assert read(written(tmp_path, line))[:2] == ([1], [[1, 2, 3]])

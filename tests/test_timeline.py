@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from options_reference import outliers
 
 from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Counts, remarks
+from quatprop.timeline.outliers import LOOK_AHEAD, marked
 from quatprop.timeline.stamps import LONGEST_NS, OBSERVE, Policy, StampChecks
 
 MS = 1_000_000
@@ -78,8 +80,6 @@ def test_a_backward_step_is_an_error_by_default(batches):
 
 
 CAUSES = [
-    ([0, 10, 300_000, 20], "because the stamp before it, 300000000000 ns, is 299.99 s ahead"),
-    ([0, 10, 5 * 10**8, 20], "because the stamp before it, 500000000000000 ns, is 500000 s ahead"),
     ([4_294_950, 4_294_960, 3, 13], "as if a counter of 32 bits in us had wrapped around"),
     ([-20 + 2**31, -10 + 2**31, -(2**31), 10 - 2**31], "as if a counter of 32 bits in ms had "),
 ]
@@ -97,6 +97,118 @@ def test_what_the_stamps_show_is_named_where_time_steps_back(stamps, cause, cut)
         _, _, counts = applied(policy, *batches)
         said = next(text for text in map(str, remarks(counts, policy)) if "non-mono" in text)
         assert f" ns {cause}" in said
+
+
+def regular(**wrong):
+    """Return 100 stamps 10 ms apart, in ms, some of them wrong."""
+    stamps = list(range(10_000, 11_000, 10))
+    for name, stamp in wrong.items():
+        stamps[int(name[1:])] = stamp
+    return stamps
+
+
+OUTLIERS = {
+    "far ahead": (regular(s50=10**6), [50]),
+    "ahead within the log": (regular(s50=10_700), [50]),
+    "first": (regular(s0=10**6), [0]),
+    "second": (regular(s1=10**6), [1]),
+    "last but one": (regular(s98=10**6), [98]),
+    "in a row": (regular(s50=10**5, s51=10**7, s52=10**6), [50, 51, 52]),
+    "apart": (regular(s20=10**6, s22=10**6, s70=10**7), [20, 22, 70]),
+    "of a burst": (
+        [*regular(), *range(90_000, 90_032), *range(11_000, 12_000, 10)],
+        range(100, 132),
+    ),
+    "before a late one": (regular(s50=10**6, s51=10_420), [50]),
+}
+"""Stamps in ms, and which of them the next ones contradict."""
+
+NO_OUTLIERS = {
+    "last": regular(s99=10**6),
+    "first before the clock was set": regular(s0=0, s1=10),
+    "a pause": [*regular(), *(stamp + 10**6 for stamp in regular())],
+    "a clock set back": [*regular(), *(stamp - 5_000 for stamp in regular())],
+    "a clock that was ahead for longer": [
+        *regular(),
+        *range(90_000, 90_066, 2),
+        *range(11_000, 12_000, 10),
+    ],
+    "late": regular(s50=10_420),
+    "a straggler after a pause": [*regular(), 90_000, 11_000, *range(90_010, 91_000, 10)],
+    "two clocks in turn": [stamp for pair in zip(regular(), regular(), strict=True) for stamp in
+                           (pair[0], pair[1] + 50_000)],
+    "neighbours that changed places": regular(s50=10_510, s51=10_500),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("size", [1, 7, 1000])
+@pytest.mark.parametrize("case", [*OUTLIERS, *NO_OUTLIERS])
+def test_a_jump_ahead_that_the_next_stamps_contradict_is_an_outlier(case, size):
+    """It was dropped with all samples up to where the clock caught up, or took the last place."""
+    stamps, outliers = OUTLIERS.get(case) or (NO_OUTLIERS[case], [])
+    batches = [gyro(stamps[k : k + size]) for k in range(0, len(stamps), size)]
+    kept, _, counts = applied(Policy("drop"), *batches)
+    assert counts.outliers.count == len(outliers)
+    assert counts.outliers.first_index == (outliers[0] if outliers else None)
+    if outliers:
+        late = [k for k, stamp in enumerate(stamps) if stamp == 10_420 and k == 51]
+        assert kept == [stamps[k] for k in range(len(stamps)) if k not in {*outliers, *late}]
+        with pytest.raises(
+            TimelineError,
+            match=rf"^log\.csv: the timestamp of sample {outliers[0]} \(t = "
+            rf"{stamps[outliers[0]] * MS} ns\) is an outlier, [\d.e+]+ m?s ahead of those around "
+            "it; choose on_backwards='drop' or 'sort', or another clock$",
+        ):
+            applied(Policy(), *batches)
+    in_order, _, counts = applied(Policy("sort"), *batches)
+    assert in_order == sorted(stamps[k] for k in range(len(stamps)) if k not in outliers)
+    assert (counts.outliers.count, counts.dropped) == (len(outliers), len(outliers))
+
+
+def test_outliers_are_those_of_the_rule_that_is_documented():
+    """Read from the documents, stamp by stamp, wherever batches end and however far stamps jump."""
+    random, found = np.random.default_rng(2), 0
+    jumps = [-300, -30, 30, 100, 300, 10**4, 10**6, 2**62]
+    for _ in range(500):
+        stamps = np.cumsum(random.integers(0, 20, random.integers(1, 150)))
+        for _ in range(random.integers(0, 6)):
+            first, length = (
+                random.integers(len(stamps)),
+                random.integers(1, random.choice([2, 6, 40])),
+            )
+            stamps[first : first + length] += random.choice(jumps)
+        expected, size = outliers(stamps.tolist()), int(random.integers(1, 151))
+        batches = [stamps[k : k + size] for k in range(0, len(stamps), size)]
+        masks = [(len(t), mask) for t, mask, _ in marked(batches, lambda t_ns: t_ns)]
+        mask = np.concatenate([np.zeros(n, bool) if mask is None else mask for n, mask in masks])
+        assert np.flatnonzero(mask).tolist() == sorted(expected)
+        found += len(expected) > 0
+    assert found > 100
+
+
+def test_what_comes_after_the_next_64_samples_makes_no_outlier():
+    """The first samples are the same, however the log goes on."""
+    random = np.random.default_rng(3)
+    for _ in range(200):
+        stamps = np.cumsum(random.integers(0, 20, 200))
+        for _ in range(8):
+            first, length = random.integers(len(stamps)), random.integers(1, 40)
+            stamps[first : first + length] += random.choice([-300, 300, 10**4, 10**6])
+        whole = outliers(stamps.tolist())
+        part = outliers(stamps[: 100 + LOOK_AHEAD].tolist())
+        assert {k for k in whole if k < 100} == {k for k in part if k < 100}
+
+
+def test_packets_that_came_early_are_sorted():
+    """They fit in the gap that they left; a stamp that is wrong does not, and is dropped."""
+    early = [*range(100), *range(400, 410), *range(100, 400), *range(410, 500)]
+    stamps, _, counts = applied(Policy("sort"), gyro(early))
+    assert stamps == sorted(early)
+    assert (counts.outliers.count, counts.backwards.count) == (0, 300)
+    early[20] = 5_000
+    stamps, _, counts = applied(Policy("sort"), gyro(early))
+    assert stamps == sorted(set(early) - {5_000})
+    assert (counts.outliers.count, counts.outliers.first_index, counts.dropped) == (1, 20, 1)
 
 
 def test_a_step_after_a_long_interval_is_that_of_no_counter():
@@ -203,9 +315,11 @@ def test_gaps_are_intervals_over_ten_medians():
     """Ten medians are no gap; more is one, located by the sample after it."""
     _, _, counts = applied(Policy(), gyro([0, 10, 20, 30, 130, 231, 241, 251, 261]))
     assert (counts.gap_limit_ns, counts.gaps.count, counts.gaps.first_index) == (100 * MS, 1, 5)
-    assert list(map(str, remarks(counts, Policy()))) == [
+    (remark,) = remarks(counts, Policy())
+    assert str(remark) == (
         "1 interval longer than 100 ms (propagated across), first at sample 5, t = 231000000 ns"
-    ]
+        ", 101 ms after 130000000 ns"
+    )
 
 
 @pytest.mark.parametrize("size", [1, 3, 100])
@@ -298,9 +412,11 @@ def test_remarks_say_how_gaps_were_handled(on_gap, handled):
     """The limit is part of the sentence, and several gaps are counted."""
     policy = Policy(on_gap=on_gap, max_gap_ns=50 * MS)
     _, _, counts = applied(policy, gyro([0, 10, 70, 80, 200]))
-    assert list(map(str, remarks(counts, policy))) == [
-        f"2 intervals longer than 50 ms ({handled}), first at sample 2, t = 70000000 ns"
-    ]
+    (remark,) = remarks(counts, policy)
+    assert str(remark) == (
+        f"2 intervals longer than 50 ms ({handled}), first at sample 2, t = 70000000 ns; the "
+        "longest, of 120 ms after 80000000 ns"
+    )
 
 
 @pytest.mark.parametrize(
@@ -419,7 +535,8 @@ def test_the_median_is_that_of_65536_intervals():
 )
 def test_what_comes_out_does_not_depend_on_batches(stamps, cuts, on_backwards):
     """Stamps, rates and counts are the same however the log was cut into batches."""
-    policy = Policy(on_backwards=on_backwards, on_nonfinite="hold")
+    # The first sample that is left may have no finite rate, and none before it to hold.
+    policy = Policy(on_backwards, "hold" if on_backwards == "keep" else "drop")
     rate = np.arange(3.0 * len(stamps)).reshape(-1, 3)
     rate[1::7] = np.nan
     whole = gyro(stamps, rate)
@@ -470,6 +587,7 @@ def test_the_median_is_that_of_the_first_intervals(monkeypatch):
     """Later samples do not wait for it, and are not part of it; all of them come out."""
     monkeypatch.setattr("quatprop.timeline.stamps.MEDIAN_WINDOW", 4)
     intervals = np.array([10, 10, 30, 30, 1, 1, 1, 1, 1])
+    intervals = np.append(intervals, [1] * 100)
     t_ns = np.concatenate([[0], np.cumsum(intervals)])
     read = []
 
@@ -481,7 +599,8 @@ def test_the_median_is_that_of_the_first_intervals(monkeypatch):
     checks = StampChecks("log.csv")
     stream = checks.observe(batches())
     first = next(stream)
-    assert read == [0, 2, 4]
+    # And those that could show that the third batch has an outlier.
+    assert read == [*range(0, 6, 2), *range(6, 6 + LOOK_AHEAD, 2)]
     assert np.concatenate([first, *stream]).tolist() == t_ns.tolist()
     assert (checks.counts.median_dt_ns, checks.counts.gap_limit_ns) == (20, 200)
 

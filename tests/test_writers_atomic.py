@@ -78,12 +78,70 @@ def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path):
     assert stat.S_IMODE((tmp_path / "a.csv").stat().st_mode) == 0o640
 
 
-def test_a_replaced_file_keeps_its_permissions(tmp_path):
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o604])
+def test_a_replaced_file_keeps_its_permissions(tmp_path, kind, mode):
     """A file that was private stays private."""
-    target = tmp_path / "a.csv"
-    target.touch(mode=0o600)
-    write(target)
-    assert stat.S_IMODE(target.stat().st_mode) == 0o600
+    target = tmp_path / f"a.{kind}"
+    target.touch()
+    target.chmod(mode)
+    write(target, kind)
+    assert stat.S_IMODE(target.stat().st_mode) == mode
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+@pytest.mark.parametrize("exists", [False, True])
+def test_what_is_being_written_is_private(tmp_path, kind, exists):
+    """Others could read the temporary file of a private output, and lock it."""
+    target = tmp_path / f"a.{kind}"
+    if exists and kind not in FOLDERS:
+        target.touch(mode=0o600)
+    with open_writer(target, kind) as writer:
+        writer.write(attitudes())
+        (temp,) = set(tmp_path.iterdir()) - {target}
+        assert temp.stat().st_mode & 0o077 == 0
+        writer.commit({})
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def what_is_there(path, kind):
+    """Make what another user could have put in a shared folder."""
+    if kind == "link to a pipe":
+        os.mkfifo(path.with_name("pipe"))
+        path.symlink_to("pipe")
+    elif kind == "link to a file":
+        path.with_name("file").touch()
+        path.symlink_to("file")
+    elif kind == "file of another user":
+        path.touch()
+    else:
+        {"pipe": os.mkfifo, "socket": lambda name: os.mknod(name, stat.S_IFSOCK | 0o600)}[kind](
+            path
+        )
+
+
+@pytest.mark.parametrize(
+    "kind", ["pipe", "socket", "link to a pipe", "link to a file", "file of another user"]
+)
+def test_what_others_put_in_a_shared_folder_is_left_alone(tmp_path, monkeypatch, kind):
+    """A pipe under the name of a temporary file was waited for, by every run in that folder."""
+    place = tmp_path / "out.csv"
+    first = LockedTemp(place, Path.touch)
+    name = first.path.name[:-12]
+    first.remove()
+    what_is_there(tmp_path / f"{name}00000000.part", kind)
+    before = sorted(tmp_path.iterdir())
+    if kind == "file of another user":
+        monkeypatch.setattr(os, "geteuid", lambda: -1)
+    done = threading.Event()
+
+    def run():
+        LockedTemp(place, Path.touch).remove()
+        done.set()
+
+    threading.Thread(target=run, daemon=True).start()
+    assert done.wait(10)
+    assert sorted(tmp_path.iterdir()) == before
 
 
 def test_a_link_stays_a_link(tmp_path):

@@ -141,8 +141,9 @@ def warn(
     """Warn of losses and remarks at the line of the user's call, `depth` calls up."""
     for loss in losses:
         message = f"{path}: lost: {loss.place}: {loss.reason}"
-        warnings.warn(message, DataLossWarning, stacklevel=depth)
+        warnings.warn(DataLossWarning(message, loss.messages), stacklevel=depth)
     if dropped:
-        warnings.warn(f"{path}: {dropped} rows were dropped", DataLossWarning, stacklevel=depth)
+        message = f"{path}: {dropped} rows were dropped"
+        warnings.warn(DataLossWarning(message, dropped), stacklevel=depth)
     for remark in remarks:
         warnings.warn(f"{path}: {remark}", RemarkWarning, stacklevel=depth)

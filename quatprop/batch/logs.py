@@ -35,6 +35,9 @@ TABLES = {kind for kind, reader in READERS.items() if reader.load.startswith("qu
 """Kinds of files that hold many other things, too."""
 
 
+REFUSED = "its key has an empty part, '.', '..' or '?', which no address can have; rename it"
+
+
 class FoundLog(NamedTuple):
     """A log of a batch.
 
@@ -46,11 +49,14 @@ class FoundLog(NamedTuple):
         Name of its output without the suffix: its path below the root, without its own suffixes.
     maybe
         Whether it is a table that was found in a folder: one without body rates is no log.
+    refused
+        Why it cannot be read, nor its output be written; empty where it can.
     """
 
     path: str
     name: str
     maybe: bool = False
+    refused: str = ""
 
 
 @dataclass(slots=True)
@@ -111,11 +117,13 @@ class LogSearch:
         if parts[-1] == "**":
             self._add_folder(root, root)
             return
+        noted = len(self.logs)
         if is_address(pattern):
-            matches = [below(root, name) for name in _matching(root, parts[count:])]
+            names = _matching(root, parts[count:])
+            matches = [below(root, name) for name in names if self._is_usable(root, name)]
         else:
             matches = sorted(glob.iglob(pattern, recursive=True))
-        if not matches:
+        if not matches and len(self.logs) == noted:
             raise UsageError(f"nothing matches {quoted(pattern)}; check the pattern")
         for match in matches:
             if _is_plain_folder(match):
@@ -139,7 +147,7 @@ class LogSearch:
 
     def _search_store(self, address: str, output: str) -> Iterator[tuple[str, str]]:
         """Yield address and kind of each log below an address."""
-        names = list_objects(address)
+        names = [name for name in list_objects(address) if self._is_usable(address, name)]
         bags = {os.path.dirname(name) for name in names if os.path.basename(name) == METADATA}
         for name in names:
             bag = next((above for above in _folders_of(name) if above in bags), None)
@@ -151,6 +159,13 @@ class LogSearch:
                 yield log, kind
             else:
                 self.other_files += 1
+
+    def _is_usable(self, address: str, name: str) -> bool:
+        """Return whether a key can be part of an address; note a log if it cannot."""
+        usable = not {"", ".", ".."} & {*name.split("/")} and not {"?", "\0"} & {*name}
+        if not usable and _kind_by_suffix(name):
+            self.logs.append(FoundLog(below(address, name), name, refused=REFUSED))
+        return usable
 
     def _search(self, top: str, output: str) -> Iterator[tuple[str, str]]:
         """Yield path and kind of each log in a folder."""
@@ -243,10 +258,16 @@ def _kind(path: str) -> str:
     if kind := _kind_by_suffix(path):
         return kind
     try:
-        with open(path, "rb") as stream:
-            return "other" if stream.read(MAGIC_BYTES).startswith(MAGIC) else ""
+        # Nobody may ever write to a pipe.
+        with open(path, "rb", 0, opener=_at_once) as stream:
+            head = stream.read(MAGIC_BYTES)
+            return "other" if head and head.startswith(MAGIC) else ""
     except OSError:
         return ""
+
+
+def _at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def _kind_by_suffix(name: str) -> str:

@@ -14,76 +14,19 @@ import os
 from contextlib import contextmanager, suppress
 from io import BufferedReader, FileIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from quatprop import __version__
+from quatprop.batch.entries import ManifestEntry, entries_in, json_line
 from quatprop.containers.stores import is_address, objects_of, without_secret
-from quatprop.errors import StoreError
-from quatprop.provenance import as_json
+from quatprop.errors import OutputError, StoreError
 from quatprop.writers.atomic import OutputFile
+from quatprop.writers.targets import refuse_outside
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from quatprop.pipeline.job import Job
-
-COMPLETE = {"done", "data lost"}
-"""States of logs whose output is complete."""
-
-
-class ManifestEntry(NamedTuple):
-    """What a batch records of a log.
-
-    Parameters
-    ----------
-    state
-        ``"done"``; ``"data lost"``: done, but some data of the log were lost or left out;
-        ``"no rates"``: a table found in a folder, without body rates; ``"failed"``.
-    log
-        Absolute path or address.
-    output
-        Path of the output in the folder of the manifest.
-    samples, rows, span_s, sample_rate_hz, method, final_wxyz
-        As in the report; None where there is no output.
-    remarks, losses
-        As in the report.
-    error
-        Why there is no output.
-    seconds
-        Duration, s.
-    log_bytes, log_sha256, log_etag, output_bytes, output_sha256
-        Sizes and digests; None where there are none. A log in an object store has the ETag that
-        the store gives it.
-    quatprop
-        The version.
-    options
-        Digest of all settings but the paths.
-    origin
-        Digest of the version, the settings, and names, sizes and times of all files that are read,
-        and of their ETags in an object store; None where they cannot be found out.
-    """
-
-    state: str
-    log: str
-    output: str
-    samples: int | None = None
-    rows: int | None = None
-    span_s: float | None = None
-    sample_rate_hz: float | None = None
-    method: str | None = None
-    final_wxyz: tuple[float, ...] | None = None
-    remarks: tuple[str, ...] = ()
-    losses: tuple[str, ...] = ()
-    error: str | None = None
-    seconds: float = 0.0
-    log_bytes: int | None = None
-    log_sha256: str | None = None
-    log_etag: str | None = None
-    output_bytes: int | None = None
-    output_sha256: str | None = None
-    quatprop: str = __version__
-    options: str = ""
-    origin: str | None = None
 
 
 class Manifest:
@@ -94,10 +37,19 @@ class Manifest:
     folder
         The folder.
 
+    Raises
+    ------
+    OutputError
+        Its files are links that lead out of the folder, or no files.
+
     Attributes
     ----------
     files
         The manifest and its table.
+    place
+        The manifest as it may be shown.
+    unused
+        Numbers of the lines that were no entries when they were last read.
     """
 
     NAME = "manifest.jsonl"
@@ -106,6 +58,11 @@ class Manifest:
         self._path = Path(folder, self.NAME)
         self._table = self._path.with_suffix(".parquet")
         self.files: tuple[str, ...] = (str(self._path), str(self._table))
+        self.place, self.unused = str(self._path), list[int]()
+        for name in self.files:
+            refuse_outside(name, folder)
+            if os.path.exists(name) and not os.path.isfile(name):  # noqa: PTH110, PTH113
+                raise OutputError(name, "is no file; remove it")
 
     def prepare(self) -> None:
         """Make the folder."""
@@ -118,11 +75,12 @@ class Manifest:
 
     def entries(self) -> dict[str, Mapping[str, Any]]:
         """Return the valid entry of each output, by its path in the folder."""
+        self.unused = []
         return {entry["output"]: entry for entry in self._read()}
 
     def _read(self) -> Iterator[Mapping[str, Any]]:
         with suppress(FileNotFoundError), self._path.open("rb") as stream:
-            yield from entries_in(stream)
+            yield from entries_in(stream, self.unused)
 
     def append(self, entry: ManifestEntry) -> None:
         """Append an entry."""
@@ -140,7 +98,7 @@ class Manifest:
         """
         with self._locked() as stream:
             lines = BufferedReader(stream)
-            entries = {entry["output"]: entry for entry in entries_in(lines)}
+            entries = {entry["output"]: entry for entry in entries_in(lines, [])}
             write_table((entry for _, entry in sorted(entries.items())), self._table)
 
     @contextmanager
@@ -153,21 +111,6 @@ class Manifest:
                 fcntl.lockf(stream, fcntl.LOCK_EX)
             stream.seek(0)
             yield stream
-
-
-def entries_in(lines: Iterable[bytes]) -> Iterator[Mapping[str, Any]]:
-    """Yield the entries of the lines of a manifest; a line that was cut is none."""
-    for line in lines:
-        with suppress(ValueError):
-            entry = json.loads(line)
-            if isinstance(entry, dict) and {"log", "output", "state"} <= entry.keys():
-                yield entry
-
-
-def json_line(entry: ManifestEntry | Mapping[str, Any]) -> bytes:
-    """Return an entry as a line of JSON."""
-    text = json.dumps(as_json(entry), ensure_ascii=False) + "\n"
-    return text.encode(errors="surrogateescape")
 
 
 def write_table(entries: Iterable[Mapping[str, Any]], path: Path) -> None:
@@ -185,7 +128,9 @@ def write_table(entries: Iterable[Mapping[str, Any]], path: Path) -> None:
     names = ManifestEntry._fields
     schema = pa.schema([(name, types.get(name, text)) for name in names])
     # Not from Python's values: pyarrow would import pandas, where that is installed, for 0.4 s.
-    lines = "\n".join(map(json.dumps, entries)).encode()
+    texts = (json.dumps(entry, ensure_ascii=False) for entry in entries)
+    # Names of files need not be Unicode, which a table's text is.
+    lines = "\n".join(texts).encode(errors="replace")
     output = OutputFile(path)
     try:
         with pq.ParquetWriter(output.stream, schema) as writer:

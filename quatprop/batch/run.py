@@ -9,19 +9,27 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from quatprop.batch.manifest import COMPLETE, ManifestEntry, log_name, options_digest, origin_digest
+from quatprop.batch.entries import COMPLETE, ManifestEntry
+from quatprop.batch.manifest import log_name, options_digest, origin_digest
 from quatprop.batch.outputs import OTHER_OUTPUT, output_paths
 from quatprop.concurrency.processes import KILLED, map_processes
 from quatprop.concurrency.threads import available_cores
 from quatprop.containers.stores import is_address, without_secret
 from quatprop.containers.transfers import upload
-from quatprop.errors import NoRatesError, OutputError, QuatpropError, UnknownFormatError, UsageError
+from quatprop.errors import (
+    NoRatesError,
+    OutputError,
+    QuatpropError,
+    UnknownFormatError,
+    UnsupportedLogError,
+    UsageError,
+)
 from quatprop.pipeline.job import Job, run
 from quatprop.provenance import digest_of
 from quatprop.temp_files import temp_folder
 from quatprop.text import Text, plain, quoted
 from quatprop.third_party_errors import as_user_error
-from quatprop.writers.targets import refuse_overlap
+from quatprop.writers.targets import refuse_outside, refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Sequence
@@ -45,7 +53,7 @@ class BatchTask(NamedTuple):
         The path or the address of its attitudes.
     name
         Path of the output in the folder of the batch.
-    maybe
+    maybe, refused
         As for :class:`quatprop.batch.logs.FoundLog`.
     """
 
@@ -53,6 +61,7 @@ class BatchTask(NamedTuple):
     output: str
     name: str
     maybe: bool = False
+    refused: str = ""
 
     @property
     def log(self) -> str:
@@ -148,7 +157,8 @@ def plan(
     paths = output_paths(logs, folder, suffix)
     inputs = [*(log.path for log in logs), *job.settings.inputs.values()]
     if not is_address(folder):
-        refuse_overlap(inputs, [*paths, *manifest.files])
+        usable = [path for log, path in zip(logs, paths, strict=True) if not log.refused]
+        refuse_overlap(inputs, [*usable, *manifest.files])
     elif replaced := {log_name(name) for name in inputs} & {log_name(path) for path in paths}:
         raise OutputError(min(replaced), "this is an input of the run; choose another output")
     owners = manifest.entries()
@@ -162,7 +172,7 @@ def plan(
                 f"{quoted(log_name(log.path))}; ",
                 OTHER_OUTPUT,
             )
-        tasks.append(BatchTask(log.path, path, name, log.maybe))
+        tasks.append(BatchTask(log.path, path, name, log.maybe, log.refused))
     return tasks
 
 
@@ -198,7 +208,7 @@ def propagate_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
     """Propagate one log; an error becomes its result."""
     began = time.perf_counter()
     # Before the log is read: if it changes meanwhile, the next batch propagates it again.
-    origin = settings.origin(task)
+    origin = None if task.refused else settings.origin(task)
     try:
         result = _done(task, settings)
     except QuatpropError as error:
@@ -221,7 +231,10 @@ def propagate_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
 
 def _done(task: BatchTask, settings: BatchSettings) -> BatchResult:
     """Propagate one log; an output for an object store is made here, and copied there."""
+    if task.refused:
+        raise UnsupportedLogError(task.log, task.refused)
     if not is_address(task.output):
+        refuse_outside(task.output, task.output.removesuffix(task.name))
         os.makedirs(os.path.dirname(task.output) or ".", exist_ok=True)  # noqa: PTH103, PTH120
         return _propagated(task, settings, task.output)
     temp = temp_folder()

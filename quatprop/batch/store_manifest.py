@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
-from quatprop.batch.manifest import Manifest, ManifestEntry, entries_in, json_line, write_table
-from quatprop.containers.stores import below, is_address, list_objects
+from quatprop.batch.entries import ManifestEntry, entries_in, json_line
+from quatprop.batch.manifest import Manifest, write_table
+from quatprop.containers.stores import below, is_address, list_objects, without_secret
 from quatprop.containers.transfers import get, put, upload
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ class StoreManifest(Manifest):
     def __init__(self, folder: str) -> None:
         self._folder = folder
         self.files = ()
+        self.place, self.unused = without_secret(below(folder, self.NAME)), []
         self._part = ""
         self._lines: list[bytes] = []
 
@@ -105,7 +107,7 @@ class StoreManifest(Manifest):
         with ThreadPoolExecutor(REQUESTS) as pool:
             addresses = [below(self._folder, name) for name in whole + parts]
             for content in pool.map(get, addresses):
-                yield from entries_in(content.splitlines())
+                yield from entries_in(content.splitlines(), self.unused)
 
     def _parts(self) -> list[tuple[str, int]]:
         objects = list_objects(below(self._folder, "manifest"), missing_ok=True)

@@ -15,6 +15,8 @@ from quatprop.plot.errors import pair_page
 from quatprop.plot.target import PictureFile
 from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
 from quatprop.writers import open_writer
+from quatprop.writers.atomic import open_atomic
+from quatprop.writers.targets import refuse_outside
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -43,17 +45,20 @@ def write_artifacts(case: Case, pin: Pin | None, folder: Path) -> Path:
         The case cannot be run, or a file cannot be written.
     """
     place = folder / quote(case.name, safe=" @+").replace(".", "%2E", case.name.startswith("."))
+    series, page, commands = (
+        place / name for name in ("attitude.parquet", "error.html", "commands.txt")
+    )
+    for file in (series, page, commands):
+        refuse_outside(file, folder)
     place.mkdir(parents=True, exist_ok=True)
     every = pin.every if pin else None
     run = propagate_case(case, every)
-    series = place / "attitude.parquet"
     with open_writer(series, "parquet", layout="scalar-first") as writer:
         writer.write(run.series)
         writer.commit(run.report.as_json())
     reference = case.external or AttitudeInput(str(case.reference), "parquet")
-    commands = _commands(case, every, str(series), reference.path)
-    (place / "commands.txt").write_text(f"{commands}\n", encoding="utf-8")
-    page = place / "error.html"
+    with open_atomic(commands) as stream:
+        stream.write(f"{_commands(case, every, str(series), reference.path)}\n".encode())
     try:
         a, b = load_attitudes(AttitudeInput(str(series), "parquet")), load_attitudes(reference)
         comparison = compare(a.series, b.series, case.comparison)
@@ -62,7 +67,8 @@ def write_artifacts(case: Case, pin: Pin | None, folder: Path) -> Path:
     except QuatpropError as error:
         # No matplotlib, or nothing to compare: a page of this says so.
         text = escape(sentence(error), quote=False)
-        page.write_text(f"<!doctype html>\n<p>{text}</p>\n", encoding="utf-8")
+        with open_atomic(page) as stream:
+            stream.write(f"<!doctype html>\n<p>{text}</p>\n".encode())
     return place
 
 

@@ -14,12 +14,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.errors import LogError, SuiteError, UnreadableLogError, os_reason
+from quatprop.guarded_text import ContentError, read_bytes, read_json
 from quatprop.provenance import JsonObject, as_json, digest_of
 from quatprop.text import Setting, Text
 from quatprop.writers.atomic import open_atomic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+
+MAX_LOCK = 1 << 27
+"""Bytes of a lock, which has about a thousand for each case."""
 
 CONFLICT_MARKERS = ("<<<<<<<", "=======", ">>>>>>>")
 """How lines begin that an unfinished merge leaves."""
@@ -93,13 +97,15 @@ def read_lock(path: Path) -> dict[str, Pin]:
         The lock is not what an update writes.
     """
     try:
-        content = path.read_bytes()
+        content = read_bytes(path, MAX_LOCK)
     except FileNotFoundError:
         return {}
     except OSError as error:
         raise SuiteError(path, os_reason(error)) from error
+    except ContentError as error:
+        raise SuiteError(path, str(error)) from error
     try:
-        return {name: _pin(entry) for name, entry in json.loads(content)["cases"].items()}
+        return {name: _pin(entry) for name, entry in read_json(content)["cases"].items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise SuiteError(path, _what_is_wrong(content.decode(errors="replace"))) from error
 

@@ -49,7 +49,7 @@ def select_cases(
 
 
 def run_case(
-    pinned: PinnedCase, *, updating: bool = False, artifacts: Path | None = None
+    pinned: PinnedCase, *, updating: Path | None = None, artifacts: Path | None = None
 ) -> CaseResult:
     """Judge or update a case; an error becomes its result.
 
@@ -58,7 +58,7 @@ def run_case(
     pinned
         The case, and what it depended on when it was last updated.
     updating
-        Write its reference anew instead of judging.
+        Write its reference anew, in this folder, instead of judging.
     artifacts
         Where to keep the evidence of a failure; None: nowhere.
     """
@@ -68,7 +68,10 @@ def run_case(
     began = time.perf_counter()
     try:
         # An update would make a known failure pass.
-        result = (update if updating and not (case.xfail and pin) else judge)(case, pin)
+        if updating is None or (case.xfail and pin):
+            result = judge(case, pin)
+        else:
+            result = update(case, pin, updating)
         if artifacts is not None and result.verdict == "fail":
             evidence = _keep_evidence(case, pin, artifacts)
             result = result._replace(reason=f"{result.reason}; {evidence}")
@@ -125,7 +128,7 @@ def run_cases(
             new_pins[result.name] = result.pin
 
     pinned = [(case, pins.get(case.name)) for case in cases]
-    work = partial(run_case, updating=lock is not None, artifacts=artifacts)
+    work = partial(run_case, updating=lock and lock.parent, artifacts=artifacts)
     results = map_processes(work, pinned, processes, _killed, record=record)
     try:
         with closing(results):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import os
 import re
-import tomllib
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import SuiteError, os_reason
+from quatprop.guarded_text import ContentError, read_bytes, read_toml
 from quatprop.text import listed, quoted
 from quatprop.writers.atomic import open_atomic
 
@@ -71,14 +71,12 @@ def read_suite(path: Path | str) -> Suite:
     """
     path = Path(path)
     try:
-        text = path.read_bytes().decode("utf-8-sig")
-        tables = tomllib.loads(text)
+        text = read_bytes(path)
+        tables = read_toml(text)
     except OSError as error:
         raise SuiteError(path, os_reason(error)) from error
-    except UnicodeDecodeError as error:
-        raise SuiteError(path, f"it is not UTF-8 text: byte {error.start}") from error
-    except tomllib.TOMLDecodeError as error:
-        raise SuiteError(path, f"it is not TOML: {error}") from error
+    except ContentError as error:
+        raise SuiteError(path, str(error)) from error
     if unknown := tables.keys() - {"defaults", "case"}:
         raise SuiteError(path, f"unknown {listed(sorted(unknown))}; {SHAPE}")
     defaults, cases = tables.get("defaults", {}), tables.get("case", {})
@@ -90,7 +88,7 @@ def read_suite(path: Path | str) -> Suite:
             raise SuiteError(path, f"{quoted(name)} is not a table; {SHAPE}")
     if not cases:
         raise SuiteError(path, f"it has no cases; {SHAPE}")
-    lines = text.splitlines()
+    lines = text.decode("utf-8-sig").splitlines()
     case_tables = (
         CaseTable(name, {**defaults, **case}, _line_of(name, lines)) for name, case in cases.items()
     )

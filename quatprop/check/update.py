@@ -30,23 +30,32 @@ from quatprop.check.reference import (
 from quatprop.check.spelling import sentence
 from quatprop.errors import QuatpropError
 from quatprop.text import plain
-from quatprop.writers.targets import refuse_overlap
+from quatprop.writers.targets import refuse_outside, refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 
-def update(case: Case, pin: Pin | None) -> CaseResult:
+def update(case: Case, pin: Pin | None, folder: Path) -> CaseResult:
     """Write the reference of a case, and return what to pin.
 
     A case that passes is left as it is: references that moved a little at every update would
     drift.
+
+    Parameters
+    ----------
+    case, pin
+        The case, and what it depended on when it was last updated.
+    folder
+        That of the suite, in which references are written.
 
     Raises
     ------
     QuatpropError
         The case cannot be run, or its reference cannot be written.
     """
+    if case.reference is not None:
+        refuse_outside(case.reference, folder)
     hashes = hash_inputs(case)
     if case.reference is not None:
         refuse_overlap(case.inputs.values(), [case.reference])

@@ -10,10 +10,14 @@ from __future__ import annotations
 import gc
 import os
 import sys
+from importlib import import_module
 from typing import NoReturn
 
 FAILED = 2
 """Exit code of wrong usage, unreadable input and outputs that cannot be written."""
+
+COMPLETE = "_QUATPROP_COMPLETE"
+"""Environment variable: set by shells that ask what a word could be."""
 
 NEW_OBJECTS = 100_000
 """After so many new objects garbage is looked for: modules make many, and none of it is garbage."""
@@ -49,6 +53,8 @@ def run() -> None:
     handle_signals()
     from quatprop.cli.commands import cli
 
+    if COMPLETE in os.environ:
+        import_module("quatprop.cli.bash_completion")  # in place of click's
     try:
         cli(prog_name="quatprop")
     except OSError:

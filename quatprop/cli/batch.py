@@ -108,6 +108,7 @@ def command(
     # Whoever propagates a log may do so in another folder.
     job = propagate.job_of({**chosen, **paths}, Path.cwd())
     planned = plan(search.logs, job, folder, suffix, manifest)
+    _warn_of_unused(manifest)
     settings = BatchSettings.of(job, reports=as_json, spell=spelled)
     tasks = outdated(planned, settings, manifest) if chosen["skip_existing"] else planned
     skipped = set(planned).difference(tasks)
@@ -156,6 +157,17 @@ def _search(names: Iterable[str], folder: str, chosen: Mapping[str, Any]) -> Log
     if chosen["shard"]:
         search.logs = shard(search.logs, chosen["shard"])
     return search
+
+
+def _warn_of_unused(manifest: Manifest) -> None:
+    """Say that lines of the manifest cannot be used."""
+    if lines := manifest.unused:
+        where = f"line {lines[0]}" + f" and {len(lines) - 1} more" * (len(lines) > 1)
+        click.echo(
+            f"Warning: {plain(manifest.place)}: {where}: not what a batch writes; ignored, so that "
+            "a log may be propagated again",
+            err=True,
+        )
 
 
 def _results(

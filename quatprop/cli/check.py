@@ -101,6 +101,7 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
     from quatprop.check.judge import explain
     from quatprop.check.lock import read_lock
     from quatprop.check.runner import select_cases
+    from quatprop.writers.targets import refuse_outside
 
     if options["init"] != bool(logs):
         raise click.UsageError("--init needs a LOG for each case, and nothing else takes one")
@@ -119,6 +120,8 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
             return 0
         _refuse_overlap(loaded, all_cases, options["junit"])
         lock = loaded.lock if options["update"] or options["init"] else None
+        if lock is not None:
+            refuse_outside(lock, lock.parent)
         results = _run(cases, pins, lock, options)
     if options["init"] and not options["as_json"]:
         _report_new(loaded, results)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import CompletionItem, get_completion_class
 
+from quatprop.cli import COMPLETE
 from quatprop.cli.help import SIDES, Command
 from quatprop.settings.parsers import FILE_SETTINGS
 
@@ -42,12 +43,13 @@ def command(shell: str) -> None:
     bash needs its package bash-completion for that. Without it, put this into ~/.bashrc:
     source <(quatprop completion bash)
     """
+    from quatprop.cli.bash_completion import Bash
     from quatprop.cli.commands import cli
 
-    script = get_completion_class(shell)
-    if script is None:  # pragma: no cover  # click has all three
+    script = Bash if shell == "bash" else get_completion_class(shell)
+    if script is None:  # pragma: no cover  # click has the others
         raise click.UsageError(f"there is no completion for {shell}")
-    click.echo(script(cli, {}, "quatprop", "_QUATPROP_COMPLETE").source())
+    click.echo(script(cli, {}, "quatprop", COMPLETE).source())
 
 
 def values(name: str, ctx: click.Context, incomplete: str) -> list[CompletionItem[str]]:
@@ -72,7 +74,12 @@ def values(name: str, ctx: click.Context, incomplete: str) -> list[CompletionIte
     # Of columns that are listed, the last is completed.
     done, comma, begun = incomplete.rpartition(",") if setting.endswith("_cols") else ("", "", "")
     begun = begun if comma else incomplete
-    names = (found for found in _names_in(log, setting, ctx) if found not in done.split(","))
+    # A line or a tab would end a value, and the terminal would obey control characters.
+    names = (
+        found
+        for found in _names_in(log, setting, ctx)
+        if found and found.isprintable() and found not in done.split(",")
+    )
     return [CompletionItem(done + comma + found) for found in names if found.startswith(begun)]
 
 

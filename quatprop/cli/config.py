@@ -10,6 +10,7 @@ import click
 
 from quatprop.cli.spelling import option
 from quatprop.cli.types import PATH, content_of
+from quatprop.guarded_text import ContentError, read_toml
 from quatprop.provenance import as_json
 from quatprop.settings.parsers import file_beside
 from quatprop.text import Setting, did_you_mean, plain, quoted
@@ -24,12 +25,10 @@ ONE_RUN = {"config", "output", "folder", "into", "report", "plot", "help", "help
 def _read(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> None:
     if name is None or ctx.resilient_parsing:
         return
-    import tomllib
-
     try:
-        table = tomllib.loads(content_of(name).decode("utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise click.UsageError(f"{name}: it is not TOML: {error}") from error
+        table = read_toml(content_of(name))
+    except ContentError as error:
+        raise click.UsageError(f"{plain(name)}: {error}") from error
     ctx.default_map = {**(ctx.default_map or {}), **_defaults(ctx, name, table)}
 
 

@@ -8,6 +8,7 @@ import click
 
 from quatprop.cli.spelling import sentence
 from quatprop.errors import UsageError, os_reason
+from quatprop.guarded_text import MAX_BYTES, ContentError, read_bytes
 from quatprop.settings.parsers import Parser, choice_named
 from quatprop.text import did_you_mean
 
@@ -36,7 +37,9 @@ def content_of(name: str) -> bytes:
     """Return the content of a file that an option names; of ``-``, what stdin gives."""
     try:
         with click.open_file(name, "rb") as file:
-            return bytes(file.read())
+            return read_bytes(file, MAX_BYTES * 4)
+    except ContentError as error:
+        raise click.UsageError(f"{name}: {error}") from error
     except OSError as error:
         raise click.UsageError(f"{name}: {os_reason(error)}") from error
 

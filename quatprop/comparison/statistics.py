@@ -12,6 +12,7 @@ from quatprop.blocks import blocks
 from quatprop.comparison.settings import BY_ALL
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import conjugate, geodesic_angle, log, multiply, shorter
+from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.text import Setting
 from quatprop.times import duration_text
 
@@ -182,15 +183,18 @@ def sigma_statistics(
     alignment
         How B is rotated.
     """
-    known = [(one.t_ns, one.covariance) for one in (a, b) if one.covariance is not None]
+    known = [one for one in (a, b) if one.covariance is not None]
     if not known:
         return None
+    mount = conjugate(alignment.mount_wxyz)
     distances, angles = np.empty((2, len(pairs)))
     is_exact, axes = np.empty(len(pairs), np.bool_), np.empty((len(pairs), 3))
     for rows in blocks(len(pairs)):
         covariance = np.zeros((len(pairs.t_ns[rows]), 3, 3))
-        for t_ns, covariances in known:
-            covariance += _interpolated(t_ns, covariances, pairs.t_ns[rows])
+        for one in known:
+            part = _interpolated(one, pairs.t_ns[rows])
+            # Errors are about A's body axes.
+            covariance += reference_covariance(mount, part) if one is b else part
         is_known = np.isfinite(covariance).all(axis=(1, 2))
         covariance[~is_known] = 0.0
         axes[rows] = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
@@ -231,8 +235,9 @@ def _distances(error: Float64, covariance: Float64) -> Float64:
     return distances
 
 
-def _interpolated(t_ns: Int64, covariances: Float64, wanted_ns: Int64) -> Float64:
-    """Return covariances at wanted times, ``(N, 3, 3)``, linear in between."""
+def _interpolated(series: AttitudeSeries, wanted_ns: Int64) -> Float64:
+    """Return the covariances of a series at wanted times, ``(N, 3, 3)``, linear in between."""
+    t_ns, covariances = series.t_ns, np.asarray(series.covariance)
     wanted, known = (np.asarray(times - t_ns[0], np.float64) for times in (wanted_ns, t_ns))
     columns = covariances.reshape(-1, 9).T
     values = [np.interp(wanted, known, column) for column in columns]

@@ -1,18 +1,27 @@
 """Conditioning of rates before they are propagated: calibration, mounting, time range.
 
-Each step is a map over batches, so memory stays constant. The order is fixed: the bias is
-subtracted in the axes of the raw rates, scale and misalignment are corrected, then sensor axes are
-converted to body axes.
+Each step is a map over batches, so memory stays constant. The order is fixed: stamps that go
+backwards, the time range, rates that are not finite; then the bias is subtracted in the axes of the
+raw rates, scale and misalignment are corrected, and sensor axes are converted to body axes.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from quatprop.conditioning.mounting import FrameMounting, mounting
-from quatprop.conditioning.time_range import PartOfLog, PartReader, absolute_range, clipped, ends_of
+from quatprop.conditioning.time_range import (
+    Ends,
+    EndsFinder,
+    PartOfLog,
+    PartReader,
+    absolute_range,
+    clipped,
+    pause_remarks,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -22,6 +31,8 @@ if TYPE_CHECKING:
     from quatprop.conditioning.cells import Rows
     from quatprop.conditioning.static_detection import Rest
     from quatprop.series import GyroSeries
+    from quatprop.text import Text
+    from quatprop.timeline import Timeline
     from quatprop.times import Instant
 
 
@@ -114,7 +125,7 @@ class ConditioningReport(NamedTuple):
     outside
         Samples left out before and after that part, so far; those that were read.
     remarks
-        What of the calibration is not applied.
+        What of the calibration is not applied, and pauses from which relative times count.
     part
         The part of the log that was read, where it was not the whole.
     """
@@ -128,17 +139,18 @@ class ConditioningReport(NamedTuple):
     start_ns: int | None
     end_ns: int | None
     outside: list[int]
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[str | Text, ...] = ()
     part: PartOfLog | None = None
 
     @property
-    def all_remarks(self) -> list[str]:
+    def all_remarks(self) -> list[str | Text]:
         """What a reader should know, once all samples have passed."""
         return [*self.remarks, *(self.bias_series.remarks() if self.bias_series else ())]
 
 
-def condition(
+def condition(  # noqa: PLR0913  # samples, what to do, and what is known
     read: Callable[[], Iterable[GyroSeries]],
+    timeline: Timeline,
     settings: Conditioning,
     unit: float,
     inputs: ConditioningInputs,
@@ -151,6 +163,8 @@ def condition(
     ----------
     read
         Reads the samples; called twice where the conditioning looks ahead.
+    timeline
+        Orders them, and deals with rates that are not finite.
     settings
         What to do.
     unit
@@ -170,17 +184,16 @@ def condition(
     Raises
     ------
     UsageError
-        The log has no rest to take a bias from, the mounting is not a rotation, or the part ends
-        before it starts.
+        The log has no rest, the mounting is not a rotation, or the part ends before it starts.
     """
-    mount = None if inputs.mounting is None else inputs.mounting.matrix
-    if mount is None and settings.mount is not None:
-        mount = mounting(settings.mount)
+    mount = None if settings.mount is None or inputs.mounting else mounting(settings.mount)
+    mount = inputs.mounting.matrix if inputs.mounting else mount
     matrix, bias, remarks = _calibration_of(settings, inputs)
     clips = settings.start is not None or settings.end is not None
     parts = part_reader() if clips else None
-    first_ns, last_ns, rest = _look_ahead(read, settings, inputs, parts)
-    start_ns, end_ns = absolute_range(settings, first_ns, last_ns)
+    ends, rest = _look_ahead(read, timeline, settings, inputs, parts)
+    start_ns, end_ns = absolute_range(settings, ends)
+    remarks = (*remarks, *pause_remarks(settings, ends))
     if rest is not None:
         bias, remarks = rest.mean_rad_s, (*remarks, *rest.remarks)
     if settings.bias is not None:
@@ -199,12 +212,15 @@ def condition(
         remarks=remarks,
         part=part,
     )
+    numbered, outside = timeline.ordered(batches), report.outside
     if clips:
-        batches = clipped(batches, start_ns, end_ns, report.outside)
+        inside = clipped(numbered, settings, start_ns, end_ns, outside)
+        numbered = timeline.without(inside, outside)
     # Rates in the reference frame are not turned by the mounting.
     if mount is not None and settings.rates == "body":
         matrix = mount if matrix is None else mount @ matrix
-    return conditioned(batches, bias=inputs.biases or bias, matrix=matrix), report
+    used = timeline.finite(numbered)
+    return conditioned(used, bias=inputs.biases or bias, matrix=matrix), report
 
 
 def _calibration_of(
@@ -221,21 +237,27 @@ def _calibration_of(
 
 def _look_ahead(
     read: Callable[[], Iterable[GyroSeries]],
+    timeline: Timeline,
     settings: Conditioning,
     inputs: ConditioningInputs,
     parts: PartReader | None,
-) -> tuple[int, int, Rest | None]:
-    """Return the first and the last stamp, ns, and the rest, where they matter."""
+) -> tuple[Ends, Rest | None]:
+    """Return the first and the last sample, and the rest, where they matter."""
     if not settings.looks_ahead:
-        return 0, 0, None
+        return Ends(0, 0), None
+    if settings.static_ns is None and parts is not None and (ends := parts.ends()) is not None:
+        return ends, None
+    finder = EndsFinder(earliest=timeline.policy.on_backwards == "sort")
+    samples = timeline.looked_ahead(read(), finder.add)
     if settings.static_ns is None:
-        return *((parts and parts.ends()) or ends_of(batch.t_ns for batch in read())), None
+        deque(samples, maxlen=0)
+        return finder.ends(), None
     from quatprop.conditioning.cells import cells_of
     from quatprop.conditioning.static_detection import find_rest
 
-    cells = cells_of(((batch.t_ns, batch.rate) for batch in read()), settings.static_ns // 2 or 1)
-    rest = find_rest(cells, inputs, settings.static_ns)
-    return rest.searched_first_ns, rest.searched_last_ns, rest
+    cells = cells_of(((each.t_ns, each.rate) for each in samples), settings.static_ns // 2 or 1)
+    rest = find_rest(cells, inputs, settings.static_ns, settings.rates)
+    return finder.ends(), rest
 
 
 def conditioned(

@@ -14,7 +14,7 @@ import numpy as np
 
 from quatprop.conditioning.cells import cells_beside, mean_of, merged, outer_products, scatter_of
 from quatprop.errors import UsageError
-from quatprop.kinematics.quaternion import conjugate, log, multiply, shorter
+from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.text import Setting
 from quatprop.times import duration_text
 
@@ -92,7 +92,9 @@ class Rest(NamedTuple):
         return (remark,)
 
 
-def find_rest(rates: Cells, inputs: ConditioningInputs, shortest_ns: int) -> Rest:
+def find_rest(
+    rates: Cells, inputs: ConditioningInputs, shortest_ns: int, frame: str = "body"
+) -> Rest:
     """Return the rest of a log from which the bias is taken.
 
     Of periods whose means do not agree the slowest shows the bias: a body that turns steadily is
@@ -106,6 +108,8 @@ def find_rest(rates: Cells, inputs: ConditioningInputs, shortest_ns: int) -> Res
         What else was measured.
     shortest_ns
         The shortest time that counts as rest.
+    frame
+        ``"body"`` or ``"inertial"``: that in which the rates are resolved.
 
     Raises
     ------
@@ -127,7 +131,7 @@ def find_rest(rates: Cells, inputs: ConditioningInputs, shortest_ns: int) -> Res
     own = None if inputs.orientation is None else outer_products(inputs.orientation())
     orientations = None if own is None else cells_beside(rates, own, cell_ns, 16)
     if orientations is not None:
-        periods = _not_turning(rates, orientations, periods)
+        periods = _not_turning(rates, orientations, periods, frame)
         steady.append("orientation")
     rests = np.concatenate([merged(rates[period], np.array([0])) for period in periods])
     mean = mean_of(rests)
@@ -233,7 +237,7 @@ def _changes(cells: Cells, agreement: float) -> Bool:
     return np.asarray(apart > np.maximum(agreement, NOISE * error))
 
 
-def _not_turning(rates: Cells, orientations: Cells, periods: list[Intp]) -> list[Intp]:
+def _not_turning(rates: Cells, orientations: Cells, periods: list[Intp], frame: str) -> list[Intp]:
     """Return the periods in which the orientation does not turn as the rates say.
 
     An orientation that drifts or settles while the rates say otherwise shows no rotation.
@@ -245,8 +249,7 @@ def _not_turning(rates: Cells, orientations: Cells, periods: list[Intp]) -> list
         if len(own) > 1:
             # The mean attitude, whatever the signs, is the principal axis of the sum of q q^T.
             wxyz = np.linalg.eigh(own["total"].reshape(-1, 4, 4))[1][:, :, -1]
-            steps = multiply(conjugate(wxyz[:-1]), wxyz[1:])
-            turned = log(shorter(steps)).sum(axis=0)
+            turned = rotation_vectors_between(wxyz, rates=frame).sum(axis=0)
             middle = (own["first_ns"] // 2 + own["last_ns"] // 2).astype(np.float64)
             turn = turned / ((middle[-1] - middle[0]) * 1e-9)
             mean = mean_of(merged(rates[period], np.array([0])))[0]

@@ -8,6 +8,7 @@ import numpy as np
 
 from quatprop.errors import UsageError
 from quatprop.text import Setting, Text
+from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -22,6 +23,10 @@ Series = TypeVar("Series", "GyroSeries", "AttitudeSeries")
 
 _NOT_NS = 100_000
 """A stamp this many times the start that is asked for shows that the start is not in ns."""
+
+
+_FEW_NS = 1_000_000
+"""A number below this that does not reach the second sample is meant in seconds."""
 
 
 class PartOfLog(NamedTuple):
@@ -43,8 +48,8 @@ class PartOfLog(NamedTuple):
 class PartReader(Protocol):
     """Reads parts of a log by its index."""
 
-    def ends(self) -> tuple[int, int] | None:
-        """Return the first and the last stamp, ns; None where only the whole log tells them."""
+    def ends(self) -> Ends | None:
+        """Return the first and the last stamp; None where only the whole log tells them."""
 
     def read(
         self, first_ns: int | None, last_ns: int | None
@@ -55,42 +60,118 @@ class PartReader(Protocol):
         """
 
 
-def ends_of(stamps: Iterable[Int64]) -> tuple[int, int]:
-    """Return the earliest and the latest of batches of stamps, ns; 0 where there is none."""
-    ends = [(int(t_ns.min()), int(t_ns.max())) for t_ns in stamps if len(t_ns)]
-    return min((first for first, _ in ends), default=0), max((last for _, last in ends), default=0)
+class Ends(NamedTuple):
+    """The first and the last sample of a log, from which relative times count.
+
+    Parameters
+    ----------
+    first_ns, last_ns
+        Their stamps, ns.
+    pauses
+        The stamps before and after a pause close to the first sample, and close to the last, ns;
+        None where there is none.
+    """
+
+    first_ns: int
+    last_ns: int
+    pauses: tuple[tuple[int, int] | None, tuple[int, int] | None] = (None, None)
 
 
-def absolute_range(
-    settings: Conditioning, first_ns: int, last_ns: int
-) -> tuple[int | None, int | None]:
+NEAR_END = 32
+"""A pause is close to an end of the log if no more samples are between."""
+
+
+class EndsFinder:
+    """Finds the first and the last sample that a policy for stamps leaves.
+
+    Parameters
+    ----------
+    earliest
+        Whether the first sample is the earliest, as of a sorted log, instead of the first read.
+    """
+
+    def __init__(self, *, earliest: bool = False) -> None:
+        self._earliest = earliest
+        self._head = self._tail = np.empty(0, np.int64)
+
+    def add(self, t_ns: Int64) -> None:
+        """Add the next stamps, outliers left out, shape ``(N,)``, int64 ns."""
+        some = 2 * NEAR_END
+        if self._earliest:
+            self._head = np.sort(np.concatenate([self._head, t_ns]))[:some]
+        elif len(self._head) < some:
+            self._head = np.concatenate([self._head, t_ns[:some]])[:some]
+        if not (t_ns[1:] >= t_ns[:-1]).all():
+            t_ns = np.sort(t_ns)
+        self._tail = np.sort(np.concatenate([self._tail, t_ns[-some:]]))[-some:]
+
+    def ends(self) -> Ends:
+        """Return what was found; zeros where there was no sample."""
+        if not len(self._head):
+            return Ends(0, 0)
+        # What is earlier than the first is dropped, or refused.
+        head = np.sort(self._head[self._head >= self._head[0]])
+        tail = self._tail
+        near = (head[: NEAR_END + 1], head), (tail[-NEAR_END - 1 :], tail)
+        first, last = (_longest_pause(*stamps) for stamps in near)
+        return Ends(int(head[0]), int(tail[-1]), (first, last))
+
+
+def _longest_pause(t_ns: Int64, around: Int64) -> tuple[int, int] | None:
+    """Return the stamps before and after the longest interval, if it is a gap among others."""
+    intervals = np.diff(around)
+    intervals = np.sort(intervals[intervals > 0])
+    if len(t_ns) < 2 or not len(intervals):  # noqa: PLR2004  # ends of an interval
+        return None
+    longest = int(np.argmax(np.diff(t_ns)))
+    before, after = t_ns[longest : longest + 2].tolist()
+    is_gap = after - before > GAP_FACTOR * int(intervals[(len(intervals) - 1) // 2])
+    return (before, after) if is_gap else None
+
+
+def absolute_range(settings: Conditioning, ends: Ends) -> tuple[int | None, int | None]:
     """Return the first and the last stamp to use, ns; None is open.
 
     Parameters
     ----------
     settings
         What is asked for.
-    first_ns, last_ns
-        The earliest and the latest stamp of the log.
+    ends
+        The first and the last stamp of the log; only those that are counted from matter.
 
     Raises
     ------
     UsageError
         The range ends before it starts.
     """
-    origins = {"clock": 0, "first": first_ns, "last": last_ns}
+    origins = {"clock": 0, "first": ends.first_ns, "last": ends.last_ns}
     start_ns, end_ns = (
         None if instant is None else instant.ns + origins[instant.origin]
         for instant in (settings.start, settings.end)
     )
     if settings.start is not None and settings.start.origin == "last":
-        start_ns = max(settings.start.ns + last_ns, first_ns)
+        start_ns = max(settings.start.ns + ends.last_ns, ends.first_ns)
     if start_ns is not None and end_ns is not None and start_ns > end_ns:
         raise UsageError(
             f"{Setting('start')} is {duration_text(start_ns - end_ns)} after {Setting('end')}; "
             "swap them, or check units"
         )
     return start_ns, end_ns
+
+
+def pause_remarks(settings: Conditioning, ends: Ends) -> Iterator[Text]:
+    """Yield a remark for each end of the range that counts from a sample beside a pause."""
+    for name, instant in (("start", settings.start), ("end", settings.end)):
+        if instant is None or instant.origin == "clock":
+            continue
+        pause = ends.pauses[instant.origin == "last"]
+        if pause is not None:
+            anchor = ends.last_ns if instant.origin == "last" else ends.first_ns
+            yield Text(
+                f"{Setting(name)} counts from the {instant.origin} sample, at {anchor} ns, close "
+                f"to a pause of {duration_text(pause[1] - pause[0])} from {pause[0]} to {pause[1]} "
+                "ns; if a clock was wrong there, give an absolute time"
+            )
 
 
 def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> Iterator[Text]:
@@ -120,30 +201,59 @@ def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> Iter
 
 
 def clipped(
-    batches: Iterable[Series], start_ns: int | None, end_ns: int | None, outside: list[int]
-) -> Iterator[Series]:
+    numbered: Iterable[tuple[Series, Int64]],
+    settings: Conditioning,
+    start_ns: int | None,
+    end_ns: int | None,
+    outside: list[int],
+) -> Iterator[tuple[Series, Int64]]:
     """Yield the samples with start <= t <= end; None leaves an end open.
 
-    The samples before and after are counted in the two numbers of `outside`.
+    Parameters
+    ----------
+    numbered
+        Samples, and which of those that were read they are.
+    settings
+        What was asked for.
+    start_ns, end_ns
+        The range, as :func:`absolute_range` returns it.
+    outside
+        The samples before and after are counted in its two numbers.
 
     Raises
     ------
     UsageError
-        The start is so far before the first sample that it must be in seconds or milliseconds.
+        A number is so small that it must be in seconds or milliseconds.
     """
-    low = np.iinfo(np.int64).min if start_ns is None else start_ns
-    high = np.iinfo(np.int64).max if end_ns is None else end_ns
-    for number, batch in enumerate(batches):
-        if not number and low > 0 and any(batch.t_ns[:1] // low >= _NOT_NS):
-            raise UsageError(
-                f"{Setting('start')} is at {low} ns, and the first sample at {batch.t_ns[0]} ns; a "
-                "number without a unit is in ns: write all digits, a date, or a duration from the "
-                "first sample such as +5s"
-            )
+    first, last = np.iinfo(np.int64).min, np.iinfo(np.int64).max
+    # A date may be beyond what a clock of 64 bits can say.
+    low = first if start_ns is None else min(max(start_ns, first), last)
+    high = last if end_ns is None else min(max(end_ns, first), last)
+    for number, (batch, rows) in enumerate(numbered):
+        if not number:
+            _refuse_seconds(settings, batch.t_ns[:2].tolist())
         inside = (batch.t_ns >= low) & (batch.t_ns <= high)
         outside[0] += int(np.count_nonzero(batch.t_ns < low))
         outside[1] += int(np.count_nonzero(batch.t_ns > high))
         if inside.all():
-            yield batch
+            yield batch, rows
         elif inside.any():
-            yield batch[inside]
+            yield batch[inside], rows[inside]
+
+
+def _refuse_seconds(settings: Conditioning, first: list[int]) -> None:
+    """Refuse times that cannot be in ns, given the first two stamps of the log."""
+    for name, instant in (("start", settings.start), ("end", settings.end)):
+        if instant is None or instant.origin != "clock" or instant.ns <= 0:
+            continue
+        if instant.ns < _FEW_NS and instant.ns < first[-1]:
+            raise UsageError(
+                f"{Setting(name, str(instant.ns))} is a time of the log's clock in ns, not in "
+                f"seconds; write {instant.ns}s for seconds after the first sample"
+            )
+        if name == "start" and first[0] // instant.ns >= _NOT_NS:
+            raise UsageError(
+                f"{Setting('start')} is at {instant.ns} ns, and the first sample at {first[0]} ns; "
+                "a number without a unit is in ns: write all digits, a date, or a duration from "
+                "the first sample such as +5s"
+            )

@@ -5,16 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from contextlib import closing
 from dataclasses import dataclass, replace
-from itertools import accumulate
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
-from quatprop.containers.coalesce import join_blocks
 from quatprop.containers.file_source import FileSource, source_of
 from quatprop.containers.limits import DecompressionBudget
-from quatprop.containers.loading import LARGE, Buffers, ChunkGroup, load_in_groups
+from quatprop.containers.loading import LARGE, load_ahead
 from quatprop.containers.time_range import TimedPart, TimeRange, parts_within, span_of
 from quatprop.errors import UnreadableLogError, os_reason
 
@@ -144,7 +142,6 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
     def __init__(self, source: FileSource) -> None:
         self.source = source
         self.budget = DecompressionBudget(source.size)
-        self._buffers = Buffers()
 
     @abstractmethod
     def expected(self, chunk: Chunk) -> list[tuple[int, int]]:
@@ -159,18 +156,8 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         """Return whether a chunk is known to hold other channels, and where its messages are."""
 
     @abstractmethod
-    def whole(self, chunk: Chunk, into: Bytes | None = None) -> Content:
-        """Return the records of a chunk.
-
-        Called in other threads.
-
-        Parameters
-        ----------
-        chunk
-            The chunk.
-        into
-            Memory for them; those of another size have memory of their own.
-        """
+    def whole(self, chunk: Chunk) -> Content:
+        """Return the records of a chunk. Called in other threads."""
 
     @abstractmethod
     def selected(self, chunk: Chunk, whole: Content | None = None) -> Content | None:
@@ -191,8 +178,8 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         """Return the messages that were selected; None where they are others."""
 
     @abstractmethod
-    def only_messages(self, data: Bytes, first: Chunk) -> tuple[MessageBlock, int] | None:
-        """Return the messages of several chunks, and the id that they all have in the chunks.
+    def only_messages(self, data: Bytes, chunk: Chunk) -> tuple[MessageBlock, int] | None:
+        """Return the messages of a chunk, and the id that they all have in it.
 
         None where anything else is between them, or they differ in length.
         """
@@ -214,15 +201,13 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         Chunks are read and decompressed ahead, in threads.
         """
         self._announce(chunks)
-        bounds = [*(chunk.first_ns for chunk in chunks), LATEST]
+        bounds = [*(chunk.first_ns for chunk in chunks[1:]), LATEST]
         sized = ((chunk, self._size(chunk)) for chunk in chunks)
-        done = 0
-        with closing(load_in_groups(sized, self._load)) as groups:
-            for group, contents in groups:
-                for read, block in self.located(group, contents):
-                    done += read
-                    if block:
-                        yield replace(block, not_before_ns=bounds[done])
+        with closing(load_ahead(sized, self._load)) as loaded:
+            for (chunk, content), bound in zip(loaded, bounds, strict=False):
+                block = self.located(content, chunk)
+                if block:
+                    yield replace(block, not_before_ns=bound)
 
     def _announce(self, chunks: Sequence[Chunk]) -> None:
         ranges = [each for chunk in chunks for each in self.expected(chunk)]
@@ -233,62 +218,26 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         size = self.size_of(chunk)
         return None if size <= LARGE and self.is_mixed(chunk) else size or None
 
-    def _load(self, chunk: Chunk, into: Bytes | None) -> Content:
+    def _load(self, chunk: Chunk) -> Content:
         """Return the wanted messages of a mixed chunk, or all of a chunk."""
-        if into is not None or not self.is_mixed(chunk):
-            return self.whole(chunk, into)
+        if not self.is_mixed(chunk):
+            return self.whole(chunk)
         content = self.selected(chunk)
         if content is None:
-            size = self.size_of(chunk)
-            content = self.whole(chunk, self._buffers.take(size) if 0 < size <= LARGE else None)
+            content = self.whole(chunk)
             if not content.damage:
                 content = self.selected(chunk, content) or content
         return content
 
-    def located(
-        self, group: ChunkGroup[Chunk], contents: list[Content]
-    ) -> Iterator[tuple[int, MessageBlock | None]]:
-        """Yield the messages of loaded chunks as few blocks, and of how many chunks each is."""
-        sizes = [len(content.data) for content in contents]
-        if all(content.offsets is not None for content in contents):
-            copies = [np.frombuffer(content.data, np.uint8) for content in contents]
-            group = group._replace(sizes=sizes, buffer=np.concatenate(copies))
-        buffer = group.buffer if sizes == group.sizes else None
-        if buffer is not None and not any(content.damage for content in contents):
-            every = self._all_at_once(buffer, group)
-            if every is not None:
-                yield len(group.chunks), every
-                return
-        blocks = [self._messages(*pair) for pair in zip(contents, group.chunks, strict=True)]
-        # A chunk whose selection turned out to be wrong was loaded again, into other memory.
-        in_place = [
-            not block or len(block.data) == size for block, size in zip(blocks, sizes, strict=True)
-        ]
-        if buffer is None or not all(in_place):
-            yield from ((1, block) for block in blocks)
-            return
-        placed = zip(blocks, group.begins, strict=True)
-        parts = [(block, begin) for block, begin in placed if block]
-        yield len(blocks), join_blocks(buffer, parts) if parts else None
-
-    def _messages(self, content: Content, chunk: Chunk) -> MessageBlock | None:
+    def located(self, content: Content, chunk: Chunk) -> MessageBlock | None:
+        """Return the messages of a loaded chunk."""
         if content.offsets is not None:
             block = self.messages_at(content, chunk)
             if block is not None:
                 return block
             content = self.whole(chunk)
+        if not content.damage:
+            found = self.only_messages(np.frombuffer(content.data, np.uint8), chunk)
+            if found and self.may_have(chunk, found[0].log_ns, found[1]):
+                return found[0]
         return self.messages(content, chunk)
-
-    def _all_at_once(self, data: Bytes, group: ChunkGroup[Chunk]) -> MessageBlock | None:
-        """Return the messages of chunks that hold nothing else, which is quick; else None."""
-        found = self.only_messages(data, group.chunks[0])
-        if found is None:
-            return None
-        block, id_ = found
-        begin, done = int(block.ends[0]) - block.stride, 0
-        for chunk, end in zip(group.chunks, accumulate(group.sizes), strict=True):
-            count, rest = divmod(end - begin, block.stride)
-            if rest or not self.may_have(chunk, block.log_ns[done : done + count], id_):
-                return None
-            begin, done = end, done + count
-        return block

@@ -17,8 +17,6 @@ from quatprop.containers.byte_ranges import ranges_of
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
 
 ENOUGH_MESSAGES = 4096
 """Messages of a block that is large enough."""
@@ -79,28 +77,13 @@ def combined(blocks: Sequence[MessageBlock]) -> MessageBlock:
     """Return one block with copies of several, at least one."""
     if len(blocks) == 1:
         return blocks[0]
-    begins = accumulate((len(block.data) for block in blocks[:-1]), initial=0)
-    data = np.concatenate([block.data for block in blocks])
-    return join_blocks(data, list(zip(blocks, begins, strict=True)))
-
-
-def join_blocks(data: NDArray[np.uint8], parts: Sequence[tuple[MessageBlock, int]]) -> MessageBlock:
-    """Return blocks, at least one, whose buffers are parts of one as one block.
-
-    Parameters
-    ----------
-    data
-        The buffer of all.
-    parts
-        The messages of each part, and where it begins in the buffer.
-    """
-    if len(parts) == 1 and not parts[0][1]:
-        return replace(parts[0][0], data=data)
+    begins = list(accumulate((len(block.data) for block in blocks[:-1]), initial=0))
+    placed = list(zip(blocks, begins, strict=True))
     return MessageBlock(
-        data,
-        np.concatenate([block.starts + begin for block, begin in parts]),
-        np.concatenate([block.ends + begin for block, begin in parts]),
-        np.concatenate([block.log_ns for block, _ in parts]),
-        np.concatenate([block.publish_ns for block, _ in parts]),
-        parts[-1][0].not_before_ns,
+        np.concatenate([block.data for block in blocks]),
+        np.concatenate([block.starts + begin for block, begin in placed]),
+        np.concatenate([block.ends + begin for block, begin in placed]),
+        np.concatenate([block.log_ns for block in blocks]),
+        np.concatenate([block.publish_ns for block in blocks]),
+        blocks[-1].not_before_ns,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,14 +21,30 @@ _MAGIC = {
 }
 
 
+MAGIC_BYTES = 64
+"""Bytes at the beginning of a file by which its compression is recognised."""
+
+_SKIPPABLE = re.compile(rb"(?s)[\x50-\x5f]\x2a\x4d\x18(....)")
+
+
 def file_compression(head: bytes) -> str:
-    """Return how a file is compressed, from its first 4 bytes.
+    """Return how a file is compressed, from its first bytes.
+
+    Frames to be skipped may come first, as pzstd writes them.
 
     Returns
     -------
     str
         ``"zstd"``, ``"lz4"``, ``"bz2"``, ``"gz"``, or ``""`` where it is not compressed.
+
+    References
+    ----------
+    RFC 8878, 3.1.2 "Skippable Frames"; those of LZ4 are the same.
     """
+    while skipped := _SKIPPABLE.match(head):
+        head = head[skipped.end() + int.from_bytes(skipped[1], "little") :]
+        if not head:
+            return "zstd"
     return next((name for magic, name in _MAGIC.items() if head.startswith(magic)), "")
 
 
@@ -58,7 +75,7 @@ class DecompressedCopy:
     def __init__(self, path: Path) -> None:
         self.damage = ""
         with path.open("rb") as compressed:
-            compression = file_compression(compressed.read(4))
+            compression = file_compression(compressed.read(MAGIC_BYTES))
             if not compression:
                 raise UnreadableDataError("it is not compressed with zstd, lz4, bz2 or gzip")
             compressed.seek(0)

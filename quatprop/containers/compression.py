@@ -16,9 +16,6 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     Buffer = bytes | bytearray | memoryview
 
 MAX_SIZE = 1 << 30
@@ -49,12 +46,7 @@ class UnreadableDataError(Exception):
         self.reason = reason
 
 
-def decompress(
-    data: Buffer,
-    compression: str,
-    size: int | None = None,
-    into: NDArray[np.uint8] | None = None,
-) -> Buffer:
+def decompress(data: Buffer, compression: str, size: int | None = None) -> Buffer:
     """Return `data` decompressed.
 
     Parameters
@@ -65,14 +57,11 @@ def decompress(
         ``""`` or ``"none"``, ``"lz4"`` (frame format), ``"zstd"`` or ``"bz2"``.
     size
         The decompressed size in bytes as the log declares it; None if it declares none.
-    into
-        Memory of `size` bytes for the result.
 
     Returns
     -------
     bytes or memoryview
-        Exactly `size` bytes; `data` itself where it is not compressed, and `into` where it is
-        given.
+        Exactly `size` bytes; `data` itself where it is not compressed.
 
     Raises
     ------
@@ -98,16 +87,11 @@ def decompress(
             f"it declares {size} bytes decompressed, over the limit {MAX_SIZE}"
         )
     try:
-        if into is not None and _fill(data, compression, into):
-            return into.data
         result = decompressor(data, size)
     except _decompression_errors(compression) as error:
         raise UnreadableDataError(f"its {compression} data is damaged") from error
     if len(result) != size:
         raise UnreadableDataError(f"it declares {size} bytes decompressed and holds {len(result)}")
-    if into is not None:
-        into.data[:] = result
-        return into.data
     return result
 
 
@@ -196,19 +180,6 @@ def _decompress_zstd(data: Buffer, size: int) -> bytes:
     return bytes(_contexts.zstd.decompress(data, max_output_size=size))
 
 
-def _fill(data: Buffer, compression: str, into: NDArray[np.uint8]) -> bool:
-    """Decompress one frame of zstd that states its size; False where it is none or has another."""
-    if compression != "zstd" or not len(into):
-        return False
-    import zstandard
-
-    if zstandard.frame_content_size(data) != len(into):
-        return False
-    # With room for the whole frame, zstd writes it there at once, as without streaming.
-    with _contexts.zstd.stream_reader(data, closefd=False) as stream:
-        return bool(stream.readinto(into) == len(into))
-
-
 def _decompress_bz2(data: Buffer, size: int) -> bytes:
     import bz2
 
@@ -262,6 +233,8 @@ def decompressed_pieces(file: BinaryIO, compression: str) -> Iterator[bytes]:
             import bz2
 
             yield from _frames(file, bz2.BZ2Decompressor, _PIECE)
+        elif compression == "zlib":
+            yield from _frames(file, zlib.decompressobj)
         else:
             yield from _frames(file, partial(zlib.decompressobj, _GZIP), padding=b"\0")
     except _decompression_errors(compression) as error:

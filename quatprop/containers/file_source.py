@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
     from pyarrow import NativeFile
+
+_BINARY, _AT_ONCE = getattr(os, "O_BINARY", 0), getattr(os, "O_NONBLOCK", 0)
 
 
 class FileSource:
@@ -48,7 +48,8 @@ class FileSource:
         self.path = path
         self._lock = threading.Lock()
         try:
-            self._file = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
+            # Nobody may ever write to what turns out to be a pipe.
+            self._file = os.open(path, os.O_RDONLY | _BINARY | _AT_ONCE)
         except OSError as error:
             raise UnreadableLogError(path, os_reason(error)) from error
         # Also runs when the log that reads from it is no longer used, whoever forgot to close it.
@@ -57,8 +58,10 @@ class FileSource:
         self.size = status.st_size
         if not stat.S_ISREG(status.st_mode):
             self.close()
-            what = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
-            raise UnreadableLogError(path, f"it is {what}, not a file; name a file")
+            reason = "it is a pipe or a device, not a file; name a file, or - with stdin from it"
+            if stat.S_ISDIR(status.st_mode):
+                reason = "it is a folder, not a file; name a file"
+            raise UnreadableLogError(path, reason)
 
     def read(self, start: int, length: int) -> bytes:
         """Return the bytes from `start`, fewer than `length` at the end of the file.
@@ -74,24 +77,6 @@ class FileSource:
         while (place := start + len(data)) < end and (more := self._read(end - place, place)):
             data += more
         return data
-
-    def read_into(self, start: int, into: NDArray[np.uint8]) -> memoryview:
-        """Fill memory with the bytes from `start` and return it; it ends where the file does.
-
-        Raises
-        ------
-        OSError
-            The medium is damaged there.
-        """
-        view = into.data
-        done = 0
-        if hasattr(os, "preadv") and not self.is_remote:
-            done = os.preadv(self._file, [view], start)
-        if done < len(view):
-            rest = self.read(start + done, len(view) - done)
-            view[done : done + len(rest)] = rest
-            done += len(rest)
-        return view[:done]
 
     def read_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
         """Return the bytes of some ranges, one after another.

@@ -53,6 +53,16 @@ class Columns:
         return Columns(self.log_ns[selected], tuple(column[selected] for column in self.values))
 
 
+def joined_rows(batches: Sequence[Columns]) -> Columns:
+    """Return the rows of batches of one stream, at least one, as one batch."""
+    if len(batches) == 1:
+        return batches[0]
+    columns = zip(*(batch.values for batch in batches), strict=True)
+    values = tuple(np.concatenate(column) for column in columns)
+    log_ns = np.concatenate([batch.log_ns for batch in batches])
+    return Columns(log_ns, values, batches[-1].not_before_ns)
+
+
 def merge_by_time(streams: Sequence[Iterable[Columns]]) -> Iterator[Columns]:
     """Merge streams of batches into one in order of log time.
 

@@ -14,7 +14,7 @@ import numpy as np
 from quatprop.containers.base import LATEST
 from quatprop.containers.coalesce import coalesce_blocks
 from quatprop.containers.kept_blocks import blocks_of
-from quatprop.containers.merge import Columns, merge_by_time
+from quatprop.containers.merge import Columns, joined_rows, merge_by_time
 from quatprop.containers.time_range import TimeRange
 from quatprop.errors import MessageError, UsageError
 from quatprop.messages.cursor import first_names
@@ -55,6 +55,9 @@ MAX_VISITS = 20_000
 
 MAX_ELEMENTS = 64
 """Arrays of more numbers are no columns unless one of their elements is named."""
+
+ENOUGH_ROWS = 1 << 13
+"""Rows of a batch that is large enough."""
 
 CLOCK_STEP_NS = 100_000_000
 """Time services set a clock that is wrong by more than this; what is less they catch up slowly."""
@@ -246,7 +249,7 @@ class TopicTable(Table):
         else:
             blocks = metered(coalesce_blocks(blocks_of(self.log, self.channel)), self.channel.count)
         batches = (self._readable(lambda rows: convert(decode(rows)), block) for block in blocks)
-        return merge_by_time([batches]) if self.log.has_log_time else filter(len, batches)
+        return merge_by_time([_joined(batches)]) if self.log.has_log_time else filter(len, batches)
 
     def recorded_span(self) -> TimeRange | None:
         """Return when the topic was recorded by the index of the log, if it has one."""
@@ -331,6 +334,20 @@ class TopicTable(Table):
     def remark(self, text: str) -> None:
         """Add a remark on the log, as the last one."""
         self.log.remarks = [*(one for one in self.log.remarks if one != text), text]
+
+
+def _joined(batches: Iterable[Columns]) -> Iterator[Columns]:
+    """Yield batches of more rows, each of which takes less time; the first one as it is."""
+    waiting: list[Columns] = []
+    rows, enough = 0, 0
+    for batch in batches:
+        waiting.append(batch)
+        rows += len(batch)
+        if rows >= enough:
+            yield joined_rows(waiting)
+            waiting, rows, enough = [], 0, ENOUGH_ROWS
+    if waiting:
+        yield joined_rows(waiting)
 
 
 def _without(block: MessageBlock, positions: Sequence[int]) -> MessageBlock:

@@ -58,7 +58,7 @@ def convert(job: Conversion) -> ConversionReport:
         stored = _stored_sigma(source)
         with (
             ReportFile(output.report) as report_file,
-            open_destination(job, log, source, kept_sigma(job, source, stored)) as target,
+            open_destination(job, log, kept_sigma(job, source, stored)) as target,
         ):
             report = _written(job, log, source, stored, target)
             provenance = report.provenance()
@@ -82,7 +82,11 @@ def _written(
     order = _Order()
     # A reference that is turned into the body is no place for a position.
     keeps = target.holds_positions and source.meaning.direction == HAMILTON.direction
-    rows = source.read(positions=keeps and source.has_positions, covariances=sigma is not None)
+    rows = source.read(
+        positions=keeps and source.has_positions,
+        covariances=sigma is not None,
+        logged=job.output.into,
+    )
     write: Callable[[Any], None] = target.write
     with digest_ahead(wanted.path, hashed=job.output.keeps_report) as digest:
         for series in _as_written(job, order.counted(check.apply(rows))):
@@ -140,7 +144,7 @@ def _stored_sigma(source: AttitudeSignal) -> str | None:
     if source.sigma_axes is not None or not source.may_have_covariances:
         return source.sigma_axes
     first = next(source.read(covariances=True), None)
-    return None if first is None or first[-1] is None else "body"
+    return None if first is None or first[3] is None else "body"
 
 
 def _as_written(

@@ -33,24 +33,22 @@ def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> s
     return stored if has_place and is_plain and source.may_have_covariances else None
 
 
-def open_destination(
-    job: Conversion, log: AnyLog, source: AttitudeSignal, sigma: str | None
-) -> AttitudeWriter:
+def open_destination(job: Conversion, log: AnyLog, sigma: str | None) -> AttitudeWriter:
     """Return the file to be committed, which takes attitudes, or rates where those are written.
 
     Parameters
     ----------
     job
         The conversion.
-    log, source
-        The log, and the attitudes of it.
+    log
+        The log.
     sigma
         Of :func:`kept_sigma`.
     """
     output = job.output
     if job.representation == QUATERNION:
         if job.meaning == HAMILTON:
-            return open_output(output, log, source.stamps, sigma)
+            return open_output(output, log, sigma)
         _refuse_other_conventions(job)
     table = open_table(output.path, job.columns(None), output.to, comment=output.comment)
     if job.representation in RATES:

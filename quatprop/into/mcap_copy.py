@@ -136,7 +136,9 @@ class McapCopy:
                 last=head.last_ns,
                 size=head.size,
                 crc=head.crc,
-                data=self._read(region.start + head.begin, head.end - head.begin),
+                data=self._read(
+                    region.start + head.begin, min(head.end, region.length) - head.begin
+                ),
                 indexes=self._indexes_of(region),
             )
         )

@@ -18,7 +18,7 @@ from quatprop.containers.rosbag1.records import (
     OP_CHUNK,
     OP_MESSAGE,
     RecordFile,
-    index_offsets,
+    index_data,
     walked_records,
 )
 from quatprop.errors import DamagedLogError, UnsupportedLogError
@@ -119,6 +119,7 @@ class BagCopy:
     """
 
     def __init__(self, log: Rosbag1Log) -> None:
+        log.check_index(log.index.chunks)
         self._path, index = log.path, log.index
         if any(chunk.first_conn for chunk in index.chunks):
             raise UnsupportedLogError(
@@ -174,7 +175,7 @@ class BagCopy:
         """Return the index of a chunk; empty where it has less than the bag's index says."""
         if record.op != OP_CHUNK or not record.end <= chunk.end <= self._file.size:
             return {}
-        indexes = index_offsets(self._file.at(record.end, chunk.end - record.end))
+        indexes, _ = index_data(self._file.at(record.end, chunk.end - record.end))
         counts = {id_: len(entries) for id_, entries in indexes.items()}
         return indexes if counts == chunk.counts else {}
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
+
+from quatprop.guarded_text import read_yaml
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, MutableMapping, Sequence
@@ -78,11 +79,11 @@ def extended(
     yaml = YAML(typ="safe", pure=True)
     yaml.default_flow_style = False
     try:
-        content = yaml.load(text)
+        content = read_yaml(text)
         # Copies by earlier versions have the root inside files of messages, too.
         bag = content[_ROOT] if has_root or _ROOT in content else content
         _extend(bag, topic, parts, custom)
-    except (KeyError, TypeError, AttributeError, ValueError, YAMLError):
+    except (KeyError, TypeError, AttributeError, ValueError):
         return None
     out = StringIO()
     yaml.dump(content if has_root else bag, out)

@@ -15,17 +15,20 @@ from quatprop.blocks import with_next
 from quatprop.errors import UsageError
 from quatprop.kinematics.cubic import Curvature, curvature, curvature_of_averages
 from quatprop.kinematics.increments import METHODS
-from quatprop.kinematics.quaternion import conjugate, exp, multiply
+from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotate
 from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S, regular_count, regular_stamps
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from fractions import Fraction
 
     from quatprop.arrays import Float64, Int64
+
+    # From body to reference axes, by attitudes; by their conjugates, back.
+    Turn = Callable[[Float64, Float64], Float64]
 
 
 PIECE = 1 << 17
@@ -134,6 +137,11 @@ class Listed:
     def __len__(self) -> int:
         return len(self._t_ns)
 
+    def count_outside(self, first_ns: int, last_ns: int) -> int:
+        """Return how many of the times are before or after a range."""
+        first = int(np.searchsorted(self._t_ns, first_ns))
+        return len(self) - int(np.searchsorted(self._t_ns, last_ns, side="right")) + first
+
     def up_to(self, first_ns: int, last_ns: int) -> Iterator[Int64]:
         """Yield the next times, as :meth:`Steady.up_to` does."""
         first = max(self._next, int(np.searchsorted(self._t_ns, first_ns)))
@@ -201,33 +209,44 @@ def at_times(
                 between = np.where(inside[:, None], wxyz[at], between)
             if rates == "inertial":
                 between = conjugate(between)
-            yield _with_columns(known, wanted, between)
+            yield _with_columns(known, wanted, between, rates)
 
 
-def _with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64) -> AttitudeSeries:
+def _with_columns(
+    known: AttitudeSeries, wanted: Int64, wxyz: Float64, rates: str
+) -> AttitudeSeries:
     """Return attitudes between known ones, with what those have beside them.
 
-    Rates are taken as linear in time, and so are covariances in reference axes.
+    Rates are taken as linear in time in the axes in which they are resolved, and covariances in
+    the others, where they are sums of integrals. What is between two
+    samples is recorded as long after the first as it is, but not after the second.
     """
-    if known.covariance is None and known.rate is None:
+    if known.covariance is None and known.rate is None and known.log_ns is None:
         return AttitudeSeries(wanted, wxyz)
     before = np.searchsorted(known.t_ns, wanted, side="right") - 1
     after = np.minimum(before + 1, len(known) - 1)
     interval = known.t_ns[after] - known.t_ns[before]
     elapsed = wanted - known.t_ns[before]
     fraction = np.divide(elapsed, interval, out=np.zeros(len(wanted)), where=interval > 0)
-    covariance = rate = None
+    inertial = rates == "inertial"
+
+    def between(values: Float64, turn: Turn | None) -> Float64:
+        first, second = values[before], values[after]
+        if turn is not None:
+            first, second = turn(known.wxyz[before], first), turn(known.wxyz[after], second)
+        part = fraction.reshape(-1, *[1] * (values.ndim - 1))
+        result = first + part * (second - first)
+        return result if turn is None else turn(conjugate(wxyz), result)
+
+    covariance = rate = log_ns = None
+    if known.log_ns is not None:
+        recorded, latest = known.log_ns[before], np.maximum(*known.log_ns[[before, after]])
+        log_ns = np.minimum(recorded + elapsed, latest)
     if known.covariance is not None:
-        first, second = (
-            reference_covariance(known.wxyz[index], known.covariance[index])
-            for index in (before, after)
-        )
-        reference = first + fraction[:, None, None] * (second - first)
-        covariance = reference_covariance(conjugate(wxyz), reference)
+        covariance = between(known.covariance, None if inertial else reference_covariance)
     if known.rate is not None:
-        first, second = known.rate[before], known.rate[after]
-        rate = first + fraction[:, None] * (second - first)
-    return AttitudeSeries(wanted, wxyz, covariance=covariance, rate=rate)
+        rate = between(known.rate, rotate if inertial else None)
+    return AttitudeSeries(wanted, wxyz, covariance=covariance, rate=rate, log_ns=log_ns)
 
 
 def _curvature(gyro: GyroSeries, method: str, gap_limit_ns: int | None) -> Curvature | None:

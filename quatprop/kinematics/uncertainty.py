@@ -1,8 +1,8 @@
 """How the errors of a gyroscope grow to an error of the attitude: its covariance at every sample.
 
-A rate that is off by e turns the attitude by the integral of R e in reference axes, R being the
-rotation matrix body -> reference. So the covariance needs integrals of R alone, which are sums over
-the samples:
+A body rate that is off by e turns the attitude by the integral of R e in reference axes, R being
+the rotation matrix body -> reference. So the covariance needs integrals of R alone, which are sums
+over the samples:
 
     P = N^2 t I  +  b^2 S S'  +  s^2 G G'  +  K^2 (t S S' - S A' - A S' + B)
 
@@ -12,30 +12,45 @@ with the angle random walk N, the standard deviations b of the bias and s of the
 the rate random walk K, alike and independent on all axes. The bias is constant; the random walk
 begins at zero with the first sample. P is the covariance of small rotations about reference axes,
 R' P R of the same rotations about body axes.
+
+The error of a rate in reference axes rotates with the reference as seen from the body: it turns the
+attitude by the integral of R' e in body axes. With R' for R, P is then the covariance about body
+axes, and R P R' that about reference axes.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from quatprop.kinematics.elements import (
+    DIAGONAL,
+    TRANSPOSED,
+    mean_on_the_way,
+    rotate_covariance,
+    rotated,
+    rotation_elements,
+    symmetric_product,
+    trace,
+    write_covariance,
+)
+from quatprop.kinematics.increments import is_inertial
 from quatprop.kinematics.quaternion import rotation_matrix
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
-    from quatprop.arrays import Float64
+    from quatprop.arrays import Float64, Int64
     from quatprop.series import GyroSeries
 
 
 TILE: Final = 8192
 """Samples computed together, from fixed sample indices: few enough for the caches."""
 
-UPPER: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-"""Row and column of the elements of a symmetric matrix that are computed."""
-
-DIAGONAL: Final = np.array([True, False, False, True, False, True])
-"""Which of them are on the diagonal."""
+LARGE_ANGLE: Final = 0.1
+"""rad: over an interval in which the body rotates further, R is integrated by its rotation, not as
+the mean of both ends; the mean is off by the square of the angle / 12."""
 
 
 class SensorErrors(NamedTuple):
@@ -67,7 +82,11 @@ class ErrorGrowth:
     errors
         Of the gyroscope.
     rates
-        ``"body"`` or ``"inertial"``: the axes in which rates, and so their errors, are resolved.
+        ``"body"`` or ``"inertial"``: the axes in which rates and their errors are resolved.
+    method
+        The integration rule: which samples a scale factor acts on in an interval.
+    mount
+        Sensor axes to body axes, shape ``(3, 3)``, for scale factors; None where they are the same.
 
     Attributes
     ----------
@@ -82,13 +101,25 @@ class ErrorGrowth:
     covariances of the first samples are those of the whole log, to the bit.
     """
 
-    def __init__(self, errors: SensorErrors, rates: str = "body") -> None:
-        self._errors, self._inertial = errors, rates == "inertial"
-        self.restart()
+    def __init__(
+        self,
+        errors: SensorErrors,
+        rates: str = "body",
+        method: str = "start",
+        mount: Float64 | None = None,
+    ) -> None:
+        self._errors, self._inertial = errors, is_inertial(rates)
+        self._method, self._mount = method, mount
+        self.begin(restart=True)
 
-    def restart(self) -> None:
-        """Begin again: the next attitude is known."""
-        self._first_ns: np.int64 | None = None
+    def begin(self, *, restart: bool) -> None:
+        """Begin a segment: at an attitude that is known, or at the last one, without rotation."""
+        self._is_after_gap = not restart
+        if not restart:
+            return
+        self._first_ns = np.int64(0)
+        self._last_ns: np.int64 | None = None
+        self._integrated_ns = np.int64(0)
         self._previous: tuple[GyroSeries, Float64] | None = None
         self._sums = {
             name: np.zeros(rows) for name, rows in (("S", 9), ("G", 9), ("A", 9), ("B", 6))
@@ -116,53 +147,89 @@ class ErrorGrowth:
         """
         self._rows = slice(-1, None) if to_end else slice(None)
         covariance = np.zeros((3, 3, 1 if to_end else len(gyro)))
-        if self._first_ns is None:
-            self._first_ns = gyro.t_ns[0]
+        if self._last_ns is None:
+            self._first_ns = self._last_ns = gyro.t_ns[0]
+        spans_ns = self._spans_ns(gyro, self._last_ns)
+        self._last_ns = gyro.t_ns[-1]
         # The covariance of noise is the same in all axes.
-        time_s = (gyro.t_ns - self._first_ns) / NS_PER_S
-        noise = self._errors.noise_density**2 * time_s[self._rows]
+        integrated_ns = self._integrated_ns + np.cumsum(spans_ns)
+        self._integrated_ns = integrated_ns[-1]
+        noise = self._errors.noise_density**2 / NS_PER_S * integrated_ns[self._rows]
         self.variances = {"noise_density": 3 * float(noise[-1])}
         if self._errors._replace(noise_density=0.0) != SensorErrors():
             for start in range(0, len(gyro), TILE):
                 tile = slice(start, start + TILE)
                 turn = rotation_elements(wxyz[tile])
-                reference = self._reference(gyro[tile], turn, time_s[tile])
+                if self._inertial:
+                    turn = turn[TRANSPOSED, :]
+                fixed = self._fixed(gyro[tile], turn, spans_ns[tile] / NS_PER_S)
                 out = covariance if to_end else covariance[..., tile]
-                rotate_covariance(reference, turn[:, self._rows], out=out)
+                if self._inertial:
+                    write_covariance(fixed, out=out)
+                else:
+                    rotate_covariance(fixed, turn[:, self._rows], out=out)
         for axis in range(3):
             covariance[axis, axis] += noise
         self.final = covariance[..., -1].copy()
         return np.moveaxis(covariance, -1, 0)
 
-    def _reference(self, gyro: GyroSeries, turn: Float64, time_s: Float64) -> Float64:
-        """Return the covariance ``(6, n)`` of rotations about reference axes, but for noise."""
+    def _spans_ns(self, gyro: GyroSeries, last_ns: np.int64) -> Int64:
+        """Return over how much time the interval that ends at each sample is integrated, ns."""
+        spans_ns = np.diff(gyro.t_ns, prepend=last_ns)
+        if gyro.span_ns is not None:
+            spans_ns = np.where(spans_ns > 0, gyro.span_ns, 0)
+        if self._is_after_gap:
+            spans_ns[0], self._is_after_gap = 0, False
+        return spans_ns
+
+    def _fixed(self, gyro: GyroSeries, turn: Float64, span: Float64) -> Float64:
+        """Return the covariance ``(6, n)`` where it is a sum of integrals, but for noise.
+
+        That is about reference axes for body rates, and about body axes for inertial ones.
+        """
         rows = self._rows
-        if self._inertial:
-            turn = np.repeat(np.eye(3).reshape(9, 1), len(gyro), axis=1)
         if self._previous is None:
             self._previous = gyro[:1], turn[:, :1]
         last, last_turn = self._previous
         self._previous = gyro[-1:], turn[:, -1:].copy()
-        errors = self._errors
-        h = np.diff(gyro.t_ns, prepend=last.t_ns) / NS_PER_S
         # The integral of R over the interval that ends at each sample.
         step = _with_previous(turn, last_turn)
-        step *= h / 2
-        reference = np.zeros((6, 1 if rows.start else len(gyro)))
-        if errors.scale_sigma:
-            # In rows: an operation on columns would be slower than all that follows.
-            rate = errors.scale_sigma * np.ascontiguousarray(gyro.rate.T)
-            if gyro.span_ns is None and not gyro.averages:
-                rate = _with_previous(rate, errors.scale_sigma * last.rate.T) / 2
-            g = self._sum("G", (step.reshape(3, 3, -1) * rate).reshape(9, -1))[:, rows]
-            square = _symmetric(g, g)
-            self.variances["scale_sigma"] = _trace(square)
-            reference += square
-        if errors.bias_sigma or errors.random_walk:
-            reference += self._of_bias(step, time_s, h)
-        return reference
+        step *= span / 2
+        # A bound of all angles: whether one of them is large does not depend on the others.
+        extremes = [edge(one.rate) for one in (gyro, last) for edge in (np.max, np.min)]
+        if math.sqrt(3) * np.abs(extremes).max() * span.max() > LARGE_ANGLE:
+            rotvec = self._rate(gyro, last) * (-span if self._inertial else span)
+            large = np.flatnonzero((rotvec**2).sum(axis=0) > LARGE_ANGLE**2)
+            begin = np.where(large > 0, turn[:, large - 1], last_turn)
+            step[:, large] = mean_on_the_way(begin, rotvec[:, large]) * span[large]
+        fixed = np.zeros((6, 1 if rows.start else len(gyro)))
+        if (scale := self._errors.scale_sigma) != 0:
+            rate = scale * self._rate(gyro, last)
+            rows_of_step = step.reshape(3, 3, -1)
+            if (mount := self._mount) is not None:
+                rate = rotated(rate, mount)
+                rows_of_step = np.stack([rotated(row, mount) for row in rows_of_step])
+            g = self._sum("G", (rows_of_step * rate).reshape(9, -1))[:, rows]
+            square = symmetric_product(g, g)
+            self.variances["scale_sigma"] = trace(square)
+            fixed += square
+        if self._errors.bias_sigma or self._errors.random_walk:
+            fixed += self._of_bias(step, span, gyro.t_ns, last.t_ns)
+        return fixed
 
-    def _of_bias(self, step: Float64, time_s: Float64, h: Float64) -> Float64:
+    def _rate(self, gyro: GyroSeries, last: GyroSeries) -> Float64:
+        """Return the rate in the interval that ends at each sample, by the method, ``(3, n)``."""
+        # In rows: an operation on columns would be slower than all that follows.
+        rate, before = np.ascontiguousarray(gyro.rate.T), last.rate.T
+        if self._method == "end" or gyro.is_integrated(self._method):
+            return rate
+        if self._method == "start":
+            return np.concatenate([before, rate[:, :-1]], axis=1)
+        mean = _with_previous(rate, before)
+        mean /= 2
+        return mean
+
+    def _of_bias(self, step: Float64, span: Float64, t_ns: Int64, last_ns: Int64) -> Float64:
         """Return what the bias and its random walk contribute."""
         rows, bias, walk = self._rows, self._errors.bias_sigma**2, self._errors.random_walk**2
         before = self._sums["S"]
@@ -170,24 +237,26 @@ class ErrorGrowth:
         self.variances["bias_sigma"] = bias * float((s[:, -1] ** 2).sum())
         if not walk:
             s = s[:, rows]
-            return bias * _symmetric(s, s)
+            return bias * symmetric_product(s, s)
+        h = np.diff(t_ns, prepend=last_ns) / NS_PER_S
+        time_s = (t_ns[rows] - self._first_ns) / NS_PER_S
         twice = _with_previous(s, before[:, None])
         # S is linear within an interval: the integral of its square is that of the middle, and
-        # h^3/12 for the deviation from it, R being orthogonal.
-        square = _symmetric(twice, twice)
+        # that of the deviation from it, R being orthogonal.
+        square = symmetric_product(twice, twice)
         square *= walk / 4 * h
-        square[DIAGONAL] += walk / 12 * h * h * h
+        square[DIAGONAL] += walk / 12 * h * span * span
         twice *= h / 2
         a = self._sum("A", twice)[:, rows]
         b = self._sum("B", square)[:, rows]
         s = s[:, rows]
         # b^2 S S' + K^2 (t S S' - S A' - A S') = S C' + C S'
-        c = s * ((bias + walk * time_s[rows]) / 2)
+        c = s * ((bias + walk * time_s) / 2)
         c -= walk * a
-        total = _symmetric(s, c)
+        total = symmetric_product(s, c)
         total *= 2
         total += b
-        self.variances["random_walk"] = _trace(total) - self.variances["bias_sigma"]
+        self.variances["random_walk"] = trace(total) - self.variances["bias_sigma"]
         return total
 
     def _sum(self, name: str, steps: Float64) -> Float64:
@@ -214,24 +283,6 @@ def _with_previous(values: Float64, last: Float64) -> Float64:
     return sums
 
 
-def rotation_elements(wxyz: Float64) -> Float64:
-    """Return the elements of rotation matrices body -> reference, ``(9, n)``, row by row."""
-    w, x, y, z = np.ascontiguousarray(wxyz.T)
-    elements = np.empty((9, len(w)))
-    xx, yy, zz = 2 * x * x, 2 * y * y, 2 * z * z
-    for diagonal, (u, v) in zip((0, 4, 8), ((yy, zz), (xx, zz), (xx, yy)), strict=True):
-        np.subtract(1 - u, v, out=elements[diagonal])
-    for (u, v, s), (below, above) in (
-        ((x, y, z), (3, 1)),
-        ((z, x, y), (2, 6)),
-        ((y, z, x), (7, 5)),
-    ):
-        product, turn = 2 * u * v, 2 * w * s
-        np.add(product, turn, out=elements[below])
-        np.subtract(product, turn, out=elements[above])
-    return elements
-
-
 def reference_covariance(wxyz: Float64, covariance: Float64) -> Float64:
     """Return covariances of rotations about body axes as of rotations about reference axes.
 
@@ -247,46 +298,3 @@ def reference_covariance(wxyz: Float64, covariance: Float64) -> Float64:
     variances = np.einsum("...ii->...i", turned)
     np.maximum(variances, 0.0, out=variances)  # rounding errors may have brought them below 0
     return turned
-
-
-def rotate_covariance(reference: Float64, turn: Float64, out: Float64) -> None:
-    """Write R' P R as matrices ``(3, 3, n)``, from P ``(6, n)`` and R ``(9, n)``."""
-    full = reference[[0, 1, 2, 1, 3, 4, 2, 4, 5]]
-    term = np.empty(out.shape[-1])
-    half = np.empty(out.shape)
-    for column in range(3):
-        for row in range(3):
-            _dot(full[3 * row : 3 * row + 3], turn[column::3], half[row, column], term)
-    for row, column in UPPER:
-        _dot(turn[row::3], half[:, column], out[row, column], term)
-        if row == column:
-            np.maximum(out[row, row], 0.0, out=out[row, row])
-        else:
-            out[column, row] = out[row, column]
-
-
-def _symmetric(u: Float64, v: Float64) -> Float64:
-    """Return (U V' + V U') / 2, ``(6, n)``, of matrices ``(9, n)``."""
-    result, term = np.empty((6, u.shape[1])), np.empty(u.shape[1])
-    other = None if u is v else np.empty(u.shape[1])
-    for element, (row, column) in enumerate(UPPER):
-        rows, columns = slice(3 * row, 3 * row + 3), slice(3 * column, 3 * column + 3)
-        _dot(u[rows], v[columns], result[element], term)
-        if other is not None and row != column:
-            result[element] += _dot(v[rows], u[columns], other, term)
-            result[element] /= 2
-    return result
-
-
-def _dot(u: Float64, v: Float64, out: Float64, term: Float64) -> Float64:
-    """Write u[0] v[0] + u[1] v[1] + u[2] v[2]."""
-    np.multiply(u[0], v[0], out=out)
-    for k in (1, 2):
-        np.multiply(u[k], v[k], out=term)
-        out += term
-    return out
-
-
-def _trace(elements: Float64) -> float:
-    """Return the trace of the last of some symmetric matrices ``(6, n)``."""
-    return float(elements[0, -1] + elements[3, -1] + elements[5, -1])

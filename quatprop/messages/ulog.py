@@ -44,6 +44,9 @@ MESSAGE_OF_TOPIC: Mapping[str, str] = {
 }
 """Topics with the message of another topic, as the TOPICS lines of PX4 declare."""
 
+_MOST_BYTES = 1 << 16
+"""A record has less."""
+
 _FIELD = r"(?a)([\w/-]+)(?:\[(\d+)\])? ([\w\[\]]+)"
 
 
@@ -75,6 +78,37 @@ def definition_text(name: str, formats: Mapping[str, str]) -> bytes:
     return "\n".join(f"{type_name}:{formats[type_name]}" for type_name in needed).encode()
 
 
+def message_sizes(name: str, formats: Mapping[str, str]) -> tuple[int, int] | None:
+    """Return the bytes of a message without the padding at its end, and with it.
+
+    None where its format does not say that, or is of no message.
+
+    Examples
+    --------
+    >>> message_sizes("a", {"a": "uint64_t t;b[2] pair;uint8_t[3] _padding0;", "b": "float x;"})
+    (16, 19)
+    """
+    sizes = {kind: NUMBERS[number].size for kind, number in _NUMBERS.items()}
+    try:
+        padded = _size(name, formats, sizes)
+        *_, last = _matches(name, formats)
+        padding = _size_of(last, formats, sizes) if last[3].startswith("_padding") else 0
+        return (padded - padding, padded) if padded <= _MOST_BYTES else None
+    except (BadDefinitionError, KeyError, RecursionError, ValueError):
+        return None
+
+
+def _size(name: str, formats: Mapping[str, str], sizes: dict[str, int]) -> int:
+    if name not in sizes:
+        fields = _matches(name, formats)
+        sizes[name] = sum(_size_of(field, formats, sizes) for field in fields)
+    return sizes[name]
+
+
+def _size_of(field: re.Match[str], formats: Mapping[str, str], sizes: dict[str, int]) -> int:
+    return _size(field[1], formats, sizes) * int(field[2] or 1)
+
+
 def message_type(channel: Channel) -> Struct:
     """Return the type of a channel's messages.
 
@@ -99,14 +133,22 @@ def message_type(channel: Channel) -> Struct:
 
 def _fields(name: str, texts: Mapping[str, str]) -> Fields:
     """Yield name and type of each field in the definition of a type."""
+    for match in _matches(name, texts):
+        kind, length, own = match.groups()
+        element: Kind = (NAME, px4_name(kind) if kind in texts else kind)
+        if kind in _NUMBERS:
+            element = (BASE, (_NUMBERS[kind], 0))
+        yield own, element if length is None else (ARRAY, (element, int(length)))
+
+
+def _matches(name: str, texts: Mapping[str, str]) -> list[re.Match[str]]:
+    """Return type, length and name of each field in the definition of a type."""
+    matches = []
     for text in filter(None, texts[name].split(";")):
         match = re.fullmatch(_FIELD, text.strip())
         if match is None:
             raise BadDefinitionError(
                 f"the definition of {quoted(name)} has a field that cannot be read: {quoted(text)}"
             )
-        kind, length, own = match.groups()
-        element: Kind = (NAME, px4_name(kind) if kind in texts else kind)
-        if kind in _NUMBERS:
-            element = (BASE, (_NUMBERS[kind], 0))
-        yield own, element if length is None else (ARRAY, (element, int(length)))
+        matches.append(match)
+    return matches

@@ -86,9 +86,13 @@ class AttitudeStream:
         self._observer, self._sensitivity, self._rate = observer, sensitivity, rate
         self._rows = 0
         # First, since the beginning of the log may be kept until it is read for good.
-        self._log_remarks = [] if log is None or path == "-" else log_remarks(log, source)
+        self._log_remarks = (
+            [] if log is None or str(log.path) == "-" else log_remarks(log, source, settings.rates)
+        )
+        self._timeline, self._checks = Timeline(settings.policy, path), RateChecks()
         self._batches, self._conditioned = condition(
             source.batches,
+            self._timeline,
             settings.conditioning,
             RATES[source.unit],
             conditioning_inputs(log, source, settings.selection, settings.conditioning),
@@ -97,7 +101,6 @@ class AttitudeStream:
         )
         self._method, self._method_from = source.method_used(settings.method)
         self._errors = known_errors(settings.errors, self._conditioned.rest)
-        self._timeline, self._checks = Timeline(settings.policy, path), RateChecks()
         self._times = _times(settings)
 
     @property
@@ -125,7 +128,7 @@ class AttitudeStream:
         rates = self._checks.observe(self._batches)
         if self._observer is not None:
             rates = self._observer.rates(rates)
-        used = self._timeline.apply(rates)
+        used = self._timeline.measured(rates)
         first = next(used, None)
         if first is None:
             dropped = self._timeline.counts.dropped
@@ -154,9 +157,9 @@ class AttitudeStream:
             counts = self._timeline.counts
             raise TimelineError(
                 self._path,
-                f"none of the times asked for with {Setting('at')} is between its first sample at "
-                f"{counts.first_ns} ns and its last at {counts.last_ns} ns; are both on the same "
-                "clock?",
+                self._times_left_out(),
+                f"; its samples are from {counts.first_ns} to "
+                f"{counts.last_ns} ns: are both on the same clock?",
             )
 
     def _begin(self, first: GyroSeries) -> Segments:
@@ -177,6 +180,8 @@ class AttitudeStream:
             rates=settings.rates,
             times=self._times,
             errors=self._errors[0] if self._errors and self._needs_growth else None,
+            # Rates in the reference frame are not turned by the mounting.
+            mount=self._conditioned.mount if settings.rates == "body" else None,
         )
 
     def report(self, *, layout: str | None = None, digest: Digest | None = None) -> RunReport:
@@ -203,7 +208,7 @@ class AttitudeStream:
             *clipping_remarks(settings.conditioning, self._conditioned),
             *self._conditioned.all_remarks,
             *self._checks.remarks(counts),
-            *self._times_left_out(),
+            *filter(str, [self._times_left_out()]),
             *self._log_remarks,
         ]
         return RunReport(
@@ -250,16 +255,21 @@ class AttitudeStream:
             ),
         )
 
-    def _times_left_out(self) -> Iterator[Text]:
-        times = self._times
-        if isinstance(times, Listed) and len(times) > self._rows:
-            outside = "outside the log"
-            if self._settings.policy.on_gap == "split" and self._timeline.counts.gaps.count:
-                outside += " or in a gap"
-            yield Text(
-                f"{len(times) - self._rows} of the {len(times)} times asked for with "
-                f"{Setting('at')} are {outside}, so they have no attitude",
-            )
+    def _times_left_out(self) -> Text:
+        """Say how many of the times asked for have no attitude, and why; nothing if all have."""
+        times, counts = self._times, self._timeline.counts
+        if not isinstance(times, Listed) or len(times) <= self._rows:
+            return Text()
+        outside = times.count_outside(counts.first_ns or 0, counts.last_ns or 0)
+        in_gaps = len(times) - self._rows - outside
+        places = [f"{outside} outside the samples used"] if outside else []
+        places += [f"{in_gaps} in gaps"] if in_gaps else []
+        left_out = f"{outside + in_gaps} of the {len(times)}" if self._rows else "none of the"
+        verb = "have no" if self._rows else "has an"
+        return Text(
+            f"{left_out} times asked for with {Setting('at')} {verb} attitude: "
+            f"{' and '.join(places)}"
+        )
 
     def _uncertainty(self) -> UncertaintyReport | None:
         growth = self._segments.growth

@@ -9,15 +9,18 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.containers.kept_blocks import beginnings_kept
 from quatprop.containers.stores import digest_of_object, is_address
 from quatprop.errors import UsageError
-from quatprop.formats import open_log
+from quatprop.formats import is_stream, open_log
 from quatprop.pipeline.attitude_stream import AttitudeStream
 from quatprop.pipeline.report import ReportFile, RunReport, digests_of_inputs
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.provenance import digest_ahead
+from quatprop.series import AttitudeSeries
 from quatprop.signals.rates import choose_rates
 from quatprop.text import Setting
 from quatprop.writers import open_writer
@@ -25,9 +28,8 @@ from quatprop.writers.formats import format_remarks, layout_of
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterable, Iterator
 
-    from quatprop.arrays import Int64
     from quatprop.pipeline.attitude_stream import Observer
     from quatprop.tables.base import AnyLog
     from quatprop.writers.attitudes import AttitudeWriter
@@ -92,6 +94,8 @@ def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> 
         job = job._replace(output=output)
         with beginnings_kept(log):
             source = choose_rates(log, settings.selection)
+            if output.into:
+                source = source.with_log_times()
             stream = AttitudeStream(
                 job.log,
                 source,
@@ -103,7 +107,7 @@ def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> 
             )
         with (
             ReportFile(output.report) as report_file,
-            open_output(output, log, source.stamps, settings.errors.columns_axes) as writer,
+            open_output(output, log, settings.errors.columns_axes) as writer,
         ):
             report = _written(stream, writer, job, log)
             # Everything that can fail comes before the first output is put in its place.
@@ -126,7 +130,8 @@ def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: AnyL
         digest_ahead(job.log, hashed=output.keeps_report and stream.reads_all) as digest,
         closing(in_background(stream)) as attitudes,
     ):
-        for series in attitudes:
+        is_sorted = job.settings.policy.on_backwards == "sort"
+        for series in _as_logged(attitudes) if output.into and is_sorted else attitudes:
             writer.write(series)
         report = stream.report(layout=output.layout, digest=stored or digest())
     return replace(
@@ -135,6 +140,14 @@ def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: AnyL
         files=digests_of_inputs(job.settings.inputs, log) if output.keeps_report else {},
         remarks=(*report.remarks, *format_remarks(output.path, output.to)),
     )
+
+
+def _as_logged(attitudes: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
+    """Yield sorted attitudes in the order in which their messages were logged, all at once."""
+    parts = list(attitudes)
+    if parts:
+        series = AttitudeSeries.joined(parts)
+        yield series if series.log_ns is None else series[np.argsort(series.log_ns, kind="stable")]
 
 
 def with_format(output: OutputSettings, log: AnyLog) -> OutputSettings:
@@ -156,7 +169,6 @@ def _is_small(log: str) -> bool:
 def open_output(
     output: OutputSettings,
     log: AnyLog,
-    stamps: Callable[[], Iterator[tuple[Int64, Int64]]],
     sigma: str | None = None,
 ) -> AttitudeWriter:
     """Open a file of attitudes, or a copy of the log to which they are added.
@@ -167,15 +179,13 @@ def open_output(
         Where and how.
     log
         The log that the attitudes come from.
-    stamps
-        As for :func:`quatprop.into.open_into`.
     sigma
         As for :func:`quatprop.writers.open_writer`.
     """
     if output.into:
         from quatprop.into import open_into
 
-        opened = partial(open_into, log, output.path, stamps)
+        opened = partial(open_into, log, output.path)
     else:
         opened = partial(open_writer, output.path, output.to)
     return opened(
@@ -192,9 +202,9 @@ def _refuse_contradictions(job: Job) -> None:
     if not output.into:
         layout_of(output.kind, output.layout)
     refuse_overlap([job.log, *settings.inputs.values()], [output.path, output.report])
-    if job.log == "-" and settings.needs_second_read:
+    if settings.needs_second_read and is_stream(job.log):
         raise UsageError(
-            f"stdin can be read only once; {Setting('bias', 'static')}, "
-            f"{Setting('q0', 'level|log')} and relative {Setting('start')} and {Setting('end')} "
-            "need a file"
+            f"{'stdin' if job.log == '-' else 'a pipe'} can be read only once; "
+            f"{Setting('bias', 'static')}, {Setting('q0', 'level|log')} and relative "
+            f"{Setting('start')} and {Setting('end')} need a file"
         )

@@ -32,7 +32,8 @@ class SignalSurvey:
     median_dt_ns, min_dt_ns, max_dt_ns
         Intervals, ns.
     gaps, duplicates, backwards
-        Intervals longer than 10 median ones, repeated and non-monotonic timestamps.
+        Intervals longer than 10 median ones, repeated timestamps, and those that go backwards or
+        are outliers.
     missing
         What is not declared, and the settings that declare it; None where nothing is missing.
     remarks
@@ -141,7 +142,7 @@ def timing(counts: Counts) -> dict[str, Any]:
         "max_dt_ns": counts.max_dt_ns,
         "gaps": counts.gaps.count,
         "duplicates": counts.duplicates.count,
-        "backwards": counts.backwards.count,
+        "backwards": counts.backwards.count + counts.outliers.count,
     }
 
 

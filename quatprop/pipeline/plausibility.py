@@ -54,7 +54,7 @@ OTHER_CLOCK_NS = 3_600_000_000_000
 _NONE = np.empty(0, dtype=np.int64)
 
 
-def log_remarks(log: AnyLog, source: RateSignal) -> list[str | Text]:
+def log_remarks(log: AnyLog, source: RateSignal, rates: str = "body") -> list[str | Text]:
     """Return remarks on the stamps and the orientation beside the rates.
 
     Parameters
@@ -63,12 +63,14 @@ def log_remarks(log: AnyLog, source: RateSignal) -> list[str | Text]:
         An open log that can be read again; only its beginning is read.
     source
         The rates.
+    rates
+        ``"body"`` or ``"inertial"``: the frame in which they are resolved.
     """
     with beginnings_kept(log):
         return [
             *stamp_remarks(source),
             *frame_remarks(source),
-            *orientation_remarks(log, source),
+            *orientation_remarks(log, source, rates),
         ]
 
 
@@ -107,14 +109,14 @@ def stamp_remarks(source: RateSignal) -> list[Text]:
     ]
 
 
-def orientation_remarks(log: AnyLog, source: RateSignal) -> list[str | Text]:
+def orientation_remarks(log: AnyLog, source: RateSignal, rates: str = "body") -> list[str | Text]:
     """Return remarks on the rates, compared with the orientation beside them, if there is one."""
     topic = next((match.table.name for match in source.matches), None) or None
     try:
         own = choose_attitudes(log, AttitudeSelection(topic=topic))
         check = QuaternionCheck(log.path, drop=True)
         rows = check.apply(_beginning(own.rows(), check.counts))
-        remark = against_orientation(source.batches(), rows)
+        remark = against_orientation(source.batches(), rows, rates)
     except QuatpropError:
         # Without an orientation, or with one that cannot be read, there is nothing to compare.
         return []
@@ -126,16 +128,18 @@ def orientation_remarks(log: AnyLog, source: RateSignal) -> list[str | Text]:
 
 
 def against_orientation(
-    rates: Iterable[GyroSeries], orientations: Iterable[AttitudeSeries]
+    batches: Iterable[GyroSeries], orientations: Iterable[AttitudeSeries], rates: str = "body"
 ) -> Text | None:
     """Return a remark if the rates rotate much less or more than the log's own orientation.
 
     Parameters
     ----------
-    rates
-        Body rates from the beginning of the log, rad/s.
+    batches
+        Rates from the beginning of the log, rad/s.
     orientations
         The orientation that the same messages carry, body -> reference.
+    rates
+        ``"body"`` or ``"inertial"``: the frame in which the rates are resolved.
 
     Returns
     -------
@@ -144,14 +148,14 @@ def against_orientation(
     """
     gyro: list[GyroSeries] = []
     own: list[AttitudeSeries] = []
-    rates, orientations = iter(rates), iter(orientations)
+    batches, orientations = iter(batches), iter(orientations)
     for samples in (AGREEING_SAMPLES, COMPARED_SAMPLES):
         _extend(own, orientations, samples)
         if own:
-            _extend(gyro, rates, samples)
+            _extend(gyro, batches, samples)
         if not gyro:
             return None
-        moved = _rotations(GyroSeries.joined(gyro), AttitudeSeries.joined(own))
+        moved = _rotations(GyroSeries.joined(gyro), AttitudeSeries.joined(own), rates)
         by_rates, by_orientation = moved
         if min(moved) > MOVING and max(moved) < OFF_SCALE * min(moved):
             return None
@@ -169,7 +173,7 @@ def against_orientation(
     return None
 
 
-def _rotations(gyro: GyroSeries, own: AttitudeSeries) -> tuple[float, float]:
+def _rotations(gyro: GyroSeries, own: AttitudeSeries, rates: str) -> tuple[float, float]:
     """Return how far rates and orientations rotate in the time compared, RMS, rad; 0 if unknown."""
     stamps, places, own_places = np.intersect1d(gyro.t_ns, own.t_ns, return_indices=True)
     if not np.isfinite(gyro.rate).all() or (np.diff(gyro.t_ns) < 0).any():
@@ -177,7 +181,7 @@ def _rotations(gyro: GyroSeries, own: AttitudeSeries) -> tuple[float, float]:
     after = np.searchsorted(stamps, stamps + COMPARED_SPAN_NS)
     begins = np.flatnonzero(after < len(stamps))
     ends = after[begins]
-    turns = attitudes(gyro.t_ns, gyro.rate)[places], own.wxyz[own_places]
+    turns = attitudes(gyro.t_ns, gyro.rate, rates=rates)[places], own.wxyz[own_places]
     by_rates, by_orientation = (_rms(geodesic_angle(q[begins], q[ends])) for q in turns)
     return by_rates, by_orientation
 

@@ -41,6 +41,9 @@ class Segments:
         When attitudes are wanted; None is at every sample.
     errors
         Of the gyroscope; None where they are not known.
+    mount
+        Its axes to those of the body, where the rates were turned, as for
+        :class:`quatprop.kinematics.uncertainty.ErrorGrowth`.
 
     Attributes
     ----------
@@ -61,13 +64,14 @@ class Segments:
         rates: str,
         times: Times | None = None,
         errors: SensorErrors | None = None,
+        mount: NDArray[np.float64] | None = None,
     ) -> None:
         self._timeline = timeline
         self._q0 = self.final = q0
         self._method, self._rates = method, rates
         self._times = times
         self.sensitivity: Sensitivity | None = None
-        self.growth = None if errors is None else ErrorGrowth(errors, rates)
+        self.growth = None if errors is None else ErrorGrowth(errors, rates, method, mount)
 
     def attitudes(
         self,
@@ -124,8 +128,8 @@ class Segments:
         propagation = Propagation(self._q0 if restart else self.final, self._method, self._rates)
         if self.sensitivity is not None:
             self.sensitivity.begin(restart=restart)
-        if self.growth is not None and restart:
-            self.growth.restart()
+        if self.growth is not None:
+            self.growth.begin(restart=restart)
         for block, attitudes in propagation.run(segment):
             self.final = attitudes.wxyz[-1]
             if self.sensitivity is not None:
@@ -135,6 +139,8 @@ class Segments:
                 covariance = self.growth.advance(block, attitudes.wxyz, to_end=to_end)
                 if self._covariance:
                     attitudes = replace(attitudes, covariance=covariance)  # noqa: PLW2901
+            if block.log_ns is not None:
+                attitudes = replace(attitudes, log_ns=block.log_ns)  # noqa: PLW2901
             if self._rate:
                 attitudes = replace(attitudes, rate=self._body_rate(block, attitudes))  # noqa: PLW2901
             yield block, attitudes

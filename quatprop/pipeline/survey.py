@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -28,6 +29,7 @@ from quatprop.pipeline.log_survey import AttitudeSurvey, LogSurvey, RateSurvey, 
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.selection import AttitudeSelection, RateSelection
+from quatprop.signals.attitude_convention import meaning_of, recorded_convention
 from quatprop.signals.attitudes import attitude_candidates
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import rate_candidates
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
     from quatprop.signals.choice import Candidate, SelectionT, SignalT
     from quatprop.signals.signal import AttitudeSignal, RateSignal
     from quatprop.tables.base import AnyLog
+    from quatprop.tables.model import Table
 
     Seen = dict[tuple[str, str], "_AttitudeReading"]
 
@@ -226,9 +229,11 @@ def _attitudes(log: AnyLog, selection: RateSelection, seen: Seen) -> Iterator[At
         return
     except LogError as error:
         # A topic that cannot be read here does not hide the others.
-        topics = dict.fromkeys(table.name for table in log.tables() if table.is_typed)
+        topics = {table.name: table for table in log.tables(selection.topic)}
         if selection.topic is not None or len(topics) <= 1:
-            yield AttitudeSurvey(source=selection.topic or "", missing=error.reason)
+            made = [_made(table, wanted) for table in topics.values()]
+            made = made or [AttitudeSurvey(source=selection.topic or "")]
+            yield replace(made[0], missing=error.reason)
             return
         for topic in topics:
             yield from _attitudes(log, replace(selection, topic=topic), seen)
@@ -253,6 +258,16 @@ def _attitudes(log: AnyLog, selection: RateSelection, seen: Seen) -> Iterator[At
         else:
             facts = {**dict.fromkeys(unknown), "missing": missing}
             yield replace(surveyed, **facts)  # type: ignore[arg-type]  # all optional
+
+
+def _made(table: Table, wanted: AttitudeSelection) -> AttitudeSurvey:
+    """Return what the metadata of a table say about its attitudes; nothing where they are none."""
+    with suppress(LogError, UsageError):
+        made = table.provenance()
+        meaning = meaning_of(table.path, wanted, recorded_convention(made))
+        meant: dict[str, Any] = {"convention": meaning.convention, "direction": meaning.direction}
+        return AttitudeSurvey(source=table.name, **meant, **making(made))
+    return AttitudeSurvey(source=table.name)
 
 
 def _survey_attitudes(signal: AttitudeSignal, log: AnyLog, seen: Seen) -> AttitudeSurvey:

@@ -6,7 +6,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from quatprop.conditioning import Conditioning, ConditioningInputs, condition
-from quatprop.conditioning.time_range import absolute_range, clipped, ends_of
+from quatprop.conditioning.time_range import EndsFinder, absolute_range, clipped, pause_remarks
 from quatprop.containers.stores import without_secret
 from quatprop.conventions import HAMILTON
 from quatprop.errors import (
@@ -32,6 +32,7 @@ from quatprop.signals.rates import choose_rates
 from quatprop.signals.signal import AttitudeSignal, RateSignal
 from quatprop.text import Text, plain
 from quatprop.timeline import Timeline
+from quatprop.timeline.outliers import marked
 from quatprop.timeline.stamps import OBSERVE, StampChecks
 from quatprop.times import duration_text
 
@@ -149,14 +150,15 @@ def _choose(log: AnyLog, view: View) -> RateSignal | AttitudeSignal:
 
 
 def _view_rates(path: str, log: AnyLog, source: RateSignal, view: View) -> FileView:
-    batches, done = condition(source.batches, view.part, RATES[source.unit], ConditioningInputs())
     drawn, checks, timeline = RateAccumulator(source.unit), RateChecks(), Timeline(OBSERVE, path)
-    counts = timeline.counts
-    deque(timeline.apply(drawn.passing(checks.observe(batches))), maxlen=0)
+    unit, counts = RATES[source.unit], timeline.counts
+    batches, done = condition(source.batches, timeline, view.part, unit, ConditioningInputs())
+    deque(timeline.measured(drawn.passing(checks.observe(batches))), maxlen=0)
     if not counts.used:
         raise NoSamplesError(path, source.name, done.outside, losses=log.losses)
-    remarks = [*source.remarks, *_irregularities(counts), *checks.remarks(counts), *log.remarks]
-    if path != "-":
+    found = *_irregularities(counts), *done.all_remarks, *checks.remarks(counts)
+    remarks = [*source.remarks, *found, *log.remarks]
+    if str(log.path) != "-":
         remarks += log_remarks(log, source)
     convention = "rates as recorded, in the axes of the sensor; nothing subtracted"
     about = [("convention", convention), ("rate", f"{source.field} in {source.unit}")]
@@ -179,12 +181,19 @@ def _view_attitudes(path: str, log: AnyLog, source: AttitudeSignal, view: View) 
     counts = stamps.counts
     covariances = source.may_have_covariances
     read = (AttitudeSeries(*row) for row in source.read(covariances=covariances))
-    ends = ends_of(t_ns for t_ns, _ in source.rows()) if view.part.looks_ahead else (0, 0)
-    part = clipped(read, *absolute_range(view.part, *ends), outside)
-    deque(stamps.observe(batch.t_ns for batch in drawn.passing(part)), maxlen=0)
+    finder = EndsFinder()
+    if view.part.looks_ahead:
+        for t_ns, outliers, _ in marked((t_ns for t_ns, _ in source.rows()), lambda t_ns: t_ns):
+            finder.add(t_ns if outliers is None else t_ns[~outliers])
+    ends = finder.ends()
+    numbered = ((batch, batch.t_ns) for batch in read)
+    part = clipped(numbered, view.part, *absolute_range(view.part, ends), outside)
+    shown = drawn.passing(batch for batch, _ in part)
+    deque(stamps.observe(batch.t_ns for batch in shown), maxlen=0)
     if not counts.used:
         raise NoSamplesError(path, source.name, outside, losses=log.losses)
-    remarks = [*source.remarks, *_irregularities(counts), *log.remarks]
+    pauses = pause_remarks(view.part, ends)
+    remarks = [*source.remarks, *_irregularities(counts), *pauses, *log.remarks]
     if drawn.invalid:
         invalid = count_text(drawn.invalid, "invalid quaternion")
         remarks.append(f"{invalid} (zero, absent or not finite): not drawn")
@@ -243,6 +252,7 @@ def _irregularities(counts: Counts) -> Iterator[str]:
     for event, noun, details in (
         (counts.gaps, "gap", f" longer than {limit}, the longest {longest}: shaded"),
         (counts.duplicates, "repeated timestamp", ""),
+        (counts.outliers, "timestamp outlier", counts.outliers.cause),
         (counts.backwards, "non-monotonic timestamp", ""),
         (counts.nonfinite, "non-finite rate", " (not drawn)"),
     ):

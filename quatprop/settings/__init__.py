@@ -34,7 +34,7 @@ from quatprop.text import Setting
 
 KINDS = (
     *("mcap", "bag", "db3", "rosbag2", "ulog"),
-    *("parquet", "feather", "npy", "npz", "hdf5", "jsonl", "tum", "kitti", "csv"),
+    *("parquet", "feather", "npy", "npz", "hdf5", "matlab", "jsonl", "tum", "kitti", "csv"),
 )
 """The keys of :data:`quatprop.log_kinds.READERS`."""
 
@@ -192,7 +192,8 @@ class PropagateOptions(RateOptions, total=False):
         "W,X,Y,Z|x,-y,-z|tf:FRAME", "Rates", common=True)]
     on_backwards: Annotated[str | None, Keyword(
         Choice("error", "drop", "sort"), "Timestamps that go backwards: refuse, drop until the "
-        "clock has caught up, or sort (holds the log in memory).", "error", group="Timestamps",
+        "clock has caught up, or sort (holds the log in memory); drop and sort leave out "
+        "timestamps that are far ahead of those after them.", "error", group="Timestamps",
         common=True)]
     on_nonfinite: Annotated[str | None, Keyword(
         Choice("error", "drop", "hold"), "Rates that are NaN or infinite: refuse, drop, or hold "

@@ -190,10 +190,6 @@ def length(value: object) -> int:
     return parsed
 
 
-_FEW_NS = 1_000_000
-"""A whole number below this is meant in seconds: nobody cuts a log at its first microseconds."""
-
-
 def moment(value: object) -> Instant:
     """Return an instant: text, whole nanoseconds, or a datetime with its zone."""
     if isinstance(value, Instant):
@@ -207,11 +203,6 @@ def moment(value: object) -> Instant:
         return instant(value)
     if ns is None:
         raise UsageError(f"{shown(value)} is not a time; write text, whole ns, or a datetime")
-    if 0 < ns < _FEW_NS:
-        raise UsageError(
-            f"{shown(value)} is a time of the log's clock in ns, not in seconds; write '{ns}s' for "
-            "seconds after the first sample"
-        )
     return Instant(ns, "clock")
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
+from quatprop import guarded_text
 from quatprop.errors import UsageError, os_reason
+from quatprop.guarded_text import ContentError, read_bytes
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
 MAX_BYTES = 1_000_000
 """A larger file describes no sensor."""
@@ -30,20 +32,14 @@ def read_yaml(setting: str, path: Path | str) -> Mapping[str, object]:
     UsageError
         It cannot be read, or is not YAML or JSON with names at the top.
     """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
     try:
-        if Path(path).stat().st_size > MAX_BYTES:
-            raise unusable(setting, path, "it is too large to describe a sensor")
         # How OpenCV begins a file is not YAML.
-        text = Path(path).read_text(encoding="utf-8").removeprefix("%YAML:1.0")
-        # The safe loader creates plain values only, whatever the tags ask for.
-        content = YAML(typ="safe").load(text)
+        text = read_bytes(path, MAX_BYTES).removeprefix(b"%YAML:1.0")
+        content = guarded_text.read_yaml(text)
     except OSError as error:
         raise unusable(setting, path, os_reason(error)) from error
-    except (YAMLError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise unusable(setting, path, "it is neither YAML nor JSON") from error
+    except ContentError as error:
+        raise unusable(setting, path, str(error)) from error
     if not isinstance(content, dict):
         raise unusable(setting, path, "it holds no names with values")
     return content

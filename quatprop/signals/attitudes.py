@@ -107,13 +107,14 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
     positions = beside(match, "position")
     position = positions[0].sets if len(positions) == 1 else ()
 
-    def read(*, positions: bool = False, covariances: bool = False) -> Rows:
+    def read(*, positions: bool = False, covariances: bool = False, logged: bool = False) -> Rows:
         wanted = (*(position if positions else ()), *covariance.columns[: int(covariances)])
-        batches = (columns.values for columns in read_attitudes(match, wanted))
-        rows = ((t_ns, meaning.converted(q), *others) for t_ns, q, *others in batches)
-        for t_ns, wxyz, *others in covariance.in_body_axes(rows) if covariances else rows:
+        batches = ((batch.log_ns, *batch.values) for batch in read_attitudes(match, wanted))
+        rows = ((t_ns, meaning.converted(q), log_ns, *rest) for log_ns, t_ns, q, *rest in batches)
+        for t_ns, wxyz, log_ns, *others in covariance.in_body_axes(rows) if covariances else rows:
             of_position = others[0] if positions else None
-            yield t_ns, wxyz, of_position, others[-1] if covariances else None
+            row = t_ns, wxyz, of_position, others[-1] if covariances else None
+            yield (*row, None, log_ns) if logged and table.is_typed else row
 
     placeholder = (
         table.is_typed

@@ -7,7 +7,7 @@ are no unit quaternion at all. None of them is used as an attitude.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -104,15 +104,15 @@ class QuaternionCheck:
         self._drop = drop
 
     def apply(
-        self, batches: Iterable[tuple[Int64, Float64, *tuple[Float64 | None, ...]]]
+        self, batches: Iterable[tuple[Int64, Float64, *tuple[Any, ...]]]
     ) -> Iterator[AttitudeSeries]:
         """Yield the valid rows.
 
         Parameters
         ----------
         batches
-            Stamps, shape ``(N,)``, int64 ns, and quaternions, shape ``(N, 4)``; perhaps positions,
-            shape ``(N, 3)``, and covariances, shape ``(N, 3, 3)``.
+            Stamps, shape ``(N,)``, int64 ns, and quaternions, shape ``(N, 4)``; perhaps more of the
+            arguments of :class:`quatprop.series.AttitudeSeries`.
 
         Raises
         ------

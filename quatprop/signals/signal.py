@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from quatprop.errors import LogError
 from quatprop.series import GyroSeries
@@ -20,13 +21,21 @@ if TYPE_CHECKING:
     from quatprop.logs.matching import Match
     from quatprop.provenance import JsonObject
 
-    Rows: TypeAlias = Iterator[tuple[Int64, Float64, Float64 | None, Float64 | None]]
+    Rows: TypeAlias = Iterator[
+        tuple[Int64, Float64, Float64 | None, Float64 | None, *tuple[Any, ...]]
+    ]
 
     class ReadRows(Protocol):
         """Reads attitudes from the beginning."""
 
-        def __call__(self, *, positions: bool = False, covariances: bool = False) -> Rows:
-            """Yield stamps, quaternions and, if they are wanted, what is beside them."""
+        def __call__(
+            self, *, positions: bool = False, covariances: bool = False, logged: bool = False
+        ) -> Rows:
+            """Yield stamps, quaternions and, if they are wanted, what is beside them.
+
+            These are the arguments of :class:`quatprop.series.AttitudeSeries`, those of messages
+            up to their log times if these are wanted.
+            """
 
 
 def stamps_of(rows: Iterable[Columns]) -> Iterator[tuple[Int64, Int64]]:
@@ -35,11 +44,17 @@ def stamps_of(rows: Iterable[Columns]) -> Iterator[tuple[Int64, Int64]]:
         yield columns.values[0], columns.log_ns
 
 
-def series_of(rows: Iterable[Columns], *, averages: bool) -> Iterator[GyroSeries]:
-    """Yield rates, rad/s, of rows whose values are their stamps, the rates, and their spans."""
+def series_of(
+    rows: Iterable[Columns], *, averages: bool, logged: bool = False
+) -> Iterator[GyroSeries]:
+    """Yield rates, rad/s, of rows whose values are their stamps, the rates, and their spans.
+
+    With their log times, if those are asked for.
+    """
     for columns in rows:
         t_ns, rate, *spans = columns.values
-        yield GyroSeries(t_ns, rate, spans[0] if spans else None, averages)
+        log_ns = columns.log_ns if logged else None
+        yield GyroSeries(t_ns, rate, spans[0] if spans else None, averages, log_ns)
 
 
 def no_parts() -> None:
@@ -108,6 +123,16 @@ class RateSignal(Signal):
     part_reader: Callable[[], PartReader | None] = no_parts
     rows: Callable[[], Iterator[Columns]] = lambda: iter(())
     matches: tuple[Match, ...] = ()
+
+    def with_log_times(self) -> RateSignal:
+        """Return the same rates with the log times of their messages, read as a whole."""
+        if not any(match.table.is_typed for match in self.matches):
+            return self
+        batches = partial(self._logged_batches, self.rows)
+        return replace(self, batches=batches, part_reader=no_parts)
+
+    def _logged_batches(self, rows: Callable[[], Iterator[Columns]]) -> Iterator[GyroSeries]:
+        return series_of(rows(), averages=self.method == "end", logged=True)
 
     @property
     def samples(self) -> str:

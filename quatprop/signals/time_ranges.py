@@ -16,13 +16,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from quatprop.conditioning.time_range import PartOfLog
+import numpy as np
+
+from quatprop.conditioning.time_range import Ends, EndsFinder, PartOfLog
 from quatprop.containers.base import LATEST
 from quatprop.containers.time_range import TimeRange
+from quatprop.timeline.outliers import LOOK_AHEAD, marked
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from quatprop.arrays import Int64
     from quatprop.series import GyroSeries
@@ -47,6 +50,21 @@ class _Zone:
     largest_delay_ns: int
 
 
+def _ends(head: Iterable[Int64], tail: Iterable[Int64]) -> Ends | None:
+    """Return the ends of a log from its first and last stamps; None where outliers are there."""
+    finder = EndsFinder()
+    for part in (head, tail):
+        for t_ns, outliers, _ in marked(part, lambda t_ns: t_ns):
+            if outliers is not None:
+                return None
+            finder.add(t_ns)
+    return finder.ends()
+
+
+def _latest(spans: Iterable[Span]) -> int:
+    return max(span.last_ns for span in spans)
+
+
 @dataclass(frozen=True, slots=True)
 class TableRangeReader:
     """Reads ranges of stamps of a table that says which stamps each of its parts has.
@@ -62,15 +80,22 @@ class TableRangeReader:
     spans: Sequence[Span]
     batches: Callable[[frozenset[int]], Iterator[GyroSeries]]
 
-    def ends(self) -> tuple[int, int]:
-        """Return the first and the last stamp, ns."""
-        return min(span.first_ns for span in self.spans), max(span.last_ns for span in self.spans)
+    def ends(self) -> Ends | None:
+        """Return the first and the last sample; None where other parts contradict them."""
+        rows = np.cumsum([span.rows for span in self.spans])
+        head = int(np.searchsorted(rows, LOOK_AHEAD)) + 1
+        tail = int(np.searchsorted(rows, rows[-1] - LOOK_AHEAD))
+        if head > tail:
+            return None
+        parts = (range(head), range(tail, len(rows)))
+        ends = _ends(*((batch.t_ns for batch in self.batches(frozenset(part))) for part in parts))
+        return None if ends is None or _latest(self.spans[:tail]) > ends.last_ns else ends
 
     def read(
         self, first_ns: int | None, last_ns: int | None
     ) -> tuple[PartOfLog, Iterator[GyroSeries]] | None:
         """Return the parts with the stamps of a range; see :meth:`RangeReader.read`."""
-        begin, end = self.ends()
+        begin, end = min(span.first_ns for span in self.spans), _latest(self.spans)
         low, high = begin if first_ns is None else first_ns, end if last_ns is None else last_ns
         chosen = {
             number: span
@@ -80,15 +105,19 @@ class TableRangeReader:
         rows = [sum(span.rows for span in spans) for spans in (chosen.values(), self.spans)]
         if not chosen or SHARE * rows[0] > rows[1]:
             return None
+        # Samples in the range are behind time where the log has been later before.
+        before = enumerate(self.spans[: max(chosen)])
+        if any(span.last_ns > low for number, span in before if number not in chosen):
+            return None
         part = PartOfLog(
             min(span.first_ns for span in chosen.values()),
-            max(span.last_ns for span in chosen.values()),
+            _latest(chosen.values()),
             (low > begin, high < end),
         )
         return part, self.batches(frozenset(chosen))
 
 
-@dataclass(frozen=True)
+@dataclass
 class RangeReader:
     """Reads ranges of stamps of a signal.
 
@@ -106,10 +135,9 @@ class RangeReader:
     stamps: Callable[[TimeRange], Iterator[tuple[Int64, Int64]]]
     batches: Callable[[TimeRange], Iterator[GyroSeries]]
 
-    def ends(self) -> tuple[int, int] | None:
-        """Return the first and the last stamp, ns; None where only the whole log tells them."""
-        zones = self._end_zones
-        return None if zones is None else (zones[0].first_ns, zones[1].last_ns)
+    def ends(self) -> Ends | None:
+        """Return the first and the last sample; None where only the whole log tells them."""
+        return None if self._end_zones is None else _ends(*self._end_stamps)
 
     def read(
         self, first_ns: int | None, last_ns: int | None
@@ -157,17 +185,28 @@ class RangeReader:
         first_ns, last_ns = self.span.first_ns, self.span.last_ns
         if self.span.length_ns <= 2 * SHARE * MARGIN_NS:
             return None
-        head = self._zone(TimeRange(first_ns, first_ns + MARGIN_NS))
-        tail = self._zone(TimeRange(last_ns - MARGIN_NS, last_ns))
+        self._end_stamps: tuple[list[Int64], list[Int64]] = ([], [])
+        head = self._zone(TimeRange(first_ns, first_ns + MARGIN_NS), note=self._end_stamps[0])
+        tail = self._zone(TimeRange(last_ns - MARGIN_NS, last_ns), note=self._end_stamps[1])
         return None if head is None or tail is None else (head, tail)
 
-    def _zone(self, within: TimeRange, wanted: TimeRange | None = None) -> _Zone | None:
-        """Return the extremes in a range of log times; None where no stamp is a wanted one."""
+    def _zone(
+        self,
+        within: TimeRange,
+        wanted: TimeRange | None = None,
+        note: list[Int64] | None = None,
+    ) -> _Zone | None:
+        """Return the extremes in a range of log times; None where no stamp is a wanted one.
+
+        The stamps are appended to `note`.
+        """
         extremes: list[tuple[int, int, int, int]] = []
         is_wanted = wanted is None
         for t_ns, log_ns in self.stamps(within):
             if not len(t_ns):
                 continue
+            if note is not None:
+                note.append(t_ns)
             first, last = int(t_ns.min()), int(t_ns.max())
             if first <= 0 or int(log_ns.min()) <= 0:
                 return None  # never set, or relative: delays say nothing, or do not fit 64 bits

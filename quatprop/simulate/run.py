@@ -230,4 +230,4 @@ def open_log_writer(
     encoder = ImuEncoder(deviation, ros1="ros1" in WRITERS[kind].encodings)
     compression = compression or DEFAULT_COMPRESSIONS.get(kind)
     container = open_messages(target, kind, encoder.topic, compression)
-    return attitude_messages(container, encoder, target, arrival_ns)
+    return attitude_messages(container, encoder, target, lambda series: arrival_ns(series.t_ns))

@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from quatprop.containers.file_source import FileSource, source_of
+from quatprop.containers.limits import checksums_matter
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY, JsonObject, provenance_in
 from quatprop.tables.base import Span, TimedColumns, refuse_second_file
@@ -119,7 +120,11 @@ class ParquetLog(_ArrowLog):
         from pyarrow.parquet import ParquetFile
 
         # Ahead and in large requests, where reading takes long to begin.
-        self._parquet = ParquetFile(self._file, pre_buffer=self._source.is_remote)
+        self._parquet = ParquetFile(
+            self._file,
+            pre_buffer=self._source.is_remote,
+            page_checksum_verification=checksums_matter(),
+        )
         # Its own metadata lack what was added when the file was closed.
         return self._parquet.schema_arrow.with_metadata(self._parquet.metadata.metadata)
 

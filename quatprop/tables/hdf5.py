@@ -2,42 +2,37 @@
 
 from __future__ import annotations
 
-import math
-from contextlib import ExitStack, nullcontext
-from typing import TYPE_CHECKING, Any, BinaryIO, cast
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
+import pyarrow as pa
 
 from quatprop.errors import DamagedLogError, UnsupportedLogError, UsageError
 from quatprop.tables.base import TableNotes, refuse_second_file
+from quatprop.tables.hdf5_attributes import Packing, column_names, packing_of, sample_rate, unit_of
+from quatprop.tables.hdf5_storage import ERRORS, StoredRows, read_rows, refusal, shape_of
 from quatprop.tables.npy_format import ArrayColumn, ArrayHeader, HeaderError, columns_of
-from quatprop.tables.numpy_table import NumpyTable
+from quatprop.tables.numpy_table import NumpyTable, Wanted
+from quatprop.tables.typed_table import DamageError
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
-    from quatprop.arrays import AnyArray
+    from quatprop.tables.base import TimedColumns
+    from quatprop.tables.typed_table import RowGroup
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
-_CHUNK_CACHE_BYTES = 1 << 26
-_SAMPLE_RATES = ("sampling_rate", "sample_rate")
-_COLUMN_NAMES = ("columns", "column_names", "names")
-_UNITS = ("Units", "units", "Unit", "unit")
-_MOST_UNPACKED = 2000
-"""Bytes that a byte of the file may become: deflate stops at 1032."""
-
-_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError)
-"""What h5py raises for damaged files."""
 
 
 class Hdf5Log(NumpyTable):
     """Datasets of one dimension are columns, those of two have one for each of their columns.
 
     ``group/gyr`` of shape ``(N, 3)`` becomes ``group.gyr[0]`` to ``group.gyr[2]``, or
-    ``group.gyr.x`` where its attribute ``columns`` says so in text of fixed length. The attribute
-    ``sampling_rate`` of the file, Hz, counts the rows where there is no time. In files of MATLAB
-    (version 7.3) rows and columns are exchanged.
+    ``group.gyr.x`` where its attribute ``columns`` says so. The attribute ``sampling_rate`` of the
+    file, Hz, counts the rows where there is no time. In files of MATLAB (version 7.3) rows and
+    columns are exchanged. Nothing outside the file is opened.
 
     Parameters
     ----------
@@ -64,22 +59,23 @@ class Hdf5Log(NumpyTable):
             raise UsageError(
                 f"{plain(path)}: HDF5 needs h5py, which is not installed; pip install h5py"
             ) from error
-        self._refused = ""
+        self._refused: dict[str, str] = {}
+        self._packings: dict[str, Packing] = {}
         try:
             with ExitStack() as resources:
                 # Programs that are still writing keep a lock, which only matters to other writers.
-                self._file = resources.enter_context(
-                    h5py.File(path, "r", locking=False, rdcc_nbytes=_CHUNK_CACHE_BYTES)
-                )
-                self._sample_rate = _sample_rate(self._file)
-                self._file.visititems(self._describe)
+                self._file = resources.enter_context(h5py.File(path, "r", locking=False))
+                self._sample_rate = sample_rate(self._file)
+                with path.open("rb") as self._bytes:
+                    self._file.visititems(self._describe)
+                self._file.visititems_links(self._describe_link)
                 if (end := _second_file(path)) is not None:
                     refuse_second_file(path, end)
-                if not self._leaves:
-                    reason = self._refused or "it has no datasets; name a log"
+                if all(member in self._refused for member, _ in self._members):
+                    reason = next(iter(self._refused.values()), "it has no datasets; name a log")
                     raise UnsupportedLogError(path, reason)
                 resources.pop_all()
-        except _ERRORS as error:
+        except ERRORS as error:
             raise DamagedLogError(
                 path,
                 f"its groups and datasets are damaged ({plain(error)}); was it closed and copied "
@@ -95,83 +91,77 @@ class Hdf5Log(NumpyTable):
         """Close the file."""
         self._file.close()
 
+    def _describe_link(self, path: str, link: Any) -> None:
+        """Note a link to another file."""
+        if hasattr(link, "filename"):
+            leads = f"its link {quoted(path)} leads to another file, {quoted(link.filename)}"
+            self._refused[path] = f"{leads}, which is not opened; name that file"
+            self.remarks = [*self.remarks, f"{leads}, which is not opened"]
+
     def _describe(self, path: str, item: Any) -> None:
         """Add the columns of a dataset; those that are no columns are ignored."""
-        if not hasattr(item, "shape"):
+        import h5py
+
+        if not isinstance(item, h5py.Dataset):
             return
+        columns: list[ArrayColumn] = []
+        given: list[str] = []
+        unit = reason = ""
+        self._packings[path] = Packing()
         try:
-            columns = _columns(item, self.path.stat().st_size)
+            columns = _columns(item)
+            reason = refusal(item, self.path.stat().st_size)
+            given = column_names(item, len(columns), self._bytes)
+            # One unit is not that of columns of several quantities.
+            unit = "" if given or item.dtype.names else unit_of(item, self._bytes)
+            self._packings[path] = packing_of(item)
         except HeaderError as error:
-            self._refused = self._refused or f"its dataset {quoted(path)}: {error}"
-            return
+            reason = str(error)
+        if reason:
+            self._refused[path] = f"its dataset {quoted(path)}: {reason}"
         name = path.replace("/", ".")
-        given = _given_names(item, len(columns))
-        # One unit is not that of columns of several quantities.
-        unit = "" if given or item.dtype.names else _unit(item)
         for column, own in zip(columns, given or [""] * len(columns), strict=True):
             inner = own or column.name
             dot = "." if inner and not inner.startswith("[") else ""
             self._add_column(name + dot + inner + unit, path, column)
+            if self._packings[path].is_scaled:
+                self._leaves[-1] = self._leaves[-1]._replace(type=pa.float64())
 
-    def _open_rows(self, member: str) -> BinaryIO:
-        return cast("BinaryIO", nullcontext(_DatasetBytes(self._file[member])))
+    def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
+        for k in (*columns.time, *columns.numbers):
+            if reason := self._refused.get(self._members[k][0]):
+                raise UnsupportedLogError(self.path, reason)
+        yield from super()._row_groups(columns)
 
-
-def _is_of_matlab(dataset: Any) -> bool:
-    """Whether MATLAB has written it, column after column."""
-    return "MATLAB_class" in dataset.attrs and len(dataset.shape) == 2  # noqa: PLR2004
-
-
-def _shape(dataset: Any) -> tuple[int, ...]:
-    """Return rows and columns."""
-    shape: tuple[int, ...] = dataset.shape
-    return shape[::-1] if _is_of_matlab(dataset) else shape
-
-
-class _DatasetBytes:
-    """The numbers of a dataset, row after row, as they would stand in a file of NumPy."""
-
-    def __init__(self, dataset: Any) -> None:
-        self._dataset = dataset
-        self._is_of_matlab = _is_of_matlab(dataset)
-        self._step = dataset.dtype.itemsize * math.prod(_shape(dataset)[1:])
-        self._next = 0
-
-    def read(self, size: int) -> bytes:
-        """Return whole rows, one at least, and fewer of them before a chunk that is damaged.
-
-        Raises
-        ------
-        EOFError
-            It begins here.
-        """
-        count = max(1, size // self._step)
-        while True:
-            rows = slice(self._next, self._next + count)
+    def _batches(self, wanted: list[Wanted], rows: int) -> Iterator[pa.RecordBatch | int]:
+        members: dict[str, list[tuple[str, ArrayColumn]]] = {}
+        for name, member, column in wanted:
+            members.setdefault(member, []).append((name, column))
+        datasets = []
+        for member, columns in members.items():
             try:
-                taken = self._dataset[:, rows].T if self._is_of_matlab else self._dataset[rows]
-            except _ERRORS as error:
-                if count == 1:
-                    raise EOFError(plain(error)) from error
-                count //= 2
-                continue
-            self._next += len(taken)
-            return bytes(taken.tobytes())
+                dataset = StoredRows(self._file[member], columns, self._packings[member])
+            except HeaderError as error:
+                reason = f"its dataset {quoted(member)}: {error}"
+                raise UnsupportedLogError(self.path, reason) from error
+            except ERRORS as error:
+                raise DamageError(plain(error)) from error
+            datasets.append(dataset)
+        yield from read_rows(datasets, rows, self.losses)
 
 
-def _columns(dataset: Any, file_size: int) -> list[ArrayColumn]:
-    """Return the columns of a dataset in a file of some bytes.
+def _columns(dataset: Any) -> list[ArrayColumn]:
+    """Return the columns of a dataset.
 
     Raises
     ------
     HeaderError
         It is no table of numbers.
     """
-    if dataset.shape is None or dataset.dtype.hasobject:
+    shape = shape_of(dataset)
+    if shape is None or dataset.dtype.hasobject:
         raise HeaderError(f"its type is {dataset.dtype}, not numbers")
-    if dataset.nbytes > _MOST_UNPACKED * file_size:
-        raise HeaderError(f"it claims {dataset.nbytes} bytes, which the file cannot hold")
-    return columns_of(ArrayHeader(dataset.dtype, _shape(dataset), is_fortran=False))
+    return columns_of(ArrayHeader(dataset.dtype, shape, is_fortran=False))
 
 
 def _second_file(path: Path) -> int | None:
@@ -190,41 +180,3 @@ def _second_file(path: Path) -> int | None:
             return None
         file.seek(end)
         return end if file.read(len(_MAGIC)) == _MAGIC else None
-
-
-def _attribute(item: Any, name: str) -> AnyArray:
-    """Return an attribute of fixed size; empty where it is another.
-
-    Text of variable length is not asked for: HDF5 crashes or hangs where that is damaged.
-    """
-    if name in item.attrs and not item.attrs.get_id(name).dtype.hasobject:
-        return np.atleast_1d(np.asarray(item.attrs[name]))
-    return np.empty(0)
-
-
-def _sample_rate(file: Any) -> float | None:
-    for name in _SAMPLE_RATES:
-        value = _attribute(file, name)
-        if value.size == 1 and value.dtype.kind in "iuf" and 0 < value.flat[0] < np.inf:
-            return float(value.flat[0])
-    return None
-
-
-def _unit(dataset: Any) -> str:
-    """Return the unit that an attribute of the dataset declares, as headers of columns have it."""
-    for name in _UNITS:
-        value = _attribute(dataset, name)
-        if value.dtype.kind == "S" and value.size == 1 and value.flat[0].strip():
-            return f" [{value.flat[0].decode(errors='replace').strip()}]"
-    return ""
-
-
-def _given_names(dataset: Any, count: int) -> list[str]:
-    """Return the names of columns that an attribute of the dataset gives; none without one."""
-    for name in _COLUMN_NAMES:
-        value = _attribute(dataset, name)
-        if value.dtype.kind == "S" and value.shape == (count,):
-            names = [text.decode(errors="replace").strip() for text in value.tolist()]
-            if all(names) and len(set(names)) == count > 1:
-                return names
-    return []

@@ -34,6 +34,7 @@ HEAD_BYTES = 1 << 16
 _HEAD_LINES = 100
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d+)?)?(?P<zone>Z|[+-]\d\d:?\d\d)?")
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
+_ROWS_IN_A_LIST = re.compile(rb"(?:\xef\xbb\xbf)?\s*\{\s*\"(\w{1,60})\"\s*:\s*\[\s*\{")
 _TYPES: dict[type, pa.DataType] = {bool: pa.bool_(), float: pa.float64()}
 
 
@@ -64,6 +65,14 @@ class JsonLinesLog(TypedTable):
             del lines[-1]
         self._lines = lines
         self._leaves = _leaves(lines[:_HEAD_LINES])
+        rows = _ROWS_IN_A_LIST.match(head)
+        if rows and all(pa.types.is_list(leaf.type) for leaf in self._leaves):
+            name = rows[1].decode()
+            raise UnsupportedLogError(
+                path,
+                f"it is one JSON object with its rows in the list {quoted(name)}; write a row a "
+                f"line, such as with jq -c '.{name}[]'",
+            )
         if not self._leaves:
             raise UnsupportedLogError(
                 path, "its first lines are no JSON objects; write each row as one, on one line"

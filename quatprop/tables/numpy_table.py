@@ -7,7 +7,7 @@ import math
 import zipfile
 import zlib
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 
     from quatprop.tables.base import TimedColumns
 
+    Buffer = bytearray | memoryview
+
+Wanted: TypeAlias = tuple[str, str, ArrayColumn]
+"""A column that is read: how it is named, the array in which it is, and where in that."""
 
 _PIECE_BYTES = 1 << 18
 _BLOCK_BYTES = 1 << 24
@@ -71,14 +75,12 @@ class NumpyTable(TypedTable):
         rows = counts.pop()
         yield RowGroup("the end of its array", rows, self._batches(wanted, rows))
 
-    def _batches(
-        self, wanted: list[tuple[str, str, ArrayColumn]], rows: int
-    ) -> Iterator[pa.RecordBatch]:
+    def _batches(self, wanted: list[Wanted], rows: int) -> Iterator[pa.RecordBatch | int]:
         arrays: dict[tuple[str, int], list[tuple[str, ArrayColumn]]] = {}
         for name, member, column in wanted:
             arrays.setdefault((member, column.start), []).append((name, column))
         step = max(column.step for *_, column in wanted)
-        at_once = max(1, min(BATCH_ROWS, _BLOCK_BYTES // step))
+        at_once = rows_at_once(step)
         with ExitStack() as stack, archive_damage():
             streams = []
             for (member, start), columns in arrays.items():
@@ -95,7 +97,7 @@ class NumpyTable(TypedTable):
                 whole = min(len(data) // columns[0][1].step for columns, data, _ in blocks)
                 if whole:
                     values = {
-                        name: _values(data, column, whole)
+                        name: values_in(data, column, whole)
                         for columns, data, _ in blocks
                         for name, column in columns
                     }
@@ -106,6 +108,11 @@ class NumpyTable(TypedTable):
             for stream, _ in streams:
                 # The checksum of a member is looked at when it ends.
                 stream.read(1)
+
+
+def rows_at_once(size: int) -> int:
+    """Return how many rows of some bytes are read together."""
+    return max(1, min(BATCH_ROWS, _BLOCK_BYTES // size))
 
 
 def _arrow_type(dtype: np.dtype[Any]) -> pa.DataType:
@@ -146,8 +153,8 @@ def _read_bytes(stream: BinaryIO, size: int) -> tuple[bytearray, str]:
     return data, ""
 
 
-def _values(data: bytearray, column: ArrayColumn, rows: int) -> pa.Array:
-    """Return a column of some rows, in the byte order of the machine."""
+def values_in(data: Buffer, column: ArrayColumn, rows: int) -> pa.Array:
+    """Return a column out of the bytes of some rows, in the byte order of the machine."""
     stored: np.ndarray[Any, Any] = np.ndarray(
         (rows,), column.dtype, data, column.offset, (column.step,)
     )

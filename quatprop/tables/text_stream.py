@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 
-from quatprop.containers.compressed_files import file_compression
+from quatprop.containers.compressed_files import MAGIC_BYTES, file_compression
 from quatprop.containers.compression import UnreadableDataError, decompressed_pieces
 from quatprop.errors import UnreadableLogError, UnsupportedLogError, os_reason
 from quatprop.text import Setting, plain
@@ -64,7 +64,7 @@ class TextStream:
 
     def __init__(self, file: BinaryIO, *, may_be_compressed: bool = True) -> None:
         self._file: Any = file if hasattr(file, "peek") else io.BufferedReader(cast("Any", file))
-        compression = file_compression(self._file.peek(4)[:4] if may_be_compressed else b"")
+        compression = file_compression(self._file.peek(MAGIC_BYTES) if may_be_compressed else b"")
         if compression:
             self._pieces = decompressed_pieces(self._file, compression)
         else:

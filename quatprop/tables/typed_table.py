@@ -169,6 +169,9 @@ class TypedTable(TableLog):
                 self.losses.note(group.place, f"it is damaged: {plain(error)}", rows)
                 return
             if batch is None:
+                if count < group.rows:
+                    reason = f"it has {count} of the {group.rows} rows that are stated"
+                    self.losses.note(group.place, reason, group.rows - count)
                 return
             count += batch if isinstance(batch, int) else batch.num_rows
             yield batch

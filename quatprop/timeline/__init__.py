@@ -7,7 +7,7 @@ repaired silently: the counts say what a policy changed.
 
 from __future__ import annotations
 
-from itertools import groupby, pairwise, starmap
+from itertools import groupby, pairwise
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -17,16 +17,18 @@ from quatprop.blocks import reblock
 from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries
 from quatprop.text import Setting
-from quatprop.timeline.stamps import LONGEST_NS, Policy, StampChecks, cause_of_step
+from quatprop.timeline.outliers import fits
+from quatprop.timeline.stamps import LONGEST_NS, Policy, StampChecks
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from quatprop.arrays import Bool, Float64, Int64, Intp
+    from quatprop.arrays import Bool, Float64, Int64
+    from quatprop.timeline.steps import Examined
 
-    Kept: TypeAlias = tuple[GyroSeries, Intp | None]
-    """A batch, and which samples of what was read it holds; None: all."""
+    Numbered: TypeAlias = tuple[GyroSeries, Int64]
+    """A batch, and which of the samples that were read it holds."""
 
 
 class Timeline(StampChecks):
@@ -46,7 +48,7 @@ class Timeline(StampChecks):
         self._last_magnitude = np.float64(0.0)
 
     def apply(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield the samples that are used, in batches.
+        """Yield the samples that are used, in blocks.
 
         Parameters
         ----------
@@ -63,13 +65,72 @@ class Timeline(StampChecks):
         TimelineError
             An event that the policy calls an error.
         """
-        finite = self.each(batches, self._finite)
-        sorts = self.policy.on_backwards == "sort"
-        ordered = self._sorted(finite) if sorts else starmap(self._in_order, finite)
-        # Sums of floats depend on where they are cut: so they are cut at fixed sample indices.
-        for batch in reblock(self.with_gap_limit(ordered, attrgetter("t_ns"))):
-            self._measure(batch, self.intervals(batch.t_ns))
-            yield batch
+        return self.measured(self.finite(self.ordered(batches)))
+
+    def ordered(self, batches: Iterable[GyroSeries]) -> Iterator[Numbered]:
+        """Yield samples as the policy for stamps that go backwards leaves them.
+
+        Parameters
+        ----------
+        batches
+            Samples in the order of the log.
+
+        Yields
+        ------
+        tuple
+            A batch of samples, and which of those that were read they are.
+        """
+        examined = self.examined(batches, attrgetter("t_ns"))
+        if self.policy.on_backwards == "sort":
+            yield from self._sorted(examined)
+            return
+        for each in examined:
+            dropped = None if self.policy.on_backwards == "keep" else each.irregular
+            if dropped is None:
+                yield each.batch, each.rows
+            elif not dropped.all():
+                yield each.batch[~dropped], each.rows[~dropped]
+
+    def looked_ahead(
+        self, batches: Iterable[GyroSeries], note: Callable[[Int64], object]
+    ) -> Iterator[GyroSeries]:
+        """Yield what the policy will leave of the samples of a log, before it is read for good.
+
+        Nothing is counted or sorted. Stamps that are no outliers are noted.
+        """
+        # What is sorted is only looked at.
+        policy = self.policy._replace(on_nonfinite="keep")
+        for each in StampChecks(self.path, policy).examined(batches, attrgetter("t_ns")):
+            wrong, batch = each.outliers, each.batch
+            note(batch.t_ns if wrong is None else batch.t_ns[~wrong])
+            dropped = each.irregular if policy.on_backwards == "drop" else wrong
+            yield batch if dropped is None else batch[~dropped]
+
+    def without(self, numbered: Iterable[Numbered], outside: Sequence[int]) -> Iterator[Numbered]:
+        """Yield samples in a range; those outside of it, counted as they pass, are not lost."""
+        yield from numbered
+        self.counts.read -= sum(outside)
+
+    def finite(self, numbered: Iterable[Numbered]) -> Iterator[GyroSeries]:
+        """Yield samples with finite rates: others are dropped, replaced or refused."""
+        for batch, rows in numbered:
+            # Where the sum is finite all are: one pass for the common case.
+            with np.errstate(over="ignore", invalid="ignore"):
+                total = batch.rate.sum()
+            if np.isfinite(total):
+                self._last_finite = batch.rate[-1]
+                yield batch
+            else:
+                yield self._finite(batch, rows)
+
+    def measured(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+        """Yield samples in blocks of fixed size, with their intervals counted.
+
+        Sums of floats depend on where they are cut: so they are cut at fixed sample indices.
+        """
+        for block in reblock(self.with_gap_limit(batches, attrgetter("t_ns"))):
+            self._measure(block, self.intervals(block.t_ns))
+            yield block
 
     def segments(self, blocks: Iterable[GyroSeries]) -> Iterator[Iterator[GyroSeries]]:
         """Cut samples at the gaps that are not propagated across.
@@ -104,17 +165,11 @@ class Timeline(StampChecks):
                 if stop > start:
                     yield number, block[start:stop]
 
-    def _finite(self, batch: GyroSeries) -> Kept:
+    def _finite(self, batch: GyroSeries, rows: Int64) -> GyroSeries:
         """Find rates that are not finite, and drop or replace them."""
-        # Where the sum is finite all are: one pass for the common case.
-        with np.errstate(over="ignore", invalid="ignore"):
-            total = batch.rate.sum()
-        if np.isfinite(total):
-            self._last_finite = batch.rate[-1]
-            return batch, None
         good: Bool = np.logical_and.reduce(np.isfinite(batch.rate), axis=1)
         event = self.counts.nonfinite
-        event.add(np.flatnonzero(~good), self.counts.read, batch.t_ns)
+        event.add(np.flatnonzero(~good), batch.t_ns, rows)
         if self.policy.on_nonfinite == "error" and event.count:
             raise TimelineError(
                 self.path,
@@ -122,10 +177,10 @@ class Timeline(StampChecks):
                 f"not finite; choose {Setting('on_nonfinite', 'drop|hold')}",
             )
         if self.policy.on_nonfinite == "drop":
-            return batch[good], np.flatnonzero(good)
-        return self._hold(batch, good) if self.policy.on_nonfinite == "hold" else batch, None
+            return batch[good]
+        return self._hold(batch, good, rows) if self.policy.on_nonfinite == "hold" else batch
 
-    def _hold(self, batch: GyroSeries, good: Bool) -> GyroSeries:
+    def _hold(self, batch: GyroSeries, good: Bool, rows: Int64) -> GyroSeries:
         """Replace each rate that is not finite by the last one before it that is."""
         latest_good = np.maximum.accumulate(np.where(good, np.arange(len(good)), -1))
         rate = batch.rate[latest_good]
@@ -133,7 +188,7 @@ class Timeline(StampChecks):
             if self._last_finite is None:
                 raise TimelineError(
                     self.path,
-                    f"the rate of sample {self.counts.read} (t = {batch.t_ns[0]} ns) is not "
+                    f"the rate of sample {rows[0]} (t = {batch.t_ns[0]} ns) is not "
                     "finite and there is none before it to hold; choose "
                     f"{Setting('on_nonfinite', 'drop')}, or begin later with {Setting('start')}",
                 )
@@ -141,24 +196,22 @@ class Timeline(StampChecks):
         self._last_finite = rate[-1]
         return batch.with_rate(rate)
 
-    def _in_order(self, batch: GyroSeries, kept: Intp | None) -> GyroSeries:
-        """Find stamps that are earlier than one before, and drop them."""
-        back = self.backward(batch.t_ns, kept) if len(batch) else None
-        return batch if back is None or self.policy.on_backwards == "keep" else batch[~back]
-
-    def _sorted(self, batches: Iterable[Kept]) -> Iterator[GyroSeries]:
-        whole, places = [], []
-        for batch, kept in batches:
-            whole.append(batch)
-            places.append(self.counts.read + (np.arange(len(batch)) if kept is None else kept))
-        if not whole:
+    def _sorted(self, examined: Iterable[Examined[GyroSeries]]) -> Iterator[Numbered]:
+        """Yield all samples but outliers in one batch, in order of time."""
+        parts = list(examined)
+        if not parts:
             return
-        log = GyroSeries.joined(whole)
-        back = np.flatnonzero(log.t_ns < np.maximum.accumulate(log.t_ns))
-        if len(back):
-            self.counts.backwards.cause = cause_of_step(log.t_ns, int(back[0]))
-        self.counts.backwards.add(back, 0, log.t_ns, np.concatenate(places))
-        yield log[np.argsort(log.t_ns, kind="stable")]
+        log = GyroSeries.joined([part.batch for part in parts])
+        rows = np.concatenate([part.rows for part in parts])
+        if self.counts.outliers.count:
+            wrong = np.concatenate([part.outlier_mask for part in parts])
+            early = fits(log.t_ns[wrong], np.sort(log.t_ns[~wrong]))
+            if early.any():
+                wrong[wrong] = ~early
+                self.count_again(log.t_ns, wrong)
+            log, rows = log[~wrong], rows[~wrong]
+        order = np.argsort(log.t_ns, kind="stable")
+        yield log[order], rows[order]
 
     def _measure(self, batch: GyroSeries, intervals: Int64) -> None:
         """Measure the rates of a batch; the intervals end at its last samples."""

@@ -39,8 +39,8 @@ class Event:
     count
         Occurrences.
     first_index
-        Index of the first sample concerned, counted from 0: of rates that are not finite and stamps
-        that go backwards as read, of repeated stamps and gaps among the samples used.
+        Index of the first sample concerned, counted from 0: of rates that are not finite, outliers
+        and stamps that go backwards as read, of repeated stamps and gaps among the samples used.
     first_ns
         Its time stamp, ns.
     cause
@@ -52,14 +52,15 @@ class Event:
     first_ns: int | None = None
     cause: str = ""
 
-    def add(self, where: Intp, start: int, t_ns: Int64, kept: Intp | None = None) -> None:
-        """Count the sample positions `where` of a batch that starts at index `start`.
+    def add(self, where: Intp, t_ns: Int64, rows: Int64 | int) -> None:
+        """Count the positions `where` in a batch of samples with the indices `rows`.
 
-        Where samples of the batch were dropped, `kept` holds the positions of those that are left.
+        Indices in a row are given by the first.
         """
         if len(where) and self.first_index is None:
-            self.first_index = start + int(where[0] if kept is None else kept[where[0]])
-            self.first_ns = int(t_ns[where[0]])
+            first = int(where[0])
+            self.first_index = rows + first if isinstance(rows, int) else int(rows[first])
+            self.first_ns = int(t_ns[first])
         self.count += len(where)
 
 
@@ -70,7 +71,7 @@ class Counts:
     Parameters
     ----------
     read, used
-        Samples read, and samples used.
+        Samples read, but for those outside of the range that is asked for, and samples used.
     first_ns, last_ns
         Stamps of the first and last sample used.
     median_dt_ns
@@ -79,9 +80,11 @@ class Counts:
         Extreme intervals between samples used, ns.
     gap_limit_ns
         Intervals longer than this were counted as gaps.
-    duplicates, backwards, gaps
-        Stamps equal to the one before; earlier than one before; long intervals. A gap is located
-        by the sample after it.
+    duplicates, backwards, outliers, gaps
+        Stamps equal to the one before; earlier than one before; ahead of those after them; long
+        intervals. A gap is located by the sample after it.
+    longest_gap
+        The stamps before and after the longest, ns.
     gap_list
         The first :data:`LISTED_GAPS` gaps: the stamps before and after each, ns.
     max_rate
@@ -105,7 +108,9 @@ class Counts:
     gap_limit_ns: int | None = None
     duplicates: Event = field(default_factory=Event)
     backwards: Event = field(default_factory=Event)
+    outliers: Event = field(default_factory=Event)
     gaps: Event = field(default_factory=Event)
+    longest_gap: tuple[int, int] | None = None
     gap_list: list[tuple[int, int]] = field(default_factory=list)
     max_rate: float = 0.0
     path_angle_rad: float = 0.0
@@ -131,6 +136,9 @@ HANDLED = {
     ("on_nonfinite", "drop"): "dropped",
     ("on_nonfinite", "hold"): "replaced by the last finite rate",
     ("on_nonfinite", "keep"): Text(f"refused without {Setting('on_nonfinite', 'drop|hold')}"),
+    ("outliers", "drop"): "dropped",
+    ("outliers", "sort"): "dropped",
+    ("outliers", "keep"): Text(f"refused without {Setting('on_backwards', 'drop|sort')}"),
     ("on_gap", "hold"): "propagated across",
     ("on_gap", "zero"): "no rotation assumed",
     ("on_gap", "split"): "restarted from q0",
@@ -151,19 +159,31 @@ def remarks(counts: Counts, policy: Policy) -> Iterator[Text]:
     limit = duration_text(counts.gap_limit_ns or 0)
     events = {
         "": (counts.duplicates, "repeated timestamp{s}"),
+        "outliers": (counts.outliers, "timestamp outlier{s}"),
         "on_backwards": (counts.backwards, "non-monotonic timestamp{s}"),
         "on_nonfinite": (counts.nonfinite, "non-finite rate{s}"),
         "on_gap": (counts.gaps, f"interval{{s}} longer than {limit}"),
     }
     for setting, (event, noun) in events.items():
         if event.count:
-            handled = HANDLED[setting, getattr(policy, setting, "")]
+            chosen = policy.on_backwards if setting == "outliers" else getattr(policy, setting, "")
+            handled = HANDLED[setting, chosen]
             yield Text(
                 f"{event.count} {noun.format(s='s' if event.count > 1 else '')} (",
                 handled,
                 f"), first at sample {event.first_index}, t = {event.first_ns} ns{event.cause}",
+                _longest(counts) if event is counts.gaps else "",
             )
     yield from _time_remarks(counts)
+
+
+def _longest(counts: Counts) -> str:
+    """Return between which stamps the longest gap is: it may be a wrong stamp at an end."""
+    if counts.longest_gap is None:
+        return ""
+    before, after = counts.longest_gap
+    which = "; the longest, of " if counts.gaps.count > 1 else ", "
+    return f"{which}{duration_text(after - before)} after {before} ns"
 
 
 def _time_remarks(counts: Counts) -> Iterator[Text]:

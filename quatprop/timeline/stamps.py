@@ -8,27 +8,22 @@ import numpy as np
 
 from quatprop.errors import TimelineError
 from quatprop.text import Setting
-from quatprop.timeline.counts import LISTED_GAPS, Counts
+from quatprop.timeline.counts import LISTED_GAPS, Counts, Event
+from quatprop.timeline.outliers import Rows, marked
+from quatprop.timeline.steps import Examined, cause_of_step
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sized
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
-    from quatprop.arrays import Bool, Int64, Intp
+    from quatprop.arrays import Bool, Int64
 
 
-Batch = TypeVar("Batch", bound="Sized")
-Result = TypeVar("Result")
+Batch = TypeVar("Batch", bound=Rows)
 
 GAP_FACTOR = 10
 """Intervals longer than this many median intervals count as gaps, unless the policy says so."""
-
-_FAR = 10
-"""A stamp so many times as far ahead as the one after it is taken for the wrong one of the two."""
-
-COUNTERS = {"ns": 2**32, "us": 2**32 * 1_000, "ms": 2**32 * 1_000_000}
-"""After how many ns a counter of 32 bits begins again, by its unit."""
 
 LONGEST_NS = int(np.iinfo(np.int64).max)
 """The longest interval that fits in 64 bits."""
@@ -43,8 +38,9 @@ class Policy(NamedTuple):
     Parameters
     ----------
     on_backwards
-        Time stamps earlier than one before: ``"error"``; ``"drop"`` the samples; ``"sort"`` all
-        samples by stamp (keeps the whole log in memory); ``"keep"`` them, for inspection only.
+        Time stamps earlier than one before, and outliers: ``"error"``; ``"drop"`` the samples;
+        ``"sort"`` all samples by stamp (keeps the whole log in memory) and drop outliers;
+        ``"keep"`` them, for inspection only.
     on_nonfinite
         Rates that are NaN or infinite: ``"error"``; ``"drop"`` the samples; ``"hold"`` the last
         finite rate; ``"keep"`` them, for inspection only.
@@ -86,6 +82,7 @@ class StampChecks:
         self.path = path
         self.policy = policy
         self.counts = Counts(gap_limit_ns=policy.max_gap_ns)
+        self.read = 0
         self._latest: int | None = None
         self._last_two = np.empty(0, np.int64)
 
@@ -97,35 +94,59 @@ class StampChecks:
         batches
             Stamps in the order of the log, each shape ``(N,)``, int64 ns.
         """
-        checked = (t_ns for t_ns, _ in self.each(batches, lambda t_ns: (t_ns, self.backward(t_ns))))
+        checked = (t_ns for t_ns, *_ in self.examined(batches, lambda t_ns: t_ns))
         for t_ns in self.with_gap_limit(checked, lambda t_ns: t_ns):
             self.intervals(t_ns)
             yield t_ns
 
-    def each(
-        self, batches: Iterable[Batch], examine: Callable[[Batch], Result]
-    ) -> Iterator[Result]:
-        """Yield what a function returns for each batch; meanwhile `read` counts those before it."""
-        for batch in batches:
-            if len(batch):
-                yield examine(batch)
-                self.counts.read += len(batch)
-
-    def backward(self, t_ns: Int64, kept: Intp | None = None) -> Bool | None:
-        """Return which stamps are earlier than one before, or None where none is.
+    def examined(
+        self, batches: Iterable[Batch], stamps_of: Callable[[Batch], Int64]
+    ) -> Iterator[Examined[Batch]]:
+        """Yield batches that are not empty, with the outliers and steps back that are in them.
 
         Parameters
         ----------
-        t_ns
-            The next stamps, shape ``(N,)``, int64 ns.
-        kept
-            Their positions in the batch that was read; None where none of it was dropped.
+        batches
+            Samples in the order of the log.
+        stamps_of
+            Returns their stamps, shape ``(N,)``, int64 ns.
 
         Raises
         ------
         TimelineError
             There is one, and the policy refuses it.
         """
+        for batch, outliers, ahead_ns in marked(batches, stamps_of):
+            t_ns = stamps_of(batch)
+            rows = np.arange(self.read, self.read + len(t_ns))
+            self.read += len(t_ns)
+            self.counts.read += len(t_ns)
+            back = self._backward(t_ns, rows, outliers)
+            if outliers is not None:
+                if not self.counts.outliers.count:
+                    ahead = duration_text(ahead_ns)
+                    self.counts.outliers.cause = f", {ahead} ahead of those around it"
+                self.counts.outliers.add(np.flatnonzero(outliers), t_ns, rows)
+            if self.policy.on_backwards == "error":
+                self._refuse()
+            yield Examined(batch, rows, outliers, back)
+
+    def count_again(self, t_ns: Int64, outliers: Bool) -> None:
+        """Count outliers and steps back of a whole log, some of whose outliers are none."""
+        counts, rows = self.counts, np.arange(len(t_ns))
+        counts.outliers, counts.backwards = Event(), Event()
+        counts.outliers.add(np.flatnonzero(outliers), t_ns, rows)
+        kept = t_ns[~outliers]
+        back = np.flatnonzero(kept < np.maximum.accumulate(kept))
+        counts.backwards.add(back, kept, rows[~outliers])
+
+    def _backward(self, t_ns: Int64, rows: Int64, outliers: Bool | None) -> Bool | None:
+        """Return which stamps are earlier than one before that is no outlier; None for none."""
+        all_ns = t_ns
+        if outliers is not None:
+            t_ns, rows = t_ns[~outliers], rows[~outliers]
+        if not len(t_ns):
+            return None
         latest = int(t_ns[0]) if self._latest is None else self._latest
         before, self._last_two = self._last_two, np.append(self._last_two, t_ns[-2:])[-2:]
         if t_ns[0] >= latest and (t_ns[1:] >= t_ns[:-1]).all():
@@ -140,20 +161,36 @@ class StampChecks:
         else:
             back = t_ns < reached
             self._latest = int(reached[-1])
-        event = self.counts.backwards
         where = np.flatnonzero(back)
-        if not event.count:
-            event.cause = cause_of_step(np.append(before, t_ns), len(before) + int(where[0]))
-        event.add(where, self.counts.read, t_ns, kept)
-        if self.policy.on_backwards == "error":
-            step = duration_text(int(reached[where[0]]) - int(t_ns[where[0]]))
+        if len(where) and not self.counts.backwards.count:
+            first = int(where[0])
+            self._step_ns = int(reached[first]) - int(t_ns[first])
+            cause = cause_of_step(np.append(before, t_ns), len(before) + first)
+            self.counts.backwards.cause = cause
+        self.counts.backwards.add(where, t_ns, rows)
+        if outliers is None:
+            return back
+        found = np.zeros(len(all_ns), np.bool_)
+        found[~outliers] = back
+        return found
+
+    def _refuse(self) -> None:
+        """Refuse the first outlier or step back, whichever comes first in the log."""
+        outliers, back = self.counts.outliers, self.counts.backwards
+        ways_out = f"choose {Setting('on_backwards', 'drop|sort')}, or another {Setting('clock')}"
+        firsts = [e.first_index for e in (outliers, back) if e.first_index is not None]
+        if firsts and outliers.first_index == min(firsts):
             raise TimelineError(
                 self.path,
-                f"time steps back by {step} at sample {event.first_index} (t = {event.first_ns} "
-                f"ns){event.cause}; choose "
-                f"{Setting('on_backwards', 'drop|sort')}, or another {Setting('clock')}",
+                f"the timestamp of sample {outliers.first_index} (t = {outliers.first_ns} ns) is "
+                f"an outlier{outliers.cause}; {ways_out}",
             )
-        return back
+        if back.count:
+            raise TimelineError(
+                self.path,
+                f"time steps back by {duration_text(self._step_ns)} at sample {back.first_index} "
+                f"(t = {back.first_ns} ns){back.cause}; {ways_out}",
+            )
 
     def with_gap_limit(
         self, batches: Iterable[Batch], stamps_of: Callable[[Batch], Int64]
@@ -216,16 +253,20 @@ class StampChecks:
         counts = self.counts
         shortest, longest = int(intervals.min()), int(intervals.max())
         counts.min_dt_ns = min(shortest, shortest if counts.min_dt_ns is None else counts.min_dt_ns)
-        counts.max_dt_ns = max(longest, longest if counts.max_dt_ns is None else counts.max_dt_ns)
+        is_longest = counts.max_dt_ns is None or longest > counts.max_dt_ns
+        counts.max_dt_ns = longest if is_longest else counts.max_dt_ns
         start = max(counts.used, 1)
-        counts.duplicates.add(np.flatnonzero(intervals == 0), start, ends)
+        counts.duplicates.add(np.flatnonzero(intervals == 0), ends, start)
         limit = counts.gap_limit_ns
         if limit is None or longest <= limit:
             return
         where = np.flatnonzero(intervals > limit)
-        counts.gaps.add(where, start, ends)
+        counts.gaps.add(where, ends, start)
         after = ends[where[: LISTED_GAPS - len(counts.gap_list)]]
         before = after - intervals[where[: len(after)]]
+        if is_longest:
+            end = int(ends[intervals.argmax()])
+            counts.longest_gap = end - longest, end
         counts.gap_list += zip(before.tolist(), after.tolist(), strict=True)
         if self.policy.on_gap == "error":
             raise TimelineError(
@@ -234,25 +275,3 @@ class StampChecks:
                 f"longer than {duration_text(limit)}; choose "
                 f"{Setting('on_gap', 'hold|zero|split')} or a longer {Setting('max_gap')}",
             )
-
-
-def cause_of_step(t_ns: Int64, first: int) -> str:
-    """Return the likely cause of a step back in time, if the stamps show one.
-
-    Parameters
-    ----------
-    t_ns
-        Stamps, ns.
-    first
-        The first that is earlier than one before.
-    """
-    if first < 2:  # noqa: PLR2004  # it and two before
-        return ""
-    before, middle, after = t_ns[first - 2 : first + 1].tolist()
-    for unit, period in COUNTERS.items():
-        if 0 < period - (middle - after) <= min(_FAR * (middle - before), period // 1000):
-            return f" as if a counter of 32 bits in {unit} had wrapped around"
-    if 0 <= _FAR * (after - before) < middle - before:
-        ahead = duration_text(middle - before)
-        return f" because the stamp before it, {middle} ns, is {ahead} ahead"
-    return ""

@@ -8,14 +8,13 @@ Pipes and devices are written to directly, as there is nothing to replace.
 from __future__ import annotations
 
 import os
-import stat
 import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 from quatprop.errors import OutputError
-from quatprop.temp_files import LockedTemp
+from quatprop.temp_files import LockedTemp, take_mode_of, temp_file, temp_folder
 from quatprop.writers.targets import checked_place, is_stdout, is_stream
 
 if TYPE_CHECKING:
@@ -73,7 +72,7 @@ class OutputFile:
         else:
             self._place = checked_place(target)
             with output_errors(target):
-                self._temp = LockedTemp(self._place, lambda path: path.open("xb"))
+                self._temp = temp_file(self._place)
             self.stream = self._temp.made
 
     def finish(self) -> None:
@@ -86,8 +85,7 @@ class OutputFile:
         try:
             with output_errors(self.target):
                 if self._temp is not None:
-                    if self._place.exists():
-                        self._temp.path.chmod(stat.S_IMODE(self._place.stat().st_mode))
+                    take_mode_of(self._temp.path, self._place)
                     self._temp.path.replace(self._place)
         finally:
             self.discard()
@@ -176,7 +174,7 @@ class OutputPath:
             raise OutputError(target, f"exists already; {way_out}")
         self._place = checked_place(target)
         with output_errors(target):
-            self._temp = LockedTemp(self._place, lambda path: path.mkdir())
+            self._temp = temp_folder(self._place)
         self.path = self._temp.path / self._place.name
 
     def finish(self) -> None:
@@ -186,6 +184,8 @@ class OutputPath:
         """Put the finished file or folder in its place."""
         try:
             with output_errors(self.target):
+                if self._place.exists():  # a file: folders replace nothing
+                    take_mode_of(self.path, self._place)
                 self.path.replace(self._place)
         finally:
             self.discard()

@@ -136,7 +136,7 @@ def attitude_messages(
     container: MessageWriter,
     encoder: AttitudeEncoder,
     target: Path | str,
-    log_times: Callable[[Int64], Int64] = lambda t_ns: t_ns,
+    log_times: Callable[[AttitudeSeries], Int64] = lambda series: series.t_ns,
 ) -> AttitudeWriter:
     """Return a writer of attitudes as messages.
 
@@ -149,11 +149,11 @@ def attitude_messages(
     target
         The file, for errors.
     log_times
-        Returns when attitudes are logged, given their stamps, ns.
+        Returns when attitudes are logged, ns.
     """
 
     def messages(series: AttitudeSeries) -> tuple[Int64, Records]:
         encoded = encoder.encode(series, target)
-        return log_times(series.t_ns), encoded
+        return log_times(series), encoded
 
     return AttitudeWriter(container, messages, holds_positions=encoder.holds_positions)

@@ -72,6 +72,25 @@ def checked_place(target: Path | str) -> Path:
     return place
 
 
+def refuse_outside(target: Path | str, folder: Path | str) -> None:
+    """Refuse a target that does not lie in a folder, or that a link there leads out of.
+
+    The folder itself may be a link.
+
+    Raises
+    ------
+    OutputError
+        It does not.
+    """
+    place, root = os.path.realpath(target), os.path.realpath(folder)
+    if os.path.commonpath([place, root]) != root:
+        raise OutputError(
+            target,
+            f"{plain(place)} is written to, which is not in {plain(root)}; remove the link or the "
+            "path that leads there",
+        )
+
+
 def _has_write_bit(place: Path) -> bool:
     """Return whether anybody may write: what is marked read-only is kept, for root too."""
     return bool(place.stat().st_mode & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH))

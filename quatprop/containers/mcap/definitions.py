@@ -91,7 +91,9 @@ def leading_definitions(
     return [(opcode, data[begin:end]) for opcode, begin, end in walked.definitions]
 
 
-def read_definitions(source: FileSource, index: McapIndex, *, is_complete: bool) -> None:
+def read_definitions(
+    source: FileSource, index: McapIndex, *, is_complete: bool, is_closed: bool
+) -> None:
     """Read the chunks that may hold channels and schemas not yet defined.
 
     Parameters
@@ -102,11 +104,13 @@ def read_definitions(source: FileSource, index: McapIndex, *, is_complete: bool)
         What is known of it; definitions are added.
     is_complete
         Whether all its channels are known.
+    is_closed
+        Whether the file has a footer; if not, message indexes may be missing after the last chunk.
     """
     suspect = []
     define = partial(_define_from, source, index, DecompressionBudget(source.size))
     for region in index.regions:
-        if region.holds is None:
+        if region.holds is None or (region is index.regions[-1] and not is_closed):
             needed = not is_complete or not all(map(index.is_defined, index.channels))
         else:
             needed = not all(map(index.is_defined, region.ids))
@@ -136,7 +140,8 @@ def _define_from(
     for opcode, begin, stop in walked.definitions:
         content = memoryview(data)[begin:stop]
         index.define(opcode, content, f"in the {region.place}", region.first_id)
-    if region.holds is None and walked.end == len(data) and not loaded.damage:
+    if walked.end == len(data) and not loaded.damage:
+        # They count for more than an index, which may be damaged.
         messages = messages_at(data, walked.offsets)
         region.counts = messages.counts() if messages else {}
         region.holds = dict.fromkeys(region.counts, 0)

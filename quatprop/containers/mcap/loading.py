@@ -22,14 +22,13 @@ from quatprop.containers.mcap.walk import walk_records
 from quatprop.errors import UnsupportedLogError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     import numpy as np
     from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageBlock
     from quatprop.containers.file_source import FileSource
-    from quatprop.containers.loading import ChunkGroup
     from quatprop.containers.mcap.messages import LocatedMessages
     from quatprop.containers.mcap.redefinitions import DefinitionCheck
 
@@ -90,10 +89,10 @@ class McapReader(ChunkReader[Region, Loaded]):
     def _is_read_in_part(self, chunk: Region) -> bool:
         return chunk.is_uncompressed and chunk.length >= LARGE and self.is_mixed(chunk)
 
-    def whole(self, chunk: Region, into: Bytes | None = None) -> Loaded:
+    def whole(self, chunk: Region) -> Loaded:
         """Return the records of a region."""
         try:
-            return load(self.source, chunk, self.budget, into=into)
+            return load(self.source, chunk, self.budget)
         except UnreadableDataError as error:
             return Loaded(damage=error.reason, is_readable=False)
 
@@ -120,18 +119,16 @@ class McapReader(ChunkReader[Region, Loaded]):
             return None
         return messages.block
 
-    def located(
-        self, group: ChunkGroup[Region], contents: list[Loaded]
-    ) -> Iterator[tuple[int, MessageBlock | None]]:
-        """Yield the messages of loaded regions."""
-        pairs = zip(group.chunks, contents, strict=True)
-        self.unchecked.update(region.start for region, loaded in pairs if loaded.is_partial)
-        return super().located(group, contents)
+    def located(self, content: Loaded, chunk: Region) -> MessageBlock | None:
+        """Return the messages of a loaded region."""
+        if content.is_partial:
+            self.unchecked.add(chunk.start)
+        return super().located(content, chunk)
 
-    def only_messages(self, data: Bytes, first: Region) -> tuple[MessageBlock, int] | None:
-        """Return the messages of regions that hold nothing else behind the first definitions."""
+    def only_messages(self, data: Bytes, chunk: Region) -> tuple[MessageBlock, int] | None:
+        """Return the messages of a region that holds nothing else behind its definitions."""
         try:
-            begin = self.definitions.check_leading(data.data, first, first.own(self.ids))
+            begin = self.definitions.check_leading(data.data, chunk, chunk.own(self.ids))
         except UnreadableDataError:
             return None
         messages = only_messages(data.data, begin)
@@ -159,7 +156,8 @@ class McapReader(ChunkReader[Region, Loaded]):
                 reason = error.reason
             else:
                 return messages.block if messages else None
-        lost = message_count([chunk], self.ids)
+        # An index that lists none may be damaged.
+        lost = message_count([chunk], self.ids) or None
         self.losses.note(chunk.place, reason, lost, self.topic)
         self.lost += lost or 0
         return None
@@ -170,11 +168,12 @@ class McapReader(ChunkReader[Region, Loaded]):
         ids = region.own(self.ids)
         index = index_of(self.source, region)
         offsets = indexed_offsets(index, region, ids)
-        if offsets is not None and len(offsets) == message_count([region], self.ids):
-            messages = messages_at(data, offsets)
-            if messages and messages.are_all_of(ids):  # an empty index may be a damaged one
+        messages = None if offsets is None else messages_at(data, offsets)
+        if messages and messages.are_all_of(ids):
+            leading = self.definitions.check_leading(data, region, ids)
+            # Among other records there may be messages that no index lists.
+            if messages.fill(data, leading):
                 _check_times(loaded, region, messages)
-                self.definitions.check_beside(data, region, ids, messages)
                 return messages
         walked = walk_records(data)
         self.definitions.check(data, walked.definitions, region, ids)
@@ -187,12 +186,13 @@ class McapReader(ChunkReader[Region, Loaded]):
             messages = messages_at(data, walked.offsets)
         if messages:
             _check_times(loaded, region, messages)
-        if offsets is None and messages:
-            self._note_undefined(region, messages)
+        every = messages
         messages = messages.of(ids) if messages else None
         found = len(messages) if messages else 0
         listed = found if offsets is None else len(offsets)
         lost = max(0, listed - found - walked.malformed)
+        if every and not lost:
+            self._note_undefined(region, every)
         if walked.end < len(data):
             damage = (
                 damage or f"its records cannot be followed beyond byte {walked.end} of {len(data)}"

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from quatprop.containers.base import LATEST, Channel, MessageBlock, by_topic
 from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.compressed_messages import decompressed
 from quatprop.containers.mcap.definitions import ids_by_channel
-from quatprop.containers.mcap.index import build_index
-from quatprop.containers.mcap.loading import McapReader, message_count
+from quatprop.containers.mcap.index import UNDEFINED, build_index
+from quatprop.containers.mcap.loading import McapReader
 from quatprop.containers.mcap.redefinitions import DefinitionCheck
 from quatprop.containers.mcap.regions import Region
 from quatprop.containers.mcap.summary import MAGIC, read_provenance
@@ -90,14 +92,43 @@ class McapLog(ChunkedLog[Region]):
 
     def _count(self, ids: Sequence[int]) -> int | None:
         """Return how many messages the channels of these ids have; None if that is unknown."""
-        if self._stated is not None:
-            return sum(self._stated.get(id_, 0) for id_ in ids)
-        return message_count(self._regions, ids)
+        if self._are_accounted_for(ids):
+            return self._stated_of(ids)
+        # A damaged index may list none.
+        return self._stated_of(ids) or self._listed_of(ids) or None
+
+    def _stated_of(self, ids: Sequence[int]) -> int | None:
+        """Return how many messages of some channels the statistics state, if there are any."""
+        return None if self._stated is None else sum(self._stated.get(id_, 0) for id_ in ids)
+
+    def _listed_of(self, ids: Sequence[int]) -> int | None:
+        """Return how many messages of some channels the indexes of all regions list."""
+        return None if self._listed is None else sum(self._listed[id_] for id_ in ids)
+
+    @cached_property
+    def _listed(self) -> Counter[int] | None:
+        total: Counter[int] = Counter()
+        for region in self._regions:
+            listed = region.listed()
+            if listed is None:
+                return None
+            for id_, count in listed.items():
+                total[region.first_id + id_] += count
+        return total
+
+    def _are_accounted_for(self, ids: Sequence[int]) -> bool:
+        """Return whether the statistics show that the indexes list every message of some channels.
+
+        Where a damaged index hides a channel, only they, or the chunk itself, tell.
+        """
+        stated = self._stated_of(ids)
+        return stated is not None and stated == self._listed_of(ids)
 
     def chunks_of(self, channel: Channel) -> list[Region]:
         """Return the regions that may hold a channel, in order of time."""
-        ids = set(self._ids.get(channel, []))
-        regions = [r for r in self._regions if r.holds is None or not ids.isdisjoint(r.ids)]
+        ids, regions = self._ids.get(channel, []), self._regions
+        if self._are_accounted_for(ids):
+            regions = [region for region in regions if not set(ids).isdisjoint(region.ids)]
         return sorted(regions, key=lambda region: (region.first_ns, region.start))
 
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
@@ -147,9 +178,13 @@ class McapLog(ChunkedLog[Region]):
 
     def _check_count(self, topic: str, ids: Sequence[int], count: int) -> None:
         """Note a loss if the file states more messages than were read or lost."""
-        if self._stated is None:
-            return
-        missing = sum(self._stated.get(id_, 0) for id_ in ids) - count
+        missing = (self._stated_of(ids) or 0) - count - self._undefined()
         if missing > 0:
             reason = f"it counts {missing} messages more than there are"
             self.losses.note("summary", reason, missing, topic)
+
+    def _undefined(self) -> int:
+        """Return how many messages are lost since their channel is unknown: it may be any."""
+        stated = {f"channel {id_}" for id_ in self._stated or ()}
+        lost = [loss for loss in self.losses if loss.reason == UNDEFINED]
+        return sum(loss.messages or 0 for loss in lost if loss.place not in stated)

@@ -58,6 +58,12 @@ class LocatedMessages:
         """Return whether no message is of another channel."""
         return bool(_is_one_of(self.channels, ids).all())
 
+    def fill(self, data: Buffer, begin: int) -> bool:
+        """Return whether nothing is between them, from `begin` to the end of the records."""
+        starts, ends = self.block.starts, self.block.ends
+        size = int((ends - starts).sum()) + len(starts) * _HEAD
+        return int(starts[0]) - _HEAD == begin == len(data) - size
+
     def counts(self) -> dict[int, int]:
         """Return how many messages each channel has."""
         ids, counts = np.unique(self.channels, return_counts=True)

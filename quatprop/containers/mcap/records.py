@@ -51,6 +51,9 @@ def read_schema(content: Buffer) -> SchemaRecord:
     """Return a schema from the content of its record."""
     (id_,) = struct.unpack_from("<H", content)
     name, encoding, data = prefixed(content, 2, 3)
+    rest = bytes(content[2 + 3 * 4 + len(name) + len(encoding) + len(data) :])
+    if rest.isascii() and rest.decode().strip().isprintable() and rest.strip():
+        raise ValueError  # more of the definition, whose length is damaged, and no new field
     return SchemaRecord(id_, name.decode(), encoding.decode(), data)
 
 

@@ -12,13 +12,12 @@ from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.mcap.definitions import IDS
 from quatprop.containers.mcap.regions import MESSAGE, Region
 from quatprop.containers.mcap.summary import McapIndex
-from quatprop.containers.mcap.walk import MESSAGE_HEAD, walk_records
+from quatprop.containers.mcap.walk import walk_records
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.containers.compression import Buffer
-    from quatprop.containers.mcap.messages import LocatedMessages
 
 
 class DefinitionCheck:
@@ -40,42 +39,13 @@ class DefinitionCheck:
         Raises
         ------
         UnreadableDataError
-            As for :meth:`check_beside`.
+            A channel that is read, or its schema, is redefined there.
         """
         if not len(data) or data[0] == MESSAGE:
             return 0
         walked = walk_records(data, stop_at={MESSAGE})
         self.check(data, walked.definitions, region, ids)
         return walked.end
-
-    def check_beside(
-        self,
-        data: Buffer,
-        region: Region,
-        ids: Sequence[int],
-        messages: LocatedMessages,
-    ) -> None:
-        """Compare what a chunk whose message index is right holds beside messages.
-
-        Parameters
-        ----------
-        data, region, ids
-            The chunk, and the ids in it of the channels that are read.
-        messages
-            Their messages.
-
-        Raises
-        ------
-        UnreadableDataError
-            A channel that is read, or its schema, is redefined there.
-        """
-        # Messages that fill the rest of the chunk need not be followed one by one.
-        head = MESSAGE_HEAD.itemsize
-        starts, ends = messages.block.starts, messages.block.ends
-        begin = int(starts[0]) - head if len(starts) else 0
-        size = int((ends - starts).sum()) + len(starts) * head
-        beside = memoryview(data)[: begin if begin + size == len(data) else None]
-        self.check(beside, walk_records(beside).definitions, region, ids)
 
     def check(
         self,

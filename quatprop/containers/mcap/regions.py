@@ -10,11 +10,17 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.checksum import crc32
 from quatprop.containers.chunks import ChunkContent
-from quatprop.containers.compression import UnreadableDataError, decompress, decompress_prefix
+from quatprop.containers.compression import (
+    MAX_SIZE,
+    UnreadableDataError,
+    decompress,
+    decompress_prefix,
+)
 from quatprop.containers.limits import CHECKSUMS, DecompressionBudget, checksums_matter
 from quatprop.errors import os_reason
 
@@ -27,8 +33,10 @@ if TYPE_CHECKING:
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
 
-SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END = 3, 4, 5, 6, 7, 15
+HEADER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 1, 3, 4, 5, 6, 7
+ATTACHMENT, METADATA, DATA_END = 9, 12, 15
 """Opcodes."""
+_COMPRESSIONS = frozenset({"", "lz4", "zstd"})
 RECORD = struct.Struct("<BQ")
 """Opcode and length of the content: how every record begins."""
 CHUNK_HEAD = struct.Struct("<QQQII")
@@ -118,17 +126,22 @@ class Region:
         own = (id_ - self.first_id for id_ in ids)
         return [id_ for id_ in own if 0 <= id_ < 1 << 16]
 
+    def listed(self) -> dict[int, int] | None:
+        """Return how many messages of each channel it holds; None if that is unknown."""
+        if self.counts is not None or self.holds is None:
+            return self.counts
+        order = sorted(self.holds.items(), key=itemgetter(1))
+        # Where the next index begins shows how many entries one has.
+        ends = [*(place for _, place in order[1:]), self.end]
+        return {
+            id_: max(0, end - place - INDEX_HEAD.size) // INDEX_ENTRY
+            for (id_, place), end in zip(order, ends, strict=True)
+        }
+
     def count(self, channel: int) -> int | None:
         """Return how many messages of a channel it holds; None if that is unknown."""
-        if self.counts is not None:
-            return self.counts.get(channel, 0)
-        if self.holds is None:
-            return None
-        if channel not in self.holds:
-            return 0
-        ends = [at for at in self.holds.values() if at > self.holds[channel]]
-        size = min(ends, default=self.end) - self.holds[channel] - INDEX_HEAD.size
-        return max(0, size // INDEX_ENTRY)
+        listed = self.listed()
+        return None if listed is None else listed.get(channel, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,27 +169,9 @@ TORN = "the file ends inside it"
 
 
 def load(
-    source: FileSource,
-    region: Region,
-    budget: DecompressionBudget,
-    *,
-    check: bool = True,
-    into: NDArray[np.uint8] | None = None,
+    source: FileSource, region: Region, budget: DecompressionBudget, *, check: bool = True
 ) -> Loaded:
-    """Read a region and decompress it.
-
-    Parameters
-    ----------
-    source
-        The file.
-    region
-        Where in it.
-    budget
-        How much may be decompressed.
-    check
-        Whether to refuse a chunk whose checksum is wrong.
-    into
-        Memory for the decompressed records; used if it has their size.
+    """Read a region and decompress it; `check` refuses a chunk whose checksum is wrong.
 
     Raises
     ------
@@ -184,46 +179,32 @@ def load(
         The region is damaged.
     """
     try:
-        return _load(source, region, budget, into, check=check)
+        return _load(source, region, budget, check=check)
     except OSError as error:
         raise UnreadableDataError(os_reason(error)) from error
 
 
 def _load(
-    source: FileSource,
-    region: Region,
-    budget: DecompressionBudget,
-    into: NDArray[np.uint8] | None,
-    *,
-    check: bool,
+    source: FileSource, region: Region, budget: DecompressionBudget, *, check: bool
 ) -> Loaded:
     if not region.is_chunk:
-        loose: Buffer
-        if into is None or len(into) != region.length:
-            loose = source.read(region.start, region.length)
-        else:
-            loose = source.read_into(region.start, into)
+        loose = source.read(region.start, region.length)
         return Loaded(loose, TORN if len(loose) < region.length else "")
-    in_place = into is not None and region.is_uncompressed
-    at_once = not in_place and region.length <= _AT_ONCE
+    at_once = region.length <= _AT_ONCE
     front = memoryview(source.read(region.start, region.length if at_once else PEEK))
     chunk = chunk_head(front, region.length)
     if chunk is None:
         raise UnreadableDataError("no chunk of the indexed length begins there")
     budget.check()
-    if into is not None and len(into) != chunk.size:
-        into = None
-    begin, size = region.start + chunk.begin, chunk.end - chunk.begin
-    if into is not None and in_place and chunk.is_uncompressed:
-        data: Buffer = source.read_into(begin, into)
-        if len(data) < size:
+    begin, size = region.start + chunk.begin, min(chunk.end, region.length) - chunk.begin
+    content = front[chunk.begin :][:size] if at_once else source.read(begin, size)
+    is_torn = len(content) < size or region.start + region.length > source.size
+    if is_torn:
+        data = decompress_prefix(content, chunk.compression, chunk.size)[: chunk.size]
+        if len(data) < chunk.size or not chunk.crc:
             return Loaded(data, TORN)
     else:
-        content = front[chunk.begin : chunk.end] if at_once else source.read(begin, size)
-        if len(content) < size or region.start + region.length > source.size:
-            prefix = decompress_prefix(content, chunk.compression, chunk.size)
-            return Loaded(prefix[: chunk.size], TORN)
-        data = decompress(content, chunk.compression, chunk.size or None, into)
+        data = decompress(content, chunk.compression, chunk.size or None)
     budget.spend(len(data) if chunk.compression else 0)
     if check and chunk.crc and crc32(data) != chunk.crc and checksums_matter():
         raise UnreadableDataError(
@@ -282,17 +263,32 @@ def chunk_head(record: Buffer, length: int) -> ChunkHead | None:
     Returns
     -------
     ChunkHead or None
-        None where `record` is too short, no chunk, or its lengths contradict each other.
+        None where `record` is too short, or neither its head nor its content says that it is a
+        chunk of this length.
     """
     fixed = RECORD.size + CHUNK_HEAD.size
-    if len(record) < fixed + 8 or RECORD.unpack_from(record) != (CHUNK, length - RECORD.size):
+    if len(record) < fixed + 8:
         return None
     first, last, size, crc, name_length = CHUNK_HEAD.unpack_from(record, RECORD.size)
     begin = fixed + name_length + 8
     if begin > len(record):
         return None
     (size_in_file,) = struct.unpack_from("<Q", record, begin - 8)
-    if begin + size_in_file > length:
-        return None
+    end = begin + size_in_file
     compression = bytes(record[fixed : begin - 8]).decode(errors="replace")
-    return ChunkHead(first, last, size, crc, compression, begin, begin + size_in_file)
+    is_stated = RECORD.unpack_from(record) == (CHUNK, length - RECORD.size)
+    if not is_stated and (end != length or compression not in _COMPRESSIONS):
+        return None
+    return ChunkHead(first, last, size, crc, compression, begin, end)
+
+
+def plausible_chunk(head: bytes, length: int) -> bool:
+    """Tell whether a chunk's content has consistent lengths, in all `length`; it may be torn."""
+    chunk = chunk_head(head, RECORD.size + length)
+    return (
+        chunk is not None
+        and chunk.end == RECORD.size + length
+        and chunk.compression in _COMPRESSIONS
+        and chunk.size <= MAX_SIZE
+        and (chunk.compression != "" or chunk.size == chunk.end - chunk.begin)
+    )

@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.compression import MAX_SIZE
+from quatprop.containers.mcap.extents import length_by_content
 from quatprop.containers.mcap.regions import (
+    ATTACHMENT,
     CHANNEL,
     CHUNK,
     DATA_END,
-    INDEX_ENTRY,
-    INDEX_HEAD,
     MESSAGE,
     MESSAGE_INDEX,
+    METADATA,
     PEEK,
     RECORD,
     SCHEMA,
-    chunk_head,
+    plausible_chunk,
 )
 
 if TYPE_CHECKING:
@@ -33,7 +33,9 @@ if TYPE_CHECKING:
 CHUNKS = frozenset({CHUNK})
 """Opcodes to look for where the messages inside an uncompressed chunk would match, too."""
 
-RECORDS = frozenset({SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END})
+RECORDS = frozenset(
+    {SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END}
+)
 """Opcodes to look for elsewhere."""
 
 _WINDOW = 1 << 22
@@ -43,12 +45,10 @@ _CHAIN = 3
 _TRIES = 200_000
 """Candidates that are tried before the search is given up, so that it ends on hostile files."""
 
-_COMPRESSIONS = ("", "lz4", "zstd")
 _HIGH = slice(5, RECORD.size)
 """The bytes of a record head that are 0 in any record below a terabyte."""
 
 _MESSAGE_FIXED = 22
-_DATA_END_SIZE = 4
 
 
 def next_record(
@@ -77,7 +77,7 @@ def next_record(
         size = min(_WINDOW, stop - position)
         window = source.read(position, size + RECORD.size - 1)
         for place in _candidates(window, kinds):
-            if _is_record(source, position + place, end):
+            if is_record(source, position + place, end):
                 return position + place
             tries -= 1
             if tries == 0:
@@ -98,7 +98,7 @@ def _candidates(window: bytes, kinds: Container[int]) -> list[int]:
     return np.flatnonzero(matches).tolist()
 
 
-def _is_record(source: FileSource, position: int, end: int) -> bool:
+def is_record(source: FileSource, position: int, end: int) -> bool:
     """Tell whether a record begins at a place, rather than bytes that look like one."""
     for _ in range(_CHAIN):
         head = source.read(position, PEEK)
@@ -107,8 +107,8 @@ def _is_record(source: FileSource, position: int, end: int) -> bool:
         opcode, length = RECORD.unpack_from(head)
         after = position + RECORD.size + length
         if opcode == CHUNK:
-            return _is_chunk(head, length)
-        if after > end or not _is_plausible(opcode, length, head):
+            return plausible_chunk(head, length)
+        if after > end or not _is_plausible(source, position, head):
             return False
         if after == end:
             return True
@@ -116,32 +116,10 @@ def _is_record(source: FileSource, position: int, end: int) -> bool:
     return True
 
 
-def _is_chunk(head: bytes, length: int) -> bool:
-    """Tell whether the lengths of a chunk are consistent; its end may be missing."""
-    chunk = chunk_head(head, RECORD.size + length)
-    return (
-        chunk is not None
-        and chunk.end == RECORD.size + length
-        and chunk.compression in _COMPRESSIONS
-        and chunk.size <= MAX_SIZE
-        and (chunk.compression != "" or chunk.size == chunk.end - chunk.begin)
-    )
-
-
-def _is_plausible(opcode: int, length: int, head: bytes) -> bool:
+def _is_plausible(source: FileSource, position: int, head: bytes) -> bool:
     """Tell whether a record of this kind can have this length."""
+    opcode, length = RECORD.unpack_from(head)
     if opcode == MESSAGE:
-        return length >= _MESSAGE_FIXED
-    if opcode == DATA_END:
-        return length >= _DATA_END_SIZE
-    if opcode == MESSAGE_INDEX:
-        if len(head) < INDEX_HEAD.size:
-            return False
-        _, _, _, size = INDEX_HEAD.unpack_from(head)
-        return bool(size + 6 == length and size % INDEX_ENTRY == 0)
-    if opcode in {SCHEMA, CHANNEL}:
-        # Both begin with an id; in a channel, that of its schema follows before the first string.
-        before = 2 if opcode == SCHEMA else 4
-        at = RECORD.size + before
-        return int.from_bytes(head[at : at + 4], "little") + before + 4 <= length
-    return 0 < opcode < DATA_END
+        return bool(length >= _MESSAGE_FIXED)
+    needed = length_by_content(source, position, opcode, head) or 0
+    return bool(0 < opcode <= DATA_END and 0 <= needed <= length)

@@ -13,6 +13,7 @@ import numpy as np
 from quatprop.containers.byte_ranges import GAP, ranges_of, ranges_worth_reading
 from quatprop.containers.mcap.messages import index_of, indexed_offsets
 from quatprop.containers.mcap.regions import RECORD, Loaded, Region, head_of
+from quatprop.containers.mcap.walk import MESSAGE_HEAD
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,7 +34,7 @@ def selected_messages(
 ) -> Loaded | None:
     """Return copies of the messages of selected channels, without what lies between them.
 
-    The lengths of all records show that no definition is hidden between them.
+    The heads of all records show that nothing is hidden between them, also where none is selected.
 
     Parameters
     ----------
@@ -63,11 +64,11 @@ def selected_messages(
     index = index_of(source, region)
     selected = indexed_offsets(index, region, ids)
     others = indexed_offsets(index, region, [id_ for id_ in region.holds or () if id_ not in ids])
-    if selected is None or others is None or not len(selected):
+    if selected is None or others is None or not len(selected) + len(others):
         return None
-    places = np.concatenate([selected, others, [len(whole.data) if whole else region.size]])
-    order = np.argsort(places, kind="stable")
-    begins, nexts = places[order[:-1]], places[order[1:]]
+    bounds = np.concatenate([selected, others, [len(whole.data) if whole else region.size]])
+    order = np.argsort(bounds, kind="stable")
+    begins, nexts = bounds[order[:-1]], bounds[order[1:]]
     is_wanted, lengths = order[:-1] < len(selected), nexts - begins
     read = (whole.data, begins) if whole else _read(source, region, begins, nexts, is_wanted)
     if read is None:
@@ -75,13 +76,12 @@ def selected_messages(
     records, begins = read
     leading = definitions.check_leading(records, region, ids)
     # Without a checksum there is nothing gained by reading all of a chunk that begins otherwise.
-    if (whole and begins[0] != leading) or begins[-1] + RECORD.size > len(records):
-        return None
-    # A stride of 1 byte lets records begin anywhere.
-    stated = np.ndarray((len(records) - RECORD.size + 1,), "<u8", records, 1, (1,))[begins]
-    if np.count_nonzero(stated != lengths - RECORD.size):
+    is_right = not whole or begins[0] == leading
+    if not is_right or not _are_as_listed(records, begins, lengths, ids, is_wanted):
         return None
     begins, lengths = begins[is_wanted], lengths[is_wanted]
+    if not len(begins):
+        return Loaded(offsets=begins, is_partial=whole is None)
     length = int(lengths[0])
     if np.count_nonzero(lengths != length):
         ranges = ranges_of(begins, begins + lengths, GAP)
@@ -91,6 +91,24 @@ def selected_messages(
     every = np.ndarray((len(records) - length + 1,), f"V{length}", records, 0, (1,))
     data = every[begins].view(np.uint8)
     return Loaded(data.data, offsets=np.arange(0, len(data), length), is_partial=whole is None)
+
+
+def _are_as_listed(
+    records: Buffer,
+    begins: NDArray[np.int64],
+    lengths: NDArray[np.int64],
+    ids: Sequence[int],
+    is_wanted: NDArray[np.bool_],
+) -> bool:
+    """Tell whether a record of each length, and of a listed channel, begins at each place."""
+    places = len(records) - MESSAGE_HEAD.itemsize + 1
+    if begins[-1] >= places:
+        return False
+    # A stride of 1 byte lets records begin anywhere.
+    heads = np.ndarray((places,), MESSAGE_HEAD, records, strides=(1,))[begins]
+    are_right = heads["length"] == lengths - RECORD.size
+    are_right &= np.isin(heads["channel"], ids) == is_wanted
+    return bool(are_right.all())
 
 
 def _read(
@@ -112,7 +130,7 @@ def _read(
     if chunk is None or not chunk.is_uncompressed or chunk.size != region.size:
         return None
     starts = np.concatenate([[0], begins])
-    ends = np.where(is_wanted, nexts, np.minimum(begins + RECORD.size, nexts))
+    ends = np.where(is_wanted, nexts, np.minimum(begins + MESSAGE_HEAD.itemsize, nexts))
     ranges = ranges_worth_reading(starts, np.concatenate([begins[:1], ends]), chunk.size)
     if ranges is None:
         return None

@@ -16,7 +16,7 @@ from quatprop.containers.mcap.records import (
     read_metadata,
     read_schema,
 )
-from quatprop.containers.mcap.regions import CHANNEL, RECORD, SCHEMA, Region
+from quatprop.containers.mcap.regions import CHANNEL, DATA_END, METADATA, RECORD, SCHEMA, Region
 from quatprop.provenance import METADATA_KEY
 
 if TYPE_CHECKING:
@@ -28,13 +28,15 @@ if TYPE_CHECKING:
 
 MAGIC = b"\x89MCAP0\r\n"
 """The bytes with which every MCAP file begins and ends."""
-_FOOTER, _CHUNK_INDEX, _STATISTICS, _METADATA, _METADATA_INDEX = 2, 8, 11, 12, 13
+_FOOTER, _CHUNK_INDEX, _ATTACHMENT_INDEX, _STATISTICS, _METADATA_INDEX = 2, 8, 10, 11, 13
 _LARGEST_METADATA = 1 << 24
 _FOOTER_FIELDS = struct.Struct("<QQI")
 _TAIL = RECORD.size + _FOOTER_FIELDS.size + len(MAGIC)
 _CHUNK_INDEX_HEAD = struct.Struct("<QQQQI")
 _STATISTICS_HEAD = struct.Struct("<QHIIIIQQ")
-_METADATA_INDEX_HEAD = struct.Struct("<QQ")
+_LONGEST_DATA_END = 64
+_PLACE = struct.Struct("<QQ")
+"""Where a record begins, and its length."""
 
 
 @dataclass(slots=True)
@@ -110,9 +112,20 @@ def read_footer(source: FileSource) -> Footer | None:
     if not tail.endswith(MAGIC) or RECORD.unpack_from(tail) != (_FOOTER, _FOOTER_FIELDS.size):
         return None
     summary_start, _, crc = _FOOTER_FIELDS.unpack_from(tail, RECORD.size)
-    if not len(MAGIC) <= summary_start <= start:
+    if not len(MAGIC) <= summary_start <= start or not _ends_data(source, summary_start):
         summary_start = 0
     return Footer(summary_start or start, summary_start, start, crc)
+
+
+def _ends_data(source: FileSource, place: int) -> bool:
+    """Tell whether the data section ends at a place, as it does before any summary."""
+    begin = max(0, place - _LONGEST_DATA_END)
+    tail = source.read(begin, place - begin)
+    # Later versions of the format may add fields to it.
+    return any(
+        RECORD.unpack_from(tail, at) == (DATA_END, len(tail) - at - RECORD.size)
+        for at in range(len(tail) - RECORD.size - 3)
+    )
 
 
 @dataclass(slots=True)
@@ -125,16 +138,44 @@ class Summary:
         Channels, schemas, counts and metadata records.
     chunks
         The chunks, by where they begin.
+    attachments
+        How long each attachment is, by where it begins.
+    channel_count
+        How many channels the statistics state; None if there are none.
     is_complete
         Whether it has all channels of the file.
     """
 
     index: McapIndex = field(default_factory=McapIndex)
     chunks: dict[int, Region] = field(default_factory=dict)
+    attachments: dict[int, int] = field(default_factory=dict)
+    channel_count: int | None = None
     is_complete: bool = False
 
     def __bool__(self) -> bool:
         return bool(self.index.channels or self.chunks)
+
+    def add(self, opcode: int, content: memoryview, footer: Footer) -> None:
+        """Add a record of the summary."""
+        if opcode in {SCHEMA, CHANNEL}:
+            self.index.define(opcode, content, "in the summary")
+        elif opcode == _CHUNK_INDEX:
+            region = _indexed_chunk(content, is_checked=footer.crc != 0)
+            if len(MAGIC) <= region.start and region.end <= footer.data_end:
+                self.chunks[region.start] = region
+        elif opcode == _ATTACHMENT_INDEX:
+            offset, length = _PLACE.unpack_from(content)
+            self.attachments[offset] = length
+        elif opcode == _STATISTICS:
+            message_count, _, self.channel_count, *_ = _STATISTICS_HEAD.unpack_from(content)
+            (counts,) = prefixed(content, _STATISTICS_HEAD.size, 1)
+            by_channel = dict(struct.iter_unpack("<HQ", counts))
+            if sum(by_channel.values()) == message_count:
+                self.index.counts = by_channel
+        elif opcode == _METADATA_INDEX:
+            offset, _ = _PLACE.unpack_from(content)
+            if prefixed(content, _PLACE.size, 1) == [METADATA_KEY]:
+                self.index.metadata.append(offset)
 
 
 def read_summary(source: FileSource, footer: Footer) -> Summary:
@@ -147,33 +188,14 @@ def read_summary(source: FileSource, footer: Footer) -> Summary:
     if footer.crc not in {0, crc32(data)}:
         return Summary()
     summary = Summary()
-    statistics = None
     try:
         for opcode, content in _records(memoryview(data)[:size]):
-            if opcode in {SCHEMA, CHANNEL}:
-                summary.index.define(opcode, content, "in the summary")
-            elif opcode == _CHUNK_INDEX:
-                region = _indexed_chunk(content, footer.data_end)
-                summary.chunks[region.start] = region
-            elif opcode == _STATISTICS:
-                statistics = _STATISTICS_HEAD.unpack_from(content)
-                (counts,) = prefixed(content, _STATISTICS_HEAD.size, 1)
-            elif opcode == _METADATA_INDEX:
-                offset, _ = _METADATA_INDEX_HEAD.unpack_from(content)
-                if prefixed(content, _METADATA_INDEX_HEAD.size, 1) == [METADATA_KEY]:
-                    summary.index.metadata.append(offset)
-        if summary.index.losses:
-            return Summary()
-        if statistics is None:
-            summary.is_complete = bool(summary.index.channels)
-            return summary
-        message_count, _, channel_count, *_ = statistics
-        summary.is_complete = channel_count == len(summary.index.channels)
-        by_channel = dict(struct.iter_unpack("<HQ", counts))
-        if sum(by_channel.values()) == message_count:
-            summary.index.counts = by_channel
+            summary.add(opcode, content, footer)
     except MALFORMED:
         return Summary()
+    channels = len(summary.index.channels)
+    is_whole = channels > 0 if summary.channel_count is None else channels == summary.channel_count
+    summary.is_complete = is_whole and not summary.index.losses
     return summary
 
 
@@ -189,18 +211,22 @@ def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
         position += length
 
 
-def _indexed_chunk(content: memoryview, data_end: int) -> Region:
-    """Return the chunk that a chunk index record describes."""
+def _indexed_chunk(content: memoryview, *, is_checked: bool) -> Region:
+    """Return the chunk that a chunk index record describes.
+
+    Only times that a checksum shows to be right are a reason to leave it unread.
+    """
     first, last, start, length, map_size = _CHUNK_INDEX_HEAD.unpack_from(content)
     begin = _CHUNK_INDEX_HEAD.size
     holds = dict(struct.iter_unpack("<HQ", content[begin : begin + map_size]))
     index_length, name_length = struct.unpack_from("<QI", content, begin + map_size)
     _, size = struct.unpack_from("<QQ", content, begin + map_size + 12 + name_length)
-    if start < len(MAGIC) or length < RECORD.size or start + length + index_length > data_end:
+    if length < RECORD.size:
         raise ValueError
     return Region(
         *(start, length, True, min(first, LATEST), index_length, holds or None),
-        last_ns=min(last, LATEST),
+        last_ns=min(last, LATEST) if is_checked else None,
+        head_last_ns=min(last, LATEST),
         size=size,
     )
 
@@ -232,7 +258,7 @@ def _metadata_at(source: FileSource, offset: int) -> dict[str, str]:
     if len(head) < RECORD.size:
         return {}
     opcode, length = RECORD.unpack(head)
-    if opcode != _METADATA or length > _LARGEST_METADATA:
+    if opcode != METADATA or length > _LARGEST_METADATA:
         return {}
     try:
         return read_metadata(source.read(offset + RECORD.size, length))[1]

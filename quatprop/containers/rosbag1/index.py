@@ -23,7 +23,7 @@ from quatprop.containers.rosbag1.records import (
     Record,
     RecordFile,
     data_fields,
-    index_offsets,
+    index_data,
 )
 
 if TYPE_CHECKING:
@@ -62,6 +62,15 @@ class BagChunk:
         have numbers of their own, each counted from 0.
     last_ns
         Log time of its latest message; None if it is unknown.
+    record
+        Its record, once it was read.
+    is_checked
+        Whether it ends where the next chunk begins, or whatever is between them was read.
+    is_missing
+        Whether `counts` are what is missing of a chunk whose rest was found elsewhere.
+    is_proved
+        Whether `counts` are certain, so that it holds no other connection; None if that was not
+        looked at yet.
     """
 
     start: int
@@ -71,6 +80,10 @@ class BagChunk:
     is_unchunked: bool = False
     first_conn: int = 0
     last_ns: int | None = None
+    record: Record | None = None
+    is_checked: bool = False
+    is_missing: bool = False
+    is_proved: bool | None = None
 
     @property
     def place(self) -> str:
@@ -99,7 +112,7 @@ class ChunkRecords(ChunkContent):
     def entries(self) -> dict[int, NDArray[np.void]]:
         """Index entries of each connection."""
         try:
-            return index_offsets(self.read_index())
+            return index_data(self.read_index())[0]
         except UnreadableDataError:
             return {}
 
@@ -137,6 +150,10 @@ class BagIndex:
         Where it ends.
     first_conn
         What is added to the numbers of connections in the current bag of joined ones.
+    origin
+        Where the current bag begins, from which its own index counts.
+    infos
+        What chunk infos say that were met among the records.
     """
 
     connections: dict[int, dict[bytes, bytes]] = field(default_factory=dict)
@@ -144,10 +161,13 @@ class BagIndex:
     losses: Losses = field(default_factory=Losses)
     end: int = 0
     first_conn: int = 0
+    origin: int = 0
+    infos: list[BagChunk] = field(default_factory=list)
 
-    def begin_bag(self) -> None:
+    def begin_bag(self, origin: int) -> None:
         """Begin another bag that follows in the same file; no number keeps its meaning."""
         self.first_conn += _NUMBERS
+        self.origin = origin
 
     def add_connection(self, record: Record, data: bytes) -> None:
         """Add a connection record; the first of a connection counts, and later ones repeat it."""
@@ -160,12 +180,7 @@ class BagIndex:
         self.connections.setdefault(number, described | record.fields)
 
 
-def read_chunk(
-    file: RecordFile,
-    chunk: BagChunk,
-    into: NDArray[np.uint8] | None = None,
-    record: Record | None = None,
-) -> ChunkRecords:
+def read_chunk(file: RecordFile, chunk: BagChunk, record: Record | None = None) -> ChunkRecords:
     """Read and decompress a chunk.
 
     Parameters
@@ -174,8 +189,6 @@ def read_chunk(
         The bag.
     chunk
         Where in it.
-    into
-        Memory for its records; it has their size.
     record
         Its record, if it is known.
 
@@ -185,8 +198,7 @@ def read_chunk(
         There is no chunk where the index points, or it cannot be decompressed.
     """
     if chunk.is_unchunked:
-        size = chunk.end - chunk.start
-        records = file.at(chunk.start, size) if into is None else file.into(chunk.start, into)
+        records = file.at(chunk.start, chunk.end - chunk.start)
         return ChunkRecords(np.frombuffer(records, np.uint8))
     record = record or file.record(chunk.start)
     if record.op != OP_CHUNK:
@@ -195,7 +207,7 @@ def read_chunk(
     compression = record.fields.get(b"compression", b"").decode(errors="replace")
     index = index_reader(file, chunk, record, size)
     if compression == "none":
-        records = file.at(record.data, length) if into is None else file.into(record.data, into)
+        records = file.at(record.data, length)
         damage = "its end is cut off" if len(records) < length else ""
         return ChunkRecords(np.frombuffer(records, np.uint8), damage, read_index=index)
     content = file.at(record.data, length)
@@ -203,7 +215,7 @@ def read_chunk(
         prefix = decompress_prefix(content, compression, size)
         damage = f"its {compression} data is cut off"
         return ChunkRecords(np.frombuffer(prefix, np.uint8), damage, read_index=index)
-    data = decompress(content, compression, size, into)
+    data = decompress(content, compression, size)
     return ChunkRecords(np.frombuffer(data, np.uint8), read_index=index)
 
 
@@ -230,7 +242,7 @@ def read_index(file: RecordFile, header: Record) -> BagIndex | None:
     Returns
     -------
     BagIndex or None
-        None if it has no complete index.
+        None if it has no index of all chunks.
     """
     index = BagIndex()
     try:
@@ -254,7 +266,7 @@ def read_index(file: RecordFile, header: Record) -> BagIndex | None:
             if record.op == OP_CONNECTION:
                 index.add_connection(record, data)
             else:
-                index.chunks.append(_chunk_of_info(record, data))
+                index.chunks.append(chunk_of_info(record, data))
             at = record.end
     except UnreadableDataError:
         return None
@@ -264,10 +276,13 @@ def read_index(file: RecordFile, header: Record) -> BagIndex | None:
     if index.chunks:
         index.chunks[-1].end = end
     index.end = at
-    return index
+    begins = [chunk.start for chunk in index.chunks]
+    is_full = len({*begins}) == len(begins) and begins[:1] in ([header.end], [])
+    is_known = all(chunk.counts.keys() <= index.connections.keys() for chunk in index.chunks)
+    return index if is_full and is_known else None
 
 
-def _chunk_of_info(record: Record, data: bytes) -> BagChunk:
+def chunk_of_info(record: Record, data: bytes) -> BagChunk:
     """Return the chunk that a chunk info record describes."""
     if record.number(b"ver") != 1 or len(data) != 8 * record.number(b"count"):
         raise UnreadableDataError("its chunk info is damaged")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,11 +10,11 @@ from quatprop.containers.base import Losses, MessageBlock
 from quatprop.containers.byte_ranges import LARGE as LARGE_ENOUGH
 from quatprop.containers.chunks import ChunkReader
 from quatprop.containers.compression import UnreadableDataError
+from quatprop.containers.rosbag1.accounting import record_of
 from quatprop.containers.rosbag1.index import BagChunk, ChunkRecords, offsets_of, read_chunk
 from quatprop.containers.rosbag1.messages import indexed_messages, only_messages
 from quatprop.containers.rosbag1.records import (
     HEAD,
-    OP_CHUNK,
     OP_MESSAGE,
     begin_of_messages,
     surviving_records,
@@ -23,9 +22,11 @@ from quatprop.containers.rosbag1.records import (
 from quatprop.containers.rosbag1.selected import selected_messages
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from numpy.typing import NDArray
 
-    from quatprop.containers.rosbag1.records import Record, RecordFile
+    from quatprop.containers.rosbag1.records import RecordFile
 
 
 class BagReader(ChunkReader[BagChunk, ChunkRecords]):
@@ -44,7 +45,6 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
     def __init__(self, file: RecordFile, losses: Losses, topic: str, connections: set[int]) -> None:
         super().__init__(file.source)
         self.file, self.losses, self.topic, self.connections = file, losses, topic, connections
-        self._record = lru_cache(4096)(self._read)
         self._is_plain: bool | None = None
 
     def expected(self, chunk: BagChunk) -> list[tuple[int, int]]:
@@ -52,7 +52,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         head_end = chunk.start + HEAD
         if self.is_mixed(chunk) and chunk.end - chunk.start >= LARGE_ENOUGH:
             if self._is_plain is None:
-                record = self._record(chunk.start)
+                record = record_of(self.file, chunk)
                 self._is_plain = record is None or record.fields[b"compression"] == b"none"
             if self._is_plain:
                 return [(chunk.start, head_end)]
@@ -62,7 +62,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         """Return the bytes of the records of a chunk by its head."""
         if chunk.is_unchunked:
             return chunk.end - chunk.start
-        record = self._record(chunk.start)
+        record = record_of(self.file, chunk)
         if record is None:
             return 0
         is_plain = record.fields[b"compression"] == b"none"
@@ -72,11 +72,13 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         """Return whether a chunk holds other connections."""
         return not chunk.is_unchunked and not chunk.counts.keys() <= chunk.inside(self.connections)
 
-    def whole(self, chunk: BagChunk, into: NDArray[np.uint8] | None = None) -> ChunkRecords:
+    def whole(self, chunk: BagChunk) -> ChunkRecords:
         """Return the records of a chunk."""
+        if chunk.is_missing:
+            return ChunkRecords(damage="a part of it is missing")
         try:
             self.budget.check()
-            loaded = read_chunk(self.file, chunk, into, self._record(chunk.start))
+            loaded = read_chunk(self.file, chunk, record_of(self.file, chunk))
         except UnreadableDataError as error:
             return ChunkRecords(damage=str(error))
         self.budget.spend(0 if chunk.is_unchunked else len(loaded.data))
@@ -84,10 +86,10 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
 
     def selected(self, chunk: BagChunk, whole: ChunkRecords | None = None) -> ChunkRecords | None:
         """Return copies of the wanted messages of a chunk, if they are all that is needed."""
-        record = self._record(chunk.start)
-        if record is None:
-            return None
+        record = record_of(self.file, chunk)
         inside = chunk.inside(self.connections)
+        if record is None or not self._is_indexed(chunk, chunk.counts):
+            return None
         return selected_messages(self.file, chunk, record, inside, whole)
 
     def messages_at(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
@@ -99,9 +101,9 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
     def only_messages(
         self,
         data: NDArray[np.uint8],
-        first: BagChunk,  # noqa: ARG002  # the numbers are compared with each chunk's
+        chunk: BagChunk,  # noqa: ARG002  # its numbers are compared by `may_have`
     ) -> tuple[MessageBlock, int] | None:
-        """Return the messages of chunks that hold nothing else behind the first definitions."""
+        """Return the messages of a chunk that holds nothing else behind its definitions."""
         begin = begin_of_messages(data)
         return None if begin is None else only_messages(data, begin)
 
@@ -114,7 +116,9 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         inside = chunk.inside(self.connections)
         messages, damage = None, ""
         counts = {conn: len(rows) for conn, rows in content.entries.items() if conn in inside}
-        if not content.damage and counts == {c: n for c, n in chunk.counts.items() if c in inside}:
+        expected = {conn: n for conn, n in chunk.counts.items() if conn in inside}
+        is_indexed = self._is_indexed(chunk, counts) and counts == expected
+        if is_indexed and not content.damage:
             messages = indexed_messages(content.data, offsets_of(content.entries, inside), inside)
         if messages is None:
             messages, damage = _scanned(content, inside)
@@ -124,15 +128,12 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
             self.losses.note(chunk.place, reason, missing or None, self.topic)
         return messages
 
-    def _read(self, start: int) -> Record | None:
-        """Return the record of a chunk; None where there is none that is whole."""
-        try:
-            record = self.file.record(start)
-            record.number(b"size")
-            is_chunk = record.op == OP_CHUNK and b"compression" in record.fields
-        except UnreadableDataError:
-            return None
-        return record if is_chunk and record.end <= self.file.size else None
+    def _is_indexed(self, chunk: BagChunk, indexed: Collection[int]) -> bool:
+        """Return whether an index is sure to have all messages of the wanted connections.
+
+        Without chunk infos, a connection may have messages under the number of another one.
+        """
+        return chunk.is_proved is not False or chunk.inside(self.connections) <= {*indexed}
 
 
 def _scanned(content: ChunkRecords, wanted: set[int]) -> tuple[MessageBlock, str]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 from rosbags.typesys.msg import normalize_msgtype
@@ -13,11 +13,14 @@ from rosbags.typesys.msg import normalize_msgtype
 from quatprop.containers.base import Channel, MessageBlock, by_topic
 from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.compression import UnreadableDataError
-from quatprop.containers.rosbag1.index import BagChunk, BagIndex, read_index
+from quatprop.containers.rosbag1.accounting import accounts_for_all, prove
+from quatprop.containers.rosbag1.index import MAGIC, BagChunk, BagIndex, read_index
 from quatprop.containers.rosbag1.loading import BagReader
 from quatprop.containers.rosbag1.rebuild import rebuild_index
 from quatprop.containers.rosbag1.records import OP_BAG_HEADER, RecordFile
+from quatprop.containers.rosbag1.resync import RECORDS
 from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.messages.definition_sums import definition_of
 from quatprop.provenance import METADATA_KEY
 from quatprop.text import Setting, quoted
 
@@ -27,6 +30,8 @@ if TYPE_CHECKING:
 
 _MAGIC = re.compile(rb"#ROS(?:BAG|RECORD) V(\d+\.\d+)\n")
 _VERSION = "2.0"
+_PLACE = 8
+"""Bytes of a place in the bag header."""
 
 
 class Rosbag1Log(ChunkedLog[BagChunk]):
@@ -57,8 +62,12 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
     def read_index(self) -> None:
         """Read what the bag holds and where."""
         self._file = RecordFile(self.source)
-        self.index = index = self._index()
-        self.losses = index.losses
+        self._use(self._index())
+
+    def _use(self, index: BagIndex) -> None:
+        self.index = index
+        for loss in index.losses:
+            self.losses.note(*loss)
         self._chunks = sorted(index.chunks, key=lambda chunk: chunk.first_ns)
         self._channels = self._channels_of(index)
         self._recorded = {
@@ -96,40 +105,53 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
                 f"it is encrypted with {quoted(encryptor.decode(errors='replace'))}; "
                 "decrypt it with `rosbag decrypt`",
             )
+        place = header.fields.get(b"index_pos", b"")
+        self._index_place = int.from_bytes(place, "little") if len(place) == _PLACE else 0
+        self._begin = header.end if self._is_record(header.end) else header.data
         index = read_index(self._file, header)
-        if index is None:
-            index = BagIndex(end=header.end)
-            rebuild_index(self._file, index)
-        elif index.end < self._file.size:
+        if index is None or self._file.at(index.end, len(MAGIC)) not in {b"", MAGIC}:
+            return self._rebuilt()
+        if index.end < self._file.size:
             # Another bag was joined to it; its index counts from its own beginning.
-            index.begin_bag()
+            index.begin_bag(index.end)
             rebuild_index(self._file, index)
+        return index
+
+    def _is_record(self, place: int) -> bool:
+        with suppress(UnreadableDataError):
+            return place == self._file.size or self._file.record(place).op in RECORDS
+        return False
+
+    def _rebuilt(self) -> BagIndex:
+        """Return the index of the records that are there."""
+        index = BagIndex(end=self._begin)
+        rebuild_index(self._file, index)
+        if self._index_place > self._file.size and not index.infos and not index.losses:
+            reason = f"it ends before its index, which should begin at byte {self._index_place}"
+            index.losses.note(f"byte {self._file.size}", reason)
         return index
 
     def _channels_of(self, index: BagIndex) -> dict[int, Channel]:
         """Return the channel of each connection."""
         channels = {}
+        self._doubtful: set[str] = set()
         for conn, fields in index.connections.items():
             if fields.keys() >= {b"topic", b"type", b"message_definition"}:
+                topic = fields[b"topic"].decode(errors="replace")
+                schema = definition_of(fields)
+                if schema is None:
+                    self._doubtful.add(topic)
                 channels[conn] = Channel(
-                    topic=fields[b"topic"].decode(errors="replace"),
+                    topic=topic,
                     type_name=normalize_msgtype(fields[b"type"].decode(errors="replace")),
                     encoding="ros1",
                     schema_encoding="ros1msg",
-                    schema=fields[b"message_definition"],
+                    schema=fields[b"message_definition"] if schema is None else schema,
                 )
-        totals = self._totals
+        totals = self._totals = _totals(self._chunks)
         for conn in totals.keys() - channels.keys():
             self.losses.note(f"connection {conn}", "its connection record is missing", totals[conn])
         return channels
-
-    @cached_property
-    def _totals(self) -> Counter[int]:
-        """Return how many messages each connection has."""
-        totals: Counter[int] = Counter()
-        for chunk in self._chunks:
-            totals.update({conn + chunk.first_conn: n for conn, n in chunk.counts.items()})
-        return totals
 
     def channels(self) -> list[Channel]:
         """Return every channel, in order of topic, with its number of messages."""
@@ -140,14 +162,33 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
         return by_topic(replace(channel, count=count) for channel, count in counts.items())
 
     def chunks_of(self, channel: Channel) -> list[BagChunk]:
-        """Return the chunks that hold a channel, in order of time."""
+        """Return the chunks that hold a channel, or that may as nothing proves what they hold."""
         wanted = self._connections_of(channel)
-        return [chunk for chunk in self._chunks if chunk.inside(wanted) & chunk.counts.keys()]
+        others = [each for each in self._chunks if not each.inside(wanted) & each.counts.keys()]
+        prove(self._file, [chunk for chunk in others if chunk.is_proved is None])
+        left_out = {chunk.start for chunk in others if chunk.is_proved}
+        return [chunk for chunk in self._chunks if chunk.start not in left_out]
 
     def read(self, channel: Channel, chunks: Sequence[BagChunk]) -> Iterator[MessageBlock]:
         """Yield the messages of one channel in some chunks."""
+        left_out = {chunk.start for chunk in self._chunks} - {chunk.start for chunk in chunks}
+        if not self.check_index(chunks):
+            chunks = [chunk for chunk in self.chunks_of(channel) if chunk.start not in left_out]
+        if channel.topic in self._doubtful:
+            what = f"topic {quoted(channel.topic)}: its message definition"
+            self.remarks = (f"{what} does not have the MD5 sum that the bag states",)
         wanted = self._connections_of(channel)
         return BagReader(self._file, self.losses, channel.topic, wanted).blocks(chunks)
+
+    def check_index(self, chunks: Sequence[BagChunk]) -> bool:
+        """Return whether the index accounts for all of the file that some chunks take.
+
+        If not, another one is made of the records that are there.
+        """
+        if accounts_for_all(self._file, chunks):
+            return True
+        self._use(self._rebuilt())
+        return False
 
     def _connections_of(self, channel: Channel) -> set[int]:
         return {conn for conn, described in self._channels.items() if described == channel}
@@ -155,3 +196,11 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
     def recorded_provenance(self) -> dict[str, str]:
         """Return the provenance of each topic, which its connection may carry, as JSON."""
         return self._recorded
+
+
+def _totals(chunks: Sequence[BagChunk]) -> Counter[int]:
+    """Return how many messages each connection has."""
+    totals: Counter[int] = Counter()
+    for chunk in chunks:
+        totals.update({conn + chunk.first_conn: n for conn, n in chunk.counts.items()})
+    return totals

@@ -8,16 +8,17 @@ from itertools import zip_longest
 import numpy as np
 
 from quatprop.containers.compression import UnreadableDataError
-from quatprop.containers.rosbag1.index import MAGIC, BagChunk, BagIndex, read_chunk
+from quatprop.containers.rosbag1.index import MAGIC, BagChunk, BagIndex, chunk_of_info, read_chunk
 from quatprop.containers.rosbag1.records import (
     OP_BAG_HEADER,
     OP_CHUNK,
+    OP_CHUNK_INFO,
     OP_CONNECTION,
     OP_INDEX_DATA,
     OP_MESSAGE,
     Record,
     RecordFile,
-    index_offsets,
+    index_data,
     surviving_records,
 )
 from quatprop.containers.rosbag1.resync import CHUNKS, RECORDS, is_chunk, next_record
@@ -40,22 +41,50 @@ def rebuild_index(file: RecordFile, index: BagIndex) -> None:
             at = record.end
     index.end = file.size
     chunks = index.chunks[known:]
+    infos = {info.start: info for info in index.infos}
     for chunk, after in zip_longest(chunks, chunks[1:]):
+        info = infos.pop(chunk.start, None)
+        chunk.is_checked, chunk.is_proved = True, info is not None and info.counts == chunk.counts
         # The index data of the last chunk may be incomplete, and that of others damaged.
         if (
-            after is None
+            (info is not None and not chunk.is_proved)
+            or after is None
             or after.first_conn != chunk.first_conn
             or chunk.is_unchunked
             or not chunk.counts
             or not chunk.counts.keys() <= chunk.inside(index.connections.keys())
         ):
             index.first_conn = chunk.first_conn
-            _read_inside(file, index, chunk)
+            _read_inside(file, index, chunk, Counter(chunk.counts if info is None else info.counts))
+    _add_missing(index, chunks, sorted(infos.values(), key=lambda info: info.start))
+
+
+def _add_missing(index: BagIndex, chunks: list[BagChunk], infos: list[BagChunk]) -> None:
+    """Add chunks that were not found where their infos say, with what is missing of them."""
+    begins = {info.start for info in index.infos} - {info.start for info in infos}
+    ends = [*sorted(begins), index.end]
+    others = [chunk for chunk in chunks if chunk.start not in begins]
+    for info in infos:
+        end = next((end for end in ends if end > info.start), info.start)
+        # Its place may be wrong, or a part of it was found there, outside any chunk.
+        parts = [each for each in others if each.counts == info.counts][:1] or [
+            each for each in others if info.start <= each.start < end
+        ]
+        found: Counter[int] = Counter()
+        for part in parts:
+            found.update(part.counts)
+            others.remove(part)
+        info.counts = dict(Counter(info.counts) - found)
+        if info.counts:
+            info.is_checked = info.is_proved = True
+            info.is_missing = bool(parts)
+            index.chunks.append(info)
 
 
 def _resumed(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
     """Note that no record can be read at a place; return where to go on."""
     if file.at(at, len(MAGIC)) == MAGIC:
+        index.origin = at
         return at + len(MAGIC)  # another bag, which its header begins
     last = index.chunks[-1] if index.chunks else None
     resumed_at = None
@@ -101,11 +130,18 @@ def _add(file: RecordFile, index: BagIndex, record: Record) -> None:
             chunk = BagChunk(record.start, end, is_unchunked=True, first_conn=index.first_conn)
             index.chunks.append(chunk)
     elif record.op == OP_BAG_HEADER:
-        index.begin_bag()
+        index.begin_bag(record.start - len(MAGIC))
+    elif record.op not in RECORDS:
+        raise UnreadableDataError("its kind is unknown")
     elif record.end > file.size:
         raise UnreadableDataError("its record is cut off")
     elif record.op == OP_CONNECTION:
         index.add_connection(record, file.at(record.data, record.end - record.data))
+    elif record.op == OP_CHUNK_INFO:
+        info = chunk_of_info(record, file.at(record.data, record.end - record.data))
+        info.start += index.origin
+        info.end, info.first_conn = info.start, index.first_conn
+        index.infos.append(info)
     elif record.op == OP_INDEX_DATA and index.chunks:
         _add_times(index.chunks[-1], file.at(record.start, record.end - record.start))
         index.chunks[-1].end = record.end
@@ -113,7 +149,7 @@ def _add(file: RecordFile, index: BagIndex, record: Record) -> None:
 
 def _add_times(chunk: BagChunk, record: bytes) -> None:
     """Add counts and the earliest time from the index data of one connection."""
-    for conn, entries in index_offsets(record).items():
+    for conn, entries in index_data(record)[0].items():
         if len(entries):
             sec, nsec = (entries[name].astype(np.int64) for name in ("sec", "nsec"))
             earliest = int((sec * NS_PER_S + nsec).min())
@@ -121,8 +157,13 @@ def _add_times(chunk: BagChunk, record: bytes) -> None:
             chunk.counts[conn] = chunk.counts.get(conn, 0) + len(entries)
 
 
-def _read_inside(file: RecordFile, index: BagIndex, chunk: BagChunk) -> None:
-    """Walk the records of a chunk for its connections, counts and earliest time."""
+def _read_inside(file: RecordFile, index: BagIndex, chunk: BagChunk, stated: Counter[int]) -> None:
+    """Walk the records of a chunk for its connections, counts and earliest time.
+
+    What is stated of a damaged chunk and is not there is missing; else both statements must be of
+    it, as one of them may be damaged.
+    """
+    indexed, chunk.counts = Counter(chunk.counts), dict(stated)
     try:
         loaded = read_chunk(file, chunk)
     except UnreadableDataError as error:
@@ -139,5 +180,8 @@ def _read_inside(file: RecordFile, index: BagIndex, chunk: BagChunk) -> None:
             times.append(record.time(b"time"))
     if loaded.damage or damage:
         index.losses.note(chunk.place, loaded.damage or damage)
-    if times:
-        chunk.counts, chunk.first_ns = counts, min(times)
+        stated |= indexed
+    else:
+        stated &= indexed
+    chunk.counts, chunk.first_ns = dict(counts | stated), min(times, default=chunk.first_ns)
+    chunk.is_proved = True

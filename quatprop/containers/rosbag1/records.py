@@ -110,10 +110,6 @@ class RecordFile:
         """Return `size` bytes, fewer at the end of the file."""
         return _read(self.source.read, start, size)
 
-    def into(self, start: int, into: NDArray[np.uint8]) -> memoryview:
-        """Fill memory and return it; it ends where the file does."""
-        return _read(self.source.read_into, start, into)
-
     def at_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
         """Return the bytes of some ranges, one after another."""
         return _read(self.source.read_ranges, begins, ends)
@@ -185,11 +181,11 @@ def fields_of(data: Buffer, at: int, stop: int) -> Iterator[tuple[bytes, int, in
         at = end
 
 
-def index_offsets(data: bytes) -> dict[int, NDArray[np.void]]:
-    """Return the index entries of each connection from the records that follow a chunk.
+def index_data(data: bytes) -> tuple[dict[int, NDArray[np.void]], int]:
+    """Return the index entries of each connection from the records behind a chunk, and their end.
 
-    Anything else, or a record that is not whole, ends the reading; its messages are then found by
-    walking the chunk.
+    Anything else, a record that is not whole, or a second of a connection ends the reading; the
+    messages are then found by walking the chunk.
     """
     entries: dict[int, NDArray[np.void]] = {}
     at = 0
@@ -199,11 +195,12 @@ def index_offsets(data: bytes) -> dict[int, NDArray[np.void]]:
             conn, count = record.number(b"conn"), record.number(b"count")
             is_index = record.op == OP_INDEX_DATA and record.number(b"ver") == 1
             size = count * INDEX_ENTRY.itemsize
-            if not is_index or record.end - record.data != size or record.end > len(data):
+            is_whole = record.end - record.data == size and record.end <= len(data)
+            if not is_index or not is_whole or conn in entries:
                 break
             entries[conn] = np.frombuffer(data, INDEX_ENTRY, count, record.data)
             at = record.end
-    return entries
+    return entries, at
 
 
 def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:
@@ -269,8 +266,9 @@ def _whole_record(data: memoryview, at: int, limit: int) -> Record:
     if record.end > limit:
         raise UnreadableDataError("a record in it is damaged or cut off")
     kind = record.op
-    if kind in {OP_CONNECTION, OP_MESSAGE}:
-        record.number(b"conn")
+    if kind not in {OP_CONNECTION, OP_MESSAGE}:
+        raise UnreadableDataError("a record in it is of another kind")
+    record.number(b"conn")
     if kind == OP_MESSAGE:
         record.time(b"time")
     return record

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import apsw
@@ -10,11 +9,13 @@ import apsw
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog, by_topic
 from quatprop.containers.compressed_messages import decompressed
 from quatprop.containers.file_source import FileSource
+from quatprop.containers.rosbag2.db3_indexes import check_indexes, has_rowid
 from quatprop.containers.rosbag2.db3_topics import columns_of, read_topics
 from quatprop.containers.rosbag2.fetches import ROWS, Fetch, combined, fetch_of, fetched, next_group
 from quatprop.containers.rosbag2.parts import custom_data
 from quatprop.containers.rosbag2.sqlite_files import (
     files_beside,
+    limit_steps,
     note_joined_bytes,
     open_database,
     read_wal,
@@ -108,7 +109,7 @@ class Db3Log(MessageLog):
     def recorded_span(self, channel: Channel) -> TimeRange | None:  # noqa: ARG002  # of all topics
         """Return when the bag was recorded; None where it has no sound index of the times."""
         try:
-            self._check_indexes()
+            check_indexes(self._database)
             indexed = self._database.execute(
                 "SELECT 1 FROM pragma_index_list('messages') AS one, pragma_index_info(one.name) "
                 "AS part WHERE partial = 0 AND seqno = 0 AND part.name = 'timestamp'"
@@ -141,32 +142,14 @@ class Db3Log(MessageLog):
         """Fetch messages in time order, and read the pages themselves where SQLite cannot."""
         ids = [id_ for id_, described in self._topics.items() if described == channel]
         count = 0
+        limit_steps(self._database, self.path.stat().st_size)
         try:
-            self._check_indexes()
+            check_indexes(self._database)
             for fetch in self._queried(channel, ids, within):
                 count += len(fetch.times)
                 yield fetch
         except apsw.Error as error:
             yield from self._recovered(channel, ids, within, count, str(error))
-
-    def _check_indexes(self) -> None:
-        """Raise an error of SQLite where an index does not list all rows."""
-        indexes = self._database.execute(
-            "SELECT name FROM pragma_index_list('messages') WHERE partial = 0"
-        ).fetchall()
-        for (name,) in indexes:
-            quoted_name = str(name).replace('"', '""')
-            rows = self._number("count(*)", f'INDEXED BY "{quoted_name}"')
-            # Where no row number is left out these are all. Otherwise the whole table is counted.
-            is_complete = self._has_rowid() and rows == 1 + self._number(
-                "ifnull((SELECT max(rowid) FROM messages) - min(rowid), -1)"
-            )
-            if not is_complete and rows != self._number("count(*)", "NOT INDEXED"):
-                raise apsw.CorruptError(f"its index {quoted(name)} does not list all messages")
-
-    def _number(self, expression: str, how: str = "") -> int:
-        rows = self._database.execute(f"SELECT {expression} FROM messages {how}")  # noqa: S608
-        return int(str(next(rows)[0]))
 
     def _queried(
         self, channel: Channel, ids: list[SQLiteValue], within: TimeRange
@@ -187,7 +170,7 @@ class Db3Log(MessageLog):
         if within != EVERY_TIME:
             in_range = f"timestamp BETWEEN {within.first_ns} AND {within.last_ns} AND "
         # Bags have an index of the times: this order costs a tenth more than none, and no memory.
-        order = f"ORDER BY timestamp, {'rowid' if self._has_rowid() else 'timestamp'}"
+        order = f"ORDER BY timestamp, {'rowid' if has_rowid(self._database) else 'timestamp'}"
         # Rows of no topic come without a time: another scan for them would take longer.
         query = (
             f"SELECT CASE WHEN {this_topic} THEN timestamp END, data FROM messages "  # noqa: S608  # only question marks go in
@@ -201,6 +184,9 @@ class Db3Log(MessageLog):
                 count += len(fetch.times)
                 yield fetch
         except (TypeError, UnicodeDecodeError):
+            # An index may have other values than the rows.
+            if self._database.execute("PRAGMA integrity_check(1)").fetchall() != [("ok",)]:
+                raise apsw.CorruptError("its index has values of another type") from None
             # Columns of SQLite hold values of any type; to ask for that of each takes time.
             query = (
                 f"SELECT timestamp, data FROM messages WHERE {in_range}{is_message} {order} "  # noqa: S608  # only question marks go in
@@ -229,12 +215,6 @@ class Db3Log(MessageLog):
                 self._lose(channel, reason, int(str(count)))
             else:
                 self.losses.note(f"topic id {key}", "no topic has this id", int(str(count)))
-
-    def _has_rowid(self) -> bool:
-        with suppress(apsw.SQLError):  # WITHOUT ROWID
-            self._database.execute("SELECT rowid FROM messages LIMIT 0").fetchall()
-            return True
-        return False
 
     def _recovered(
         self, channel: Channel, ids: list[SQLiteValue], within: TimeRange, done: int, damage: str

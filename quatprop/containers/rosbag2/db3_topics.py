@@ -8,6 +8,7 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from quatprop.containers.base import Channel
 from quatprop.errors import UnsupportedLogError
+from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -22,8 +23,37 @@ def columns_of(database: apsw.Connection, table: str) -> dict[str, None]:
     return {str(name): None for (name,) in rows}
 
 
+_TABLES = frozenset({"topics", "messages", "message_definitions", "metadata"})
+"""That are read."""
+
+
+def refuse_computed(database: apsw.Connection, path: Path) -> None:
+    """Refuse a database in which a table of bags computes what it holds.
+
+    Raises
+    ------
+    UnsupportedLogError
+        It is a view or a virtual table, or has triggers.
+    """
+    # As blobs, since text that is not UTF-8 is an error otherwise.
+    rows = database.execute(
+        "SELECT CAST(type AS BLOB), CAST(name AS BLOB), CAST(lower(tbl_name) AS BLOB), rootpage "
+        "FROM sqlite_master"
+    )
+    for *texts, root in rows:
+        kind, name, table = (bytes(text or b"").decode(errors="replace") for text in texts)
+        if table in _TABLES and (kind not in {"table", "index"} or not root):
+            kind = "virtual table" if kind == "table" else kind
+            raise UnsupportedLogError(
+                path,
+                f"its {quoted(name)} is a {plain(kind)}, and only tables that hold their rows are "
+                "read; name a database that `ros2 bag` recorded",
+            )
+
+
 def read_topics(database: apsw.Connection, path: Path) -> dict[SQLiteValue, Channel]:
     """Return the channel of each topic id."""
+    refuse_computed(database, path)
     if not (
         columns_of(database, "topics").keys() >= {"id", "name", "type", "serialization_format"}
         and columns_of(database, "messages").keys() >= {"topic_id", "timestamp", "data"}

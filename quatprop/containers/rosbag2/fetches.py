@@ -87,7 +87,8 @@ def next_group(fetches: Iterator[Fetch]) -> list[Fetch]:
     group: list[Fetch] = []
     size = 0
     for fetch in fetches:
-        group.append(fetch)
+        if len(fetch.times):
+            group.append(fetch)
         size += len(fetch.data)
         if len(group) == FETCHES or size > BLOCK_BYTES:
             break

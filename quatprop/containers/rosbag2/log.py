@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from quatprop.containers.base import NO_BOUND, Channel, Loss, MessageBlock, MessageLog, by_topic
-from quatprop.containers.compressed_files import DecompressedCopy, file_compression
+from quatprop.containers.compressed_files import MAGIC_BYTES, DecompressedCopy, file_compression
 from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag2.parts import METADATA, Part, folder, total_count
@@ -109,7 +109,7 @@ class Rosbag2Log(MessageLog):
     def _open(self, part: Part) -> MessageLog:
         """Open a part, whose content tells its compression and storage."""
         source = FileSource(part.copy.path) if part.copy else self._source_of_part(part.path)
-        if part.copy is None and file_compression(source.read(0, 4)):
+        if part.copy is None and file_compression(source.read(0, MAGIC_BYTES)):
             source.close()
             part.copy = DecompressedCopy(part.path)
             if part.copy.damage:

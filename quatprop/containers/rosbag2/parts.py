@@ -12,6 +12,7 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from quatprop.containers.base import Channel, Losses, MessageLog
 from quatprop.errors import UnsupportedLogError
+from quatprop.guarded_text import ContentError, read_bytes, read_yaml
 from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
@@ -37,6 +38,10 @@ _LARGE_METADATA = 1 << 18
 
 MAX_METADATA = 1 << 22
 """Bytes that metadata.yaml may have; that of thousands of parts is smaller."""
+
+
+MAX_COUNT = (1 << 63) - 1
+"""Messages that metadata may count: rosbag2 has 64 bits for it."""
 
 
 @dataclass(slots=True)
@@ -108,8 +113,8 @@ def _metadata(path: Path, losses: Losses) -> JsonObject | None:
     if not path.exists():
         return None
     try:
-        if path.is_file() and path.stat().st_size <= MAX_METADATA:
-            text = path.read_text(encoding="utf-8")
+        if path.is_file():
+            text = read_bytes(path, MAX_METADATA).decode()
             large = _skimmed(text) if len(text) > _LARGE_METADATA else {}
             metadata = large or _loaded(text)["rosbag2_bagfile_information"]
             if isinstance(metadata, dict) and _paths(metadata):
@@ -139,13 +144,9 @@ def _skimmed(text: str) -> JsonObject:
 
 def _loaded(text: str) -> JsonObject:
     """Return the content of a text in YAML; empty if it is damaged."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
     try:
-        # The safe loader creates plain values only, whatever the tags ask for.
-        loaded = YAML(typ="safe").load(text)
-    except (YAMLError, KeyError, TypeError, ValueError, RecursionError):
+        loaded = read_yaml(text)
+    except ContentError:
         return {}
     return loaded if isinstance(loaded, dict) else {}
 
@@ -248,7 +249,7 @@ def _dicts(value: object) -> list[JsonObject]:
 
 
 def _count(value: object) -> int | None:
-    return value if isinstance(value, int) else None
+    return value if isinstance(value, int) and 0 <= value <= MAX_COUNT else None
 
 
 @dataclass(slots=True)

@@ -28,6 +28,12 @@ NO_LOCKS = "win32-none" if os.name == "nt" else "unix-none"
 """SQLite's file system without locks and shared memory."""
 
 
+_LEAST_LENGTH, _MOST_LENGTH = 1 << 20, 1 << 30
+"""Bytes of a value, whatever the size of the files."""
+_STEP = 1 << 20
+_STEPS_PER_BYTE = 50
+"""A row takes six bytes at least, and a query up to a hundred steps to sort it and to give it."""
+_LEAST_STEPS = 1 << 24
 _USUAL_PAGE = 4096
 _MOST_REST = 1 << 16
 """Bytes behind a database that are looked at: SQLite may reserve space, which is zero."""
@@ -69,7 +75,8 @@ def has_shared_memory(path: Path) -> bool:
 def open_database(path: Path, beside: Sequence[str] = ()) -> apsw.Connection:
     """Open a database, read-only; parameters as for :func:`read_only`.
 
-    Its schema is read even if it points to pages beyond the end of the file.
+    Its schema is read even if it points to pages beyond the end of the file. No value may be longer
+    than the files, and no query takes more steps than their rows could need.
     """
     flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
     database = apsw.Connection(read_only(path, beside), flags=flags)
@@ -78,7 +85,20 @@ def open_database(path: Path, beside: Sequence[str] = ()) -> apsw.Connection:
     # Where nothing in a write-ahead log is intact, SQLite would delete it when it closes the file.
     database.config(apsw.SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1)
     database.execute("PRAGMA writable_schema=ON")
+    database.config(apsw.SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0)
+    size = sum(file.stat().st_size for file in (path, *map(path.with_name, beside)))
+    database.limit(apsw.SQLITE_LIMIT_LENGTH, min(max(size, _LEAST_LENGTH), _MOST_LENGTH))
+    limit_steps(database, size)
     return database
+
+
+def limit_steps(database: apsw.Connection, size: int) -> None:
+    """Interrupt a query that takes more steps than the rows in so many bytes could need.
+
+    Called again before each query, which has all the steps for itself.
+    """
+    left = iter(range((size * _STEPS_PER_BYTE + _LEAST_STEPS) // _STEP))
+    database.set_progress_handler(lambda: next(left, None) is None, _STEP)
 
 
 class WalPages(NamedTuple):
@@ -144,8 +164,12 @@ def _checksum(words: NDArray[np.uint32], sums: tuple[int, ...]) -> tuple[int, in
 
 def note_joined_bytes(database: apsw.Connection, path: Path, losses: Losses) -> None:
     """Note bytes behind the last page of a database, which SQLite passes over."""
-    query = "SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"
-    end = int(str(database.execute(query).fetchall()[0][0]))
+    # Statements, since a view may have the name of a function.
+    page_count, page_size = (
+        int(str(database.execute(f"PRAGMA {name}").fetchall()[0][0]))
+        for name in ("page_count", "page_size")
+    )
+    end = page_count * page_size
     with FileSource(path) as file:
         rest = file.size - end
         if rest > 0 and any(file.read(end, _MOST_REST)):

@@ -132,6 +132,8 @@ class TablePages:
         number, at = divmod(cell.place, self.page_size)
         local = self._page(number)[at : at + cell.local + 4]
         parts, missing = [local[: cell.local]], cell.size - cell.local
+        if missing > self._count * self.page_size:
+            return None
         following = int.from_bytes(local[cell.local :], "big") if missing else 0
         while missing > 0:
             page = self._page(following) if 0 < following <= self._count else b""

@@ -1,0 +1,299 @@
+"""A scan of the data section of an MCAP file, from record to record.
+
+The content of chunks and attachments is skipped. Where the records cannot be followed, the scan
+goes on at the next place that is certain to be a record.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from quatprop.checksum import crc32
+from quatprop.containers.base import LATEST, Losses
+from quatprop.containers.compression import MAX_SIZE
+from quatprop.containers.limits import checksums_matter
+from quatprop.containers.mcap.definitions import Definitions, leading_definitions
+from quatprop.containers.mcap.extents import (
+    FIRST_PRIVATE_OPCODE,
+    attachment_end,
+    length_by_content,
+    opcode_by_content,
+)
+from quatprop.containers.mcap.messages import messages_at
+from quatprop.containers.mcap.regions import (
+    ATTACHMENT,
+    CHANNEL,
+    CHUNK,
+    DATA_END,
+    INDEX_HEAD,
+    MESSAGE,
+    MESSAGE_INDEX,
+    PEEK,
+    RECORD,
+    SCHEMA,
+    TORN,
+    Region,
+    chunk_head,
+)
+from quatprop.containers.mcap.resync import CHUNKS, RECORDS, is_record, next_record
+from quatprop.containers.mcap.summary import MAGIC
+from quatprop.containers.mcap.walk import walk_records
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterable
+
+    from quatprop.containers.file_source import FileSource
+
+_LOOSE_SIZE = 1 << 22
+"""Bytes of messages outside chunks that are one region."""
+_NOT_MESSAGES = frozenset(range(256)) - {SCHEMA, CHANNEL, MESSAGE}
+
+
+class Scan:
+    """A scan of the data section, from record to record.
+
+    Parameters
+    ----------
+    source
+        The file.
+    end
+        Where the data section ends.
+    indexed
+        Chunks of the summary, which are not scanned, by where they begin. Those that the scan
+        comes by are removed.
+    attachments
+        How long the attachments of the summary are, by where they begin.
+
+    Attributes
+    ----------
+    summary_start
+        Where the first data end record ends; 0 while none was read.
+    is_ended
+        Whether a data end was read, so that nothing more is expected.
+    """
+
+    def __init__(
+        self, source: FileSource, end: int, indexed: dict[int, Region], attachments: dict[int, int]
+    ) -> None:
+        self.source, self.end = source, end
+        self.indexed, self.attachments = indexed, attachments
+        self.starts = sorted(indexed)
+        self.regions: list[Region] = []
+        self.definitions = Definitions()
+        self.losses = Losses()
+        self.summary_start = 0
+        self.is_ended = False
+
+    def run(self, *, is_closed: bool) -> None:
+        """Scan the data section; `is_closed` says whether the file has a footer."""
+        position = len(MAGIC)
+        while position < self.end:
+            region = self.indexed.pop(position, None)
+            if region is not None:
+                self.regions.append(region)
+                position = region.end
+                continue
+            begin = position
+            opcode, position = self._step(position)
+            if opcode == DATA_END and not self.summary_start:
+                self.summary_start = position
+                self._check_data(begin)
+            self.is_ended = self.is_ended or opcode == DATA_END
+        if is_closed or self.is_ended:
+            return
+        if not self.losses or self.losses[-1].reason != TORN:
+            self.losses.note(
+                f"byte {self.end}", "the file ends without a footer; it was not closed"
+            )
+
+    def add_lost(self, chunks: Iterable[Region]) -> None:
+        """Add chunks that are not where the summary has them, so that what is lost is counted."""
+        starts = {region.start for region in self.regions}
+        for chunk in [chunk for chunk in chunks if chunk.start not in starts]:
+            if all(chunk.end <= each.start or each.end <= chunk.start for each in self.regions):
+                self.regions.append(chunk)
+        self.regions.sort(key=lambda region: region.start)
+
+    def _step(self, position: int) -> tuple[int, int]:
+        """Process the record at `position`; return its opcode and where the next one begins."""
+        head = self.source.read(position, min(PEEK, self.end - position))
+        if head.startswith(MAGIC):
+            # Files that were put one behind another: a footer comes before, a header after.
+            if self.source.read(position + len(MAGIC), 8) == MAGIC:
+                self.definitions.begin_file()
+                self.is_ended = False
+            return 0, position + len(MAGIC)
+        opcode, end = self._extent(position, head.ljust(RECORD.size, b"\0"))
+        length = end - position
+        if opcode == CHUNK and self._chunk(position, length, head):
+            return opcode, min(end, self.end)
+        if opcode == CHUNK and self._is_followed(end):
+            self.regions.append(Region(position, length, True, 0))
+            return opcode, end
+        if opcode == ATTACHMENT and end > self.end:
+            # What follows may be records of a file that is attached.
+            self.losses.note(f"attachment at byte {position}", TORN)
+            return opcode, self._next_indexed(position)
+        if opcode in {0, CHUNK}:
+            return 0, self._damaged(position, head[0])
+        if opcode == MESSAGE:
+            end = self._messages(position, end)
+        elif opcode == MESSAGE_INDEX:
+            self._message_index(position, length, head)
+        elif opcode in {SCHEMA, CHANNEL}:
+            content = self.source.read(position + RECORD.size, min(length - RECORD.size, MAX_SIZE))
+            self.definitions.add(opcode, content, f"at byte {position}")
+        return opcode, end
+
+    def _extent(self, position: int, head: bytes) -> tuple[int, int]:
+        """Return the opcode of the record at `position` and where it ends; 0 if it is damaged."""
+        opcode, length = RECORD.unpack_from(head)
+        stated = position + RECORD.size + length
+        by_content = length_by_content(self.source, position, opcode, head)
+        if by_content != length:
+            other = opcode_by_content(self.source, position, head)
+            if other is not None and stated <= self.end:
+                return other, stated
+        if by_content in {length, None}:
+            is_read = stated <= self.end or opcode in {CHUNK, ATTACHMENT}
+            return (opcode if is_read else 0), stated
+        ends = [stated, position + RECORD.size + max(by_content, 0)]
+        ends = [end for end in ends if position + RECORD.size < end <= self.end]
+        followed = [end for end in ends if self._is_followed(end)]
+        if opcode == ATTACHMENT and followed:
+            return opcode, self._attachment_end(position, ends, followed)
+        if not followed:
+            return (opcode if opcode == CHUNK else 0), stated
+        if opcode == DATA_END and followed[0] == stated:
+            opcode = 0x7F  # any that is unknown: a data end is not as long
+        return opcode, followed[0]
+
+    def _is_followed(self, end: int) -> bool:
+        return end == self.end or (end < self.end and is_record(self.source, end, self.end))
+
+    def _attachment_end(self, position: int, ends: list[int], followed: list[int]) -> int:
+        """Return where an attachment ends: its records may be those of another file."""
+        indexed = position + self.attachments.get(position, 0)
+        if indexed in followed:
+            return indexed
+        checked = attachment_end(self.source, position, ends)
+        return checked if checked in followed else max(followed)
+
+    def _is_torn(self, position: int) -> bool:
+        """Tell whether the file ends inside a chunk, and note that; False where others follow.
+
+        If bytes are missing in the middle of a chunk, it seems to end beyond the file, too.
+        """
+        if (
+            self.end < self.source.size
+            or self._next_record(position + 1, self.end, CHUNKS) is not None
+        ):
+            return False
+        self.losses.note(f"chunk at byte {position}", TORN)
+        return True
+
+    def _next_record(self, start: int, stop: int, kinds: Container[int]) -> int | None:
+        return next_record(self.source, start, stop, self.end, kinds)
+
+    def _damaged(self, position: int, opcode: int) -> int:
+        """Note that no record can be read at `position`; return where to go on."""
+        limit = self._next_indexed(position)
+        last = self.regions[-1] if self.regions else None
+        resumed_at = None
+        if last is not None and last.is_chunk and last.end == position:
+            # The length of the chunk before may be wrong.
+            resumed_at = self._next_record(last.start + 1, position, CHUNKS)
+            # The damage may have hit the message index of another channel of that chunk.
+            self.regions[-1] = replace(last, holds=None, index_length=0)
+        if resumed_at is None:
+            resumed_at = self._next_record(position + 1, limit, RECORDS)
+            for begin, length in self.attachments.items():
+                if resumed_at is not None and begin <= resumed_at < begin + length <= limit:
+                    resumed_at = begin + length  # records in it are not of this file
+        skipped_to = limit if resumed_at is None else resumed_at
+        if self.is_ended and resumed_at is None:
+            return skipped_to  # a damaged summary, which holds no messages
+        is_opcode = 0 < opcode <= DATA_END or opcode >= FIRST_PRIVATE_OPCODE
+        if is_opcode and skipped_to == self.end == self.source.size:
+            place = f"chunk at byte {position}" if opcode == CHUNK else f"byte {position}"
+            self.losses.note(place, TORN)
+        else:
+            size = max(0, skipped_to - position)
+            reason = f"no record begins there; {size} bytes are skipped"
+            self.losses.note(f"byte {position}", reason)
+        return skipped_to
+
+    def _next_indexed(self, position: int) -> int:
+        after = bisect_right(self.starts, position)
+        return self.starts[after] if after < len(self.starts) else self.end
+
+    def _check_data(self, end: int) -> None:
+        """Compare the checksum in the data end record, if there are no other checksums.
+
+        Chunks have their own, and may be many gigabytes of which little is read.
+        """
+        record = self.source.read(end, RECORD.size + 4)
+        crc = int.from_bytes(record[RECORD.size :], "little")
+        if not crc or any(region.is_chunk for region in self.regions) or not checksums_matter():
+            return
+        actual = 0
+        for start in range(0, end, _LOOSE_SIZE):
+            actual = crc32(self.source.read(start, min(_LOOSE_SIZE, end - start)), actual)
+        if actual != crc:
+            reason = (
+                "its checksum is wrong: it is not what was recorded, and there is no telling where"
+            )
+            self.losses.note("data section", reason)
+
+    def _chunk(self, position: int, length: int, head: bytes) -> bool:
+        """Add a chunk; False where none begins there, or where it does not end in the file."""
+        chunk = chunk_head(head, length)
+        if chunk is None or (position + length > self.end and not self._is_torn(position)):
+            return False
+        first, last = min(chunk.first_ns, LATEST), min(chunk.last_ns, LATEST)
+        region = Region(position, length, True, first, size=chunk.size, head_last_ns=last)
+        for opcode, content in leading_definitions(self.source, position, chunk):
+            self.definitions.add(opcode, content, f"in the {region.place}")
+        region.first_id = self.definitions.first_id
+        self.regions.append(region)
+        return True
+
+    def _message_index(self, position: int, length: int, head: bytes) -> None:
+        region = self.regions[-1] if self.regions else None
+        if region is None or region.end != position or len(head) < INDEX_HEAD.size:
+            return
+        _, _, channel, _ = INDEX_HEAD.unpack_from(head)
+        if region.holds is None:
+            region.holds = {}
+        region.holds[channel] = position
+        region.index_length += length
+
+    def _messages(self, position: int, end: int) -> int:
+        """Add the messages outside chunks from `position` on; return where they end."""
+        if end - position > MAX_SIZE:
+            self.losses.note(f"message at byte {position}", "it is too large")
+            return end
+        size = min(max(_LOOSE_SIZE, end - position), self.end - position)
+        data = self.source.read(position, size)
+        walked = walk_records(data, stop_at=_NOT_MESSAGES)
+        if walked.malformed:
+            place = f"messages at byte {position}"
+            self.losses.note(place, "too short to be messages", walked.malformed)
+        end = walked.end
+        for opcode, begin, stop in walked.definitions:
+            if self.definitions.redefines(opcode, data[begin:stop]):
+                end = begin - RECORD.size  # what follows is another region
+                break
+            place = f"at byte {position + begin - RECORD.size}"
+            self.definitions.add(opcode, data[begin:stop], place)
+        messages = messages_at(data, walked.offsets[walked.offsets < end])
+        if messages:
+            counts = messages.counts()
+            first = int(messages.block.log_ns.min())
+            holds = dict.fromkeys(counts, 0)
+            region = Region(position, end, False, first, holds=holds, counts=counts, size=end)
+            region.first_id = self.definitions.first_id
+            self.regions.append(region)
+        return position + end

@@ -1,0 +1,143 @@
+"""What attributes of HDF5 say of a dataset: its unit, its columns, how its numbers are packed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from quatprop.tables.hdf5_text import variable_text
+from quatprop.tables.npy_format import HeaderError
+from quatprop.text import quoted
+
+if TYPE_CHECKING:
+    from quatprop.arrays import AnyArray
+
+_SAMPLE_RATES = ("sampling_rate", "sample_rate")
+_COLUMN_NAMES = ("columns", "column_names", "names")
+_UNITS = ("Units", "units", "Unit", "unit")
+_ABSENT = ("_FillValue", "missing_value")
+
+
+class Packing(NamedTuple):
+    """How numbers are stored, as netCDF has it.
+
+    Parameters
+    ----------
+    scale, offset
+        A value is the stored number times the one plus the other.
+    absent
+        Stored numbers that stand for no value.
+
+    References
+    ----------
+    CF Metadata Conventions, 2.5.1 "Missing data" and 8.1 "Packed data".
+    """
+
+    scale: float = 1.0
+    offset: float = 0.0
+    absent: tuple[Any, ...] = ()
+
+    @property
+    def is_scaled(self) -> bool:
+        """Whether numbers stand for others."""
+        return (self.scale, self.offset) != (1.0, 0.0)
+
+    def values(self, stored: pa.Array) -> pa.Array:
+        """Return what stored numbers stand for; null where there is no value."""
+        present = stored
+        for absent in self.absent:
+            present = pc.if_else(pc.equal(stored, absent), None, present)
+        if self.is_scaled:
+            numbers = present.cast(pa.float64(), safe=False)
+            present = pc.add(pc.multiply(numbers, self.scale), self.offset)
+        return present
+
+
+def packing_of(dataset: Any) -> Packing:
+    """Return how the numbers of a dataset are stored.
+
+    Raises
+    ------
+    HeaderError
+        Its attributes do not say it in numbers.
+    """
+    scale, offset = _number(dataset, "scale_factor", 1.0), _number(dataset, "add_offset", 0.0)
+    absent = (_attribute(dataset, name) for name in _ABSENT)
+    values = (x for array in absent if array.dtype == dataset.dtype for x in array.tolist())
+    return Packing(scale, offset, tuple(x for x in values if np.isfinite(x)))
+
+
+def _number(dataset: Any, name: str, default: float) -> float:
+    if name not in dataset.attrs:
+        return default
+    value = _attribute(dataset, name)
+    if value.size != 1 or value.dtype.kind not in "iuf" or not np.isfinite(value.flat[0]):
+        raise HeaderError(f"its attribute {quoted(name)} is no number; save plain numbers")
+    return float(value.flat[0])
+
+
+def sample_rate(file: Any) -> float | None:
+    """Return the rate that a file declares, Hz."""
+    for name in _SAMPLE_RATES:
+        value = _attribute(file, name)
+        if value.size == 1 and value.dtype.kind in "iuf" and 0 < value.flat[0] < np.inf:
+            return float(value.flat[0])
+    return None
+
+
+def unit_of(dataset: Any, file: BinaryIO) -> str:
+    """Return the unit that a dataset declares, as headers of columns have it.
+
+    Raises
+    ------
+    HeaderError
+        It cannot be read.
+    """
+    for name in _UNITS:
+        texts = _texts(dataset, name, file)
+        if len(texts) == 1 and texts[0]:
+            return f" [{texts[0]}]"
+    return ""
+
+
+def column_names(dataset: Any, count: int, file: BinaryIO) -> list[str]:
+    """Return the names that a dataset gives its columns; none without them.
+
+    Raises
+    ------
+    HeaderError
+        They cannot be read.
+    """
+    for name in _COLUMN_NAMES:
+        names = _texts(dataset, name, file)
+        if all(names) and len(set(names)) == len(names) == count > 1:
+            return names
+    return []
+
+
+def _attribute(item: Any, name: str) -> AnyArray:
+    """Return an attribute of fixed size, one dimension; empty where it is another."""
+    if name in item.attrs and not item.attrs.get_id(name).dtype.hasobject:
+        return np.asarray(item.attrs[name]).reshape(-1)
+    return np.empty(0)
+
+
+def _texts(dataset: Any, name: str, file: BinaryIO) -> list[str]:
+    """Return the texts of an attribute; none where it has others."""
+    import h5py
+
+    value = _attribute(dataset, name)
+    if value.dtype.kind == "S":
+        return [text.decode(errors="replace").strip() for text in value.tolist()]
+    if value.size or name not in dataset.attrs:
+        return []
+    if h5py.check_string_dtype(dataset.attrs.get_id(name).dtype) is None:
+        return []
+    address = h5py.h5o.get_info(dataset.id).addr
+    texts = variable_text(file, dataset.file.userblock_size, address, name)
+    if texts is None:
+        raise HeaderError(f"its attribute {quoted(name)} cannot be read; save it as numpy.bytes_")
+    return [text.strip() for text in texts]

@@ -1,0 +1,278 @@
+"""How HDF5 stores a dataset: which of it is read, and which rows were never written.
+
+A dataset can refer to other files, and the library returns zeros for what nobody has written: only
+what is stored in the file itself is read, and only where it is stored.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from quatprop.containers.compression import MAX_SIZE
+from quatprop.containers.limits import decompressed_limit, too_large
+from quatprop.tables.npy_format import HeaderError
+from quatprop.tables.numpy_table import rows_at_once, values_in
+from quatprop.text import listed, plain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from quatprop.arrays import Int64
+    from quatprop.containers.base import Losses
+    from quatprop.tables.hdf5_attributes import Packing
+    from quatprop.tables.npy_format import ArrayColumn
+
+_CACHE_BYTES = 1 << 26
+_PAGE_BYTES = 4096
+_LEAST_SLOTS, _SLOTS_A_CHUNK = 521, 10
+
+ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError)
+"""What h5py raises for damaged files."""
+
+
+def shape_of(dataset: Any) -> tuple[int, ...] | None:
+    """Return rows and columns; None where there are none."""
+    import h5py
+
+    layout = dataset.id.get_create_plist()
+    if layout.get_layout() == h5py.h5d.VIRTUAL:
+        # To ask the dataset itself opens the files that it refers to.
+        space = layout.get_virtual_vspace(0) if layout.get_virtual_count() else None
+        shape = space and space.get_simple_extent_dims()
+    else:
+        shape = dataset.shape
+    return shape[::-1] if shape and is_of_matlab(dataset, len(shape)) else shape
+
+
+def is_of_matlab(dataset: Any, dimensions: int) -> bool:
+    """Whether MATLAB has written it, column after column."""
+    return dimensions == 2 and "MATLAB_class" in dataset.attrs  # noqa: PLR2004  # rows and columns
+
+
+def refusal(dataset: Any, file_size: int) -> str:
+    """Return why a dataset is not read from a file of some bytes; ``""`` where it is.
+
+    Neither the dataset nor what it refers to is touched.
+    """
+    import h5py
+
+    layout = dataset.id.get_create_plist()
+    kind = layout.get_layout()
+    files: list[str] = []
+    if kind == h5py.h5d.VIRTUAL:
+        sources = range(layout.get_virtual_count())
+        files = [layout.get_virtual_filename(k) for k in sources]
+    elif kind == h5py.h5d.CONTIGUOUS:
+        external = range(layout.get_external_count())
+        files = [layout.get_external(k)[0].decode(errors="replace") for k in external]
+    if files or kind == h5py.h5d.VIRTUAL:
+        names = listed(sorted(set(files))) or "that is missing"
+        return f"it refers to data elsewhere, {names}, which is not opened; save its values here"
+    filters = [layout.get_filter(k) for k in range(layout.get_nfilters())]
+    for code, _, _, name in filters:
+        if not h5py.h5z.filter_avail(code):
+            return (
+                f"it is compressed with filter {code} ({name.decode(errors='replace')}), which "
+                "HDF5 does not have here; set HDF5_PLUGIN_PATH to the folder of its plugin"
+            )
+    codes = [code for code, *_ in filters]
+    if len(set(codes)) < len(codes):
+        return "it is compressed several times; save it compressed once"
+    limit = decompressed_limit(file_size)
+    if kind == h5py.h5d.CHUNKED and dataset.nbytes > limit:
+        return too_large(limit)
+    return ""
+
+
+class StoredRows:
+    """Columns of a dataset, which are read by rows.
+
+    Parameters
+    ----------
+    dataset
+        The dataset, with one dimension or two.
+    columns
+        Some of its columns and how they are named.
+    packing
+        How its numbers are stored.
+
+    Attributes
+    ----------
+    step
+        Bytes of what is read of a row.
+    unit
+        How many rows are stored together.
+    why_missing
+        Why rows may be missing.
+
+    Raises
+    ------
+    HeaderError
+        Its chunks are too large.
+    """
+
+    def __init__(
+        self, dataset: Any, columns: Sequence[tuple[str, ArrayColumn]], packing: Packing
+    ) -> None:
+        import h5py
+
+        self._columns = columns
+        self._packing = packing
+        self._dataset = dataset
+        self._shape: tuple[int, ...] = dataset.shape
+        self._is_of_matlab = is_of_matlab(dataset, len(self._shape))
+        self._axis = 1 if self._is_of_matlab else 0
+        self._width = slice(0, 1)
+        self.step = size = dataset.dtype.itemsize
+        if len(self._shape) > 1:
+            # Only from the first wanted column to the last.
+            places = [column.offset // size for _, column in columns]
+            self._width = slice(min(places), max(places) + 1)
+            self.step *= self._width.stop - self._width.start
+            first = self._width.start * size
+            self._columns = [
+                (name, column._replace(offset=column.offset - first, step=self.step))
+                for name, column in columns
+            ]
+        self.why_missing = "they were never written"
+        self._chunks_across = 1
+        self._places: Int64 = np.empty((0, 1), np.int64)
+        self._absent = np.array(dataset.fillvalue, dataset.dtype).tobytes()
+        layout = dataset.id.get_create_plist()
+        if layout.get_layout() == h5py.h5d.CHUNKED:
+            self.unit = dataset.chunks[self._axis]
+            self._written = self._written_chunks(layout.get_chunk())
+        else:
+            self.unit = max(1, _PAGE_BYTES // self.step)
+            is_written = layout.get_layout() == h5py.h5d.COMPACT or dataset.id.get_offset()
+            units = -(-self._shape[self._axis] // self.unit)
+            self._written = np.arange(units if is_written else 0)
+
+    def _written_chunks(self, chunk: tuple[int, ...]) -> Int64:
+        """Return which chunks of rows are stored, as often as there are chunks beside each other.
+
+        The dataset is opened anew, with memory for all chunks that hold a row.
+        """
+        import h5py
+
+        dataset = self._dataset
+        first, last = 0, 0
+        if len(chunk) > 1:
+            width = chunk[1 - self._axis]
+            first, last = self._width.start // width, (self._width.stop - 1) // width
+        self._chunks_across = last - first + 1
+        size = math.prod(chunk) * dataset.dtype.itemsize * self._chunks_across
+        if size > MAX_SIZE:
+            raise HeaderError(f"the chunks of a row have {size} bytes, over the limit {MAX_SIZE}")
+        access = h5py.h5p.create(h5py.h5p.DATASET_ACCESS)
+        slots = max(_LEAST_SLOTS, _SLOTS_A_CHUNK * self._chunks_across + 1)
+        access.set_chunk_cache(slots, max(size, _CACHE_BYTES), 1.0)
+        name = dataset.name.encode()
+        self._dataset = h5py.Dataset(h5py.h5d.open(dataset.file.id, name, access))
+        places: list[tuple[int, ...]] = []
+        try:
+            self._dataset.id.chunk_iter(lambda info: places.append(info.chunk_offset))
+        except ERRORS as error:
+            self.why_missing = f"the index of their chunks is damaged: {plain(error)}"
+        found = np.unique(np.array(places, np.int64).reshape(-1, len(chunk)), axis=0)
+        if len(chunk) > 1:
+            across = found[:, 1 - self._axis] // width
+            found = found[(first <= across) & (across <= last)]
+        rows: Int64 = found[:, self._axis] // self.unit
+        order = np.argsort(rows, kind="stable")
+        self._places = found[order]
+        return np.sort(rows)
+
+    def written(self, begin: int, end: int) -> float:
+        """Return how much of some rows is stored, from 0 to 1."""
+        first, last = begin // self.unit, -(-end // self.unit)
+        found = np.searchsorted(self._written, (first, last))
+        return float((found[1] - found[0]) / ((last - first) * self._chunks_across))
+
+    def boundary(self, begin: int, end: int) -> int:
+        """Return where, nearest to the middle between two rows, other chunks begin."""
+        return int((begin + end + self.unit) // (2 * self.unit) * self.unit)
+
+    def read(self, begin: int, end: int) -> Iterator[tuple[str, pa.Array]]:
+        """Yield the columns of some rows with their names."""
+        rows = slice(begin, end)
+        if len(self._shape) == 1:
+            values = self._dataset[rows]
+        elif self._is_of_matlab:
+            values = self._dataset[self._width, rows].T
+        else:
+            values = self._dataset[rows, self._width]
+        data = np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
+        self._verify_places(begin, end, data)
+        for name, column in self._columns:
+            yield name, self._packing.values(values_in(data, column, end - begin))
+
+    def _verify_places(self, begin: int, end: int, data: memoryview) -> None:
+        """Look for chunks that hold what is given out for those that are not found.
+
+        Where the index is damaged, a chunk may be listed in it and yet not be found there.
+        """
+        for unit in range(begin // self.unit, -(-end // self.unit)) if len(self._places) else ():
+            at = (max(begin, unit * self.unit) - begin) * self.step
+            if data[at : at + len(self._absent)] == self._absent:
+                first, last = np.searchsorted(self._written, (unit, unit + 1))
+                for place in self._places[first:last].tolist():
+                    self._dataset.id.read_direct_chunk(tuple(place))
+
+
+class _Rows(NamedTuple):
+    """Rows of a table from one to before another; `lost` says why they are not there."""
+
+    begin: int
+    end: int
+    lost: str = ""
+    batch: pa.RecordBatch | None = None
+
+
+def read_rows(
+    datasets: Sequence[StoredRows], rows: int, losses: Losses
+) -> Iterator[pa.RecordBatch | int]:
+    """Yield the rows of datasets side by side; a number stands for that many lost ones."""
+    step = max(dataset.step for dataset in datasets)
+    pieces = (
+        piece
+        for begin in range(0, rows, rows_at_once(step))
+        for piece in _pieces(datasets, begin, min(begin + rows_at_once(step), rows))
+    )
+    for reason, group in groupby(pieces, lambda piece: piece.lost):
+        if not reason:
+            yield from (piece.batch for piece in group)
+            continue
+        lost = list(group)
+        count = lost[-1].end - lost[0].begin
+        losses.note(f"rows {lost[0].begin + 1} to {lost[-1].end}", reason, count)
+        yield count
+
+
+def _pieces(datasets: Sequence[StoredRows], begin: int, end: int) -> Iterator[_Rows]:
+    """Yield rows in as many pieces as it takes to lose no others than those that are lost."""
+    missing = min(datasets, key=lambda dataset: dataset.written(begin, end))
+    share = missing.written(begin, end)
+    lost = missing.why_missing
+    if share == 1:
+        try:
+            columns = dict(pair for dataset in datasets for pair in dataset.read(begin, end))
+            batch = pa.record_batch(list(columns.values()), list(columns))
+        except ERRORS as error:
+            lost = f"they are damaged: {plain(error)}"
+        else:
+            yield _Rows(begin, end, batch=batch)
+            return
+    boundaries = {dataset.boundary(begin, end) for dataset in datasets}
+    inside = [place for place in boundaries if begin < place < end]
+    if not share or not inside:
+        yield _Rows(begin, end, lost)
+        return
+    middle = min(inside, key=lambda place: abs(2 * place - begin - end))
+    yield from _pieces(datasets, begin, middle)
+    yield from _pieces(datasets, middle, end)

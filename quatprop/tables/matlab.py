@@ -1,0 +1,156 @@
+"""Files of MATLAB before version 7.3: variables, and fields of structs, are columns.
+
+Newer ones are HDF5. Compressed variables are decompressed here and not by scipy, which believes
+any size; it then decodes each variable by itself, so that a damaged one is lost alone.
+
+References
+----------
+The MathWorks, "MAT-File Format": "Level 5 MAT-Files".
+"""
+
+from __future__ import annotations
+
+import struct
+from io import BytesIO
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+
+from quatprop.containers.compression import UnreadableDataError, decompressed_pieces
+from quatprop.containers.limits import DecompressionBudget
+from quatprop.errors import DamagedLogError, UnsupportedLogError, UsageError
+from quatprop.tables.npy_format import ArrayHeader, HeaderError, columns_of
+from quatprop.tables.numpy_table import NumpyTable
+from quatprop.text import plain, quoted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from quatprop.arrays import AnyArray
+
+_MAGIC = b"MATLAB 5.0"
+_HEADER_BYTES, _TAG_BYTES = 128, 8
+_COMPRESSED = 15
+_DEEPEST = 8
+_OBJECT = (
+    "it is an object, which only MATLAB reads; save a table by table2struct(t,'ToScalar',true)"
+)
+
+
+class MatlabLog(NumpyTable):
+    """Variables that are vectors or matrices, and those in structs as ``struct.field``.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    UsageError
+        scipy is not installed.
+    DamagedLogError
+        None of its variables can be read.
+    UnsupportedLogError
+        None of them is a table.
+    """
+
+    kind = "matlab"
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        try:
+            from scipy.io import loadmat
+        except ImportError as error:
+            raise UsageError(
+                f"{plain(path)}: files of MATLAB before version 7.3 need scipy, which is not "
+                "installed; pip install scipy, or save it again with '-v7.3'"
+            ) from error
+        self._arrays: dict[str, AnyArray] = {}
+        self._refused = ""
+        found = 0
+        for place, element in self._elements():
+            try:
+                variables = loadmat(BytesIO(element))
+            except MemoryError:
+                raise
+            except Exception as error:  # noqa: BLE001  # what scipy raises for damage is its choice
+                self.losses.note(place, f"a variable is damaged: {plain(error)}")
+                continue
+            found += 1
+            for name, value in variables.items():
+                if type(value).__name__ == "MatlabOpaque":
+                    self._refuse(name, _OBJECT)
+                elif not name.startswith("__") and isinstance(value, np.ndarray):
+                    self._describe(name, value)
+        if not found:
+            damage = self.losses[0].reason if self.losses else "it has no variables"
+            raise DamagedLogError(path, f"{damage}; was it written to the end?")
+        if not self._leaves:
+            reason = self._refused or "it has no variables"
+            raise UnsupportedLogError(path, reason)
+
+    def _elements(self) -> Iterator[tuple[str, bytes]]:
+        """Yield the place of each variable, and a file with it alone."""
+        with self.path.open("rb") as file:
+            size = file.seek(0, 2)
+            file.seek(0)
+            header = file.read(_HEADER_BYTES)
+            if not header.startswith(_MAGIC):
+                yield "byte 0", header + file.read()  # of version 4, which is not compressed
+                return
+            budget = DecompressionBudget(size)
+            order = "<" if header.endswith(b"IM") else ">"
+            while tag := file.read(_TAG_BYTES):
+                place = f"byte {file.tell() - len(tag)}"
+                kind, length = struct.unpack(order + "II", tag.ljust(_TAG_BYTES, b"\0"))
+                data = file.read(min(length, size))
+                if len(tag) < _TAG_BYTES or len(data) < length:
+                    self.losses.note(place, "the file ends within a variable")
+                    return
+                try:
+                    element = (
+                        self._decompressed(data, budget) if kind == _COMPRESSED else tag + data
+                    )
+                except UnreadableDataError as error:
+                    self.losses.note(place, f"a variable is damaged: {error.reason}")
+                    continue
+                yield place, header + element
+
+    def _decompressed(self, data: bytes, budget: DecompressionBudget) -> bytes:
+        element = bytearray()
+        for piece in decompressed_pieces(BytesIO(data), "zlib"):
+            element += piece
+            budget.spend(len(piece))
+            try:
+                budget.check()
+            except UnreadableDataError as error:
+                raise UnsupportedLogError(self.path, error.reason) from error
+        return bytes(element)
+
+    def _describe(self, name: str, value: Any, depth: int = 0) -> None:
+        """Add the columns of a variable; those that are no columns are ignored."""
+        if value.dtype.names and value.size == 1 and depth < _DEEPEST:
+            for field in value.dtype.names:
+                self._describe(f"{name}.{field}", value.flat[0][field], depth + 1)
+        elif value.dtype.hasobject:
+            what = "an array of structs" if value.dtype.names else "a cell array"
+            self._refuse(name, f"it is {what}; save its numbers as vectors")
+        elif value.size > 1:
+            # A row of numbers is as many of them as a column is.
+            array = value.reshape(-1) if value.shape[0] == 1 and value.ndim == 2 else value  # noqa: PLR2004
+            try:
+                columns = columns_of(ArrayHeader(array.dtype, array.shape, is_fortran=False))
+            except HeaderError as error:
+                self._refuse(name, str(error))
+                return
+            self._arrays[name] = array
+            for column in columns:
+                self._add_column(name + column.name, name, column)
+
+    def _refuse(self, name: str, reason: str) -> None:
+        self._refused = self._refused or f"its variable {quoted(name)}: {reason}"
+
+    def _open_rows(self, member: str) -> BinaryIO:
+        return BytesIO(np.ascontiguousarray(self._arrays[member]).tobytes())

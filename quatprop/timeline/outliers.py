@@ -1,0 +1,174 @@
+"""Outliers: samples whose stamps jump ahead, which the next stamps contradict.
+
+A jump ahead that lasts is a pause. Which of the two it is only the next stamps tell, so each batch
+waits until :data:`LOOK_AHEAD` samples after it are known.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from itertools import islice
+from typing import TYPE_CHECKING, Protocol, Self, TypeVar
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from quatprop.arrays import Bool, Int64, Intp
+
+    Ages = NDArray[np.uint64]
+    """Times since the earliest stamp, ns."""
+
+
+class Rows(Protocol):
+    """Rows that a mask selects from: stamps, or samples with them."""
+
+    def __len__(self) -> int: ...
+    def __getitem__(self, chosen: Bool, /) -> Self: ...
+
+
+Batch = TypeVar("Batch", bound=Rows)
+
+LONGEST_RUN = 32
+"""So many outliers may follow one another, as where a message of a burst has a wrong stamp."""
+
+CONFIRMING = 8
+"""So many stamps after outliers tell whether they are; one more than them where they are more."""
+
+LOOK_AHEAD = 2 * LONGEST_RUN
+"""Whether a sample is an outlier depends on no more samples after it than this."""
+
+FAR = 10
+"""An outlier is ahead by more than this many intervals of the samples around it."""
+
+
+LATEST = np.iinfo(np.uint64).max
+
+
+def marked(
+    batches: Iterable[Batch], stamps_of: Callable[[Batch], Int64]
+) -> Iterator[tuple[Batch, Bool | None, int]]:
+    """Yield each batch that is not empty with a mask of its outliers; None where it has none.
+
+    With it comes by how much, ns, the first of them is ahead of those around it.
+
+    Parameters
+    ----------
+    batches
+        Samples in the order of the log.
+    stamps_of
+        Returns their stamps, shape ``(N,)``, int64 ns.
+    """
+    stream = (batch for batch in batches if len(batch))
+    waiting: deque[Batch] = deque()
+    behind, done = np.empty(0, np.int64), 0
+    while True:
+        while sum(map(len, islice(waiting, 1, None))) < LOOK_AHEAD:
+            batch = next(stream, None)
+            if batch is None:
+                break
+            waiting.append(batch)
+        if not waiting:
+            return
+        batch = waiting.popleft()
+        t_ns = stamps_of(batch)
+        after = [stamps_of(later)[:LOOK_AHEAD] for later in waiting]
+        ahead = np.concatenate([t_ns[-1:], *after])[: LOOK_AHEAD + 1]
+        mask, ahead_ns = None, 0
+        # Mostly time steps back nowhere, and nothing has to be copied to see that.
+        if not all(map(_in_order, (behind, t_ns, ahead))) or (len(behind) and behind[-1] > t_ns[0]):
+            stamps = np.concatenate([behind, t_ns, ahead[1:]])
+            own = slice(len(behind), len(behind) + len(t_ns))
+            mask, ahead_ns = _outliers(stamps, own, from_the_first=done == len(behind))
+        yield batch, mask, ahead_ns
+        done += len(t_ns)
+        behind = np.concatenate([behind, t_ns[-LONGEST_RUN - 1 :]])[-LONGEST_RUN - 1 :]
+
+
+def fits(t_ns: Int64, others: Int64) -> Bool:
+    """Return which stamps are in a gap of others: they came early, and are not wrong.
+
+    Parameters
+    ----------
+    t_ns
+        Stamps, ns.
+    others
+        All other stamps of the log, in order, ns.
+    """
+    intervals = np.diff(others)
+    if not (intervals > 0).any():
+        return np.zeros(len(t_ns), np.bool_)
+    after = np.searchsorted(others, t_ns)
+    room = np.append(np.append(0, intervals), 0)[after]
+    return np.asarray(2 * room > 3 * np.median(intervals[intervals > 0]))
+
+
+def _in_order(t_ns: Int64) -> bool:
+    return bool((t_ns[1:] >= t_ns[:-1]).all())
+
+
+def _outliers(t_ns: Int64, own: slice, *, from_the_first: bool) -> tuple[Bool | None, int]:
+    """Return which of some stamps are outliers, and by how much the first is ahead, ns.
+
+    Parameters
+    ----------
+    t_ns
+        Neighbouring stamps, ns.
+    own
+        Which of them are asked for.
+    from_the_first
+        Whether they begin with the first of the log, which has none before it to jump from.
+    """
+    returns = np.flatnonzero(t_ns[1:] < t_ns[:-1]) + 1
+    # Exact, however far apart the stamps are.
+    since = (t_ns - t_ns.min()).view(np.uint64)
+    first, last, before = _runs(since, returns, from_the_first=from_the_first)
+    change = np.zeros(len(t_ns) + 1, np.int64)
+    np.add.at(change, first, 1)
+    np.add.at(change, last, -1)
+    mask = np.cumsum(change)[own] > 0
+    if not mask.any():
+        return None, 0
+    begin = own.start + int(mask.argmax())
+    run = int(np.argmax((first <= begin) & (begin < last)))
+    return mask, int(since[begin] - before[run])
+
+
+def _runs(since: Ages, returns: Intp, *, from_the_first: bool) -> tuple[Intp, Intp, Ages]:
+    """Return where runs of outliers begin, where time goes on, and the stamps it goes on from."""
+    # The last stamp that is not after most of the next ones: all between are ahead of those.
+    place = returns[:, None] + np.arange(CONFIRMING)
+    following = np.sort(np.where(place < len(since), since[place % len(since)], LATEST), axis=1)
+    middle = (np.minimum(len(since) - returns, CONFIRMING) - 1) // 2
+    resumed = np.take_along_axis(following, middle[:, None], axis=1)
+    place = returns[:, None] - np.arange(1, LONGEST_RUN + 2)
+    is_before = (place >= 0) & (since[np.maximum(place, 0)] <= resumed)
+    has_before = is_before.any(axis=1)
+    length = np.where(has_before, is_before.argmax(axis=1), returns)
+    found = (has_before | (from_the_first & (returns <= LONGEST_RUN))) & (length > 0)
+    returns, length, has_before = returns[found], length[found], has_before[found]
+    first = returns - length
+    before = np.where(has_before, since[first - 1], resumed[found, 0])
+    jump = since[first]
+    # Of the next stamps, those are back that are nearer to the stamp before than to the jump.
+    column = np.arange(LONGEST_RUN + 1)
+    place = returns[:, None] + column
+    known = (place < len(since)) & (column < np.maximum(length + 1, CONFIRMING)[:, None])
+    stamps = since[np.minimum(place, len(since) - 1)]
+    late = stamps <= before[:, None]
+    nearer = (stamps < jump[:, None]) & (stamps - before[:, None] < jump[:, None] - stamps)
+    is_back = known & (late | nearer)
+    count = is_back.sum(axis=1)
+    span = np.where(is_back & ~late, stamps - before[:, None], 0).max(axis=1, initial=0)
+    is_far = FAR * span.astype(np.float64) < (jump - before).astype(np.float64) * count
+    contradicted = (
+        is_back[:, 0]
+        & (count >= length + ~has_before)
+        & (2 * count > known.sum(axis=1))
+        & is_far
+        & ((span > 0) | (count >= CONFIRMING))
+    )
+    return first[contradicted], returns[contradicted], before[contradicted]

@@ -1,0 +1,71 @@
+"""What is irregular about the stamps of a batch, and why time steps back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
+
+import numpy as np
+
+from quatprop.timeline.outliers import Rows
+
+if TYPE_CHECKING:
+    from quatprop.arrays import Bool, Int64
+
+
+Batch = TypeVar("Batch", bound=Rows)
+
+_FAR = 10
+"""A counter that has wrapped around goes on after at most so many intervals."""
+
+COUNTERS = {"ns": 2**32, "us": 2**32 * 1_000, "ms": 2**32 * 1_000_000}
+"""After how many ns a counter of 32 bits begins again, by its unit."""
+
+
+class Examined(NamedTuple, Generic[Batch]):
+    """A batch, and what is irregular about its stamps.
+
+    Parameters
+    ----------
+    batch
+        The samples.
+    rows
+        Which of the samples that were read they are, shape ``(N,)``.
+    outliers, back
+        Masks of outliers, and of stamps that are earlier than one before; None where none is.
+    """
+
+    batch: Batch
+    rows: Int64
+    outliers: Bool | None
+    back: Bool | None
+
+    @property
+    def outlier_mask(self) -> Bool:
+        """The mask of outliers, also where none is."""
+        return np.zeros(len(self.rows), np.bool_) if self.outliers is None else self.outliers
+
+    @property
+    def irregular(self) -> Bool | None:
+        """The mask of both; None where none is."""
+        if self.outliers is None or self.back is None:
+            return self.back if self.outliers is None else self.outliers
+        return self.outliers | self.back
+
+
+def cause_of_step(t_ns: Int64, first: int) -> str:
+    """Return the likely cause of a step back in time, if the stamps show one.
+
+    Parameters
+    ----------
+    t_ns
+        Stamps, ns.
+    first
+        The first that is earlier than one before.
+    """
+    if first < 2:  # noqa: PLR2004  # it and two before
+        return ""
+    before, middle, after = t_ns[first - 2 : first + 1].tolist()
+    for unit, period in COUNTERS.items():
+        if 0 < period - (middle - after) <= min(_FAR * (middle - before), period // 1000):
+            return f" as if a counter of 32 bits in {unit} had wrapped around"
+    return ""

@@ -1,0 +1,206 @@
+"""Hostile YAML, TOML and JSON: one sentence, in little time and memory."""
+
+import json
+import math
+import random
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import quatprop
+from quatprop.cli.commands import cli
+from quatprop.guarded_text import (
+    MAX_DEPTH,
+    MAX_DIGITS,
+    ContentError,
+    read_bytes,
+    read_json,
+    read_toml,
+    read_yaml,
+)
+
+MERGED = "a0: &a0 {k: 1}\n" + "".join(
+    f"a{k}: &a{k} {{<<: [{','.join([f'*a{k - 1}'] * 9)}], k{k}: 1}}\n" for k in range(1, 9)
+)
+LAUGHS = "a0: &a0 [1]\n" + "".join(
+    f"a{k}: &a{k} [{','.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 9)
+)
+DEEP = f"it is nested more than {MAX_DEPTH} levels deep"
+LONG = f"a number of more than {MAX_DIGITS} digits"
+
+TWICE = (
+    'it is neither YAML nor JSON: line 3: found duplicate key "a" with value "3" '
+    '(original value: "1")'
+)
+
+AGAIN = "it is not TOML: Cannot overwrite a value (at line 2, column 6)"
+
+REFUSED = [
+    (read_yaml, "matrix: &a [*a,*a,*a]", "line 1: a value contains itself"),
+    (read_yaml, "a: 1\n? &a [*a]\n: b", "line 2: a value contains itself"),
+    (read_yaml, MERGED, "line 7: its aliases stand for more than 262,144 values"),
+    (read_yaml, LAUGHS, "line 7: its aliases stand for more than 262,144 values"),
+    (read_yaml, "[" * 1_000_000, f"line 1: {DEEP}"),
+    (read_yaml, "- " * 100_000, DEEP),
+    (read_yaml, "- " * (MAX_DEPTH + 1) + "1", DEEP),
+    (read_yaml, "b: 1\na: " + "9" * 5000, f"line 2: {LONG}"),
+    (read_yaml, "a: [1, 0x" + "f" * 5000 + "]", f"'a.1': {LONG}"),
+    (read_yaml, 'a: {b: "x\\0"}', "'a.b': text that is no Unicode, or has a zero byte"),
+    (read_yaml, '"x\\0": 1', "'': text that is no Unicode, or has a zero byte"),
+    (read_yaml, "a: 1\nb: 2\na: 3", TWICE),
+    (read_yaml, b"a: \xff", "it is not UTF-8 text: byte 3"),
+    (read_yaml, "a: 2001-99-99", "it is neither YAML nor JSON"),
+    (read_yaml, "!!bool x", "it is neither YAML nor JSON"),
+    (read_yaml, "a: \x00", "it is neither YAML nor JSON"),
+    (read_toml, b"a = " + b"[" * 100_000, DEEP),
+    (read_toml, b"a" + b".a" * 100_000 + b" = 1", f"line 1: {DEEP}"),
+    (read_toml, b"b = 1\na = " + b"9" * 5000, f"line 2: {LONG}"),
+    (read_toml, b"a = 0x" + b"f" * 5000, f"'a': {LONG}"),
+    (read_toml, b'a = ["\\u0000"]', "'a.0': text that is no Unicode, or has a zero byte"),
+    (read_toml, b"a = 1\na = 2\n", AGAIN),
+    (read_toml, b"a = '\xff'", "it is not UTF-8 text: byte 5"),
+    (read_json, "[" * 100_000, DEEP),
+    (read_json, "[" * (MAX_DEPTH + 2) + "]" * (MAX_DEPTH + 2), DEEP),
+    (read_json, '{"a": ' + "9" * 5000 + "}", LONG),
+    (read_json, '{"a": 1, "b": 2, "a": 3}', "'a' is there twice"),
+    (read_json, '{"a": NaN}', "NaN is no number of JSON"),
+    (read_json, '{"a": ["\\ud800"]}', "'a.0': text that is no Unicode, or has a zero byte"),
+    (read_json, '{"a": "\\u0000"}', "'a': text that is no Unicode, or has a zero byte"),
+    (read_json, '{"a":\n}', "it is not JSON: line 2: Expecting value"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("read", "text", "reason"), REFUSED, ids=range(len(REFUSED)))
+def test_hostile_text_is_one_sentence(read, text, reason):
+    """36 bytes took 9.8 GB, and 400 bytes half a minute; others were reported as bugs."""
+    began = time.process_time()
+    with pytest.raises(ContentError) as error:
+        read(text)
+    assert str(error.value) == reason
+    assert time.process_time() - began < 3
+
+
+def test_what_programs_write_is_read():
+    """Aliases, numbers of 64 bits, dates, and bytes of file names that are not UTF-8."""
+    assert read_yaml("a: &x [1, 2]\nb: *x\nc: {<<: {k: 1}}") == {
+        "a": [1, 2], "b": [1, 2], "c": {"k": 1}
+    }  # fmt: skip
+    assert read_yaml("") is None
+    assert read_toml(b"\xef\xbb\xbfa = 18446744073709551615\nb = 1979-05-27")["a"] == 2**64 - 1
+    assert read_json(b'{"a": "\xff", "b": "\\udcff", "c": 1e999}') == {
+        "a": "\udcff", "b": "\udcff", "c": math.inf
+    }  # fmt: skip
+
+
+def test_a_file_without_end_is_refused():
+    """It is read up to the limit."""
+    with pytest.raises(ContentError, match=r"^it is too large; 1,000 bytes are read at most$"):
+        read_bytes("/dev/zero", 1000)
+
+
+PIECES = [
+    "[", "]", "{", "}", ": ", ",", "- ", "\n", "&a ", "*a", "<<: ", "!!set ", "!x ", '"', "'",
+    "\\u0000", "\\ud800", "9" * 400, "0x1", "1e999", "nan", ".inf", "null", "~", "#", "|\n",
+    "%YAML 1.9", "---\n", "a", "a = ", "[[a]]\n", "'''", "\x00", "\ufeff", "1979-05-27", "=",
+    "\u2028", "\x85", "? ", "!!binary ", "!!omap ", "\t", "12:30:45", "TRUE", "@", "`"
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("read", [read_yaml, read_toml, read_json])
+def test_no_text_gives_another_error(read):
+    """Texts made of what means something in these formats, and valid ones with a flipped byte."""
+    chosen = random.Random(24)
+    valid = {
+        read_yaml: b"a: &x [1, 2.5, 'b']\nb: {c: *x, <<: {d: !!set {e}}}\nf: 2001-01-01\n",
+        read_toml: b"[case.a]\nlog = 'x'\nn = [1, 2.5]\nt = 1979-05-27T07:32:00Z\n[b]\nc = {d=1}\n",
+        read_json: b'{"a": [1, 2.5, "b"], "c": {"d": null, "e": "\\u00e4"}}',
+    }[read]
+    texts = ["".join(chosen.choices(PIECES, k=chosen.randint(1, 12))).encode() for _ in range(400)]
+    for _ in range(200):
+        flipped = bytearray(valid)
+        flipped[chosen.randrange(len(valid))] ^= 1 << chosen.randrange(8)
+        texts.append(bytes(flipped))
+    for text in texts:
+        with suppress(ContentError):
+            read(text)
+
+
+def test_nothing_else_reads_these_formats():
+    """Others would have none of the limits; rows and messages of logs have their own."""
+    allowed = {"guarded_text", "jsonl", "jsonl_parser", "json", "row_groups"}
+    for path in Path(quatprop.__file__).parent.rglob("*.py"):
+        text = path.read_text()
+        if path.stem not in allowed:
+            assert "json.load" not in text, path
+            assert "tomllib" not in text, path
+            assert "yaml.load" not in text, path
+
+
+ROWS = "t_ns,wx,wy,wz\n0,0,0,1\n10000000,0,0,1\n20000000,0,0,1\n"
+RAW = [b"[" * 100_000, b"{" * 1000, b"9" * 5000, b"\xff", b"\x00", b"a = " + b"9" * 5000,
+       b"a: &a [*a,*a]", b'{"a": 1, "a": 2}', MERGED.encode(), b'a = "\\u0000"']  # fmt: skip
+
+
+@pytest.mark.parametrize("raw", RAW, ids=range(len(RAW)))
+@pytest.mark.parametrize("use", ["--config", "--calibration", "--imu", "suite", "lock"])
+def test_a_hostile_file_is_named(tmp_path, use, raw):
+    """Whatever is in a file that an option names: exit code 2, its name, and no bug."""
+    (tmp_path / "log.csv").write_text(ROWS)
+    file = tmp_path / "hostile.toml"
+    arguments = ["propagate", tmp_path / "log.csv", "-o", tmp_path / "out.csv", use, file]
+    if use in {"suite", "lock"}:
+        arguments = ["check", file]
+    if use == "lock":
+        file.write_text('[case.a]\nlog = "log.csv"\nreference = "r.parquet"\n')
+        file = tmp_path / "hostile.lock.json"
+    file.write_bytes(raw)
+    result = CliRunner().invoke(cli, list(map(str, arguments)))
+    assert result.exit_code == 2
+    assert result.output.startswith("Error: ")
+    assert f"{file}: " in result.output
+    assert "bug" not in result.output
+    assert not (tmp_path / "out.csv").exists()
+
+
+HOSTILE = [None, True, 10**299, "\ud800", [], {"a": 1}]
+
+
+def replaced(value, part):
+    """Yield a value with each of its parts replaced by another in turn."""
+    yield part
+    if isinstance(value, dict):
+        for key in value:
+            yield from ({**value, key: one} for one in replaced(value[key], part))
+    elif isinstance(value, list):
+        for place, old in enumerate(value):
+            yield from ([*value[:place], one, *value[place + 1 :]] for one in replaced(old, part))
+
+
+def test_a_lock_with_any_other_value_is_refused_or_judged(tmp_path):
+    """Every value of a lock, replaced by one of another kind."""
+    (tmp_path / "log.csv").write_text(ROWS)
+    suite, lock = tmp_path / "s.toml", tmp_path / "s.lock.json"
+    suite.write_text('[case.a]\nlog = "log.csv"\nreference = "r.parquet"\n')
+    assert CliRunner().invoke(cli, ["check", str(suite), "--update"]).exit_code == 0
+    valid = json.loads(lock.read_text())
+    for part in HOSTILE:
+        for content in replaced(valid, part):
+            lock.write_text(json.dumps(content))
+            result = CliRunner().invoke(cli, ["check", str(suite), "--explain"])
+            assert result.exit_code in {0, 2}, content
+            assert "bug" not in result.output, content
+
+
+@pytest.mark.parametrize("time_of", ["--start", "--end"])
+@pytest.mark.parametrize("value", ["9999-12-31T23:59:59Z", "0001-01-01T00:00:00Z", f"+{10**30}s"])
+def test_a_time_beyond_the_clock_is_no_bug(tmp_path, time_of, value):
+    """Times of 64 bits end in 2262."""
+    (tmp_path / "log.csv").write_text(ROWS)
+    arguments = ["propagate", tmp_path / "log.csv", "-o", tmp_path / "o.csv", time_of, value]
+    result = CliRunner().invoke(cli, list(map(str, arguments)))
+    everything = (time_of == "--start") == value.startswith("0001")
+    assert "bug" not in result.output
+    assert result.exit_code == (0 if everything else 2), result.output

@@ -1,0 +1,135 @@
+"""Files of MATLAB before version 7.3: variables, structs, damage, sizes."""
+
+import io
+import struct
+import sys
+import zlib
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from quatprop import DataLossWarning, read_rates
+from quatprop.errors import DamagedLogError, LogError, UnsupportedLogError, UsageError
+from quatprop.tables.matlab import MatlabLog
+
+COUNT = 200
+RATES = np.random.default_rng(6).normal(size=(COUNT, 3))
+SECONDS = np.arange(COUNT) / 100
+UNITS = {"rate_unit": "rad/s", "time_unit": "s"}
+FORMS = [{"format": "5"}, {"format": "5", "do_compression": True}, {"format": "4"}]
+
+
+@pytest.fixture
+def path(tmp_path):
+    """Where a test writes its file."""
+    return tmp_path / "log.mat"
+
+
+def refusal(path, error=UnsupportedLogError):
+    """Return why a log is not read."""
+    with pytest.raises(error) as raised:
+        read_rates(path, **UNITS)
+    return str(raised.value).removeprefix(f"{path}: ")
+
+
+@pytest.mark.parametrize("form", FORMS, ids=str)
+@pytest.mark.parametrize("oned_as", ["row", "column"])
+def test_variables_are_columns(path, form, oned_as):
+    """Four of 98 published recordings are such files."""
+    note = {} if form["format"] == "4" else {"note": np.array(["a", 1], object)}
+    variables = {"gyr": RATES, "t": SECONDS, "acc": np.ones((COUNT, 3)), "fs": 100.0, **note}
+    savemat(path, variables, oned_as=oned_as, **form)
+    rates = read_rates(path, **UNITS)
+    assert rates.rate.tolist() == RATES.tolist()
+    assert rates.t_ns.tolist() == np.round(SECONDS * 1e9).tolist()
+    with MatlabLog(path) as log:
+        assert sorted(log.columns()) == ["acc[0]", "acc[1]", "acc[2]", "gyr[0]", "gyr[1]", "gyr[2]",
+                                         "t"]  # fmt: skip
+
+
+def test_fields_of_structs_are_columns(path):
+    """With the path that MATLAB itself has for them."""
+    stamps = np.arange(COUNT, dtype=np.int64) * 10_000_000
+    sensor = {"gyr": RATES.astype("f4"), "t_ns": stamps[:, None], "name": "imu"}
+    savemat(path, {"log": {"imu": sensor, "list": [{"a": 1}, {"a": 2}]}})
+    rates = read_rates(path, rate_unit="rad/s")
+    assert rates.rate.tolist() == RATES.astype("f4").tolist()
+    assert rates.t_ns.tolist() == stamps.tolist()
+    with MatlabLog(path) as log:
+        assert sorted(log.columns()) == [
+            *("log.imu.gyr[0]", "log.imu.gyr[1]", "log.imu.gyr[2]", "log.imu.t_ns")
+        ]
+
+
+@pytest.mark.parametrize("form", FORMS[:2], ids=str)
+def test_a_damaged_variable_is_lost_alone(path, form):
+    """The variables before and behind it are read, wherever the damage is."""
+    savemat(path, {"gyr": RATES, "t": SECONDS}, **form)
+    begin = path.stat().st_size
+    savemat(path, {"gyr": RATES, "t": SECONDS, "extra": RATES}, **form)
+    good = path.read_bytes()
+    for byte in range(begin + 8, begin + 400, 30):
+        data = bytearray(good)
+        data[byte] ^= 0x55
+        path.write_bytes(data)
+        with MatlabLog(path) as log:
+            assert {"gyr[0]", "t"} <= set(log.columns())
+            told = [loss.place for loss in log.losses]
+        assert told in ([], [f"byte {begin}"])
+        if "do_compression" in form:
+            assert told
+    for size in (begin, begin + 3, begin + 8, len(good) - 1):
+        path.write_bytes(good[:size])
+        with MatlabLog(path) as log:
+            assert log.columns() == ["gyr[0]", "gyr[1]", "gyr[2]", "t"]
+            assert [loss.reason for loss in log.losses] == ["the file ends within a variable"] * (
+                size > begin
+            )
+    with pytest.warns(DataLossWarning, match="lost: byte .*: the file ends within a variable"):
+        assert read_rates(path, **UNITS).rate.tolist() == RATES.tolist()
+
+
+def test_hostile_sizes_are_refused(path, monkeypatch):
+    """What is claimed is not allocated, and what is compressed is limited as in other logs."""
+    monkeypatch.setenv("QUATPROP_MAX_UNPACKED", "1M")
+    file = io.BytesIO()
+    savemat(file, {"gyr": RATES})
+    header = file.getvalue()[:128]
+    bomb = zlib.compress(bytes(1 << 22))
+    path.write_bytes(header + struct.pack("<II", 15, len(bomb)) + bomb)
+    assert refusal(path) == (
+        "it decompresses to more than 1048576 bytes; if that is right, set QUATPROP_MAX_UNPACKED "
+        "to more"
+    )
+    good = file.getvalue()
+    refused = 0
+    for place in range(128, 200, 4):
+        path.write_bytes(good[:place] + b"\xf0\xff\xff\x7f" + good[place + 4 :])
+        try:
+            MatlabLog(path).close()
+        except LogError:
+            refused += 1
+    assert refused > 5
+    path.write_bytes(header)
+    assert refusal(path, DamagedLogError) == "it has no variables; was it written to the end?"
+
+
+def test_variables_that_are_no_tables_are_named(path):
+    """Where there is nothing else."""
+    savemat(path, {"log": np.array([1, "a"], object)})
+    assert refusal(path) == ("its variable 'log': it is a cell array; save its numbers as vectors")
+    savemat(path, {"log": [{"w": 1.0}, {"w": 2.0}]})
+    assert refusal(path).startswith("its variable 'log': it is a")
+    path.write_bytes(b"no file of MATLAB, \x00 whatever its name says")
+    assert refusal(path, DamagedLogError).endswith("; was it written to the end?")
+
+
+def test_without_scipy_the_way_out_is_named(path, monkeypatch):
+    """A sentence, not an ImportError."""
+    savemat(path, {"gyr": RATES})
+    monkeypatch.setitem(sys.modules, "scipy.io", None)
+    assert refusal(path, UsageError) == (
+        "files of MATLAB before version 7.3 need scipy, which is not installed; pip install scipy, "
+        "or save it again with '-v7.3'"
+    )
