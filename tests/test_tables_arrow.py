@@ -18,8 +18,9 @@ from quatprop.errors import (
     UndeclaredError,
     UnreadableLogError,
     UnsupportedLogError,
-    UsageError,
 )
+from quatprop.selection import RateSelection
+from quatprop.signals.rates import choose_rates
 from quatprop.tables.arrow import FeatherLog, ParquetLog
 
 RATES = {"wx": [1.0, 4.0], "wy": [2.0, 5.0], "wz": [3.0, 6.0]}
@@ -95,11 +96,15 @@ def test_the_only_timestamps_are_the_time(open_table):
     assert t_ns == [1, 2]
 
 
-def test_a_time_unit_against_the_type_is_refused(open_table):
-    """A timestamp's unit is part of its type and is not overruled by an option alone."""
+def test_a_time_unit_against_the_type_applies(open_table):
+    """A timestamp's unit is part of its type; who says another one is told."""
     log = open_table({"time": pa.array([1, 2], pa.timestamp("ns")), **RATES})
-    with log, pytest.raises(UsageError, match=r"time_unit says s, but .* 'time' is in ns"):
-        rate_batches(log, rate_unit="rad/s", time_unit="s")
+    with log:
+        source = choose_rates(log, RateSelection(rate_unit="rad/s", time_unit="s"))
+        (batch,) = source.batches()
+    assert batch.t_ns.tolist() == [1_000_000_000, 2_000_000_000]
+    (remark,) = source.remarks
+    assert "time_unit says s, but by header or convention 'time' is in ns" in str(remark)
 
 
 def test_units_in_column_names_are_declared(open_table):

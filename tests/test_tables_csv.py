@@ -721,8 +721,8 @@ def test_a_file_of_several_record_types_is_refused(shared_logs):
         ),
     ],
 )
-def test_a_unit_is_refused_where_the_header_says_otherwise(tmp_path, options, contradiction):
-    """Unless the columns are named too, and then the summary says what the header says."""
+def test_a_unit_applies_where_the_header_says_otherwise(tmp_path, options, contradiction):
+    """The summary says what the header says, whether or not the columns are named too."""
     path, out = tmp_path / "a.csv", tmp_path / "out.csv"
     path.write_text("t_ns,wx_dps,wy_dps,wz_dps\n0,.1,0,0\n10000000,.1,0,0\n")
     named = ["--time-col", "t_ns", "--rate-cols", "1,2,3"]
@@ -730,10 +730,10 @@ def test_a_unit_is_refused_where_the_header_says_otherwise(tmp_path, options, co
         CliRunner().invoke(cli, ["propagate", str(path), "-o", str(out), *options, *others])
         for others in ([], named)
     ]
-    assert [result.exit_code for result in results] == [2, 0]
-    assert contradiction in results[0].stderr
-    assert f"warning: {contradiction}" in results[1].stderr
-    assert f"; read in {options[1]}, as asked for" in results[1].stderr
+    for result in results:
+        assert result.exit_code == 0
+        assert f"warning: {contradiction}" in result.stderr
+        assert f"; read in {options[1]}, as asked for" in result.stderr
 
 
 def test_a_unit_of_time_of_attitudes_that_the_header_contradicts_is_told(tmp_path):
