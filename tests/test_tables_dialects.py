@@ -286,6 +286,16 @@ def test_several_possible_times_are_listed():
         chosen("a_t,b_t,gyro_x,gyro_y,gyro_z")
 
 
+def test_measured_rates_come_before_estimated_ones():
+    """In a file as in messages: those of an odometry do not compete, and are named."""
+    estimated = [f"twist.twist.angular.{axis}" for axis in "xyz"]
+    header = ["header.stamp.sec", "header.stamp.nanosec", *estimated]
+    assert chosen(",".join(header)).found.field == ",".join(estimated)
+    both = chosen(",".join([*header, *(f"imu.angular_velocity.{axis}" for axis in "xyz")]))
+    assert both.found.field == ",".join(f"imu.angular_velocity.{axis}" for axis in "xyz")
+    assert both.remarks == (f"ignored estimated body rates: '{','.join(estimated)}'",)
+
+
 def test_several_sets_of_rates_are_refused():
     """Two gyroscopes in one table are ambiguous until the columns are named."""
     header = "t,a.gyro_x,a.gyro_y,a.gyro_z,b.gyro_x,b.gyro_y,b.gyro_z"

@@ -13,7 +13,7 @@ from quatprop.errors import LogError, NoRatesError, UndeclaredError, UsageError
 from quatprop.logs.matcher import ColumnMatcher
 from quatprop.logs.matching import Found, Match, marks_of
 from quatprop.logs.names import BARE_RATES, BESIDE_BARE_RATES, WITH_RATE_UNIT
-from quatprop.logs.vocabulary import GENERIC, RATE_PARTS
+from quatprop.logs.vocabulary import GENERIC, RATE_PARTS, ROWS
 from quatprop.selection import RateSelection
 from quatprop.settings.quantities import RATES, SCALED_RATE_UNITS
 from quatprop.tables.column_names import AXIS_FIRST, RATE_UNITS
@@ -126,6 +126,9 @@ def match_bias(table: Table) -> Match:
 
 def _remarks(matcher: ColumnMatcher, row: Row, unit: str) -> Iterator[str | Text]:
     yield from matcher.overruled
+    estimates = [one.rate for one in ROWS if one.name == row.name and not one.measured]
+    if ignored := matcher.sets(*estimates) if row.measured else []:
+        yield f"ignored estimated body rates: {listed(map(matcher.spelled, ignored))}"
     if unit in SCALED_RATE_UNITS:
         read_as, scale = SCALED_RATE_UNITS[unit]
         yield f"the rates are in {unit}, which is read as {scale:.4g} {read_as}"

@@ -146,6 +146,23 @@ _sensor_logger = partial(
     Row, "Sensor Logger", stamps=("time",), time_unit="ns", needs=("seconds_elapsed",)
 )
 
+_rostopic = partial(
+    Row,
+    "rostopic echo -p",
+    stamps=(r"field\.(?:.*\.)?header\.stamp", "time"),
+    time_unit="ns",
+    absent=ABSENT,
+    log_time="time",
+    needs=("%time",),
+)
+_ros_columns = partial(
+    Row,
+    "ROS messages as columns",
+    stamps=(r"(?:.*\.)?header\.stamp\.secs?", r"(?:.*\.)?header\.stamp"),
+    absent=ABSENT,
+    log_time="time",
+)
+
 _OF_MESSAGES = (
     _ros(
         types=("sensor_msgs/msg/Imu",),
@@ -278,24 +295,16 @@ _OF_FILES = (
         time_unit="ns",
     ),
     *_PX4,
-    Row(
-        "rostopic echo -p",
-        rate=rf"field\.(?:.*\.)?(?:angular_velocity|twist\.angular)\.{_AXIS}",
+    _rostopic(
+        rate=rf"field\.(?:.*\.)?angular_velocity\.{_AXIS}",
         quat=rf"field\.(?:.*\.)?(?:orientation|rotation|quaternion)\.{_PART}",
-        stamps=(r"field\.(?:.*\.)?header\.stamp", "time"),
-        time_unit="ns",
-        absent=ABSENT,
-        log_time="time",
-        needs=("%time",),
     ),
-    Row(
-        "ROS messages as columns",
-        rate=rf"(?:.*\.)?(?:angular_velocity|twist\.angular)\.{_AXIS}",
+    _rostopic(rate=rf"field\.(?:.*\.)?twist\.angular\.{_AXIS}", measured=False),
+    _ros_columns(
+        rate=rf"(?:.*\.)?angular_velocity\.{_AXIS}",
         quat=rf"(?:.*\.)?(?:orientation|rotation|quaternion)\.{_PART}",
-        stamps=(r"(?:.*\.)?header\.stamp\.secs?", r"(?:.*\.)?header\.stamp"),
-        absent=ABSENT,
-        log_time="time",
     ),
+    _ros_columns(rate=rf"(?:.*\.)?twist\.angular\.{_AXIS}", measured=False),
     Row(
         "ArduPilot",
         rate="gyr_" + _AXIS,

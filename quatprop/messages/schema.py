@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import deque
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, TypeAlias
@@ -12,16 +11,12 @@ from quatprop.errors import SchemaError
 from quatprop.text import did_you_mean, listed, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from quatprop.containers.base import Channel
 
 MAX_DEPTH = 50
 """Definitions nested deeper than this are refused: none are in practice, and searches recurse."""
-
-MAX_VISITS = 100_000
-"""A search through a definition stops after this many types: shared types multiply the paths."""
 
 MAX_SEARCHED_ITEMS = 16
 """A search looks into the elements of fixed arrays up to this length."""
@@ -231,40 +226,6 @@ def numbers_at(
             "numbers; name a number, or a struct or fixed array of them",
         )
     return way, kind, *shape
-
-
-def structs(root: Struct) -> Iterator[tuple[str, Struct]]:
-    """Yield every struct that each message has exactly once, outermost first.
-
-    Yields
-    ------
-    tuple
-        Its prefix, ``""`` for the message itself and else ending in a dot, and the struct.
-    """
-    waiting: deque[tuple[str, Type]] = deque([("", root)])
-    for _ in range(MAX_VISITS):
-        if not waiting:
-            return
-        place, kind = waiting.popleft()
-        if isinstance(kind, Struct):
-            prefix = place and place + "."
-            yield prefix, kind
-            waiting.extend((prefix + name, part) for name, part in kind.fields)
-        elif isinstance(kind, Array) and kind.length <= MAX_SEARCHED_ITEMS:
-            waiting.extend((f"{place}[{k}]", kind.element) for k in range(kind.length))
-
-
-def around(root: Struct, field_path: str) -> Iterator[tuple[str, Struct]]:
-    """Yield the structs around a field, with their prefixes, innermost first."""
-    here: Type | None = root
-    prefix = ""
-    outer: list[tuple[str, Struct]] = []
-    for step in steps(field_path) or ():
-        if isinstance(here, Struct):
-            outer.append((prefix and prefix + ".", here))
-        prefix += f"[{step}]" if isinstance(step, int) else ("." if prefix else "") + step
-        here = None if here is None else _below(here, step)
-    yield from reversed(outer)
 
 
 def _below(kind: Type, step: str | int) -> Type | None:

@@ -16,7 +16,7 @@ from quatprop.tables.model import Part, Stamp, Table
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from quatprop.arrays import AnyArray, Float64, Int64
+    from quatprop.arrays import AnyArray, Float64
     from quatprop.provenance import JsonObject
     from quatprop.tables.base import Span, TableLog
     from quatprop.tables.model import Column, Convert, Group, Series, Within
@@ -108,10 +108,6 @@ class FileTable(Table):
         if str(self.path) != "-":
             for _, cells in self._log.rows(self._timed(Stamp(sample_rate=1), groups)):
                 yield _split(cells, groups)
-
-    def times(self, stamp: Stamp) -> Iterator[Int64]:
-        """Yield the times of all rows, ns."""
-        return (t_ns for t_ns, _ in self._log.rows(self._timed(stamp, ())))
 
     def spans(self, stamp: Stamp) -> list[Span] | None:
         """Return which stamps each part of the file has."""

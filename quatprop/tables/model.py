@@ -218,9 +218,9 @@ class Table(ABC):
     def glance(self, groups: Sequence[Group]) -> Iterator[tuple[AnyArray, ...]]:
         """Yield groups of columns of all rows, the first ones first; nothing is noted."""
 
-    @abstractmethod
-    def times(self, stamp: Stamp) -> Iterator[Int64]:
-        """Yield the times of all rows, ns, in no order; nothing is noted."""
+    def times(self, stamp: Stamp) -> Iterator[Int64]:  # noqa: ARG002  # of some tables
+        """Yield the stamps of all messages, ns, in no order; nothing is noted."""
+        return iter(())
 
     @abstractmethod
     def provenance(self) -> JsonObject:
