@@ -9,7 +9,7 @@ import pytest
 from mcap.writer import Writer
 from rosbags.rosbag1 import Writer as BagWriter
 
-from quatprop import read_attitudes, read_rates
+from quatprop import DataLossWarning, RemarkWarning, read_attitudes, read_rates
 from quatprop.logs import vocabulary
 from quatprop.logs.vocabulary import WXYZ, XYZ, Row
 
@@ -83,3 +83,36 @@ def test_a_row_is_read_from_every_kind_of_log(tmp_path, monkeypatch, kind, suffi
         assert series.t_ns.tolist() == (STAMPS * 1000).tolist()
     np.testing.assert_array_equal(rates.rate, RATES * (np.pi / 180.0))
     np.testing.assert_array_equal(attitudes.wxyz, ATTITUDES)
+
+
+def test_increments_of_PX4_are_read_from_its_tables(tmp_path):
+    """The row of VehicleImu serves ulog2csv: angles over the time that the sensor integrated."""
+    path = tmp_path / "log_vehicle_imu_0.csv"
+    angles = np.random.default_rng(2).normal(0.0, 1e-3, (20, 3))
+    names = [f"delta_angle[{k}]" for k in range(3)]
+    frame = pd.DataFrame(angles, columns=names).assign(delta_angle_dt=5000)
+    frame.insert(0, "timestamp_sample", np.arange(20) * 5000)
+    frame.to_csv(path, index=False)
+    with pytest.warns(RemarkWarning, match="the samples are angle increments"):
+        rates = read_rates(path)
+    np.testing.assert_allclose(rates.rate, angles / 0.005, rtol=1e-15)
+    assert rates.span_ns.tolist() == [5_000_000] * 20
+
+
+def test_bursts_of_PX4_are_read_from_its_tables(tmp_path):
+    """The row of SensorGyroFifo serves ulog2csv; a row that cannot be is lost and counted."""
+    path = tmp_path / "log_sensor_gyro_fifo_0.csv"
+    stored = np.random.default_rng(3).integers(-900, 900, (6, 12))
+    names = [f"{axis}[{k}]" for axis in "xyz" for k in range(4)]
+    frame = pd.DataFrame(stored, columns=names)
+    frame.insert(0, "timestamp_sample", (np.arange(6) + 1) * 1000)
+    frame = frame.assign(dt=250.0, scale=0.001, samples=[4, 4, 4, 9, 4, 4])
+    frame.to_csv(path, index=False)
+    with (
+        pytest.warns(RemarkWarning, match="several samples a message"),
+        pytest.warns(DataLossWarning, match="counts 9 samples"),
+    ):
+        rates = read_rates(path)
+    kept = stored[[0, 1, 2, 4, 5]].reshape(5, 3, 4).swapaxes(1, 2).reshape(-1, 3)
+    np.testing.assert_array_equal(rates.rate, kept * 0.001)
+    assert rates.t_ns[:4].tolist() == [250_000, 500_000, 750_000, 1_000_000]

@@ -52,12 +52,15 @@ def match_rates(table: Table, selection: RateSelection) -> Match:
         rate = matcher.named(selection.rate_cols)
     elif not sets:
         raise _no_rates(matcher)
+    elif by_row and row.burst is not None:
+        rate = by_row[0]
     else:
         rate = matcher.only_set(sets, "set of rates", "x")
     own = row if rate in by_row else GENERIC
     declared = matcher.unit("rate", rate, units, own.unit)
     unit, scale = SCALED_RATE_UNITS.get(declared, (declared, 1.0))
-    found = Found(table, own, table.parts[0], (rate,), matcher.spelled(rate))
+    samples = (rate,) if own.burst is None else tuple(by_row)
+    found = Found(table, own, table.parts[0], samples, matcher.spelled(rate))
     marks = marks_of(found)
     stamp, rows = matcher.stamp((*rate, *marks), row)
     return Match(

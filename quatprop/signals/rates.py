@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from quatprop.conditioning.time_range import PartReader
     from quatprop.logs.matching import Found
+    from quatprop.logs.vocabulary import Row
     from quatprop.selection import RateSelection
     from quatprop.series import GyroSeries
     from quatprop.tables.base import AnyLog
@@ -86,7 +87,6 @@ def _signal(found: Found, selection: RateSelection) -> RateSignal:
         return series_of(read_rates(match, within), averages=averages)
 
     def part_reader() -> PartReader | None:
-
         from quatprop.signals.time_ranges import RangeReader, TableRangeReader
 
         if spans := table.spans(stamp):
@@ -100,7 +100,7 @@ def _signal(found: Found, selection: RateSelection) -> RateSignal:
         type_name=table.type or row.name,
         field=match.found.field,
         clock=stamp.clock,
-        remarks=match.remarks,
+        remarks=(*_sample_remarks(row), *match.remarks),
         stamps=lambda: stamps_of(read_rates(match)),
         batches=batches,
         rows=lambda: read_rates(match),
@@ -129,18 +129,16 @@ def _match(found: Found, selection: RateSelection) -> Match:
             Setting("rate_unit", "rad/s|deg/s"),
         )
     stamp, remarks = choose_stamp(found, selection)
-    remarks = (*_remarks(found, selection.rate_unit), *remarks)
+    if selection.rate_unit and row.unit not in ("", unit):
+        by_type = f"{table.type} has its rates in {row.unit}, by definition"
+        remarks = (f"{by_type}; they are read as {unit}, as asked for", *remarks)
     return Match(found, stamp, scale * quantities.RATES[unit], marks_of(found), remarks, unit)
 
 
-def _remarks(found: Found, unit: str | None) -> Iterator[str]:
-    row = found.row
+def _sample_remarks(row: Row) -> tuple[str, ...]:
+    """Return the remark on rates that are not one each."""
     if row.span:
-        yield "the samples are angle increments: the sensor itself has summed up its rate"
-    elif row.burst is not None:
-        yield "several samples a message: the time of each is counted back from the stamp"
-    if unit and row.unit not in ("", unit):
-        yield (
-            f"{found.table.type} has its rates in {row.unit}, by definition; they are read as "
-            f"{unit}, as asked for"
-        )
+        return ("the samples are angle increments: the sensor itself has summed up its rate",)
+    if row.burst is not None:
+        return ("several samples a message: the time of each is counted back from the stamp",)
+    return ()
