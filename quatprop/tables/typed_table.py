@@ -86,7 +86,8 @@ class RowGroup(NamedTuple):
     rows
         How many there should be; 0 where nothing says it.
     batches
-        The rows; a number stands for that many rejected rows, which are noted already.
+        The rows; a number stands for that many that are not read: they are not asked for, or
+        rejected, which is noted already.
     """
 
     place: str
