@@ -23,7 +23,7 @@ from quatprop.containers.file_source import FileSource
 from quatprop.containers.mcap.log import McapLog
 from quatprop.containers.mcap.messages import LATEST
 from quatprop.containers.mcap.walk import walk_records
-from quatprop.containers.topics import TopicTable
+from quatprop.containers.topic_table import TopicTable
 from quatprop.errors import DamagedLogError, QuatpropError, UnreadableLogError, UnsupportedLogError
 from quatprop.tables.model import Stamp
 

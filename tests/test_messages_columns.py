@@ -19,7 +19,7 @@ from messages_reference import (
 )
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from quatprop.containers.topics import as_rows
+from quatprop.containers.topic_table import as_rows
 from quatprop.errors import MessageError
 from quatprop.messages.binary import BinaryDecoder
 from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct, numbers, steps

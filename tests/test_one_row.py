@@ -11,7 +11,7 @@ from rosbags.rosbag1 import Writer as BagWriter
 
 from quatprop import DataLossWarning, RemarkWarning, read_attitudes, read_rates
 from quatprop.logs import vocabulary
-from quatprop.logs.vocabulary import WXYZ, XYZ, Row
+from quatprop.logs.rows import WXYZ, XYZ, Row
 
 NAME = "my_msgs/msg/Gyro"
 ROW = Row(

@@ -2,7 +2,7 @@
 
 from types import SimpleNamespace
 
-from quatprop.containers.topics import TopicTable
+from quatprop.containers.topic_table import TopicTable
 from quatprop.logs.matching import find, marks_of
 from quatprop.logs.stamps import stamps_of
 

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.kept_blocks import KeptBlocks
     from quatprop.containers.time_range import TimeRange
-    from quatprop.containers.topics import TopicTable
-    from quatprop.tables.model import Table
+    from quatprop.containers.topic_table import TopicTable
 
 NO_BOUND = int(np.iinfo(np.int64).min)
 """`not_before_ns` of a block that says nothing about the blocks after it."""
@@ -186,11 +185,6 @@ class Losses(list[Loss]):
 class Log(ABC):
     """A log of any kind, open for reading; closed when its ``with`` block ends.
 
-    Parameters
-    ----------
-    path
-        The file or folder.
-
     Attributes
     ----------
     kind
@@ -219,10 +213,6 @@ class Log(ABC):
         self.path = path
         self.losses = Losses()
 
-    @abstractmethod
-    def tables(self, topic: str | None = None) -> Sequence[Table]:
-        """Return the tables of rows that the log has; those of a topic, or all of them."""
-
     def close(self) -> None:  # noqa: B027  # nothing to do where files are open only while read
         """Release files and temporary copies."""
 
@@ -249,7 +239,7 @@ class MessageLog(Log):
     has_publish_time = False
 
     def tables(self, topic: str | None = None) -> Sequence[TopicTable]:
-        """Return the topics that have messages; see :func:`quatprop.containers.topics.topics`."""
+        """Return the topics that have messages; only those of a name, or all of them."""
         from quatprop.containers.topics import topics
 
         return topics(self, topic)
@@ -265,11 +255,6 @@ class MessageLog(Log):
         Messages of a block are in the container's order. Blocks come in order of their earliest
         log time where that is known; :func:`quatprop.containers.merge.merge_by_time` sorts what
         was decoded from them.
-
-        Parameters
-        ----------
-        channel
-            One of :meth:`channels`.
         """
 
     def recorded_span(self, channel: Channel) -> TimeRange | None:  # noqa: ARG002  # of some kinds

@@ -8,11 +8,11 @@ import numpy as np
 
 from quatprop.containers.coalesce import coalesce_blocks
 from quatprop.containers.merge import Columns
-from quatprop.containers.topics import TEXT_ENCODINGS, TopicTable
+from quatprop.containers.topic_table import TEXT_ENCODINGS, TopicTable
 from quatprop.errors import MessageError, NoSamplesError, UsageError
 from quatprop.messages.schema import TIME
 from quatprop.messages.transforms import Frames, TransformDecoder
-from quatprop.tables.model import Column, Part
+from quatprop.tables.model import Column, TablePart
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64
     from quatprop.containers.base import Channel, MessageBlock, MessageLog
-    from quatprop.containers.topics import Decode
+    from quatprop.containers.topic_table import Decode
     from quatprop.tables.model import Group, Stamp
 
 _NAMES = (
@@ -37,7 +37,7 @@ class TransformTable(TopicTable):
     """The transforms between two frames, of a topic that carries lists of transforms."""
 
     frames: Frames | None = None
-    parts = (Part("", "geometry_msgs/msg/TransformStamped", 0, len(_COLUMNS)),)
+    parts = (TablePart("", "geometry_msgs/msg/TransformStamped", 0, len(_COLUMNS)),)
 
     def __init__(self, log: MessageLog, channel: Channel) -> None:
         super().__init__(log, channel)

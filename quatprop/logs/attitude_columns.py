@@ -10,14 +10,15 @@ from quatprop.logs.columns import TableColumns
 from quatprop.logs.matcher import ColumnMatcher
 from quatprop.logs.matching import Found, Match, marks_of
 from quatprop.logs.names import COMPONENT, ROTATIONS
-from quatprop.logs.vocabulary import GENERIC, QUATERNION_PARTS
+from quatprop.logs.rows import QUATERNION_PARTS
+from quatprop.logs.vocabulary import GENERIC
 from quatprop.tables.column_names import ANGLE_UNITS, EULER, EULER_NUMBERED
 from quatprop.text import Setting, listed, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from quatprop.logs.vocabulary import Row
+    from quatprop.logs.rows import Row
     from quatprop.selection import AttitudeSelection
     from quatprop.tables.model import Table
 

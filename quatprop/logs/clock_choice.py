@@ -10,7 +10,7 @@ from quatprop.errors import UndeclaredError, UsageError
 from quatprop.logs import clocks
 from quatprop.logs.clocks import Clock
 from quatprop.logs.columns import TableColumns
-from quatprop.logs.vocabulary import GENERIC, Row
+from quatprop.logs.vocabulary import GENERIC
 from quatprop.tables.base import OTHER_DATES
 from quatprop.tables.column_names import TIME_UNITS, as_option
 from quatprop.text import Setting, Text, listed, plain
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.arrays import Float64
+    from quatprop.logs.rows import Row
 
     Positions = tuple[int, ...]
 

@@ -13,12 +13,13 @@ from quatprop.errors import UndeclaredError, UsageError
 from quatprop.logs import vocabulary
 from quatprop.logs.matching import sets_of
 from quatprop.logs.time_columns import TimeMatcher
-from quatprop.logs.vocabulary import GENERIC, Row
+from quatprop.logs.vocabulary import GENERIC
 from quatprop.text import Setting, listed, plain
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from quatprop.logs.rows import Row
     from quatprop.selection import SignalSelection
     from quatprop.tables.model import Table
 

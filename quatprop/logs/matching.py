@@ -6,9 +6,10 @@ import re
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import SchemaError
-from quatprop.logs.vocabulary import GENERIC, PARTS, TYPES, Row, row_of_type
+from quatprop.logs.rows import PARTS, Row
+from quatprop.logs.vocabulary import GENERIC, TYPES, row_of_type
 from quatprop.tables.column_names import rate_unit_of
-from quatprop.tables.model import Part
+from quatprop.tables.model import TablePart
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ class Found(NamedTuple):
 
     table: Table
     row: Row
-    part: Part
+    part: TablePart
     sets: tuple[Group, ...]
     field: str
 
@@ -96,7 +97,7 @@ def marks_of(found: Found) -> Group:
     return tuple(k for k, _ in matching(table, part, pattern)[:1])
 
 
-def matching(table: Table, part: Part, pattern: str) -> Sequence[tuple[int, re.Match[str]]]:
+def matching(table: Table, part: TablePart, pattern: str) -> Sequence[tuple[int, re.Match[str]]]:
     """Return the columns of a part whose names fit a pattern, and how."""
     key = (part, pattern)
     if pattern and key not in table.matches:
@@ -114,7 +115,9 @@ def matching(table: Table, part: Part, pattern: str) -> Sequence[tuple[int, re.M
     return table.matches[key] if pattern else ()
 
 
-def sets_of(table: Table, part: Part, components: Sequence[str], pattern: str) -> tuple[Group, ...]:
+def sets_of(
+    table: Table, part: TablePart, components: Sequence[str], pattern: str
+) -> tuple[Group, ...]:
     """Return each complete set of columns of a part whose names differ in the component alone.
 
     Where a name comes up twice there are two sets.
@@ -193,7 +196,7 @@ def _recognised(table: Table, quantity: str) -> Iterator[Found]:
             yield Found(table, row, part, sets, field_name(table, sets))
 
 
-def column_beside(table: Table, part: Part, name: str) -> Group:
+def column_beside(table: Table, part: TablePart, name: str) -> Group:
     """Return the column of a number in a part of a table, if it is there."""
     columns = table.columns_of(part.prefix + name) if name else ()
     return columns if columns and len(columns) == 1 else ()
@@ -239,7 +242,7 @@ def _named(table: Table, quantity: str, field: str) -> list[Found]:
             )
         raise SchemaError(table.path, f"field {quoted(field)} of {quoted(table.type)} {what}")
     row = Row(unit=rate_unit_of(names) or "", stamps=())
-    part = Part("", "", 0, len(table.columns))
+    part = TablePart("", "", 0, len(table.columns))
     return [Found(table, row, part, (group,), ",".join(names))]
 
 

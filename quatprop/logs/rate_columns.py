@@ -13,7 +13,8 @@ from quatprop.errors import LogError, NoRatesError, UndeclaredError, UsageError
 from quatprop.logs.matcher import ColumnMatcher
 from quatprop.logs.matching import Found, Match, marks_of
 from quatprop.logs.names import BARE_RATES, BESIDE_BARE_RATES, WITH_RATE_UNIT
-from quatprop.logs.vocabulary import GENERIC, RATE_PARTS, ROWS
+from quatprop.logs.rows import RATE_PARTS
+from quatprop.logs.vocabulary import GENERIC, ROWS
 from quatprop.selection import RateSelection
 from quatprop.settings.quantities import RATES, SCALED_RATE_UNITS
 from quatprop.tables.column_names import AXIS_FIRST, RATE_UNITS
@@ -22,7 +23,7 @@ from quatprop.text import Setting, Text, listed, plain
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.logs.vocabulary import Row
+    from quatprop.logs.rows import Row
     from quatprop.tables.model import Group, Table
 
 

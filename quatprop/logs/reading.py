@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import AnyArray, Float64, Int64
     from quatprop.logs.matching import Match
-    from quatprop.logs.vocabulary import Burst
+    from quatprop.logs.rows import Burst
     from quatprop.tables.model import Group, Within
 
 ABSENT = -1.0

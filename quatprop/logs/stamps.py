@@ -6,7 +6,7 @@ import re
 from typing import TYPE_CHECKING
 
 from quatprop.errors import SchemaError, TimelineError, UndeclaredError, UsageError
-from quatprop.logs.vocabulary import STAMPS
+from quatprop.logs.rows import STAMPS
 from quatprop.messages.times import NANOSECONDS, SECONDS
 from quatprop.tables.model import Stamp
 from quatprop.text import Setting, quoted

@@ -18,7 +18,7 @@ from quatprop.text import Setting, Text, plain
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from quatprop.logs.vocabulary import Row
+    from quatprop.logs.rows import Row
     from quatprop.selection import SignalSelection
     from quatprop.tables.model import Table
 

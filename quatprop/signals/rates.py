@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from quatprop.conditioning.time_range import PartReader
     from quatprop.logs.matching import Found
-    from quatprop.logs.vocabulary import Row
+    from quatprop.logs.rows import Row
     from quatprop.selection import RateSelection
     from quatprop.series import GyroSeries
     from quatprop.tables.base import AnyLog

@@ -11,7 +11,7 @@ from quatprop.containers.merge import Columns
 from quatprop.errors import MessageError
 from quatprop.tables.base import TimedColumns
 from quatprop.tables.column_names import parse_name
-from quatprop.tables.model import Part, Stamp, Table
+from quatprop.tables.model import Stamp, Table, TablePart
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -50,9 +50,9 @@ class FileTable(Table):
         return self._columns
 
     @property
-    def parts(self) -> tuple[Part, ...]:
+    def parts(self) -> tuple[TablePart, ...]:
         """The only part: all of the file."""
-        return (Part("", "", 0, len(self._columns)),)
+        return (TablePart("", "", 0, len(self._columns)),)
 
     def columns_of(self, name: str) -> Group | None:
         """Return the column of a name, as spelled or as a key."""

@@ -54,7 +54,7 @@ class Column(NamedTuple):
     code: str = ""
 
 
-class Part(NamedTuple):
+class TablePart(NamedTuple):
     """A struct in every message, or all of a file: a type and where it is.
 
     Parameters
@@ -142,7 +142,7 @@ class Table(ABC):
 
     @property
     @abstractmethod
-    def parts(self) -> Sequence[Part]:
+    def parts(self) -> Sequence[TablePart]:
         """Every struct that each row has exactly once, outermost first."""
 
     @abstractmethod

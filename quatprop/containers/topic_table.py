@@ -1,0 +1,297 @@
+"""A topic of messages as a table: the definition, flattened, says what the columns are."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from itertools import islice
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.containers.base import LATEST
+from quatprop.containers.coalesce import coalesce_blocks
+from quatprop.containers.kept_blocks import blocks_of
+from quatprop.containers.merge import Columns, in_larger_batches, merge_by_time
+from quatprop.containers.time_range import TimeRange
+from quatprop.errors import MessageError, UsageError
+from quatprop.messages.cursor import first_names
+from quatprop.messages.decoders import DECODERS, decoder_of
+from quatprop.messages.definitions import message_type
+from quatprop.messages.flattening import MAX_ELEMENTS, flattened, leaves_of
+from quatprop.messages.schema import Primitive, String, Struct, at, find, numbers
+from quatprop.messages.times import to_ns
+from quatprop.messages.ulog import is_secondary
+from quatprop.progress import metered
+from quatprop.tables.model import Column, Stamp, Table, TablePart
+from quatprop.text import Setting, listed, plain, quoted
+from quatprop.times import duration_text
+
+if TYPE_CHECKING:
+    import re
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from quatprop.arrays import AnyArray, Float64, Int64
+    from quatprop.containers.base import Channel, MessageBlock, MessageLog
+    from quatprop.provenance import JsonObject
+    from quatprop.tables.model import Convert, Group, Within
+
+    Decode = Callable[[MessageBlock], Columns]
+
+CLOCK_STEP_NS = 100_000_000
+"""Time services set a clock that is wrong by more than this; what is less they catch up slowly."""
+
+TEXT_ENCODINGS = ("cdr", "ros1")
+"""Encodings of which text and lists of transforms are read."""
+
+
+class TopicTable(Table):
+    """A topic as a table.
+
+    Parameters
+    ----------
+    log
+        The container.
+    channel
+        One of its channels.
+    """
+
+    is_typed = True
+
+    def __init__(self, log: MessageLog, channel: Channel) -> None:
+        self.log = log
+        self.channel = channel
+        self.path = log.path
+        self.name = channel.topic
+        self.type = channel.type_name
+        self.kind = log.kind
+        self.log_clocks = ("log", "publish") if log.has_publish_time else ("log",)
+        self.is_decodable = channel.encoding in DECODERS
+        self.is_secondary = is_secondary(channel)
+
+    def __str__(self) -> str:
+        """Return topic, type, and the encoding where it is not read."""
+        encoding = f", encoded as {self.channel.encoding or 'nothing known'}, which is not read"
+        return f"{self.name} ({self.type}{'' if self.is_decodable else encoding})"
+
+    def may_contain(self, types: Iterable[str]) -> bool:
+        """Tell by the text of the definition, cheaply, whether one of some types may be inside."""
+        return any(name.rpartition("/")[2].encode() in self.channel.schema for name in types)
+
+    # Columns.
+
+    @cached_property
+    def root(self) -> Struct:
+        """The type of the messages; SchemaError where the definition cannot be read."""
+        return message_type(self.channel, self.path)
+
+    @cached_property
+    def columns(self) -> list[Column]:
+        """The numbers of fixed place; grows by those that are named."""
+        return [*flattened(self.root).columns]
+
+    @property
+    def parts(self) -> tuple[TablePart, ...]:
+        """The structs of fixed place."""
+        return flattened(self.root).parts
+
+    @cached_property
+    def matches(self) -> dict[object, list[tuple[int, re.Match[str]]]]:  # type: ignore[override]
+        """What was found in the columns of the definition."""
+        return flattened(self.root).matches
+
+    @cached_property
+    def _numbers(self) -> dict[str, int]:
+        return {column.text: k for k, column in enumerate(self.columns)}
+
+    def columns_of(self, name: str) -> Group | None:
+        """Return the columns that a field consists of; nothing where it is not a few numbers."""
+        kind = find(self.root, name)
+        if kind is None:
+            return None
+        leaves = [*islice(leaves_of(name, kind), MAX_ELEMENTS + 1)]
+        if len(leaves) > MAX_ELEMENTS or not all(isinstance(one, Primitive) for _, one in leaves):
+            return ()
+        return tuple(self._column(own, one) for own, one in leaves if isinstance(one, Primitive))
+
+    def _column(self, name: str, kind: Primitive) -> int:
+        if name not in self._numbers:
+            self._numbers[name] = len(self.columns)
+            self.columns.append(Column(name, name, code=kind.code))
+        return self._numbers[name]
+
+    def field_of(self, group: Group) -> str:
+        """Return columns as settings name them: a vector by its own name."""
+        return ",".join(self.fields_of(group)[0])
+
+    def refuse_unknown(self, name: str) -> None:
+        """Refuse a field that is not there, with what there is."""
+        at(self.root, name, self.path)
+
+    def fields_of(self, group: Group) -> tuple[list[str], list[int]]:
+        """Return the fields to decode for a group, and where its numbers are among theirs.
+
+        A vector is one field; where the numbers are in its order, no places are given.
+        """
+        names = [self.columns[k].text for k in group]
+        parent = names[0][: max(names[0].rfind("."), names[0].rfind("["), 0)]
+        shape = numbers(find(self.root, parent)) if parent and len(group) > 1 else None
+        if shape is None or shape[1] != len(group):
+            return names, []
+        below = self.columns_of(parent) or ()
+        if {*below} != {*group}:
+            return names, []
+        return [parent], [] if below == group else [below.index(k) for k in group]
+
+    def of_frames(self, wanted: str | None) -> TopicTable:
+        """Return the rows between two frames; refused where messages are no transforms."""
+        if wanted is not None:
+            raise UsageError(
+                f"{plain(self.path)}: {Setting('frame')} chooses from a list of transforms, and "
+                f"messages of topic {quoted(self.name)} have one attitude each; leave it out"
+            )
+        return self
+
+    def _blocks(self) -> Iterator[MessageBlock]:
+        """Yield all blocks with messages; the first one without reading it again."""
+        if self._first is not None:
+            yield self._first
+            yield from islice(filter(len, blocks_of(self.log, self.channel)), 1, None)
+
+    def texts(self, name: str) -> list[str]:
+        """Return what a text is in the first messages; nothing where it cannot be read."""
+        if self.channel.encoding not in TEXT_ENCODINGS:
+            return []
+        if self._first is None or not isinstance(find(self.root, name), String):
+            return []
+        return first_names(self.channel, self._first, self.root, name, self.path)
+
+    # Rows.
+
+    @cached_property
+    def _first(self) -> MessageBlock | None:
+        """The first block with messages, at which several checks look."""
+        return next((block for block in blocks_of(self.log, self.channel) if len(block)), None)
+
+    def read(
+        self,
+        stamp: Stamp,
+        groups: Sequence[Group],
+        convert: Convert,
+        within: Within = None,
+    ) -> Iterator[Columns]:
+        """Yield batches in the order of the log times, if these are recorded."""
+        decode = self.decoder(stamp, groups)
+        if isinstance(within, TimeRange):
+            blocks = metered(coalesce_blocks(self.log.blocks_within(self.channel, within)), None)
+        else:
+            blocks = metered(coalesce_blocks(blocks_of(self.log, self.channel)), self.channel.count)
+        batches = (self._readable(lambda rows: convert(decode(rows)), block) for block in blocks)
+        return (
+            merge_by_time([in_larger_batches(batches)])
+            if self.log.has_log_time
+            else filter(len, batches)
+        )
+
+    def recorded_span(self) -> TimeRange | None:
+        """Return when the topic was recorded by the index of the log, if it has one."""
+        return self.log.recorded_span(self.channel)
+
+    def glance(self, groups: Sequence[Group]) -> Iterator[tuple[AnyArray, ...]]:
+        """Yield groups of columns of all messages."""
+        return (values[1:] for values in self._quietly(self.decoder(Stamp(clock="log"), groups)))
+
+    def times(self, stamp: Stamp) -> Iterator[Int64]:
+        """Yield the times of all messages, ns."""
+        return (t_ns for (t_ns,) in self._quietly(self.decoder(stamp, ())))
+
+    def _quietly(self, decode: Decode) -> Iterator[tuple[AnyArray, ...]]:
+        """Yield what is decoded; messages that do not fit are noted when they are read for good."""
+        for block in self._blocks():
+            try:
+                yield decode(block).values
+            except MessageError as error:
+                if not error.positions:
+                    raise
+                yield decode(_without(block, error.positions)).values
+
+    def decoder(self, stamp: Stamp, groups: Sequence[Group]) -> Decode:
+        """Return what decodes the time and some groups of columns of a block."""
+        times = [self.columns[k].text for k in stamp.columns]
+        wanted = [self.fields_of(group) for group in groups]
+        fields = [*times, *(name for names, _ in wanted for name in names)]
+        decoder = decoder_of(self.channel, fields, self.path)
+
+        def decode(block: MessageBlock) -> Columns:
+            arrays = iter(decoder.columns(block))
+            t_ns = self.ns(stamp, [*islice(arrays, len(times))], block)
+            values = []
+            for group, (names, places) in zip(groups, wanted, strict=True):
+                own = [*islice(arrays, len(names))]
+                values.append(own[0] if len(group) == 1 else as_rows(own, places))
+            return Columns(block.log_ns, (t_ns, *values), block.not_before_ns)
+
+        return decode
+
+    def ns(self, stamp: Stamp, fields: Sequence[AnyArray], block: MessageBlock) -> Int64:
+        """Return the time of every message of a block, shape ``(N,)``, int64 ns."""
+        if stamp.clock == "log":
+            return block.log_ns
+        if stamp.clock == "publish":
+            return np.where(block.publish_ns < 0, LATEST, block.publish_ns)
+        names = listed(self.columns[k].text for k in stamp.columns)
+        return to_ns(fields, stamp.units, names, self.path)
+
+    def _readable(self, decode: Decode, block: MessageBlock) -> Columns:
+        """Return the rows of a block without the messages that do not fit."""
+        log_ns = block.log_ns
+        if self.log.has_log_time and (log_ns[1:] < log_ns[:-1]).any():
+            self._remark_on_step(log_ns)
+        try:
+            return decode(block)
+        except MessageError as error:
+            if not error.positions:
+                raise
+            # Of the same reason in several blocks each counts, however often they are read.
+            first_ns = int(log_ns[error.positions[0]])
+            reason, count = str(error.reason), len(error.positions)
+            self.log.losses.note(f"topic {self.name}", reason, count, part=first_ns)
+            return self._readable(decode, _without(block, error.positions))
+
+    def _remark_on_step(self, log_ns: Int64) -> None:
+        """Remark on log times, in the order of the log, that step back as after setting a clock."""
+        if np.diff(log_ns).min() < -CLOCK_STEP_NS:
+            self.remark(
+                f"the log times of topic {quoted(self.name)} step back on the way by more than "
+                f"{duration_text(CLOCK_STEP_NS)}, as where the recorder's clock was set back; "
+                "samples are taken in the order of their log times"
+            )
+
+    # The log.
+
+    def provenance(self) -> JsonObject:
+        """Return how the messages were made, if this package made them."""
+        return self.log.provenance(self.name)
+
+    def remark(self, text: str) -> None:
+        """Add a remark on the log, as the last one."""
+        self.log.remarks = [*(one for one in self.log.remarks if one != text), text]
+
+
+def _without(block: MessageBlock, positions: Sequence[int]) -> MessageBlock:
+    return block.at(np.delete(np.arange(len(block)), positions))
+
+
+def as_rows(fields: list[AnyArray], places: Sequence[int] = ()) -> Float64:
+    """Return one row of numbers, or several numbers, as a new array ``(N, k)`` of float64.
+
+    Its columns are contiguous: that is how rows are computed with, and quicker to make. With
+    `places`, the numbers of the row that are there, in that order.
+    """
+    stacked = fields[0] if len(fields) == 1 else np.stack(fields).T
+    with np.errstate(invalid="ignore"):  # a damaged log may have float32 NaNs that signal
+        if not places:
+            return np.array(stacked, dtype=np.float64, order="F")
+        rows = np.empty((len(stacked), len(places)), np.float64, order="F")
+        for number, place in enumerate(places):
+            rows[:, number] = stacked[:, place]
+        return rows
