@@ -160,7 +160,7 @@ class ParquetLog(_ArrowLog):
         names = list({leaf.column: None for leaf in self._wanted(columns)})
         for group in range(self._parquet.num_row_groups):
             rows = self._parquet.metadata.row_group(group).num_rows
-            batches: Iterable[pa.RecordBatch] = ()
+            batches: Iterable[pa.RecordBatch | int] = (rows,)
             if columns.parts is None or group in columns.parts:
                 batches = self._parquet.iter_batches(BATCH_ROWS, [group], names)
             yield RowGroup(f"row group {group}", rows, batches)

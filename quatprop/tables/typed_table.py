@@ -86,7 +86,7 @@ class RowGroup(NamedTuple):
     rows
         How many there should be; 0 where nothing says it.
     batches
-        The rows; a number stands for that many rejected rows, which are noted already.
+        The rows; a number stands for that many which are not read, or are noted as lost already.
     """
 
     place: str
