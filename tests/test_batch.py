@@ -505,7 +505,8 @@ def test_a_table_of_fewer_entries_does_not_replace_one_of_more(tmp_path, monkeyp
     """A batch that ends while another one writes its table waits for it."""
     program = """
 import sys
-from quatprop.batch.manifest import Manifest, ManifestEntry
+from quatprop.batch.entries import ManifestEntry
+from quatprop.batch.manifest import Manifest
 manifest = Manifest(sys.argv[1])
 manifest.append(ManifestEntry("done", "/b.csv", "b.parquet"))
 manifest.write_table()

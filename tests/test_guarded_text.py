@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import quatprop
 from quatprop.cli.commands import cli
-from quatprop.guarded_text import (
+from quatprop.settings.guarded_text import (
     MAX_DEPTH,
     MAX_DIGITS,
     ContentError,

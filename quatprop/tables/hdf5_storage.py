@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from quatprop.tables.npy_format import ArrayColumn
 
 _CACHE_BYTES = 1 << 26
-_PAGE_BYTES = 4096
 _LEAST_SLOTS, _SLOTS_A_CHUNK = 521, 10
 
 ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError)
@@ -145,10 +144,9 @@ class StoredRows:
             self.unit = dataset.chunks[self._axis]
             self._written = self._written_chunks(layout.get_chunk())
         else:
-            self.unit = max(1, _PAGE_BYTES // self.step)
+            self.unit = max(1, self._shape[self._axis])
             is_written = layout.get_layout() == h5py.h5d.COMPACT or dataset.id.get_offset()
-            units = -(-self._shape[self._axis] // self.unit)
-            self._written = np.arange(units if is_written else 0)
+            self._written = np.arange(1 if is_written else 0)
 
     def _written_chunks(self, chunk: tuple[int, ...]) -> Int64:
         """Return which chunks of rows are stored, as often as there are chunks beside each other.
