@@ -645,7 +645,7 @@ EVERY_LOG = {
     "--mount": "x,-y,-z", "--start": "+1s", "--end": "-1s", "--on-backwards": "drop",
     "--on-nonfinite": "hold", "--max-gap": "2s", "--on-gap": "zero", "--every": "3",
     "--rate": "50", "--at": __file__, "--from": "csv", "--topic": "/imu",
-    "--msg-path": __file__, "--rate-field": "a.b",
+    "--msg-path": __file__, "--rate-field": "a.b", "--series": "gyro",
     "--time-field": "a.t", "--rate-cols": "1,2,3", "--time-col": "0", "--rate-unit": "deg/s",
     "--time-unit": "ms", "--sample-rate": "10", "--clock": "log",
 }  # fmt: skip

@@ -201,6 +201,7 @@ def test_whole_seconds_are_not_fast_motion(tmp_path):
     ]
 
 
+@pytest.mark.filterwarnings("ignore:.*the times in '%time' differ:quatprop.RemarkWarning")
 def test_recordings_are_plausible(shared_logs):
     """Nothing is said against what real sensors measured."""
     for name in ("xio3", "xsens-txt", "rostopic", "euroc"):

@@ -76,7 +76,7 @@ def in_groups(sized: Iterable[tuple[Chunk, int | None]]) -> Iterator[tuple[list[
     Examples
     --------
     >>> [chunks for chunks, _ in in_groups([("a", 5), ("b", 70_000), ("c", None), ("d", 3)])]
-    [['a'], ['b'], ['c'], ['d']]
+    [['a'], ['b'], ['c', 'd']]
     """
     chunks: list[Chunk] = []
     room, limit = 0, min(FIRST, GROUP)

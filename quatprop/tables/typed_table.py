@@ -86,7 +86,8 @@ class RowGroup(NamedTuple):
     rows
         How many there should be; 0 where nothing says it.
     batches
-        The rows; a number stands for that many which are not read, or are noted as lost already.
+        The rows; a number stands for that many that are not read: they are not asked for, or
+        rejected, which is noted already.
     """
 
     place: str

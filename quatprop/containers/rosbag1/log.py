@@ -126,7 +126,7 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
         """Return the index of the records that are there."""
         index = BagIndex(end=self._begin)
         rebuild_index(self._file, index)
-        if self._index_place > self._file.size and not index.losses:
+        if self._index_place > self._file.size and not index.infos and not index.losses:
             reason = f"it ends before its index, which should begin at byte {self._index_place}"
             index.losses.note(f"byte {self._file.size}", reason)
         return index
