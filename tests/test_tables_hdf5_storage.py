@@ -274,6 +274,9 @@ def test_packed_numbers_are_refused(path):
     """Netcdf has them: the rate was 16384 rad/s instead of 1."""
     with written(path) as file:
         file["gyr"] = np.round(RATES * 1000).astype(np.int16)
+        file["gyr"].attrs["scale_factor"], file["gyr"].attrs["add_offset"] = 1.0, np.float32(0)
+    assert len(read(path)[0]) == COUNT
+    with h5py.File(path, "a") as file:
         file["gyr"].attrs["add_offset"] = 2.0
     assert refusal(path) == (
         "its dataset 'gyr': its numbers are packed, with 'add_offset'; save them unpacked"

@@ -16,18 +16,21 @@ if TYPE_CHECKING:
 _SAMPLE_RATES = ("sampling_rate", "sample_rate")
 _COLUMN_NAMES = ("columns", "column_names", "names")
 _UNITS = ("Units", "units", "Unit", "unit")
-_PACKING = ("scale_factor", "add_offset")
+_PLAIN = {"scale_factor": 1, "add_offset": 0}
 _ABSENT = ("_FillValue", "missing_value")
 
 
 def packing(dataset: Any) -> str:
-    """Return the attribute by which its numbers stand for others; ``""`` where they do not.
+    """Return the attribute by which stored numbers stand for others; ``""`` where they do not.
 
     References
     ----------
     CF Metadata Conventions, 8.1 "Packed data".
     """
-    return next((name for name in _PACKING if name in dataset.attrs), "")
+    for name, plain in _PLAIN.items():
+        if name in dataset.attrs and _attribute(dataset, name).tolist() != [plain]:
+            return name
+    return ""
 
 
 def absent_values(dataset: Any) -> list[Any]:
