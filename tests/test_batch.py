@@ -21,7 +21,8 @@ from quatprop.batch.entries import ManifestEntry
 from quatprop.batch.logs import LogSearch
 from quatprop.batch.manifest import Manifest, write_table
 from quatprop.batch.outputs import output_paths, shard
-from quatprop.batch.run import BatchSettings, BatchTask, propagate_log
+from quatprop.batch.run import propagate_log
+from quatprop.batch.tasks import BatchSettings, BatchTask
 from quatprop.cli.batch import command
 from quatprop.cli.commands import cli
 from quatprop.cli.propagate import command as propagate
