@@ -303,3 +303,14 @@ def test_numbers_that_stand_for_no_value_are_none(path):
     t_ns, _, (loss,) = read(path)
     assert t_ns.tolist() == [t for t in STAMPS if t != STAMPS[5]]
     assert loss == ("rows 1 to 60", "rows without a time", 1)
+
+
+def test_a_fill_value_of_records_loses_no_rows(path):
+    """Netcdf has one for each compound type: every row was lost, as damaged."""
+    records = np.rec.fromarrays([STAMPS, *RATES.T], names="t,wx,wy,wz").view(np.ndarray)
+    with h5py.File(path, "w") as file:
+        file["imu"] = records
+        file["imu"].attrs["_FillValue"] = records[0]
+    rate_cols = [f"imu.{name}" for name in ("wx", "wy", "wz")]
+    t_ns, rate, losses = read(path, rate_cols=rate_cols, time_col="imu.t")
+    assert (t_ns.tolist(), rate.tolist(), list(losses)) == (STAMPS.tolist(), RATES.tolist(), [])

@@ -35,6 +35,8 @@ def packing(dataset: Any) -> str:
 
 def absent_values(dataset: Any) -> list[Any]:
     """Return the stored numbers that stand for no value, as netCDF has them."""
+    if dataset.dtype.kind not in "iuf":
+        return []
     arrays = (_attribute(dataset, name) for name in _ABSENT)
     values = (x for array in arrays if array.dtype == dataset.dtype for x in array.tolist())
     return [x for x in values if np.isfinite(x)]
