@@ -122,10 +122,11 @@ class StampChecks:
             self.read += len(t_ns)
             self.counts.read += len(t_ns)
             back = self._backward(t_ns, rows, outliers)
-            if ahead_ns and not self.counts.outliers.count:
-                ahead = duration_text(ahead_ns)
-                self.counts.outliers.cause = f", {ahead} ahead of those around it"
-            self.counts.outliers.add(np.flatnonzero(outliers), t_ns, rows)
+            if ahead_ns:
+                if not self.counts.outliers.count:
+                    ahead = duration_text(ahead_ns)
+                    self.counts.outliers.cause = f", {ahead} ahead of those around it"
+                self.counts.outliers.add(np.flatnonzero(outliers), t_ns, rows)
             if self.policy.on_backwards == "error":
                 self._refuse()
             yield Examined(batch, rows, outliers, back)
