@@ -68,6 +68,16 @@ def stamps_of(name: str, values: object) -> NDArray[np.int64]:
     return np.asarray(array, np.int64)
 
 
+def times_beside(t_ns: NDArray[np.int64], name: str, values: object) -> NDArray[np.int64] | None:
+    """Return times in ns of which there is one for each stamp, as :func:`stamps_of`, or None."""
+    if values is None:
+        return None
+    times = stamps_of(name, values)
+    if times.shape != t_ns.shape:
+        raise SeriesError(f"Expected `{name}` of shape {t_ns.shape}, got {times.shape}")
+    return times
+
+
 def seconds_in_ns(t_s: object) -> NDArray[np.int64]:
     """Return time stamps in ns from seconds as floats, rounded to the nearest ns.
 

@@ -86,6 +86,9 @@ OTHER_FORMATS = {
 }  # fmt: skip
 """What the content of formats that are not read begins with, and the way out."""
 
+COMPRESSION_SUFFIXES = (".gz", ".zst", ".zstd", ".lz4", ".bz2")
+"""Behind the suffix of a file that is compressed as a whole."""
+
 TEXT_KINDS = ("csv", "tum", "kitti")
 """Kinds that are read as they come, compressed or from a pipe too."""
 

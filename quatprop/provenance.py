@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.errors import DamagedLogError, UnreadableLogError, os_reason
-from quatprop.guarded_text import ContentError, read_json
+from quatprop.settings.guarded_text import ContentError, read_json
 
 JsonObject: TypeAlias = dict[str, Any]
 """An object of JSON, as it is read or about to be written."""

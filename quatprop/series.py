@@ -11,71 +11,22 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from quatprop.columns import rows_of, seconds_in_ns, stamps_of
-from quatprop.errors import SeriesError, UsageError
-from quatprop.times import duration_text
+from quatprop.base_series import Series
+from quatprop.columns import rows_of, seconds_in_ns, stamps_of, times_beside
+from quatprop.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     import pyarrow as pa
     from numpy.typing import ArrayLike
 
-    from quatprop.arrays import AnyArray, Bool, Float64, Int64, Intp
+    from quatprop.arrays import Float64, Int64
 
 SIGMA_COLUMNS = ("sigma_x", "sigma_y", "sigma_z")
 """Names of the columns of standard deviations, rad."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class _Series:
-    """What series of rates and of attitudes have in common: columns with a row for each stamp."""
-
-    t_ns: Int64
-    _rows: ClassVar[str]
-
-    def _keep(self, **columns: AnyArray | None) -> None:
-        """Keep columns as read-only arrays."""
-        for name, values in columns.items():
-            if values is not None:
-                view = values.view()
-                view.setflags(write=False)
-                object.__setattr__(self, name, view)
-
-    def __len__(self) -> int:
-        return len(self.t_ns)
-
-    def __getitem__(self, chosen: slice | Bool | Intp) -> Self:
-        """Return some rows: views for a slice, copies for a mask or positions."""
-
-        def column(name: str) -> Any:
-            values = getattr(self, name)
-            return values[chosen] if isinstance(values, np.ndarray) else values
-
-        return type(self)(*map(column, self.__match_args__))
-
-    @classmethod
-    def joined(cls, parts: Sequence[Self]) -> Self:
-        """Return series, at least one and all with the same columns, as one."""
-        if len(parts) == 1:
-            return parts[0]
-
-        def column(name: str) -> Any:
-            values = [getattr(part, name) for part in parts]
-            return np.concatenate(values) if isinstance(values[0], np.ndarray) else values[0]
-
-        return cls(*map(column, cls.__match_args__))
-
-    def __repr__(self) -> str:
-        name, t_ns = type(self).__name__, self.t_ns
-        if not len(t_ns):
-            return f"<{name}: no {self._rows}>"
-        span = duration_text(int(t_ns[-1]) - int(t_ns[0]))
-        return f"<{name}: {len(t_ns):,} {self._rows} over {span} from t = {t_ns[0]} ns>"
-
-
-@dataclass(frozen=True, slots=True, repr=False)
-class GyroSeries(_Series):
+class GyroSeries(Series):
     """Angular rates of the body relative to the reference, in time.
 
     Arrays, lists, and columns or tables of pandas, polars and Arrow are taken, and kept as
@@ -131,8 +82,12 @@ class GyroSeries(_Series):
 
     def __post_init__(self) -> None:
         t_ns = stamps_of("t_ns", self.t_ns)
-        times = {name: _times(name, getattr(self, name), len(t_ns)) for name in _TIMES}
-        self._keep(t_ns=t_ns, rate=rows_of("rate", self.rate, len(t_ns), 3), **times)
+        self._keep(
+            t_ns=t_ns,
+            rate=rows_of("rate", self.rate, len(t_ns), 3),
+            span_ns=times_beside(t_ns, "span_ns", self.span_ns),
+            log_ns=times_beside(t_ns, "log_ns", self.log_ns),
+        )
 
     def is_integrated(self, method: str) -> bool:
         """Tell whether a method takes each sample as the whole rotation since the one before.
@@ -162,7 +117,7 @@ class GyroSeries(_Series):
 
     def to_arrow(self) -> pa.Table:
         """Return a table with the columns ``t_ns``, ``wx``, ``wy``, ``wz`` (ns, rad/s)."""
-        return _table(self.t_ns, dict(zip(("wx", "wy", "wz"), self.rate.T, strict=True)))
+        return self._table(dict(zip(("wx", "wy", "wz"), self.rate.T, strict=True)))
 
     def to_pandas(self) -> Any:
         """Return a pandas data frame with the columns of :meth:`to_arrow`.
@@ -172,7 +127,7 @@ class GyroSeries(_Series):
         UsageError
             pandas is not installed.
         """
-        return _data_frame(self.to_arrow())
+        return self._data_frame(self.to_arrow())
 
     def with_rate(self, rate: Float64) -> Self:
         """Return the same samples with other rates, shape ``(N, 3)``, rad/s."""
@@ -180,7 +135,7 @@ class GyroSeries(_Series):
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class AttitudeSeries(_Series):
+class AttitudeSeries(Series):
     """Attitudes of the body, in time.
 
     Takes what :class:`GyroSeries` takes.
@@ -236,7 +191,7 @@ class AttitudeSeries(_Series):
         for name, shape in (("position", [3]), ("rate", [3]), ("covariance", [3, 3])):
             if (values := getattr(self, name)) is not None:
                 rows[name] = rows_of(name, values, len(t_ns), *shape)
-        self._keep(t_ns=t_ns, **rows, log_ns=_times("log_ns", self.log_ns, len(t_ns)))
+        self._keep(t_ns=t_ns, **rows, log_ns=times_beside(t_ns, "log_ns", self.log_ns))
 
     @classmethod
     def from_seconds(cls, t_s: ArrayLike, wxyz: ArrayLike) -> Self:
@@ -293,7 +248,7 @@ class AttitudeSeries(_Series):
             columns |= dict(zip(("px", "py", "pz"), self.position.T, strict=True))
         if (sigma := self.sigma) is not None:
             columns |= dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
-        return _table(self.t_ns, columns)
+        return self._table(columns)
 
     def to_pandas(self, *, scalar_first: bool = True) -> Any:
         """Return a pandas data frame with the columns of :meth:`to_arrow`.
@@ -303,34 +258,4 @@ class AttitudeSeries(_Series):
         UsageError
             pandas is not installed.
         """
-        return _data_frame(self.to_arrow(scalar_first=scalar_first))
-
-
-_TIMES = ("span_ns", "log_ns")
-
-
-def _times(name: str, values: ArrayLike | None, rows: int) -> Int64 | None:
-    """Return a column of times beside the stamps, as an array of int64 ns."""
-    if values is None:
-        return None
-    times = stamps_of(name, values)
-    if len(times) != rows:
-        raise SeriesError(f"Expected `{name}` of shape ({rows},), got {times.shape}")
-    return times
-
-
-def _table(t_ns: Int64, columns: Mapping[str, Float64]) -> pa.Table:
-    import pyarrow as pa
-
-    from quatprop.arrow_arrays import series_schema, to_arrow
-
-    arrays = [to_arrow(values) for values in (t_ns, *columns.values())]
-    return pa.table(arrays, schema=series_schema(columns))
-
-
-def _data_frame(table: pa.Table) -> Any:
-    try:
-        import pandas  # noqa: F401, ICN001  # only whether it is there
-    except ImportError as error:
-        raise UsageError("to_pandas() needs pandas; install it with pip install pandas") from error
-    return table.to_pandas()
+        return self._data_frame(self.to_arrow(scalar_first=scalar_first))

@@ -21,7 +21,8 @@ from quatprop.batch.entries import ManifestEntry
 from quatprop.batch.logs import LogSearch
 from quatprop.batch.manifest import Manifest, write_table
 from quatprop.batch.outputs import output_paths, shard
-from quatprop.batch.run import BatchSettings, BatchTask, propagate_log
+from quatprop.batch.run import propagate_log
+from quatprop.batch.tasks import BatchSettings, BatchTask
 from quatprop.cli.batch import command
 from quatprop.cli.commands import cli
 from quatprop.cli.propagate import command as propagate
@@ -505,7 +506,8 @@ def test_a_table_of_fewer_entries_does_not_replace_one_of_more(tmp_path, monkeyp
     """A batch that ends while another one writes its table waits for it."""
     program = """
 import sys
-from quatprop.batch.manifest import Manifest, ManifestEntry
+from quatprop.batch.entries import ManifestEntry
+from quatprop.batch.manifest import Manifest
 manifest = Manifest(sys.argv[1])
 manifest.append(ManifestEntry("done", "/b.csv", "b.parquet"))
 manifest.write_table()

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import quatprop
 from quatprop.cli.commands import cli
-from quatprop.guarded_text import (
+from quatprop.settings.guarded_text import (
     MAX_DEPTH,
     MAX_DIGITS,
     ContentError,
@@ -89,6 +89,7 @@ def test_what_programs_write_is_read():
         "a": [1, 2], "b": [1, 2], "c": {"k": 1}
     }  # fmt: skip
     assert read_yaml("") is None
+    assert len(read_toml(b"a = [" + b"0.5, " * 1000 + b"]")["a"]) == 1000
     assert read_toml(b"\xef\xbb\xbfa = 18446744073709551615\nb = 1979-05-27")["a"] == 2**64 - 1
     assert read_json(b'{"a": "\xff", "b": "\\udcff", "c": 1e999}') == {
         "a": "\udcff", "b": "\udcff", "c": math.inf

@@ -270,26 +270,47 @@ def test_a_damaged_text_neither_hangs_nor_crashes(path):
     )
 
 
-def test_packed_numbers_are_unpacked(path):
+def test_packed_numbers_are_refused(path):
     """Netcdf has them: the rate was 16384 rad/s instead of 1."""
-    stored = np.round(RATES * 1000).astype(np.int16)
     with written(path) as file:
-        file["gyr"] = stored
-        file["gyr"].attrs["scale_factor"] = np.float32(0.25)
-        file["gyr"].attrs["add_offset"] = [2.0]
-        file["gyr"].attrs["_FillValue"] = stored[7, 1]
-    _, rate, _ = read(path)
-    expected = stored * 0.25 + 2
-    expected[stored == stored[7, 1]] = np.nan
-    np.testing.assert_array_equal(rate, expected)
+        file["gyr"] = np.round(RATES * 1000).astype(np.int16)
+        file["gyr"].attrs["scale_factor"], file["gyr"].attrs["add_offset"] = 1.0, np.float32(0)
+    assert len(read(path)[0]) == COUNT
     with h5py.File(path, "a") as file:
-        file["t"].attrs["scale_factor"] = 1000
-        file["t"].attrs["missing_value"] = STAMPS[5]
-    t_ns, _, (loss,) = read(path)
-    assert t_ns.tolist() == [1000 * t for t in STAMPS if t != STAMPS[5]]
-    assert loss == ("rows 1 to 60", "rows without a time", 1)
+        file["gyr"].attrs["add_offset"] = 2.0
+    assert refusal(path) == (
+        "its dataset 'gyr': its numbers are packed, with 'add_offset'; save them unpacked"
+    )
     with h5py.File(path, "a") as file:
         file["gyr"].attrs["scale_factor"] = "a quarter"
     assert refusal(path, rate_cols=["0", "1", "2"]) == (
-        "its dataset 'gyr': its attribute 'scale_factor' is no number; save plain numbers"
+        "its dataset 'gyr': its numbers are packed, with 'scale_factor'; save them unpacked"
     )
+
+
+def test_numbers_that_stand_for_no_value_are_none(path):
+    """Netcdf names them: they were rates, and times."""
+    stored = np.round(RATES * 1000).astype(np.int16)
+    with written(path) as file:
+        file["gyr"] = stored
+        file["gyr"].attrs["_FillValue"] = stored[7, 1]
+    _, rate, _ = read(path)
+    expected = stored.astype(np.float64)
+    expected[stored == stored[7, 1]] = np.nan
+    np.testing.assert_array_equal(rate, expected)
+    with h5py.File(path, "a") as file:
+        file["t"].attrs["missing_value"] = STAMPS[5]
+    t_ns, _, (loss,) = read(path)
+    assert t_ns.tolist() == [t for t in STAMPS if t != STAMPS[5]]
+    assert loss == ("rows 1 to 60", "rows without a time", 1)
+
+
+def test_a_fill_value_of_records_loses_no_rows(path):
+    """Netcdf has one for each compound type: every row was lost, as damaged."""
+    records = np.rec.fromarrays([STAMPS, *RATES.T], names="t,wx,wy,wz").view(np.ndarray)
+    with h5py.File(path, "w") as file:
+        file["imu"] = records
+        file["imu"].attrs["_FillValue"] = records[0]
+    rate_cols = [f"imu.{name}" for name in ("wx", "wy", "wz")]
+    t_ns, rate, losses = read(path, rate_cols=rate_cols, time_col="imu.t")
+    assert (t_ns.tolist(), rate.tolist(), list(losses)) == (STAMPS.tolist(), RATES.tolist(), [])

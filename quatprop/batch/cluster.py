@@ -10,7 +10,8 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from quatprop import __version__
-from quatprop.batch.run import BatchResult, BatchSettings, BatchTask, failed, propagate_log
+from quatprop.batch.run import propagate_log
+from quatprop.batch.tasks import BatchResult, BatchSettings, BatchTask, failed
 from quatprop.containers.stores import is_address
 from quatprop.errors import QuatpropError, UsageError
 from quatprop.text import Setting, plain, quoted

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard
 
 from quatprop import __version__
-from quatprop.guarded_text import ContentError, read_json
 from quatprop.provenance import as_json
+from quatprop.settings.guarded_text import ContentError, read_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -72,6 +71,19 @@ class ManifestEntry(NamedTuple):
     origin: str | None = None
 
 
+TYPES: Mapping[str, str] = {
+    **dict.fromkeys(ManifestEntry._fields, "string"),
+    **dict.fromkeys(("samples", "rows", "log_bytes", "output_bytes"), "int64"),
+    **dict.fromkeys(("span_s", "sample_rate_hz", "seconds", "final_wxyz"), "double"),
+}
+"""Field of an entry -> type of its values, by Arrow's name."""
+
+LISTS = {"remarks", "losses", "final_wxyz"}
+"""Fields with several values."""
+
+_REQUIRED = {"state", "log", "output"}
+
+
 def entries_in(lines: Iterable[bytes], unused: list[int]) -> Iterator[Mapping[str, Any]]:
     """Yield the entries of the lines of a manifest.
 
@@ -97,41 +109,23 @@ _BEGINNING = b'{"state": '
 
 _MAX_COUNT = (1 << 63) - 1
 
-
-def _is_text(value: object) -> bool:
-    return isinstance(value, str)
-
-
-def _is_count(value: object) -> bool:
-    return type(value) is int and 0 <= value <= _MAX_COUNT
-
-
-def _is_number(value: object) -> bool:
-    return type(value) in {int, float}
-
-
-def _is_list(value: object, is_valid: Callable[[object], bool]) -> bool:
-    return isinstance(value, list) and all(map(is_valid, value))
-
-
-_IS_VALID: Mapping[str, Callable[[object], bool]] = {
-    **dict.fromkeys(ManifestEntry._fields, _is_text),
-    **dict.fromkeys(("samples", "rows", "log_bytes", "output_bytes"), _is_count),
-    **dict.fromkeys(("span_s", "sample_rate_hz", "seconds"), _is_number),
-    **dict.fromkeys(("remarks", "losses"), partial(_is_list, is_valid=_is_text)),
-    "final_wxyz": partial(_is_list, is_valid=_is_number),
+_IS_VALID: Mapping[str, Callable[[Any], bool]] = {
+    "string": lambda value: isinstance(value, str),
+    "int64": lambda value: type(value) is int and 0 <= value <= _MAX_COUNT,
+    "double": lambda value: type(value) in {int, float},
 }
-"""Field of an entry -> whether a value in the manifest is valid."""
+
+
+def _is_valid(name: str, value: object) -> bool:
+    values = value if name in LISTS else [value]
+    return isinstance(values, list) and all(map(_IS_VALID[TYPES[name]], values))
 
 
 def _is_entry(entry: object) -> TypeGuard[Mapping[str, Any]]:
     """Return whether a line is what a batch writes; other versions may have other fields."""
-    return (
-        isinstance(entry, dict)
-        and all(isinstance(entry.get(name), str) for name in ("state", "log", "output"))
-        and all(
-            entry.get(name) is None or is_valid(entry[name]) for name, is_valid in _IS_VALID.items()
-        )
+    return isinstance(entry, dict) and all(
+        name not in _REQUIRED if entry.get(name) is None else _is_valid(name, entry[name])
+        for name in TYPES
     )
 
 

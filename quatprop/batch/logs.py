@@ -13,18 +13,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.containers.stores import below, exists, find, is_address, list_objects, without_secret
 from quatprop.errors import UnreadableLogError, UsageError, os_reason
-from quatprop.log_kinds import READERS
+from quatprop.log_kinds import COMPRESSION_SUFFIXES, READERS
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-COMPRESSION_SUFFIXES = {".gz", ".zst", ".zstd", ".lz4", ".bz2"}
-
 MAGIC = tuple(magic for reader in READERS.values() for magic in reader.magic if len(magic) > 1)
 """First bytes of logs that are recognised by their content alone."""
-
-MAGIC_BYTES = max(map(len, MAGIC))
 
 SUFFIXES = {suffix: kind for kind, reader in READERS.items() for suffix in reader.suffixes}
 
@@ -33,7 +29,6 @@ METADATA = "metadata.yaml"
 
 TABLES = {kind for kind, reader in READERS.items() if reader.load.startswith("quatprop.tables.")}
 """Kinds of files that hold many other things, too."""
-
 
 REFUSED = "its key has an empty part, '.', '..' or '?', which no address can have; rename it"
 
@@ -257,17 +252,14 @@ def _kind(path: str) -> str:
     """Return the kind of a log by its suffix, or ``"other"`` by its content; empty for no log."""
     if kind := _kind_by_suffix(path):
         return kind
+    # Nobody may ever write to a pipe.
+    at_once = getattr(os, "O_NONBLOCK", 0)
     try:
-        # Nobody may ever write to a pipe.
-        with open(path, "rb", 0, opener=_at_once) as stream:
-            head = stream.read(MAGIC_BYTES)
+        with open(path, "rb", 0, opener=lambda name, how: os.open(name, how | at_once)) as stream:
+            head = stream.read(max(map(len, MAGIC)))
             return "other" if head and head.startswith(MAGIC) else ""
     except OSError:
         return ""
-
-
-def _at_once(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def _kind_by_suffix(name: str) -> str:
@@ -287,7 +279,7 @@ def _folders_of(name: str) -> Iterator[str]:
 def _stem(name: str) -> str:
     """Return the name of a file without its suffixes: also those of compression."""
     stem, suffix = os.path.splitext(name)
-    packed = suffix.lower() in {*COMPRESSION_SUFFIXES, ".active"}
+    packed = suffix.lower() in (*COMPRESSION_SUFFIXES, ".active")
     return os.path.splitext(stem)[0] if packed else stem
 
 

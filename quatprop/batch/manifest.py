@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from quatprop import __version__
-from quatprop.batch.entries import ManifestEntry, entries_in, json_line
+from quatprop.batch.entries import LISTS, TYPES, entries_in, json_line
 from quatprop.containers.stores import is_address, objects_of, without_secret
 from quatprop.errors import OutputError, StoreError
 from quatprop.writers.atomic import OutputFile
@@ -26,6 +26,7 @@ from quatprop.writers.targets import refuse_outside
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
+    from quatprop.batch.entries import ManifestEntry
     from quatprop.pipeline.job import Job
 
 
@@ -119,14 +120,8 @@ def write_table(entries: Iterable[Mapping[str, Any]], path: Path) -> None:
     import pyarrow.parquet as pq
     from pyarrow import json as arrow_json
 
-    text, count, number = pa.string(), pa.int64(), pa.float64()
-    types = {
-        "samples": count, "rows": count, "span_s": number, "sample_rate_hz": number,
-        "final_wxyz": pa.list_(number), "remarks": pa.list_(text), "losses": pa.list_(text),
-        "seconds": number, "log_bytes": count, "output_bytes": count,
-    }  # fmt: skip
-    names = ManifestEntry._fields
-    schema = pa.schema([(name, types.get(name, text)) for name in names])
+    types = ((name, pa.type_for_alias(alias)) for name, alias in TYPES.items())
+    schema = pa.schema([(name, pa.list_(of) if name in LISTS else of) for name, of in types])
     # Not from Python's values: pyarrow would import pandas, where that is installed, for 0.4 s.
     texts = (json.dumps(entry, ensure_ascii=False) for entry in entries)
     # Names of files need not be Unicode, which a table's text is.

@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 from quatprop.batch.entries import COMPLETE, ManifestEntry
-from quatprop.batch.manifest import log_name, options_digest, origin_digest
+from quatprop.batch.manifest import log_name
 from quatprop.batch.outputs import OTHER_OUTPUT, output_paths
+from quatprop.batch.tasks import BatchResult, BatchSettings, BatchTask, failed
 from quatprop.concurrency.processes import KILLED, map_processes
 from quatprop.concurrency.threads import available_cores
-from quatprop.containers.stores import is_address, without_secret
+from quatprop.containers.stores import is_address
 from quatprop.containers.transfers import upload
 from quatprop.errors import (
     NoRatesError,
@@ -32,103 +32,13 @@ from quatprop.third_party_errors import as_user_error
 from quatprop.writers.targets import refuse_outside, refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Sequence
+    from collections.abc import Generator, Iterable, Sequence
 
     from quatprop.batch.logs import FoundLog
     from quatprop.batch.manifest import Manifest
-    from quatprop.containers.base import Loss
 
 REQUESTS = 32
 """Logs in an object store about which it is asked at a time."""
-
-
-class BatchTask(NamedTuple):
-    """One log of a batch; small, as it is sent to a process.
-
-    Parameters
-    ----------
-    path
-        The log's path or address.
-    output
-        The path or the address of its attitudes.
-    name
-        Path of the output in the folder of the batch.
-    maybe, refused
-        As for :class:`quatprop.batch.logs.FoundLog`.
-    """
-
-    path: str
-    output: str
-    name: str
-    maybe: bool = False
-    refused: str = ""
-
-    @property
-    def log(self) -> str:
-        """The log as it may be shown."""
-        return without_secret(self.path)
-
-
-class BatchSettings(NamedTuple):
-    """What all logs of a batch share.
-
-    Parameters
-    ----------
-    job
-        How logs are propagated; its paths are ignored.
-    options
-        Digest of its settings.
-    reports
-        Whether results have the reports of the runs.
-    spell
-        Returns a sentence as the manifest has it; a worker has to be able to import it.
-    """
-
-    job: Job
-    options: str
-    reports: bool = False
-    spell: Callable[[str | Text], str] = str
-
-    @classmethod
-    def of(
-        cls, job: Job, *, reports: bool = False, spell: Callable[[str | Text], str] = str
-    ) -> BatchSettings:
-        """Return the settings of a batch, with the digest."""
-        return cls(job, options_digest(job), reports, spell)
-
-    def with_threads(self, count: int) -> BatchSettings:
-        """Return the same with so many threads, unless the settings say how many."""
-        settings = self.job.settings
-        settings = replace(settings, threads=settings.threads or count)
-        return self._replace(job=self.job._replace(settings=settings))
-
-    def origin(self, task: BatchTask) -> str | None:
-        """Return the digest of what the output of a log is made from; None if it is not known."""
-        settings = self.job.settings
-        named = [*settings.inputs.values(), *filter(None, [settings.selection.msg_path])]
-        return origin_digest([task.path, *named], self.options)
-
-
-class BatchResult(NamedTuple):
-    """The result of one log.
-
-    Parameters
-    ----------
-    entry
-        What the manifest records.
-    error
-        Why there are no attitudes; empty where there are.
-    remarks, losses
-        As in the report.
-    report
-        The report of the run, as JSON; None if it is not wanted, or where there are no attitudes.
-    """
-
-    entry: ManifestEntry
-    error: str | Text = ""
-    remarks: tuple[str | Text, ...] = ()
-    losses: tuple[Loss, ...] = ()
-    report: Any = None
 
 
 def plan(
@@ -274,13 +184,6 @@ def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchRes
     )
     json = report.as_json() if settings.reports else None
     return BatchResult(entry, remarks=report.remarks, losses=report.losses, report=json)
-
-
-def failed(task: BatchTask, error: str | Text, state: str = "failed") -> BatchResult:
-    """Return the result of a log without attitudes."""
-    return BatchResult(
-        ManifestEntry(state, log_name(task.path), task.name, error=str(error)), error
-    )
 
 
 def propagate_and_record(

@@ -13,9 +13,9 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from quatprop.errors import LogError, SuiteError, UnreadableLogError, os_reason
-from quatprop.guarded_text import ContentError, read_bytes, read_json
+from quatprop.errors import LogError, SuiteError, UnreadableLogError
 from quatprop.provenance import JsonObject, as_json, digest_of
+from quatprop.settings.guarded_text import ContentError, read_bytes, read_json
 from quatprop.text import Setting, Text
 from quatprop.writers.atomic import open_atomic
 
@@ -96,12 +96,10 @@ def read_lock(path: Path) -> dict[str, Pin]:
     SuiteError
         The lock is not what an update writes.
     """
+    if not path.exists():
+        return {}
     try:
         content = read_bytes(path, MAX_LOCK)
-    except FileNotFoundError:
-        return {}
-    except OSError as error:
-        raise SuiteError(path, os_reason(error)) from error
     except ContentError as error:
         raise SuiteError(path, str(error)) from error
     try:

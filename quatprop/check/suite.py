@@ -9,8 +9,8 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.errors import SuiteError, os_reason
-from quatprop.guarded_text import ContentError, read_bytes, read_toml
+from quatprop.errors import SuiteError
+from quatprop.settings.guarded_text import ContentError, read_bytes, read_toml
 from quatprop.text import listed, quoted
 from quatprop.writers.atomic import open_atomic
 
@@ -73,8 +73,6 @@ def read_suite(path: Path | str) -> Suite:
     try:
         text = read_bytes(path)
         tables = read_toml(text)
-    except OSError as error:
-        raise SuiteError(path, os_reason(error)) from error
     except ContentError as error:
         raise SuiteError(path, str(error)) from error
     if unknown := tables.keys() - {"defaults", "case"}:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from quatprop.batch.logs import LogSearch
     from quatprop.batch.manifest import Manifest
-    from quatprop.batch.run import BatchResult, BatchSettings, BatchTask
+    from quatprop.batch.tasks import BatchResult, BatchSettings, BatchTask
 
 ONE_LOG = {"log", "output", "to", "into", "plot", "report", "quiet", "verbose"}
 """Parameters of ``propagate`` that are about one log."""
@@ -92,8 +92,9 @@ def command(
     DIR/manifest.jsonl lists them. A log that cannot be used does not stop the others (exit code
     2; 3: data was lost).
     """
-    from quatprop.batch.run import BatchSettings, outdated, plan, with_data_lost
+    from quatprop.batch.run import outdated, plan, with_data_lost
     from quatprop.batch.store_manifest import manifest_in, without_file_scheme
+    from quatprop.batch.tasks import BatchSettings
     from quatprop.cli.progress import bar, on_terminal
 
     folder = without_file_scheme(folder)

@@ -10,8 +10,8 @@ import click
 
 from quatprop.cli.spelling import option
 from quatprop.cli.types import PATH, content_of
-from quatprop.guarded_text import ContentError, read_toml
 from quatprop.provenance import as_json
+from quatprop.settings.guarded_text import ContentError, read_toml
 from quatprop.settings.parsers import file_beside
 from quatprop.text import Setting, did_you_mean, plain, quoted
 

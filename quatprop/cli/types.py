@@ -8,7 +8,7 @@ import click
 
 from quatprop.cli.spelling import sentence
 from quatprop.errors import UsageError, os_reason
-from quatprop.guarded_text import MAX_BYTES, ContentError, read_bytes
+from quatprop.settings.guarded_text import MAX_BYTES, ContentError, read_bytes
 from quatprop.settings.parsers import Parser, choice_named
 from quatprop.text import did_you_mean
 

@@ -48,15 +48,6 @@ def _is_text(content: bytes) -> bool:
         return False
 
 
-def _is_logged(content: bytes) -> bool:
-    """Tell whether a record holds the level of a text, its time and the text."""
-    return content[:1].isdigit() and _is_text(content[9:])
-
-
-def _is_tagged(content: bytes) -> bool:
-    return content[:1].isdigit() and _is_text(content[11:])
-
-
 def _has_key(content: bytes) -> bool:
     """Tell whether a record holds the length of a key, and its type and name."""
     key = content[1 : 1 + content[0]] if content else b""
@@ -74,10 +65,12 @@ _KINDS: dict[int, Callable[[bytes], object]] = {
     ord("R"): lambda content: len(content) == 2,  # noqa: PLR2004  # an id
     ord("O"): lambda content: len(content) == 2,  # noqa: PLR2004  # milliseconds
     ord("S"): lambda content: content == SYNC,
-    ord("L"): _is_logged,
-    ord("C"): _is_tagged,
+    ord("L"): lambda content: content[:1].isdigit() and _is_text(content[9:]),
+    ord("C"): lambda content: content[:1].isdigit() and _is_text(content[11:]),
 }
-"""What the content of each kind of record is like; messages have the length of their format."""
+"""What the content of each kind of record is like; messages have the length of their format.
+
+Texts of a log begin with their level, a digit, and their time."""
 
 
 @dataclass(slots=True)

@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, cast
 
 from quatprop.errors import OutputError, UsageError
+from quatprop.log_kinds import COMPRESSION_SUFFIXES
 from quatprop.text import Setting, listed, plain, quoted
 from quatprop.writers import refuse_columns
 from quatprop.writers.attitudes import AttitudeWriter, attitude_messages
@@ -69,7 +70,7 @@ def copy_kind(log: Log, target: str, to: str | None = None) -> str:
         )
     suffixes = tuple(suffix for form in WRITERS.values() for suffix in form.suffixes if suffix)
     name = target.lower()
-    compressed = name.endswith((".gz", ".zst", ".zstd", ".lz4", ".bz2"))
+    compressed = name.endswith(COMPRESSION_SUFFIXES)
     if compressed or (name.endswith(suffixes) and kind_of(target) != kind):
         raise UsageError(
             f"{plain(target)}: a copy of {plain(log.path)} is {kind}, whatever its name; "

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from ruamel.yaml import YAML
 
-from quatprop.guarded_text import read_yaml
+from quatprop.settings.guarded_text import read_yaml
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, MutableMapping, Sequence

@@ -184,7 +184,7 @@ def _view_attitudes(path: str, log: AnyLog, source: AttitudeSignal, view: View) 
     finder = EndsFinder()
     if view.part.looks_ahead:
         for t_ns, outliers, _ in marked((t_ns for t_ns, _ in source.rows()), lambda t_ns: t_ns):
-            finder.add(t_ns if outliers is None else t_ns[~outliers])
+            finder.add(t_ns[~outliers])
     ends = finder.ends()
     numbered = ((batch, batch.t_ns) for batch in read)
     part = clipped(numbered, view.part, *absolute_range(view.part, ends), outside)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from quatprop import guarded_text
-from quatprop.errors import UsageError, os_reason
-from quatprop.guarded_text import ContentError, read_bytes
+from quatprop.errors import UsageError
+from quatprop.settings import guarded_text
+from quatprop.settings.guarded_text import ContentError, read_bytes
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
@@ -36,8 +36,6 @@ def read_yaml(setting: str, path: Path | str) -> Mapping[str, object]:
         # How OpenCV begins a file is not YAML.
         text = read_bytes(path, MAX_BYTES).removeprefix(b"%YAML:1.0")
         content = guarded_text.read_yaml(text)
-    except OSError as error:
-        raise unusable(setting, path, os_reason(error)) from error
     except ContentError as error:
         raise unusable(setting, path, str(error)) from error
     if not isinstance(content, dict):

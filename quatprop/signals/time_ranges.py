@@ -55,7 +55,7 @@ def _ends(head: Iterable[Int64], tail: Iterable[Int64]) -> Ends | None:
     finder = EndsFinder()
     for part in (head, tail):
         for t_ns, outliers, _ in marked(part, lambda t_ns: t_ns):
-            if outliers is not None:
+            if outliers.any():
                 return None
             finder.add(t_ns)
     return finder.ends()

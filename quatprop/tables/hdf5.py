@@ -5,11 +5,9 @@ from __future__ import annotations
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-import pyarrow as pa
-
 from quatprop.errors import DamagedLogError, UnsupportedLogError, UsageError
 from quatprop.tables.base import TableNotes, refuse_second_file
-from quatprop.tables.hdf5_attributes import Packing, column_names, packing_of, sample_rate, unit_of
+from quatprop.tables.hdf5_attributes import column_names, packing, sample_rate, unit_of
 from quatprop.tables.hdf5_storage import ERRORS, StoredRows, read_rows, refusal, shape_of
 from quatprop.tables.npy_format import ArrayColumn, ArrayHeader, HeaderError, columns_of
 from quatprop.tables.numpy_table import NumpyTable, Wanted
@@ -19,6 +17,8 @@ from quatprop.text import plain, quoted
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+    import pyarrow as pa
 
     from quatprop.tables.base import TimedColumns
     from quatprop.tables.typed_table import RowGroup
@@ -60,7 +60,6 @@ class Hdf5Log(NumpyTable):
                 f"{plain(path)}: HDF5 needs h5py, which is not installed; pip install h5py"
             ) from error
         self._refused: dict[str, str] = {}
-        self._packings: dict[str, Packing] = {}
         try:
             with ExitStack() as resources:
                 # Programs that are still writing keep a lock, which only matters to other writers.
@@ -107,14 +106,14 @@ class Hdf5Log(NumpyTable):
         columns: list[ArrayColumn] = []
         given: list[str] = []
         unit = reason = ""
-        self._packings[path] = Packing()
         try:
             columns = _columns(item)
             reason = refusal(item, self.path.stat().st_size)
             given = column_names(item, len(columns), self._bytes)
             # One unit is not that of columns of several quantities.
             unit = "" if given or item.dtype.names else unit_of(item, self._bytes)
-            self._packings[path] = packing_of(item)
+            if attribute := packing(item):
+                reason = f"its numbers are packed, with {quoted(attribute)}; save them unpacked"
         except HeaderError as error:
             reason = str(error)
         if reason:
@@ -124,8 +123,6 @@ class Hdf5Log(NumpyTable):
             inner = own or column.name
             dot = "." if inner and not inner.startswith("[") else ""
             self._add_column(name + dot + inner + unit, path, column)
-            if self._packings[path].is_scaled:
-                self._leaves[-1] = self._leaves[-1]._replace(type=pa.float64())
 
     def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
         for k in (*columns.time, *columns.numbers):
@@ -140,7 +137,7 @@ class Hdf5Log(NumpyTable):
         datasets = []
         for member, columns in members.items():
             try:
-                dataset = StoredRows(self._file[member], columns, self._packings[member])
+                dataset = StoredRows(self._file[member], columns)
             except HeaderError as error:
                 reason = f"its dataset {quoted(member)}: {error}"
                 raise UnsupportedLogError(self.path, reason) from error

@@ -1,12 +1,10 @@
-"""What attributes of HDF5 say of a dataset: its unit, its columns, how its numbers are packed."""
+"""What attributes of HDF5 say of a dataset: its unit, its columns, what its numbers stand for."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
 
 from quatprop.tables.hdf5_text import variable_text
 from quatprop.tables.npy_format import HeaderError
@@ -18,65 +16,30 @@ if TYPE_CHECKING:
 _SAMPLE_RATES = ("sampling_rate", "sample_rate")
 _COLUMN_NAMES = ("columns", "column_names", "names")
 _UNITS = ("Units", "units", "Unit", "unit")
+_PLAIN = {"scale_factor": 1, "add_offset": 0}
 _ABSENT = ("_FillValue", "missing_value")
 
 
-class Packing(NamedTuple):
-    """How numbers are stored, as netCDF has it.
-
-    Parameters
-    ----------
-    scale, offset
-        A value is the stored number times the one plus the other.
-    absent
-        Stored numbers that stand for no value.
+def packing(dataset: Any) -> str:
+    """Return the attribute by which stored numbers stand for others; ``""`` where they do not.
 
     References
     ----------
-    CF Metadata Conventions, 2.5.1 "Missing data" and 8.1 "Packed data".
+    CF Metadata Conventions, 8.1 "Packed data".
     """
-
-    scale: float = 1.0
-    offset: float = 0.0
-    absent: tuple[Any, ...] = ()
-
-    @property
-    def is_scaled(self) -> bool:
-        """Whether numbers stand for others."""
-        return (self.scale, self.offset) != (1.0, 0.0)
-
-    def values(self, stored: pa.Array) -> pa.Array:
-        """Return what stored numbers stand for; null where there is no value."""
-        present = stored
-        for absent in self.absent:
-            present = pc.if_else(pc.equal(stored, absent), None, present)
-        if self.is_scaled:
-            numbers = present.cast(pa.float64(), safe=False)
-            present = pc.add(pc.multiply(numbers, self.scale), self.offset)
-        return present
+    for name, plain in _PLAIN.items():
+        if name in dataset.attrs and _attribute(dataset, name).tolist() != [plain]:
+            return name
+    return ""
 
 
-def packing_of(dataset: Any) -> Packing:
-    """Return how the numbers of a dataset are stored.
-
-    Raises
-    ------
-    HeaderError
-        Its attributes do not say it in numbers.
-    """
-    scale, offset = _number(dataset, "scale_factor", 1.0), _number(dataset, "add_offset", 0.0)
-    absent = (_attribute(dataset, name) for name in _ABSENT)
-    values = (x for array in absent if array.dtype == dataset.dtype for x in array.tolist())
-    return Packing(scale, offset, tuple(x for x in values if np.isfinite(x)))
-
-
-def _number(dataset: Any, name: str, default: float) -> float:
-    if name not in dataset.attrs:
-        return default
-    value = _attribute(dataset, name)
-    if value.size != 1 or value.dtype.kind not in "iuf" or not np.isfinite(value.flat[0]):
-        raise HeaderError(f"its attribute {quoted(name)} is no number; save plain numbers")
-    return float(value.flat[0])
+def absent_values(dataset: Any) -> list[Any]:
+    """Return the stored numbers that stand for no value, as netCDF has them."""
+    if dataset.dtype.kind not in "iuf":
+        return []
+    arrays = (_attribute(dataset, name) for name in _ABSENT)
+    values = (x for array in arrays if array.dtype == dataset.dtype for x in array.tolist())
+    return [x for x in values if np.isfinite(x)]
 
 
 def sample_rate(file: Any) -> float | None:

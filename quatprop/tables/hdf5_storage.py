@@ -7,14 +7,16 @@ what is stored in the file itself is read, and only where it is stored.
 from __future__ import annotations
 
 import math
-from itertools import groupby
+from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from quatprop.containers.compression import MAX_SIZE
 from quatprop.containers.limits import decompressed_limit, too_large
+from quatprop.tables.hdf5_attributes import absent_values
 from quatprop.tables.npy_format import HeaderError
 from quatprop.tables.numpy_table import rows_at_once, values_in
 from quatprop.text import listed, plain
@@ -24,11 +26,9 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Int64
     from quatprop.containers.base import Losses
-    from quatprop.tables.hdf5_attributes import Packing
     from quatprop.tables.npy_format import ArrayColumn
 
 _CACHE_BYTES = 1 << 26
-_PAGE_BYTES = 4096
 _LEAST_SLOTS, _SLOTS_A_CHUNK = 521, 10
 
 ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError)
@@ -98,8 +98,6 @@ class StoredRows:
         The dataset, with one dimension or two.
     columns
         Some of its columns and how they are named.
-    packing
-        How its numbers are stored.
 
     Attributes
     ----------
@@ -116,13 +114,11 @@ class StoredRows:
         Its chunks are too large.
     """
 
-    def __init__(
-        self, dataset: Any, columns: Sequence[tuple[str, ArrayColumn]], packing: Packing
-    ) -> None:
+    def __init__(self, dataset: Any, columns: Sequence[tuple[str, ArrayColumn]]) -> None:
         import h5py
 
         self._columns = columns
-        self._packing = packing
+        self._absent_values = absent_values(dataset)
         self._dataset = dataset
         self._shape: tuple[int, ...] = dataset.shape
         self._is_of_matlab = is_of_matlab(dataset, len(self._shape))
@@ -148,10 +144,9 @@ class StoredRows:
             self.unit = dataset.chunks[self._axis]
             self._written = self._written_chunks(layout.get_chunk())
         else:
-            self.unit = max(1, _PAGE_BYTES // self.step)
+            self.unit = max(1, self._shape[self._axis])
             is_written = layout.get_layout() == h5py.h5d.COMPACT or dataset.id.get_offset()
-            units = -(-self._shape[self._axis] // self.unit)
-            self._written = np.arange(units if is_written else 0)
+            self._written = np.arange(1 if is_written else 0)
 
     def _written_chunks(self, chunk: tuple[int, ...]) -> Int64:
         """Return which chunks of rows are stored, as often as there are chunks beside each other.
@@ -194,9 +189,9 @@ class StoredRows:
         found = np.searchsorted(self._written, (first, last))
         return float((found[1] - found[0]) / ((last - first) * self._chunks_across))
 
-    def boundary(self, begin: int, end: int) -> int:
-        """Return where, nearest to the middle between two rows, other chunks begin."""
-        return int((begin + end + self.unit) // (2 * self.unit) * self.unit)
+    def boundaries(self, begin: int, end: int) -> range:
+        """Return where, between two rows, other chunks begin."""
+        return range((begin // self.unit + 1) * self.unit, end, self.unit)
 
     def read(self, begin: int, end: int) -> Iterator[tuple[str, pa.Array]]:
         """Yield the columns of some rows with their names."""
@@ -210,7 +205,10 @@ class StoredRows:
         data = np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
         self._verify_places(begin, end, data)
         for name, column in self._columns:
-            yield name, self._packing.values(values_in(data, column, end - begin))
+            stored = values_in(data, column, end - begin)
+            for absent in self._absent_values:
+                stored = pc.if_else(pc.equal(stored, absent), None, stored)
+            yield name, stored
 
     def _verify_places(self, begin: int, end: int, data: memoryview) -> None:
         """Look for chunks that hold what is given out for those that are not found.
@@ -255,10 +253,9 @@ def read_rows(
 
 
 def _pieces(datasets: Sequence[StoredRows], begin: int, end: int) -> Iterator[_Rows]:
-    """Yield rows in as many pieces as it takes to lose no others than those that are lost."""
+    """Yield rows together, or piece by piece where some of them are lost."""
     missing = min(datasets, key=lambda dataset: dataset.written(begin, end))
-    share = missing.written(begin, end)
-    lost = missing.why_missing
+    share, lost = missing.written(begin, end), missing.why_missing
     if share == 1:
         try:
             columns = dict(pair for dataset in datasets for pair in dataset.read(begin, end))
@@ -268,11 +265,9 @@ def _pieces(datasets: Sequence[StoredRows], begin: int, end: int) -> Iterator[_R
         else:
             yield _Rows(begin, end, batch=batch)
             return
-    boundaries = {dataset.boundary(begin, end) for dataset in datasets}
-    inside = [place for place in boundaries if begin < place < end]
+    inside = {place for dataset in datasets for place in dataset.boundaries(begin, end)}
     if not share or not inside:
         yield _Rows(begin, end, lost)
         return
-    middle = min(inside, key=lambda place: abs(2 * place - begin - end))
-    yield from _pieces(datasets, begin, middle)
-    yield from _pieces(datasets, middle, end)
+    for piece in pairwise([begin, *sorted(inside), end]):
+        yield from _pieces(datasets, *piece)

@@ -85,8 +85,8 @@ class Timeline(StampChecks):
             yield from self._sorted(examined)
             return
         for each in examined:
-            dropped = None if self.policy.on_backwards == "keep" else each.irregular
-            if dropped is None:
+            dropped = each.outliers | each.back
+            if self.policy.on_backwards == "keep" or not dropped.any():
                 yield each.batch, each.rows
             elif not dropped.all():
                 yield each.batch[~dropped], each.rows[~dropped]
@@ -101,10 +101,9 @@ class Timeline(StampChecks):
         # What is sorted is only looked at.
         policy = self.policy._replace(on_nonfinite="keep")
         for each in StampChecks(self.path, policy).examined(batches, attrgetter("t_ns")):
-            wrong, batch = each.outliers, each.batch
-            note(batch.t_ns if wrong is None else batch.t_ns[~wrong])
-            dropped = each.irregular if policy.on_backwards == "drop" else wrong
-            yield batch if dropped is None else batch[~dropped]
+            note(each.batch.t_ns[~each.outliers])
+            dropped = each.outliers | (each.back & (policy.on_backwards == "drop"))
+            yield each.batch[~dropped]
 
     def without(self, numbered: Iterable[Numbered], outside: Sequence[int]) -> Iterator[Numbered]:
         """Yield samples in a range; those outside of it, counted as they pass, are not lost."""
@@ -204,7 +203,7 @@ class Timeline(StampChecks):
         log = GyroSeries.joined([part.batch for part in parts])
         rows = np.concatenate([part.rows for part in parts])
         if self.counts.outliers.count:
-            wrong = np.concatenate([part.outlier_mask for part in parts])
+            wrong = np.concatenate([part.outliers for part in parts])
             early = fits(log.t_ns[wrong], np.sort(log.t_ns[~wrong]))
             if early.any():
                 wrong[wrong] = ~early

@@ -50,8 +50,8 @@ LATEST = np.iinfo(np.uint64).max
 
 def marked(
     batches: Iterable[Batch], stamps_of: Callable[[Batch], Int64]
-) -> Iterator[tuple[Batch, Bool | None, int]]:
-    """Yield each batch that is not empty with a mask of its outliers; None where it has none.
+) -> Iterator[tuple[Batch, Bool, int]]:
+    """Yield each batch that is not empty with a mask of its outliers.
 
     With it comes by how much, ns, the first of them is ahead of those around it.
 
@@ -77,7 +77,7 @@ def marked(
         t_ns = stamps_of(batch)
         after = [stamps_of(later)[:LOOK_AHEAD] for later in waiting]
         ahead = np.concatenate([t_ns[-1:], *after])[: LOOK_AHEAD + 1]
-        mask, ahead_ns = None, 0
+        mask, ahead_ns = np.zeros(len(t_ns), np.bool_), 0
         # Mostly time steps back nowhere, and nothing has to be copied to see that.
         if not all(map(_in_order, (behind, t_ns, ahead))) or (len(behind) and behind[-1] > t_ns[0]):
             stamps = np.concatenate([behind, t_ns, ahead[1:]])
@@ -110,7 +110,7 @@ def _in_order(t_ns: Int64) -> bool:
     return bool((t_ns[1:] >= t_ns[:-1]).all())
 
 
-def _outliers(t_ns: Int64, own: slice, *, from_the_first: bool) -> tuple[Bool | None, int]:
+def _outliers(t_ns: Int64, own: slice, *, from_the_first: bool) -> tuple[Bool, int]:
     """Return which of some stamps are outliers, and by how much the first is ahead, ns.
 
     Parameters
@@ -131,7 +131,7 @@ def _outliers(t_ns: Int64, own: slice, *, from_the_first: bool) -> tuple[Bool | 
     np.add.at(change, last, -1)
     mask = np.cumsum(change)[own] > 0
     if not mask.any():
-        return None, 0
+        return mask, 0
     begin = own.start + int(mask.argmax())
     run = int(np.argmax((first <= begin) & (begin < last)))
     return mask, int(since[begin] - before[run])

@@ -122,7 +122,7 @@ class StampChecks:
             self.read += len(t_ns)
             self.counts.read += len(t_ns)
             back = self._backward(t_ns, rows, outliers)
-            if outliers is not None:
+            if ahead_ns:
                 if not self.counts.outliers.count:
                     ahead = duration_text(ahead_ns)
                     self.counts.outliers.cause = f", {ahead} ahead of those around it"
@@ -140,18 +140,18 @@ class StampChecks:
         back = np.flatnonzero(kept < np.maximum.accumulate(kept))
         counts.backwards.add(back, kept, rows[~outliers])
 
-    def _backward(self, t_ns: Int64, rows: Int64, outliers: Bool | None) -> Bool | None:
-        """Return which stamps are earlier than one before that is no outlier; None for none."""
-        all_ns = t_ns
-        if outliers is not None:
+    def _backward(self, t_ns: Int64, rows: Int64, outliers: Bool) -> Bool:
+        """Return which stamps are earlier than one before that is no outlier."""
+        found = np.zeros(len(t_ns), np.bool_)
+        if outliers.any():
             t_ns, rows = t_ns[~outliers], rows[~outliers]
         if not len(t_ns):
-            return None
+            return found
         latest = int(t_ns[0]) if self._latest is None else self._latest
         before, self._last_two = self._last_two, np.append(self._last_two, t_ns[-2:])[-2:]
         if t_ns[0] >= latest and (t_ns[1:] >= t_ns[:-1]).all():
             self._latest = int(t_ns[-1])
-            return None
+            return found
         reached = np.maximum.accumulate(np.maximum(t_ns, latest))
         # In inspection a backward stamp is one before its neighbour; a policy that drops samples
         # must drop all up to the point where the clock has caught up again.
@@ -168,9 +168,6 @@ class StampChecks:
             cause = cause_of_step(np.append(before, t_ns), len(before) + first)
             self.counts.backwards.cause = cause
         self.counts.backwards.add(where, t_ns, rows)
-        if outliers is None:
-            return back
-        found = np.zeros(len(all_ns), np.bool_)
         found[~outliers] = back
         return found
 

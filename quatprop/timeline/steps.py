@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
-import numpy as np
-
 from quatprop.timeline.outliers import Rows
 
 if TYPE_CHECKING:
@@ -31,25 +29,13 @@ class Examined(NamedTuple, Generic[Batch]):
     rows
         Which of the samples that were read they are, shape ``(N,)``.
     outliers, back
-        Masks of outliers, and of stamps that are earlier than one before; None where none is.
+        Masks of outliers, and of stamps that are earlier than one before.
     """
 
     batch: Batch
     rows: Int64
-    outliers: Bool | None
-    back: Bool | None
-
-    @property
-    def outlier_mask(self) -> Bool:
-        """The mask of outliers, also where none is."""
-        return np.zeros(len(self.rows), np.bool_) if self.outliers is None else self.outliers
-
-    @property
-    def irregular(self) -> Bool | None:
-        """The mask of both; None where none is."""
-        if self.outliers is None or self.back is None:
-            return self.back if self.outliers is None else self.outliers
-        return self.outliers | self.back
+    outliers: Bool
+    back: Bool
 
 
 def cause_of_step(t_ns: Int64, first: int) -> str:

@@ -12,7 +12,7 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from quatprop.containers.base import Channel, Losses, MessageLog
 from quatprop.errors import UnsupportedLogError
-from quatprop.guarded_text import ContentError, read_bytes, read_yaml
+from quatprop.settings.guarded_text import ContentError, read_bytes, read_yaml
 from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ import re
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NoReturn
 
+from quatprop.errors import os_reason
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
@@ -39,19 +40,18 @@ class ContentError(ValueError):
 
 
 def read_bytes(source: Path | str | IO[bytes], limit: int = MAX_BYTES) -> bytes:
-    """Return the content of a file, or of an open one.
+    """Return the content of a file, or of an open one, which is closed.
 
     Raises
     ------
     ContentError
-        It has more bytes than that, or no end.
-    OSError
-        It cannot be read.
+        It cannot be read, has more bytes than that, or no end.
     """
-    if isinstance(source, Path | str):
-        with Path(source).open("rb") as stream:
-            return read_bytes(stream, limit)
-    data = source.read(limit + 1)
+    try:
+        with Path(source).open("rb") if isinstance(source, Path | str) else source as stream:
+            data = stream.read(limit + 1)
+    except OSError as error:
+        raise ContentError(os_reason(error)) from error
     if len(data) > limit:
         raise ContentError(f"it is too large; {limit:,} bytes are read at most")
     return data
@@ -71,7 +71,7 @@ def read_toml(text: bytes) -> dict[str, Any]:
     _refuse_long_numbers(decoded)
     for number, line in enumerate(decoded.split("\n"), 1):
         # The time that the library takes for a key goes with the square of its parts.
-        if line.count(".") > MAX_DEPTH * 4:  # some may be those of numbers
+        if max(part.count(".") for part in re.split(r"[,={}]", line)) > MAX_DEPTH * 4:
             raise ContentError(f"line {number}: {_too_deep()}")
     try:
         content = tomllib.loads(decoded)
