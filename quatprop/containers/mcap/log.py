@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 from quatprop.containers.base import LATEST, Channel, MessageBlock, by_topic
 from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.compressed_messages import decompressed
-from quatprop.containers.mcap.definitions import ids_by_channel
+from quatprop.containers.mcap.definitions import DefinitionCheck, ids_by_channel
 from quatprop.containers.mcap.index import UNDEFINED, build_index
 from quatprop.containers.mcap.loading import McapReader
-from quatprop.containers.mcap.redefinitions import DefinitionCheck
 from quatprop.containers.mcap.regions import Region
 from quatprop.containers.mcap.summary import MAGIC, read_provenance
 from quatprop.errors import DamagedLogError, UnsupportedLogError

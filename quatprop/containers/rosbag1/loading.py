@@ -7,26 +7,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.base import Losses, MessageBlock
-from quatprop.containers.byte_ranges import LARGE as LARGE_ENOUGH
+from quatprop.containers.byte_ranges import LARGE, SHARE, ranges_worth_reading
 from quatprop.containers.chunks import ChunkReader
 from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.rosbag1.accounting import record_of
-from quatprop.containers.rosbag1.index import BagChunk, ChunkRecords, offsets_of, read_chunk
-from quatprop.containers.rosbag1.messages import indexed_messages, only_messages
-from quatprop.containers.rosbag1.records import (
-    HEAD,
-    OP_MESSAGE,
-    begin_of_messages,
-    surviving_records,
+from quatprop.containers.rosbag1.index import (
+    BagChunk,
+    ChunkRecords,
+    index_reader,
+    offsets_of,
+    read_chunk,
 )
-from quatprop.containers.rosbag1.selected import selected_messages
+from quatprop.containers.rosbag1.messages import indexed_messages
+from quatprop.containers.rosbag1.records import HEAD, OP_MESSAGE, surviving_records
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from numpy.typing import NDArray
-
-    from quatprop.containers.rosbag1.records import RecordFile
+    from quatprop.containers.rosbag1.records import Record, RecordFile
 
 
 class BagReader(ChunkReader[BagChunk, ChunkRecords]):
@@ -50,30 +48,39 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
     def expected(self, chunk: BagChunk) -> list[tuple[int, int]]:
         """Return the bytes of a chunk, or of the head of one that is read in part."""
         head_end = chunk.start + HEAD
-        if self.is_mixed(chunk) and chunk.end - chunk.start >= LARGE_ENOUGH:
+        if self._may_be_read_in_part(chunk):
             if self._is_plain is None:
-                record = record_of(self.file, chunk)
-                self._is_plain = record is None or record.fields[b"compression"] == b"none"
+                self._is_plain = _is_plain(record_of(self.file, chunk))
             if self._is_plain:
                 return [(chunk.start, head_end)]
         return [(chunk.start, max(chunk.end, head_end))]
 
     def size_of(self, chunk: BagChunk) -> int:
-        """Return the bytes of the records of a chunk by its head."""
+        """Return about how many bytes of a chunk are loaded, by its head."""
         if chunk.is_unchunked:
             return chunk.end - chunk.start
         record = record_of(self.file, chunk)
         if record is None:
             return 0
-        is_plain = record.fields[b"compression"] == b"none"
-        return record.end - record.data if is_plain else record.number(b"size")
+        if not _is_plain(record):
+            return record.number(b"size")
+        size = record.end - record.data
+        return size // SHARE if self._may_be_read_in_part(chunk) else size
 
-    def is_mixed(self, chunk: BagChunk) -> bool:
-        """Return whether a chunk holds other connections."""
-        return not chunk.is_unchunked and not chunk.counts.keys() <= chunk.inside(self.connections)
+    def _may_be_read_in_part(self, chunk: BagChunk) -> bool:
+        """Return whether a chunk is large and holds other connections."""
+        is_large = chunk.end - chunk.start >= LARGE and not chunk.is_unchunked
+        return is_large and not chunk.counts.keys() <= chunk.inside(self.connections)
 
-    def whole(self, chunk: BagChunk) -> ChunkRecords:
-        """Return the records of a chunk."""
+    def load(self, chunk: BagChunk) -> ChunkRecords:
+        """Return the records of a chunk, or only the wanted messages of a large one."""
+        if self._may_be_read_in_part(chunk) and self._is_indexed(chunk, chunk.counts):
+            selected = self._selected(chunk)
+            if selected is not None:
+                return selected
+        return self._whole(chunk)
+
+    def _whole(self, chunk: BagChunk) -> ChunkRecords:
         if chunk.is_missing:
             return ChunkRecords(damage="a part of it is missing")
         try:
@@ -84,36 +91,37 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         self.budget.spend(0 if chunk.is_unchunked else len(loaded.data))
         return loaded
 
-    def selected(self, chunk: BagChunk, whole: ChunkRecords | None = None) -> ChunkRecords | None:
-        """Return copies of the wanted messages of a chunk, if they are all that is needed."""
+    def _selected(self, chunk: BagChunk) -> ChunkRecords | None:
+        """Return the wanted messages of a chunk; None where it is better read whole.
+
+        That is, if it is compressed or mostly wanted, or its index data is not what the bag says.
+        """
         record = record_of(self.file, chunk)
-        inside = chunk.inside(self.connections)
-        if record is None or not self._is_indexed(chunk, chunk.counts):
+        if record is None or not _is_plain(record) or record.end > chunk.end:
             return None
-        return selected_messages(self.file, chunk, record, inside, whole)
-
-    def messages_at(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
-        """Return the messages that were selected; None where they are others."""
-        if content.offsets is None:
+        size = record.end - record.data
+        entries = ChunkRecords(read_index=index_reader(self.file, chunk, record, size)).entries
+        indexed = offsets_of(entries)
+        is_double = (indexed[1:] == indexed[:-1]).any()
+        if is_double or {conn: len(rows) for conn, rows in entries.items()} != chunk.counts:
             return None
-        return indexed_messages(content.data, content.offsets, chunk.inside(self.connections))
-
-    def only_messages(
-        self,
-        data: NDArray[np.uint8],
-        chunk: BagChunk,  # noqa: ARG002  # its numbers are compared by `may_have`
-    ) -> tuple[MessageBlock, int] | None:
-        """Return the messages of a chunk that holds nothing else behind its definitions."""
-        begin = begin_of_messages(data)
-        return None if begin is None else only_messages(data, begin)
-
-    def may_have(self, chunk: BagChunk, log_ns: NDArray[np.int64], id_: int) -> bool:
-        """Return whether a connection is wanted, and a chunk has so many messages of it."""
-        return id_ in chunk.inside(self.connections) and chunk.counts.get(id_) == len(log_ns)
+        begins = offsets_of(entries, chunk.inside(self.connections))
+        nexts = np.append(indexed, size)[np.searchsorted(indexed, begins, "right")]
+        ranges = ranges_worth_reading(begins, nexts, size)
+        if ranges is None:
+            return None
+        places = record.data + ranges.begins, record.data + ranges.ends
+        data = np.frombuffer(self.file.at_ranges(*(each.tolist() for each in places)), np.uint8)
+        return ChunkRecords(data, offsets=begins - ranges.moved)
 
     def messages(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
         """Return the messages of one chunk, and note what is lost of them."""
         inside = chunk.inside(self.connections)
+        if content.offsets is not None:
+            selected = indexed_messages(content.data, content.offsets, inside)
+            if selected is not None:
+                return selected
+            content = self._whole(chunk)
         messages, damage = None, ""
         counts = {conn: len(rows) for conn, rows in content.entries.items() if conn in inside}
         expected = {conn: n for conn, n in chunk.counts.items() if conn in inside}
@@ -122,7 +130,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
             messages = indexed_messages(content.data, offsets_of(content.entries, inside), inside)
         if messages is None:
             messages, damage = _scanned(content, inside)
-        missing = sum(chunk.counts.get(conn, 0) for conn in inside) - len(messages)
+        missing = sum(expected.values()) - len(messages)
         if damage or missing > 0:
             reason = damage or "it has fewer messages than it says"
             self.losses.note(chunk.place, reason, missing or None, self.topic)
@@ -134,6 +142,10 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         Without chunk infos, a connection may have messages under the number of another one.
         """
         return chunk.is_proved is not False or chunk.inside(self.connections) <= {*indexed}
+
+
+def _is_plain(record: Record | None) -> bool:
+    return record is None or record.fields[b"compression"] == b"none"
 
 
 def _scanned(content: ChunkRecords, wanted: set[int]) -> tuple[MessageBlock, str]:
