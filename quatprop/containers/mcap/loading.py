@@ -11,7 +11,6 @@ from quatprop.containers.byte_ranges import LARGE, SHARE, ranges_worth_reading
 from quatprop.containers.chunks import ChunkReader
 from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.limits import CHECKSUMS, checksums_matter
-from quatprop.containers.mcap.index import UNDEFINED
 from quatprop.containers.mcap.messages import (
     heads_at,
     index_of,
@@ -34,6 +33,10 @@ if TYPE_CHECKING:
     from quatprop.containers.mcap.messages import LocatedMessages
 
     Offsets = NDArray[np.int64]
+
+
+UNDEFINED = "no record defines it"
+"""Why the messages of a channel are lost."""
 
 
 class McapReader(ChunkReader[Region, Loaded]):
