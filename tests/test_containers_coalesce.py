@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from quatprop.containers import coalesce as module
 from quatprop.containers.base import MessageBlock
 from quatprop.containers.byte_ranges import ranges_of, ranges_worth_reading
+from quatprop.containers.chunks import GROUP, LARGE, in_groups
 from quatprop.containers.coalesce import coalesce_blocks
-from quatprop.containers.loading import GROUP, LARGE, MOST_PARTS, in_groups
 
 PLACES = st.lists(st.tuples(st.integers(0, 40), st.integers(0, 30)), min_size=1, max_size=30)
 """Gap before each message, and its length."""
@@ -120,12 +120,12 @@ def test_an_index_that_points_elsewhere_picks_nothing(starts, ends):
     assert ranges_worth_reading(*places, 1_000_000) is None
 
 
-@given(st.lists(st.none() | st.integers(1, LARGE + 9), max_size=30))
+@given(st.lists(st.just(0) | st.integers(1, LARGE + 9), max_size=30))
 def test_chunks_are_loaded_in_groups_in_their_order(sizes):
     """Each is in one group, and those of a group are no more than it may have; large ones alone."""
     groups = list(in_groups(list(enumerate(sizes))))
     assert [chunk for chunks, _ in groups for chunk in chunks] == list(range(len(sizes)))
     for chunks, is_large in groups:
-        shares = [GROUP // MOST_PARTS if sizes[k] is None else sizes[k] for k in chunks]
+        shares = [sizes[k] or GROUP // 16 for k in chunks]
         assert is_large == (max(shares) > LARGE)
         assert len(chunks) == 1 or sum(shares) <= GROUP

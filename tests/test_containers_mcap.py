@@ -17,7 +17,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from quatprop.concurrency import threads
-from quatprop.containers import loading
+from quatprop.containers import chunks
 from quatprop.containers.base import Channel, Loss
 from quatprop.containers.file_source import FileSource
 from quatprop.containers.mcap.log import McapLog
@@ -510,7 +510,7 @@ def test_an_index_that_leads_to_images_is_found_out(tmp_path):
 def test_threads_change_nothing(tmp_path, monkeypatch, workers):
     """The messages are the same however many threads unpack them."""
     monkeypatch.setattr(threads, "available_cores", lambda: workers)
-    monkeypatch.setattr(loading, "GROUP", 1)
+    monkeypatch.setattr(chunks, "GROUP", 1)
     path = beside_images(tmp_path, chunk_size=100_000, compression=CompressionType.LZ4)
     assert numbers_of(McapLog(path)) == list(range(400))
 
@@ -518,7 +518,7 @@ def test_threads_change_nothing(tmp_path, monkeypatch, workers):
 def test_stopping_early_ends_the_threads(tmp_path, monkeypatch):
     """A closed iteration leaves no thread and no open file behind."""
     monkeypatch.setattr(threads, "available_cores", lambda: 3)
-    monkeypatch.setattr(loading, "GROUP", 1)
+    monkeypatch.setattr(chunks, "GROUP", 1)
     log = McapLog(saved(tmp_path, written(messages=2000)))
     before = threading.active_count()
     blocks = log.blocks(IMU)

@@ -1,6 +1,7 @@
 """Files that logs are read from: opened once, read from several threads, recognised as files."""
 
 import errno
+import gzip
 import json
 import os
 import struct
@@ -47,6 +48,47 @@ def make_log(path):
         return write_bag(path)
     write(path, added("sensor_gyro", 0, 1), *gyro(1, range(5000, 500_000, 5000), 1e-6))
     return path
+
+
+BEHIND = {
+    ".mcap": None,
+    ".bag": None,
+    ".csv": None,
+    ".jsonl": None,
+    ".csv.gz": None,
+    ".db3": "{} bytes follow the database and are not read; was another joined to it?",
+    ".ulg": "{} bytes follow the log and are not read; was another joined to it?",
+    ".npy": "{} bytes follow its array",
+}
+"""What is said of the second of two logs that `cat` put one behind the other; None: it is read."""
+
+
+@pytest.mark.parametrize("suffix", BEHIND)
+def test_logs_one_behind_another_are_read_to_the_end_or_their_rest_is_lost(tmp_path, suffix):
+    """Where reading on costs nothing it is no loss; elsewhere every byte behind the end is one."""
+    contents = []
+    for k in range(2):
+        log = tmp_path / f"{k}{suffix.removesuffix('.gz')}"
+        start = str(10**18 + k * 10**12)
+        if suffix == ".ulg":
+            write(log, added("sensor_gyro", 0, 1), *gyro(1, range(5000, 255_000, 5000), 1e-6))
+        else:
+            target = tmp_path / f"{k}" if suffix == ".db3" else log
+            made = ["simulate", str(target), "--samples", "50", "--truth", "none", "-q"]
+            assert CliRunner().invoke(cli, [*made, "--start", start]).exit_code == 0
+            log = next(target.glob("*.db3")) if suffix == ".db3" else log
+        pack = gzip.compress if suffix.endswith(".gz") else bytes
+        contents.append(pack(log.read_bytes()))
+    log = tmp_path / f"both{suffix}"
+    log.write_bytes(b"".join(contents))
+    result = CliRunner().invoke(cli, ["propagate", str(log), "-o", str(tmp_path / "o.csv")])
+    attitudes = (tmp_path / "o.csv").read_text().count("\n") - 1
+    lost = BEHIND[suffix]
+    assert (result.exit_code, attitudes) == ((0, 100) if lost is None else (3, 50)), result.output
+    if lost is None:
+        assert "lost" not in result.stderr
+    else:
+        assert lost.format(len(contents[1])) in result.stderr
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".bag", ".ulg"])

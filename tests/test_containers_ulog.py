@@ -220,7 +220,16 @@ def test_messages_of_a_file_that_follows_are_not_those_of_the_first(tmp_path, mi
     series, losses = read(path)
     assert series.t_ns.tolist() == [t * 1000 for t in range(0, 100, 10)][: 10 - bool(missing)]
     (loss,) = losses
-    assert loss.reason.startswith("its records cannot be followed for ")
+    if missing:
+        cut = len(content) - len(gyro(1, [90])[0])
+        assert loss.place == f"byte {cut}"
+        assert (
+            loss.reason
+            == f"its records cannot be followed for {len(path.read_bytes()) - cut} bytes"
+        )
+    else:
+        reason = "bytes follow the log and are not read; was another joined to it?"
+        assert loss == (f"byte {len(content)}", f"{len(content)} {reason}", None)
 
 
 def test_data_that_was_appended_is_read_behind_a_cut_record(tmp_path):

@@ -14,7 +14,7 @@ from test_damage_mcap import MESSAGES, read, unclosed, written
 
 from quatprop.cli.commands import cli
 from quatprop.concurrency import threads
-from quatprop.containers import chunks, loading
+from quatprop.containers import chunks
 from quatprop.containers.base import Loss
 from quatprop.containers.limits import MAX_UNPACKED, decompressed_limit
 from quatprop.containers.mcap import loading as mcap
@@ -98,7 +98,6 @@ def test_large_chunks_are_not_unpacked_ahead(tmp_path, monkeypatch):
     monkeypatch.setattr(mcap, "load", watched)
     for large, expected in ((1 << 30, {False}), (SIZE // 2, {False, True})):
         monkeypatch.setattr(chunks, "LARGE", large)
-        monkeypatch.setattr(loading, "LARGE", large)
         alone.clear()
         log = McapLog(path)
         assert sum(len(block) for block in log.blocks(log.channels()[0])) == MESSAGES + 12

@@ -4,30 +4,33 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-import numpy as np
-
+from quatprop.concurrency.threads import Deferred, prefetch
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
 from quatprop.containers.file_source import FileSource, source_of
 from quatprop.containers.limits import DecompressionBudget
-from quatprop.containers.loading import LARGE, load_ahead
 from quatprop.containers.time_range import TimedPart, TimeRange, parts_within, span_of
 from quatprop.errors import UnreadableLogError, os_reason
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
     from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from quatprop.containers.compression import Buffer
-
-    Bytes = NDArray[np.uint8]
 
 
 Chunk = TypeVar("Chunk", bound=TimedPart)
+Content = TypeVar("Content")
+Item = TypeVar("Item")
+
+GROUP = 1 << 20
+"""Bytes of chunks that are loaded together, which stay in the processor's cache until decoded."""
+
+FIRST = 1 << 16
+"""Bytes of the first group, for who reads only the beginning; each is twice the one before."""
+
+LARGE = 1 << 26
+"""Bytes from which a chunk is not loaded ahead of its use."""
 
 
 class ChunkedLog(MessageLog, Generic[Chunk]):
@@ -107,31 +110,8 @@ class ChunkedLog(MessageLog, Generic[Chunk]):
         self.source.close()
 
 
-@dataclass(frozen=True, eq=False)
-class ChunkContent:
-    """What was loaded of a chunk.
-
-    Parameters
-    ----------
-    data
-        Its decompressed records, as far as they could be read.
-    damage
-        Why they end early, or ``""``.
-    offsets
-        Where the selected messages begin in `data`, which holds copies of them and little else;
-        None where it holds all records.
-    """
-
-    data: Buffer | Bytes = b""
-    damage: str = ""
-    offsets: NDArray[np.int64] | None = None
-
-
-Content = TypeVar("Content", bound=ChunkContent)
-
-
 class ChunkReader(ABC, Generic[Chunk, Content]):
-    """Reads the messages of one channel; each format says how.
+    """Reads the messages of one channel; each format says how to load a chunk and to locate them.
 
     Parameters
     ----------
@@ -149,95 +129,76 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
 
     @abstractmethod
     def size_of(self, chunk: Chunk) -> int:
-        """Return the bytes of the records of a chunk, as far as that is known; else 0."""
+        """Return about how many bytes of a chunk are loaded; 0 where that is not known."""
 
     @abstractmethod
-    def is_mixed(self, chunk: Chunk) -> bool:
-        """Return whether a chunk is known to hold other channels, and where its messages are."""
-
-    @abstractmethod
-    def whole(self, chunk: Chunk) -> Content:
-        """Return the records of a chunk. Called in other threads."""
-
-    @abstractmethod
-    def selected(self, chunk: Chunk, whole: Content | None = None) -> Content | None:
-        """Return copies of the wanted messages of a mixed chunk; None where all are needed.
-
-        Called in other threads.
-
-        Parameters
-        ----------
-        chunk
-            The chunk.
-        whole
-            All of it; None to read a part of the file only, where that is quicker.
-        """
-
-    @abstractmethod
-    def messages_at(self, content: Content, chunk: Chunk) -> MessageBlock | None:
-        """Return the messages that were selected; None where they are others."""
-
-    @abstractmethod
-    def only_messages(self, data: Bytes, chunk: Chunk) -> tuple[MessageBlock, int] | None:
-        """Return the messages of a chunk, and the id that they all have in it.
-
-        None where anything else is between them, or they differ in length.
-        """
-
-    @abstractmethod
-    def may_have(self, chunk: Chunk, log_ns: NDArray[np.int64], id_: int) -> bool:
-        """Return whether an id is wanted, and a chunk has messages of it with these log times.
-
-        That is, as many by the index, and within the range of log times that it states.
-        """
+    def load(self, chunk: Chunk) -> Content:
+        """Return a chunk, or only its wanted messages. Called in other threads."""
 
     @abstractmethod
     def messages(self, content: Content, chunk: Chunk) -> MessageBlock | None:
-        """Return the messages of a whole chunk, and note what is lost of them."""
+        """Return the messages of a loaded chunk, and note what is lost of them."""
 
     def blocks(self, chunks: Sequence[Chunk]) -> Iterator[MessageBlock]:
         """Yield the messages in some chunks, in their order.
 
         Chunks are read and decompressed ahead, in threads.
         """
-        self._announce(chunks)
+        ranges = [each for chunk in chunks for each in self.expected(chunk)]
+        self.source.expect([begin for begin, _ in ranges], [end for _, end in ranges])
         bounds = [*(chunk.first_ns for chunk in chunks[1:]), LATEST]
-        sized = ((chunk, self._size(chunk)) for chunk in chunks)
-        with closing(load_ahead(sized, self._load)) as loaded:
+        sized = ((chunk, self.size_of(chunk)) for chunk in chunks)
+        with closing(load_ahead(sized, self.load)) as loaded:
             for (chunk, content), bound in zip(loaded, bounds, strict=False):
-                block = self.located(content, chunk)
+                block = self.messages(content, chunk)
                 if block:
                     yield replace(block, not_before_ns=bound)
 
-    def _announce(self, chunks: Sequence[Chunk]) -> None:
-        ranges = [each for chunk in chunks for each in self.expected(chunk)]
-        self.source.expect([begin for begin, _ in ranges], [end for _, end in ranges])
 
-    def _size(self, chunk: Chunk) -> int | None:
-        """Return the bytes of the records of a chunk; None where only some of them are kept."""
-        size = self.size_of(chunk)
-        return None if size <= LARGE and self.is_mixed(chunk) else size or None
+def load_ahead(
+    sized: Iterable[tuple[Chunk, int]], load: Callable[[Chunk], Content]
+) -> Generator[tuple[Chunk, Content], None, None]:
+    """Load chunks, whose sizes stand beside them, in other threads; yield each with its content.
 
-    def _load(self, chunk: Chunk) -> Content:
-        """Return the wanted messages of a mixed chunk, or all of a chunk."""
-        if not self.is_mixed(chunk):
-            return self.whole(chunk)
-        content = self.selected(chunk)
-        if content is None:
-            content = self.whole(chunk)
-            if not content.damage:
-                content = self.selected(chunk, content) or content
-        return content
+    Each has memory of its own, as long as what was read of it.
+    """
 
-    def located(self, content: Content, chunk: Chunk) -> MessageBlock | None:
-        """Return the messages of a loaded chunk."""
-        if content.offsets is not None:
-            block = self.messages_at(content, chunk)
-            if block is not None:
-                return block
-            content = self.whole(chunk)
-        if not content.damage:
-            found = self.only_messages(np.frombuffer(content.data, np.uint8), chunk)
-            if found and self.may_have(chunk, found[0].log_ns, found[1]):
-                return found[0]
-        return self.messages(content, chunk)
+    def loaded(chunks: list[Chunk]) -> list[tuple[Chunk, Content]]:
+        return [(chunk, load(chunk)) for chunk in chunks]
+
+    def load_group(
+        group: tuple[list[Chunk], bool],
+    ) -> list[tuple[Chunk, Content]] | Deferred[list[tuple[Chunk, Content]]]:
+        chunks, is_large = group
+        return Deferred(lambda: loaded(chunks)) if is_large else loaded(chunks)
+
+    with closing(prefetch(load_group, in_groups(sized))) as groups:
+        for group in groups:
+            yield from group
+
+
+def in_groups(sized: Iterable[tuple[Item, int]]) -> Iterator[tuple[list[Item], bool]]:
+    """Yield chunks in groups, and whether each is so large that it is loaded when it is its turn.
+
+    Handing over each chunk by itself would cost as much as decompressing it.
+
+    Examples
+    --------
+    >>> [chunks for chunks, _ in in_groups([("a", 5), ("b", 70_000), ("c", 0), ("d", 3)])]
+    [['a'], ['b'], ['c', 'd']]
+    """
+    chunks: list[Item] = []
+    room, limit = 0, min(FIRST, GROUP)
+    for chunk, size in sized:
+        # One whose size is not known is taken to fill a sixteenth of a group.
+        share = size or GROUP >> 4
+        if chunks and (size > LARGE or room + share > limit):
+            yield chunks, False
+            chunks, room, limit = [], 0, min(GROUP, 2 * limit)
+        if size > LARGE:
+            yield [chunk], True
+        else:
+            chunks.append(chunk)
+            room += share
+    if chunks:
+        yield chunks, False

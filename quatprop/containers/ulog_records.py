@@ -125,6 +125,9 @@ def walk_records(source: FileSource, position: int, end: int, records: Records) 
             position = _without_swallowed(source, position, records)
             after = _after_damage(source, position, end, records)
             reason = f"its records cannot be followed for {after - position} bytes"
+            if source.read(position, len(_MAGIC)) == _MAGIC:
+                follow = "bytes follow the log and are not read; was another joined to it?"
+                reason = f"{after - position} {follow}"
             records.losses.note(f"byte {position}", reason)
             size = after - position
         position += size

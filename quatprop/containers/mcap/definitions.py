@@ -15,12 +15,14 @@ from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.messages import messages_at
 from quatprop.containers.mcap.records import MALFORMED, read_channel, read_schema
 from quatprop.containers.mcap.regions import CHANNEL, SCHEMA, ChunkHead, Region, load
+from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import walk_records
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from quatprop.containers.compression import Buffer
     from quatprop.containers.file_source import FileSource
-    from quatprop.containers.mcap.summary import McapIndex
 
 IDS = 1 << 16
 """Ids that the records of one part can have."""
@@ -146,6 +148,63 @@ def _define_from(
         region.counts = messages.counts() if messages else {}
         region.holds = dict.fromkeys(region.counts, 0)
     return True
+
+
+class DefinitionCheck:
+    """Compares definitions inside chunks, where the format forbids new ones, with the index.
+
+    So no message goes to a topic that it is not of.
+
+    Parameters
+    ----------
+    index
+        The definitions by which its messages are read.
+    """
+
+    def __init__(self, index: McapIndex) -> None:
+        self.index = index
+        self._found: dict[tuple[int, int, bytes], tuple[list[int], str, str]] = {}
+
+    def check(
+        self,
+        data: Buffer,
+        definitions: Sequence[tuple[int, int, int]],
+        region: Region,
+        ids: Sequence[int],
+    ) -> None:
+        """Compare the definitions of a region: opcode, and begin and end of each in `data`.
+
+        Raises
+        ------
+        UnreadableDataError
+            A channel that is read, or its schema, is redefined there.
+        """
+        for opcode, begin, end in definitions:
+            record = region.first_id, opcode, bytes(data[begin:end])
+            if record not in self._found:
+                self._found[record] = self._redefined(*record)
+            channels, what, change = self._found[record]
+            if not set(ids).isdisjoint(region.own(channels)):
+                raise UnreadableDataError(
+                    f"it redefines {what} ({change}), so it is not certain whose messages these are"
+                )
+
+    def _redefined(self, first_id: int, opcode: int, content: bytes) -> tuple[list[int], str, str]:
+        """Return which channels a record redefines, its id, and how it differs."""
+        index, here = self.index, McapIndex()
+        here.define(opcode, content, "", first_id)
+        for kind, earlier, later in (
+            ("channel", index.channels, here.channels),
+            ("schema", index.schemas, here.schemas),
+        ):
+            for id_ in earlier.keys() & later.keys():
+                before, now = earlier[id_].identity, later[id_].identity
+                if before != now:
+                    by_schema = [c.id for c in index.channels.values() if c.schema_id == id_]
+                    channels = [id_] if kind == "channel" else by_schema
+                    change = f"is now {now[0]}" if before[0] != now[0] else "has changed"
+                    return channels, f"{kind} {id_ % IDS}", f"{before[0]} {change}"
+        return [], "", ""
 
 
 def ids_by_channel(index: McapIndex) -> dict[Channel, list[int]]:

@@ -2,37 +2,41 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from quatprop.containers.byte_ranges import LARGE
+import numpy as np
+
+from quatprop.containers.byte_ranges import LARGE, SHARE, ranges_worth_reading
 from quatprop.containers.chunks import ChunkReader
 from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.limits import CHECKSUMS, checksums_matter
-from quatprop.containers.mcap.index import UNDEFINED
 from quatprop.containers.mcap.messages import (
+    heads_at,
     index_of,
     indexed_offsets,
     messages_at,
     messages_past_damage,
-    only_messages,
 )
-from quatprop.containers.mcap.regions import PEEK, Loaded, Region, load
-from quatprop.containers.mcap.selected import selected_messages
-from quatprop.containers.mcap.walk import walk_records
+from quatprop.containers.mcap.regions import MESSAGE, PEEK, RECORD, Loaded, Region, head_of, load
+from quatprop.containers.mcap.walk import MESSAGE_HEAD, walk_records
 from quatprop.errors import UnsupportedLogError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from quatprop.containers.base import MessageBlock
     from quatprop.containers.file_source import FileSource
+    from quatprop.containers.mcap.definitions import DefinitionCheck
     from quatprop.containers.mcap.messages import LocatedMessages
-    from quatprop.containers.mcap.redefinitions import DefinitionCheck
 
-    Bytes = NDArray[np.uint8]
+    Offsets = NDArray[np.int64]
+
+
+UNDEFINED = "no record defines it"
+"""Why the messages of a channel are lost."""
 
 
 class McapReader(ChunkReader[Region, Loaded]):
@@ -77,80 +81,86 @@ class McapReader(ChunkReader[Region, Loaded]):
         return [(chunk.start, max(chunk.end, head_end))]
 
     def size_of(self, chunk: Region) -> int:
-        """Return the bytes of the records of a region by the index."""
-        return chunk.size
-
-    def is_mixed(self, chunk: Region) -> bool:
-        """Return whether a region is a chunk with other channels, by an index of its messages."""
-        if not chunk.is_chunk or not chunk.index_length or chunk.holds is None:
-            return False
-        return not set(chunk.holds) <= set(chunk.own(self.ids))
+        """Return about how many bytes of a region are loaded, by the index."""
+        return chunk.size // SHARE if self._is_read_in_part(chunk) else chunk.size
 
     def _is_read_in_part(self, chunk: Region) -> bool:
-        return chunk.is_uncompressed and chunk.length >= LARGE and self.is_mixed(chunk)
+        """Return whether a region is a large chunk with others, with an index of its messages."""
+        is_indexed = chunk.index_length and chunk.holds is not None
+        if not is_indexed or not chunk.is_uncompressed or chunk.length < LARGE:
+            return False
+        return not set(chunk.ids) <= set(self.ids)
 
-    def whole(self, chunk: Region) -> Loaded:
-        """Return the records of a region."""
+    def load(self, chunk: Region) -> Loaded:
+        """Return the records of a region, or only the wanted messages of a large chunk."""
+        if self._is_read_in_part(chunk):
+            with suppress(UnreadableDataError, OSError):
+                selected = self._selected(chunk)
+                if selected is not None:
+                    return selected
+        return self._whole(chunk)
+
+    def _whole(self, chunk: Region) -> Loaded:
         try:
             return load(self.source, chunk, self.budget)
         except UnreadableDataError as error:
             return Loaded(damage=error.reason, is_readable=False)
 
-    def selected(self, chunk: Region, whole: Loaded | None = None) -> Loaded | None:
-        """Return copies of the wanted messages of a chunk, if they are all that is needed."""
-        if whole is None and not self._is_read_in_part(chunk):
-            return None
-        own = chunk.own(self.ids)
-        try:
-            return selected_messages(self.source, chunk, own, self.definitions, whole)
-        except (UnreadableDataError, OSError):
-            return None  # it is read whole, compared with its checksum, and the error noted
+    def _selected(self, chunk: Region) -> Loaded | None:
+        """Return the wanted messages of a chunk; None where it is better read whole.
 
-    def messages_at(self, content: Loaded, chunk: Region) -> MessageBlock | None:
-        """Return the messages that were selected; None where they are others."""
-        offsets = content.offsets
-        messages = None if offsets is None else messages_at(content.data, offsets)
+        What precedes the first message is read, too, and the heads of all records, which show that
+        nothing is hidden between them. The checksum is that of the whole chunk.
+
+        Raises
+        ------
+        UnreadableDataError
+            The chunk redefines a wanted channel.
+        """
+        own, index = chunk.own(self.ids), index_of(self.source, chunk)
+        wanted, every = indexed_offsets(index, chunk, own), indexed_offsets(index, chunk)
+        head = head_of(self.source, chunk)
+        is_right = head is not None and head.is_uncompressed and head.size == chunk.size
+        if head is None or not is_right or wanted is None or every is None or not len(every):
+            return None
+        is_wanted, nexts = np.isin(every, wanted), np.append(every[1:], chunk.size)
+        ends = np.where(is_wanted, nexts, np.minimum(every + MESSAGE_HEAD.itemsize, nexts))
+        starts, ends = np.append(0, every), np.append(every[:1], ends)
+        ranges = ranges_worth_reading(starts, ends, chunk.size)
+        if ranges is None:
+            return None
+        at = chunk.start + head.begin
+        data = self.source.read_ranges((at + ranges.begins).tolist(), (at + ranges.ends).tolist())
+        begins = every - ranges.moved[1:]
+        heads = heads_at(data, begins) if len(data) == ranges.size else None
         if (
-            messages is None
-            or not messages.are_all_of(chunk.own(self.ids))
-            or not chunk.may_have_logged(messages.block.log_ns)
+            heads is None
+            or (heads["length"] != nexts - every - RECORD.size).any()
+            or (np.isin(heads["channel"], own) != is_wanted).any()
         ):
-            self.unchecked.discard(chunk.start)
             return None
-        return messages.block
-
-    def located(self, content: Loaded, chunk: Region) -> MessageBlock | None:
-        """Return the messages of a loaded region."""
-        if content.is_partial:
-            self.unchecked.add(chunk.start)
-        return super().located(content, chunk)
-
-    def only_messages(self, data: Bytes, chunk: Region) -> tuple[MessageBlock, int] | None:
-        """Return the messages of a region that holds nothing else behind its definitions."""
-        try:
-            begin = self.definitions.check_leading(data.data, chunk, chunk.own(self.ids))
-        except UnreadableDataError:
-            return None
-        messages = only_messages(data.data, begin)
-        return None if messages is None else (messages.block, int(messages.channels[0]))
-
-    def may_have(self, chunk: Region, log_ns: NDArray[np.int64], id_: int) -> bool:
-        """Return whether an id is wanted, and a region may have messages with these log times."""
-        is_counted = id_ in chunk.own(self.ids) and chunk.count(id_) in {len(log_ns), None}
-        return is_counted and chunk.may_have_logged(log_ns)
+        walked = walk_records(data[: begins[0]])
+        self.definitions.check(data, walked.definitions, chunk, own)
+        return Loaded(data, offsets=begins[is_wanted])
 
     def messages(self, content: Loaded, chunk: Region) -> MessageBlock | None:
-        """Return the messages of one region, and note what is lost of them.
+        """Return the messages of a loaded region, and note what is lost of them.
 
         Raises
         ------
         UnsupportedLogError
             A chunk redefines the channel.
         """
+        if content.offsets is not None:
+            selected = messages_at(content.data, content.offsets)
+            if selected is not None and chunk.may_have_logged(selected.block.log_ns):
+                self.unchecked.add(chunk.start)
+                return selected.block
+            content = self._whole(chunk)
         reason = content.damage
         if content.is_readable:
             try:
-                messages = self._by_index_or_walk(content, chunk)
+                messages = self._located(content, chunk)
             except UnreadableDataError as error:
                 self._refuse_redefined(content, chunk, error)
                 reason = error.reason
@@ -162,37 +172,43 @@ class McapReader(ChunkReader[Region, Loaded]):
         self.lost += lost or 0
         return None
 
-    def _by_index_or_walk(self, loaded: Loaded, region: Region) -> LocatedMessages | None:
+    def _located(self, loaded: Loaded, region: Region) -> LocatedMessages | None:
         """Locate the messages of a region by its index or, if that fails, by its records."""
-        data, damage = loaded.data, loaded.damage
         ids = region.own(self.ids)
         index = index_of(self.source, region)
-        offsets = indexed_offsets(index, region, ids)
-        messages = None if offsets is None else messages_at(data, offsets)
-        if messages and messages.are_all_of(ids):
-            leading = self.definitions.check_leading(data, region, ids)
-            # Among other records there may be messages that no index lists.
-            if messages.fill(data, leading):
-                _check_times(loaded, region, messages)
-                return messages
+        listed, every = indexed_offsets(index, region, ids), indexed_offsets(index, region)
+        walked = walk_records(loaded.data, stop_at={MESSAGE})
+        messages = None if every is None else messages_at(loaded.data, every)
+        # Among other records there may be messages that no index lists.
+        if listed is None or not messages or not messages.fill(loaded.data, walked.end):
+            return self._walked(loaded, region, listed, every)
+        messages = messages.of(ids)
+        if len(messages) != len(listed):
+            return self._walked(loaded, region, listed, every)
+        self.definitions.check(loaded.data, walked.definitions, region, ids)
+        _check_times(loaded, region, messages)
+        return messages
+
+    def _walked(
+        self, loaded: Loaded, region: Region, listed: Offsets | None, every: Offsets | None
+    ) -> LocatedMessages | None:
+        """Locate the messages of a region by its records; the index says what is lost."""
+        data, damage, ids = loaded.data, loaded.damage, region.own(self.ids)
         walked = walk_records(data)
         self.definitions.check(data, walked.definitions, region, ids)
         if walked.malformed:
             self.losses.note(region.place, "too short to be messages", walked.malformed)
-        indexed = indexed_offsets(index, region, list(region.holds or ()))
-        if walked.end < len(data) and indexed is not None:
-            messages = messages_past_damage(data, walked.offsets, indexed)
+        if walked.end < len(data) and every is not None:
+            messages = messages_past_damage(data, walked.offsets, every)
         else:
             messages = messages_at(data, walked.offsets)
         if messages:
             _check_times(loaded, region, messages)
-        every = messages
-        messages = messages.of(ids) if messages else None
-        found = len(messages) if messages else 0
-        listed = found if offsets is None else len(offsets)
-        lost = max(0, listed - found - walked.malformed)
-        if every and not lost:
-            self._note_undefined(region, every)
+        wanted = messages.of(ids) if messages else None
+        found = len(wanted) if wanted else 0
+        lost = 0 if listed is None else max(0, len(listed) - found - walked.malformed)
+        if messages and not lost:
+            self._note_undefined(region, messages)
         if walked.end < len(data):
             damage = (
                 damage or f"its records cannot be followed beyond byte {walked.end} of {len(data)}"
@@ -202,7 +218,7 @@ class McapReader(ChunkReader[Region, Loaded]):
         if damage:
             self.losses.note(region.place, damage, lost or None, self.topic)
         self.lost += lost
-        return messages
+        return wanted
 
     def _refuse_redefined(self, loaded: Loaded, region: Region, error: UnreadableDataError) -> None:
         """Refuse a chunk that its checksum shows to be as it was written, not damaged."""

@@ -1,4 +1,4 @@
-"""Locate the messages of a decompressed chunk of an MCAP file, all at once.
+"""Locate the messages of a decompressed chunk of an MCAP file.
 
 Where messages begin is taken from the message index, and checked; if there is no index, or it
 disagrees with the records, the records are walked.
@@ -49,14 +49,12 @@ class LocatedMessages:
     def of(self, ids: Sequence[int]) -> LocatedMessages:
         """Return the messages of some channels."""
         wanted = _is_one_of(self.channels, ids)
+        if wanted.all():
+            return self
         return LocatedMessages(self.block.at(wanted), self.channels[wanted])
 
     def __len__(self) -> int:
         return len(self.channels)
-
-    def are_all_of(self, ids: Sequence[int]) -> bool:
-        """Return whether no message is of another channel."""
-        return bool(_is_one_of(self.channels, ids).all())
 
     def fill(self, data: Buffer, begin: int) -> bool:
         """Return whether nothing is between them, from `begin` to the end of the records."""
@@ -125,30 +123,6 @@ def messages_past_damage(
     return messages_at(data, walked)
 
 
-def only_messages(data: Buffer, begin: int) -> LocatedMessages | None:
-    """Return the messages of records that are all of one length and channel.
-
-    This is the usual chunk, and quick to check: neither its index nor a walk is needed.
-
-    Parameters
-    ----------
-    data
-        The decompressed records of one region, or of several that follow each other.
-    begin
-        Where the first message record begins.
-
-    Returns
-    -------
-    LocatedMessages or None
-        None where other records follow, or messages that differ in length or channel.
-    """
-    if len(data) - begin < _HEAD:
-        return None
-    _, length = RECORD.unpack_from(data, begin)
-    count, rest = divmod(len(data) - begin, RECORD.size + length)
-    return None if rest else _evenly_spaced(data, begin, count)
-
-
 def _evenly_spaced(data: Buffer, first: int, count: int) -> LocatedMessages | None:
     """Return so many messages of one length and channel with no other records between them."""
     opcode, length = RECORD.unpack_from(data, first)
@@ -171,18 +145,28 @@ def _anywhere(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | Non
     """Return the messages at ascending offsets; other records may lie between them."""
     if (offsets[1:] <= offsets[:-1]).any():
         return None
-    # One gather of whole heads is far cheaper than one of each field; a stride of 1 byte lets
-    # records begin anywhere.
-    every = np.ndarray((len(data) - _HEAD + 1,), f"V{_HEAD}", data, strides=(1,))
-    head = every[offsets].view(MESSAGE_HEAD)
+    head = heads_at(data, offsets)
+    if head is None:
+        return None
     length = head["length"]
     # A length below the minimum wraps to a very large one, as it has no sign.
-    if (head["opcode"] != MESSAGE).any() or (length - _FIXED > len(data)).any():
+    if (length - _FIXED > len(data)).any():
         return None
     ends = offsets + length.astype(np.int64) + RECORD.size
     if ends[-1] > len(data) or (ends[:-1] > offsets[1:]).any():
         return None
     return LocatedMessages(_block(data, offsets + _HEAD, ends, head), head["channel"])
+
+
+def heads_at(data: Buffer, offsets: NDArray[np.int64]) -> NDArray[np.void] | None:
+    """Return the heads of the messages at ascending offsets; None where others begin there."""
+    if offsets[-1] > len(data) - _HEAD:
+        return None
+    # One gather of whole heads is far cheaper than one of each field; a stride of 1 byte lets
+    # records begin anywhere.
+    every = np.ndarray((len(data) - _HEAD + 1,), f"V{_HEAD}", data, strides=(1,))
+    head = every[offsets].view(MESSAGE_HEAD)
+    return None if (head["opcode"] != MESSAGE).any() else head
 
 
 def _block(
@@ -208,8 +192,10 @@ def index_of(source: FileSource, region: Region) -> bytes:
         return b""
 
 
-def indexed_offsets(index: Buffer, region: Region, ids: Sequence[int]) -> NDArray[np.int64] | None:
-    """Return the offsets that the message indexes of some channels list.
+def indexed_offsets(
+    index: Buffer, region: Region, ids: Sequence[int] | None = None
+) -> NDArray[np.int64] | None:
+    """Return the offsets that the message indexes of some channels list, or those of all.
 
     Parameters
     ----------
@@ -218,18 +204,18 @@ def indexed_offsets(index: Buffer, region: Region, ids: Sequence[int]) -> NDArra
     region
         Says where each index is.
     ids
-        The channels.
+        The channels; None for all.
 
     Returns
     -------
     ndarray or None
-        Shape ``(N,)``, int64; None where there is no index or it is damaged.
+        Shape ``(N,)``, int64, ascending; None where there is no index or it is damaged.
     """
     if not region.index_length or region.holds is None:
         return None
     parts = []
-    for channel in ids:
-        if channel in region.holds:
+    for channel in region.holds:
+        if ids is None or channel in ids:
             entries = index_entries(index, region, region.holds[channel], channel)
             if entries is None:
                 return None

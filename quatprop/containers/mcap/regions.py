@@ -14,7 +14,6 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.checksum import crc32
-from quatprop.containers.chunks import ChunkContent
 from quatprop.containers.compression import (
     MAX_SIZE,
     UnreadableDataError,
@@ -144,24 +143,28 @@ class Region:
         return None if listed is None else listed.get(channel, 0)
 
 
-@dataclass(frozen=True, eq=False)
-class Loaded(ChunkContent):
+class Loaded(NamedTuple):
     """A region that was read.
 
     Parameters
     ----------
+    data
+        Its decompressed records, as far as they could be read.
+    damage
+        Why they end early, or ``""``.
     has_checksum
         Whether a checksum shows that it is as it was written.
-    is_partial
-        Whether only the selected messages were read.
     is_readable
         Whether anything of it can be read.
+    offsets
+        Where the wanted messages begin in `data`, which has little else; None where it is whole.
     """
 
     data: Buffer = b""
+    damage: str = ""
     has_checksum: bool = False
-    is_partial: bool = False
     is_readable: bool = True
+    offsets: NDArray[np.int64] | None = None
 
 
 TORN = "the file ends inside it"

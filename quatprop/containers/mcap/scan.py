@@ -15,12 +15,6 @@ from quatprop.containers.base import LATEST, Losses
 from quatprop.containers.compression import MAX_SIZE
 from quatprop.containers.limits import checksums_matter
 from quatprop.containers.mcap.definitions import Definitions, leading_definitions
-from quatprop.containers.mcap.extents import (
-    FIRST_PRIVATE_OPCODE,
-    attachment_end,
-    length_by_content,
-    opcode_by_content,
-)
 from quatprop.containers.mcap.messages import messages_at
 from quatprop.containers.mcap.regions import (
     ATTACHMENT,
@@ -37,7 +31,16 @@ from quatprop.containers.mcap.regions import (
     Region,
     chunk_head,
 )
-from quatprop.containers.mcap.resync import CHUNKS, RECORDS, is_record, next_record
+from quatprop.containers.mcap.resync import (
+    CHUNKS,
+    FIRST_PRIVATE_OPCODE,
+    RECORDS,
+    attachment_end,
+    is_record,
+    length_by_content,
+    next_record,
+    opcode_by_content,
+)
 from quatprop.containers.mcap.summary import MAGIC
 from quatprop.containers.mcap.walk import walk_records
 

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.base import Losses
-from quatprop.containers.chunks import ChunkContent
 from quatprop.containers.compression import UnreadableDataError, decompress, decompress_prefix
 from quatprop.containers.rosbag1.records import (
     OP_CHUNK,
@@ -95,18 +94,26 @@ class BagChunk:
         return {conn - self.first_conn for conn in connections}
 
 
-@dataclass(frozen=True)
-class ChunkRecords(ChunkContent):
-    """The decompressed records of a chunk.
+@dataclass(frozen=True, eq=False)
+class ChunkRecords:
+    """What was loaded of a chunk.
 
     Parameters
     ----------
+    data
+        Its decompressed records, as far as they could be read, shape ``(B,)``.
+    damage
+        Why they end early, or ``""``.
     read_index
         Reads the index data that follow the chunk.
+    offsets
+        Where the wanted messages begin in `data`, which has little else; None where it is whole.
     """
 
     data: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
+    damage: str = ""
     read_index: Callable[[], bytes] = bytes
+    offsets: NDArray[np.int64] | None = None
 
     @cached_property
     def entries(self) -> dict[int, NDArray[np.void]]:
@@ -209,12 +216,12 @@ def read_chunk(file: RecordFile, chunk: BagChunk, record: Record | None = None) 
     if compression == "none":
         records = file.at(record.data, length)
         damage = "its end is cut off" if len(records) < length else ""
-        return ChunkRecords(np.frombuffer(records, np.uint8), damage, read_index=index)
+        return ChunkRecords(np.frombuffer(records, np.uint8), damage, index)
     content = file.at(record.data, length)
     if len(content) < length:
         prefix = decompress_prefix(content, compression, size)
         damage = f"its {compression} data is cut off"
-        return ChunkRecords(np.frombuffer(prefix, np.uint8), damage, read_index=index)
+        return ChunkRecords(np.frombuffer(prefix, np.uint8), damage, index)
     data = decompress(content, compression, size)
     return ChunkRecords(np.frombuffer(data, np.uint8), read_index=index)
 

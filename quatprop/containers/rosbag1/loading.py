@@ -1,4 +1,8 @@
-"""Read the messages of a channel in the chunks of a ROS 1 bag, and note what is lost."""
+"""Read the messages of a channel in the chunks of a ROS 1 bag, and note what is lost.
+
+Bags have no checksums, but they say everything twice: chunk infos and the index data behind each
+chunk state how many messages every connection has, and chunks with their index data fill the file.
+"""
 
 from __future__ import annotations
 
@@ -7,26 +11,34 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.base import Losses, MessageBlock
-from quatprop.containers.byte_ranges import LARGE as LARGE_ENOUGH
+from quatprop.containers.byte_ranges import LARGE, SHARE, ranges_worth_reading
 from quatprop.containers.chunks import ChunkReader
 from quatprop.containers.compression import UnreadableDataError
-from quatprop.containers.rosbag1.accounting import record_of
-from quatprop.containers.rosbag1.index import BagChunk, ChunkRecords, offsets_of, read_chunk
-from quatprop.containers.rosbag1.messages import indexed_messages, only_messages
+from quatprop.containers.rosbag1.index import (
+    BagChunk,
+    ChunkRecords,
+    index_reader,
+    offsets_of,
+    read_chunk,
+)
+from quatprop.containers.rosbag1.messages import indexed_messages
 from quatprop.containers.rosbag1.records import (
     HEAD,
+    INDEX_ENTRY,
+    OP_CHUNK,
     OP_MESSAGE,
-    begin_of_messages,
+    index_data,
     surviving_records,
 )
-from quatprop.containers.rosbag1.selected import selected_messages
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Sequence
 
-    from numpy.typing import NDArray
+    from quatprop.containers.rosbag1.records import Record, RecordFile
 
-    from quatprop.containers.rosbag1.records import RecordFile
+
+_INDEX_HEAD = 55
+"""Bytes of an index data record before its entries, as recorders write it."""
 
 
 class BagReader(ChunkReader[BagChunk, ChunkRecords]):
@@ -50,30 +62,39 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
     def expected(self, chunk: BagChunk) -> list[tuple[int, int]]:
         """Return the bytes of a chunk, or of the head of one that is read in part."""
         head_end = chunk.start + HEAD
-        if self.is_mixed(chunk) and chunk.end - chunk.start >= LARGE_ENOUGH:
+        if self._may_be_read_in_part(chunk):
             if self._is_plain is None:
-                record = record_of(self.file, chunk)
-                self._is_plain = record is None or record.fields[b"compression"] == b"none"
+                self._is_plain = _is_plain(record_of(self.file, chunk))
             if self._is_plain:
                 return [(chunk.start, head_end)]
         return [(chunk.start, max(chunk.end, head_end))]
 
     def size_of(self, chunk: BagChunk) -> int:
-        """Return the bytes of the records of a chunk by its head."""
+        """Return about how many bytes of a chunk are loaded, by its head."""
         if chunk.is_unchunked:
             return chunk.end - chunk.start
         record = record_of(self.file, chunk)
         if record is None:
             return 0
-        is_plain = record.fields[b"compression"] == b"none"
-        return record.end - record.data if is_plain else record.number(b"size")
+        if not _is_plain(record):
+            return record.number(b"size")
+        size = record.end - record.data
+        return size // SHARE if self._may_be_read_in_part(chunk) else size
 
-    def is_mixed(self, chunk: BagChunk) -> bool:
-        """Return whether a chunk holds other connections."""
-        return not chunk.is_unchunked and not chunk.counts.keys() <= chunk.inside(self.connections)
+    def _may_be_read_in_part(self, chunk: BagChunk) -> bool:
+        """Return whether a chunk is large and holds other connections."""
+        is_large = chunk.end - chunk.start >= LARGE and not chunk.is_unchunked
+        return is_large and not chunk.counts.keys() <= chunk.inside(self.connections)
 
-    def whole(self, chunk: BagChunk) -> ChunkRecords:
-        """Return the records of a chunk."""
+    def load(self, chunk: BagChunk) -> ChunkRecords:
+        """Return the records of a chunk, or only the wanted messages of a large one."""
+        if self._may_be_read_in_part(chunk) and self._is_indexed(chunk, chunk.counts):
+            selected = self._selected(chunk)
+            if selected is not None:
+                return selected
+        return self._whole(chunk)
+
+    def _whole(self, chunk: BagChunk) -> ChunkRecords:
         if chunk.is_missing:
             return ChunkRecords(damage="a part of it is missing")
         try:
@@ -84,36 +105,37 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         self.budget.spend(0 if chunk.is_unchunked else len(loaded.data))
         return loaded
 
-    def selected(self, chunk: BagChunk, whole: ChunkRecords | None = None) -> ChunkRecords | None:
-        """Return copies of the wanted messages of a chunk, if they are all that is needed."""
+    def _selected(self, chunk: BagChunk) -> ChunkRecords | None:
+        """Return the wanted messages of a chunk; None where it is better read whole.
+
+        That is, if it is compressed or mostly wanted, or its index data is not what the bag says.
+        """
         record = record_of(self.file, chunk)
-        inside = chunk.inside(self.connections)
-        if record is None or not self._is_indexed(chunk, chunk.counts):
+        if record is None or not _is_plain(record) or record.end > chunk.end:
             return None
-        return selected_messages(self.file, chunk, record, inside, whole)
-
-    def messages_at(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
-        """Return the messages that were selected; None where they are others."""
-        if content.offsets is None:
+        size = record.end - record.data
+        entries = ChunkRecords(read_index=index_reader(self.file, chunk, record, size)).entries
+        indexed = offsets_of(entries)
+        is_double = (indexed[1:] == indexed[:-1]).any()
+        if is_double or {conn: len(rows) for conn, rows in entries.items()} != chunk.counts:
             return None
-        return indexed_messages(content.data, content.offsets, chunk.inside(self.connections))
-
-    def only_messages(
-        self,
-        data: NDArray[np.uint8],
-        chunk: BagChunk,  # noqa: ARG002  # its numbers are compared by `may_have`
-    ) -> tuple[MessageBlock, int] | None:
-        """Return the messages of a chunk that holds nothing else behind its definitions."""
-        begin = begin_of_messages(data)
-        return None if begin is None else only_messages(data, begin)
-
-    def may_have(self, chunk: BagChunk, log_ns: NDArray[np.int64], id_: int) -> bool:
-        """Return whether a connection is wanted, and a chunk has so many messages of it."""
-        return id_ in chunk.inside(self.connections) and chunk.counts.get(id_) == len(log_ns)
+        begins = offsets_of(entries, chunk.inside(self.connections))
+        nexts = np.append(indexed, size)[np.searchsorted(indexed, begins, "right")]
+        ranges = ranges_worth_reading(begins, nexts, size)
+        if ranges is None:
+            return None
+        places = record.data + ranges.begins, record.data + ranges.ends
+        data = np.frombuffer(self.file.at_ranges(*(each.tolist() for each in places)), np.uint8)
+        return ChunkRecords(data, offsets=begins - ranges.moved)
 
     def messages(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
         """Return the messages of one chunk, and note what is lost of them."""
         inside = chunk.inside(self.connections)
+        if content.offsets is not None:
+            selected = indexed_messages(content.data, content.offsets, inside)
+            if selected is not None:
+                return selected
+            content = self._whole(chunk)
         messages, damage = None, ""
         counts = {conn: len(rows) for conn, rows in content.entries.items() if conn in inside}
         expected = {conn: n for conn, n in chunk.counts.items() if conn in inside}
@@ -122,7 +144,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
             messages = indexed_messages(content.data, offsets_of(content.entries, inside), inside)
         if messages is None:
             messages, damage = _scanned(content, inside)
-        missing = sum(chunk.counts.get(conn, 0) for conn in inside) - len(messages)
+        missing = sum(expected.values()) - len(messages)
         if damage or missing > 0:
             reason = damage or "it has fewer messages than it says"
             self.losses.note(chunk.place, reason, missing or None, self.topic)
@@ -136,6 +158,10 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         return chunk.is_proved is not False or chunk.inside(self.connections) <= {*indexed}
 
 
+def _is_plain(record: Record | None) -> bool:
+    return record is None or record.fields[b"compression"] == b"none"
+
+
 def _scanned(content: ChunkRecords, wanted: set[int]) -> tuple[MessageBlock, str]:
     """Locate messages record by record; the string says why there may be more, or is ``""``."""
     records, damage = surviving_records(content.data, content.indexed_offsets)
@@ -146,3 +172,63 @@ def _scanned(content: ChunkRecords, wanted: set[int]) -> tuple[MessageBlock, str
     ]
     starts, ends, log_ns = np.array(rows, np.int64).reshape(-1, 3).T.copy()
     return MessageBlock(content.data, starts, ends, log_ns, log_ns), content.damage or damage
+
+
+def accounts_for_all(file: RecordFile, chunks: Sequence[BagChunk]) -> bool:
+    """Return whether each of some chunks and its index data end where the next chunk begins."""
+    unchecked = [chunk for chunk in chunks if not chunk.is_checked]
+    begins = [chunk.start for chunk in unchecked]
+    file.source.expect(begins, [begin + HEAD for begin in begins])
+    for chunk in unchecked:
+        chunk.is_checked = _fills_its_place(file, chunk)
+        if not chunk.is_checked:
+            return False
+    return True
+
+
+def prove(file: RecordFile, chunks: Sequence[BagChunk]) -> None:
+    """Note of which chunks the index data agree with the chunk infos."""
+    begins = [chunk.start for chunk in chunks]
+    file.source.expect(begins, [begin + HEAD for begin in begins])
+    ends = [record.end if (record := record_of(file, chunk)) else chunk.end for chunk in chunks]
+    file.source.expect(
+        ends, [max(pair) for pair in zip((c.end for c in chunks), ends, strict=True)]
+    )
+    for chunk in chunks:
+        chunk.is_proved = _is_indexed_alike(file, chunk)
+
+
+def record_of(file: RecordFile, chunk: BagChunk) -> Record | None:
+    """Return the record of a chunk; None where there is none that is whole."""
+    if chunk.record is None and not chunk.is_missing:
+        try:
+            record = file.record(chunk.start)
+            record.number(b"size")
+            is_chunk = record.op == OP_CHUNK and b"compression" in record.fields
+        except UnreadableDataError:
+            return None
+        if is_chunk and record.end <= file.size:
+            chunk.record = record
+    return chunk.record
+
+
+def _fills_its_place(file: RecordFile, chunk: BagChunk) -> bool:
+    record = record_of(file, chunk)
+    if record is None:
+        return False
+    size = sum(_INDEX_HEAD + INDEX_ENTRY.itemsize * count for count in chunk.counts.values())
+    return record.end + size == chunk.end or _is_indexed_alike(file, chunk)
+
+
+def _is_indexed_alike(file: RecordFile, chunk: BagChunk) -> bool:
+    """Return whether index data fill the place behind a chunk, and state what its info does."""
+    record = record_of(file, chunk)
+    # They take less than the messages, but for a few that are empty.
+    if record is None or not 0 <= chunk.end - record.end <= 2 * record.number(b"size"):
+        return False
+    try:
+        data = file.at(record.end, chunk.end - record.end)
+    except UnreadableDataError:
+        return False
+    entries, end = index_data(data)
+    return end == len(data) and {conn: len(rows) for conn, rows in entries.items()} == chunk.counts

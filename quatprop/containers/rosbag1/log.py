@@ -13,9 +13,8 @@ from rosbags.typesys.msg import normalize_msgtype
 from quatprop.containers.base import Channel, MessageBlock, by_topic
 from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.compression import UnreadableDataError
-from quatprop.containers.rosbag1.accounting import accounts_for_all, prove
 from quatprop.containers.rosbag1.index import MAGIC, BagChunk, BagIndex, read_index
-from quatprop.containers.rosbag1.loading import BagReader
+from quatprop.containers.rosbag1.loading import BagReader, accounts_for_all, prove
 from quatprop.containers.rosbag1.rebuild import rebuild_index
 from quatprop.containers.rosbag1.records import OP_BAG_HEADER, RecordFile
 from quatprop.containers.rosbag1.resync import RECORDS

@@ -1,4 +1,4 @@
-"""Locate the messages of a connection in a decompressed chunk, all at once, by its index data."""
+"""Locate the messages of a connection in a decompressed chunk, by its index data."""
 
 from __future__ import annotations
 
@@ -15,42 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from numpy.typing import NDArray
-
-
-def only_messages(data: NDArray[np.uint8], begin: int) -> tuple[MessageBlock, int] | None:
-    """Locate the messages of records that are all of one length and connection.
-
-    This is the usual chunk, and quick to check: neither its index nor a walk is needed.
-
-    Parameters
-    ----------
-    data
-        The decompressed records of one chunk, or of several that follow each other.
-    begin
-        Where the first message record begins.
-
-    Returns
-    -------
-    tuple or None
-        The messages, and their connection; None where other records follow, or messages that
-        differ in length or connection.
-    """
-    layout = _message_layout(data.data, begin)
-    if layout is None:
-        return None
-    size = layout.itemsize
-    length = int.from_bytes(data[begin + size - 4 : begin + size].tobytes(), "little")
-    stride = size + length
-    count, rest = divmod(len(data) - begin, stride)
-    if rest or not count:
-        return None
-    headers = np.ndarray((count,), f"V{size}", data, begin, (stride,)).copy().view(layout)
-    conn = int(headers["conn"][0])
-    if not _are_of(headers, [conn]) or np.count_nonzero(headers["size"] != length):
-        return None
-    starts = np.arange(begin + size, begin + size + count * stride, stride)
-    log_ns = _log_ns(headers)
-    return MessageBlock(data, starts, starts + length, log_ns, log_ns, stride=stride), conn
 
 
 def indexed_messages(
@@ -80,19 +44,26 @@ def indexed_messages(
     layout = _message_layout(data.data, first)
     if layout is None or last + layout.itemsize > len(data):
         return None
-    # An overlapping view gathers the heads with one copy of a few bytes a message; what follows
-    # then works in a small array instead of the whole chunk.
-    size = layout.itemsize
-    every = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))
-    headers = every[offsets].view(layout)
+    size, count = layout.itemsize, len(offsets)
+    stride = size + int.from_bytes(data[first + size - 4 : first + size].tobytes(), "little")
+    if (offsets[1:] - offsets[:-1] == stride).all():
+        every = np.ndarray((count,), f"V{size}", data, first, (stride,)).copy()
+    else:
+        # An overlapping view gathers the heads with one copy of a few bytes a message; what
+        # follows then works in a small array instead of the whole chunk.
+        every = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))[offsets]
+        stride = 0
+    headers = every.view(layout)
     if not _are_of(headers, connections):
         return None
     starts = offsets + size
     ends = starts + headers["size"]
+    if np.count_nonzero(headers["size"] != stride - size):
+        stride = 0
     if int(ends[-1]) > len(data) or not (offsets[1:] >= ends[:-1]).all():
         return None
     log_ns = _log_ns(headers)
-    return MessageBlock(data, starts, ends, log_ns, log_ns)
+    return MessageBlock(data, starts, ends, log_ns, log_ns, stride=stride)
 
 
 def _are_of(headers: NDArray[np.void], connections: Iterable[int]) -> bool:

@@ -218,13 +218,6 @@ def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:
         at = record.end
 
 
-def begin_of_messages(data: NDArray[np.uint8]) -> int | None:
-    """Return where the first message of a decompressed chunk begins; None where none is found."""
-    with suppress(UnreadableDataError):
-        return next((each.start for each in walked_records(data) if each.op == OP_MESSAGE), None)
-    return None
-
-
 def surviving_records(
     data: NDArray[np.uint8], indexed: NDArray[np.int64]
 ) -> tuple[list[Record], str]:

@@ -6,9 +6,11 @@ accepted if its fields and lengths are consistent, or if it leads to further rec
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 from quatprop.containers.compression import UnreadableDataError
+from quatprop.containers.resync import first_accepted
 from quatprop.containers.rosbag1.records import (
     INDEX_ENTRY,
     OP_BAG_HEADER,
@@ -22,7 +24,7 @@ from quatprop.containers.rosbag1.records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator
+    from collections.abc import Container
 
     from quatprop.containers.rosbag1.records import Record, RecordFile
 
@@ -36,8 +38,10 @@ RECORDS = frozenset(
 
 COMPRESSIONS = (b"none", b"bz2", b"lz4")
 
-_OP = b"\x04\0\0\0op="
-_WINDOW = 1 << 22
+_OP = rb"\x04\x00\x00\x00op=(.)"
+_OP_SIZE = 8
+"""Bytes of a field with the kind of a record."""
+
 _REACH = 1 << 10
 """Bytes of a header that may precede the field with its kind."""
 
@@ -65,15 +69,17 @@ def next_record(file: RecordFile, start: int, stop: int, kinds: Container[int]) 
     int or None
         None where there is no such record.
     """
-    tries = _TRIES
-    for place in _ops(file, start, stop + _REACH, kinds):
+
+    def found(window: bytes) -> list[int]:
+        return [op.start() for op in re.finditer(_OP, window, re.DOTALL) if op[1][0] in kinds]
+
+    def accepted(place: int) -> int | None:
         record = _around(file, place, start)
-        if record is not None and record.start < stop and _is_record(file, record):
-            return record.start
-        tries -= 1
-        if tries == 0:
-            break
-    return None
+        is_found = record is not None and record.start < stop and _is_record(file, record)
+        return record.start if record and is_found else None
+
+    within = start, min(stop + _REACH, file.size), _OP_SIZE - 1
+    return first_accepted(file.at, within, found, accepted, _TRIES)
 
 
 def is_chunk(record: Record) -> bool:
@@ -87,17 +93,6 @@ def is_chunk(record: Record) -> bool:
     return compression in COMPRESSIONS and (compression != b"none" or size == length)
 
 
-def _ops(file: RecordFile, start: int, stop: int, kinds: Container[int]) -> Iterator[int]:
-    """Yield the places of fields that hold the kind of a record."""
-    for begin in range(start, min(stop, file.size), _WINDOW):
-        window = file.at(begin, min(_WINDOW + len(_OP), stop - begin))
-        at = window.find(_OP)
-        while 0 <= at < len(window) - len(_OP):
-            if window[at + len(_OP)] in kinds:
-                yield begin + at
-            at = window.find(_OP, at + 1)
-
-
 def _around(file: RecordFile, op: int, start: int) -> Record | None:
     """Return the record whose kind is at a place; None if no header is around it."""
     first = max(start, op - _REACH)
@@ -105,7 +100,7 @@ def _around(file: RecordFile, op: int, start: int) -> Record | None:
     for at in range(op - first - 4, -1, -1):
         size = int.from_bytes(data[at : at + 4], "little")
         # The header ends after the field, and not far from it.
-        if not op - first + len(_OP) + 1 <= at + 4 + size <= len(data):
+        if not op - first + _OP_SIZE <= at + 4 + size <= len(data):
             continue
         try:
             record = record_at(data, at, first)

@@ -9,8 +9,7 @@ import apsw
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog, by_topic
 from quatprop.containers.compressed_messages import decompressed
 from quatprop.containers.file_source import FileSource
-from quatprop.containers.rosbag2.db3_indexes import check_indexes, has_rowid
-from quatprop.containers.rosbag2.db3_topics import columns_of, read_topics
+from quatprop.containers.rosbag2.db3_tables import check_indexes, columns_of, has_rowid, read_topics
 from quatprop.containers.rosbag2.fetches import ROWS, Fetch, combined, fetch_of, fetched, next_group
 from quatprop.containers.rosbag2.parts import custom_data
 from quatprop.containers.rosbag2.sqlite_files import (
