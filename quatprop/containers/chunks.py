@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from quatprop.concurrency.threads import Deferred, prefetch
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
+from quatprop.containers.byte_ranges import SHARE
+from quatprop.containers.coalesce import compacted
 from quatprop.containers.file_source import FileSource, source_of
 from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.time_range import TimedPart, TimeRange, parts_within, span_of
@@ -129,15 +131,26 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
 
     @abstractmethod
     def size_of(self, chunk: Chunk) -> int:
-        """Return about how many bytes of a chunk are loaded; 0 where that is not known."""
+        """Return the bytes of the records of a chunk; 0 where that is not known."""
+
+    @abstractmethod
+    def is_mixed(self, chunk: Chunk) -> bool:
+        """Return whether a chunk is known to hold other channels, too."""
 
     @abstractmethod
     def load(self, chunk: Chunk) -> Content:
-        """Return a chunk, or only its wanted messages. Called in other threads."""
+        """Return a chunk, or a part that has its wanted messages. Called in other threads."""
+
+    @abstractmethod
+    def indexed(self, content: Content, chunk: Chunk) -> MessageBlock | None:
+        """Return the messages of a loaded chunk by its index; None where that is not certain.
+
+        Called in other threads.
+        """
 
     @abstractmethod
     def messages(self, content: Content, chunk: Chunk) -> MessageBlock | None:
-        """Return the messages of a loaded chunk, and note what is lost of them."""
+        """Return the messages of a loaded chunk by its records, and note what is lost of them."""
 
     def blocks(self, chunks: Sequence[Chunk]) -> Iterator[MessageBlock]:
         """Yield the messages in some chunks, in their order.
@@ -147,28 +160,45 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         ranges = [each for chunk in chunks for each in self.expected(chunk)]
         self.source.expect([begin for begin, _ in ranges], [end for _, end in ranges])
         bounds = [*(chunk.first_ns for chunk in chunks[1:]), LATEST]
-        sized = ((chunk, self.size_of(chunk)) for chunk in chunks)
-        with closing(load_ahead(sized, self.load)) as loaded:
+        sized = ((chunk, self._share(chunk)) for chunk in chunks)
+        with closing(load_ahead(sized, self._load)) as loaded:
             for (chunk, content), bound in zip(loaded, bounds, strict=False):
-                block = self.messages(content, chunk)
+                block = self._located(content, chunk)
                 if block:
                     yield replace(block, not_before_ns=bound)
 
+    def _load(self, chunk: Chunk) -> Content | MessageBlock:
+        """Return a chunk, or copies of its messages: the memory of a mixed one is used again."""
+        content = self.load(chunk)
+        block = self.indexed(content, chunk) if self.is_mixed(chunk) else None
+        return content if block is None else compacted(block)
+
+    def _located(self, content: Content | MessageBlock, chunk: Chunk) -> MessageBlock | None:
+        if isinstance(content, MessageBlock):
+            return content
+        block = self.indexed(content, chunk)
+        return self.messages(content, chunk) if block is None else block
+
+    def _share(self, chunk: Chunk) -> int:
+        """Return how much of a group a chunk is, bytes: of a mixed one little is decoded."""
+        size = self.size_of(chunk)
+        return size // SHARE if size <= LARGE and self.is_mixed(chunk) else size
+
 
 def load_ahead(
-    sized: Iterable[tuple[Chunk, int]], load: Callable[[Chunk], Content]
-) -> Generator[tuple[Chunk, Content], None, None]:
+    sized: Iterable[tuple[Item, int]], load: Callable[[Item], Content]
+) -> Generator[tuple[Item, Content], None, None]:
     """Load chunks, whose sizes stand beside them, in other threads; yield each with its content.
 
     Each has memory of its own, as long as what was read of it.
     """
 
-    def loaded(chunks: list[Chunk]) -> list[tuple[Chunk, Content]]:
+    def loaded(chunks: list[Item]) -> list[tuple[Item, Content]]:
         return [(chunk, load(chunk)) for chunk in chunks]
 
     def load_group(
-        group: tuple[list[Chunk], bool],
-    ) -> list[tuple[Chunk, Content]] | Deferred[list[tuple[Chunk, Content]]]:
+        group: tuple[list[Item], bool],
+    ) -> list[tuple[Item, Content]] | Deferred[list[tuple[Item, Content]]]:
         chunks, is_large = group
         return Deferred(lambda: loaded(chunks)) if is_large else loaded(chunks)
 

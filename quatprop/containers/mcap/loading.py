@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.byte_ranges import LARGE, SHARE, ranges_worth_reading
+from quatprop.containers.byte_ranges import LARGE, ranges_worth_reading
 from quatprop.containers.chunks import ChunkReader
 from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.limits import CHECKSUMS, checksums_matter
@@ -25,14 +25,10 @@ from quatprop.errors import UnsupportedLogError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from quatprop.containers.base import MessageBlock
     from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.definitions import DefinitionCheck
     from quatprop.containers.mcap.messages import LocatedMessages
-
-    Offsets = NDArray[np.int64]
 
 
 UNDEFINED = "no record defines it"
@@ -81,15 +77,17 @@ class McapReader(ChunkReader[Region, Loaded]):
         return [(chunk.start, max(chunk.end, head_end))]
 
     def size_of(self, chunk: Region) -> int:
-        """Return about how many bytes of a region are loaded, by the index."""
-        return chunk.size // SHARE if self._is_read_in_part(chunk) else chunk.size
+        """Return the bytes of the records of a region by the index."""
+        return chunk.size
+
+    def is_mixed(self, chunk: Region) -> bool:
+        """Return whether a region is known to hold other channels."""
+        return not set(chunk.ids) <= set(self.ids)
 
     def _is_read_in_part(self, chunk: Region) -> bool:
-        """Return whether a region is a large chunk with others, with an index of its messages."""
-        is_indexed = chunk.index_length and chunk.holds is not None
-        if not is_indexed or not chunk.is_uncompressed or chunk.length < LARGE:
-            return False
-        return not set(chunk.ids) <= set(self.ids)
+        """Return whether a region is a large chunk with others whose messages are indexed."""
+        is_large = chunk.is_uncompressed and chunk.length >= LARGE
+        return is_large and chunk.index_length > 0 and self.is_mixed(chunk)
 
     def load(self, chunk: Region) -> Loaded:
         """Return the records of a region, or only the wanted messages of a large chunk."""
@@ -143,8 +141,35 @@ class McapReader(ChunkReader[Region, Loaded]):
         self.definitions.check(data, walked.definitions, chunk, own)
         return Loaded(data, offsets=begins[is_wanted])
 
+    def indexed(self, content: Loaded, chunk: Region) -> MessageBlock | None:
+        """Return the messages of a region by its index; None where its records say otherwise."""
+        ids, data = chunk.own(self.ids), content.data
+        if content.offsets is not None:
+            selected = messages_at(data, content.offsets)
+            if selected is None or not chunk.may_have_logged(selected.block.log_ns):
+                return None
+            self.unchecked.add(chunk.start)
+            return selected.block
+        index = index_of(self.source, chunk)
+        every = indexed_offsets(index, chunk)
+        listed = indexed_offsets(index, chunk, ids) if self.is_mixed(chunk) else every
+        messages = None if every is None else messages_at(data, every)
+        walked = walk_records(data, stop_at={MESSAGE})
+        # Among other records there may be messages that no index lists.
+        if listed is None or not messages or not messages.fill(data, walked.end):
+            return None
+        messages = messages.of(ids)
+        if len(messages) != len(listed):
+            return None
+        try:
+            self.definitions.check(data, walked.definitions, chunk, ids)
+            _check_times(content, chunk, messages)
+        except UnreadableDataError:
+            return None  # it is raised again when the records are read
+        return messages.block
+
     def messages(self, content: Loaded, chunk: Region) -> MessageBlock | None:
-        """Return the messages of a loaded region, and note what is lost of them.
+        """Return the messages of a region by its records, and note what is lost of them.
 
         Raises
         ------
@@ -152,15 +177,11 @@ class McapReader(ChunkReader[Region, Loaded]):
             A chunk redefines the channel.
         """
         if content.offsets is not None:
-            selected = messages_at(content.data, content.offsets)
-            if selected is not None and chunk.may_have_logged(selected.block.log_ns):
-                self.unchecked.add(chunk.start)
-                return selected.block
             content = self._whole(chunk)
         reason = content.damage
         if content.is_readable:
             try:
-                messages = self._located(content, chunk)
+                messages = self._walked(content, chunk)
             except UnreadableDataError as error:
                 self._refuse_redefined(content, chunk, error)
                 reason = error.reason
@@ -172,28 +193,11 @@ class McapReader(ChunkReader[Region, Loaded]):
         self.lost += lost or 0
         return None
 
-    def _located(self, loaded: Loaded, region: Region) -> LocatedMessages | None:
-        """Locate the messages of a region by its index or, if that fails, by its records."""
-        ids = region.own(self.ids)
-        index = index_of(self.source, region)
-        listed, every = indexed_offsets(index, region, ids), indexed_offsets(index, region)
-        walked = walk_records(loaded.data, stop_at={MESSAGE})
-        messages = None if every is None else messages_at(loaded.data, every)
-        # Among other records there may be messages that no index lists.
-        if listed is None or not messages or not messages.fill(loaded.data, walked.end):
-            return self._walked(loaded, region, listed, every)
-        messages = messages.of(ids)
-        if len(messages) != len(listed):
-            return self._walked(loaded, region, listed, every)
-        self.definitions.check(loaded.data, walked.definitions, region, ids)
-        _check_times(loaded, region, messages)
-        return messages
-
-    def _walked(
-        self, loaded: Loaded, region: Region, listed: Offsets | None, every: Offsets | None
-    ) -> LocatedMessages | None:
+    def _walked(self, loaded: Loaded, region: Region) -> LocatedMessages | None:
         """Locate the messages of a region by its records; the index says what is lost."""
         data, damage, ids = loaded.data, loaded.damage, region.own(self.ids)
+        index = index_of(self.source, region)
+        listed, every = indexed_offsets(index, region, ids), indexed_offsets(index, region)
         walked = walk_records(data)
         self.definitions.check(data, walked.definitions, region, ids)
         if walked.malformed:

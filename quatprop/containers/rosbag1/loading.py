@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.base import Losses, MessageBlock
-from quatprop.containers.byte_ranges import LARGE, SHARE, ranges_worth_reading
+from quatprop.containers.byte_ranges import LARGE, ranges_worth_reading
 from quatprop.containers.chunks import ChunkReader
 from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.rosbag1.index import (
@@ -62,7 +62,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
     def expected(self, chunk: BagChunk) -> list[tuple[int, int]]:
         """Return the bytes of a chunk, or of the head of one that is read in part."""
         head_end = chunk.start + HEAD
-        if self._may_be_read_in_part(chunk):
+        if self.is_mixed(chunk) and chunk.end - chunk.start >= LARGE:
             if self._is_plain is None:
                 self._is_plain = _is_plain(record_of(self.file, chunk))
             if self._is_plain:
@@ -70,25 +70,22 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         return [(chunk.start, max(chunk.end, head_end))]
 
     def size_of(self, chunk: BagChunk) -> int:
-        """Return about how many bytes of a chunk are loaded, by its head."""
+        """Return the bytes of the records of a chunk by its head."""
         if chunk.is_unchunked:
             return chunk.end - chunk.start
         record = record_of(self.file, chunk)
         if record is None:
             return 0
-        if not _is_plain(record):
-            return record.number(b"size")
-        size = record.end - record.data
-        return size // SHARE if self._may_be_read_in_part(chunk) else size
+        return record.end - record.data if _is_plain(record) else record.number(b"size")
 
-    def _may_be_read_in_part(self, chunk: BagChunk) -> bool:
-        """Return whether a chunk is large and holds other connections."""
-        is_large = chunk.end - chunk.start >= LARGE and not chunk.is_unchunked
-        return is_large and not chunk.counts.keys() <= chunk.inside(self.connections)
+    def is_mixed(self, chunk: BagChunk) -> bool:
+        """Return whether a chunk holds other connections."""
+        return not chunk.is_unchunked and not chunk.counts.keys() <= chunk.inside(self.connections)
 
     def load(self, chunk: BagChunk) -> ChunkRecords:
         """Return the records of a chunk, or only the wanted messages of a large one."""
-        if self._may_be_read_in_part(chunk) and self._is_indexed(chunk, chunk.counts):
+        is_large = chunk.end - chunk.start >= LARGE
+        if is_large and self.is_mixed(chunk) and self._is_indexed(chunk, chunk.counts):
             selected = self._selected(chunk)
             if selected is not None:
                 return selected
@@ -128,23 +125,24 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         data = np.frombuffer(self.file.at_ranges(*(each.tolist() for each in places)), np.uint8)
         return ChunkRecords(data, offsets=begins - ranges.moved)
 
-    def messages(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
-        """Return the messages of one chunk, and note what is lost of them."""
+    def indexed(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
+        """Return the messages of a chunk by its index data; None where they are others."""
         inside = chunk.inside(self.connections)
         if content.offsets is not None:
-            selected = indexed_messages(content.data, content.offsets, inside)
-            if selected is not None:
-                return selected
-            content = self._whole(chunk)
-        messages, damage = None, ""
+            return indexed_messages(content.data, content.offsets, inside)
         counts = {conn: len(rows) for conn, rows in content.entries.items() if conn in inside}
         expected = {conn: n for conn, n in chunk.counts.items() if conn in inside}
-        is_indexed = self._is_indexed(chunk, counts) and counts == expected
-        if is_indexed and not content.damage:
-            messages = indexed_messages(content.data, offsets_of(content.entries, inside), inside)
-        if messages is None:
-            messages, damage = _scanned(content, inside)
-        missing = sum(expected.values()) - len(messages)
+        if content.damage or not self._is_indexed(chunk, counts) or counts != expected:
+            return None
+        return indexed_messages(content.data, offsets_of(content.entries, inside), inside)
+
+    def messages(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
+        """Return the messages of a chunk by its records, and note what is lost of them."""
+        if content.offsets is not None:
+            content = self._whole(chunk)
+        inside = chunk.inside(self.connections)
+        messages, damage = _scanned(content, inside)
+        missing = sum(chunk.counts.get(conn, 0) for conn in inside) - len(messages)
         if damage or missing > 0:
             reason = damage or "it has fewer messages than it says"
             self.losses.note(chunk.place, reason, missing or None, self.topic)

@@ -57,10 +57,11 @@ def indexed_messages(
     if not _are_of(headers, connections):
         return None
     starts = offsets + size
-    ends = starts + headers["size"]
     if np.count_nonzero(headers["size"] != stride - size):
-        stride = 0
-    if int(ends[-1]) > len(data) or not (offsets[1:] >= ends[:-1]).all():
+        ends, stride = starts + headers["size"], 0
+    else:
+        ends = starts + (stride - size)
+    if int(ends[-1]) > len(data) or (not stride and (offsets[1:] < ends[:-1]).any()):
         return None
     log_ns = _log_ns(headers)
     return MessageBlock(data, starts, ends, log_ns, log_ns, stride=stride)
