@@ -230,6 +230,6 @@ def test_only_the_beginning_is_searched_for_an_orientation(monkeypatch):
     absent = SimpleNamespace(rows=rows)
     monkeypatch.setattr("quatprop.pipeline.plausibility.choose_attitudes", lambda *_: absent)
     rates = GyroSeries(np.arange(10), np.ones((10, 3)))
-    source = SimpleNamespace(name="/imu", batches=lambda: iter([rates]))
+    source = SimpleNamespace(name="/imu", matches=(), batches=lambda: iter([rates]))
     assert orientation_remarks(SimpleNamespace(path="log.bag"), source) == []
     assert len(read) == 2
