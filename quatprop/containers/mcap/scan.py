@@ -45,7 +45,7 @@ from quatprop.containers.mcap.summary import MAGIC
 from quatprop.containers.mcap.walk import walk_records
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable
+    from collections.abc import Iterable
 
     from quatprop.containers.file_source import FileSource
 
@@ -191,14 +191,11 @@ class Scan:
         """
         if (
             self.end < self.source.size
-            or self._next_record(position + 1, self.end, CHUNKS) is not None
+            or next_record(self.source, position + 1, self.end, self.end, CHUNKS) is not None
         ):
             return False
         self.losses.note(f"chunk at byte {position}", TORN)
         return True
-
-    def _next_record(self, start: int, stop: int, kinds: Container[int]) -> int | None:
-        return next_record(self.source, start, stop, self.end, kinds)
 
     def _damaged(self, position: int, opcode: int) -> int:
         """Note that no record can be read at `position`; return where to go on."""
@@ -207,11 +204,11 @@ class Scan:
         resumed_at = None
         if last is not None and last.is_chunk and last.end == position:
             # The length of the chunk before may be wrong.
-            resumed_at = self._next_record(last.start + 1, position, CHUNKS)
+            resumed_at = next_record(self.source, last.start + 1, position, self.end, CHUNKS)
             # The damage may have hit the message index of another channel of that chunk.
             self.regions[-1] = replace(last, holds=None, index_length=0)
         if resumed_at is None:
-            resumed_at = self._next_record(position + 1, limit, RECORDS)
+            resumed_at = next_record(self.source, position + 1, limit, self.end, RECORDS)
             for begin, length in self.attachments.items():
                 if resumed_at is not None and begin <= resumed_at < begin + length <= limit:
                     resumed_at = begin + length  # records in it are not of this file
