@@ -179,6 +179,42 @@ def test_the_clock_of_a_program_is_recognised(tmp_path, recwarn, name):
     assert t_ns.tolist() == [first * 10**9 + k * 10**7 for k in range(300)]
 
 
+DAYS = ["2023-11-14", "14.11.2023", "11/14/2023"]
+PAIRS = [("date", "time"), ("Date", "Time"), ("day", "clock"), ("time", "date")]
+
+
+@pytest.mark.parametrize("names", PAIRS, ids=",".join)
+@pytest.mark.parametrize("day", DAYS)
+def test_dates_and_times_of_day_in_two_columns_are_refused_or_passed_over(
+    tmp_path, recwarn, names, day
+):
+    """To compare them ended in a KeyError, even where a number beside them is a good clock."""
+    cells = {"d": day, "t": [date(E0 + t)[11:] for t in TIMES]}
+    columns = {name: cells["d" if name.lower() in {"date", "day"} else "t"] for name in names}
+    path = table(tmp_path / "log.csv", columns)
+    with pytest.raises(UnsupportedLogError) as caught:
+        read_rates(path)
+    assert str(caught.value) == (
+        f"{path}: '{names[0]}', '{names[1]}' hold dates that are not of ISO 8601; write them as "
+        "2023-11-14T22:13:20.5 in one column, name another column with time_col='C', or count "
+        "rows at a steady rate with sample_rate='HZ'"
+    )
+    elapsed = (TIMES * 1000).round().astype(int)
+    t_ns, remarks = read(table(path, {**columns, "elapsed_ms": elapsed}), recwarn)
+    assert (t_ns[-1], remarks) == (2_990_000_000, [])
+
+
+@pytest.mark.parametrize("units", list(permutations(["K", "V", "ms"], 2)), ids=",".join)
+def test_clocks_in_what_is_no_unit_of_time_end_in_no_bug(tmp_path, units):
+    """Temperatures and voltages of such names cannot be compared as times."""
+    path = table(tmp_path / "log.csv", {f"t ({units[0]})": TIMES, f"ts ({units[1]})": TIMES})
+    if "ms" in units:
+        assert read_rates(path).t_ns[-1] == 2_990_000
+    else:
+        with pytest.raises(UndeclaredError, match=r"time column \(one of 't \(.\)', 'ts \(.\)'\)"):
+            read_rates(path)
+
+
 @pytest.mark.parametrize("suffix", ["parquet", "feather"])
 def test_a_column_of_text_is_no_clock_of_a_typed_table(tmp_path, recwarn, suffix):
     """It cannot be read, whatever its name says, and a number beside it can."""

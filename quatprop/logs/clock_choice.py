@@ -108,7 +108,7 @@ class ClockMatcher(TableColumns):
             Two that are as good as each other differ, or may.
         """
         found = [self._with_fraction(clock) for clock in sorted(found, key=goodness)]
-        if len(found) == 1:
+        if len(found) == 1 or not any(map(is_readable, found)):
             return found[0]
         times = self._first_times(found)
         moving = [clock for clock in found if not clocks.stands_still(times[clock])] or found

@@ -165,7 +165,7 @@ def first_times(cells: Sequence[Sequence[object]], clock: Clock) -> Float64 | No
     clock
         Which it is.
     """
-    if not all(clock.units):
+    if not all(unit in NS_PER_UNIT for unit in clock.units):
         return None
     parts = [
         _numbers(column) * NS_PER_UNIT[unit]

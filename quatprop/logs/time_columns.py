@@ -85,12 +85,7 @@ class TimeMatcher(ClockMatcher):
                 f"{Setting('time_col')}",
             )
         if any(self.notes.units.get(k) == OTHER_DATES for k in time):
-            raise UnsupportedLogError(
-                self.path,
-                f"{self.names(time)} holds {OTHER_DATES}; write them as 2023-11-14T22:13:20.5, "
-                f"name another column with {Setting('time_col', 'C')}, or count rows at a steady "
-                f"rate with {Setting('sample_rate', 'HZ')}",
-            )
+            raise self._unreadable_dates(time)
         units = ("ns", "ns")
         if time[1:]:
             units = ("s", self.fraction_unit(time[1]))
@@ -108,6 +103,18 @@ class TimeMatcher(ClockMatcher):
         offset_ns = sum(map(self.utc_offset_ns, time))
         stamp = Stamp(time, units[: len(time)], clock, sample_rate, offset_ns)
         return stamp, self.table.of_series(series)
+
+    def _unreadable_dates(self, time: Positions) -> UnsupportedLogError:
+        """Return the error for a time that is text, perhaps in two columns of dates and times."""
+        dates = [k for k, unit in self.notes.units.items() if unit == OTHER_DATES]
+        are = time if self.selection.time_col is not None else sorted(dates)
+        return UnsupportedLogError(
+            self.path,
+            f"{self.names(are)} {'hold' if are[1:] else 'holds'} {OTHER_DATES}; write them as "
+            f"2023-11-14T22:13:20.5{' in one column' if are[1:] else ''}, name another column "
+            f"with {Setting('time_col', 'C')}, or count rows at a steady rate with "
+            f"{Setting('sample_rate', 'HZ')}",
+        )
 
     def unused_stamps(self, row: Row) -> Positions:
         """Return the time columns that are there although rows are counted at a sample rate."""
