@@ -204,6 +204,36 @@ def test_dates_and_times_of_day_in_two_columns_are_refused_or_passed_over(
     assert (t_ns[-1], remarks) == (2_990_000_000, [])
 
 
+STAMPS = {
+    "ms": "ts_sec,ts_msec seconds,milliseconds Sec,mSec ts_sec,ts_ms t_s,t_ms",
+    "us": "tv_sec,tv_usec sec,usec timestamp_sec,timestamp_usec unix_sec,unix_us TS_Sec,TS_uSec",
+    "ns": "t_sec,t_nsec Seconds,Nanoseconds epoch_sec,epoch_nsec time_seconds,time_nanoseconds",
+}
+
+
+@pytest.mark.parametrize("count", [50, 300])
+@pytest.mark.parametrize(
+    ("pair", "unit"), [(pair, unit) for unit in STAMPS for pair in STAMPS[unit].split()]
+)
+def test_seconds_and_their_fraction_are_one_stamp(tmp_path, recwarn, pair, unit, count):
+    """The fraction alone was the clock, which stepped back every second."""
+    seconds, fraction = np.divmod(np.arange(count) * 10_000_000, 10**9)
+    fraction = fraction // {"ms": 10**6, "us": 10**3, "ns": 1}[unit]
+    columns = dict(zip(pair.split(","), (E0 + seconds, fraction), strict=True))
+    for order in (1, -1):
+        ordered = {name: columns[name] for name in [*columns][::order]}
+        t_ns, remarks = read(table(tmp_path / "log.csv", ordered), recwarn)
+        assert t_ns.tolist() == [E0 * 10**9 + k * 10**7 for k in range(count)]
+        assert remarks == []
+
+
+def test_whole_clocks_in_seconds_and_milliseconds_are_no_stamp_together(tmp_path, recwarn):
+    """Each says the same; their sum would run at twice the rate."""
+    columns = {"time_seconds": TIMES, "time_milliseconds": (TIMES * 1000).round()}
+    t_ns, remarks = read(table(tmp_path / "log.csv", columns), recwarn)
+    assert (t_ns[-1], remarks) == (2_990_000_000, [])
+
+
 @pytest.mark.parametrize("units", list(permutations(["K", "V", "ms"], 2)), ids=",".join)
 def test_clocks_in_what_is_no_unit_of_time_end_in_no_bug(tmp_path, units):
     """Temperatures and voltages of such names cannot be compared as times."""

@@ -116,6 +116,19 @@ def parse_name(text: str) -> Column:
     return Column(text, _key(name))
 
 
+def whole_key(text: str) -> str:
+    """Return the key of a name with the unit that it ends in, but for one in brackets.
+
+    Examples
+    --------
+    >>> whole_key("TS_mSec"), parse_name("ts_msec").key
+    ('ts_msec', 'ts')
+    """
+    name = text.strip("\ufeff \t\"'").lstrip("#%/ \t").strip()
+    # No new word begins in the units mSec and uSec.
+    return _key(re.sub(r"(?i)([munµμ])sec", lambda unit: unit[0].lower(), name))
+
+
 def as_option(names: Sequence[str], k: int) -> str:
     """Return how an option names a column: by its name, or by its number where that needs quotes.
 
