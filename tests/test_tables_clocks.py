@@ -284,7 +284,9 @@ def test_a_counter_at_a_stated_rate_tells_of_lost_samples(tmp_path, recwarn, bit
     numbers = [n for n in range(300) if not 140 <= n < 140 + lost]
     path = xsens(tmp_path / "log.txt", [(first + n) % 2**bits for n in numbers])
     t_ns, remarks = read(path, recwarn, rate_unit="deg/s")
-    assert (t_ns.tolist(), remarks) == ([n * 10**7 for n in numbers], [])
+    assert t_ns.tolist() == [n * 10**7 for n in numbers]
+    said = f"{lost} sample{'s' * (lost > 1)} lost by the counter 'PacketCounter'"
+    assert remarks == [said] * (lost > 0)
 
 
 def test_the_lost_samples_of_a_counter_are_a_gap(tmp_path):
@@ -322,7 +324,8 @@ def test_a_counter_is_used_at_a_sample_rate_unless_rows_are_to_be_counted(tmp_pa
         (
             "sample_rate='100' is that of the counter 'PacketCounter', which also counts lost "
             "samples; to count rows, give time_col='none' too"
-        )
+        ),
+        "2 samples lost by the counter 'PacketCounter'",
     ]
     t_ns, remarks = read(path, recwarn, rate_unit="deg/s", sample_rate=100, time_col="none")
     assert (t_ns.tolist(), remarks) == ([k * 10**7 for k in range(6)], [])
@@ -330,16 +333,88 @@ def test_a_counter_is_used_at_a_sample_rate_unless_rows_are_to_be_counted(tmp_pa
     assert t_ns[-1] == 70_000_000
 
 
-@pytest.mark.parametrize(
-    "counts", [[0, 0, 1, 1, 2, 2], [0, 5, 10, 15], [3, 2, 1, 0], [0.5, 1.5, 2.5]]
-)
+@pytest.mark.parametrize("counts", [[0, 0, 1, 1, 2, 2], [4, 4, 4], [3, 2, 1, 0], [0.5, 1.5, 2.5]])
 def test_what_does_not_count_samples_is_no_counter(tmp_path, recwarn, counts):
-    """Rows are counted then, as if it were not there."""
+    """Rows are counted then, as if it were not there: no loss can be seen in it."""
     path = tmp_path / "log.csv"
     rows = "".join(f"{n},1,2,3\n" for n in counts)
     path.write_text(f"# Sample rate: 100 Hz\ncounter,wx_dps,wy_dps,wz_dps\n{rows}")
-    t_ns, _ = read(path, recwarn)
-    assert t_ns.tolist() == [k * 10**7 for k in range(len(counts))]
+    t_ns, remarks = read(path, recwarn)
+    assert (t_ns.tolist(), remarks) == ([k * 10**7 for k in range(len(counts))], [])
+
+
+HEAD = "# Sample rate: 100 Hz\n{},wx_dps,wy_dps,wz_dps\n"
+
+
+def numbered(path, name, counts):
+    """Write rows of a column that may count, at a stated rate of 100 Hz."""
+    path.write_text(HEAD.format(name) + "".join(f"{n},1,2,3\n" for n in counts))
+    return path
+
+
+RANDOM = np.random.default_rng(3)
+LOSSES = {
+    "1 and 3 of 5": [n for n in range(500) if n % 5 in {1, 3}],
+    "0, 1 and 4 of 8": [n for n in range(500) if n % 8 in {0, 1, 4}],
+    **{f"{part:.0%}": np.flatnonzero(RANDOM.random(500) > part) for part in (0.1, 0.45, 0.55, 0.7)},
+}
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize("name", ["PacketCounter", "seq", "sample_id"])
+def test_a_counter_is_used_however_many_samples_are_lost(tmp_path, recwarn, name, loss):
+    """Where most were lost, so that most steps were not 1, rows were counted without a word."""
+    counts = LOSSES[loss]
+    t_ns, remarks = read(numbered(tmp_path / "log.csv", name, counts), recwarn)
+    assert t_ns.tolist() == [int(n - counts[0]) * 10**7 for n in counts]
+    lost = counts[-1] - counts[0] + 1 - len(counts)
+    assert remarks == [f"{lost} samples lost by the counter '{name}'"]
+
+
+@pytest.mark.parametrize("step", [2, 5])
+def test_a_counter_of_larger_steps_is_not_guessed_about(tmp_path, recwarn, step):
+    """Steady, it says nothing that rows do not; with gaps, only the user knows what it counts."""
+    steady = numbered(tmp_path / "steady.csv", "Counter", range(0, 300 * step, step))
+    t_ns, remarks = read(steady, recwarn)
+    assert t_ns[-1] == 299 * 10**7
+    assert remarks == [
+        (
+            f"the counter 'Counter', which usually steps by {step}, is not used; to use it, give "
+            "time_col='Counter' and sample_rate='100'"
+        )
+    ]
+    counts = [n * step for n in range(300) if n % 10]
+    path = numbered(tmp_path / "log.csv", "Counter", counts)
+    for options in ({}, {"sample_rate": 100}):
+        with pytest.raises(UndeclaredError) as caught:
+            read_rates(path, **options)
+        assert str(caught.value) == (
+            f"{path}: whether the counter 'Counter', which usually steps by {step}, counts samples "
+            "is not declared; say it with time_col='Counter' and sample_rate='100' if it does, or "
+            "time_col='none' and sample_rate='100' to count rows"
+        )
+    rows, remarks = read(path, recwarn, time_col="none", sample_rate=100)
+    assert (rows[-1], remarks) == (269 * 10**7, [])
+    samples, _ = read(path, recwarn, time_col="Counter", sample_rate=100)
+    assert samples[-1] == (counts[-1] - counts[0]) * 10**7
+
+
+@pytest.mark.parametrize("name", ["frame", "index", "count", "Sample", "N"])
+def test_numbers_of_rows_that_have_gaps_are_remarked_on(tmp_path, recwarn, name):
+    """Rows were counted without a word, though samples are missing."""
+    path = numbered(tmp_path / "log.csv", name, [n for n in range(300) if n % 10])
+    t_ns, remarks = read(path, recwarn)
+    assert t_ns[-1] == 269 * 10**7
+    assert remarks == [
+        (
+            f"'{name}' passes over numbers, as if samples were lost, but rows are counted; to "
+            f"count by it, give time_col='{name}' and sample_rate='100'"
+        )
+    ]
+    t_ns, remarks = read(path, recwarn, time_col=name, sample_rate=100)
+    assert (t_ns[-1], remarks) == (298 * 10**7, [f"29 samples lost by the counter '{name}'"])
+    _, remarks = read(numbered(path, name, range(300)), recwarn)
+    assert remarks == []
 
 
 @pytest.mark.parametrize("cut", [1, 7, 150, 299])
@@ -357,6 +432,7 @@ def test_a_counter_that_begins_anew_steps_back():
     assert counted(np.array([40_000, 40_001, 0, 1])).tolist() == [0, 1, -40_000, -39_999]
 
 
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 def test_a_counter_gives_attitudes_as_stamps_do(tmp_path):
     """Through the whole run."""
     path = xsens(tmp_path / "log.txt", [0, 1, 2, 12, 13])

@@ -11,7 +11,8 @@ from quatprop.logs import clocks
 from quatprop.logs.clock_choice import ClockMatcher, goodness, is_readable
 from quatprop.logs.series import SeriesChoice
 from quatprop.tables.base import OTHER_DATES
-from quatprop.tables.column_names import TIME_UNITS
+from quatprop.tables.column_names import TIME_UNITS, as_option
+from quatprop.tables.counters import counting
 from quatprop.tables.model import Stamp
 from quatprop.text import Setting, Text, plain
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
     from quatprop.logs.vocabulary import Row
     from quatprop.selection import SignalSelection
+    from quatprop.tables.counters import Counting
     from quatprop.tables.model import Table
 
     Positions = tuple[int, ...]
@@ -144,6 +146,7 @@ class TimeMatcher(ClockMatcher):
             if best.rank < clocks.TEXT or not (counter or (steady and not is_readable(best))):
                 return TimeSource(best.columns, None, best.units[0])
         if steady is not None:
+            self._note_unused_counters(numbers, counter, steady)
             return TimeSource(counter, steady)
         likely = (rf".*[._](?:{clocks.TIME})", r".*(?:time|stamp|sec|clock|date).*", ".*")
         raise self.ambiguous_time(by_unit or next(filter(None, map(self.matching, likely))))
@@ -185,11 +188,12 @@ class TimeMatcher(ClockMatcher):
                     f"{self.names(counter)}, which also counts lost samples; to count rows, give "
                     f"{Setting('time_col', _NO_COLUMN)} too"
                 ))  # fmt: skip
+            self._note_unused_counters(numbers, counter, sample_rate)
             return TimeSource(counter, sample_rate)
         if name == _NO_COLUMN and name not in (column.text.strip() for column in self.columns):
             return TimeSource((), sample_rate)
         k = self.position(name, "time_col")
-        if re.fullmatch(clocks.COUNTER, self.columns[k].key) is None:
+        if re.fullmatch(f"{clocks.COUNTER}|{clocks.INDEX}", self.columns[k].key) is None:
             raise UsageError(
                 f"{Setting('time_col')} and {Setting('sample_rate')} contradict each other; give "
                 "one",
@@ -197,9 +201,49 @@ class TimeMatcher(ClockMatcher):
         return TimeSource((k,), sample_rate)
 
     def _counter(self, numbers: Positions) -> Positions:
-        """Return the only column that counts samples; none where there is none."""
-        columns = [k for k in self.matching(clocks.COUNTER) if k not in numbers]
+        """Return the first column that counts samples; none where there is none."""
+        counters = self._countings(clocks.COUNTER, numbers)
+        return tuple(k for k, counting in counters.items() if counting.is_by_one)[:1]
+
+    def _countings(self, pattern: str, numbers: Positions) -> dict[int, Counting]:
+        """Return the columns of some names that count, and how."""
+        columns = [k for k in self.matching(pattern) if k not in numbers]
         rows = self.head(columns)[: clocks.FIRST_ROWS] if columns else []
-        cells = zip(*rows, strict=True)
-        counters = [k for k, c in zip(columns, cells, strict=False) if clocks.counts_samples(c)]
-        return tuple(counters[:1])
+        found = zip(columns, (counting(clocks.numbers_of(c)) for c in zip(*rows, strict=True)),
+                    strict=False)  # fmt: skip
+        return {k: how for k, how in found if how is not None}
+
+    def _note_unused_counters(
+        self, numbers: Positions, counter: Positions, sample_rate: Fraction | float
+    ) -> None:
+        """Note what else may count samples where rows are counted.
+
+        Raises
+        ------
+        UndeclaredError
+            A counter passes over numbers, and nothing tells which of them are samples.
+        """
+        if counter:
+            return
+        rate = Setting("sample_rate", f"{float(sample_rate):g}")
+        names = [column.text for column in self.columns]
+        for k, how in self._countings(clocks.COUNTER, numbers).items():
+            use = Setting("time_col", as_option(names, k))
+            counts = f"the counter {self.names((k,))}, which usually steps by {how.step},"
+            if how.has_gaps:
+                raise UndeclaredError(
+                    self.path,
+                    f"whether {counts} counts samples",
+                    Text(f"{use} and {rate} if it does, or {Setting('time_col', _NO_COLUMN)} and "
+                         f"{rate} to count rows"),
+                )  # fmt: skip
+            self.overruled.append(Text(f"{counts} is not used; to use it, give {use} and {rate}"))
+            return
+        for k, how in self._countings(clocks.INDEX, numbers).items():
+            if how.has_gaps:
+                use = Setting("time_col", as_option(names, k))
+                self.overruled.append(Text(
+                    f"{self.names((k,))} passes over numbers, as if samples were lost, but rows "
+                    f"are counted; to count by it, give {use} and {rate}"
+                ))  # fmt: skip
+                return
