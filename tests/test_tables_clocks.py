@@ -98,6 +98,41 @@ def test_a_clock_that_stands_still_is_not_the_time(tmp_path, recwarn, value, suf
     ]
 
 
+UNITS = {"s": 1, "ms": 1e3, "us": 1e6}
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        *((f"{stem}_{unit}", unit) for unit in UNITS for stem in ("epoch", "unix", "elapsed")),
+        *(("micros", "us"), ("millis", "ms"), ("uptime_ms", "ms"), ("uptime_s", "s")),
+        *(("lap (ms)", "ms"), ("boot_ms", "ms")),
+    ],
+)
+def test_a_clock_that_moves_is_used_in_its_unit_before_one_that_stands_still(
+    tmp_path, recwarn, name, unit
+):
+    """Names such as epoch_ms were unknown, so that a device's clock that was never set was used."""
+    moving = {name: np.round(TIMES * UNITS[unit], 3)}
+    path = table(tmp_path / "log.csv", moving)
+    t_ns, remarks = read(path, recwarn)
+    assert (t_ns.tolist(), remarks) == ([k * 10**7 for k in range(300)], [])
+    t_ns, remarks = read(table(path, {"device_timestamp_ms": 0, **moving}), recwarn)
+    assert t_ns.tolist() == [k * 10**7 for k in range(300)]
+    assert remarks == [
+        f"the times in 'device_timestamp_ms' are all the same; those in '{name}' are used"
+    ]
+
+
+def test_a_stated_rate_is_used_before_a_clock_that_stands_still(tmp_path, recwarn):
+    """Every sample had the same stamp, though the rate is known."""
+    path = table(tmp_path / "log.csv", {"t_ms": [0] * 300})
+    path.write_text("# Sample rate: 100 Hz\n" + path.read_text())
+    t_ns, remarks = read(path, recwarn)
+    assert t_ns[-1] == 2_990_000_000
+    assert remarks == ["the times in 't_ms' are all the same; the sample rate is used"]
+
+
 def test_two_clocks_of_one_rank_that_disagree_are_refused(tmp_path, recwarn):
     """Nothing tells which of them is right; either can be named."""
     path = table(tmp_path / "log.csv", {"epoch (s)": TIMES * 1.1, "time (s)": TIMES})

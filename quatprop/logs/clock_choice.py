@@ -138,6 +138,10 @@ class ClockMatcher(TableColumns):
             self._note_difference(best, other, differ)
         return best
 
+    def stand_still(self, found: list[Clock]) -> bool:
+        """Return whether all clocks have the same time in all of the first rows."""
+        return all(map(clocks.stands_still, self._first_times(found).values()))
+
     def _note_difference(self, best: Clock, other: Clock, differ: clocks.Difference) -> None:
         names = self.names(other.columns), self.names(best.columns)
         sentence = clocks.difference_text(*names, differ)

@@ -70,12 +70,16 @@ CLOCKS = (
     ClockName(rf"(?P<of>.+?)[._]{TIME}(?:_since_(?:re)?boot)?", SENSOR),
     ClockName(rf"(?:epoch?|unix|posix|ros)(?:_?{TIME})?", EPOCH),
     ClockName(rf"(?:{TIME}|time_interval)_since_?1970", EPOCH, "s"),
+    *(
+        ClockName(word, EPOCH, unit)
+        for word, unit in {"millis": "ms", "micros": "us", "nanos": "ns"}.items()
+    ),
     ClockName(r"(?:.*\.)?header\.stamp\.secs?", EPOCH),
     ClockName(r"(?:stamp[._])?(?:secs?|seconds)", EPOCH),
     ClockName(rf"(?:{TIME}|tv|epoch|unix|posix)_(?:secs?|seconds)", EPOCH, "s"),
     ClockName(rf"_*{TIME}", EPOCH),
     ClockName(rf"utc_?{TIME}", EPOCH),
-    ClockName(rf"(?:{TIME}|seconds|secs?)_?elapsed|elapsed(?:_?{TIME}|_?seconds)?", EPOCH),
+    ClockName(rf"(?:{TIME}|seconds|secs?)_?elapsed|elapsed(?:_?{TIME}|_?seconds)?|uptime", EPOCH),
 )
 """Names of clocks; the first row that fits counts, and comes first among those of its rank."""
 

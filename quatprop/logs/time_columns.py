@@ -19,6 +19,7 @@ from quatprop.text import Setting, Text, plain
 if TYPE_CHECKING:
     from fractions import Fraction
 
+    from quatprop.logs.clocks import Clock
     from quatprop.logs.vocabulary import Row
     from quatprop.selection import SignalSelection
     from quatprop.tables.counters import Counting
@@ -138,6 +139,11 @@ class TimeMatcher(ClockMatcher):
         if len(by_unit) == 1 and not any(map(is_readable, found)):
             return TimeSource(tuple(by_unit))
         steady = self.notes.sample_rate
+        if found and self.stand_still(found):
+            instead = self._instead_of_stopped(found, by_unit)
+            if instead is not None:
+                return instead
+            found = [] if steady is not None else found
         counter = self._counter(numbers) if steady is not None else ()
         if found:
             best = self.best(found)
@@ -150,6 +156,21 @@ class TimeMatcher(ClockMatcher):
             return TimeSource(counter, steady)
         likely = (rf".*[._](?:{clocks.TIME})", r".*(?:time|stamp|sec|clock|date).*", ".*")
         raise self.ambiguous_time(by_unit or next(filter(None, map(self.matching, likely))))
+
+    def _instead_of_stopped(self, found: list[Clock], by_unit: list[int]) -> TimeSource | None:
+        """Return the only other column in a unit of time that moves, if clocks stand still."""
+        stopped = [k for clock in found for k in clock.columns]
+        moving = [
+            k
+            for k in by_unit
+            if k not in stopped and not self.stand_still([self._clock(k, clocks.EPOCH, "", 0)])
+        ]
+        used = f"those in {self.names(moving)} are" if len(moving) == 1 else "the sample rate is"
+        if len(moving) == 1 or self.notes.sample_rate is not None:
+            self.overruled.append(
+                Text(f"the times in {self.names(stopped)} are all the same; {used} used")
+            )
+        return TimeSource(tuple(moving)) if len(moving) == 1 else None
 
     # What the user names.
 

@@ -82,7 +82,7 @@ _MAY_HAVE_SUFFIX = (
     r"(?:.*[._])?g_?[xyz]",
     r"[pqr]|(?:.*[._])?(?:roll|pitch|yaw)_?rate",
     rf"(?:.*[._])?(?:{TIME_NAMES})(?:_[a-z]+)?",
-    r"(?:.*[._])?(?:epoch|unix|posix|elapsed)",
+    r"(?:.*[._])?(?:epoch|unix|posix|elapsed|uptime|boot|since_(?:re)?boot|since_start)",
     ROTATION_VECTOR,
     EULER,
     EULER_NUMBERED.format("[xyz]{3}"),
