@@ -139,8 +139,9 @@ class TimeMatcher(ClockMatcher):
         if len(by_unit) == 1 and not any(map(is_readable, found)):
             return TimeSource(tuple(by_unit))
         steady = self.notes.sample_rate
-        if found and self.stand_still(found):
-            instead = self._instead_of_stopped(found, by_unit)
+        others = {*by_unit} - {k for clock in found for k in clock.columns}
+        if found and (others or steady is not None) and self.stand_still(found):
+            instead = self._instead_of_stopped(found, sorted(others))
             if instead is not None:
                 return instead
             found = [] if steady is not None else found
@@ -157,14 +158,10 @@ class TimeMatcher(ClockMatcher):
         likely = (rf".*[._](?:{clocks.TIME})", r".*(?:time|stamp|sec|clock|date).*", ".*")
         raise self.ambiguous_time(by_unit or next(filter(None, map(self.matching, likely))))
 
-    def _instead_of_stopped(self, found: list[Clock], by_unit: list[int]) -> TimeSource | None:
+    def _instead_of_stopped(self, found: list[Clock], others: list[int]) -> TimeSource | None:
         """Return the only other column in a unit of time that moves, if clocks stand still."""
         stopped = [k for clock in found for k in clock.columns]
-        moving = [
-            k
-            for k in by_unit
-            if k not in stopped and not self.stand_still([self._clock(k, clocks.EPOCH, "", 0)])
-        ]
+        moving = [k for k in others if not self.stand_still([self._clock(k, clocks.EPOCH, "", 0)])]
         used = f"those in {self.names(moving)} are" if len(moving) == 1 else "the sample rate is"
         if len(moving) == 1 or self.notes.sample_rate is not None:
             self.overruled.append(
