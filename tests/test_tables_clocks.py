@@ -98,6 +98,41 @@ def test_a_clock_that_stands_still_is_not_the_time(tmp_path, recwarn, value, suf
     ]
 
 
+UNITS = {"s": 1, "ms": 1e3, "us": 1e6}
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        *((f"{stem}_{unit}", unit) for unit in UNITS for stem in ("epoch", "unix", "elapsed")),
+        *(("micros", "us"), ("millis", "ms"), ("uptime_ms", "ms"), ("uptime_s", "s")),
+        *(("lap (ms)", "ms"), ("boot_ms", "ms")),
+    ],
+)
+def test_a_clock_that_moves_is_used_in_its_unit_before_one_that_stands_still(
+    tmp_path, recwarn, name, unit
+):
+    """Names such as epoch_ms were unknown, so that a device's clock that was never set was used."""
+    moving = {name: np.round(TIMES * UNITS[unit], 3)}
+    path = table(tmp_path / "log.csv", moving)
+    t_ns, remarks = read(path, recwarn)
+    assert (t_ns.tolist(), remarks) == ([k * 10**7 for k in range(300)], [])
+    t_ns, remarks = read(table(path, {"device_timestamp_ms": 0, **moving}), recwarn)
+    assert t_ns.tolist() == [k * 10**7 for k in range(300)]
+    assert remarks == [
+        f"the times in 'device_timestamp_ms' are all the same; those in '{name}' are used"
+    ]
+
+
+def test_a_stated_rate_is_used_before_a_clock_that_stands_still(tmp_path, recwarn):
+    """Every sample had the same stamp, though the rate is known."""
+    path = table(tmp_path / "log.csv", {"t_ms": [0] * 300})
+    path.write_text("# Sample rate: 100 Hz\n" + path.read_text())
+    t_ns, remarks = read(path, recwarn)
+    assert t_ns[-1] == 2_990_000_000
+    assert remarks == ["the times in 't_ms' are all the same; the sample rate is used"]
+
+
 def test_two_clocks_of_one_rank_that_disagree_are_refused(tmp_path, recwarn):
     """Nothing tells which of them is right; either can be named."""
     path = table(tmp_path / "log.csv", {"epoch (s)": TIMES * 1.1, "time (s)": TIMES})
@@ -179,6 +214,72 @@ def test_the_clock_of_a_program_is_recognised(tmp_path, recwarn, name):
     assert t_ns.tolist() == [first * 10**9 + k * 10**7 for k in range(300)]
 
 
+DAYS = ["2023-11-14", "14.11.2023", "11/14/2023"]
+PAIRS = [("date", "time"), ("Date", "Time"), ("day", "clock"), ("time", "date")]
+
+
+@pytest.mark.parametrize("names", PAIRS, ids=",".join)
+@pytest.mark.parametrize("day", DAYS)
+def test_dates_and_times_of_day_in_two_columns_are_refused_or_passed_over(
+    tmp_path, recwarn, names, day
+):
+    """To compare them ended in a KeyError, even where a number beside them is a good clock."""
+    cells = {"d": day, "t": [date(E0 + t)[11:] for t in TIMES]}
+    columns = {name: cells["d" if name.lower() in {"date", "day"} else "t"] for name in names}
+    path = table(tmp_path / "log.csv", columns)
+    with pytest.raises(UnsupportedLogError) as caught:
+        read_rates(path)
+    assert str(caught.value) == (
+        f"{path}: '{names[0]}', '{names[1]}' hold dates that are not of ISO 8601; write them as "
+        "2023-11-14T22:13:20.5 in one column, name another column with time_col='C', or count "
+        "rows at a steady rate with sample_rate='HZ'"
+    )
+    elapsed = (TIMES * 1000).round().astype(int)
+    t_ns, remarks = read(table(path, {**columns, "elapsed_ms": elapsed}), recwarn)
+    assert (t_ns[-1], remarks) == (2_990_000_000, [])
+
+
+STAMPS = {
+    "ms": "ts_sec,ts_msec seconds,milliseconds Sec,mSec ts_sec,ts_ms t_s,t_ms",
+    "us": "tv_sec,tv_usec sec,usec timestamp_sec,timestamp_usec unix_sec,unix_us TS_Sec,TS_uSec",
+    "ns": "t_sec,t_nsec Seconds,Nanoseconds epoch_sec,epoch_nsec time_seconds,time_nanoseconds",
+}
+
+
+@pytest.mark.parametrize("count", [50, 300])
+@pytest.mark.parametrize(
+    ("pair", "unit"), [(pair, unit) for unit in STAMPS for pair in STAMPS[unit].split()]
+)
+def test_seconds_and_their_fraction_are_one_stamp(tmp_path, recwarn, pair, unit, count):
+    """The fraction alone was the clock, which stepped back every second."""
+    seconds, fraction = np.divmod(np.arange(count) * 10_000_000, 10**9)
+    fraction = fraction // {"ms": 10**6, "us": 10**3, "ns": 1}[unit]
+    columns = dict(zip(pair.split(","), (E0 + seconds, fraction), strict=True))
+    for order in (1, -1):
+        ordered = {name: columns[name] for name in [*columns][::order]}
+        t_ns, remarks = read(table(tmp_path / "log.csv", ordered), recwarn)
+        assert t_ns.tolist() == [E0 * 10**9 + k * 10**7 for k in range(count)]
+        assert remarks == []
+
+
+def test_whole_clocks_in_seconds_and_milliseconds_are_no_stamp_together(tmp_path, recwarn):
+    """Each says the same; their sum would run at twice the rate."""
+    columns = {"time_seconds": TIMES, "time_milliseconds": (TIMES * 1000).round()}
+    t_ns, remarks = read(table(tmp_path / "log.csv", columns), recwarn)
+    assert (t_ns[-1], remarks) == (2_990_000_000, [])
+
+
+@pytest.mark.parametrize("units", list(permutations(["K", "V", "ms"], 2)), ids=",".join)
+def test_clocks_in_what_is_no_unit_of_time_end_in_no_bug(tmp_path, units):
+    """Temperatures and voltages of such names cannot be compared as times."""
+    path = table(tmp_path / "log.csv", {f"t ({units[0]})": TIMES, f"ts ({units[1]})": TIMES})
+    if "ms" in units:
+        assert read_rates(path).t_ns[-1] == 2_990_000
+    else:
+        with pytest.raises(UndeclaredError, match=r"time column \(one of 't \(.\)', 'ts \(.\)'\)"):
+            read_rates(path)
+
+
 @pytest.mark.parametrize("suffix", ["parquet", "feather"])
 def test_a_column_of_text_is_no_clock_of_a_typed_table(tmp_path, recwarn, suffix):
     """It cannot be read, whatever its name says, and a number beside it can."""
@@ -188,6 +289,61 @@ def test_a_column_of_text_is_no_clock_of_a_typed_table(tmp_path, recwarn, suffix
     getattr(frame, f"to_{suffix}")(path)
     t_ns, remarks = read(path, recwarn)
     assert (t_ns[0], remarks) == (E0 * 10**9, [])
+
+
+SENTENCES = {
+    "n,wx_dps,wy_dps,wz_dps": (
+        {},
+        (
+            "whether 'n' is the time is not declared; say it with time_col='n' and time_unit='s' or "
+            "'ms' or 'us' or 'ns', or sample_rate='HZ' for rows at a steady rate"
+        ),
+    ),
+    "a,b,wx_dps,wy_dps,wz_dps": (
+        {},
+        (
+            "the time column (one of 'a', 'b') is not declared; say it with time_col='C', or "
+            "sample_rate='HZ' for rows at a steady rate"
+        ),
+    ),
+    "wx_dps,wy_dps,wz_dps": (
+        {},
+        (
+            "the time column is not declared; say it with time_col='C', or sample_rate='HZ' for rows "
+            "at a steady rate"
+        ),
+    ),
+    "PacketCounter,wx_dps,wy_dps,wz_dps": (
+        {"time_col": "PacketCounter"},
+        "the rate of the counter 'PacketCounter' is not declared; say it with sample_rate='HZ'",
+    ),
+}
+
+
+@pytest.mark.parametrize("header", SENTENCES)
+def test_a_refusal_offers_only_what_may_be_the_time(tmp_path, header):
+    """Columns of the rates were offered, one column was one of several, a counter had a unit."""
+    path = tmp_path / "log.csv"
+    cells = ["5", "6", "1", "2", "3"][-(header.count(",") + 1) :]
+    path.write_text(f"{header}\n" + f"{','.join(cells)}\n" * 3)
+    options, sentence = SENTENCES[header]
+    with pytest.raises(UndeclaredError) as caught:
+        read_rates(path, **options)
+    assert str(caught.value) == f"{path}: {sentence}"
+
+
+@pytest.mark.parametrize("text", ["14-Nov-2023 22:13:20.{:03}", "00:00.{:03}", "Nov 14, 10.{} PM"])
+@pytest.mark.parametrize("name", ["when", "timestamp"])
+def test_text_that_is_named_as_the_time_is_not_asked_for_a_unit(tmp_path, name, text):
+    """Whatever the unit, dates with names of months cannot be read."""
+    path = table(tmp_path / "log.csv", {name: [text.format(k) for k in range(300)]})
+    with pytest.raises(UnsupportedLogError) as caught:
+        read_rates(path, time_col=name)
+    assert str(caught.value) == (
+        f"{path}: '{name}' holds dates that are not of ISO 8601; write them as "
+        "2023-11-14T22:13:20.5, name another column with time_col='C', or count rows at a steady "
+        "rate with sample_rate='HZ'"
+    )
 
 
 def test_an_arrival_is_not_taken_where_another_column_may_be_the_sensors(tmp_path):
@@ -218,7 +374,9 @@ def test_a_counter_at_a_stated_rate_tells_of_lost_samples(tmp_path, recwarn, bit
     numbers = [n for n in range(300) if not 140 <= n < 140 + lost]
     path = xsens(tmp_path / "log.txt", [(first + n) % 2**bits for n in numbers])
     t_ns, remarks = read(path, recwarn, rate_unit="deg/s")
-    assert (t_ns.tolist(), remarks) == ([n * 10**7 for n in numbers], [])
+    assert t_ns.tolist() == [n * 10**7 for n in numbers]
+    said = f"{lost} sample{'s' * (lost > 1)} lost by the counter 'PacketCounter'"
+    assert remarks == [said] * (lost > 0)
 
 
 def test_the_lost_samples_of_a_counter_are_a_gap(tmp_path):
@@ -256,7 +414,8 @@ def test_a_counter_is_used_at_a_sample_rate_unless_rows_are_to_be_counted(tmp_pa
         (
             "sample_rate='100' is that of the counter 'PacketCounter', which also counts lost "
             "samples; to count rows, give time_col='none' too"
-        )
+        ),
+        "2 samples lost by the counter 'PacketCounter'",
     ]
     t_ns, remarks = read(path, recwarn, rate_unit="deg/s", sample_rate=100, time_col="none")
     assert (t_ns.tolist(), remarks) == ([k * 10**7 for k in range(6)], [])
@@ -264,16 +423,88 @@ def test_a_counter_is_used_at_a_sample_rate_unless_rows_are_to_be_counted(tmp_pa
     assert t_ns[-1] == 70_000_000
 
 
-@pytest.mark.parametrize(
-    "counts", [[0, 0, 1, 1, 2, 2], [0, 5, 10, 15], [3, 2, 1, 0], [0.5, 1.5, 2.5]]
-)
+@pytest.mark.parametrize("counts", [[0, 0, 1, 1, 2, 2], [4, 4, 4], [3, 2, 1, 0], [0.5, 1.5, 2.5]])
 def test_what_does_not_count_samples_is_no_counter(tmp_path, recwarn, counts):
-    """Rows are counted then, as if it were not there."""
+    """Rows are counted then, as if it were not there: no loss can be seen in it."""
     path = tmp_path / "log.csv"
     rows = "".join(f"{n},1,2,3\n" for n in counts)
     path.write_text(f"# Sample rate: 100 Hz\ncounter,wx_dps,wy_dps,wz_dps\n{rows}")
-    t_ns, _ = read(path, recwarn)
-    assert t_ns.tolist() == [k * 10**7 for k in range(len(counts))]
+    t_ns, remarks = read(path, recwarn)
+    assert (t_ns.tolist(), remarks) == ([k * 10**7 for k in range(len(counts))], [])
+
+
+HEAD = "# Sample rate: 100 Hz\n{},wx_dps,wy_dps,wz_dps\n"
+
+
+def numbered(path, name, counts):
+    """Write rows of a column that may count, at a stated rate of 100 Hz."""
+    path.write_text(HEAD.format(name) + "".join(f"{n},1,2,3\n" for n in counts))
+    return path
+
+
+RANDOM = np.random.default_rng(3)
+LOSSES = {
+    "1 and 3 of 5": [n for n in range(500) if n % 5 in {1, 3}],
+    "0, 1 and 4 of 8": [n for n in range(500) if n % 8 in {0, 1, 4}],
+    **{f"{part:.0%}": np.flatnonzero(RANDOM.random(500) > part) for part in (0.1, 0.45, 0.55, 0.7)},
+}
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize("name", ["PacketCounter", "seq", "sample_id"])
+def test_a_counter_is_used_however_many_samples_are_lost(tmp_path, recwarn, name, loss):
+    """Where most were lost, so that most steps were not 1, rows were counted without a word."""
+    counts = LOSSES[loss]
+    t_ns, remarks = read(numbered(tmp_path / "log.csv", name, counts), recwarn)
+    assert t_ns.tolist() == [int(n - counts[0]) * 10**7 for n in counts]
+    lost = counts[-1] - counts[0] + 1 - len(counts)
+    assert remarks == [f"{lost} samples lost by the counter '{name}'"]
+
+
+@pytest.mark.parametrize("step", [2, 5])
+def test_a_counter_of_larger_steps_is_not_guessed_about(tmp_path, recwarn, step):
+    """Steady, it says nothing that rows do not; with gaps, only the user knows what it counts."""
+    steady = numbered(tmp_path / "steady.csv", "Counter", range(0, 300 * step, step))
+    t_ns, remarks = read(steady, recwarn)
+    assert t_ns[-1] == 299 * 10**7
+    assert remarks == [
+        (
+            f"the counter 'Counter', which usually steps by {step}, is not used; to use it, give "
+            "time_col='Counter' and sample_rate='100'"
+        )
+    ]
+    counts = [n * step for n in range(300) if n % 10]
+    path = numbered(tmp_path / "log.csv", "Counter", counts)
+    for options in ({}, {"sample_rate": 100}):
+        with pytest.raises(UndeclaredError) as caught:
+            read_rates(path, **options)
+        assert str(caught.value) == (
+            f"{path}: whether the counter 'Counter', which usually steps by {step}, counts samples "
+            "is not declared; say it with time_col='Counter' and sample_rate='100' if it does, or "
+            "time_col='none' and sample_rate='100' to count rows"
+        )
+    rows, remarks = read(path, recwarn, time_col="none", sample_rate=100)
+    assert (rows[-1], remarks) == (269 * 10**7, [])
+    samples, _ = read(path, recwarn, time_col="Counter", sample_rate=100)
+    assert samples[-1] == (counts[-1] - counts[0]) * 10**7
+
+
+@pytest.mark.parametrize("name", ["frame", "index", "count", "Sample", "N"])
+def test_numbers_of_rows_that_have_gaps_are_remarked_on(tmp_path, recwarn, name):
+    """Rows were counted without a word, though samples are missing."""
+    path = numbered(tmp_path / "log.csv", name, [n for n in range(300) if n % 10])
+    t_ns, remarks = read(path, recwarn)
+    assert t_ns[-1] == 269 * 10**7
+    assert remarks == [
+        (
+            f"'{name}' passes over numbers, as if samples were lost, but rows are counted; to "
+            f"count by it, give time_col='{name}' and sample_rate='100'"
+        )
+    ]
+    t_ns, remarks = read(path, recwarn, time_col=name, sample_rate=100)
+    assert (t_ns[-1], remarks) == (298 * 10**7, [f"29 samples lost by the counter '{name}'"])
+    _, remarks = read(numbered(path, name, range(300)), recwarn)
+    assert remarks == []
 
 
 @pytest.mark.parametrize("cut", [1, 7, 150, 299])
@@ -291,6 +522,7 @@ def test_a_counter_that_begins_anew_steps_back():
     assert counted(np.array([40_000, 40_001, 0, 1])).tolist() == [0, 1, -40_000, -39_999]
 
 
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 def test_a_counter_gives_attitudes_as_stamps_do(tmp_path):
     """Through the whole run."""
     path = xsens(tmp_path / "log.txt", [0, 1, 2, 12, 13])

@@ -12,7 +12,7 @@ from quatprop.logs.clocks import Clock
 from quatprop.logs.columns import TableColumns
 from quatprop.logs.vocabulary import GENERIC
 from quatprop.tables.base import OTHER_DATES
-from quatprop.tables.column_names import TIME_UNITS, as_option
+from quatprop.tables.column_names import TIME_UNITS, as_option, whole_key
 from quatprop.text import Setting, Text, listed, plain
 from quatprop.times import duration_text
 
@@ -109,7 +109,9 @@ class ClockMatcher(TableColumns):
             Two that are as good as each other differ, or may.
         """
         found = [self._with_fraction(clock) for clock in sorted(found, key=goodness)]
-        if len(found) == 1:
+        fractions = {k for clock in found for k in clock.columns[1:]}
+        found = [clock for clock in found if clock.columns[0] not in fractions]
+        if len(found) == 1 or not any(map(is_readable, found)):
             return found[0]
         times = self._first_times(found)
         moving = [clock for clock in found if not clocks.stands_still(times[clock])] or found
@@ -137,6 +139,10 @@ class ClockMatcher(TableColumns):
             self._note_difference(best, other, differ)
         return best
 
+    def stand_still(self, found: list[Clock]) -> bool:
+        """Return whether all clocks have the same time in all of the first rows."""
+        return all(map(clocks.stands_still, self._first_times(found).values()))
+
     def _note_difference(self, best: Clock, other: Clock, differ: clocks.Difference) -> None:
         names = self.names(other.columns), self.names(best.columns)
         sentence = clocks.difference_text(*names, differ)
@@ -163,27 +169,35 @@ class ClockMatcher(TableColumns):
         if fraction is None:
             return clock
         if self.are_two_clocks(first, fraction):
+            if self.declared((first,)) and self.declared((fraction,)):
+                return clock
             raise self.ambiguous_time((first, fraction))
         units = ("s", self.fraction_unit(fraction))
         return clock._replace(columns=(first, fraction), units=units)
 
     def fraction(self, first: int) -> int | None:
         """Return the column of fractions of seconds that belongs to one of whole seconds."""
-        match = re.fullmatch(r"(.*[._])?secs?", self.columns[first].key)
+        first_key = whole_key(self.columns[first].text)
+        match = re.fullmatch(r"(.*[._])?(?:secs?|seconds?)|(.*[._])s", first_key)
         if not match:
             return None
-        others = self.matching(re.escape(match[1] or "") + f"(?:{_PARTS_OF_A_SECOND})")
-        return others[0] if others else None
+        key = re.compile(re.escape(match[1] or match[2] or "") + f"(?:{_PARTS_OF_A_SECOND})")
+        others = (k for k, one in enumerate(self.columns) if key.fullmatch(whole_key(one.text)))
+        return next(others, None)
 
     def ambiguous_time(self, candidates: Sequence[int], why: str = "") -> UndeclaredError:
         """Return the error for columns that all may be the time, and why none of them is taken."""
         names = listed(self.columns[k].text for k in candidates)
-        return UndeclaredError(
-            self.path,
-            f"the time column (one of {names}{why})",
-            Text(f"{Setting('time_col', 'C')}, or {Setting('sample_rate', 'HZ')} for rows at a "
-                "steady rate"),
-        )  # fmt: skip
+        what, way = f"the time column (one of {names}{why})", f"{Setting('time_col', 'C')}"
+        if not candidates:
+            what = "the time column"
+        elif len(candidates) == 1:
+            column = as_option([column.text for column in self.columns], candidates[0])
+            what, way = f"whether {names} is the time", f"{Setting('time_col', column)}"
+            if self.declared((candidates[0],)) not in TIME_UNITS:
+                way = f"{way} and {Setting('time_unit', '|'.join(TIME_UNITS))}"
+        steady = f"or {Setting('sample_rate', 'HZ')} for rows at a steady rate"
+        return UndeclaredError(self.path, what, Text(f"{way}, {steady}"))
 
 
 def _shared(a: str, b: str) -> int:

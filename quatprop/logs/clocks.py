@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from quatprop.tables.counters import counted
 from quatprop.times import NS_PER_S, NS_PER_UNIT, duration_text
 
 if TYPE_CHECKING:
@@ -32,9 +31,6 @@ _QUARTER_NS = 900 * NS_PER_S
 _LARGEST_OFFSET_NS = 14 * 3600 * NS_PER_S
 _ROUNDING_NS = NS_PER_S
 _FROM_2000_NS = 946_684_800 * NS_PER_S
-
-_DOUBTFUL = 20
-"""One step of so many may be back, or none, where a column counts samples."""
 
 TIME = r"(?:t|ts|time|timestamp|time_?stamp|stamp)"
 
@@ -74,11 +70,16 @@ CLOCKS = (
     ClockName(rf"(?P<of>.+?)[._]{TIME}(?:_since_(?:re)?boot)?", SENSOR),
     ClockName(rf"(?:epoch?|unix|posix|ros)(?:_?{TIME})?", EPOCH),
     ClockName(rf"(?:{TIME}|time_interval)_since_?1970", EPOCH, "s"),
+    *(
+        ClockName(word, EPOCH, unit)
+        for word, unit in {"millis": "ms", "micros": "us", "nanos": "ns"}.items()
+    ),
     ClockName(r"(?:.*\.)?header\.stamp\.secs?", EPOCH),
-    ClockName(r"(?:stamp[._])?secs?", EPOCH),
+    ClockName(r"(?:stamp[._])?(?:secs?|seconds)", EPOCH),
+    ClockName(rf"(?:{TIME}|tv|epoch|unix|posix)_(?:secs?|seconds)", EPOCH, "s"),
     ClockName(rf"_*{TIME}", EPOCH),
     ClockName(rf"utc_?{TIME}", EPOCH),
-    ClockName(rf"(?:{TIME}|seconds|secs?)_?elapsed|elapsed(?:_?{TIME}|_?seconds)?", EPOCH),
+    ClockName(rf"(?:{TIME}|seconds|secs?)_?elapsed|elapsed(?:_?{TIME}|_?seconds)?|uptime", EPOCH),
 )
 """Names of clocks; the first row that fits counts, and comes first among those of its rank."""
 
@@ -87,6 +88,9 @@ COUNTER = (
     r"(?:_?(?:no|num|number|id))?|(?:packet|sample|frame)_?(?:count|no|num|number|index|id)"
 )
 """Names of what may count the samples of a sensor, also those that were lost."""
+
+INDEX = r"(?:.*[._])?(?:frame|index|idx|count|samples?|n|no|num|number)"
+"""Names of what may count samples, or only rows that were written."""
 
 
 class Clock(NamedTuple):
@@ -165,10 +169,10 @@ def first_times(cells: Sequence[Sequence[object]], clock: Clock) -> Float64 | No
     clock
         Which it is.
     """
-    if not all(clock.units):
+    if not all(unit in NS_PER_UNIT for unit in clock.units):
         return None
     parts = [
-        _numbers(column) * NS_PER_UNIT[unit]
+        numbers_of(column) * NS_PER_UNIT[unit]
         for column, unit in zip(cells, clock.units, strict=True)
     ]
     times = reduce(np.add, parts)
@@ -177,7 +181,8 @@ def first_times(cells: Sequence[Sequence[object]], clock: Clock) -> Float64 | No
     return None if np.isnan(times).all() else times - clock.offset_ns
 
 
-def _numbers(cells: Sequence[object]) -> Float64:
+def numbers_of(cells: Sequence[object]) -> Float64:
+    """Return the numbers in cells; NaN where there is none."""
     numbers = np.full(len(cells), np.nan)
     for k, cell in enumerate(cells):
         try:
@@ -275,14 +280,3 @@ def difference_text(other: str, used: str, found: Difference) -> str:
         f"the times in {other} differ from those in {used}, which are used, by up to "
         f"{duration_text(found.largest_ns)} beyond a constant"
     )
-
-
-def counts_samples(cells: Sequence[object]) -> bool:
-    """Return whether the first rows of a column count samples one by one, but for lost ones."""
-    numbers = _numbers(cells)
-    if len(numbers) < 2 or not (np.abs(numbers) < 2**60).all() or (numbers % 1).any():  # noqa: PLR2004
-        return False
-    steps = np.diff(counted(numbers.astype(np.int64)))
-    # One damaged value is seen as a time that steps back.
-    doubtful = np.count_nonzero(steps <= 0)
-    return bool(np.median(steps) == 1 and doubtful <= max(1, len(steps) // _DOUBTFUL))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from quatprop.errors import UnsupportedLogError, UsageError
 from quatprop.logs.matching import matching
 from quatprop.settings.quantities import SCALED_RATE_UNITS
-from quatprop.tables.column_names import TIME_UNITS, parse_name
+from quatprop.tables.column_names import TIME_UNITS, parse_name, whole_key
 from quatprop.tables.timestamps import from_text
 from quatprop.text import Setting, Text, did_you_mean, listed, plain, quoted
 from quatprop.times import NS_PER_S
@@ -136,21 +136,22 @@ class TableColumns:
         return units.pop() if len(units) == 1 else ""
 
     def are_two_clocks(self, seconds: int, part: int) -> bool:
-        """Return whether one is a whole stamp by itself: seconds with decimals, or parts for 2 s.
+        """Return whether one is a whole stamp by itself: seconds with decimals, or parts for 1 s.
 
         In odd messages of ROS the nanoseconds go on a little beyond a second.
         """
         unit = self.fraction_unit(part)
+        limit = (2 if unit == "ns" else 1) * NS_PER_S
         for cells in self.head((seconds, part)):
             with suppress(ValueError):
                 whole, fraction = from_text(f"{cells[0]}", "s"), from_text(f"{cells[1]}", unit)
-                if whole % NS_PER_S or fraction >= 2 * NS_PER_S:
+                if whole % NS_PER_S or fraction >= limit:
                     return True
         return False
 
     def fraction_unit(self, k: int) -> str:
         """Return the unit of the second column of a stamp; ns, as in ROS, if nothing says it."""
-        word = re.split(r"[._]", self.columns[k].key)[-1]
+        word = re.split(r"[._]", whole_key(self.columns[k].text))[-1]
         declared = self.declared((k,))
         units = (u for u, names in TIME_UNITS.items() if u == declared or word in names)
         return next(units, "ns")

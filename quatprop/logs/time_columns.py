@@ -6,20 +6,25 @@ import math
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.logs import clocks
 from quatprop.logs.clock_choice import ClockMatcher, goodness, is_readable
 from quatprop.logs.series import SeriesChoice
 from quatprop.tables.base import OTHER_DATES
-from quatprop.tables.column_names import TIME_UNITS
+from quatprop.tables.column_names import TIME_UNITS, as_option
+from quatprop.tables.counters import counting
 from quatprop.tables.model import Stamp
 from quatprop.text import Setting, Text, plain
 
 if TYPE_CHECKING:
     from fractions import Fraction
 
+    from quatprop.logs.clocks import Clock
     from quatprop.logs.rows import Row
     from quatprop.selection import SignalSelection
+    from quatprop.tables.counters import Counting
     from quatprop.tables.model import Table
 
     Positions = tuple[int, ...]
@@ -84,12 +89,13 @@ class TimeMatcher(ClockMatcher):
                 f"{Setting(self.setting)}; name other columns, or the time with "
                 f"{Setting('time_col')}",
             )
-        if any(self.notes.units.get(k) == OTHER_DATES for k in time):
-            raise UnsupportedLogError(
+        if self._holds_text(time):
+            raise self._unreadable_dates(time)
+        if time and sample_rate is None and self._needs_rate(time[0]):
+            raise UndeclaredError(
                 self.path,
-                f"{self.names(time)} holds {OTHER_DATES}; write them as 2023-11-14T22:13:20.5, "
-                f"name another column with {Setting('time_col', 'C')}, or count rows at a steady "
-                f"rate with {Setting('sample_rate', 'HZ')}",
+                f"the rate of the counter {self.names(time)}",
+                Setting("sample_rate", "HZ"),
             )
         units = ("ns", "ns")
         if time[1:]:
@@ -108,6 +114,32 @@ class TimeMatcher(ClockMatcher):
         offset_ns = sum(map(self.utc_offset_ns, time))
         stamp = Stamp(time, units[: len(time)], clock, sample_rate, offset_ns)
         return stamp, self.table.of_series(series)
+
+    def _holds_text(self, time: Positions) -> bool:
+        """Return whether a time is text that cannot be read, such as dates with names of months."""
+        if any(self.notes.units.get(k) == OTHER_DATES for k in time):
+            return True
+        if not time or self.declared(time[:1]) or self.selection.time_unit is not None:
+            return False
+        cells = [row[0] for row in self.head(time[:1])[: clocks.FIRST_ROWS]]
+        return bool(cells) and bool(np.isnan(clocks.numbers_of(cells)).all())
+
+    def _needs_rate(self, k: int) -> bool:
+        """Return whether a column counts samples, and is no time by itself."""
+        is_counter = re.fullmatch(clocks.COUNTER, self.columns[k].key) is not None
+        return is_counter and not (self.selection.time_unit or self.declared((k,)))
+
+    def _unreadable_dates(self, time: Positions) -> UnsupportedLogError:
+        """Return the error for a time that is text, perhaps in two columns of dates and times."""
+        dates = sorted(k for k, unit in self.notes.units.items() if unit == OTHER_DATES)
+        are = dates if self.selection.time_col is None and {*time} <= {*dates} else time
+        return UnsupportedLogError(
+            self.path,
+            f"{self.names(are)} {'hold' if are[1:] else 'holds'} {OTHER_DATES}; write them as "
+            f"2023-11-14T22:13:20.5{' in one column' if are[1:] else ''}, name another column "
+            f"with {Setting('time_col', 'C')}, or count rows at a steady rate with "
+            f"{Setting('sample_rate', 'HZ')}",
+        )
 
     def unused_stamps(self, row: Row) -> Positions:
         """Return the time columns that are there although rows are counted at a sample rate."""
@@ -129,6 +161,12 @@ class TimeMatcher(ClockMatcher):
         if len(by_unit) == 1 and not any(map(is_readable, found)):
             return TimeSource(tuple(by_unit))
         steady = self.notes.sample_rate
+        others = {*by_unit} - {k for clock in found for k in clock.columns}
+        if found and (others or steady is not None) and self.stand_still(found):
+            instead = self._instead_of_stopped(found, sorted(others))
+            if instead is not None:
+                return instead
+            found = [] if steady is not None else found
         counter = self._counter(numbers) if steady is not None else ()
         if found:
             best = self.best(found)
@@ -137,9 +175,23 @@ class TimeMatcher(ClockMatcher):
             if best.rank < clocks.TEXT or not (counter or (steady and not is_readable(best))):
                 return TimeSource(best.columns, None, best.units[0])
         if steady is not None:
+            self._note_unused_counters(numbers, counter, steady)
             return TimeSource(counter, steady)
         likely = (rf".*[._](?:{clocks.TIME})", r".*(?:time|stamp|sec|clock|date).*", ".*")
-        raise self.ambiguous_time(by_unit or next(filter(None, map(self.matching, likely))))
+        no_time = {*numbers, *self.matching(clocks.COUNTER)}
+        candidates = ([k for k in self.matching(name) if k not in no_time] for name in likely)
+        raise self.ambiguous_time(by_unit or next(filter(None, candidates), []))
+
+    def _instead_of_stopped(self, found: list[Clock], others: list[int]) -> TimeSource | None:
+        """Return the only other column in a unit of time that moves, if clocks stand still."""
+        stopped = [k for clock in found for k in clock.columns]
+        moving = [k for k in others if not self.stand_still([self._clock(k, clocks.EPOCH, "", 0)])]
+        used = f"those in {self.names(moving)} are" if len(moving) == 1 else "the sample rate is"
+        if len(moving) == 1 or self.notes.sample_rate is not None:
+            self.overruled.append(
+                Text(f"the times in {self.names(stopped)} are all the same; {used} used")
+            )
+        return TimeSource(tuple(moving)) if len(moving) == 1 else None
 
     # What the user names.
 
@@ -178,11 +230,12 @@ class TimeMatcher(ClockMatcher):
                     f"{self.names(counter)}, which also counts lost samples; to count rows, give "
                     f"{Setting('time_col', _NO_COLUMN)} too"
                 ))  # fmt: skip
+            self._note_unused_counters(numbers, counter, sample_rate)
             return TimeSource(counter, sample_rate)
         if name == _NO_COLUMN and name not in (column.text.strip() for column in self.columns):
             return TimeSource((), sample_rate)
         k = self.position(name, "time_col")
-        if re.fullmatch(clocks.COUNTER, self.columns[k].key) is None:
+        if re.fullmatch(f"{clocks.COUNTER}|{clocks.INDEX}", self.columns[k].key) is None:
             raise UsageError(
                 f"{Setting('time_col')} and {Setting('sample_rate')} contradict each other; give "
                 "one",
@@ -190,9 +243,49 @@ class TimeMatcher(ClockMatcher):
         return TimeSource((k,), sample_rate)
 
     def _counter(self, numbers: Positions) -> Positions:
-        """Return the only column that counts samples; none where there is none."""
-        columns = [k for k in self.matching(clocks.COUNTER) if k not in numbers]
+        """Return the first column that counts samples; none where there is none."""
+        counters = self._countings(clocks.COUNTER, numbers)
+        return tuple(k for k, counting in counters.items() if counting.is_by_one)[:1]
+
+    def _countings(self, pattern: str, numbers: Positions) -> dict[int, Counting]:
+        """Return the columns of some names that count, and how."""
+        columns = [k for k in self.matching(pattern) if k not in numbers]
         rows = self.head(columns)[: clocks.FIRST_ROWS] if columns else []
-        cells = zip(*rows, strict=True)
-        counters = [k for k, c in zip(columns, cells, strict=False) if clocks.counts_samples(c)]
-        return tuple(counters[:1])
+        found = zip(columns, (counting(clocks.numbers_of(c)) for c in zip(*rows, strict=True)),
+                    strict=False)  # fmt: skip
+        return {k: how for k, how in found if how is not None}
+
+    def _note_unused_counters(
+        self, numbers: Positions, counter: Positions, sample_rate: Fraction | float
+    ) -> None:
+        """Note what else may count samples where rows are counted.
+
+        Raises
+        ------
+        UndeclaredError
+            A counter passes over numbers, and nothing tells which of them are samples.
+        """
+        if counter:
+            return
+        rate = Setting("sample_rate", f"{float(sample_rate):g}")
+        names = [column.text for column in self.columns]
+        for k, how in self._countings(clocks.COUNTER, numbers).items():
+            use = Setting("time_col", as_option(names, k))
+            counts = f"the counter {self.names((k,))}, which usually steps by {how.step},"
+            if how.has_gaps:
+                raise UndeclaredError(
+                    self.path,
+                    f"whether {counts} counts samples",
+                    Text(f"{use} and {rate} if it does, or {Setting('time_col', _NO_COLUMN)} and "
+                         f"{rate} to count rows"),
+                )  # fmt: skip
+            self.overruled.append(Text(f"{counts} is not used; to use it, give {use} and {rate}"))
+            return
+        for k, how in self._countings(clocks.INDEX, numbers).items():
+            if how.has_gaps:
+                use = Setting("time_col", as_option(names, k))
+                self.overruled.append(Text(
+                    f"{self.names((k,))} passes over numbers, as if samples were lost, but rows "
+                    f"are counted; to count by it, give {use} and {rate}"
+                ))  # fmt: skip
+                return

@@ -205,10 +205,15 @@ class TableLog(Log):
     def _counted(self, batches: Batches, columns: TimedColumns) -> Batches:
         """Yield rows at the times of their counter."""
         rate = columns.sample_rate or 1.0
+        name = quoted(self.columns()[columns.time[0]])
+
+        def note_lost(count: int) -> None:
+            remark = f"{count} sample{'s' * (count > 1)} lost by the counter {name}"
+            self.remarks = [*(one for one in self.remarks if one != remark), remark]
+
         try:
-            yield from counted_rows(batches, rate)
+            yield from counted_rows(batches, rate, note_lost)
         except OverflowError:
-            name = quoted(self.columns()[columns.time[0]])
             raise UnsupportedLogError(
                 self.path,
                 f"at {float(rate):g} Hz, the counts in column {name} do not fit in int64 ns; count "

@@ -82,6 +82,7 @@ _MAY_HAVE_SUFFIX = (
     r"(?:.*[._])?g_?[xyz]",
     r"[pqr]|(?:.*[._])?(?:roll|pitch|yaw)_?rate",
     rf"(?:.*[._])?(?:{TIME_NAMES})(?:_[a-z]+)?",
+    r"(?:.*[._])?(?:epoch|unix|posix|elapsed|uptime|boot|since_(?:re)?boot|since_start)",
     ROTATION_VECTOR,
     EULER,
     EULER_NUMBERED.format("[xyz]{3}"),
@@ -113,6 +114,19 @@ def parse_name(text: str) -> Column:
         if may_have_it and any(re.fullmatch(known, key) for known in _MAY_HAVE_SUFFIX):
             return Column(text, key, unit)
     return Column(text, _key(name))
+
+
+def whole_key(text: str) -> str:
+    """Return the key of a name with the unit that it ends in, but for one in brackets.
+
+    Examples
+    --------
+    >>> whole_key("TS_mSec"), parse_name("ts_msec").key
+    ('ts_msec', 'ts')
+    """
+    name = text.strip("\ufeff \t\"'").lstrip("#%/ \t").strip()
+    # No new word begins in the units mSec and uSec.
+    return _key(re.sub(r"(?i)([munµμ])sec", lambda unit: unit[0].lower(), name))
 
 
 def as_option(names: Sequence[str], k: int) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from quatprop.errors import UsageError
 from quatprop.times import numbered_stamps
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from quatprop.arrays import Float64, Int64
 
@@ -23,6 +23,46 @@ _LOST = 4
 
 
 _TOO_LARGE = 1 << 61
+
+_DOUBTFUL = 20
+"""One step of so many may be back, or none, where a column counts samples, or else of no use."""
+
+_LARGEST_STEP = 4
+"""Where a counter never steps by 1, half of its steps are at most this if it counts samples."""
+
+
+class Counting(NamedTuple):
+    """How the first values of a column count.
+
+    Parameters
+    ----------
+    step
+        By how much they usually rise.
+    is_by_one
+        Whether they count samples one by one, but for lost ones.
+    has_gaps
+        Whether they rise by other steps, too.
+    """
+
+    step: int
+    is_by_one: bool
+    has_gaps: bool
+
+
+def counting(numbers: Float64) -> Counting | None:
+    """Return how the first values of a column count; None where they do not."""
+    if len(numbers) < 2 or not (np.abs(numbers) < 2**60).all() or (numbers % 1).any():  # noqa: PLR2004
+        return None
+    steps = np.diff(counted(numbers.astype(np.int64)))
+    rising = steps[steps > 0]
+    # One damaged value is seen as a time that steps back.
+    if not len(rising) or len(steps) - len(rising) > max(1, len(steps) // _DOUBTFUL):
+        return None
+    sizes, times = np.unique(rising, return_counts=True)
+    usual = int(sizes[times.argmax()])
+    others = np.count_nonzero(rising % usual)
+    is_mixed = others * _DOUBTFUL > len(rising) and np.median(rising) <= _LARGEST_STEP
+    return Counting(usual, usual == 1 or bool(is_mixed), len(sizes) > 1)
 
 
 def counted(values: Int64, before: tuple[int, int] | None = None) -> Int64:
@@ -53,9 +93,20 @@ def counted(values: Int64, before: tuple[int, int] | None = None) -> Int64:
 
 
 def counted_rows(
-    batches: Iterator[tuple[Int64, Float64]], sample_rate: Fraction | float
+    batches: Iterator[tuple[Int64, Float64]],
+    sample_rate: Fraction | float,
+    note_lost: Callable[[int], None],
 ) -> Iterator[tuple[Int64, Float64]]:
     """Yield rows at the stamps of their counters, the first at 0 ns.
+
+    Parameters
+    ----------
+    batches
+        Counters and rows.
+    sample_rate
+        Samples a second, Hz.
+    note_lost
+        Is told at the end how many samples the counters passed over, if any.
 
     Raises
     ------
@@ -64,11 +115,17 @@ def counted_rows(
     """
     before: tuple[int, int] | None = None
     rate = Fraction(str(sample_rate))
+    lost = 0
     for values, numbers in batches:
         counts = counted(values, before)
+        steps = np.diff(counts, prepend=counts[:1] if before is None else before[1])
+        # A damaged count steps back as far as it was ahead.
+        lost += int((steps[steps != 0] - 1).sum())
         before = int(values[-1]), int(counts[-1])
         try:
             t_ns = numbered_stamps(counts, rate)
         except UsageError as error:
             raise OverflowError from error
         yield t_ns, numbers
+    if lost > 0:
+        note_lost(lost)
