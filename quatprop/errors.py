@@ -239,15 +239,19 @@ class NoSamplesError(LogError):
         Samples that were left out: before and after the chosen part, and as not finite.
     losses
         Places that could not be read, and why.
+    length
+        How long the log is, where the part is given in units.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  # all that may explain it
         self,
         path: Path | str,
         source: str,
         outside: Sequence[int] = (0, 0),
         dropped: int = 0,
         losses: Sequence[tuple[str, str, object]] = (),
+        *,
+        length: str = "",
     ) -> None:
         reason = "; look with info"
         if dropped:
@@ -255,7 +259,8 @@ class NoSamplesError(LogError):
         elif any(outside):
             before, after = outside
             reason = f" between {Setting('start')} and {Setting('end')}: {before} are before, "
-            reason += f"{after} after; a number without a unit is in ns"
+            unit = "a number without a unit is in ns"
+            reason += f"{after} after; {f'the log is {length} long' if length else unit}"
         elif losses:
             reason = "; lost: {}: {}".format(*losses[0])
         super().__init__(path, f"no samples in {quoted(source)}{reason}")

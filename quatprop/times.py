@@ -169,6 +169,10 @@ def regular_count(elapsed_ns: int, rate: Fraction) -> int:
     return max(0, last + 1)
 
 
+_LONGEST_LOG_NS = 10 * 366 * NS_PER_UNIT["h"] * 24
+"""Longer durations are Unix times."""
+
+
 class Instant(NamedTuple):
     """A point in time, absolute or relative to an end of the log.
 
@@ -213,12 +217,18 @@ def instant(text: str) -> Instant:
     try:
         if text.startswith("-"):
             return Instant(-duration_ns(text[1:]), "last")
-        return Instant(duration_ns(text.removeprefix("+")), "first")
+        ns = duration_ns(text.removeprefix("+"))
     except UsageError:
         raise UsageError(
             f"{quoted(text)} is not a time; write RFC 3339 (2024-01-31T12:00:00Z), integer "
             "nanoseconds, or a duration from the first (+10s) or the last sample (-30s)"
         ) from None
+    if ns > _LONGEST_LOG_NS:
+        raise UsageError(
+            f"{quoted(text)} counts from the first sample, and no log is so long; write a Unix "
+            "time as RFC 3339 (2024-01-31T12:00:00Z) or in ns, without a unit"
+        )
+    return Instant(ns, "first")
 
 
 def absolute_ns(text: str) -> int | None:

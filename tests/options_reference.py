@@ -134,15 +134,22 @@ def part(options, t, rows):
 def ordered(t, options):
     """Return the rows that --on-backwards leaves, in the order of use."""
     stamps, ahead = t.tolist(), outliers(t.tolist())
+    back = sum(b < a for a, b in pairwise(stamps)), sum(b > a for a, b in pairwise(stamps))
+    if options.get("on_backwards") == "sort" and ahead and back[0] > back[1]:
+        ahead = {len(t) - 1 - row for row in outliers(stamps[::-1])}
     kept = [row for row in range(len(t)) if row not in ahead]
     if options.get("on_backwards") == "sort":
         others = sorted(stamps[row] for row in kept)
         intervals = [b - a for a, b in pairwise(others) if b > a]
-        for row in ahead:
+        last, median = others[-1], np.median(intervals)
+        longest = max(1.5 * median, *(each for each in intervals if each <= 10 * median))
+        for row in sorted(ahead, key=stamps.__getitem__):
             after = bisect_left(others, stamps[row])
             inside = 0 < after < len(others)
-            if inside and others[after] - others[after - 1] > 1.5 * np.median(intervals):
+            if inside and others[after] - others[after - 1] > 1.5 * median:
                 kept.append(row)
+            elif others[-1] < stamps[row] <= last + longest:
+                kept, last = [*kept, row], stamps[row]
         return sorted(sorted(kept), key=stamps.__getitem__)
     rows = kept[:1]
     for row in kept[1:]:

@@ -265,6 +265,32 @@ def test_what_is_about_logs_is_refused_for_rates_in_memory(keywords):
         quatprop.propagate(GyroSeries(T_NS, RATE), **keywords)
 
 
+IN_MEMORY = {
+    "if they are in deg/s, use numpy.deg2rad": [0, 10**7],
+    "choose on_backwards='drop' or 'sort', or another t_ns": [0, 5, 3],
+    "is there another t_ns or time column, or are they in another unit?": [0] * 30,
+    "in another unit, use t_ns in ns": list(range(0, 30 * 10**13, 10**13)),
+    "check unit, the time column or t_ns": [-(2**63), 2**63 - 1],
+    "choose another with t_ns or other stamps": [10**9] * 5 + [2 * 10**9] * 5,
+}
+"""How advice ends on rates in memory, and stamps that it is given for, in ns."""
+
+
+@pytest.mark.parametrize("advice", IN_MEMORY)
+def test_advice_on_rates_in_memory_names_no_setting_for_logs(advice):
+    """`rate_unit='deg/s'` was advised, and refused when it was typed."""
+    t_ns = IN_MEMORY[advice]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            quatprop.propagate(GyroSeries(t_ns, [[100.0, 200.0, 300.0]] * len(t_ns)))
+            said = [str(warning.message) for warning in caught]
+        except LogError as error:
+            said = [str(error)]
+    assert any(sentence.endswith(advice) for sentence in said)
+    assert not re.search("clock|time_col|time_unit|rate_unit", " ".join(said))
+
+
 def test_reading_takes_no_settings_of_a_propagation():
     """A bias is not subtracted by reading."""
     with pytest.raises(UsageError, match="there is no setting 'bias'"):

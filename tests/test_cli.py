@@ -644,6 +644,24 @@ def test_a_part_without_samples_says_where_they_are(log, tmp_path):
         f"{log}: no samples in 'w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]' "
         "between --start and --end: 11 are before, 0 after; a number without a unit is in ns",
     )
+    # The units were doubted where they had been given.
+    refused(
+        run("propagate", log, "-o", out, "--start", "+500s"),
+        f"{log}: no samples in 'w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]' "
+        "between --start and --end: 11 are before, 0 after; the log is 1 s long",
+    )
+
+
+@pytest.mark.parametrize("time", ["1408542250s", "+1408542250.25s", "391262h"])
+@pytest.mark.parametrize("option", ["--start", "--end"])
+def test_a_unix_time_in_seconds_is_no_duration(log, tmp_path, option, time):
+    """It counted from the first sample, 45 years, and left nothing out."""
+    result = run("propagate", log, "-o", tmp_path / "out.csv", option, time)
+    assert result.exit_code == 2
+    assert result.stderr.endswith(
+        f"'{time}' counts from the first sample, and no log is so long; write a Unix time as RFC "
+        "3339 (2024-01-31T12:00:00Z) or in ns, without a unit\n"
+    )
 
 
 @pytest.mark.parametrize("unit_ns", [1_000_000_000, 1_000_000])

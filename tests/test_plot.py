@@ -475,7 +475,7 @@ def test_a_part_of_a_series_can_be_drawn(turning, rates, tmp_path):
     assert code == 2
     assert said == (
         f"Error: {turning}: no samples in 'qw,qx,qy,qz' between --start and --end: 1000 are "
-        "before, 0 after; a number without a unit is in ns\n"
+        "before, 0 after; the log is 9.99 s long\n"
     )
 
 

@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from options_reference import outliers
 
+from quatprop.conditioning.time_range import EndsFinder
 from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries
 from quatprop.timeline import Timeline
@@ -90,13 +91,19 @@ CAUSES = [
 def test_what_the_stamps_show_is_named_where_time_steps_back(stamps, cause, cut):
     """Not the sample that the clock steps back to is wrong, but the stamp before it, or neither."""
     batches = gyro(stamps[:cut]), gyro(stamps[cut:])
-    with pytest.raises(TimelineError, match=rf" ns\) {cause}.*; choose"):
+    with pytest.raises(TimelineError, match=rf" ns\) {cause}.*") as refused:
         applied(Policy(), *batches)
+    # To drop or sort what follows was advised, which spoils it.
+    assert str(refused.value).endswith(
+        " wrapped around; log a wider counter, or add 2^32 to the column after each such step, or "
+        "choose another clock"
+    )
     for choice in ("drop", "sort", "keep"):
         policy = Policy(on_backwards=choice)
         _, _, counts = applied(policy, *batches)
         said = next(text for text in map(str, remarks(counts, policy)) if "non-mono" in text)
         assert f" ns {cause}" in said
+        assert "on_backwards" not in said
 
 
 def regular(**wrong):
@@ -208,6 +215,53 @@ def test_packets_that_came_early_are_sorted():
     stamps, _, counts = applied(Policy("sort"), gyro(early))
     assert stamps == sorted(set(early) - {5_000})
     assert (counts.outliers.count, counts.outliers.first_index, counts.dropped) == (1, 20, 1)
+
+
+def newest_first(stamps, _random):
+    """Write the last sample first."""
+    return stamps[::-1]
+
+
+def halves(stamps, random):
+    """Write the beginning after the rest."""
+    return np.roll(stamps, random.integers(1, len(stamps)))
+
+
+def packets(stamps, random):
+    """Write packets that overtook each other."""
+    parts = np.array_split(stamps, random.integers(2, 20))
+    return np.concatenate([parts[k] for k in random.permutation(len(parts))])
+
+
+def shuffled(stamps, random):
+    """Write samples in any order."""
+    return random.permutation(stamps)
+
+
+@pytest.mark.parametrize("order", [newest_first, halves, packets, shuffled])
+def test_what_sorts_into_a_steady_clock_has_no_outliers(order):
+    """The 32 newest samples of a log that was written newest first were dropped as outliers."""
+    random = np.random.default_rng(5)
+    for samples in random.integers(40, 400, 25):
+        stamps = 10 * np.arange(samples) + random.integers(-1, 2, samples)
+        policy, written = Policy("sort"), order(stamps, random).tolist()
+        kept, _, counts = applied(policy, gyro(written[:30]), gyro(written[30:]))
+        assert kept == stamps.tolist()
+        assert (counts.outliers.count, counts.dropped) == (0, 0)
+        finder = EndsFinder(earliest=True)
+        list(Timeline(policy, "log.csv").looked_ahead([gyro(written)], finder.add))
+        ends = finder.ends()
+        assert [ends.first_ns, ends.last_ns] == [stamps[0] * MS, stamps[-1] * MS]
+
+
+@pytest.mark.parametrize("wrong", [3, 50, 96])
+def test_an_outlier_is_dropped_from_a_log_that_was_written_newest_first(wrong):
+    """Also where samples are lost: a gap among the newest is no jump."""
+    written = regular(**{f"s{wrong}": 10**6})[::-1]
+    del written[12:20]
+    kept, _, counts = applied(Policy("sort"), gyro(written))
+    assert kept == sorted(written)[:-1]
+    assert (counts.outliers.count, counts.outliers.first_index) == (1, written.index(10**6))
 
 
 def test_a_step_after_a_long_interval_is_that_of_no_counter():

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Unpack
 
 from quatprop.api.reading import path_text, warn, with_keywords_of
-from quatprop.errors import SeriesError, UsageError
+from quatprop.errors import QuatpropError, SeriesError, UsageError
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.settings import READ_RATES, PropagateOptions
-from quatprop.text import Setting
+from quatprop.text import Setting, Text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -97,8 +97,13 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
         _refuse_log_settings(options)
         if not len(log):
             raise SeriesError("Expected a series with samples, got an empty one")
-        stream = AttitudeStream("series", signal_of_series(log), settings, None)
-        return _propagated("series", stream, settings, None)
+        try:
+            stream = AttitudeStream("series", signal_of_series(log), settings, None)
+            return _propagated("series", stream, settings, None)
+        except QuatpropError as error:
+            error.text = _in_memory(error.text)
+            error.args = (str(error.text),)
+            raise
     path = path_text("log", log, "make a GyroSeries of arrays")
     kind, msg_path = settings.kind, settings.selection.msg_path
     with use_threads(settings.threads), open_log(path, kind, msg_path=msg_path) as opened:
@@ -106,6 +111,30 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
             signal = choose_rates(opened, settings.selection)
             stream = AttitudeStream(path, signal, settings, opened)
         return _propagated(path, stream, settings, opened)
+
+
+_IN_MEMORY = {
+    "rate_unit": "numpy.deg2rad",
+    "time_unit": "unit",
+    "time_col": "other stamps",
+    "clock": "t_ns",
+}
+"""What to change of rates in memory, where advice for logs names a setting."""
+
+
+def _in_memory(sentence: str | Text) -> Text:
+    """Return a sentence that advises no setting that is for logs."""
+    parts = sentence.parts if isinstance(sentence, Text) else (sentence,)
+    return Text(
+        *(
+            part
+            if not isinstance(part, Setting) or part.name not in _IN_MEMORY
+            else "t_ns in ns"
+            if part.name == "time_unit" and part.value
+            else _IN_MEMORY[part.name]
+            for part in parts
+        )
+    )
 
 
 def _refuse_log_settings(options: Mapping[str, object]) -> None:
@@ -123,5 +152,7 @@ def _propagated(
 
     series = AttitudeSeries.joined(list(stream))
     report = replace(stream.report(), files=digests_of_inputs(settings.inputs, log))
+    if log is None:
+        report = replace(report, remarks=type(report.remarks)(map(_in_memory, report.remarks)))
     warn(path, report.losses, report.remarks, dropped=report.counts.dropped, depth=4)
     return PropagatedSeries(series.t_ns, series.wxyz, covariance=series.covariance, report=report)

@@ -20,6 +20,7 @@ from quatprop.conditioning.time_range import (
     PartReader,
     absolute_range,
     clipped,
+    length_text,
     pause_remarks,
 )
 
@@ -126,8 +127,8 @@ class ConditioningReport(NamedTuple):
         Samples left out before and after that part, so far; those that were read.
     remarks
         What of the calibration is not applied, and pauses from which relative times count.
-    part
-        The part of the log that was read, where it was not the whole.
+    part, length
+        The part of the log that was read, where it was not the whole; how long it is in words.
     """
 
     bias_rad_s: Float64 | None
@@ -141,6 +142,7 @@ class ConditioningReport(NamedTuple):
     outside: list[int]
     remarks: tuple[str | Text, ...] = ()
     part: PartOfLog | None = None
+    length: str = ""
 
     @property
     def all_remarks(self) -> list[str | Text]:
@@ -211,6 +213,7 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
         outside=[0, 0],
         remarks=remarks,
         part=part,
+        length=length_text(settings, ends),
     )
     numbered, outside = timeline.ordered(batches), report.outside
     if clips:

@@ -159,6 +159,13 @@ def absolute_range(settings: Conditioning, ends: Ends) -> tuple[int | None, int 
     return start_ns, end_ns
 
 
+def length_text(settings: Conditioning, ends: Ends) -> str:
+    """Return how long the log is; ``""`` where a range may be in other units than was meant."""
+    given = [instant for instant in (settings.start, settings.end) if instant is not None]
+    is_relative = given and all(instant.origin != "clock" for instant in given)
+    return duration_text(ends.last_ns - ends.first_ns) if is_relative else ""
+
+
 def pause_remarks(settings: Conditioning, ends: Ends) -> Iterator[Text]:
     """Yield a remark for each end of the range that counts from a sample beside a pause."""
     for name, instant in (("start", settings.start), ("end", settings.end)):

@@ -131,10 +131,11 @@ class AttitudeStream:
         used = self._timeline.measured(rates)
         first = next(used, None)
         if first is None:
-            dropped = self._timeline.counts.dropped
-            outside = self._conditioned.outside
+            done, dropped = self._conditioned, self._timeline.counts.dropped
             losses = self._log.losses if self._log else ()
-            raise NoSamplesError(self._path, self._source.name, outside, dropped, losses)
+            raise NoSamplesError(
+                self._path, self._source.name, done.outside, dropped, losses, length=done.length
+            )
         self._segments = self._begin(first)
         attitudes = self._segments.attitudes(
             chain([first], used),

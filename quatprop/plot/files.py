@@ -6,7 +6,13 @@ from collections import deque
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from quatprop.conditioning import Conditioning, ConditioningInputs, condition
-from quatprop.conditioning.time_range import EndsFinder, absolute_range, clipped, pause_remarks
+from quatprop.conditioning.time_range import (
+    EndsFinder,
+    absolute_range,
+    clipped,
+    length_text,
+    pause_remarks,
+)
 from quatprop.containers.stores import without_secret
 from quatprop.conventions import HAMILTON
 from quatprop.errors import (
@@ -155,7 +161,7 @@ def _view_rates(path: str, log: AnyLog, source: RateSignal, view: View) -> FileV
     batches, done = condition(source.batches, timeline, view.part, unit, ConditioningInputs())
     deque(timeline.measured(drawn.passing(checks.observe(batches))), maxlen=0)
     if not counts.used:
-        raise NoSamplesError(path, source.name, done.outside, losses=log.losses)
+        raise NoSamplesError(path, source.name, done.outside, losses=log.losses, length=done.length)
     found = *_irregularities(counts), *done.all_remarks, *checks.remarks(counts)
     remarks = [*source.remarks, *found, *log.remarks]
     if str(log.path) != "-":
@@ -191,7 +197,8 @@ def _view_attitudes(path: str, log: AnyLog, source: AttitudeSignal, view: View) 
     shown = drawn.passing(batch for batch, _ in part)
     deque(stamps.observe(batch.t_ns for batch in shown), maxlen=0)
     if not counts.used:
-        raise NoSamplesError(path, source.name, outside, losses=log.losses)
+        length = length_text(view.part, ends)
+        raise NoSamplesError(path, source.name, outside, losses=log.losses, length=length)
     pauses = pause_remarks(view.part, ends)
     remarks = [*source.remarks, *_irregularities(counts), *pauses, *log.remarks]
     if drawn.invalid:

@@ -168,6 +168,8 @@ def remarks(counts: Counts, policy: Policy) -> Iterator[Text]:
         if event.count:
             chosen = policy.on_backwards if setting == "outliers" else getattr(policy, setting, "")
             handled = HANDLED[setting, chosen]
+            if event is counts.backwards and event.cause and chosen == "keep":
+                handled = "refused"  # neither drop nor sort mends the clock
             yield Text(
                 f"{event.count} {noun.format(s='s' if event.count > 1 else '')} (",
                 handled,

@@ -88,22 +88,44 @@ def marked(
         behind = np.concatenate([behind, t_ns[-LONGEST_RUN - 1 :]])[-LONGEST_RUN - 1 :]
 
 
-def fits(t_ns: Int64, others: Int64) -> Bool:
-    """Return which stamps are in a gap of others: they came early, and are not wrong.
+def outliers_in_order(t_ns: Int64, found: Bool) -> Bool:
+    """Return which samples of a log are outliers where all are put in order of time.
+
+    Those that fit among the others came early, and are not wrong. A log that was written newest
+    first jumps ahead towards its beginning.
 
     Parameters
     ----------
     t_ns
-        Stamps, ns.
-    others
-        All other stamps of the log, in order, ns.
+        All stamps of the log, ns.
+    found
+        Which are outliers in the order of the log.
     """
+    if not found.any():
+        return found
+    if np.sum(t_ns[1:] < t_ns[:-1]) > np.sum(t_ns[1:] > t_ns[:-1]):
+        ((_, mask, _),) = marked([t_ns[::-1]], lambda stamps: stamps)
+        found = np.zeros(len(t_ns), np.bool_) if mask is None else mask[::-1]
+    fits = np.zeros(len(t_ns), np.bool_)
+    fits[found] = _fits(t_ns[found], np.sort(t_ns[~found]))
+    return found & ~fits
+
+
+def _fits(t_ns: Int64, others: Int64) -> Bool:
+    """Return which stamps are in a gap of others, or follow the last ones as steadily as those."""
     intervals = np.diff(others)
     if not (intervals > 0).any():
         return np.zeros(len(t_ns), np.bool_)
+    median = np.median(intervals[intervals > 0])
     after = np.searchsorted(others, t_ns)
     room = np.append(np.append(0, intervals), 0)[after]
-    return np.asarray(2 * room > 3 * np.median(intervals[intervals > 0]))
+    longest = intervals[intervals <= FAR * median].max()
+    later = np.sort(t_ns[t_ns > others[-1]])
+    # Exact, however far apart the stamps are.
+    steps = np.diff(later, prepend=others[-1]).view(np.uint64)
+    is_steady = np.logical_and.accumulate(2 * steps <= max(3 * median, 2 * longest))
+    last = later[is_steady][-1] if is_steady.any() else others[-1]
+    return np.asarray((2 * room > 3 * median) | ((others[-1] < t_ns) & (t_ns <= last)))
 
 
 def _in_order(t_ns: Int64) -> bool:

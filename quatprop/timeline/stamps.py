@@ -183,6 +183,12 @@ class StampChecks:
                 f"an outlier{outliers.cause}; {ways_out}",
             )
         if back.count:
+            if back.cause:
+                # To drop or sort what a counter has begun again with would only spoil the data.
+                ways_out = (
+                    "log a wider counter, or add 2^32 to the column after each such step, or "
+                    f"choose another {Setting('clock')}"
+                )
             raise TimelineError(
                 self.path,
                 f"time steps back by {duration_text(self._step_ns)} at sample {back.first_index} "
