@@ -309,8 +309,8 @@ SENTENCES = {
     "wx_dps,wy_dps,wz_dps": (
         {},
         (
-            "the time column is not declared; say it with time_col='C', or sample_rate='HZ' for rows "
-            "at a steady rate"
+            "the time column is not declared; say it with time_col='C', or sample_rate='HZ' for "
+            "rows at a steady rate"
         ),
     ),
     "PacketCounter,wx_dps,wy_dps,wz_dps": (

@@ -102,23 +102,17 @@ class Timeline(StampChecks):
         policy = self.policy._replace(on_nonfinite="keep")
         seen: list[tuple[Int64, Bool]] = []
         for each in StampChecks(self.path, policy).examined(batches, attrgetter("t_ns")):
-<<<<<<< HEAD
-            note(each.batch.t_ns[~each.outliers])
-            dropped = each.outliers | (each.back & (policy.on_backwards == "drop"))
-            yield each.batch[~dropped]
-=======
-            wrong, batch = each.outliers, each.batch
+            batch, wrong = each.batch, each.outliers
             if policy.on_backwards == "sort":
-                seen.append((batch.t_ns, each.outlier_mask))
+                seen.append((batch.t_ns, wrong))
             else:
-                note(batch.t_ns if wrong is None else batch.t_ns[~wrong])
-            dropped = each.irregular if policy.on_backwards == "drop" else wrong
-            yield batch if dropped is None else batch[~dropped]
+                note(batch.t_ns[~wrong])
+            dropped = wrong | (each.back & (policy.on_backwards == "drop"))
+            yield batch[~dropped]
         if seen:
             # Which stamps are wrong once they are sorted only all of them tell.
             t_ns, found = map(np.concatenate, zip(*seen, strict=True))
             note(t_ns[~outliers_in_order(t_ns, found)])
->>>>>>> fixwords
 
     def without(self, numbered: Iterable[Numbered], outside: Sequence[int]) -> Iterator[Numbered]:
         """Yield samples in a range; those outside of it, counted as they pass, are not lost."""
@@ -218,16 +212,9 @@ class Timeline(StampChecks):
         log = GyroSeries.joined([part.batch for part in parts])
         rows = np.concatenate([part.rows for part in parts])
         if self.counts.outliers.count:
-<<<<<<< HEAD
-            wrong = np.concatenate([part.outliers for part in parts])
-            early = fits(log.t_ns[wrong], np.sort(log.t_ns[~wrong]))
-            if early.any():
-                wrong[wrong] = ~early
-=======
-            found = np.concatenate([part.outlier_mask for part in parts])
+            found = np.concatenate([part.outliers for part in parts])
             wrong = outliers_in_order(log.t_ns, found)
             if (wrong != found).any():
->>>>>>> fixwords
                 self.count_again(log.t_ns, wrong)
             log, rows = log[~wrong], rows[~wrong]
         order = np.argsort(log.t_ns, kind="stable")
