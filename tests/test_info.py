@@ -99,7 +99,7 @@ def test_a_column_that_is_not_told_is_asked_for(tmp_path):
     (source,) = log["sources"]
     assert source["samples"] is None
     assert source["missing"] == (
-        "the time column (one of 'a', 'b', 'wx', 'wy', 'wz') is not declared; say it with "
+        "the time column (one of 'a', 'b') is not declared; say it with "
         "time_col='C', or sample_rate='HZ' for rows at a steady rate"
     )
 

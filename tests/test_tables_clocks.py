@@ -291,6 +291,61 @@ def test_a_column_of_text_is_no_clock_of_a_typed_table(tmp_path, recwarn, suffix
     assert (t_ns[0], remarks) == (E0 * 10**9, [])
 
 
+SENTENCES = {
+    "n,wx_dps,wy_dps,wz_dps": (
+        {},
+        (
+            "whether 'n' is the time is not declared; say it with time_col='n' and time_unit='s' "
+            "or 'ms' or 'us' or 'ns', or sample_rate='HZ' for rows at a steady rate"
+        ),
+    ),
+    "a,b,wx_dps,wy_dps,wz_dps": (
+        {},
+        (
+            "the time column (one of 'a', 'b') is not declared; say it with time_col='C', or "
+            "sample_rate='HZ' for rows at a steady rate"
+        ),
+    ),
+    "wx_dps,wy_dps,wz_dps": (
+        {},
+        (
+            "the time column is not declared; say it with time_col='C', or sample_rate='HZ' for "
+            "rows at a steady rate"
+        ),
+    ),
+    "PacketCounter,wx_dps,wy_dps,wz_dps": (
+        {"time_col": "PacketCounter"},
+        "the rate of the counter 'PacketCounter' is not declared; say it with sample_rate='HZ'",
+    ),
+}
+
+
+@pytest.mark.parametrize("header", SENTENCES)
+def test_a_refusal_offers_only_what_may_be_the_time(tmp_path, header):
+    """Columns of the rates were offered, one column was one of several, a counter had a unit."""
+    path = tmp_path / "log.csv"
+    cells = ["5", "6", "1", "2", "3"][-(header.count(",") + 1) :]
+    path.write_text(f"{header}\n" + f"{','.join(cells)}\n" * 3)
+    options, sentence = SENTENCES[header]
+    with pytest.raises(UndeclaredError) as caught:
+        read_rates(path, **options)
+    assert str(caught.value) == f"{path}: {sentence}"
+
+
+@pytest.mark.parametrize("text", ["14-Nov-2023 22:13:20.{:03}", "00:00.{:03}", "Nov 14, 10.{} PM"])
+@pytest.mark.parametrize("name", ["when", "timestamp"])
+def test_text_that_is_named_as_the_time_is_not_asked_for_a_unit(tmp_path, name, text):
+    """Whatever the unit, dates with names of months cannot be read."""
+    path = table(tmp_path / "log.csv", {name: [text.format(k) for k in range(300)]})
+    with pytest.raises(UnsupportedLogError) as caught:
+        read_rates(path, time_col=name)
+    assert str(caught.value) == (
+        f"{path}: '{name}' holds dates that are not of ISO 8601; write them as "
+        "2023-11-14T22:13:20.5, name another column with time_col='C', or count rows at a steady "
+        "rate with sample_rate='HZ'"
+    )
+
+
 def test_an_arrival_is_not_taken_where_another_column_may_be_the_sensors(tmp_path):
     """An unknown name with a clock's ending may be better; either can be named."""
     path = table(tmp_path / "log.csv", {"server_t": TIMES, "kit_t": TIMES})

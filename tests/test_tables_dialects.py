@@ -540,7 +540,7 @@ def test_rates_that_a_covariance_marks_as_absent_are_not_used(tmp_path, mark):
 
 def test_differences_of_time_are_not_the_time():
     """Each is the length of an interval."""
-    with pytest.raises(UndeclaredError, match=r"the time column \(one of 'timediff \(ms\)'\)"):
+    with pytest.raises(UndeclaredError, match=r"whether 'timediff \(ms\)' is the time is not"):
         chosen("timediff (ms),gx_dps,gy_dps,gz_dps")
 
 

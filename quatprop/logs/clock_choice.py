@@ -187,12 +187,16 @@ class ClockMatcher(TableColumns):
     def ambiguous_time(self, candidates: Sequence[int], why: str = "") -> UndeclaredError:
         """Return the error for columns that all may be the time, and why none of them is taken."""
         names = listed(self.columns[k].text for k in candidates)
-        return UndeclaredError(
-            self.path,
-            f"the time column (one of {names}{why})",
-            Text(f"{Setting('time_col', 'C')}, or {Setting('sample_rate', 'HZ')} for rows at a "
-                "steady rate"),
-        )  # fmt: skip
+        what, way = f"the time column (one of {names}{why})", f"{Setting('time_col', 'C')}"
+        if not candidates:
+            what = "the time column"
+        elif len(candidates) == 1:
+            column = as_option([column.text for column in self.columns], candidates[0])
+            what, way = f"whether {names} is the time", f"{Setting('time_col', column)}"
+            if self.declared((candidates[0],)) not in TIME_UNITS:
+                way = f"{way} and {Setting('time_unit', '|'.join(TIME_UNITS))}"
+        steady = f"or {Setting('sample_rate', 'HZ')} for rows at a steady rate"
+        return UndeclaredError(self.path, what, Text(f"{way}, {steady}"))
 
 
 def _shared(a: str, b: str) -> int:

@@ -6,6 +6,8 @@ import math
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.logs import clocks
 from quatprop.logs.clock_choice import ClockMatcher, goodness, is_readable
@@ -87,8 +89,14 @@ class TimeMatcher(ClockMatcher):
                 f"{Setting(self.setting)}; name other columns, or the time with "
                 f"{Setting('time_col')}",
             )
-        if any(self.notes.units.get(k) == OTHER_DATES for k in time):
+        if self._holds_text(time):
             raise self._unreadable_dates(time)
+        if time and sample_rate is None and self._needs_rate(time[0]):
+            raise UndeclaredError(
+                self.path,
+                f"the rate of the counter {self.names(time)}",
+                Setting("sample_rate", "HZ"),
+            )
         units = ("ns", "ns")
         if time[1:]:
             units = ("s", self.fraction_unit(time[1]))
@@ -107,10 +115,24 @@ class TimeMatcher(ClockMatcher):
         stamp = Stamp(time, units[: len(time)], clock, sample_rate, offset_ns)
         return stamp, self.table.of_series(series)
 
+    def _holds_text(self, time: Positions) -> bool:
+        """Return whether a time is text that cannot be read, such as dates with names of months."""
+        if any(self.notes.units.get(k) == OTHER_DATES for k in time):
+            return True
+        if not time or self.declared(time[:1]) or self.selection.time_unit is not None:
+            return False
+        cells = [row[0] for row in self.head(time[:1])[: clocks.FIRST_ROWS]]
+        return bool(cells) and bool(np.isnan(clocks.numbers_of(cells)).all())
+
+    def _needs_rate(self, k: int) -> bool:
+        """Return whether a column counts samples, and is no time by itself."""
+        is_counter = re.fullmatch(clocks.COUNTER, self.columns[k].key) is not None
+        return is_counter and not (self.selection.time_unit or self.declared((k,)))
+
     def _unreadable_dates(self, time: Positions) -> UnsupportedLogError:
         """Return the error for a time that is text, perhaps in two columns of dates and times."""
-        dates = [k for k, unit in self.notes.units.items() if unit == OTHER_DATES]
-        are = time if self.selection.time_col is not None else sorted(dates)
+        dates = sorted(k for k, unit in self.notes.units.items() if unit == OTHER_DATES)
+        are = dates if self.selection.time_col is None and {*time} <= {*dates} else time
         return UnsupportedLogError(
             self.path,
             f"{self.names(are)} {'hold' if are[1:] else 'holds'} {OTHER_DATES}; write them as "
@@ -156,7 +178,9 @@ class TimeMatcher(ClockMatcher):
             self._note_unused_counters(numbers, counter, steady)
             return TimeSource(counter, steady)
         likely = (rf".*[._](?:{clocks.TIME})", r".*(?:time|stamp|sec|clock|date).*", ".*")
-        raise self.ambiguous_time(by_unit or next(filter(None, map(self.matching, likely))))
+        no_time = {*numbers, *self.matching(clocks.COUNTER)}
+        candidates = ([k for k in self.matching(name) if k not in no_time] for name in likely)
+        raise self.ambiguous_time(by_unit or next(filter(None, candidates), []))
 
     def _instead_of_stopped(self, found: list[Clock], others: list[int]) -> TimeSource | None:
         """Return the only other column in a unit of time that moves, if clocks stand still."""
