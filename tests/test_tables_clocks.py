@@ -295,8 +295,8 @@ SENTENCES = {
     "n,wx_dps,wy_dps,wz_dps": (
         {},
         (
-            "whether 'n' is the time is not declared; say it with time_col='n' and time_unit='s' or "
-            "'ms' or 'us' or 'ns', or sample_rate='HZ' for rows at a steady rate"
+            "whether 'n' is the time is not declared; say it with time_col='n' and time_unit='s' "
+            "or 'ms' or 'us' or 'ns', or sample_rate='HZ' for rows at a steady rate"
         ),
     ),
     "a,b,wx_dps,wy_dps,wz_dps": (
