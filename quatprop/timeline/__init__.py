@@ -40,10 +40,12 @@ class Timeline(StampChecks):
         How each kind of irregularity is handled.
     path
         The log, for errors.
+    chosen_by
+        The setting that chooses other stamps: ``"clock"``, or of a table ``"time_col"``.
     """
 
-    def __init__(self, policy: Policy, path: Path | str) -> None:
-        super().__init__(path, policy)
+    def __init__(self, policy: Policy, path: Path | str, chosen_by: str = "clock") -> None:
+        super().__init__(path, policy, chosen_by)
         self._last_finite: Float64 | None = None
         self._last_magnitude = np.float64(0.0)
 
@@ -100,7 +102,9 @@ class Timeline(StampChecks):
         """
         # What is sorted is only looked at.
         policy = self.policy._replace(on_nonfinite="keep")
-        for each in StampChecks(self.path, policy).examined(batches, attrgetter("t_ns")):
+        for each in StampChecks(self.path, policy, self.chosen_by).examined(
+            batches, attrgetter("t_ns")
+        ):
             wrong, batch = each.outliers, each.batch
             note(batch.t_ns if wrong is None else batch.t_ns[~wrong])
             dropped = each.irregular if policy.on_backwards == "drop" else wrong
