@@ -346,6 +346,14 @@ def test_text_that_is_named_as_the_time_is_not_asked_for_a_unit(tmp_path, name, 
     )
 
 
+@pytest.mark.parametrize("options", [{}, {"start": "+1s"}])
+def test_a_table_that_steps_back_is_told_of_another_column(tmp_path, options):
+    """Another clock was advised, which tables refuse."""
+    path = table(tmp_path / "log.csv", {"t_ms": [*range(150), *range(100, 250)]})
+    with pytest.raises(TimelineError, match=r"or another time_col$"):
+        propagate(path, **options)
+
+
 def test_an_arrival_is_not_taken_where_another_column_may_be_the_sensors(tmp_path):
     """An unknown name with a clock's ending may be better; either can be named."""
     path = table(tmp_path / "log.csv", {"server_t": TIMES, "kit_t": TIMES})

@@ -396,7 +396,7 @@ def test_an_outlier_is_refused_with_a_relative_range_as_without(kind, option, tm
         TimelineError,
         match=r"log\.(csv|parquet): the timestamp of sample 50 \(t = 1000000000000 ns\) is an "
         r"outlier, 985\.1 s ahead of those around it; choose on_backwards='drop' or 'sort', or "
-        r"another clock$",
+        r"another time_col$",
     ):
         relative(tmp_path, stamps, kind, **option)
 

@@ -21,6 +21,7 @@ from quatprop.provenance import Digest
 from quatprop.settings.quantities import RATES
 from quatprop.signals.beside_rates import conditioning_inputs
 from quatprop.signals.signal import RateSignal, no_parts
+from quatprop.tables.base import TableLog
 from quatprop.text import Setting, Text
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
@@ -89,7 +90,9 @@ class AttitudeStream:
         self._log_remarks = (
             [] if log is None or str(log.path) == "-" else log_remarks(log, source, settings.rates)
         )
-        self._timeline, self._checks = Timeline(settings.policy, path), RateChecks()
+        chosen_by = "time_col" if isinstance(log, TableLog) else "clock"
+        self._timeline = Timeline(settings.policy, path, chosen_by)
+        self._checks = RateChecks()
         self._batches, self._conditioned = condition(
             source.batches,
             self._timeline,

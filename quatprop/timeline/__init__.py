@@ -40,10 +40,12 @@ class Timeline(StampChecks):
         How each kind of irregularity is handled.
     path
         The log, for errors.
+    chosen_by
+        The setting that chooses other stamps: ``"clock"``, or of a table ``"time_col"``.
     """
 
-    def __init__(self, policy: Policy, path: Path | str) -> None:
-        super().__init__(path, policy)
+    def __init__(self, policy: Policy, path: Path | str, chosen_by: str = "clock") -> None:
+        super().__init__(path, policy, chosen_by)
         self._last_finite: Float64 | None = None
         self._last_magnitude = np.float64(0.0)
 
@@ -101,7 +103,8 @@ class Timeline(StampChecks):
         # What is sorted is only looked at.
         policy = self.policy._replace(on_nonfinite="keep")
         seen: list[tuple[Int64, Bool]] = []
-        for each in StampChecks(self.path, policy).examined(batches, attrgetter("t_ns")):
+        checks = StampChecks(self.path, policy, self.chosen_by)
+        for each in checks.examined(batches, attrgetter("t_ns")):
             batch, wrong = each.batch, each.outliers
             if policy.on_backwards == "sort":
                 seen.append((batch.t_ns, wrong))

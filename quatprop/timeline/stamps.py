@@ -76,10 +76,15 @@ class StampChecks:
         The log, for errors.
     policy
         How irregular stamps are handled.
+    chosen_by
+        The setting that chooses other stamps: ``"clock"``, or of a table ``"time_col"``.
     """
 
-    def __init__(self, path: Path | str, policy: Policy = OBSERVE) -> None:
+    def __init__(
+        self, path: Path | str, policy: Policy = OBSERVE, chosen_by: str = "clock"
+    ) -> None:
         self.path = path
+        self.chosen_by = chosen_by
         self.policy = policy
         self.counts = Counts(gap_limit_ns=policy.max_gap_ns)
         self.read = 0
@@ -174,7 +179,8 @@ class StampChecks:
     def _refuse(self) -> None:
         """Refuse the first outlier or step back, whichever comes first in the log."""
         outliers, back = self.counts.outliers, self.counts.backwards
-        ways_out = f"choose {Setting('on_backwards', 'drop|sort')}, or another {Setting('clock')}"
+        another = f"another {Setting(self.chosen_by)}"
+        ways_out = f"choose {Setting('on_backwards', 'drop|sort')}, or {another}"
         firsts = [e.first_index for e in (outliers, back) if e.first_index is not None]
         if firsts and outliers.first_index == min(firsts):
             raise TimelineError(
