@@ -24,6 +24,9 @@ Row = tuple[str, str]
 MAX_LOSSES = 20
 """Losses that are shown one by one."""
 
+_UNUSUAL = 1.25
+"""An average rate is not the usual one where that is so many times as high."""
+
 GPS_EPOCH_NS = 315_964_800_000_000_000
 """1980-01-06: earlier stamps are of a clock that counts from boot."""
 
@@ -101,7 +104,24 @@ def instant_text(t_ns: int) -> str:
     return f"{moment:%Y-%m-%d %H:%M:%S}{fraction} UTC"
 
 
-def samples_text(samples: int, span_ns: int) -> str:
+def rate_text(samples: int, span_ns: int, median_dt_ns: int | None = None) -> str:
+    """Return the sample rate; where pauses make it another one than is usual, both.
+
+    Examples
+    --------
+    >>> rate_text(1000, 9_990_000_000, 10_000_000)
+    '100 Hz'
+    >>> rate_text(1000, 1_009_990_000_000, 10_000_000)
+    '0.989119 Hz on average, mostly 100 Hz'
+    """
+    rate_hz = (samples - 1) / (span_ns * 1e-9)
+    usual_hz = 1e9 / median_dt_ns if median_dt_ns else rate_hz
+    text = f"{rate_hz:.6g} Hz"
+    has_pauses = usual_hz > _UNUSUAL * rate_hz
+    return f"{text} on average, mostly {usual_hz:.6g} Hz" if has_pauses else text
+
+
+def samples_text(samples: int, span_ns: int, median_dt_ns: int | None = None) -> str:
     """Return how many samples there are, over which time and at which rate.
 
     Examples
@@ -112,8 +132,7 @@ def samples_text(samples: int, span_ns: int) -> str:
     text = count_text(samples, "sample")
     if span_ns <= 0:
         return text
-    rate_hz = (samples - 1) / (span_ns * 1e-9)
-    return f"{text} over {duration_text(span_ns)}, {rate_hz:.6g} Hz"
+    return f"{text} over {duration_text(span_ns)}, {rate_text(samples, span_ns, median_dt_ns)}"
 
 
 def source_text(name: str, type_name: str) -> str:

@@ -31,7 +31,7 @@ class SignalSelection:
     sample_rate
         Rows a second, Hz, of a table without a time column.
     series
-        Which of the series that take turns in a table: a label, or column and label with ``=``
+        Which of the interleaved series of a table: a label, or column and label with ``=``
         between them; ``"all"`` reads all as one.
     """
 

@@ -108,7 +108,7 @@ def test_zeros_between_rows_cost_a_row_at_most(before, end):
 
 def test_zeros_alone_are_no_table():
     """There is nothing to read."""
-    with pytest.raises(UnsupportedLogError, match="it is not UTF-8 text"):
+    with pytest.raises(UnsupportedLogError, match="it holds NUL bytes, as no text does"):
         read(bytes(10_000))
 
 

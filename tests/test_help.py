@@ -96,6 +96,7 @@ def test_the_examples_of_every_command_run(tmp_path, monkeypatch):
         (["propagate", "x", "--method", "conning"], "'cubic'; did you mean 'coning'?"),
         (["info", "--frame", "x"], "No such option '--frame'"),
         (["compare", "--topic", "x"], "No such option '--topic'; did you mean '--topic-a'?"),
+        (["compare", "-t", "x"], "No such option '-t'; did you mean '--topic-a'?"),
         (["convert", "--as", "euler", "x"], "did you mean 'euler-zyx'?"),
     ],
 )  # fmt: skip

@@ -431,10 +431,17 @@ def test_a_missing_file_is_told(tmp_path):
         CsvLog(tmp_path / "none.csv")
 
 
-@pytest.mark.parametrize("content", ["t,wx\n".encode("utf-16"), b"\x00\x01\x02"])
-def test_what_is_not_utf8_text_is_refused(content):
+@pytest.mark.parametrize(
+    ("content", "what"),
+    [
+        ("\ufefft,wx\n".encode("utf-16-le"), "it is UTF-16 text"),
+        ("\ufefft,wx\n".encode("utf-16-be"), "it is UTF-16 text"),
+        (b"\x00\x01\x02", "it holds NUL bytes, as no text does"),
+    ],
+)
+def test_what_is_not_utf8_text_is_refused(content, what):
     """Bytes that are no text are refused with the way out."""
-    with pytest.raises(UnsupportedLogError, match="it is not UTF-8 text; if it is a table, save"):
+    with pytest.raises(UnsupportedLogError, match=f"{what}; if it is a table, save it again as a"):
         read(content)
 
 

@@ -101,7 +101,9 @@ class Command(click.Command):
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
             names = [name for p in self.get_params(ctx) for name in p.opts if name[:2] == "--"]
-            hint = did_you_mean(error.option_name, names)
+            # Where there are two inputs, -t of one has become --topic-a.
+            meant = "--topic" if error.option_name == "-t" else error.option_name
+            hint = did_you_mean(meant, names)
             raise click.UsageError(f"No such option {error.option_name!r}{hint}", ctx) from None
 
     def invoke(self, ctx: click.Context) -> None:

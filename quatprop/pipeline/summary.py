@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from quatprop.rendering import Row, degrees_text, quaternion_text, source_text
+from quatprop.rendering import Row, degrees_text, quaternion_text, rate_text, source_text
 from quatprop.text import plain
 from quatprop.times import duration_text
 
@@ -113,7 +113,8 @@ def _samples(report: RunReport) -> str:
     if counts.read != counts.used:
         text += f" of {counts.read}"
     if result.span_s:
-        text += f" over {duration_text(counts.span_ns)}, {result.sample_rate_hz:.6g} Hz"
+        text += f" over {duration_text(counts.span_ns)}, "
+        text += rate_text(counts.used, counts.span_ns, counts.median_dt_ns)
     if result.rows != result.samples:
         text += f"; {result.rows} of them written"
     return text

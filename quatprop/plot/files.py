@@ -172,7 +172,7 @@ def _view_rates(path: str, log: AnyLog, source: RateSignal, view: View) -> FileV
     return FileView(
         plotted=_plotted(path, source, drawn, counts),
         meaning=f"body rates as recorded, {source.unit}, {source.clock} clock",
-        samples=samples_text(counts.used, counts.span_ns),
+        samples=samples_text(counts.used, counts.span_ns, counts.median_dt_ns),
         facts=(*_facts(path, log, source, about, counts), last),
         remarks=tuple(remarks),
         losses=tuple(log.losses),
@@ -219,7 +219,7 @@ def _view_attitudes(path: str, log: AnyLog, source: AttitudeSignal, view: View) 
     return FileView(
         plotted=_plotted(path, source, drawn, counts),
         meaning=f"Hamilton q, body to reference, as {form}{propagated}, {source.clock} clock",
-        samples=samples_text(counts.used, counts.span_ns),
+        samples=samples_text(counts.used, counts.span_ns, counts.median_dt_ns),
         facts=(*_facts(path, log, source, about, counts), last),
         remarks=tuple(remarks),
         losses=tuple(log.losses),
@@ -244,7 +244,7 @@ def _facts(
     yield "source", source_text(source.name, source.type_name)
     yield "clock", source.clock
     yield from about
-    yield "samples", samples_text(counts.used, counts.span_ns)
+    yield "samples", samples_text(counts.used, counts.span_ns, counts.median_dt_ns)
     for label, t_ns in (("first", counts.first_ns), ("last", counts.last_ns)):
         yield label, f"{instant_text(t_ns or 0)} ({t_ns} ns)"
     if counts.median_dt_ns is not None and counts.max_dt_ns is not None:

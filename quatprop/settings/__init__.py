@@ -81,7 +81,7 @@ class SelectOptions(TypedDict, total=False):
         frequency, "Rows a second of {log}, a table without a time, or what its counter of samples "
         "counts a second, Hz.", takes="HZ")]
     series: Annotated[str | int | None, Keyword(
-        lambda value: text(str(value)), "Which of the series that take turns in the rows of {log}, "
+        lambda value: text(str(value)), "Which of the interleaved series in the rows of {log}, "
         "such as those of two sensors; all reads them as one.", "the only one there is",
         "VALUE|COLUMN=VALUE")]
     # fmt: on

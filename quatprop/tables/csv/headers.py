@@ -98,11 +98,12 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
     UnsupportedLogError
         It is not a text of one table.
     """
+    is_utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
     head = head.rstrip(b"\0")
-    first_line = head.partition(b"\n")[0]
-    if not head or head.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\0" in first_line:
+    if not head or is_utf16 or b"\0" in head.partition(b"\n")[0]:
+        what = "it is UTF-16 text" if is_utf16 else "it holds NUL bytes, as no text does"
         raise UnsupportedLogError(
-            path, "it is not UTF-8 text; if it is a table, save it again as a CSV in UTF-8"
+            path, f"{what}; if it is a table, save it again as a CSV in UTF-8"
         )
     raw = _records(head.splitlines(keepends=True)[:_LINES])
     texts = [_text(line) for line in raw]
