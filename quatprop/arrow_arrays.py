@@ -37,10 +37,7 @@ def readable(data: bytes | memoryview) -> pa.BufferReader:
 def to_arrow(values: NDArray[Any]) -> pa.Array:
     """Return a column as an Arrow array, without a copy where it is contiguous.
 
-    Parameters
-    ----------
-    values
-        Numbers or booleans, shape ``(N,)``.
+    `values`: numbers or booleans, shape ``(N,)``
     """
     if values.dtype == np.bool_:
         bits = np.packbits(values, bitorder="little")
@@ -88,10 +85,7 @@ def text_scalar(text: str) -> pa.StringScalar:
 def to_numpy(column: pa.Array | pa.ChunkedArray) -> NDArray[Any]:
     """Return a column of numbers or booleans as an array, read-only where it is a view.
 
-    Parameters
-    ----------
-    column
-        Shape ``(N,)``; of floats, nulls become NaN; of others, there must be none.
+    `column`: shape ``(N,)``; of floats, nulls become NaN; of others, there must be none
     """
     if isinstance(column, pa.ChunkedArray):
         parts = [to_numpy(chunk) for chunk in column.chunks]

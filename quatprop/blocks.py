@@ -26,18 +26,6 @@ def reblock(batches: Iterable[GyroSeries], size: int = BLOCK) -> Iterator[GyroSe
     """Cut a stream of samples at fixed sample indices, wherever its batches ended.
 
     What is computed block by block is then the same to the bit however the samples arrived.
-
-    Parameters
-    ----------
-    batches
-        Samples in order; empty batches are passed over.
-    size
-        Samples in every block but the last.
-
-    Yields
-    ------
-    GyroSeries
-        Blocks of `size` samples; the last may be shorter, none is empty.
     """
     held: list[GyroSeries] = []
     count = 0
@@ -57,12 +45,7 @@ def reblock(batches: Iterable[GyroSeries], size: int = BLOCK) -> Iterator[GyroSe
 def with_next(items: Iterable[Item], *, look_ahead: bool) -> Iterator[tuple[Item, Item | None]]:
     """Yield each item with the next one, which is None after the last.
 
-    Parameters
-    ----------
-    items
-        What follows one another.
-    look_ahead
-        Whether to wait for the next one; otherwise it is always None.
+    `look_ahead`: whether to wait for the next one; otherwise it is always None
 
     Examples
     --------

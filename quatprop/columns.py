@@ -23,22 +23,9 @@ INT64 = np.iinfo(np.int64)
 def stamps_of(name: str, values: object) -> NDArray[np.int64]:
     """Return time stamps in ns.
 
-    Parameters
-    ----------
-    name
-        What errors call them.
-    values
-        Integers in ns, or dates of any resolution, shape ``(N,)``; dates without a zone are UTC.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(N,)``, int64, ns; the same array where it is one already.
-
-    Raises
-    ------
-    SeriesError
-        They are floats, have another shape, are missing, or do not fit 64 bits.
+    `values`: Integers in ns, or dates of any resolution, shape ``(N,)``; dates without a zone are
+        UTC
+    `Returns`: Shape ``(N,)``, int64, ns; the same array where it is one already
     """
     array = _as_array(name, values)
     if array.ndim != 1:
@@ -81,15 +68,7 @@ def times_beside(t_ns: NDArray[np.int64], name: str, values: object) -> NDArray[
 def seconds_in_ns(t_s: object) -> NDArray[np.int64]:
     """Return time stamps in ns from seconds as floats, rounded to the nearest ns.
 
-    Parameters
-    ----------
-    t_s
-        Seconds, shape ``(N,)``. At an epoch of 1.7e9 s, floats are 238 ns apart.
-
-    Raises
-    ------
-    SeriesError
-        They are not numbers of shape ``(N,)``, are not finite, or do not fit 64 bits of ns.
+    `t_s`: Seconds, shape ``(N,)``. At an epoch of 1.7e9 s, floats are 238 ns apart
     """
     array = _as_array("t_s", t_s)
     if array.ndim != 1 or array.dtype.kind not in "iuf":
@@ -106,24 +85,7 @@ def seconds_in_ns(t_s: object) -> NDArray[np.int64]:
 def rows_of(name: str, values: object, *shape: int) -> NDArray[np.float64]:
     """Return rows of numbers.
 
-    Parameters
-    ----------
-    name
-        What errors call them.
-    values
-        Numbers of any type; a table, too.
-    *shape
-        The shape that is needed, such as ``len(t_ns), 4``.
-
-    Returns
-    -------
-    ndarray
-        Float64; the same array where it is one already.
-
-    Raises
-    ------
-    SeriesError
-        They are not numbers, or have another shape.
+    `shape`: the shape that is needed, such as ``len(t_ns), 4``
     """
     array = _as_array(name, values)
     if array.dtype.kind == "O" and array.ndim == 1 and len(array):

@@ -94,14 +94,8 @@ class UsageError(QuatpropError):
 class SuiteError(UsageError):
     """A suite of regressions that cannot be used as written.
 
-    Parameters
-    ----------
-    suite
-        The file.
-    reason
-        What is wrong and, after a semicolon, the way out.
-    case, key
-        Where in it, if it is not about all of it.
+    `reason`: what is wrong and, after a semicolon, the way out
+    `case`, `key`: where in it, if it is not about all of it
     """
 
     def __init__(
@@ -124,12 +118,7 @@ class StoreError(QuatpropError):
 class LogError(QuatpropError):
     """A log that cannot be used as asked.
 
-    Parameters
-    ----------
-    path
-        The log.
-    reason
-        What is wrong and, after a semicolon, the way out; may mention settings.
+    `reason`: what is wrong and, after a semicolon, the way out; may mention settings
     """
 
     def __init__(self, path: Path | str, *reason: str | Setting | Text) -> None:
@@ -167,10 +156,7 @@ class SchemaError(LogError):
 class MessageError(LogError):
     """A message does not fit its definition.
 
-    Parameters
-    ----------
-    positions
-        Which messages of the block, so that a caller can go on without them.
+    `positions`: which messages of the block, so that a caller can go on without them
     """
 
     def __init__(self, path: Path | str, reason: str | Text, positions: Iterable[int] = ()) -> None:
@@ -181,12 +167,8 @@ class MessageError(LogError):
 class _NothingFoundError(LogError):
     """Nothing in the log carries what is wanted.
 
-    Parameters
-    ----------
-    seen
-        What it holds instead: topics with their types, or columns.
-    what
-        ``"topics"`` or ``"columns"``.
+    `seen`: what it holds instead: topics with their types, or columns
+    `what`: ``"topics"`` or ``"columns"``
     """
 
     wanted: str
@@ -231,16 +213,11 @@ class NotRotationsError(LogError):
 class NoSamplesError(LogError):
     """The chosen source holds no samples, or none in the chosen part of the log.
 
-    Parameters
-    ----------
-    source
-        The topic or the columns.
-    outside, dropped
-        Samples that were left out: before and after the chosen part, and as not finite.
-    losses
-        Places that could not be read, and why.
-    length
-        How long the log is, where the part is given in units.
+    `source`: the topic or the columns
+    `outside`, `dropped`: samples that were left out: before and after the chosen part, and as not
+        finite
+    `losses`: places that could not be read, and why
+    `length`: how long the log is, where the part is given in units
     """
 
     def __init__(  # noqa: PLR0913  # all that may explain it
@@ -277,12 +254,9 @@ class AmbiguousTopicError(LogError):
 class UndeclaredError(LogError):
     """Something that only the user can know is not said anywhere.
 
-    Parameters
-    ----------
-    unknown
-        What is not declared, such as "the unit of the rates in columns 'gx', 'gy', 'gz'".
-    way_out, several
-        What declares it, such as ``Setting("rate_unit", "rad/s|deg/s")``; whether it is several.
+    `unknown`: what is not declared, such as "the unit of the rates in columns 'gx', 'gy', 'gz'"
+    `way_out`, `several`: what declares it, such as ``Setting("rate_unit", "rad/s|deg/s")``; whether
+        it is several
     """
 
     def __init__(

@@ -53,34 +53,12 @@ def open_log(
 
     A log inside a compressed file is decompressed into a temporary copy.
 
-    Parameters
-    ----------
-    path
-        A file, a ROS 2 bag folder, the address of one of them in an object store, or ``"-"`` for
-        stdin.
-    kind
-        A key of :data:`quatprop.log_kinds.READERS`; None to recognise it by the content, then by
-        the suffix.
-    msg_path
-        A ``.msg`` file, a package or a folder of packages with the definitions that a bag lacks;
-        None for files that lie beside it.
-    copied
-        Whether all of a log in an object store is copied to this machine; otherwise only what is
-        read, where its kind permits.
-
-    Yields
-    ------
-    MessageLog or TableLog
-        The open log.
-
-    Raises
-    ------
-    UnreadableLogError
-        The file is missing, empty or not permitted.
-    UnknownFormatError
-        Neither content nor suffix tells the kind.
-    LogError
-        The log is recognised but cannot be opened.
+    `path`: a file, a ROS 2 bag folder, the address of one of them in an object store, or ``"-"``
+        for stdin
+    `kind`: a key of :data:`quatprop.log_kinds.READERS`; None to recognise it by the content, then
+        by the suffix
+    `msg_path`: a ``.msg`` file, a package or a folder of packages with the definitions that a bag
+        lacks; None for files that lie beside it
     """
     with as_errors_of(without_secret(path)), ExitStack() as stack:
         if msg_path is not None and not Path(msg_path).exists():
@@ -149,17 +127,7 @@ def _open_remote(
 
 
 def _complete(log: AnyLog, folders: list[Path], msg_path: str | Path | None) -> None:
-    """Look for definitions that channels lack; remark on their origin and on types of a topic.
-
-    Parameters
-    ----------
-    log
-        The log.
-    folders
-        Where they are looked for if the user does not say where.
-    msg_path
-        Where the user says they are.
-    """
+    """Look for definitions that channels lack; remark on their origin and on types of a topic."""
     if not isinstance(log, MessageLog):
         return
     given = msg_path is not None

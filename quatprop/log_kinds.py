@@ -27,17 +27,11 @@ _CONTROL = set(range(ord(" "))) - set(b"\t\r\n\f")
 class Reader(NamedTuple):
     """How one kind of log is recognised and opened.
 
-    Parameters
-    ----------
-    load
-        ``"module:Class"``, imported when a log of this kind is opened.
-    magic
-        What its content may begin with; empty where only the suffix tells.
-    suffixes
-        Suffixes by which it is recognised where the content does not tell.
-    reads_source
-        Whether it reads from an open :class:`~quatprop.containers.file_source.FileSource`;
-        otherwise it opens the path itself.
+    `load`: ``"module:Class"``, imported when a log of this kind is opened
+    `magic`: what its content may begin with; empty where only the suffix tells
+    `suffixes`: Suffixes by which it is recognised where the content does not tell
+    `reads_source`: whether it reads from an open
+        :class:`~quatprop.containers.file_source.FileSource`; otherwise it opens the path itself
     """
 
     load: str

@@ -23,14 +23,7 @@ SHOW: ContextVar[Show | None] = ContextVar("SHOW", default=None)
 def metered(batches: Iterator[Batch], total: int | None, size: Size = len) -> Iterator[Batch]:
     """Return the batches, whose progress is shown where an interface does so.
 
-    Parameters
-    ----------
-    batches
-        What is read, batch after batch.
-    total
-        How many samples there are, at least roughly; None where that is not known.
-    size
-        Returns the number of samples in a batch.
+    `total`: how many samples there are, at least roughly; None where that is not known
     """
     show = SHOW.get()
     return batches if show is None else show(batches, total, size)

@@ -76,17 +76,7 @@ def as_json(value: object) -> Any:
 def provenance_in(text: bytes | str | None, path: Path | str) -> JsonObject:
     """Return the provenance that a file keeps; empty where there is none.
 
-    Parameters
-    ----------
-    text
-        The JSON; None where there is none.
-    path
-        The file, for errors.
-
-    Raises
-    ------
-    DamagedLogError
-        The provenance is not what this package writes.
+    `text`: the JSON; None where there is none
 
     Examples
     --------
@@ -119,13 +109,7 @@ def entry_of(provenance: Mapping[str, Any], name: str, kind: type[Entry]) -> Ent
 
 
 def of_all_topics(custom: Mapping[str, str]) -> dict[str, str]:
-    """Return the provenance of each topic, as JSON; under ``""`` that of all others.
-
-    Parameters
-    ----------
-    custom
-        The metadata of a whole log, by name: the key alone, or followed by a topic.
-    """
+    """Return the provenance of each topic, as JSON; under ``""`` that of all others."""
     named = {name.partition(" ")[::2]: text for name, text in custom.items()}
     return {topic: text for (key, topic), text in named.items() if key == METADATA_KEY.decode()}
 
@@ -133,17 +117,11 @@ def of_all_topics(custom: Mapping[str, str]) -> dict[str, str]:
 class Digest(NamedTuple):
     """By what a source is recognised.
 
-    Parameters
-    ----------
-    bytes
-        Its size; None where there is nothing that could be read again.
-    sha256
-        Of its content; of a folder, of what ``sha256sum *`` prints for its files. None where it was
-        not computed.
-    files
-        The files of a folder, by name; None for a file.
-    etag
-        By what an object store recognises its content; None for a file of this machine.
+    `bytes`: its size; None where there is nothing that could be read again
+    `sha256`: of its content; of a folder, of what ``sha256sum *`` prints for its files. None where
+        it was not computed
+    `files`: the files of a folder, by name; None for a file
+    `etag`: by what an object store recognises its content; None for a file of this machine
     """
 
     bytes: int | None = None
@@ -169,20 +147,7 @@ def digest_of(path: Path | str) -> Digest:
 
 @contextmanager
 def digest_ahead(path: Path | str, *, hashed: bool = True) -> Iterator[Callable[[], Digest]]:
-    """Compute the digest of a source while others read it; yield what waits for it.
-
-    Parameters
-    ----------
-    path
-        As for :func:`digest_of`.
-    hashed
-        Whether to compute the SHA-256, which reads everything once more; otherwise only the size.
-
-    Raises
-    ------
-    UnreadableLogError
-        The source cannot be read to its end.
-    """
+    """Compute the digest of a source while others read it; yield what waits for it."""
     with closing(in_background(_digest_at_end(Path(path), hashed), ahead=None)) as steps:
         next(steps)  # starts it
         yield lambda: deque(steps, maxlen=1)[0] or Digest()

@@ -95,13 +95,7 @@ class CaseItem(pytest.Item):
         self.case, self.pin = case, pin
 
     def runtest(self) -> None:
-        """Judge the case.
-
-        Raises
-        ------
-        RegressionFailure
-            It did not pass.
-        """
+        """Judge the case."""
         from quatprop.check.runner import run_case
 
         result = run_case((self.case, self.pin))

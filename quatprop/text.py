@@ -28,15 +28,10 @@ class Setting(NamedTuple):
 
     In an f-string it is a mark, which :class:`Text` reads; ``str()`` spells it as Python does.
 
-    Parameters
-    ----------
-    name
-        The parameter of the library, such as ``"on_backwards"``.
-    value
-        What it could be set to, such as ``"log"``; alternatives with ``|`` between them. Empty
-        where only the choice is mentioned.
-    side
-        Of which input, where a command has two: ``"a"`` or ``"b"``.
+    `name`: the parameter of the library, such as ``"on_backwards"``
+    `value`: what it could be set to, such as ``"log"``; alternatives with ``|`` between them. Empty
+        where only the choice is mentioned
+    `side`: of which input, where a command has two: ``"a"`` or ``"b"``
 
     Examples
     --------
@@ -60,11 +55,8 @@ class Setting(NamedTuple):
 class Text(str):
     """A sentence that may mention settings: text as the library spells it, and its parts.
 
-    Parameters
-    ----------
-    *parts
-        Text, in which f-strings may have settings; settings, and sentences to be joined as they
-        are.
+    `parts`: Text, in which f-strings may have settings; settings, and sentences to be joined as
+        they are
 
     Examples
     --------
@@ -103,16 +95,6 @@ class Text(str):
 
 def quoted(text: object) -> str:
     """Return `text` in quotes, with everything unprintable escaped.
-
-    Parameters
-    ----------
-    text
-        A name that comes from a file or a user; topic names may hold terminal escapes.
-
-    Returns
-    -------
-    str
-        The text between single quotes, on one line.
 
     Examples
     --------

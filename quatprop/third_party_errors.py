@@ -95,13 +95,7 @@ def as_errors_of(path: Path | str) -> Iterator[None]:
 
 
 def as_user_error(error: Exception) -> QuatpropError | None:
-    """Return an error as one sentence.
-
-    Returns
-    -------
-    QuatpropError or None
-        The error itself where it is one; None for a bug in quatprop whose traceback is wanted.
-    """
+    """Return an error as one sentence."""
     if isinstance(error, QuatpropError):
         return error
     reason = _reason(error, READING | ANYWHERE)

@@ -41,11 +41,6 @@ _RFC3339 = r"(?a)(\d{4}-\d\d-\d\d)[Tt ](\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?([Zz]|[+-
 def duration_ns(text: str) -> int:
     """Return a duration such as ``"1m30s"``, ``"20ms"`` or ``"0.5s"`` in ns.
 
-    Raises
-    ------
-    UsageError
-        The text is not a sequence of numbers with units, or is not a whole number of ns.
-
     Examples
     --------
     >>> duration_ns("1m30s")
@@ -94,23 +89,9 @@ def utc_text(ns: int) -> str:
 def regular_stamps(start: int, stop: int, rate: Fraction) -> NDArray[np.int64]:
     """Return the stamps of regular samples, without drift.
 
-    Parameters
-    ----------
-    start, stop
-        The samples from `start` up to, not including, `stop`.
-    rate
-        Samples a second, Hz.
-
-    Returns
-    -------
-    ndarray
-        Sample number / rate rounded to the nearest ns, halves to even; shape ``(stop - start,)``,
-        int64, ns.
-
-    Raises
-    ------
-    UsageError
-        A stamp does not fit in int64.
+    `rate`: samples a second, Hz
+    `Returns`: Sample number / rate rounded to the nearest ns, halves to even; shape ``(stop -
+        start,)``, int64, ns
 
     Examples
     --------
@@ -176,13 +157,9 @@ _LONGEST_LOG_NS = 10 * 366 * NS_PER_UNIT["h"] * 24
 class Instant(NamedTuple):
     """A point in time, absolute or relative to an end of the log.
 
-    Parameters
-    ----------
-    ns
-        Nanoseconds: since the epoch of the log's clock, or the distance from `origin`.
-    origin
-        ``"clock"`` for absolute, ``"first"`` and ``"last"`` for relative to the first and last
-        sample.
+    `ns`: Nanoseconds: since the epoch of the log's clock, or the distance from `origin`
+    `origin`: ``"clock"`` for absolute, ``"first"`` and ``"last"`` for relative to the first and
+        last sample
     """
 
     ns: int
@@ -199,11 +176,6 @@ def instant(text: str) -> Instant:
     """Return an instant from RFC 3339, integer ns, or a signed duration.
 
     ``+10s`` and ``1m30s`` count from the first sample, ``-30s`` from the last.
-
-    Raises
-    ------
-    UsageError
-        The text is none of these.
 
     Examples
     --------
@@ -232,13 +204,7 @@ def instant(text: str) -> Instant:
 
 
 def absolute_ns(text: str) -> int | None:
-    """Return a time in ns from RFC 3339 or integer ns; None where the text is neither.
-
-    Raises
-    ------
-    UsageError
-        There is no such time, or its zone is missing.
-    """
+    """Return a time in ns from RFC 3339 or integer ns; None where the text is neither."""
     if text.isdecimal():
         return int(text)
     if (match := re.fullmatch(_RFC3339, text)) is None:

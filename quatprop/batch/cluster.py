@@ -48,25 +48,7 @@ def on_a_cluster(
 ) -> Generator[tuple[int, BatchResult]]:
     """Yield the index and the result of each log, propagated by the workers of a Dask cluster.
 
-    Parameters
-    ----------
-    tasks
-        One for each log; the workers must see the same paths, and have the same quatprop.
-    settings
-        What they share.
-    scheduler
-        Address of the cluster's scheduler, such as ``"tcp://10.0.0.5:8786"``.
-    manifest
-        Where results are recorded.
-    retries
-        How often a log is tried again whose worker raised an error.
-
-    Raises
-    ------
-    UsageError
-        The package is missing, or there is no scheduler at the address, or it has no workers.
-    QuatpropError
-        The scheduler has gone.
+    `scheduler`: Address of the cluster's scheduler, such as ``"tcp://10.0.0.5:8786"``
     """
     try:
         from distributed import as_completed

@@ -19,33 +19,18 @@ COMPLETE = {"done", "data lost"}
 class ManifestEntry(NamedTuple):
     """What a batch records of a log.
 
-    Parameters
-    ----------
-    state
-        ``"done"``; ``"data lost"``: done, but some data of the log were lost or left out;
-        ``"no rates"``: a table found in a folder, without body rates; ``"failed"``.
-    log
-        Absolute path or address.
-    output
-        Path of the output in the folder of the manifest.
-    samples, rows, span_s, sample_rate_hz, method, final_wxyz
-        As in the report; None where there is no output.
-    remarks, losses
-        As in the report.
-    error
-        Why there is no output.
-    seconds
-        Duration, s.
-    log_bytes, log_sha256, log_etag, output_bytes, output_sha256
-        Sizes and digests; None where there are none. A log in an object store has the ETag that
-        the store gives it.
-    quatprop
-        The version.
-    options
-        Digest of all settings but the paths.
-    origin
-        Digest of the version, the settings, and names, sizes and times of all files that are read,
-        and of their ETags in an object store; None where they cannot be found out.
+    `state`: ``"done"``; ``"data lost"``: done, but some data of the log were lost or left out;
+        ``"no rates"``: a table found in a folder, without body rates; ``"failed"``
+    `log`: Absolute path or address
+    `output`: path of the output in the folder of the manifest
+    `error`: why there is no output
+    `seconds`: Duration, s
+    `log_bytes`, `log_sha256`, `log_etag`, `output_bytes`, `output_sha256`: Sizes and digests; None
+        where there are none. A log in an object store has the ETag that the store gives it
+    `quatprop`: the version
+    `options`: digest of all settings but the paths
+    `origin`: digest of the version, the settings, and names, sizes and times of all files that are
+        read, and of their ETags in an object store; None where they cannot be found out
     """
 
     state: str
@@ -85,15 +70,7 @@ _REQUIRED = {"state", "log", "output"}
 
 
 def entries_in(lines: Iterable[bytes], unused: list[int]) -> Iterator[Mapping[str, Any]]:
-    """Yield the entries of the lines of a manifest.
-
-    Parameters
-    ----------
-    lines
-        The lines.
-    unused
-        Where the numbers of lines go that are no entries, but for those that a kill has cut.
-    """
+    """Yield the entries of the lines of a manifest."""
     for number, line in enumerate(lines, 1):
         try:
             entry = read_json(line)

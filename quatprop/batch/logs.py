@@ -36,16 +36,10 @@ REFUSED = "its key has an empty part, '.', '..' or '?', which no address can hav
 class FoundLog(NamedTuple):
     """A log of a batch.
 
-    Parameters
-    ----------
-    path
-        Path or address, as it was given or found.
-    name
-        Name of its output without the suffix: its path below the root, without its own suffixes.
-    maybe
-        Whether it is a table that was found in a folder: one without body rates is no log.
-    refused
-        Why it cannot be read, nor its output be written; empty where it can.
+    `path`: path or address, as it was given or found
+    `name`: name of its output without the suffix: its path below the root, without its own suffixes
+    `maybe`: whether it is a table that was found in a folder: one without body rates is no log
+    `refused`: why it cannot be read, nor its output be written; empty where it can
     """
 
     path: str
@@ -58,23 +52,13 @@ class FoundLog(NamedTuple):
 class LogSearch:
     """Finds logs by the names of files and folders, by addresses, and by patterns.
 
-    Parameters
-    ----------
-    root
-        The names of outputs are paths below this folder. None: below the folder that is searched,
-        the fixed part of a pattern, or the folder of a file.
-    output
-        The folder of the outputs, which is not searched.
-    of_messages
-        A setting, such as ``"topic"``, that only logs of messages can follow: tables in folders
-        are no logs then. None: there is no such setting.
-
-    Attributes
-    ----------
-    logs
-        The logs, each once, in the order of the names, and of their paths within a folder.
-    other_files
-        Number of files in the searched folders that are no logs.
+    `root`: the names of outputs are paths below this folder. None: below the folder that is
+        searched, the fixed part of a pattern, or the folder of a file
+    `output`: the folder of the outputs, which is not searched
+    `of_messages`: a setting, such as ``"topic"``, that only logs of messages can follow: tables in
+        folders are no logs then. None: there is no such setting
+    `logs`: the logs, each once, in the order of the names, and of their paths within a folder
+    `other_files`: number of files in the searched folders that are no logs
     """
 
     root: str | None = None
@@ -85,16 +69,7 @@ class LogSearch:
     _places: set[str] = field(default_factory=set)
 
     def add(self, name: str) -> None:
-        """Add a log, the logs in a folder, or those that match a pattern.
-
-        Raises
-        ------
-        UsageError
-            Nothing matches a pattern, a log is not below the root, the outputs would lie among
-            the logs, or a table is named where only logs of messages can be used.
-        UnreadableLogError, StoreError
-            A folder cannot be listed.
-        """
+        """Add a log, the logs in a folder, or those that match a pattern."""
         if name == "-":
             raise UsageError("stdin is one log; give it to quatprop propagate")
         if glob.has_magic(name) and _is_pattern(name):

@@ -33,24 +33,9 @@ if TYPE_CHECKING:
 class Manifest:
     """The manifest in the folder of a batch's outputs.
 
-    Parameters
-    ----------
-    folder
-        The folder.
-
-    Raises
-    ------
-    OutputError
-        Its files are links that lead out of the folder, or no files.
-
-    Attributes
-    ----------
-    files
-        The manifest and its table.
-    place
-        The manifest as it may be shown.
-    unused
-        Numbers of the lines that were no entries when they were last read.
+    `files`: the manifest and its table
+    `place`: the manifest as it may be shown
+    `unused`: numbers of the lines that were no entries when they were last read
     """
 
     NAME = "manifest.jsonl"

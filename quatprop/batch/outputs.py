@@ -23,22 +23,7 @@ OTHER_OUTPUT = Text(
 
 
 def output_paths(logs: Iterable[FoundLog], folder: str, suffix: str) -> list[str]:
-    """Return the path of the output of each log.
-
-    Parameters
-    ----------
-    logs
-        The logs.
-    folder
-        The folder of all outputs.
-    suffix
-        Suffix of every output, with its dot; empty for folders.
-
-    Raises
-    ------
-    UsageError
-        Two logs would have the same output, also on file systems that ignore case.
-    """
+    """Return the path of the output of each log."""
     paths: list[str] = []
     owners: dict[str, FoundLog] = {}
     for log in logs:
@@ -58,17 +43,7 @@ def output_paths(logs: Iterable[FoundLog], folder: str, suffix: str) -> list[str
 def shard(logs: Iterable[FoundLog], text: str) -> list[FoundLog]:
     """Return one part of N of the logs: that of one machine of many, as in an array job.
 
-    Parameters
-    ----------
-    logs
-        All logs, the same on every machine.
-    text
-        ``"I/N"``, the I-th part, from 1 to N.
-
-    Raises
-    ------
-    UsageError
-        It is not I/N.
+    `text`: ``"I/N"``, the I-th part, from 1 to N
     """
     match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
     part, parts = map(int, match.groups()) if match else (0, 0)

@@ -44,26 +44,7 @@ REQUESTS = 32
 def plan(
     logs: Sequence[FoundLog], job: Job, folder: str, suffix: str, manifest: Manifest
 ) -> list[BatchTask]:
-    """Return a task for each log.
-
-    Parameters
-    ----------
-    logs
-        The logs.
-    job
-        The settings, which all logs share; its paths are ignored.
-    folder, suffix
-        As for :func:`quatprop.batch.outputs.output_paths`.
-    manifest
-        The manifest in that folder.
-
-    Raises
-    ------
-    UsageError
-        An output is, or would be, that of two logs.
-    OutputError
-        An output would replace a log.
-    """
+    """Return a task for each log."""
     paths = output_paths(logs, folder, suffix)
     inputs = [*(log.path for log in logs), *job.settings.inputs.values()]
     if not is_address(folder):
@@ -205,21 +186,7 @@ def on_this_machine(
     manifest: Manifest,
     retries: int = 0,
 ) -> Generator[tuple[int, BatchResult]]:
-    """Yield the index and the result of each log as soon as it is done.
-
-    Parameters
-    ----------
-    tasks
-        One for each log.
-    settings
-        What they share.
-    processes
-        Number of logs at a time.
-    manifest
-        Where results are recorded.
-    retries
-        How often a log is tried again whose process was killed.
-    """
+    """Yield the index and the result of each log as soon as it is done."""
 
     def on_killed(task: BatchTask) -> BatchResult:
         result = failed(task, f"{plain(task.log)}: {KILLED}")

@@ -36,10 +36,7 @@ REQUESTS = 16
 class StoreManifest(Manifest):
     """The manifest of a batch whose outputs are in an object store.
 
-    Parameters
-    ----------
-    folder
-        Address of the prefix of all outputs.
+    `folder`: Address of the prefix of all outputs
     """
 
     def __init__(self, folder: str) -> None:
@@ -50,13 +47,7 @@ class StoreManifest(Manifest):
         self._lines: list[bytes] = []
 
     def prepare(self) -> None:
-        """Find out whether objects may be written, before anything is computed.
-
-        Raises
-        ------
-        OutputError
-            They may not.
-        """
+        """Find out whether objects may be written, before anything is computed."""
         put(self._new_part(), b"")
 
     def existing_outputs(self) -> Callable[[str], bool]:
@@ -67,13 +58,7 @@ class StoreManifest(Manifest):
         return names.__contains__
 
     def append(self, entry: ManifestEntry) -> None:
-        """Record an entry.
-
-        Raises
-        ------
-        OutputError
-            It cannot be written.
-        """
+        """Record an entry."""
         if not self._part or len(self._lines) == PART_ENTRIES:
             self._part, self._lines = self._new_part(), []
         self._lines.append(json_line(entry))

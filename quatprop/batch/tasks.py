@@ -20,16 +20,9 @@ if TYPE_CHECKING:
 class BatchTask(NamedTuple):
     """One log of a batch; small, as it is sent to a process.
 
-    Parameters
-    ----------
-    path
-        The log's path or address.
-    output
-        The path or the address of its attitudes.
-    name
-        Path of the output in the folder of the batch.
-    maybe, refused
-        As for :class:`quatprop.batch.logs.FoundLog`.
+    `path`: the log's path or address
+    `output`: the path or the address of its attitudes
+    `name`: path of the output in the folder of the batch
     """
 
     path: str
@@ -47,16 +40,10 @@ class BatchTask(NamedTuple):
 class BatchSettings(NamedTuple):
     """What all logs of a batch share.
 
-    Parameters
-    ----------
-    job
-        How logs are propagated; its paths are ignored.
-    options
-        Digest of its settings.
-    reports
-        Whether results have the reports of the runs.
-    spell
-        Returns a sentence as the manifest has it; a worker has to be able to import it.
+    `job`: how logs are propagated; its paths are ignored
+    `options`: digest of its settings
+    `reports`: whether results have the reports of the runs
+    `spell`: returns a sentence as the manifest has it; a worker has to be able to import it
     """
 
     job: Job
@@ -87,16 +74,10 @@ class BatchSettings(NamedTuple):
 class BatchResult(NamedTuple):
     """The result of one log.
 
-    Parameters
-    ----------
-    entry
-        What the manifest records.
-    error
-        Why there are no attitudes; empty where there are.
-    remarks, losses
-        As in the report.
-    report
-        The report of the run, as JSON; None if it is not wanted, or where there are no attitudes.
+    `entry`: what the manifest records
+    `error`: why there are no attitudes; empty where there are
+    `report`: the report of the run, as JSON; None if it is not wanted, or where there are no
+        attitudes
     """
 
     entry: ManifestEntry

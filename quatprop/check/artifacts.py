@@ -31,18 +31,6 @@ def write_artifacts(case: Case, pin: Pin | None, folder: Path) -> Path:
 
     It has ``attitude.parquet``, the attitudes as they were compared; ``error.html``, a page with
     the error over time; and ``commands.txt``, the commands that repeat the case.
-
-    Parameters
-    ----------
-    case, pin
-        The case, and what it depended on when it was last updated.
-    folder
-        Where the folders of all cases are.
-
-    Raises
-    ------
-    QuatpropError
-        The case cannot be run, or a file cannot be written.
     """
     place = folder / quote(case.name, safe=" @+").replace(".", "%2E", case.name.startswith("."))
     series, page, commands = (

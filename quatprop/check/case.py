@@ -19,36 +19,22 @@ Verdict = Literal["pass", "fail", "error", "skip", "xfail", "xpass"]
 class Case(NamedTuple):
     """A log, how it is propagated, and what the attitudes are compared with.
 
-    Parameters
-    ----------
-    name
-        Name in the suite.
-    log
-        Path of the log.
-    propagation
-        How the log is propagated.
-    comparison
-        How the attitudes are compared, with the tolerance.
-    reference
-        Path of the stored reference, which an update writes; None where there is `external`.
-    external
-        An independent attitude series, such as motion capture, or a topic of a log.
-    options
-        The propagation settings of the suite that are not the default, as text.
-    comparison_options
-        The settings of the comparison and of the reference, by key, as text.
-    inputs
-        The files that are read: key of the suite -> path.
-    strict
-        Whether the timestamps must be those of the reference, all of them and no others.
-    pins_log
-        Whether the log must be the same bytes; False where the system under test makes the log.
-    in_degrees
-        Whether the tolerance is written in degrees; results are then shown in degrees.
-    xfail
-        Why the case is known to fail; empty where it must pass.
-    line
-        Line of the suite where the case begins.
+    `name`: name in the suite
+    `log`: path of the log
+    `propagation`: how the log is propagated
+    `comparison`: how the attitudes are compared, with the tolerance
+    `reference`: path of the stored reference, which an update writes; None where there is
+        `external`
+    `external`: an independent attitude series, such as motion capture, or a topic of a log
+    `options`: the propagation settings of the suite that are not the default, as text
+    `comparison_options`: the settings of the comparison and of the reference, by key, as text
+    `inputs`: the files that are read: key of the suite -> path
+    `strict`: whether the timestamps must be those of the reference, all of them and no others
+    `pins_log`: whether the log must be the same bytes; False where the system under test makes the
+        log
+    `in_degrees`: whether the tolerance is written in degrees; results are then shown in degrees
+    `xfail`: why the case is known to fail; empty where it must pass
+    `line`: line of the suite where the case begins
     """
 
     name: str
@@ -74,14 +60,8 @@ class Case(NamedTuple):
 class CaseNotRun(NamedTuple):
     """A case that the suite skips, or with a key or a value that cannot be used.
 
-    Parameters
-    ----------
-    name, line
-        As for :class:`Case`.
-    reason
-        Why it is skipped; or what is wrong, with the suite, the case and the key.
-    verdict
-        ``"skip"`` or ``"error"``.
+    `reason`: why it is skipped; or what is wrong, with the suite, the case and the key
+    `verdict`: ``"skip"`` or ``"error"``
     """
 
     name: str
@@ -93,33 +73,20 @@ class CaseNotRun(NamedTuple):
 class CaseResult(NamedTuple):
     """The result of a case.
 
-    Parameters
-    ----------
-    name, line
-        Those of the case.
-    verdict
-        ``"pass"``; ``"fail"``: above the tolerance, or not the samples that were pinned;
+    `name`, `line`: Those of the case
+    `verdict`: ``"pass"``; ``"fail"``: above the tolerance, or not the samples that were pinned;
         ``"error"``: there is no result, because an input is missing or something has changed;
         ``"skip"``: it was not run; ``"xfail"``: it failed, as it is known to do; ``"xpass"``: it
-        passed, though it is known to fail.
-    reason
-        Why it did not pass; empty for a pass.
-    summary
-        The worst error, the tolerance and where, or what an update wrote; may be empty.
-    error_rad
-        The worst error, rad; None where nothing was compared.
-    notes
-        Remarks that do not change the verdict.
-    changes
-        What an update has changed.
-    updated
-        ``"new"``, ``"updated"`` or ``"kept"``; None if this was no update.
-    comparison
-        The report of the comparison, JSON-ready; None where nothing was compared.
-    pin
-        What an update pins.
-    seconds
-        Duration, s.
+        passed, though it is known to fail
+    `reason`: why it did not pass; empty for a pass
+    `summary`: the worst error, the tolerance and where, or what an update wrote; may be empty
+    `error_rad`: the worst error, rad; None where nothing was compared
+    `notes`: Remarks that do not change the verdict
+    `changes`: what an update has changed
+    `updated`: ``"new"``, ``"updated"`` or ``"kept"``; None if this was no update
+    `comparison`: the report of the comparison, JSON-ready; None where nothing was compared
+    `pin`: what an update pins
+    `seconds`: Duration, s
     """
 
     name: str

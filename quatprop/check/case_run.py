@@ -30,12 +30,8 @@ if TYPE_CHECKING:
 class CaseRun(NamedTuple):
     """The attitudes of a case.
 
-    Parameters
-    ----------
-    series
-        The attitudes, as they were written.
-    report
-        The report of the run.
+    `series`: the attitudes, as they were written
+    `report`: the report of the run
     """
 
     series: AttitudeSeries
@@ -50,21 +46,13 @@ class CaseRun(NamedTuple):
 class CaseComparison(NamedTuple):
     """How the attitudes of a case differ from the reference.
 
-    Parameters
-    ----------
-    error_rad
-        The worst error, rad; None where they cannot be compared.
-    where
-        The time of the worst error.
-    summary
-        The worst error, the tolerance, where, and what else was judged: errors in sigma, and how
-        much of the reference was compared; empty where they cannot be compared.
-    failure
-        Why the error is not accepted; empty where it is.
-    cause
-        The likely cause of the error; empty where none is known.
-    report
-        The report of the comparison, JSON-ready; None where there is none.
+    `error_rad`: the worst error, rad; None where they cannot be compared
+    `where`: the time of the worst error
+    `summary`: the worst error, the tolerance, where, and what else was judged: errors in sigma, and
+        how much of the reference was compared; empty where they cannot be compared
+    `failure`: why the error is not accepted; empty where it is
+    `cause`: the likely cause of the error; empty where none is known
+    `report`: the report of the comparison, JSON-ready; None where there is none
     """
 
     error_rad: float | None
@@ -76,20 +64,7 @@ class CaseComparison(NamedTuple):
 
 
 def propagate_case(case: Case, every: int | None) -> CaseRun:
-    """Propagate the log of a case.
-
-    Parameters
-    ----------
-    case
-        The case.
-    every
-        Keep every N-th attitude, unless the case itself chooses them.
-
-    Raises
-    ------
-    QuatpropError
-        The log cannot be propagated with these settings.
-    """
+    """Propagate the log of a case."""
     with TemporaryDirectory(prefix="quatprop-") as folder:
         output = str(Path(folder) / "attitude.parquet")
         settings = case.propagation
@@ -106,13 +81,7 @@ def chooses_rows(case: Case) -> bool:
 
 
 def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseComparison:
-    """Compare the attitudes of a case, `a`, with others, `b`.
-
-    Raises
-    ------
-    ComparisonError
-        They cannot be compared with these settings.
-    """
+    """Compare the attitudes of a case, `a`, with others, `b`."""
     result = compare(a, b, case.comparison)
     named = partial(with_names, a="the log's attitudes", b="the reference")
 

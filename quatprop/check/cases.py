@@ -49,20 +49,7 @@ OWN_KEYS = {"log", "reference", "reference-log", "pin-log", "skip", "xfail"}
 
 
 def load_cases(path: Path | str) -> tuple[Suite, list[Case | CaseNotRun]]:
-    """Read a suite and make its cases.
-
-    Returns
-    -------
-    Suite
-        The suite as it is written.
-    list
-        Its cases, in their order; one that cannot be used does not affect the others.
-
-    Raises
-    ------
-    SuiteError
-        The suite cannot be read, or its defaults cannot be used.
-    """
+    """Read a suite and make its cases."""
     suite = read_suite(path)
     for name in suite.defaults:
         _refuse_unknown(suite, name, None)
@@ -113,13 +100,7 @@ class _CaseParser:
         self._inputs: dict[str, str] = {}
 
     def case(self) -> Case:
-        """Return the case.
-
-        Raises
-        ------
-        SuiteError
-            A key or a value cannot be used, or something is missing.
-        """
+        """Return the case."""
         values = self._values
         for key in values:
             _refuse_unknown(self._suite, key, self._table.name)
@@ -169,13 +150,7 @@ class _CaseParser:
         )
 
     def reason(self, key: str) -> str:
-        """Return why the case is skipped or known to fail; empty where it is not.
-
-        Raises
-        ------
-        SuiteError
-            The value is not a reason.
-        """
+        """Return why the case is skipped or known to fail; empty where it is not."""
         if key not in self._values:
             return ""
         reason = self._values[key]

@@ -32,17 +32,7 @@ OTHER_VERSION = "the reference was made by quatprop"
 def judge(case: Case, pin: Pin | None) -> CaseResult:
     """Compare a case with its reference.
 
-    Parameters
-    ----------
-    case
-        The case.
-    pin
-        What it depended on when it was last updated; None if it never was.
-
-    Raises
-    ------
-    QuatpropError
-        There is no result: an input is missing, or something that is pinned has changed.
+    `pin`: what it depended on when it was last updated; None if it never was
     """
     hashes = hash_inputs(case)
     update = Setting("update")
@@ -85,15 +75,7 @@ def judge_by(
     failures: Iterable[str] = (),
     notes: Iterable[str] = (),
 ) -> CaseResult:
-    """Return the result of a case by an independent series.
-
-    Parameters
-    ----------
-    external
-        The series.
-    case, run, failures, notes
-        As for :func:`_judged`, and the attitudes of the case.
-    """
+    """Return the result of a case by an independent series."""
     loaded = load_attitudes(external)
     notes = [*notes, *loss_notes(case, run)]
     if loaded.data_lost:
@@ -110,17 +92,7 @@ def loss_notes(case: Case, run: CaseRun) -> list[str]:
 def _judged(
     case: Case, comparison: CaseComparison, failures: Iterable[str], notes: Iterable[str]
 ) -> CaseResult:
-    """Return the result of a case.
-
-    Parameters
-    ----------
-    case, comparison
-        The case, and how its attitudes differ.
-    failures
-        What else is not as it must be; empty texts do not count.
-    notes
-        Remarks that do not change the verdict.
-    """
+    """Return the result of a case."""
     failures = [*filter(None, [*failures, comparison.failure])]
     if failures and comparison.cause:
         failures.append(f"likely cause: {comparison.cause}")
@@ -228,12 +200,7 @@ def _compare_last(case: Case, pin: Pin, run: CaseRun) -> str:
 def explain(case: Case | CaseNotRun, pin: Pin | None) -> str:
     """Return what a case depends on, what is pinned, and how it is judged.
 
-    Parameters
-    ----------
-    case
-        The case.
-    pin
-        What the lock has of it; None if nothing.
+    `pin`: what the lock has of it; None if nothing
     """
     lines = [f"{plain(case.name)} (line {case.line} of the suite)"]
     facts = [("", plain(case.reason))] if isinstance(case, CaseNotRun) else [*_facts(case, pin)]

@@ -32,25 +32,14 @@ CONFLICT_MARKERS = ("<<<<<<<", "=======", ">>>>>>>")
 class Pin(NamedTuple):
     """What a case depended on when it was last updated.
 
-    Parameters
-    ----------
-    quatprop
-        The version that did the update.
-    inputs
-        Key of the suite -> SHA-256 of the file that it names; of a folder, of each of its files
-        that is read, by key and name.
-    options
-        As in :class:`quatprop.check.case.Case`.
-    samples
-        Number of samples that were propagated.
-    every
-        The reference holds every N-th attitude; None where the case itself chooses them.
-    reference
-        SHA-256 of the stored reference; None where there is none.
-    final_wxyz
-        The attitude at the last sample, which the reference may lack.
-    error_rad
-        The worst error against an independent series, rad; None for a stored reference.
+    `quatprop`: the version that did the update
+    `inputs`: key of the suite -> SHA-256 of the file that it names; of a folder, of each of its
+        files that is read, by key and name
+    `samples`: number of samples that were propagated
+    `every`: the reference holds every N-th attitude; None where the case itself chooses them
+    `reference`: SHA-256 of the stored reference; None where there is none
+    `final_wxyz`: the attitude at the last sample, which the reference may lack
+    `error_rad`: the worst error against an independent series, rad; None for a stored reference
     """
 
     quatprop: str
@@ -89,13 +78,7 @@ IS_VALID: Mapping[str, Callable[[Any], bool]] = {
 
 
 def read_lock(path: Path) -> dict[str, Pin]:
-    """Return the pin of each case; empty where there is no lock yet.
-
-    Raises
-    ------
-    SuiteError
-        The lock is not what an update writes.
-    """
+    """Return the pin of each case; empty where there is no lock yet."""
     if not path.exists():
         return {}
     try:
@@ -152,13 +135,7 @@ LFS_POINTER = b"version https://git-lfs"
 
 
 def digests_of(path: str) -> dict[str, str]:
-    """Return the SHA-256 of a file, under ``""``, or of each file of a folder that is read.
-
-    Raises
-    ------
-    LogError
-        It is missing, unreadable, or a Git LFS pointer.
-    """
+    """Return the SHA-256 of a file, under ``""``, or of each file of a folder that is read."""
     place = Path(path)
     if not place.is_dir():
         return {"": sha256_of(path)}
@@ -173,12 +150,7 @@ def digests_of(path: str) -> dict[str, str]:
 def describe_change(file: Path, old: str | None, new: str | None) -> str:
     """Return how a pinned file has changed, and the cause where it is known.
 
-    Parameters
-    ----------
-    file
-        The file.
-    old, new
-        Its SHA-256 when it was pinned, and now; None where there was or is none.
+    `old`, `new`: its SHA-256 when it was pinned, and now; None where there was or is none
     """
     if old is None:
         return "it was not there when the reference was made"
@@ -207,13 +179,7 @@ def _line_ends_for(file: Path, digest: str) -> str | None:
 
 
 def sha256_of(path: str) -> str:
-    """Return the SHA-256 of a file.
-
-    Raises
-    ------
-    LogError
-        It is missing, unreadable, or a Git LFS pointer.
-    """
+    """Return the SHA-256 of a file."""
     refuse_lfs_pointer(path)
     digest = digest_of(path).sha256
     if digest is None:
@@ -222,13 +188,7 @@ def sha256_of(path: str) -> str:
 
 
 def refuse_lfs_pointer(path: str) -> None:
-    """Refuse a Git LFS pointer in place of a file.
-
-    Raises
-    ------
-    LogError
-        There is one.
-    """
+    """Refuse a Git LFS pointer in place of a file."""
     if Path(path).is_file():
         with Path(path).open("rb") as stream:
             if stream.read(len(LFS_POINTER)) == LFS_POINTER:

@@ -55,13 +55,7 @@ def read_reference(path: str) -> LoadedAttitudes:
 
 
 def write_reference(case: Case, run: CaseRun, hashes: Mapping[str, str], every: int | None) -> None:
-    """Write the reference of a case, with its provenance.
-
-    Raises
-    ------
-    OutputError
-        It cannot be written.
-    """
+    """Write the reference of a case, with its provenance."""
     target = Path(str(case.reference))
     # The content must not depend on the folder in which it was made.
     names = {path: case.options.get(key, Path(path).name) for key, path in case.inputs.items()}
@@ -92,11 +86,6 @@ def refuse_replacing(target: Path) -> None:
 
     A stored reference can be made again; an independent series under this name may be the only
     copy.
-
-    Raises
-    ------
-    OutputError
-        It is no stored reference.
     """
     with suppress(QuatpropError):
         if not target.exists() or PROVENANCE_KEY in _provenance(str(target)):

@@ -43,15 +43,7 @@ WIDTH = max(len(shown) for shown, *_ in VERDICTS.values())
 
 
 def result_text(result: CaseResult, width: int) -> str:
-    """Return the result of a case: one line, and its reason and changes below.
-
-    Parameters
-    ----------
-    result
-        The result.
-    width
-        Width of the column of names.
-    """
+    """Return the result of a case: one line, and its reason and changes below."""
     summary = result.summary
     if result.updated is not None and result.verdict != "error":
         summary = f"{result.updated:<7}  {summary}"
@@ -112,22 +104,7 @@ def totals(results: Sequence[CaseResult]) -> str:
 
 
 def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) -> None:
-    """Write results as JUnit XML.
-
-    Parameters
-    ----------
-    target
-        Where to write.
-    suite
-        The suite, whose name is that of the test suite.
-    results
-        The results.
-
-    Raises
-    ------
-    OutputError
-        It cannot be written.
-    """
+    """Write results as JUnit XML."""
     verdicts = [result.verdict for result in results]
     counts = {
         "tests": str(len(results)),
@@ -160,13 +137,7 @@ def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) 
 
 
 def append_github_summary(target: str, suite: Path, results: Sequence[CaseResult]) -> None:
-    """Append a table of results to the summary of a step on GitHub.
-
-    Raises
-    ------
-    OutputError
-        It cannot be written.
-    """
+    """Append a table of results to the summary of a step on GitHub."""
     rows = [f"### {_markdown(suite.as_posix())}: {totals(results)}", ""]
     rows += ["| case | verdict | worst error | why |", "|---|---|---|---|"]
     for result in worst_first(results):

@@ -31,12 +31,7 @@ def select_cases(
 ) -> list[Case | CaseNotRun]:
     """Return the cases whose names match one of the patterns; all where there are none.
 
-    Parameters
-    ----------
-    cases
-        The cases.
-    patterns
-        Parts of names, or with ``*``, ``?`` or ``[...]`` patterns of whole names.
+    `patterns`: parts of names, or with ``*``, ``?`` or ``[...]`` patterns of whole names
     """
 
     def matches(name: str) -> bool:
@@ -53,14 +48,7 @@ def run_case(
 ) -> CaseResult:
     """Judge or update a case; an error becomes its result.
 
-    Parameters
-    ----------
-    pinned
-        The case, and what it depended on when it was last updated.
-    updating
-        Write its reference anew, in this folder, instead of judging.
-    artifacts
-        Where to keep the evidence of a failure; None: nowhere.
+    `artifacts`: where to keep the evidence of a failure; None: nowhere
     """
     case, pin = pinned
     if isinstance(case, CaseNotRun):
@@ -107,19 +95,8 @@ def run_cases(
 ) -> Generator[CaseResult]:
     """Yield the result of each case, in their order, as soon as those before are done.
 
-    Parameters
-    ----------
-    cases
-        The cases.
-    pins
-        What they depended on when they were last updated, by name.
-    lock
-        Update: write references anew, and at the end the lock, with the pins of all other cases;
-        None judges.
-    artifacts
-        As for :func:`run_case`.
-    processes
-        Number of cases at a time; the results are the same for any number.
+    `lock`: Update: write references anew, and at the end the lock, with the pins of all other
+        cases; None judges
     """
     new_pins = dict(pins)
 

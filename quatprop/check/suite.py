@@ -23,14 +23,9 @@ SHAPE = "a suite has a table [defaults] and one table [case.NAME] for each case"
 class CaseTable(NamedTuple):
     """A case as it is written.
 
-    Parameters
-    ----------
-    name
-        Name of the case.
-    values
-        Key -> value, as TOML has them, with the defaults.
-    line
-        Line of the suite where its table begins, from 1.
+    `name`: name of the case
+    `values`: key -> value, as TOML has them, with the defaults
+    `line`: line of the suite where its table begins, from 1
     """
 
     name: str
@@ -41,14 +36,9 @@ class CaseTable(NamedTuple):
 class Suite(NamedTuple):
     """A suite of cases.
 
-    Parameters
-    ----------
-    path
-        The file, as the user named it.
-    defaults
-        Values of every case that has no own.
-    tables
-        The cases, in the order of the file.
+    `path`: the file, as the user named it
+    `defaults`: values of every case that has no own
+    `tables`: the cases, in the order of the file
     """
 
     path: Path
@@ -62,13 +52,7 @@ class Suite(NamedTuple):
 
 
 def read_suite(path: Path | str) -> Suite:
-    """Read a suite; its keys are checked when its cases are parsed.
-
-    Raises
-    ------
-    SuiteError
-        It cannot be read, is not TOML, or has other tables than those of a suite.
-    """
+    """Read a suite; its keys are checked when its cases are parsed."""
     path = Path(path)
     try:
         text = read_bytes(path)
@@ -94,15 +78,7 @@ def read_suite(path: Path | str) -> Suite:
 
 
 def write_suite(path: Path | str, logs: Iterable[str]) -> None:
-    """Write a new suite with a case for each log, whose references are still to be made.
-
-    Raises
-    ------
-    SuiteError
-        There is a suite already.
-    OutputError
-        It cannot be written.
-    """
+    """Write a new suite with a case for each log, whose references are still to be made."""
     path = Path(path)
     if path.exists():
         raise SuiteError(path, "there is a suite already; add cases to it, or name another file")

@@ -41,18 +41,6 @@ def update(case: Case, pin: Pin | None, folder: Path) -> CaseResult:
 
     A case that passes is left as it is: references that moved a little at every update would
     drift.
-
-    Parameters
-    ----------
-    case, pin
-        The case, and what it depended on when it was last updated.
-    folder
-        That of the suite, in which references are written.
-
-    Raises
-    ------
-    QuatpropError
-        The case cannot be run, or its reference cannot be written.
     """
     if case.reference is not None:
         refuse_outside(case.reference, folder)

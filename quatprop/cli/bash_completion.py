@@ -45,14 +45,9 @@ _PIECE = re.compile(
 class _Word(NamedTuple):
     """A word of a line.
 
-    Parameters
-    ----------
-    text
-        What it stands for.
-    quote
-        The quote that is open at its end; empty for none.
-    expands
-        Whether bash would expand a part of it, or it has operators.
+    `text`: what it stands for
+    `quote`: the quote that is open at its end; empty for none
+    `expands`: whether bash would expand a part of it, or it has operators
     """
 
     text: str = ""

@@ -53,17 +53,7 @@ def command(shell: str) -> None:
 
 
 def values(name: str, ctx: click.Context, incomplete: str) -> list[CompletionItem[str]]:
-    """Return what could be the value of a setting: files, or names from the log on the line.
-
-    Parameters
-    ----------
-    name
-        The parameter.
-    ctx
-        The command, with what was given so far.
-    incomplete
-        The beginning of the value.
-    """
+    """Return what could be the value of a setting: files, or names from the log on the line."""
     base, _, side = name.rpartition("_")
     setting = base if side in SIDES else name
     if setting in FILE_SETTINGS:

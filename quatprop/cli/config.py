@@ -56,20 +56,7 @@ def _defaults(ctx: click.Context, name: str, table: Mapping[str, object]) -> dic
 
 
 def config_of(path: str, provenance: Mapping[str, Any]) -> str:
-    """Return the configuration that makes an output again.
-
-    Parameters
-    ----------
-    path
-        The output.
-    provenance
-        How it was made, as its metadata say.
-
-    Raises
-    ------
-    click.UsageError
-        They do not say it.
-    """
+    """Return the configuration that makes an output again."""
     settings, source = provenance.get("settings"), provenance.get("source")
     if not isinstance(settings, dict) or not isinstance(source, dict):
         raise click.UsageError(

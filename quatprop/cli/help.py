@@ -76,12 +76,8 @@ def brief(names: str, text: str) -> tuple[str, str]:
 class Command(click.Command):
     """A command whose help has groups of options, and examples.
 
-    Parameters
-    ----------
-    examples
-        Command lines that run in a clone of the project, one after the other.
-    grouped
-        Whether there are so many options that help puts them into groups.
+    `examples`: Command lines that run in a clone of the project, one after the other
+    `grouped`: whether there are so many options that help puts them into groups
     """
 
     def __init__(

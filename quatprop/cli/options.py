@@ -77,16 +77,7 @@ def own_options(
 ) -> list[Option]:
     """Return the options of one command.
 
-    Parameters
-    ----------
-    texts
-        Names as click takes them, between blanks -> what help says: what it calls the value, unless
-        that is a choice or a flag, two spaces, and what the option does.
-    kinds
-        Names -> the type or the parser of the value, where that is not a path. An option without
-        a value is a flag.
-    defaults
-        Names -> the default, which help shows; without one it is None, or said in the text.
+    `defaults`: names -> the default, which help shows; without one it is None, or said in the text
     """
     kinds, defaults = kinds or {}, defaults or {}
     options = []
@@ -150,19 +141,7 @@ def refuse_stdin_twice(*paths: str | None) -> None:
 def input_of(
     path: str, chosen: Mapping[str, Any], *, side: str = "", drop: bool = False
 ) -> AttitudeInput:
-    """Return which attitudes to read, from the options of a command.
-
-    Parameters
-    ----------
-    path
-        The log or table.
-    chosen
-        The options.
-    side
-        Which side of a comparison, as for :func:`setting_options`.
-    drop
-        Leave out invalid quaternions, where the command has no option for it.
-    """
+    """Return which attitudes to read, from the options of a command."""
     from quatprop.settings import READ_ATTITUDES
     from quatprop.signals.attitude_input import attitude_input
 

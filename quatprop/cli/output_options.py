@@ -58,15 +58,7 @@ OUTPUT_OPTIONS = own_options(
 
 
 def output_settings(chosen: Mapping[str, Any], own: str = "-o OUT") -> OutputSettings:
-    """Return where attitudes go and as what, from a command's options.
-
-    Parameters
-    ----------
-    chosen
-        The options.
-    own
-        How the file of attitudes is named, for errors.
-    """
+    """Return where attitudes go and as what, from a command's options."""
     from quatprop.conventions.layout import layout_named
     from quatprop.pipeline.settings import OutputSettings
 

@@ -22,17 +22,7 @@ INDENT = 12
 
 
 def show(lines: Iterable[str], indent: int = 2, *, err: bool = True) -> None:
-    """Print lines; on a terminal those that are too long go on below their text.
-
-    Parameters
-    ----------
-    lines
-        The lines.
-    indent
-        Where the text begins.
-    err
-        Whether to stderr rather than stdout.
-    """
+    """Print lines; on a terminal those that are too long go on below their text."""
     stream = sys.stderr if err else sys.stdout
     if stream is not None and stream.isatty():
         from shutil import get_terminal_size
@@ -49,15 +39,7 @@ def show(lines: Iterable[str], indent: int = 2, *, err: bool = True) -> None:
 
 
 def summary(report: RunReport, *, verbose: bool) -> list[str]:
-    """Return what a run did in a few lines.
-
-    Parameters
-    ----------
-    report
-        The report of the run.
-    verbose
-        Also state conventions, policies and timings.
-    """
+    """Return what a run did in a few lines."""
     rows = [*facts(report), *(conventions(report) if verbose else ())]
     if verbose and report.seconds is not None:
         rows.append(("seconds", f"{report.seconds:.3f}"))

@@ -51,12 +51,8 @@ TEXTS = "quatprop.texts"
 class Parsed(ParamType):
     """An option whose value a parser reads.
 
-    Parameters
-    ----------
-    parser
-        Takes the text, or a value that it has returned before.
-    name
-        What help calls the value, such as ``"W,X,Y,Z"``.
+    `parser`: takes the text, or a value that it has returned before
+    `name`: what help calls the value, such as ``"W,X,Y,Z"``
     """
 
     def __init__(self, parser: Parser, name: str) -> None:

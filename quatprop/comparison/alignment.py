@@ -55,17 +55,12 @@ WAY_OUT = f"choose {Setting('align', 'mean')}, or a longer part of the recording
 class MountingFit(NamedTuple):
     """How a mounting was estimated from relative rotations, and how well.
 
-    Parameters
-    ----------
-    motions
-        Number of relative rotations.
-    turn_rad
-        Their RMS angle, rad.
-    singular_values
-        Roots of the singular values of the fit: RMS sin(angle/2) about the three principal axes
-        common to A and B, largest first. Two have to be well above zero.
-    std_rad
-        Standard deviation of the mounting about its least certain axis, rad, from the residual.
+    `motions`: number of relative rotations
+    `turn_rad`: their RMS angle, rad
+    `singular_values`: Roots of the singular values of the fit: RMS sin(angle/2) about the three
+        principal axes common to A and B, largest first. Two have to be well above zero
+    `std_rad`: standard deviation of the mounting about its least certain axis, rad, from the
+        residual
     """
 
     motions: int
@@ -78,16 +73,12 @@ class MountingFit(NamedTuple):
 class Alignment:
     """Rotations that bring B to A: q_A = r q_B m.
 
-    Parameters
-    ----------
-    name
-        One of :data:`quatprop.comparison.settings.ALIGNMENTS`.
-    reference_wxyz, reference_rad
-        r, shape ``(4,)``: B's reference -> A's reference, multiplied on the left; its angle, rad.
-    mount_wxyz, mount_rad
-        m, shape ``(4,)``: A's body -> B's body, multiplied on the right; its angle, rad.
-    mounting
-        How m was estimated, where it was.
+    `name`: one of :data:`quatprop.comparison.settings.ALIGNMENTS`
+    `reference_wxyz`, `reference_rad`: r, shape ``(4,)``: B's reference -> A's reference, multiplied
+        on the left; its angle, rad
+    `mount_wxyz`, `mount_rad`: m, shape ``(4,)``: A's body -> B's body, multiplied on the right; its
+        angle, rad
+    `mounting`: how m was estimated, where it was
     """
 
     name: str
@@ -110,18 +101,9 @@ class Alignment:
 def align(name: str, a: Float64, b: Float64) -> Alignment:
     """Return the rotations that bring B to A.
 
-    Parameters
-    ----------
-    name
-        ``"none"``; ``"first"``: r makes the first attitudes the same; ``"mean"``: r is the least
-        squares fit over all; ``"mount"``: m from the relative rotations, then r as for mean.
-    a, b
-        Unit quaternions wxyz at the same times, shape ``(N, 4)``.
-
-    Raises
-    ------
-    ComparisonError
-        The motion does not show a mounting.
+    `name`: ``"none"``; ``"first"``: r makes the first attitudes the same; ``"mean"``: r is the
+        least squares fit over all; ``"mount"``: m from the relative rotations, then r as for mean
+    `a`, `b`: unit quaternions wxyz at the same times, shape ``(N, 4)``
     """
     if name == "none":
         return Alignment(name, IDENTITY)
@@ -135,15 +117,8 @@ def align(name: str, a: Float64, b: Float64) -> Alignment:
 def mean_rotation(q: Float64) -> Float64:
     """Return the rotation nearest to many in the chordal sense.
 
-    Parameters
-    ----------
-    q
-        Unit quaternions wxyz, shape ``(N, 4)``; their signs do not matter.
-
-    Returns
-    -------
-    ndarray
-        wxyz with w >= 0, shape ``(4,)``.
+    `q`: unit quaternions wxyz, shape ``(N, 4)``; their signs do not matter
+    `Returns`: wxyz with w >= 0, shape ``(4,)``
 
     References
     ----------
@@ -160,22 +135,8 @@ def find_mounting(a: Float64, b: Float64) -> tuple[Float64, MountingFit]:
     With q_A = r q_B m, rotations from sample i to j are a = m* b m: the same angle about axes
     that m turns into each other, whatever r is. Their vector parts are fitted by least squares.
 
-    Parameters
-    ----------
-    a, b
-        Unit quaternions wxyz at the same times, shape ``(N, 4)``.
-
-    Returns
-    -------
-    mount : ndarray
-        m, wxyz, shape ``(4,)``: A's body -> B's body.
-    fit : MountingFit
-        How well it is determined.
-
-    Raises
-    ------
-    ComparisonError
-        Too little motion, or motion about one axis only.
+    `a`, `b`: unit quaternions wxyz at the same times, shape ``(N, 4)``
+    `Returns`: m, wxyz, shape ``(4,)``: A's body -> B's body
 
     References
     ----------

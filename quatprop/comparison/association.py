@@ -32,23 +32,14 @@ FAR = np.iinfo(np.int64).max
 class Pairs:
     """Attitudes of A and B at the same times.
 
-    Parameters
-    ----------
-    t_ns
-        When, shape ``(N,)``, int64 ns, in A's clock.
-    a, b
-        Attitudes body -> reference, wxyz, shape ``(N, 4)``.
-    index
-        Which samples of the series at whose stamps the pairs are, shape ``(N,)``, int64.
-    at
-        That series: ``"A"`` or ``"B"``.
-    match
-        One of :data:`quatprop.comparison.settings.MATCHES`.
-    max_dt_ns
-        How far a sample was allowed to be from its partner, ns; 0 for equal stamps.
-    candidates
-        How many could have been matched at best: samples in the time that both series cover, of
-        the one that has fewer.
+    `t_ns`: When, shape ``(N,)``, int64 ns, in A's clock
+    `a`, `b`: attitudes body -> reference, wxyz, shape ``(N, 4)``
+    `index`: which samples of the series at whose stamps the pairs are, shape ``(N,)``, int64
+    `at`: That series: ``"A"`` or ``"B"``
+    `match`: one of :data:`quatprop.comparison.settings.MATCHES`
+    `max_dt_ns`: how far a sample was allowed to be from its partner, ns; 0 for equal stamps
+    `candidates`: how many could have been matched at best: samples in the time that both series
+        cover, of the one that has fewer
     """
 
     t_ns: Int64
@@ -67,14 +58,8 @@ class Pairs:
 class Matching(NamedTuple):
     """How the attitudes were matched in time.
 
-    Parameters
-    ----------
-    match, at, max_dt_ns, candidates
-        As for :class:`Pairs`.
-    matched
-        How many pairs there are.
-    first_ns, last_ns
-        Times of the first and the last pair, ns; 0 where there is none.
+    `matched`: how many pairs there are
+    `first_ns`, `last_ns`: times of the first and the last pair, ns; 0 where there is none
     """
 
     match: str
@@ -97,21 +82,6 @@ def associate(a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings
 
     The pairs are at the stamps of the series with the longer intervals; the other one is looked
     up or interpolated there.
-
-    Parameters
-    ----------
-    a, b
-        The series, in rising order of their stamps, in one clock.
-    settings
-        How to compare. Where they leave the match open: exact where at least half of the samples
-        that could have equal stamps do; else nearest if `max_dt` is given, and interpolate if not.
-        Where they leave `max_dt` open: half the median interval of the series looked up for
-        nearest, ten for interpolate.
-
-    Raises
-    ------
-    ComparisonError
-        Fewer than two pairs, or fewer than `min_matched`.
     """
     match = settings.match
     if match in {None, "exact"}:
@@ -156,17 +126,8 @@ def interval_ns(series: AttitudeSeries) -> int:
 def interpolate(series: AttitudeSeries, t_ns: Int64) -> Float64:
     """Return the attitudes of a series at times within it: a constant rate between samples.
 
-    Parameters
-    ----------
-    series
-        At least two attitudes, in rising order of their stamps.
-    t_ns
-        Times, shape ``(N,)``, int64 ns; outside the series the nearest interval is continued.
-
-    Returns
-    -------
-    ndarray
-        Unit quaternions wxyz, shape ``(N, 4)``; at a stamp exactly the sample's.
+    `t_ns`: Times, shape ``(N,)``, int64 ns; outside the series the nearest interval is continued
+    `Returns`: Unit quaternions wxyz, shape ``(N, 4)``; at a stamp exactly the sample's
     """
     before = np.clip(np.searchsorted(series.t_ns, t_ns, side="right") - 1, 0, len(series) - 2)
     start, stop = series.t_ns[before], series.t_ns[before + 1]
@@ -233,19 +194,7 @@ def require_enough(
 ) -> None:
     """Raise an error if there are too few pairs.
 
-    Parameters
-    ----------
-    matching
-        What was matched.
-    spans_ns
-        The first and the last stamp of A, and of B, ns.
-    settings
-        How to compare.
-
-    Raises
-    ------
-    ComparisonError
-        There are too few.
+    `spans_ns`: the first and the last stamp of A, and of B, ns
     """
     single = all(first == last for first, last in spans_ns) and settings.align == "none"
     least = 1 if single else MIN_PAIRS

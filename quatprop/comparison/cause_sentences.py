@@ -66,14 +66,7 @@ def described(
 ) -> tuple[str, str, Setting | Text | None]:
     """Return the name of a cause, a sentence, and the remedy.
 
-    Parameters
-    ----------
-    trial
-        The mistake.
-    alternatives
-        Mistakes that explain the windows equally well.
-    intervals
-        Median intervals of A and B, s.
+    `intervals`: Median intervals of A and B, s
     """
     sentence, remedy = _sentence_and_remedy(trial, intervals)
     if alternatives:

@@ -57,16 +57,10 @@ GIVE_OFFSET = f"give the offset with {Setting('time_offset', 'DUR')}"
 class ClockOffset(NamedTuple):
     """The estimated offset between two clocks.
 
-    Parameters
-    ----------
-    ns
-        What must be added to B's stamps, ns.
-    correlation
-        Of the angular speeds at that offset, 1 at best.
-    runner_up
-        The next best correlation outside the peak: how easily it could be another offset.
-    std_ns
-        Standard deviation of the offset, ns, whatever the noise: from the spread over time.
+    `ns`: what must be added to B's stamps, ns
+    `correlation`: of the angular speeds at that offset, 1 at best
+    `runner_up`: the next best correlation outside the peak: how easily it could be another offset
+    `std_ns`: standard deviation of the offset, ns, whatever the noise: from the spread over time
     """
 
     ns: int
@@ -80,12 +74,6 @@ def find_offset(a: AttitudeSeries, b: AttitudeSeries) -> ClockOffset:
 
     The clocks may have different epochs: every lag is tried at which the shorter series overlaps
     by half.
-
-    Raises
-    ------
-    ComparisonError
-        The series are too short, turn at a constant speed, do not correlate, or do so equally
-        well at several offsets.
 
     References
     ----------

@@ -85,14 +85,8 @@ def compare(
 class Measured(NamedTuple):
     """What was measured of two series.
 
-    Parameters
-    ----------
-    meter
-        The errors.
-    association, time_offset, coverage, left_out, remarks
-        As for :class:`quatprop.comparison.result.Comparison`.
-    pairs
-        What was compared; None where the result need not have it, nor the errors.
+    `meter`: the errors
+    `pairs`: what was compared; None where the result need not have it, nor the errors
     """
 
     meter: ErrorMeter
@@ -107,17 +101,7 @@ class Measured(NamedTuple):
 def conclude(
     a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings, measured: Measured
 ) -> Comparison:
-    """Judge and explain errors, once all are measured.
-
-    Parameters
-    ----------
-    a, b
-        The series in which a cause is looked for: all of them, or the first part.
-    settings
-        How to compare.
-    measured
-        The errors, and how they were obtained.
-    """
+    """Judge and explain errors, once all are measured."""
     meter, pairs, remarks = measured.meter, measured.pairs, [*measured.remarks]
     window = sigmas = None
     if pairs is not None:

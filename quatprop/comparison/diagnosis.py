@@ -93,14 +93,7 @@ def likely_cause(
 
     Of a long recording the first part is looked at, but all of it for isolated samples.
 
-    Parameters
-    ----------
-    a, b
-        The series, B in A's clock as far as that is known.
-    settings
-        How they are compared.
-    error
-        The errors after that, rad, shape ``(N,)``, in rising order.
+    `error`: the errors after that, rad, shape ``(N,)``, in rising order
     """
     if len(error) < MIN_PAIRS or rms(error) <= NO_ERROR:
         return None

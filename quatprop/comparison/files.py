@@ -39,31 +39,7 @@ SHORT = 1 << 17
 def compare_files(
     a: AttitudeInput, b: AttitudeInput, settings: ComparisonSettings, *, keep: bool = True
 ) -> tuple[ReadAttitudes, ReadAttitudes, Comparison]:
-    """Compare two attitude series of files.
-
-    Parameters
-    ----------
-    a, b
-        The series.
-    settings
-        How to compare.
-    keep
-        Whether the result needs the time and the error of every pair.
-
-    Returns
-    -------
-    a, b : ReadAttitudes
-        What is known of the series.
-    comparison : Comparison
-        As of :func:`quatprop.comparison.compare.compare`.
-
-    Raises
-    ------
-    LogError
-        One of them cannot be read.
-    ComparisonError, UsageError
-        As for :func:`quatprop.comparison.compare.compare`.
-    """
+    """Compare two attitude series of files."""
     with open_attitudes(a) as file_a, open_attitudes(b) as file_b:
         files = file_a, file_b
         beginnings = [_beginning(file) for file in files]
@@ -113,20 +89,12 @@ def _is_streamable(
 class _Ordered:
     """A series that is read batch by batch, in order of time.
 
-    Attributes
-    ----------
-    held
-        Samples that were read and not yet taken; empty at the end.
-    head
-        Those in which causes are looked for, and some more on either side.
-    samples
-        How many were read.
-    covered
-        Their stamps.
-    start_ns
-        Where the time begins that both series cover.
-    common
-        How many samples were taken from there on.
+    `held`: samples that were read and not yet taken; empty at the end
+    `head`: Those in which causes are looked for, and some more on either side
+    `samples`: how many were read
+    `covered`: their stamps
+    `start_ns`: where the time begins that both series cover
+    `common`: how many samples were taken from there on
     """
 
     def __init__(self, batches: Iterator[AttitudeSeries], offset_ns: int) -> None:
@@ -139,13 +107,7 @@ class _Ordered:
         self.refill()
 
     def refill(self) -> None:
-        """Hold the next batch.
-
-        Raises
-        ------
-        _NotStreamableError
-            Stamps are not in order.
-        """
+        """Hold the next batch."""
         batch = next(self._batches, None)
         if batch is None:
             self.held = self.held[:0]
@@ -192,13 +154,7 @@ def _equal_stamps(a: _Ordered, b: _Ordered) -> Iterator[tuple[Int64, Int64, Floa
 def _streamed(
     a: Iterable[AttitudeSeries], b: Iterable[AttitudeSeries], settings: ComparisonSettings
 ) -> Comparison:
-    """Compare series while they are read.
-
-    Raises
-    ------
-    _NotStreamableError
-        Stamps are not in order, or too few are equal.
-    """
+    """Compare series while they are read."""
     offset_ns = int(settings.time_offset)
     with closing(in_background(a, 1)) as batches_a, closing(in_background(b, 1)) as batches_b:
         sides = _Ordered(batches_a, 0), _Ordered(batches_b, offset_ns)

@@ -53,24 +53,17 @@ ALIGN_MEAN = Setting("align", "mean")
 class Cause(NamedTuple):
     """What explains most of an error.
 
-    Parameters
-    ----------
-    name
-        A short name, stable for scripts.
-    sentence
-        What it means.
-    rms_before, rms_after
-        RMS error without and with the explanation, rad.
-    remedy
-        The setting that takes the error out of the comparison, or with which to read or propagate.
-    window_ns
-        Where the cause was found in rotations over windows, their length, ns: the RMS errors are
-        those of the rotations, less a constant rate. None: they are those of the attitudes.
-    also
-        A second cause, of which the first hides the effect.
-    total_before, total_after
-        RMS errors of the attitudes without and with the explanation, rad, where it was found in
-        rotations over windows and they are known.
+    `name`: a short name, stable for scripts
+    `sentence`: what it means
+    `rms_before`, `rms_after`: RMS error without and with the explanation, rad
+    `remedy`: the setting that takes the error out of the comparison, or with which to read or
+        propagate
+    `window_ns`: where the cause was found in rotations over windows, their length, ns: the RMS
+        errors are those of the rotations, less a constant rate. None: they are those of the
+        attitudes
+    `also`: a second cause, of which the first hides the effect
+    `total_before`, `total_after`: RMS errors of the attitudes without and with the explanation,
+        rad, where it was found in rotations over windows and they are known
     """
 
     name: str
@@ -103,19 +96,7 @@ class Cause(NamedTuple):
 def causes_of_errors(pairs: Pairs, alignment: str, before: float) -> Iterator[Cause]:
     """Yield what may explain the errors, and how much of them remains without it.
 
-    Parameters
-    ----------
-    pairs
-        Attitudes of A and B at the same times.
-    alignment
-        How they are aligned: one of :data:`quatprop.comparison.settings.ALIGNMENTS`.
-    before
-        The RMS error, rad.
-
-    Raises
-    ------
-    ComparisonError
-        They cannot be aligned.
+    `before`: the RMS error, rad
     """
     a, b = pairs.a, pairs.b
     aligned = align(alignment, a, b).apply(b)
@@ -148,13 +129,7 @@ def _rms(a: Float64, b: Float64) -> float:
 
 
 def aligned_rms(alignment: str, a: Float64, b: Float64) -> float:
-    """Return the RMS error of attitudes that are aligned, rad.
-
-    Raises
-    ------
-    ComparisonError
-        They cannot be aligned.
-    """
+    """Return the RMS error of attitudes that are aligned, rad."""
     return _rms(a, align(alignment, a, b).apply(b))
 
 

@@ -28,14 +28,9 @@ PIECE = 16_384
 class ComparedSample:
     """One pair of attitudes and its error.
 
-    Parameters
-    ----------
-    t_ns
-        Its time in A's clock, ns.
-    at, index
-        Which sample of which series: ``"A"`` or ``"B"``, from 0, in order of time.
-    error_rad
-        Its error, rad.
+    `t_ns`: its time in A's clock, ns
+    `at`, `index`: which sample of which series: ``"A"`` or ``"B"``, from 0, in order of time
+    `error_rad`: its error, rad
     """
 
     t_ns: int
@@ -47,10 +42,7 @@ class ComparedSample:
 class CoveredTime:
     """The time that stamps cover, without gaps, measured block by block.
 
-    Attributes
-    ----------
-    first_ns, last_ns
-        The first and the last stamp so far, ns.
+    `first_ns`, `last_ns`: the first and the last stamp so far, ns
     """
 
     def __init__(self) -> None:
@@ -94,23 +86,13 @@ class ErrorMeter:
 
     What it finds does not depend on where blocks end.
 
-    Parameters
-    ----------
-    at
-        The series at whose stamps the pairs are: ``"A"`` or ``"B"``.
-    alignment
-        How B is rotated.
-    limit
-        The largest error that passes, rad.
-
-    Attributes
-    ----------
-    opposite
-        Pairs whose quaternions have a negative dot product.
-    worst, first_exceeding
-        The pair with the largest error, and the first with an error above the limit.
-    covered
-        The stamps of the pairs.
+    `at`: the series at whose stamps the pairs are: ``"A"`` or ``"B"``
+    `alignment`: how B is rotated
+    `limit`: the largest error that passes, rad
+    `opposite`: Pairs whose quaternions have a negative dot product
+    `worst`, `first_exceeding`: the pair with the largest error, and the first with an error above
+        the limit
+    `covered`: the stamps of the pairs
     """
 
     def __init__(self, at: str, alignment: Alignment, limit: float) -> None:
@@ -131,13 +113,7 @@ class ErrorMeter:
         return len(self._errors)
 
     def add(self, t_ns: Int64, index: Int64, a: Float64, b: Float64) -> None:
-        """Measure the next pairs.
-
-        Parameters
-        ----------
-        t_ns, index, a, b
-            As for :class:`quatprop.comparison.association.Pairs`.
-        """
+        """Measure the next pairs."""
         start = 0
         while start < len(t_ns):
             rows = slice(start, min(start + PIECE - self._filled, len(t_ns)))
@@ -194,15 +170,7 @@ class ErrorMeter:
         return np.frombuffer(self._errors)
 
     def statistics(self, rising: Float64, final: float) -> ErrorStatistics:
-        """Return the statistics of the errors.
-
-        Parameters
-        ----------
-        rising
-            The errors in rising order.
-        final
-            The last one.
-        """
+        """Return the statistics of the errors."""
         last = len(rising) - 1
         below = int(0.95 * last)
         around = rising[below : below + 2]

@@ -32,12 +32,8 @@ if TYPE_CHECKING:
 class AppliedOffset(NamedTuple):
     """The time offset of a comparison.
 
-    Parameters
-    ----------
-    added_to_b_ns
-        What was added to B's stamps, ns.
-    found
-        How it was estimated; None where it was given.
+    `added_to_b_ns`: what was added to B's stamps, ns
+    `found`: how it was estimated; None where it was given
     """
 
     added_to_b_ns: int
@@ -47,18 +43,11 @@ class AppliedOffset(NamedTuple):
 class Criterion(NamedTuple):
     """A limit and whether it was kept.
 
-    Parameters
-    ----------
-    setting
-        The setting that gives the limit, such as ``"rms_tol"``.
-    label
-        What is limited.
-    value, limit
-        What was measured and what is allowed, in `unit`.
-    unit
-        ``"rad"``, ``"deg/h"``, ``"%"`` or ``"sigma"``.
-    passed
-        Whether the value is within the limit: not above it, or for a coverage not below it.
+    `setting`: the setting that gives the limit, such as ``"rms_tol"``
+    `label`: what is limited
+    `value`, `limit`: what was measured and what is allowed, in `unit`
+    `unit`: ``"rad"``, ``"deg/h"``, ``"%"`` or ``"sigma"``
+    `passed`: whether the value is within the limit: not above it, or for a coverage not below it
     """
 
     setting: str
@@ -72,12 +61,9 @@ class Criterion(NamedTuple):
 class Coverage(NamedTuple):
     """How much of the reference, B, was compared, in percent.
 
-    Parameters
-    ----------
-    time
-        Of its time span without its own gaps: the time between neighbouring pairs, without gaps.
-    samples
-        Of its samples; None where they were interpolated, and so have no partners of their own.
+    `time`: of its time span without its own gaps: the time between neighbouring pairs, without gaps
+    `samples`: of its samples; None where they were interpolated, and so have no partners of their
+        own
     """
 
     time: float
@@ -90,21 +76,7 @@ class Coverage(NamedTuple):
 
 
 def judge(settings: ComparisonSettings, measured: Comparison) -> Iterator[Criterion]:
-    """Yield the verdict on each criterion that the settings have.
-
-    Parameters
-    ----------
-    settings
-        How to compare.
-    measured
-        The errors; its criteria do not matter.
-
-    Raises
-    ------
-    ComparisonError
-        There is a limit in standard deviations, and neither series has any; or one on the drift
-        of a single pair.
-    """
+    """Yield the verdict on each criterion that the settings have."""
     for setting, label, name in (
         ("tol", "largest error", "max"),
         ("rms_tol", "RMS error", "rms"),

@@ -38,38 +38,22 @@ class Sigmas:
 class ComparisonSettings:
     """How to compare two attitude series A and B.
 
-    Parameters
-    ----------
-    tol, rms_tol, final_tol, p95_tol
-        Largest worst, RMS, final and 95th percentile geodesic error that passes, rad or in
-        standard deviations; None: every error passes.
-    window_tol, window_rms_tol
-        The same for the worst and the RMS error of the rotations over windows, rad.
-    drift_tol
-        Largest drift in either direction that passes, deg/h; not with an alignment by all pairs.
-    min_coverage
-        Least percentage of the reference, B, that must be compared: of its time and its samples.
-    max_sigma
-        Largest error that passes, in standard deviations, where `tol` is in rad.
-    align
-        One of :data:`ALIGNMENTS`.
-    time_offset
-        Added to B's stamps, ns, or ``"auto"``: estimated from the angular speeds.
-    match
-        One of :data:`MATCHES`; None: chosen as :func:`quatprop.comparison.association.associate`
-        describes.
-    max_dt
-        How far a sample may be from its partner, ns; None: depends on the median interval.
-    min_matched
-        Percentage of the samples in the common time that must be matched, 0 to 100.
-    window
-        Also compare the rotations over windows of this length, ns; None: no windows.
-
-    Raises
-    ------
-    UsageError
-        A limit on errors over windows is given, and no window; or one on the drift, and an
-        alignment of :data:`BY_ALL`.
+    `tol`, `rms_tol`, `final_tol`, `p95_tol`: Largest worst, RMS, final and 95th percentile geodesic
+        error that passes, rad or in standard deviations; None: every error passes
+    `window_tol`, `window_rms_tol`: the same for the worst and the RMS error of the rotations over
+        windows, rad
+    `drift_tol`: Largest drift in either direction that passes, deg/h; not with an alignment by all
+        pairs
+    `min_coverage`: Least percentage of the reference, B, that must be compared: of its time and its
+        samples
+    `max_sigma`: Largest error that passes, in standard deviations, where `tol` is in rad
+    `align`: one of :data:`ALIGNMENTS`
+    `time_offset`: Added to B's stamps, ns, or ``"auto"``: estimated from the angular speeds
+    `match`: one of :data:`MATCHES`; None: chosen as
+        :func:`quatprop.comparison.association.associate` describes
+    `max_dt`: how far a sample may be from its partner, ns; None: depends on the median interval
+    `min_matched`: Percentage of the samples in the common time that must be matched, 0 to 100
+    `window`: also compare the rotations over windows of this length, ns; None: no windows
     """
 
     tol: float | Sigmas | None = None
@@ -113,11 +97,6 @@ angle_rad = quantity_of(RAD_PER_UNIT, "an angle", "1e-9rad or 0.1deg")
 def error_limit(value: object) -> float | Sigmas:
     """Return a limit on an error: an angle as of :data:`angle_rad`, or text such as ``"3sigma"``.
 
-    Raises
-    ------
-    UsageError
-        The value is neither.
-
     Examples
     --------
     >>> error_limit("2.5 sigma"), error_limit("90deg")
@@ -132,11 +111,6 @@ def error_limit(value: object) -> float | Sigmas:
 
 def time_offset_ns(value: object) -> int | Literal["auto"]:
     """Return a signed duration in ns: whole ns, text such as ``"-12ms"``, or ``"auto"``.
-
-    Raises
-    ------
-    UsageError
-        The value is neither.
 
     Examples
     --------
@@ -229,11 +203,6 @@ COMPARE = keywords_of(CompareOptions)
 
 def comparison_settings(**options: Unpack[CompareOptions]) -> ComparisonSettings:
     """Return settings from numbers (rad, ns) or texts with units.
-
-    Raises
-    ------
-    UsageError
-        There is no such setting, or its value cannot be used.
 
     Examples
     --------

@@ -36,12 +36,8 @@ ROUNDING_RAD = 1e-9
 class ErrorStatistics(NamedTuple):
     """Size of an error, rad.
 
-    Parameters
-    ----------
-    max, rms, mean, median, p95
-        Over all pairs; p95 is the 95th percentile.
-    final
-        Of the last pair.
+    `max`, `rms`, `mean`, `median`, `p95`: Over all pairs; p95 is the 95th percentile
+    `final`: of the last pair
     """
 
     max: float
@@ -56,18 +52,11 @@ class ErrorStatistics(NamedTuple):
 class WindowStatistics:
     """Errors of the rotations over windows of one length, which frames and drift do not affect.
 
-    Parameters
-    ----------
-    window_ns
-        The length asked for, ns.
-    count
-        How many windows.
-    max_rad, rms_rad
-        Size of their errors, rad.
-    worst_ns
-        Where the worst begins, ns.
-    begins_ns, errors
-        Where each window begins, ns, and its error, rad, shape ``(count,)``.
+    `window_ns`: the length asked for, ns
+    `count`: how many windows
+    `max_rad`, `rms_rad`: size of their errors, rad
+    `worst_ns`: where the worst begins, ns
+    `begins_ns`, `errors`: where each window begins, ns, and its error, rad, shape ``(count,)``
     """
 
     window_ns: int
@@ -91,19 +80,8 @@ def window_statistics(pairs: Pairs, alignment: Alignment, window_ns: int) -> Win
     A window ends at the first pair that is `window_ns` later or more; where that is more than a
     median interval too late, there is a gap, and no window.
 
-    Parameters
-    ----------
-    pairs
-        Attitudes of A and B at the same times.
-    alignment
-        How B is rotated; that of the reference frame does not matter.
-    window_ns
-        Length of the windows, ns.
-
-    Raises
-    ------
-    ComparisonError
-        No two pairs are so far apart.
+    `alignment`: how B is rotated; that of the reference frame does not matter
+    `window_ns`: Length of the windows, ns
     """
     t_ns = pairs.t_ns
     stop = np.searchsorted(t_ns, t_ns + window_ns)
@@ -138,21 +116,15 @@ class SigmaStatistics:
     An error of n standard deviations about one principal axis of P is n. Where P is right, the RMS
     is near sqrt(3): an error has three independent parts.
 
-    Parameters
-    ----------
-    max, rms, p95
-        Over the pairs whose standard deviations are not 0; p95 is the least that 95 % of the
-        errors do not exceed. Infinite where an error is beyond rounding and its standard
-        deviation is 0.
-    final
-        Of the last of them.
-    max_ns
-        Time of the largest, ns.
-    one_sigma_rad
-        The angle of an error of one standard deviation in the direction of each error, shape
-        ``(N,)``, rad.
-    axes_rad
-        Standard deviations about the body axes, shape ``(N, 3)``, rad; 0 where they are unknown.
+    `max`, `rms`, `p95`: Over the pairs whose standard deviations are not 0; p95 is the least that
+        95 % of the errors do not exceed. Infinite where an error is beyond rounding and its
+        standard deviation is 0
+    `final`: of the last of them
+    `max_ns`: time of the largest, ns
+    `one_sigma_rad`: the angle of an error of one standard deviation in the direction of each error,
+        shape ``(N,)``, rad
+    `axes_rad`: standard deviations about the body axes, shape ``(N, 3)``, rad; 0 where they are
+        unknown
 
     References
     ----------
@@ -172,17 +144,7 @@ class SigmaStatistics:
 def sigma_statistics(
     a: AttitudeSeries, b: AttitudeSeries, pairs: Pairs, alignment: Alignment
 ) -> SigmaStatistics | None:
-    """Return the errors of pairs in standard deviations; None where no pair has any.
-
-    Parameters
-    ----------
-    a, b
-        The series, in order of time. Where both have covariances they are independent.
-    pairs
-        Attitudes of A and B at the same times.
-    alignment
-        How B is rotated.
-    """
+    """Return the errors of pairs in standard deviations; None where no pair has any."""
     known = [one for one in (a, b) if one.covariance is not None]
     if not known:
         return None

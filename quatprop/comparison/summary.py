@@ -28,17 +28,7 @@ STATISTICS = {"rms": "RMS", "p95": "95 %"}
 def comparison_rows(
     a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison, spell: Spell
 ) -> Iterator[Row]:
-    """Yield what was compared, how, and the result.
-
-    Parameters
-    ----------
-    a, b
-        The series.
-    comparison
-        Their comparison.
-    spell
-        Writes a sentence that may mention settings.
-    """
+    """Yield what was compared, how, and the result."""
     first_ns = comparison.association.first_ns
     yield "A", _series(a)
     yield "B", _series(b)
@@ -100,13 +90,6 @@ def sigma_text(count: float) -> str:
 
 def with_names(sentence: str, a: str, b: str) -> str:
     """Return a sentence about A and B with their names, where a reader knows no A and B.
-
-    Parameters
-    ----------
-    sentence
-        Such as :attr:`quatprop.comparison.hypotheses.Cause.sentence`.
-    a, b
-        What A and B are.
 
     Examples
     --------

@@ -54,22 +54,14 @@ BLOCK_S = 2.0
 class ClockError(NamedTuple):
     """The error of B's clock: a time offset, which may change steadily.
 
-    Parameters
-    ----------
-    seconds
-        The offset in the middle, s: positive where B has to be moved to a later time.
-    ratio
-        What the offset grows by, as a share of the time that passes.
-    std
-        Standard deviation of the ratio, or, where the offset does not change, of the offset, s.
-    white_std
-        What that of the offset would be, s, if differences over windows that do not overlap were
-        independent: by this, the length of windows is chosen, since choosing by `std` would favour
-        low ones.
-    middle
-        The middle of the time over which it was found, s.
-    span
-        Length of that time, s.
+    `seconds`: the offset in the middle, s: positive where B has to be moved to a later time
+    `ratio`: what the offset grows by, as a share of the time that passes
+    `std`: standard deviation of the ratio, or, where the offset does not change, of the offset, s
+    `white_std`: what that of the offset would be, s, if differences over windows that do not
+        overlap were independent: by this, the length of windows is chosen, since choosing by `std`
+        would favour low ones
+    `middle`: the middle of the time over which it was found, s
+    `span`: Length of that time, s
     """
 
     seconds: float
@@ -95,17 +87,11 @@ class RateRatio(NamedTuple):
 class Trial(NamedTuple):
     """What remains of the differences between A and B over windows when a mistake is undone.
 
-    Parameters
-    ----------
-    name
-        The mistake; empty where nothing was undone.
-    remaining
-        Remaining differences, shape ``(M, 3)``, rad.
-    side
-        In which series it was undone, ``"a"`` or ``"b"``, where that is known.
-    value
-        What was estimated: what a clock is off by, a ratio, a matrix of axes or an angle, rad; or
-        the integration rules of A and B.
+    `name`: the mistake; empty where nothing was undone
+    `remaining`: Remaining differences, shape ``(M, 3)``, rad
+    `side`: in which series it was undone, ``"a"`` or ``"b"``, where that is known
+    `value`: what was estimated: what a clock is off by, a ratio, a matrix of axes or an angle, rad;
+        or the integration rules of A and B
     """
 
     name: str
@@ -122,12 +108,7 @@ class Trial(NamedTuple):
 def trials(angles: Sequence[Angles], starts: Float64, length: float) -> Iterator[Trial]:
     """Yield a trial for each mistake: what remains when it is undone.
 
-    Parameters
-    ----------
-    angles
-        Of :func:`quatprop.comparison.windows.undone_misreadings`.
-    starts, length
-        The windows, s.
+    `starts`, `length`: the windows, s
     """
     for name, side, a, b in angles:
         yield Trial(name, a.over(starts, length) - b.over(starts, length), side)
@@ -176,14 +157,7 @@ def clock_error(
     leaving out blocks of windows, so it holds for noise of any colour; it is infinite where windows
     do not show the offset.
 
-    Parameters
-    ----------
-    pair, starts, length
-        The body angles and the windows.
-    begin
-        Where to begin, s; None: at the best of a grid.
-    drifts
-        Whether the offset may change.
+    `begin`: where to begin, s; None: at the best of a grid
 
     References
     ----------

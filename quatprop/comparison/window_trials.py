@@ -102,12 +102,7 @@ class WindowTrials:
     def found(self, interval: float, names: Collection[str]) -> tuple[Trial, list[Trial]] | None:
         """Return the mistake that explains the differences, and others that do so equally well.
 
-        Parameters
-        ----------
-        interval
-            The shorter median interval of the two series, s.
-        names
-            The mistakes.
+        `interval`: the shorter median interval of the two series, s
         """
         if self.before.rms <= NO_DIFFERENCE or self.unexplained > MAX_UNEXPLAINED:
             return None

@@ -66,12 +66,8 @@ inertial rates of the result."""
 class BodyAngle(NamedTuple):
     """The integral of a body rate.
 
-    Parameters
-    ----------
-    seconds
-        Times from a common beginning, shape ``(N,)``, s.
-    angle
-        Integral up to there, shape ``(N, 3)``, rad, resolved in the body frame.
+    `seconds`: times from a common beginning, shape ``(N,)``, s
+    `angle`: Integral up to there, shape ``(N, 3)``, rad, resolved in the body frame
     """
 
     seconds: Float64
@@ -104,10 +100,7 @@ def common_beginning(a: AttitudeSeries, b: AttitudeSeries) -> tuple[AttitudeSeri
 def window_grids(a: Float64, b: Float64) -> Iterator[tuple[float, Float64]]:
     """Yield lengths of windows, s, and the times at which windows of that length begin, s.
 
-    Parameters
-    ----------
-    a, b
-        Rising times of two series, s.
+    `a`, `b`: Rising times of two series, s
     """
     interval = max(float(np.median(np.diff(times))) for times in (a, b))
     begin, end = max(a[0], b[0]), min(a[-1], b[-1])
@@ -144,14 +137,9 @@ def centred(values: Float64) -> Float64:
 class Angles(NamedTuple):
     """Body angles of A and B, after a misreading of one of them was undone.
 
-    Parameters
-    ----------
-    name
-        The misreading; empty where nothing was undone.
-    side
-        Which series it was undone in: ``"a"``, ``"b"`` or neither.
-    a, b
-        The angles.
+    `name`: the misreading; empty where nothing was undone
+    `side`: which series it was undone in: ``"a"``, ``"b"`` or neither
+    `a`, `b`: the angles
     """
 
     name: str

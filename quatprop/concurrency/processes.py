@@ -62,26 +62,7 @@ def map_processes(  # noqa: PLR0913  # keywords, each with a default
     isolated: bool = False,
     retries: int = 0,
 ) -> Generator[tuple[int, Result]]:
-    """Yield the index and the result of each item as soon as it is done.
-
-    Parameters
-    ----------
-    work
-        The work on an item; it, items and results are pickled.
-    items
-        The items.
-    processes
-        Number of processes at a time. One is this process, unless `isolated`.
-    on_killed
-        Makes the result of an item whose process died; other items are not affected.
-    record
-        Called with each result, in this process; after an interruption, too, with those of items
-        that were completed nevertheless.
-    isolated
-        Whether one process is another one than this.
-    retries
-        How often an item whose process died is tried again.
-    """
+    """Yield the index and the result of each item as soon as it is done."""
     if len(items) <= 1 or (processes == 1 and not isolated):
         for index, item in enumerate(items):
             result = work(item)
@@ -149,12 +130,8 @@ def in_order(results: Iterable[tuple[int, Result]]) -> Iterator[Result]:
 class _Worker(Generic[Item, Result]):
     """A process that works on one item at a time.
 
-    Attributes
-    ----------
-    connection
-        Readable when a result is there, or the process has died.
-    index
-        The item that it works on.
+    `connection`: Readable when a result is there, or the process has died
+    `index`: the item that it works on
     """
 
     def __init__(self, work: Callable[[Item], Result]) -> None:
@@ -182,15 +159,7 @@ class _Worker(Generic[Item, Result]):
             self.connection.send(item)
 
     def result(self) -> Result:
-        """Return the result of the item.
-
-        Raises
-        ------
-        EOFError, OSError
-            The process has died.
-        RuntimeError
-            The work raised an exception.
-        """
+        """Return the result of the item."""
         if not self.connection.poll(None if self._running else GRACE_S):
             raise EOFError
         result, error = self.connection.recv()

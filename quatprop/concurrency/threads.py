@@ -68,10 +68,7 @@ def use_threads(count: int | None) -> Iterator[None]:
 class Deferred(NamedTuple, Generic[Result]):
     """A result that is too large to be computed ahead of its use.
 
-    Parameters
-    ----------
-    compute
-        Computes the result when it is its turn.
+    `compute`: computes the result when it is its turn
     """
 
     compute: Callable[[], Result]
@@ -83,14 +80,6 @@ def prefetch(
     """Yield ``function(item)`` for each item, in order, computed a few items ahead.
 
     Close the iterator to stop early: calls that have begun are waited for, others are dropped.
-
-    Parameters
-    ----------
-    function
-        Called in other threads, several at a time; a result that it defers is computed in the
-        caller's thread when it is its turn.
-    items
-        What to call it with; taken in the caller's thread.
 
     Examples
     --------
@@ -127,12 +116,7 @@ def in_background(items: Iterable[Item], ahead: int | None = AHEAD) -> Generator
 
     Close the iterator to stop early; `items` are closed in the thread that computed them.
 
-    Parameters
-    ----------
-    items
-        Iterated in the other thread; its errors are raised here, after the items before them.
-    ahead
-        How many are computed before they are asked for; None: all of them.
+    `ahead`: how many are computed before they are asked for; None: all of them
 
     Examples
     --------
@@ -197,12 +181,8 @@ def signals_blocked(signals: Iterable[int], *, block: bool = True) -> Iterator[N
 class OrderedThreadPool(Generic[Result]):
     """Threads whose results are written in the order in which the work was submitted.
 
-    Parameters
-    ----------
-    work
-        What the threads do.
-    write
-        Takes the results, one after the other, in the caller's thread.
+    `work`: what the threads do
+    `write`: takes the results, one after the other, in the caller's thread
     """
 
     def __init__(self, work: Callable[..., Result], write: Callable[[Result], None]) -> None:

@@ -40,24 +40,16 @@ if TYPE_CHECKING:
 class Conditioning(NamedTuple):
     """What to do to the rates; None is nothing.
 
-    Parameters
-    ----------
-    bias
-        Subtracted from every rate, x, y, z, in the unit of the source.
-    static_ns
-        Take the mean over the log's rest as the bias; shorter than this, ns, is no rest.
-    bias_from
-        Take the bias from a series of them: a file, or a topic of the log.
-    calibration
-        Path of a calibration, as :func:`quatprop.conditioning.calibration.read_calibration` reads
-        it. A bias given beside it takes the place of its own.
-    mount
-        Sensor axes to body axes, as :func:`mounting` reads it, or ``"tf:FRAME"``.
-    rates
-        ``"body"`` or ``"inertial"``: the frame in which the rates are resolved. Those in the
-        reference frame are not turned by the mounting.
-    start, end
-        The part of the log to use, ends included.
+    `bias`: Subtracted from every rate, x, y, z, in the unit of the source
+    `static_ns`: Take the mean over the log's rest as the bias; shorter than this, ns, is no rest
+    `bias_from`: Take the bias from a series of them: a file, or a topic of the log
+    `calibration`: path of a calibration, as
+        :func:`quatprop.conditioning.calibration.read_calibration` reads it. A bias given beside it
+        takes the place of its own
+    `mount`: Sensor axes to body axes, as :func:`mounting` reads it, or ``"tf:FRAME"``
+    `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved. Those in the
+        reference frame are not turned by the mounting
+    `start`, `end`: the part of the log to use, ends included
     """
 
     bias: tuple[float, ...] | None = None
@@ -83,18 +75,12 @@ FROM_TRANSFORMS = "tf:"
 class ConditioningInputs(NamedTuple):
     """What is known of a log besides its rates; None where it is not there or not asked for.
 
-    Parameters
-    ----------
-    force
-        Reads stamps and specific forces, shape ``(N, 3)``, any unit, sensor axes.
-    orientation
-        Reads stamps and the log's own orientation, wxyz body -> reference, shape ``(N, 4)``.
-    biases
-        The series of biases.
-    mounting
-        That from the transforms of the log.
-    topic
-        That of the rates.
+    `force`: reads stamps and specific forces, shape ``(N, 3)``, any unit, sensor axes
+    `orientation`: reads stamps and the log's own orientation, wxyz body -> reference, shape ``(N,
+        4)``
+    `biases`: the series of biases
+    `mounting`: That from the transforms of the log
+    `topic`: That of the rates
     """
 
     force: Callable[[], Rows] | None = None
@@ -107,28 +93,18 @@ class ConditioningInputs(NamedTuple):
 class ConditioningReport(NamedTuple):
     """What was done to the rates; None is nothing.
 
-    Parameters
-    ----------
-    bias_rad_s
-        Subtracted from every rate, sensor axes, shape ``(3,)``, rad/s.
-    rest
-        The rest from which the bias was taken.
-    bias_series
-        The series from which it was taken, interpolated in time.
-    calibration
-        What the rates are multiplied by after the bias is subtracted, shape ``(3, 3)``.
-    mount
-        Matrix from sensor to body axes, shape ``(3, 3)``.
-    mount_frames
-        Where the mounting is from the log's transforms: the frames from the sensor's to the body's.
-    start_ns, end_ns
-        The part of the log that was used, ends included, ns.
-    outside
-        Samples left out before and after that part, so far; those that were read.
-    remarks
-        What of the calibration is not applied, and pauses from which relative times count.
-    part, length
-        The part of the log that was read, where it was not the whole; how long it is in words.
+    `bias_rad_s`: Subtracted from every rate, sensor axes, shape ``(3,)``, rad/s
+    `rest`: the rest from which the bias was taken
+    `bias_series`: the series from which it was taken, interpolated in time
+    `calibration`: what the rates are multiplied by after the bias is subtracted, shape ``(3, 3)``
+    `mount`: Matrix from sensor to body axes, shape ``(3, 3)``
+    `mount_frames`: where the mounting is from the log's transforms: the frames from the sensor's to
+        the body's
+    `start_ns`, `end_ns`: the part of the log that was used, ends included, ns
+    `outside`: samples left out before and after that part, so far; those that were read
+    `remarks`: what of the calibration is not applied, and pauses from which relative times count
+    `part`, `length`: the part of the log that was read, where it was not the whole; how long it is
+        in words
     """
 
     bias_rad_s: Float64 | None
@@ -161,32 +137,8 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
 ) -> tuple[Iterator[GyroSeries], ConditioningReport]:
     """Return the conditioned samples, and what is done to them.
 
-    Parameters
-    ----------
-    read
-        Reads the samples; called twice where the conditioning looks ahead.
-    timeline
-        Orders them, and deals with rates that are not finite.
-    settings
-        What to do.
-    unit
-        rad/s in the unit of the bias.
-    inputs
-        What is known besides the rates.
-    part_reader
-        Returns what reads only the part of the log that is used, if its index allows that.
-
-    Returns
-    -------
-    batches : iterator of GyroSeries
-        The samples, rad/s, body axes.
-    report : ConditioningReport
-        Complete once all samples have passed.
-
-    Raises
-    ------
-    UsageError
-        The log has no rest, the mounting is not a rotation, or the part ends before it starts.
+    `unit`: rad/s in the unit of the bias
+    `Returns`: The samples, rad/s, body axes
     """
     mount = None if settings.mount is None or inputs.mounting else mounting(settings.mount)
     mount = inputs.mounting.matrix if inputs.mounting else mount
@@ -271,14 +223,9 @@ def conditioned(
 ) -> Iterator[GyroSeries]:
     """Yield rates without their bias, in body axes.
 
-    Parameters
-    ----------
-    batches
-        Raw rates in sensor axes, rad/s.
-    bias
-        Subtracted from every rate, shape ``(3,)``, rad/s, sensor axes; or biases over time.
-    matrix
-        What the rates are multiplied by then, shape ``(3, 3)``: calibration and mounting.
+    `batches`: Raw rates in sensor axes, rad/s
+    `bias`: Subtracted from every rate, shape ``(3,)``, rad/s, sensor axes; or biases over time
+    `matrix`: what the rates are multiplied by then, shape ``(3, 3)``: calibration and mounting
     """
     if bias is None and matrix is None:
         yield from batches

@@ -34,15 +34,11 @@ OWN_KEYS = ("matrix", "bias")
 class Calibration(NamedTuple):
     """How calibrated rates follow from raw ones: w = M (w_raw - b).
 
-    Parameters
-    ----------
-    matrix
-        M: scale factors, misalignment and the rotation to the axes of the sensor, ``(3, 3)``;
-        None for the identity.
-    bias_rad_s
-        b, in the axes of the raw rates, shape ``(3,)``, rad/s; None where the file has none.
-    remarks
-        What of the file is not applied.
+    `matrix`: M: scale factors, misalignment and the rotation to the axes of the sensor, ``(3, 3)``;
+        None for the identity
+    `bias_rad_s`: b, in the axes of the raw rates, shape ``(3,)``, rad/s; None where the file has
+        none
+    `remarks`: what of the file is not applied
     """
 
     matrix: Float64 | None = None
@@ -53,18 +49,8 @@ class Calibration(NamedTuple):
 def read_calibration(path: Path | str, topic: str = "") -> Calibration:
     """Read a calibration.
 
-    Parameters
-    ----------
-    path
-        YAML or JSON: ``matrix``, three rows of three numbers, and perhaps ``bias``, three numbers
-        in rad/s. Or what kalibr writes of an IMU with its model ``scale-misalignment``.
-    topic
-        Which IMU to take of several that kalibr has calibrated, by its topic.
-
-    Raises
-    ------
-    UsageError
-        The file cannot be read, or holds no calibration that can be applied.
+    `path`: YAML or JSON: ``matrix``, three rows of three numbers, and perhaps ``bias``, three
+        numbers in rad/s. Or what kalibr writes of an IMU with its model ``scale-misalignment``
 
     References
     ----------
@@ -142,18 +128,11 @@ def _numbers(path: Path | str, name: str, value: object, shape: tuple[int, ...])
 class BiasSeriesReport:
     """Where a bias that changes with time was taken from.
 
-    Parameters
-    ----------
-    source
-        The file, or the topic of the log.
-    field
-        The message field or the columns.
-    values
-        How many biases there are.
-    first_ns, last_ns
-        Their first and last stamps, ns.
-    outside
-        Samples before the first and after the last, so far: they take the nearest.
+    `source`: the file, or the topic of the log
+    `field`: the message field or the columns
+    `values`: how many biases there are
+    `first_ns`, `last_ns`: their first and last stamps, ns
+    `outside`: samples before the first and after the last, so far: they take the nearest
     """
 
     source: str
@@ -177,14 +156,9 @@ class BiasSeriesReport:
 class BiasSeries:
     """Biases at given times, interpolated linearly in between.
 
-    Parameters
-    ----------
-    source, name
-        For the report: the file or the topic, and the field or the columns.
-    t_ns
-        Stamps in any order, shape ``(N,)``, at least one, int64 ns.
-    bias_rad_s
-        Biases in the axes of the raw rates, shape ``(N, 3)``, rad/s.
+    `source`, `name`: for the report: the file or the topic, and the field or the columns
+    `t_ns`: stamps in any order, shape ``(N,)``, at least one, int64 ns
+    `bias_rad_s`: biases in the axes of the raw rates, shape ``(N, 3)``, rad/s
     """
 
     def __init__(self, source: str, name: str, t_ns: Int64, bias_rad_s: Float64) -> None:

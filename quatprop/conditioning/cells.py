@@ -20,16 +20,9 @@ if TYPE_CHECKING:
 def cells_of(rows: Rows, cell_ns: int, origin_ns: int | None = None, width: int = 3) -> Cells:
     """Return the sums of every cell, in the order of time; only finite rows are counted.
 
-    Parameters
-    ----------
-    rows
-        Stamps, ns, and values, shape ``(N, width)``.
-    cell_ns
-        The length of a cell, ns.
-    origin_ns
-        Where the first cell begins, ns; None for the first stamp.
-    width
-        Numbers in a row.
+    `rows`: Stamps, ns, and values, shape ``(N, width)``
+    `cell_ns`: the length of a cell, ns
+    `origin_ns`: where the first cell begins, ns; None for the first stamp
     """
     kind = np.dtype(
         [(name, np.int64) for name in ("index", "first_ns", "last_ns")]

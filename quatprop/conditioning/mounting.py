@@ -20,12 +20,8 @@ AXES = {"x": 0, "y": 1, "z": 2}
 class FrameMounting(NamedTuple):
     """A mounting from the static transforms of a log.
 
-    Parameters
-    ----------
-    matrix
-        Sensor axes to body axes, shape ``(3, 3)``.
-    frames
-        The frames on the way, from the sensor's to the body's.
+    `matrix`: Sensor axes to body axes, shape ``(3, 3)``
+    `frames`: the frames on the way, from the sensor's to the body's
     """
 
     matrix: Float64
@@ -35,21 +31,9 @@ class FrameMounting(NamedTuple):
 def mounting(text: str) -> Float64:
     """Return the matrix that takes sensor axes to body axes.
 
-    Parameters
-    ----------
-    text
-        Three signed sensor axes that become the body's x, y and z, such as ``"x,-y,-z"``, or a
-        unit quaternion ``"W,X,Y,Z"`` with v_body = m v_sensor m*.
-
-    Returns
-    -------
-    ndarray
-        Rotation matrix, shape ``(3, 3)``: rate_body = M rate_sensor.
-
-    Raises
-    ------
-    UsageError
-        The text is neither, or the axes are left-handed.
+    `text`: Three signed sensor axes that become the body's x, y and z, such as ``"x,-y,-z"``, or a
+        unit quaternion ``"W,X,Y,Z"`` with v_body = m v_sensor m*
+    `Returns`: Rotation matrix, shape ``(3, 3)``: rate_body = M rate_sensor
 
     Examples
     --------

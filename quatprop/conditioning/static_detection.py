@@ -54,20 +54,13 @@ TURNING = 5e-3
 class Rest(NamedTuple):
     """The period of a log in which the sensor was at rest.
 
-    Parameters
-    ----------
-    first_ns, last_ns
-        Its first and last stamps, ns.
-    samples
-        How many samples it holds.
-    mean_rad_s
-        The mean rate, shape ``(3,)``: the bias.
-    scatter_rad_s
-        Root mean square deviation of the rates from the mean, over all three axes.
-    steady
-        Which signals were found steady: ``"rate"``, ``"accelerometer"``, ``"orientation"``.
-    searched_first_ns, searched_last_ns
-        The part of the log that was searched, ns: all of it, whatever part is propagated.
+    `first_ns`, `last_ns`: its first and last stamps, ns
+    `samples`: how many samples it holds
+    `mean_rad_s`: the mean rate, shape ``(3,)``: the bias
+    `scatter_rad_s`: Root mean square deviation of the rates from the mean, over all three axes
+    `steady`: which signals were found steady: ``"rate"``, ``"accelerometer"``, ``"orientation"``
+    `searched_first_ns`, `searched_last_ns`: the part of the log that was searched, ns: all of it,
+        whatever part is propagated
     """
 
     first_ns: int
@@ -100,21 +93,7 @@ def find_rest(
     Of periods whose means do not agree the slowest shows the bias: a body that turns steadily is
     as quiet as one at rest. Of those that agree with it the longest is taken.
 
-    Parameters
-    ----------
-    rates
-        Of the whole log, as :func:`cells_of` gives them for half of `shortest_ns`.
-    inputs
-        What else was measured.
-    shortest_ns
-        The shortest time that counts as rest.
-    frame
-        ``"body"`` or ``"inertial"``: that in which the rates are resolved.
-
-    Raises
-    ------
-    UsageError
-        There is no rest; the sentence says what moves.
+    `frame`: ``"body"`` or ``"inertial"``: that in which the rates are resolved
     """
     cell_ns = max(shortest_ns // 2, 1)
     quiet = _quiet_rates(rates)

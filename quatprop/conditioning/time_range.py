@@ -32,12 +32,8 @@ _FEW_NS = 1_000_000
 class PartOfLog(NamedTuple):
     """The part of a log that holds a time range, found by the index of the log.
 
-    Parameters
-    ----------
-    first_ns, last_ns
-        The part, by log times, ends included, ns.
-    leaves_out
-        Whether the range leaves out samples before it, and after it.
+    `first_ns`, `last_ns`: the part, by log times, ends included, ns
+    `leaves_out`: whether the range leaves out samples before it, and after it
     """
 
     first_ns: int
@@ -63,13 +59,9 @@ class PartReader(Protocol):
 class Ends(NamedTuple):
     """The first and the last sample of a log, from which relative times count.
 
-    Parameters
-    ----------
-    first_ns, last_ns
-        Their stamps, ns.
-    pauses
-        The stamps before and after a pause close to the first sample, and close to the last, ns;
-        None where there is none.
+    `first_ns`, `last_ns`: their stamps, ns
+    `pauses`: the stamps before and after a pause close to the first sample, and close to the last,
+        ns; None where there is none
     """
 
     first_ns: int
@@ -84,10 +76,8 @@ NEAR_END = 32
 class EndsFinder:
     """Finds the first and the last sample that a policy for stamps leaves.
 
-    Parameters
-    ----------
-    earliest
-        Whether the first sample is the earliest, as of a sorted log, instead of the first read.
+    `earliest`: whether the first sample is the earliest, as of a sorted log, instead of the first
+        read
     """
 
     def __init__(self, *, earliest: bool = False) -> None:
@@ -130,20 +120,7 @@ def _longest_pause(t_ns: Int64, around: Int64) -> tuple[int, int] | None:
 
 
 def absolute_range(settings: Conditioning, ends: Ends) -> tuple[int | None, int | None]:
-    """Return the first and the last stamp to use, ns; None is open.
-
-    Parameters
-    ----------
-    settings
-        What is asked for.
-    ends
-        The first and the last stamp of the log; only those that are counted from matter.
-
-    Raises
-    ------
-    UsageError
-        The range ends before it starts.
-    """
+    """Return the first and the last stamp to use, ns; None is open."""
     origins = {"clock": 0, "first": ends.first_ns, "last": ends.last_ns}
     start_ns, end_ns = (
         None if instant is None else instant.ns + origins[instant.origin]
@@ -182,13 +159,7 @@ def pause_remarks(settings: Conditioning, ends: Ends) -> Iterator[Text]:
 
 
 def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> Iterator[Text]:
-    """Yield a remark for each absolute end that leaves nothing out, and on what was not read.
-
-    Parameters
-    ----------
-    settings, report
-        What to do, and what was done once all samples have passed.
-    """
+    """Yield a remark for each absolute end that leaves nothing out, and on what was not read."""
     before, after = report.outside if report.part is None else report.part.leaves_out
     ends = (
         ("start", "before the first", settings.start, before),
@@ -214,24 +185,7 @@ def clipped(
     end_ns: int | None,
     outside: list[int],
 ) -> Iterator[tuple[Series, Int64]]:
-    """Yield the samples with start <= t <= end; None leaves an end open.
-
-    Parameters
-    ----------
-    numbered
-        Samples, and which of those that were read they are.
-    settings
-        What was asked for.
-    start_ns, end_ns
-        The range, as :func:`absolute_range` returns it.
-    outside
-        The samples before and after are counted in its two numbers.
-
-    Raises
-    ------
-    UsageError
-        A number is so small that it must be in seconds or milliseconds.
-    """
+    """Yield the samples with start <= t <= end; None leaves an end open."""
     first, last = np.iinfo(np.int64).min, np.iinfo(np.int64).max
     # A date may be beyond what a clock of 64 bits can say.
     low = first if start_ns is None else min(max(start_ns, first), last)

@@ -35,25 +35,16 @@ LATEST = int(np.iinfo(np.int64).max)
 class Channel:
     """A topic with one message type, in however many connections or files it was recorded.
 
-    Parameters
-    ----------
-    topic
-        Name of the topic.
-    type_name
-        Message type as the log spells it, ROS names normalised to ``package/msg/Name``.
-    encoding
-        How the messages are encoded: ``"cdr"``, ``"ros1"``, ``"json"``, ``"protobuf"``...
-    schema_encoding
-        Language of the definition: ``"ros1msg"``, ``"ros2msg"``, ``"ros2idl"``,
-        ``"jsonschema"``, ``"protobuf"``, or ``""`` if the log has none.
-    schema
-        The definition as the log has it; empty if it has none. Definitions of ROS that differ only
-        in comments and blanks are the same: recorders write what their own files say.
-    count
-        Number of messages, where it is known without reading them; not compared.
-    sample
-        A message, for encodings whose messages name their fields; empty if none was read; not
-        compared.
+    `topic`: name of the topic
+    `type_name`: message type as the log spells it, ROS names normalised to ``package/msg/Name``
+    `encoding`: how the messages are encoded: ``"cdr"``, ``"ros1"``, ``"json"``, ``"protobuf"``
+    `schema_encoding`: language of the definition: ``"ros1msg"``, ``"ros2msg"``, ``"ros2idl"``,
+        ``"jsonschema"``, ``"protobuf"``, or ``""`` if the log has none
+    `schema`: the definition as the log has it; empty if it has none. Definitions of ROS that differ
+        only in comments and blanks are the same: recorders write what their own files say
+    `count`: number of messages, where it is known without reading them; not compared
+    `sample`: a message, for encodings whose messages name their fields; empty if none was read; not
+        compared
     """
 
     topic: str
@@ -85,21 +76,14 @@ class MessageBlock:
 
     Message ``k`` is ``data[starts[k]:ends[k]]``.
 
-    Parameters
-    ----------
-    data
-        The buffer, shape ``(B,)``, uint8.
-    starts, ends
-        Where each message begins and ends, shape ``(N,)``, int64.
-    log_ns, publish_ns
-        When each was recorded and published, shape ``(N,)``, int64 ns. Containers without
-        publish times repeat the log times. Publish times are negative after the year 2262; they
-        may be a view of `data`.
-    not_before_ns
-        No later block of this iteration holds a message with an earlier log time.
-    stride
-        Bytes from each message to the next where all have one length and the same distance; 0
-        where that is not known.
+    `data`: the buffer, shape ``(B,)``, uint8
+    `starts`, `ends`: where each message begins and ends, shape ``(N,)``, int64
+    `log_ns`, `publish_ns`: when each was recorded and published, shape ``(N,)``, int64 ns.
+        Containers without publish times repeat the log times. Publish times are negative after the
+        year 2262; they may be a view of `data`
+    `not_before_ns`: No later block of this iteration holds a message with an earlier log time
+    `stride`: bytes from each message to the next where all have one length and the same distance; 0
+        where that is not known
     """
 
     data: NDArray[np.uint8]
@@ -123,14 +107,9 @@ class MessageBlock:
 class Loss(NamedTuple):
     """A part of a damaged log that could not be read.
 
-    Parameters
-    ----------
-    place
-        Where it is, so that a user can look: "chunk at byte 4096", "line 17".
-    reason
-        Why it could not be read.
-    messages
-        How many messages or rows are lost, where that is known.
+    `place`: where it is, so that a user can look: "chunk at byte 4096", "line 17"
+    `reason`: why it could not be read
+    `messages`: how many messages or rows are lost, where that is known
     """
 
     place: str
@@ -157,16 +136,7 @@ class Losses(list[Loss]):
     def note(
         self, place: str, reason: str, messages: int | None = None, part: Hashable = None
     ) -> None:
-        """Add a loss unless it was noted before.
-
-        Parameters
-        ----------
-        place, reason, messages
-            As for :class:`Loss`.
-        part
-            Which messages of the place they are, such as those of one topic or block: the loss
-            counts the messages of all its parts, and of a part that is read again only once.
-        """
+        """Add a loss unless it was noted before."""
         number, counts = self._entries.setdefault((place, reason), (len(self), {}))
         if messages is not None:
             counts[part] = max(messages, counts.get(part, 0))
@@ -185,22 +155,14 @@ class Losses(list[Loss]):
 class Log(ABC):
     """A log of any kind, open for reading; closed when its ``with`` block ends.
 
-    Attributes
-    ----------
-    kind
-        The key in :data:`quatprop.log_kinds.READERS`.
-    path
-        The file or folder.
-    losses
-        What could not be read; grows while the log is read.
-    remarks
-        What may be wrong with the log, though not for certain; grows while the log is read.
-    definition_files
-        Files beside the log that message definitions were taken from.
-    unchecked_chunks
-        Chunks that were read in part and so not compared with their checksum; grows likewise.
-    kept
-        Blocks of messages that are read again soon; None where none are kept.
+    `kind`: the key in :data:`quatprop.log_kinds.READERS`
+    `path`: the file or folder
+    `losses`: what could not be read; grows while the log is read
+    `remarks`: what may be wrong with the log, though not for certain; grows while the log is read
+    `definition_files`: files beside the log that message definitions were taken from
+    `unchecked_chunks`: chunks that were read in part and so not compared with their checksum; grows
+        likewise
+    `kept`: blocks of messages that are read again soon; None where none are kept
     """
 
     kind: str
@@ -226,13 +188,9 @@ class Log(ABC):
 class MessageLog(Log):
     """A container of encoded messages: MCAP, ROS 1 bag, ROS 2 bag, ULog.
 
-    Attributes
-    ----------
-    has_log_time
-        Whether it records when a message was logged; if not, the time in a message stands for it,
-        and the order of the file is that of the recording.
-    has_publish_time
-        Whether it records when a message was published, besides when it was logged.
+    `has_log_time`: whether it records when a message was logged; if not, the time in a message
+        stands for it, and the order of the file is that of the recording
+    `has_publish_time`: whether it records when a message was published, besides when it was logged
     """
 
     has_log_time = True
@@ -272,22 +230,10 @@ class MessageLog(Log):
         raise NotImplementedError
 
     def complete(self, completed: Callable[[Channel], Channel]) -> None:
-        """Add definitions that channels lack; nothing where the format always has them.
-
-        Parameters
-        ----------
-        completed
-            Returns a channel with its definition, where that is to be had.
-        """
+        """Add definitions that channels lack; nothing where the format always has them."""
 
     def provenance(self, topic: str) -> JsonObject:
-        """Return how the messages of a topic were made, if this package made them; else empty.
-
-        Raises
-        ------
-        DamagedLogError
-            The provenance is not what this package writes.
-        """
+        """Return how the messages of a topic were made, if this package made them; else empty."""
         recorded = self.recorded_provenance()
         return provenance_in(recorded.get(topic, recorded.get("")), self.path)
 

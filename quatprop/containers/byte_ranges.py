@@ -23,13 +23,9 @@ SHARE = 4
 class ByteRanges(NamedTuple):
     """Byte ranges that hold messages.
 
-    Parameters
-    ----------
-    begins, ends
-        Where each range begins and ends, shape ``(R,)``, int64.
-    moved
-        By how many bytes each message moves to the front when the ranges are put side by side,
-        shape ``(N,)``, int64.
+    `begins`, `ends`: where each range begins and ends, shape ``(R,)``, int64
+    `moved`: by how many bytes each message moves to the front when the ranges are put side by side,
+        shape ``(N,)``, int64
     """
 
     begins: Int64
@@ -50,13 +46,8 @@ class ByteRanges(NamedTuple):
 def ranges_of(starts: Int64, ends: Int64, gap: int) -> ByteRanges:
     """Return the byte ranges that hold messages.
 
-    Parameters
-    ----------
-    starts, ends
-        Where each message begins and ends, shape ``(N,)``, int64, at least one; messages that are
-        not in ascending order begin ranges of their own.
-    gap
-        Two messages are in one range if at most this many bytes are between them.
+    `starts`, `ends`: where each message begins and ends, shape ``(N,)``, int64, at least one;
+        messages that are not in ascending order begin ranges of their own
 
     Examples
     --------
@@ -78,19 +69,7 @@ def ranges_worth_reading(
 ) -> ByteRanges | None:
     """Return the byte ranges of a chunk that hold some of its bytes.
 
-    Parameters
-    ----------
-    starts, ends
-        Where each wanted part begins and ends, shape ``(N,)``, int64, ascending.
-    size
-        Bytes of the chunk.
-    share
-        The ranges are at most 1/share of it.
-
-    Returns
-    -------
-    ByteRanges or None
-        None where the whole chunk is as quick to read, or a part lies outside it.
+    `starts`, `ends`: where each wanted part begins and ends, shape ``(N,)``, int64, ascending
     """
     if not len(starts) or starts[0] < 0 or ends.max() > size or (ends < starts).any():
         return None

@@ -38,20 +38,7 @@ LARGE = 1 << 26
 class ChunkedLog(MessageLog, Generic[Chunk]):
     """A file whose messages are in chunks.
 
-    Parameters
-    ----------
-    log
-        The file.
-
-    Attributes
-    ----------
-    source
-        The open file.
-
-    Raises
-    ------
-    UnreadableLogError
-        It is missing or may not be read.
+    `source`: the open file
     """
 
     def __init__(self, log: Path | FileSource) -> None:
@@ -86,16 +73,6 @@ class ChunkedLog(MessageLog, Generic[Chunk]):
 
         Only chunks that hold the channel are read, and none is kept, so memory use does not grow
         with the file.
-
-        Parameters
-        ----------
-        channel
-            One of :meth:`channels`.
-
-        Yields
-        ------
-        MessageBlock
-            The messages of one chunk or several, in the order of the chunks.
         """
         return self.read(channel, self.chunks_of(channel))
 
@@ -113,13 +90,7 @@ class ChunkedLog(MessageLog, Generic[Chunk]):
 
 
 class ChunkReader(ABC, Generic[Chunk, Content]):
-    """Reads the messages of one channel; each format says how to load a chunk and to locate them.
-
-    Parameters
-    ----------
-    source
-        The file.
-    """
+    """Reads the messages of one channel; each format loads its chunks and locates them there."""
 
     def __init__(self, source: FileSource) -> None:
         self.source = source

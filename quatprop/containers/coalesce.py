@@ -29,19 +29,7 @@ _GAP = 256
 
 
 def coalesce_blocks(blocks: Iterable[MessageBlock]) -> Iterator[MessageBlock]:
-    """Combine small blocks that follow each other.
-
-    Parameters
-    ----------
-    blocks
-        Messages of one channel.
-
-    Yields
-    ------
-    MessageBlock
-        The same messages in the same order. Of a small block only its messages are kept, so that
-        the memory of buffers that hold mostly other channels is freed.
-    """
+    """Combine small blocks that follow each other."""
     waiting: list[MessageBlock] = []
     messages = size = 0
     for block in blocks:

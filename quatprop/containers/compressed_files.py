@@ -32,11 +32,6 @@ def file_compression(head: bytes) -> str:
 
     Frames to be skipped may come first, as pzstd writes them.
 
-    Returns
-    -------
-    str
-        ``"zstd"``, ``"lz4"``, ``"bz2"``, ``"gz"``, or ``""`` where it is not compressed.
-
     References
     ----------
     RFC 8878, 3.1.2 "Skippable Frames"; those of LZ4 are the same.
@@ -51,25 +46,10 @@ def file_compression(head: bytes) -> str:
 class DecompressedCopy:
     """The temporary copy of a compressed file, decompressed; it is always removed.
 
-    Parameters
-    ----------
-    path
-        A file compressed with zstd, lz4, bz2 or gzip.
-
-    Attributes
-    ----------
-    path
-        The temporary file, with the suffix of the log inside. If the compressed file is damaged,
-        it holds what comes before the damage.
-    damage
-        Why the copy ends early, or ``""``.
-
-    Raises
-    ------
-    UnreadableDataError
-        The file is not compressed, nothing of it can be decompressed, or the disk is full.
-    OSError
-        The file cannot be read.
+    `path`: a file compressed with zstd, lz4, bz2 or gzip
+    `path`: the temporary file, with the suffix of the log inside. If the compressed file is
+        damaged, it holds what comes before the damage
+    `damage`: why the copy ends early, or ``""``
     """
 
     def __init__(self, path: Path) -> None:

@@ -17,24 +17,7 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 def decompressed(block: MessageBlock, encoding: str, *, is_known: bool) -> tuple[MessageBlock, int]:
-    """Decompress messages that are compressed with zstd one by one; others stay as they are.
-
-    Parameters
-    ----------
-    block
-        The messages.
-    encoding
-        How they are encoded; in CDR it is recognised whether the first is compressed.
-    is_known
-        Whether they are known to be compressed.
-
-    Returns
-    -------
-    MessageBlock
-        The messages that could be decompressed.
-    int
-        How many could not.
-    """
+    """Decompress messages that are compressed with zstd one by one; others stay as they are."""
     first = block.data[block.starts[0] : block.ends[0]][:4].tobytes()
     if not is_known and (encoding != "cdr" or first != ZSTD_MAGIC):
         return block, 0

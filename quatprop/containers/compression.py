@@ -35,10 +35,7 @@ _GZIP = 16 + zlib.MAX_WBITS
 class UnreadableDataError(Exception):
     """Data that cannot be decompressed or is not what it should be; readers add the place.
 
-    Parameters
-    ----------
-    reason
-        What is wrong, as the end of a sentence about the record, chunk, message or file.
+    `reason`: what is wrong, as the end of a sentence about the record, chunk, message or file
     """
 
     def __init__(self, reason: str) -> None:
@@ -49,25 +46,8 @@ class UnreadableDataError(Exception):
 def decompress(data: Buffer, compression: str, size: int | None = None) -> Buffer:
     """Return `data` decompressed.
 
-    Parameters
-    ----------
-    data
-        One chunk or message.
-    compression
-        ``""`` or ``"none"``, ``"lz4"`` (frame format), ``"zstd"`` or ``"bz2"``.
-    size
-        The decompressed size in bytes as the log declares it; None if it declares none.
-
-    Returns
-    -------
-    bytes or memoryview
-        Exactly `size` bytes; `data` itself where it is not compressed.
-
-    Raises
-    ------
-    UnreadableDataError
-        The data is damaged, of another size than declared, or larger than :data:`MAX_SIZE`, or
-        the compression is unknown.
+    `compression`: ``""`` or ``"none"``, ``"lz4"`` (frame format), ``"zstd"`` or ``"bz2"``
+    `size`: the decompressed size in bytes as the log declares it; None if it declares none
 
     Examples
     --------
@@ -108,22 +88,7 @@ def _undeclared(data: Buffer, compression: str) -> Buffer:
 
 
 def decompress_prefix(data: Buffer, compression: str, size: int) -> Buffer:
-    """Return what can be decompressed of data whose end is missing.
-
-    Parameters
-    ----------
-    data
-        The beginning of a chunk.
-    compression
-        As for :func:`decompress`.
-    size
-        Bytes that the whole chunk decompresses to, as the log declares it.
-
-    Returns
-    -------
-    bytes or memoryview
-        At most `size` bytes, and at most :data:`MAX_SIZE`; empty if nothing can be decompressed.
-    """
+    """Return what can be decompressed of data whose end is missing."""
     if compression in {"", "none"}:
         return data
     result = bytearray()
@@ -215,13 +180,7 @@ def _decompression_errors(compression: str) -> tuple[type[Exception], ...]:
 
 
 def decompressed_pieces(file: BinaryIO, compression: str) -> Iterator[bytes]:
-    """Yield the decompressed content of `file` in pieces of bounded size.
-
-    Raises
-    ------
-    UnreadableDataError
-        The data is damaged or cut off; the pieces before hold what precedes the damage.
-    """
+    """Yield the decompressed content of `file` in pieces of bounded size."""
     try:
         if compression == "zstd":
             yield from _frames(file, _contexts.zstd.decompressobj)

@@ -22,24 +22,8 @@ _BINARY, _AT_ONCE = getattr(os, "O_BINARY", 0), getattr(os, "O_NONBLOCK", 0)
 class FileSource:
     """A file that several threads may read at once.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Attributes
-    ----------
-    path
-        The file.
-    size
-        Its length when it was opened, bytes; a recorder may still append to it.
-    is_remote
-        Whether it takes long until reading begins.
-
-    Raises
-    ------
-    UnreadableLogError
-        It is missing, not permitted, or no file.
+    `size`: its length when it was opened, bytes; a recorder may still append to it
+    `is_remote`: whether it takes long until reading begins
     """
 
     is_remote = False
@@ -64,13 +48,7 @@ class FileSource:
             raise UnreadableLogError(path, reason)
 
     def read(self, start: int, length: int) -> bytes:
-        """Return the bytes from `start`, fewer than `length` at the end of the file.
-
-        Raises
-        ------
-        OSError
-            The medium is damaged there.
-        """
+        """Return the bytes from `start`, fewer than `length` at the end of the file."""
         end = min(start + length, self.size)
         data = b""
         # A damaged place may be beyond what the system takes.
@@ -79,13 +57,7 @@ class FileSource:
         return data
 
     def read_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
-        """Return the bytes of some ranges, one after another.
-
-        Raises
-        ------
-        OSError
-            The medium is damaged there.
-        """
+        """Return the bytes of some ranges, one after another."""
         places = zip(begins, ends, strict=True)
         return b"".join([self.read(begin, end - begin) for begin, end in places])
 

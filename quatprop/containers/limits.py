@@ -33,10 +33,7 @@ def checksums_matter() -> bool:
 class DecompressionBudget:
     """Counts the bytes that one reading of a log decompresses to, up to the limit.
 
-    Parameters
-    ----------
-    size
-        Bytes of the file.
+    `size`: bytes of the file
     """
 
     def __init__(self, size: int) -> None:
@@ -44,13 +41,7 @@ class DecompressionBudget:
         self._spent = 0
 
     def check(self) -> None:
-        """Refuse to go on where more was decompressed than a log may have.
-
-        Raises
-        ------
-        UnreadableDataError
-            The limit is exceeded.
-        """
+        """Refuse to go on where more was decompressed than a log may have."""
         if self._spent > self._limit:
             raise UnreadableDataError(too_large(self._limit))
 
@@ -64,16 +55,6 @@ def decompressed_limit(size: int) -> int:
 
     That is 2 GiB, or 200 times its size if that is more, unless the environment variable says
     otherwise: no recording compresses as well as a file that was made to fill a disk.
-
-    Parameters
-    ----------
-    size
-        Bytes of the file.
-
-    Raises
-    ------
-    UsageError
-        The environment variable is no number of bytes.
 
     Examples
     --------

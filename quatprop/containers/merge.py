@@ -34,14 +34,9 @@ _NEVER = int(np.iinfo(np.int64).max) + 1
 class Columns:
     """Rows decoded from one block of messages.
 
-    Parameters
-    ----------
-    log_ns
-        When each row was recorded, shape ``(N,)``, int64 ns.
-    values
-        Columns of N rows each, shapes ``(N, ...)``.
-    not_before_ns
-        No later batch of this stream holds a row with an earlier log time.
+    `log_ns`: when each row was recorded, shape ``(N,)``, int64 ns
+    `values`: columns of N rows each, shapes ``(N, ...)``
+    `not_before_ns`: No later batch of this stream holds a row with an earlier log time
     """
 
     log_ns: NDArray[np.int64]
@@ -75,18 +70,6 @@ def merge_by_time(streams: Sequence[Iterable[Columns]]) -> Iterator[Columns]:
     A batch without a bound (:data:`~quatprop.containers.base.NO_BOUND`) is taken to end before
     the next one of its stream begins; its stream need not be held in memory. Rows that come
     before their bound are not lost: they are yielded as soon as they are read, out of order.
-
-    Parameters
-    ----------
-    streams
-        Batches of rows, all with the same columns. A stream is asked for a batch only when all
-        the others are beyond its bound.
-
-    Yields
-    ------
-    Columns
-        Rows in order; `not_before_ns` is the last log time. A batch that is in order and does not
-        overlap others is not copied.
 
     Examples
     --------

@@ -21,18 +21,10 @@ _RULE = "=" * 80
 class MsgFiles:
     """Finds definitions of message types by the names of files.
 
-    Parameters
-    ----------
-    places
-        Folders in which the file of ``package/msg/Name`` may be ``package/msg/Name.msg``,
-        ``msg/Name.msg`` or ``Name.msg``, or such files themselves.
-    is_given
-        Whether the user named the places, so that folders inside them are searched, too.
-
-    Attributes
-    ----------
-    used
-        The files that definitions were taken from.
+    `places`: Folders in which the file of ``package/msg/Name`` may be ``package/msg/Name.msg``,
+        ``msg/Name.msg`` or ``Name.msg``, or such files themselves
+    `is_given`: whether the user named the places, so that folders inside them are searched, too
+    `used`: the files that definitions were taken from
     """
 
     def __init__(self, places: Iterable[Path], *, is_given: bool = False) -> None:

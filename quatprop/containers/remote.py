@@ -51,24 +51,9 @@ SINGLE_READS = 64
 class RemoteSource(FileSource):
     """An object of a store, read in ranges by several threads; errors are exceptions of the log.
 
-    Parameters
-    ----------
-    address
-        The object.
-    path
-        What errors and readers take for its path.
-
-    Attributes
-    ----------
-    path, size
-        As for :class:`~quatprop.containers.file_source.FileSource`.
-    etag
-        By what the store recognises its content; None if it does not say.
-
-    Raises
-    ------
-    StoreError
-        It cannot be read.
+    `address`: the object
+    `path`: what errors and readers take for its path
+    `etag`: by what the store recognises its content; None if it does not say
     """
 
     is_remote = True

@@ -20,18 +20,7 @@ def first_accepted(
 ) -> int | None:
     """Return where the first record begins that is accepted as one; None where there is none.
 
-    Parameters
-    ----------
-    read
-        Reads so many bytes from a place.
-    within
-        Where a candidate may begin, where it may not any more, and the bytes that it needs behind.
-    candidates
-        Where in some bytes a record may be.
-    accepted
-        Where the record begins that is at a candidate; None where there is none.
-    tries
-        After so many candidates the search is given up, so that it ends on hostile files.
+    `accepted`: where the record begins that is at a candidate; None where there is none
     """
     start, stop, behind = within
     for begin in range(start, stop, WINDOW):

@@ -167,13 +167,7 @@ def reading(address: str) -> Iterator[None]:
 
 
 def find(address: str) -> tuple[FileSystem, FileInfo]:
-    """Return a store, and the object or the prefix at an address.
-
-    Raises
-    ------
-    StoreError
-        There is none, or it may not be read.
-    """
+    """Return a store, and the object or the prefix at an address."""
     from pyarrow.fs import FileType
 
     with reading(address):
@@ -185,13 +179,7 @@ def find(address: str) -> tuple[FileSystem, FileInfo]:
 
 
 def exists(address: str) -> bool:
-    """Return whether there is an object at an address, or below it.
-
-    Raises
-    ------
-    StoreError
-        Its store does not say.
-    """
+    """Return whether there is an object at an address, or below it."""
     try:
         find(address)
     except StoreError as error:
@@ -202,20 +190,7 @@ def exists(address: str) -> bool:
 
 
 def list_objects(address: str, *, missing_ok: bool = False) -> dict[str, FileInfo]:
-    """Return all objects below an address by their paths below it, in order of these.
-
-    Parameters
-    ----------
-    address
-        Of a prefix.
-    missing_ok
-        Whether a prefix that is not there has no objects; otherwise it is an error.
-
-    Raises
-    ------
-    StoreError
-        It cannot be listed.
-    """
+    """Return all objects below an address by their paths below it, in order of these."""
     from pyarrow.fs import FileSelector
 
     with reading(address):
@@ -236,16 +211,10 @@ def etag_of(file: NativeFile) -> str | None:
 class StoredObject(NamedTuple):
     """By what an object is recognised.
 
-    Parameters
-    ----------
-    name
-        Its path below the prefix that was asked for; empty for the object itself.
-    size
-        Bytes.
-    mtime_ns
-        When it was written, ns; None if its store does not say.
-    etag
-        By what its store recognises its content; None if it does not say.
+    `name`: its path below the prefix that was asked for; empty for the object itself
+    `size`: Bytes
+    `mtime_ns`: when it was written, ns; None if its store does not say
+    `etag`: by what its store recognises its content; None if it does not say
     """
 
     name: str
@@ -255,13 +224,7 @@ class StoredObject(NamedTuple):
 
 
 def objects_of(address: str) -> list[StoredObject]:
-    """Return what is known of an object, or of each object of a prefix.
-
-    Raises
-    ------
-    StoreError
-        They cannot be read.
-    """
+    """Return what is known of an object, or of each object of a prefix."""
     store, found = find(address)
     objects = []
     for name, info in ({"": found} if found.is_file else list_objects(address)).items():
@@ -271,13 +234,7 @@ def objects_of(address: str) -> list[StoredObject]:
 
 
 def digest_of_object(address: str) -> Digest:
-    """Return size and ETag of an object, and those of each object of a prefix.
-
-    Raises
-    ------
-    StoreError
-        It cannot be read.
-    """
+    """Return size and ETag of an object, and those of each object of a prefix."""
     digests = {one.name: Digest(one.size, etag=one.etag) for one in objects_of(address)}
     if "" in digests:
         return digests[""]

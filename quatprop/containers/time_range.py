@@ -11,10 +11,7 @@ if TYPE_CHECKING:
 class TimeRange(NamedTuple):
     """A range of time, ends included.
 
-    Parameters
-    ----------
-    first_ns, last_ns
-        Its ends, ns.
+    `first_ns`, `last_ns`: its ends, ns
     """
 
     first_ns: int
@@ -33,10 +30,8 @@ class TimeRange(NamedTuple):
 class TimedPart(Protocol):
     """A part of a log, such as a chunk.
 
-    Parameters
-    ----------
-    first_ns, last_ns
-        Log times of its earliest and latest message, ns; the latest is None where it is unknown.
+    `first_ns`, `last_ns`: Log times of its earliest and latest message, ns; the latest is None
+        where it is unknown
     """
 
     first_ns: int

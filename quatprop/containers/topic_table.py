@@ -47,12 +47,8 @@ TEXT_ENCODINGS = ("cdr", "ros1")
 class TopicTable(Table):
     """A topic as a table.
 
-    Parameters
-    ----------
-    log
-        The container.
-    channel
-        One of its channels.
+    `log`: the container
+    `channel`: one of its channels
     """
 
     is_typed = True

@@ -19,13 +19,8 @@ TRANSFORM_LISTS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 def topics(log: MessageLog, topic: str | None = None) -> list[TopicTable]:
     """Return the topics of a log that have messages.
 
-    Parameters
-    ----------
-    log
-        The container.
-    topic
-        Only those of this name; None for all. A ULog topic with one instance may be named without
-        it: ``sensor_combined`` for ``sensor_combined/0``.
+    `topic`: only those of this name; None for all. A ULog topic with one instance may be named
+        without it: ``sensor_combined`` for ``sensor_combined/0``
     """
     channels = [channel for channel in log.channels() if channel.count != 0]
     if topic is not None:

@@ -36,22 +36,7 @@ BLOCK_BYTES = 1 << 24
 def local_copy(address: str, names: Collection[str] | None = None) -> Iterator[Path]:
     """Copy a log from an object store into a temporary folder, removed when the block ends.
 
-    Parameters
-    ----------
-    address
-        Of a file, or of a folder with a ROS 2 bag.
-    names
-        The files of a folder to copy; others are there, but empty. None is all.
-
-    Yields
-    ------
-    Path
-        The copy, under the same name.
-
-    Raises
-    ------
-    StoreError
-        There is no such object, or it may not be read.
+    `names`: the files of a folder to copy; others are there, but empty. None is all
     """
     temp = temp_folder()
     try:
@@ -77,13 +62,7 @@ def bag_files(address: str) -> list[str]:
 
 
 def copy_object(address: str, target: Path) -> None:
-    """Copy an object to a file.
-
-    Raises
-    ------
-    StoreError
-        It cannot be read.
-    """
+    """Copy an object to a file."""
 
     def copy() -> None:
         store, place = locate(address)
@@ -95,13 +74,7 @@ def copy_object(address: str, target: Path) -> None:
 
 
 def get(address: str) -> bytes:
-    """Return the content of an object.
-
-    Raises
-    ------
-    StoreError
-        It cannot be read.
-    """
+    """Return the content of an object."""
     with reading(address):
         store, place = locate(address)
         with store.open_input_file(place) as file:
@@ -109,13 +82,7 @@ def get(address: str) -> bytes:
 
 
 def upload(source: Path, address: str) -> None:
-    """Copy a file, or the files of a folder, to a store; an object is visible when it is complete.
-
-    Raises
-    ------
-    OutputError
-        It cannot be written.
-    """
+    """Copy a file or those of a folder to a store; an object is visible when it is complete."""
     import pyarrow as pa
 
     files = [source]
@@ -131,13 +98,7 @@ def upload(source: Path, address: str) -> None:
 
 
 def put(address: str, data: Buffer) -> None:
-    """Write an object.
-
-    Raises
-    ------
-    OutputError
-        It cannot be written.
-    """
+    """Write an object."""
 
     def write() -> None:
         store, place = locate(address)

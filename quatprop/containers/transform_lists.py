@@ -57,17 +57,7 @@ class TransformTable(TopicTable):
     def of_frames(self, wanted: str | None) -> TransformTable:
         """Return the transforms of the only pair of frames, after looking through the topic.
 
-        Parameters
-        ----------
-        wanted
-            ``"child"`` or ``"parent:child"``; None for the only pair there is.
-
-        Raises
-        ------
-        UsageError
-            There is no such pair, or several.
-        NoSamplesError
-            The topic has no transforms at all.
+        `wanted`: ``"child"`` or ``"parent:child"``; None for the only pair there is
         """
         decoder = TransformDecoder(self.channel, self.path)
         for block in coalesce_blocks(self.log.blocks(self.channel)):

@@ -45,20 +45,6 @@ class UlogLog(MessageLog):
     """A ULog file; see :class:`quatprop.containers.base.MessageLog`.
 
     Topics are named ``sensor_combined/0``: the message and its instance.
-
-    Parameters
-    ----------
-    log
-        The file.
-
-    Raises
-    ------
-    UnreadableLogError
-        The file may not be read.
-    UnsupportedLogError
-        It uses a feature that is not supported.
-    DamagedLogError
-        It ends within its header.
     """
 
     kind = "ulog"

@@ -58,17 +58,8 @@ SIGNS = ("keep", "continuous", "positive")
 class Meaning:
     """Which rotation four numbers are, whatever their layout.
 
-    Parameters
-    ----------
-    convention
-        ``"hamilton"`` or ``"jpl"``.
-    direction
-        ``"body-to-ref"`` or ``"ref-to-body"``: which coordinates it turns into which.
-
-    Raises
-    ------
-    UsageError
-        There is no such convention or direction.
+    `convention`: ``"hamilton"`` or ``"jpl"``
+    `direction`: ``"body-to-ref"`` or ``"ref-to-body"``: which coordinates it turns into which
     """
 
     convention: str = "hamilton"
@@ -98,15 +89,8 @@ class Meaning:
 
         Conjugation is its own inverse, so one function goes both ways, without rounding.
 
-        Parameters
-        ----------
-        wxyz
-            Quaternions, shape ``(..., 4)``, scalar first.
-
-        Returns
-        -------
-        ndarray
-            Shape ``(..., 4)``.
+        `wxyz`: Quaternions, shape ``(..., 4)``, scalar first
+        `Returns`: Shape ``(..., 4)``
 
         Examples
         --------
@@ -123,17 +107,9 @@ HAMILTON = Meaning()
 class Signs:
     """The choice between q and -q, which are the same attitude, along a series.
 
-    Parameters
-    ----------
-    sign
-        ``"keep"`` as they are; ``"positive"``, the first component that is not zero is
+    `sign`: ``"keep"`` as they are; ``"positive"``, the first component that is not zero is
         positive, so w >= 0; ``"continuous"``, every quaternion on the side of the one before it
-        (dot product >= 0), the first as it is.
-
-    Raises
-    ------
-    UsageError
-        There is no such choice.
+        (dot product >= 0), the first as it is
     """
 
     def __init__(self, sign: str) -> None:

@@ -16,12 +16,8 @@ from quatprop.text import listed, quoted
 class Layout(NamedTuple):
     """An order of the four components.
 
-    Parameters
-    ----------
-    name
-        The name that is recorded: ``"scalar-first"`` or ``"scalar-last"``.
-    order
-        For each stored place, the component of ``wxyz`` that stands there.
+    `name`: the name that is recorded: ``"scalar-first"`` or ``"scalar-last"``
+    `order`: for each stored place, the component of ``wxyz`` that stands there
     """
 
     name: str
@@ -53,11 +49,6 @@ LAYOUTS = {
 
 def layout_named(name: str) -> Layout:
     """Return the layout of that name.
-
-    Raises
-    ------
-    UsageError
-        There is none.
 
     Examples
     --------

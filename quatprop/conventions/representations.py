@@ -47,19 +47,10 @@ def euler_angles(sequence: str, wxyz: Float64) -> Float64:
     third angle, which stay exact where the two cannot be distinguished (gimbal lock); there they
     are shared equally.
 
-    Parameters
-    ----------
-    sequence
-        One of :data:`quatprop.settings.EULER_SEQUENCES`.
-    wxyz
-        Quaternions, shape ``(N, 4)``; their length does not matter.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(N, 3)``, rad: the first and the third from -pi to pi. The second is from -pi/2 to
-        pi/2 where all axes differ (Tait-Bryan angles), from 0 to pi where the first is the third
-        (proper Euler angles).
+    `wxyz`: Quaternions, shape ``(N, 4)``; their length does not matter
+    `Returns`: Shape ``(N, 3)``, rad: the first and the third from -pi to pi. The second is from
+        -pi/2 to pi/2 where all axes differ (Tait-Bryan angles), from 0 to pi where the first is the
+        third (proper Euler angles)
 
     References
     ----------
@@ -103,17 +94,8 @@ def _within_half_turn(angle: Float64) -> Float64:
 def from_euler(sequence: str, angles: Float64) -> Float64:
     """Return the quaternions of angles of any size: the way back from :func:`euler_angles`.
 
-    Parameters
-    ----------
-    sequence
-        As for :func:`euler_angles`.
-    angles
-        In the order of the sequence, shape ``(N, 3)``, rad.
-
-    Returns
-    -------
-    ndarray
-        Unit quaternions, shape ``(N, 4)``.
+    `angles`: in the order of the sequence, shape ``(N, 3)``, rad
+    `Returns`: Unit quaternions, shape ``(N, 4)``
 
     Examples
     --------
@@ -133,15 +115,8 @@ def from_matrices(rows: Float64) -> Float64:
     What is no rotation is not made one: a matrix that is off orthonormal gives a quaternion whose
     length is off by as much, and one that is no rotation at all, or a reflection, gives NaN.
 
-    Parameters
-    ----------
-    rows
-        Matrices row by row, shape ``(N, 9)``.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(N, 4)``; of unit length where the matrix is a rotation.
+    `rows`: Matrices row by row, shape ``(N, 9)``
+    `Returns`: Shape ``(N, 4)``; of unit length where the matrix is a rotation
     """
     r = rows.reshape(-1, 3, 3)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -155,18 +130,12 @@ def from_matrices(rows: Float64) -> Float64:
 class Representation(NamedTuple):
     """A way to write a rotation other than a quaternion.
 
-    Parameters
-    ----------
-    columns
-        Names of the columns, which say what is in them and in which unit.
-    values
-        From unit quaternions, shape ``(N, 4)``, to the columns, shape ``(N, k)``.
-    attitudes
-        From the columns to quaternions, of unit length where the columns are a rotation.
-    signed
-        Whether q and -q are written differently.
-    lock_deg
-        The second of three angles, deg, where the first and the third cannot be distinguished.
+    `columns`: names of the columns, which say what is in them and in which unit
+    `values`: from unit quaternions, shape ``(N, 4)``, to the columns, shape ``(N, k)``
+    `attitudes`: from the columns to quaternions, of unit length where the columns are a rotation
+    `signed`: whether q and -q are written differently
+    `lock_deg`: the second of three angles, deg, where the first and the third cannot be
+        distinguished
     """
 
     columns: tuple[str, ...]

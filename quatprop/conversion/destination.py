@@ -34,17 +34,7 @@ def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> s
 
 
 def open_destination(job: Conversion, log: AnyLog, sigma: str | None) -> AttitudeWriter:
-    """Return the file to be committed, which takes attitudes, or rates where those are written.
-
-    Parameters
-    ----------
-    job
-        The conversion.
-    log
-        The log.
-    sigma
-        Of :func:`kept_sigma`.
-    """
+    """Return the file to be committed, which takes attitudes, or rates where those are written."""
     output = job.output
     if job.representation == QUATERNION:
         if job.meaning == HAMILTON:
@@ -88,18 +78,8 @@ def remarks_on(
 ) -> Iterator[str | Text]:
     """Yield what a reader of the output should know.
 
-    Parameters
-    ----------
-    job
-        The conversion.
-    singular
-        Rows whose first and third angle cannot be distinguished.
-    positions_lost
-        Whether the source has positions and the output none.
-    sigma_lost
-        Whether the source has standard deviations or covariances and the output none.
-    lost_columns
-        Columns of other representations that the source has and the output has not.
+    `positions_lost`: whether the source has positions and the output none
+    `sigma_lost`: whether the source has standard deviations or covariances and the output none
     """
     yield from format_remarks(job.output.path, job.output.to)
     if positions_lost:

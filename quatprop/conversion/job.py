@@ -29,20 +29,13 @@ if TYPE_CHECKING:
 class Conversion:
     """How to convert one attitude series.
 
-    Parameters
-    ----------
-    source
-        Which attitudes.
-    output
-        Where they go, in which format and layout.
-    meaning
-        What the written numbers mean.
-    sign
-        ``"keep"``, ``"continuous"`` or ``"positive"``. Rotation vectors of ``"keep"`` are the
-        short ones, up to half a turn.
-    representation
-        ``"quaternion"``, a key of :data:`quatprop.conventions.REPRESENTATIONS`, or of
-        :data:`quatprop.conversion.rates.RATES`.
+    `source`: which attitudes
+    `output`: where they go, in which format and layout
+    `meaning`: what the written numbers mean
+    `sign`: ``"keep"``, ``"continuous"`` or ``"positive"``. Rotation vectors of ``"keep"`` are the
+        short ones, up to half a turn
+    `representation`: ``"quaternion"``, a key of :data:`quatprop.conventions.REPRESENTATIONS`, or of
+        :data:`quatprop.conversion.rates.RATES`
     """
 
     source: AttitudeInput
@@ -79,22 +72,13 @@ class Conversion:
 class ConversionReport:
     """What a conversion read and wrote.
 
-    Parameters
-    ----------
-    job
-        What was to be done.
-    path, kind, digest
-        The file that was read, its size and SHA-256.
-    signal
-        Which attitudes of it, how they were stored there, and how they were made.
-    columns
-        The names of what is written beside timestamps.
-    counts
-        Valid and invalid rows.
-    losses
-        What could not be read.
-    remarks
-        What a reader should know.
+    `job`: what was to be done
+    `path`, `kind`, `digest`: the file that was read, its size and SHA-256
+    `signal`: which attitudes of it, how they were stored there, and how they were made
+    `columns`: the names of what is written beside timestamps
+    `counts`: Valid and invalid rows
+    `losses`: what could not be read
+    `remarks`: what a reader should know
     """
 
     job: Conversion

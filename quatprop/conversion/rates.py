@@ -30,19 +30,7 @@ def rate_batches(path: str, batches: Iterable[AttitudeSeries], rates: str) -> It
     the first attitude gives the attitudes back. What comes after the last one is not known: its
     row repeats the rate before it, or is zero where there is none.
 
-    Parameters
-    ----------
-    path
-        The source, for errors.
-    batches
-        Attitudes, Hamilton, body to reference.
-    rates
-        ``"body"`` or ``"inertial"``.
-
-    Raises
-    ------
-    TimelineError
-        Timestamps do not rise, so there is no rate between two attitudes.
+    `rates`: ``"body"`` or ``"inertial"``
     """
     last: AttitudeSeries | None = None
     rate = np.zeros((1, 3))

@@ -37,24 +37,7 @@ COPIERS: Mapping[str, tuple[str, str]] = {
 
 
 def copy_kind(log: Log, target: str, to: str | None = None) -> str:
-    """Return the key of :data:`quatprop.writers.formats.WRITERS` that a copy of a log has.
-
-    Parameters
-    ----------
-    log
-        The log.
-    target
-        Where the copy goes.
-    to
-        The kind asked for.
-
-    Raises
-    ------
-    UsageError
-        The log is no container of messages, or another kind is asked for.
-    OutputError
-        The target is stdout.
-    """
+    """Return the key of :data:`quatprop.writers.formats.WRITERS` that a copy of a log has."""
     if log.kind not in COPIERS:
         raise UsageError(
             f"{plain(log.path)}: attitudes can be added to logs of kind {listed(COPIERS)}, and "
@@ -94,28 +77,6 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
     Stamps and log times need not be of one clock: some devices count from when they were switched
     on. Players and plots sort by log time, so attitudes logged at their stamps could be fifty years
     away.
-
-    Parameters
-    ----------
-    log
-        The log; it stays open until the copy is committed.
-    target
-        Where the copy goes.
-    layout, comment, message, sigma, beside
-        As for :func:`quatprop.writers.open_writer`.
-
-    Returns
-    -------
-    AttitudeWriter
-        A context manager that removes what was not committed.
-
-    Raises
-    ------
-    UsageError
-        The log cannot be added to, its topic exists already, or a setting does not apply to
-        copies.
-    OutputError
-        As for :func:`quatprop.writers.open_writer`.
     """
     kind = copy_kind(log, target)
     layout_of(kind, layout)

@@ -27,21 +27,11 @@ _CHUNK_BYTES = 1 << 17
 class McapPart:
     """A copy of an MCAP file to which messages of one topic are added.
 
-    Parameters
-    ----------
-    log
-        The file to copy; it stays open until the part is finished.
-    place
-        Where the copy goes: a path where nothing is, or a stream.
-    message
-        The message to add.
-
-    Attributes
-    ----------
-    encoder
-        Encodes attitudes as the messages of this file.
-    added
-        The messages added so far.
+    `log`: the file to copy; it stays open until the part is finished
+    `place`: where the copy goes: a path where nothing is, or a stream
+    `message`: the message to add
+    `encoder`: Encodes attitudes as the messages of this file
+    `added`: the messages added so far
     """
 
     def __init__(self, log: McapLog, place: Path | BinaryIO, message: Message) -> None:
@@ -75,15 +65,7 @@ class McapPart:
     def finish(
         self, extend: Callable[[str], str], provenance: Mapping[str, object] | None = None
     ) -> None:
-        """Copy the rest and finish the file.
-
-        Parameters
-        ----------
-        extend
-            Adds the topic to the metadata of a ROS 2 bag, if the file holds them.
-        provenance
-            The provenance of the topic, if the file shall hold it.
-        """
+        """Copy the rest and finish the file."""
         self._file.flush()
         self._copy.up_to(None, self._file)
         if self._copy.bag_metadata is not None:
@@ -99,14 +81,9 @@ class McapPart:
 class McapCopyWriter(MessageWriter):
     """Copy an MCAP file and add attitudes to it.
 
-    Parameters
-    ----------
-    log
-        The log to copy.
-    target
-        Where the copy goes.
-    message
-        The message to write the attitudes as.
+    `log`: the log to copy
+    `target`: where the copy goes
+    `message`: the message to write the attitudes as
     """
 
     _output: OutputFile

@@ -58,24 +58,11 @@ _COPIED = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.ME
 class McapCopy:
     """Copies a file step by step, up to a given time.
 
-    Parameters
-    ----------
-    log
-        The file, which stays open until the copy is finished.
-
-    Attributes
-    ----------
-    header
-        Its first record.
-    contents
-        Its schemas and channels, and everything copied so far.
-    bag_metadata
-        The metadata of a ROS 2 bag, if it holds them. They are not copied, since they change.
-
-    Raises
-    ------
-    UnreadableLogError
-        The file cannot be read.
+    `log`: the file, which stays open until the copy is finished
+    `header`: its first record
+    `contents`: its schemas and channels, and everything copied so far
+    `bag_metadata`: the metadata of a ROS 2 bag, if it holds them. They are not copied, since they
+        change
     """
 
     def __init__(self, log: McapLog) -> None:

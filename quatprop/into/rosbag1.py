@@ -52,19 +52,9 @@ _PIECE = 1 << 20
 class BagCopyWriter(MessageWriter):
     """Copy a ROS 1 bag and add attitudes to it.
 
-    Parameters
-    ----------
-    log
-        The log to copy.
-    target
-        Where the copy goes.
-    message
-        The message to write the attitudes as.
-
-    Raises
-    ------
-    UsageError
-        It is no ROS message.
+    `log`: the log to copy
+    `target`: where the copy goes
+    `message`: the message to write the attitudes as
     """
 
     _output: OutputFile
@@ -105,17 +95,9 @@ class BagCopyWriter(MessageWriter):
 class BagCopy:
     """Copies a bag step by step, up to a given time.
 
-    Parameters
-    ----------
-    log
-        The bag, which stays open until the copy is finished.
-
-    Attributes
-    ----------
-    connections
-        The fields of each connection, by number.
-    free_id
-        A number that no connection has.
+    `log`: the bag, which stays open until the copy is finished
+    `connections`: the fields of each connection, by number
+    `free_id`: a number that no connection has
     """
 
     def __init__(self, log: Rosbag1Log) -> None:

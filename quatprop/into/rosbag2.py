@@ -35,21 +35,9 @@ _LATEST = int(np.iinfo(np.int64).max)
 class Rosbag2CopyWriter(MessageWriter):
     """Copy a ROS 2 bag and add attitudes to it, each to the part of its time.
 
-    Parameters
-    ----------
-    log
-        The log to copy: a folder, or a database.
-    target
-        Where the copy goes; nothing is there.
-    message
-        The message to write the attitudes as.
-
-    Raises
-    ------
-    UsageError
-        It is no ROS message.
-    UnsupportedLogError
-        The files or messages of the bag are compressed.
+    `log`: the log to copy: a folder, or a database
+    `target`: where the copy goes; nothing is there
+    `message`: the message to write the attitudes as
     """
 
     _output: OutputPath

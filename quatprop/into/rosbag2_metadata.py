@@ -33,12 +33,8 @@ _WITH_CUSTOM_DATA = 6
 class Added:
     """The messages added to a part.
 
-    Parameters
-    ----------
-    count
-        How many.
-    first, last
-        Their first and last log time, ns; the other way around where there are none.
+    `count`: how many
+    `first`, `last`: their first and last log time, ns; the other way around where there are none
     """
 
     count: int = 0
@@ -61,21 +57,7 @@ def extended(
     *,
     has_root: bool = True,
 ) -> str | None:
-    """Return metadata to which a topic is added; None where they are damaged.
-
-    Parameters
-    ----------
-    text
-        The metadata of the bag.
-    topic
-        The topic.
-    parts
-        The messages added to each part, in order.
-    custom
-        Custom data to add.
-    has_root
-        Whether they are those of metadata.yaml, not of a file of messages.
-    """
+    """Return metadata to which a topic is added; None where they are damaged."""
     yaml = YAML(typ="safe", pure=True)
     yaml.default_flow_style = False
     try:

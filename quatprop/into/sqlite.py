@@ -44,19 +44,10 @@ def _copy(source: Path, place: Path) -> None:
 class SqlitePart:
     """A copy of a database to which messages of one topic are added.
 
-    Parameters
-    ----------
-    source
-        The database to copy, with its write-ahead log.
-    place
-        Where the copy goes; nothing is there.
-    topic
-        The topic to add.
-
-    Attributes
-    ----------
-    added
-        The messages added so far.
+    `source`: the database to copy, with its write-ahead log
+    `place`: where the copy goes; nothing is there
+    `topic`: the topic to add
+    `added`: the messages added so far
     """
 
     def __init__(self, source: Path, place: Path, topic: Topic) -> None:
@@ -91,13 +82,7 @@ class SqlitePart:
         self.added.add(log_ns)
 
     def finish(self, extend: Callable[[str], str]) -> None:
-        """Finish the database.
-
-        Parameters
-        ----------
-        extend
-            Adds the topic to the metadata of the bag, if the database holds them.
-        """
+        """Finish the database."""
         if self._columns("metadata"):
             # rosbag2 reads the newest.
             newest = "SELECT id, metadata FROM metadata ORDER BY id DESC LIMIT 1"

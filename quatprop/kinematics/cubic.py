@@ -40,14 +40,9 @@ MAX_SPAN_RATIO: Final = 1.5
 class Curvature(NamedTuple):
     """What the neighbouring samples add to the line between two samples.
 
-    Parameters
-    ----------
-    a
-        Shape ``(3, M)``, rad/s^3.
-    b
-        Shape ``(3, M)``, rad/s^4.
-    h
-        Lengths of the intervals, shape ``(M,)``, s.
+    `a`: shape ``(3, M)``, rad/s^3
+    `b`: shape ``(3, M)``, rad/s^4
+    `h`: Lengths of the intervals, shape ``(M,)``, s
     """
 
     a: Float64
@@ -57,26 +52,16 @@ class Curvature(NamedTuple):
     def rate(self, s: Float64) -> Float64:
         """Return the difference of the rate from the line, ``(3, M)``, rad/s.
 
-        Parameters
-        ----------
-        s
-            Time since the start of the interval, shape ``(M,)``, s.
+        `s`: time since the start of the interval, shape ``(M,)``, s
         """
         return s * (s - self.h) * (self.a + self.b * s)
 
     def rotation(self, s: Float64) -> Float64:
         """Return what the method ``coning``, with the rate after the time s, leaves out.
 
-        Parameters
-        ----------
-        s
-            Time since the start of the interval, shape ``(M,)``, s.
-
-        Returns
-        -------
-        ndarray
-            To be added to the rotation vector, shape ``(3, M)``, rad. For a whole interval it is
-            -h^3/6 (a + b h/2).
+        `s`: time since the start of the interval, shape ``(M,)``, s
+        `Returns`: To be added to the rotation vector, shape ``(3, M)``, rad. For a whole interval
+            it is -h^3/6 (a + b h/2)
         """
         weight = s**2 * s / -6
         return weight * (self.a + self.b * (1.5 * s - self.h))
@@ -84,18 +69,10 @@ class Curvature(NamedTuple):
     def rotation_of_averages(self, average: Float64, s: Float64) -> Float64:
         """Return what the average rate, multiplied by the time s, leaves out.
 
-        Parameters
-        ----------
-        average
-            Average rates over the intervals, shape ``(3, M)``, rad/s.
-        s
-            Time since the start of the interval, shape ``(M,)``, s.
-
-        Returns
-        -------
-        ndarray
-            To be added to the rotation vector, shape ``(3, M)``, rad. For a whole interval it is
-            the coning term h^3/6 v x (a + b h/2), with v the average.
+        `average`: Average rates over the intervals, shape ``(3, M)``, rad/s
+        `s`: time since the start of the interval, shape ``(M,)``, s
+        `Returns`: To be added to the rotation vector, shape ``(3, M)``, rad. For a whole interval
+            it is the coning term h^3/6 v x (a + b h/2), with v the average
         """
         deviation = self.rate(s)
         # s/2 times the deviation less its integral from 0 to s.
@@ -114,21 +91,9 @@ class Curvature(NamedTuple):
 def curvature(t_ns: Int64, rate: Float64, gap_ns: int | None = None) -> Curvature:
     """Return the curvature of the rate in the intervals between samples.
 
-    Parameters
-    ----------
-    t_ns
-        Time stamps, shape ``(N,)``, int64, ns; N is at least 2.
-    rate
-        Angular rates, shape ``(3, N)``, rad/s.
-    gap_ns
-        Intervals longer than this are gaps; None: none is.
-
-    Returns
-    -------
-    Curvature
-        Of N - 1 intervals. At the ends of the series, beside gaps, beside repeated stamps and
-        where the lengths of neighbouring intervals differ too much, it is that of the parabola
-        through the three samples of the other side; zero where that cannot be used either.
+    `t_ns`: time stamps, shape ``(N,)``, int64, ns; N is at least 2
+    `rate`: angular rates, shape ``(3, N)``, rad/s
+    `gap_ns`: intervals longer than this are gaps; None: none is
     """
     steps = np.diff(t_ns)
     h = steps / NS_PER_S
@@ -148,24 +113,10 @@ def curvature_of_averages(
 ) -> Curvature:
     """Return the curvature of the integral of the rate in the intervals between samples.
 
-    Parameters
-    ----------
-    t_ns
-        Time stamps, shape ``(N,)``, int64, ns; N is at least 2.
-    rate
-        Average rates over the intervals that end at the stamps, shape ``(3, N)``, rad/s; that of
-        the first sample, whose interval begins earlier, does not count.
-    span_ns
-        For increments: the time over which each was integrated, shape ``(N,)``, int64, ns.
-    gap_ns
-        As for :func:`curvature`.
-    causal
-        Whether only the interval before counts: the rate is linear then.
-
-    Returns
-    -------
-    Curvature
-        Of N - 1 intervals, as long as the sensor integrated.
+    `t_ns`: time stamps, shape ``(N,)``, int64, ns; N is at least 2
+    `rate`: Average rates over the intervals that end at the stamps, shape ``(3, N)``, rad/s; that
+        of the first sample, whose interval begins earlier, does not count
+    `span_ns`: for increments: the time over which each was integrated, shape ``(N,)``, int64, ns
     """
     steps = np.diff(t_ns)
     valid = _no_gaps(steps, gap_ns)
@@ -188,16 +139,9 @@ def _no_gaps(steps: Int64, gap_ns: int | None) -> Bool:
 def _of_slopes(slope: Float64, h: Float64, valid: Bool, *, causal: bool = False) -> Curvature:
     """Return the curvature of values whose slopes over the intervals are known.
 
-    Parameters
-    ----------
-    slope
-        Differences of neighbouring values over the lengths of the intervals, ``(3, M)``.
-    h
-        Lengths of the intervals, ``(M,)``, s.
-    valid
-        Whether a parabola may pass through each sample between two intervals, ``(M - 1,)``.
-    causal
-        Whether only the interval before counts.
+    `slope`: Differences of neighbouring values over the lengths of the intervals, ``(3, M)``
+    `h`: Lengths of the intervals, ``(M,)``, s
+    `valid`: whether a parabola may pass through each sample between two intervals, ``(M - 1,)``
     """
     before, after = h[:-1], h[1:]
     shorter, longer = np.minimum(before, after), np.maximum(before, after)

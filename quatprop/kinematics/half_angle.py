@@ -41,15 +41,8 @@ def half_angle(square: Float64) -> tuple[Float64, Float64]:
     Both are power series in a squared, smooth through zero; beyond their reach, of what quarter
     turns leave of the angle. Each result depends on its own angle only, to the bit.
 
-    Parameters
-    ----------
-    square
-        Squares of angles, rad^2, any shape.
-
-    Returns
-    -------
-    cosine, ratio : ndarray
-        cos(a/2) and sin(a/2)/a, the latter 1/2 at zero; 1/rad.
+    `square`: Squares of angles, rad^2, any shape
+    `Returns`: cos(a/2) and sin(a/2)/a, the latter 1/2 at zero; 1/rad
     """
     square = np.asarray(square)
     with np.errstate(over="ignore", invalid="ignore"):

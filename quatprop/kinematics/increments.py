@@ -73,15 +73,7 @@ FRAMES: Final = ("body", "inertial")
 def is_inertial(rates: str) -> bool:
     """Tell whether rates are resolved in the inertial frame.
 
-    Parameters
-    ----------
-    rates
-        One of :data:`FRAMES`.
-
-    Raises
-    ------
-    UsageError
-        No such frame.
+    `rates`: one of :data:`FRAMES`
     """
     if rates not in FRAMES:
         raise UsageError(f"there is no frame {quoted(rates)}; choose one of {listed(FRAMES)}")
@@ -89,23 +81,7 @@ def is_inertial(rates: str) -> bool:
 
 
 def integration_rule(method: str) -> Rule:
-    """Return the function of a method.
-
-    Parameters
-    ----------
-    method
-        A key of :data:`METHODS`.
-
-    Returns
-    -------
-    callable
-        The function.
-
-    Raises
-    ------
-    UsageError
-        No such method.
-    """
+    """Return the function of a method."""
     if method not in METHODS:
         raise UsageError(f"there is no method {quoted(method)}; choose one of {listed(METHODS)}")
     return METHODS[method]
@@ -121,43 +97,26 @@ def rotation_vectors(
 ) -> Float64:
     """Return the rotation vectors between neighbouring samples.
 
-    Parameters
-    ----------
-    t_ns
-        Time stamps, shape ``(N,)``, int64, ns. Intervals are differences of integers, so no stamp
-        is too large to be exact.
-    rate
-        Angular rates, shape ``(N, 3)``, rad/s, resolved in the body frame. For rates w resolved in
-        the inertial frame, -w are body rates of the reference as seen from the body.
-    method
-        A key of :data:`METHODS`: ``"start"``, the rate from k to k + 1 is that of sample
-        k; ``"end"``, that of sample k + 1; ``"mean"``, the average of the two; ``"coning"``, linear
-        between the two, mean dt + dt^2/12 w_k x w_k+1: of fourth order where the rate is linear,
-        of second order elsewhere; ``"cubic"``, a cubic through the samples k - 1 to k + 2, of
-        fourth order, see :func:`quatprop.kinematics.cubic.curvature`.
-    span_ns
-        Where samples are increments: the time over which the sensor integrated each, shape
+    `t_ns`: time stamps, shape ``(N,)``, int64, ns. Intervals are differences of integers, so no
+        stamp is too large to be exact
+    `rate`: angular rates, shape ``(N, 3)``, rad/s, resolved in the body frame. For rates w resolved
+        in the inertial frame, -w are body rates of the reference as seen from the body
+    `method`: a key of :data:`METHODS`: ``"start"``, the rate from k to k + 1 is that of sample k;
+        ``"end"``, that of sample k + 1; ``"mean"``, the average of the two; ``"coning"``, linear
+        between the two, mean dt + dt^2/12 w_k x w_k+1: of fourth order where the rate is linear, of
+        second order elsewhere; ``"cubic"``, a cubic through the samples k - 1 to k + 2, of fourth
+        order, see :func:`quatprop.kinematics.cubic.curvature`
+    `span_ns`: where samples are increments: the time over which the sensor integrated each, shape
         ``(N,)``, int64, ns, as in :class:`quatprop.series.GyroSeries`. Interval k is then the
         increment theta_k of sample k + 1, whatever its length; zero where no time passes, because a
-        repeated stamp is a repeated message.
-    averages
-        Whether rates are averages over the intervals that end at their stamps: theta_k is then the
-        rate of sample k + 1 times the length of the interval.
-
-        Increments under every method, and averages under ``"end"``, have the rotation vector
-        theta_k. To it ``"coning"`` adds theta_k-1 x theta_k / 12, which makes it of third order;
-        ``"cubic"`` (theta_k-1 x theta_k + theta_k x theta_k+1) / 24, of fourth order. The weights
-        are those of equal intervals; see :func:`quatprop.kinematics.cubic.curvature_of_averages`.
-
-    Returns
-    -------
-    ndarray
-        Rotation vectors, shape ``(N - 1, 3)``, rad; each of the three columns is contiguous.
-
-    Raises
-    ------
-    UsageError
-        No such method.
+        repeated stamp is a repeated message
+    `averages`: whether rates are averages over the intervals that end at their stamps: theta_k is
+        then the rate of sample k + 1 times the length of the interval. Increments under every
+        method, and averages under ``"end"``, have the rotation vector theta_k. To it ``"coning"``
+        adds theta_k-1 x theta_k / 12, which makes it of third order; ``"cubic"`` (theta_k-1 x
+        theta_k + theta_k x theta_k+1) / 24, of fourth order. The weights are those of equal
+        intervals; see :func:`quatprop.kinematics.cubic.curvature_of_averages`
+    `Returns`: Rotation vectors, shape ``(N - 1, 3)``, rad; each of the three columns is contiguous
 
     References
     ----------

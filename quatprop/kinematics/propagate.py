@@ -48,26 +48,9 @@ def attitudes(
 ) -> Float64:
     """Return the attitudes that rates in memory lead to.
 
-    Parameters
-    ----------
-    t_ns
-        Time stamps, shape ``(N,)``, int64, ns.
-    rate
-        Angular rates, shape ``(N, 3)``, rad/s.
-    q0, method, rates
-        As for :class:`Propagation`.
-
-    Returns
-    -------
-    ndarray
-        Unit quaternions wxyz body -> reference, shape ``(N, 4)``; the first is q0.
-
-    Raises
-    ------
-    SeriesError
-        The arrays do not fit, `q0` is not a quaternion, or an attitude is not finite.
-    UsageError
-        No such method or frame.
+    `t_ns`: time stamps, shape ``(N,)``, int64, ns
+    `rate`: angular rates, shape ``(N, 3)``, rad/s
+    `Returns`: Unit quaternions wxyz body -> reference, shape ``(N, 4)``; the first is q0
 
     References
     ----------
@@ -134,22 +117,10 @@ class _Composition:
 class Propagation(_Composition):
     """Propagates a stream of rates to attitudes.
 
-    Parameters
-    ----------
-    q0
-        Attitude body -> reference at the first sample, wxyz, shape ``(4,)``; it is normalised.
-    method
-        Integration rule: a key of :data:`quatprop.kinematics.increments.METHODS`.
-    rates
-        The frame in which the rates are resolved: ``"body"`` multiplies on the right,
-        q[k+1] = q[k] dq[k]; ``"inertial"`` multiplies on the left, q[k+1] = dq[k] q[k].
-
-    Raises
-    ------
-    SeriesError
-        `q0` is not a quaternion that can be normalised.
-    UsageError
-        No such method or frame.
+    `q0`: Attitude body -> reference at the first sample, wxyz, shape ``(4,)``; it is normalised
+    `method`: integration rule: a key of :data:`quatprop.kinematics.increments.METHODS`
+    `rates`: the frame in which the rates are resolved: ``"body"`` multiplies on the right, q[k+1] =
+        q[k] dq[k]; ``"inertial"`` multiplies on the left, q[k+1] = dq[k] q[k]
 
     References
     ----------
@@ -161,24 +132,7 @@ class Propagation(_Composition):
         self._count = 0
 
     def run(self, batches: Iterable[GyroSeries]) -> Iterator[tuple[GyroSeries, AttitudeSeries]]:
-        """Yield the samples in blocks, with their attitudes.
-
-        Parameters
-        ----------
-        batches
-            Samples in order of time, in batches of any size. The result does not depend on where
-            batches end.
-
-        Yields
-        ------
-        tuple of GyroSeries and AttitudeSeries
-            One attitude for every sample, the first of them q0.
-
-        Raises
-        ------
-        SeriesError
-            An attitude is not finite.
-        """
+        """Yield the samples in blocks, with their attitudes."""
         look_ahead = self._method == "cubic"
         for block, following in with_next(reblock(batches), look_ahead=look_ahead):
             yield block, AttitudeSeries(block.t_ns, self.advance(block, following))
@@ -186,19 +140,8 @@ class Propagation(_Composition):
     def advance(self, series: GyroSeries, following: GyroSeries | None = None) -> Float64:
         """Return the attitudes of the next samples, wxyz, shape ``(N, 4)``.
 
-        Parameters
-        ----------
-        series
-            Samples that follow the last ones: a block of :func:`quatprop.blocks.reblock`, so that
-            tiles begin at fixed sample indices.
-        following
-            The samples after those, of which the method ``cubic`` takes the first into account;
-            None: there are none.
-
-        Raises
-        ------
-        SeriesError
-            An attitude is not finite.
+        `following`: the samples after those, of which the method ``cubic`` takes the first into
+            account; None: there are none
         """
         rows = np.empty((4, len(series))).T  # which is faster by column, here and for writers
         with np.errstate(over="ignore", invalid="ignore"):
@@ -224,13 +167,7 @@ class Propagation(_Composition):
 
 
 class FinalAttitude(_Composition):
-    """The attitude at the last sample alone, for less than half the cost of all.
-
-    Parameters
-    ----------
-    q0, method, rates
-        As for :class:`Propagation`.
-    """
+    """The attitude at the last sample alone, for less than half the cost of all."""
 
     def __init__(self, q0: ArrayLike, method: str, rates: str) -> None:
         super().__init__(q0, method, rates)
@@ -265,13 +202,7 @@ class FinalAttitude(_Composition):
 
 
 def unit_q0(q0: ArrayLike) -> Float64:
-    """Return an initial attitude wxyz, ``(4,)``, scaled to unit length.
-
-    Raises
-    ------
-    SeriesError
-        It is not four finite numbers with a direction.
-    """
+    """Return an initial attitude wxyz, ``(4,)``, scaled to unit length."""
     try:
         q = np.asarray(q0, dtype=np.float64)
     except (TypeError, ValueError) as error:

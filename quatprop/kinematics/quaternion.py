@@ -32,15 +32,8 @@ UNIT_TOLERANCE = 1e-3
 def multiply(p: ArrayLike, q: ArrayLike) -> Float64:
     """Return the Hamilton product p q.
 
-    Parameters
-    ----------
-    p, q
-        Quaternions wxyz, shape ``(..., 4)``.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(..., 4)``. As attitudes: first q, then p.
+    `p`, `q`: quaternions wxyz, shape ``(..., 4)``
+    `Returns`: Shape ``(..., 4)``. As attitudes: first q, then p
 
     Examples
     --------
@@ -63,15 +56,8 @@ def multiply(p: ArrayLike, q: ArrayLike) -> Float64:
 def conjugate(q: ArrayLike) -> Float64:
     """Return q*, for a unit quaternion the opposite rotation.
 
-    Parameters
-    ----------
-    q
-        Quaternions wxyz, shape ``(..., 4)``.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(..., 4)``.
+    `q`: quaternions wxyz, shape ``(..., 4)``
+    `Returns`: Shape ``(..., 4)``
     """
     return _array(q) * [1.0, -1.0, -1.0, -1.0]
 
@@ -79,15 +65,8 @@ def conjugate(q: ArrayLike) -> Float64:
 def normalize(q: ArrayLike) -> Float64:
     """Return q at unit length.
 
-    Parameters
-    ----------
-    q
-        Quaternions wxyz, shape ``(..., 4)``, finite and not zero.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(..., 4)``.
+    `q`: quaternions wxyz, shape ``(..., 4)``, finite and not zero
+    `Returns`: Shape ``(..., 4)``
     """
     q = _array(q)
     # Squares of very large or small components would overflow or vanish.
@@ -108,15 +87,8 @@ def exp(rotvec: ArrayLike) -> Float64:
     Smooth through zero. The angle may be of any size; w is negative for angles between pi and
     3 pi.
 
-    Parameters
-    ----------
-    rotvec
-        Rotation vectors, shape ``(..., 3)``, rad: the axis times the angle.
-
-    Returns
-    -------
-    ndarray
-        Unit quaternions wxyz, shape ``(..., 4)``: cos(angle/2) + axis sin(angle/2).
+    `rotvec`: rotation vectors, shape ``(..., 3)``, rad: the axis times the angle
+    `Returns`: Unit quaternions wxyz, shape ``(..., 4)``: cos(angle/2) + axis sin(angle/2)
 
     References
     ----------
@@ -138,16 +110,9 @@ def exp(rotvec: ArrayLike) -> Float64:
 def log(q: ArrayLike) -> Float64:
     """Return the rotation vector of a unit quaternion: the inverse of :func:`exp`.
 
-    Parameters
-    ----------
-    q
-        Unit quaternions wxyz, shape ``(..., 4)``.
-
-    Returns
-    -------
-    ndarray
-        Rotation vectors, shape ``(..., 3)``, rad, no longer than 2 pi; longer than pi where w is
-        negative. The quaternion -1, a full turn about an undefined axis, gives zero.
+    `q`: unit quaternions wxyz, shape ``(..., 4)``
+    `Returns`: Rotation vectors, shape ``(..., 3)``, rad, no longer than 2 pi; longer than pi where
+        w is negative. The quaternion -1, a full turn about an undefined axis, gives zero
     """
     q = _array(q)
     w, vector = q[..., :1], q[..., 1:]
@@ -160,17 +125,9 @@ def log(q: ArrayLike) -> Float64:
 def rotate(q: ArrayLike, v: ArrayLike) -> Float64:
     """Return q v q*: a vector's body coordinates as reference coordinates (eq. 3).
 
-    Parameters
-    ----------
-    q
-        Unit quaternions wxyz body -> reference, shape ``(..., 4)``.
-    v
-        Vectors resolved in the body frame, shape ``(..., 3)``, any unit.
-
-    Returns
-    -------
-    ndarray
-        The vectors resolved in the reference frame, shape ``(..., 3)``.
+    `q`: unit quaternions wxyz body -> reference, shape ``(..., 4)``
+    `v`: Vectors resolved in the body frame, shape ``(..., 3)``, any unit
+    `Returns`: The vectors resolved in the reference frame, shape ``(..., 3)``
 
     Examples
     --------
@@ -186,15 +143,8 @@ def rotate(q: ArrayLike, v: ArrayLike) -> Float64:
 def rotation_matrix(q: ArrayLike) -> Float64:
     """Return R(q), with v_ref = R v_body (eq. 5).
 
-    Parameters
-    ----------
-    q
-        Unit quaternions wxyz body -> reference, shape ``(..., 4)``.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(..., 3, 3)``; its columns are the body axes resolved in the reference frame.
+    `q`: unit quaternions wxyz body -> reference, shape ``(..., 4)``
+    `Returns`: Shape ``(..., 3, 3)``; its columns are the body axes resolved in the reference frame
     """
     q = _array(q)
     return np.stack([rotate(q, axis) for axis in np.eye(3)], axis=-1)
@@ -203,16 +153,9 @@ def rotation_matrix(q: ArrayLike) -> Float64:
 def from_matrix(matrix: ArrayLike) -> Float64:
     """Return the unit quaternion of a rotation matrix: the inverse of :func:`rotation_matrix`.
 
-    Parameters
-    ----------
-    matrix
-        Rotation matrices with v_ref = R v_body, shape ``(..., 3, 3)``.
-
-    Returns
-    -------
-    ndarray
-        Unit quaternions wxyz body -> reference with w >= 0, shape ``(..., 4)``; NaN where the
-        matrix has elements that are not finite.
+    `matrix`: rotation matrices with v_ref = R v_body, shape ``(..., 3, 3)``
+    `Returns`: Unit quaternions wxyz body -> reference with w >= 0, shape ``(..., 4)``; NaN where
+        the matrix has elements that are not finite
 
     References
     ----------
@@ -246,15 +189,8 @@ def geodesic_angle(p: ArrayLike, q: ArrayLike) -> Float64:
     The sign of either quaternion does not matter, nor does its length. Exact to rounding at any
     angle: an arc cosine would lose everything below 1e-8 rad.
 
-    Parameters
-    ----------
-    p, q
-        Attitudes wxyz, shape ``(..., 4)``.
-
-    Returns
-    -------
-    ndarray
-        Angles, shape ``(...)``, rad, from 0 to pi.
+    `p`, `q`: attitudes wxyz, shape ``(..., 4)``
+    `Returns`: Angles, shape ``(...)``, rad, from 0 to pi
 
     Examples
     --------
@@ -279,17 +215,9 @@ def geodesic_angle(p: ArrayLike, q: ArrayLike) -> Float64:
 def slerp(p: ArrayLike, q: ArrayLike, fraction: ArrayLike) -> Float64:
     """Return attitudes between two: on the shortest rotation from p to q, at a constant rate.
 
-    Parameters
-    ----------
-    p, q
-        Unit quaternions wxyz, shape ``(..., 4)``; their signs do not matter.
-    fraction
-        Elapsed fraction of the rotation, shape ``(...)``: 0 gives p, 1 gives q or -q.
-
-    Returns
-    -------
-    ndarray
-        Unit quaternions wxyz, shape ``(..., 4)``.
+    `p`, `q`: unit quaternions wxyz, shape ``(..., 4)``; their signs do not matter
+    `fraction`: Elapsed fraction of the rotation, shape ``(...)``: 0 gives p, 1 gives q or -q
+    `Returns`: Unit quaternions wxyz, shape ``(..., 4)``
 
     Examples
     --------

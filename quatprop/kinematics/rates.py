@@ -23,20 +23,11 @@ if TYPE_CHECKING:
 def quaternion_rate(q: ArrayLike, rate: ArrayLike, *, rates: str = "body") -> Float64:
     """Return q', the derivative of an attitude with respect to time.
 
-    Parameters
-    ----------
-    q
-        Attitudes wxyz body -> reference, shape ``(..., 4)``.
-    rate
-        Angular rates, shape ``(..., 3)``, rad/s.
-    rates
-        Where the rates are resolved: ``"body"``, multiplied on the right of q, or ``"inertial"``,
-        on its left.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(..., 4)``, 1/s.
+    `q`: attitudes wxyz body -> reference, shape ``(..., 4)``
+    `rate`: angular rates, shape ``(..., 3)``, rad/s
+    `rates`: where the rates are resolved: ``"body"``, multiplied on the right of q, or
+        ``"inertial"``, on its left
+    `Returns`: Shape ``(..., 4)``, 1/s
 
     References
     ----------
@@ -54,15 +45,7 @@ def quaternion_rate(q: ArrayLike, rate: ArrayLike, *, rates: str = "body") -> Fl
 def rate_matrix(q: ArrayLike, *, rates: str = "body") -> Float64:
     """Return the matrix that takes angular rates to q': its transpose, times 4, takes them back.
 
-    Parameters
-    ----------
-    q, rates
-        As for :func:`quaternion_rate`.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(..., 4, 3)``.
+    `Returns`: Shape ``(..., 4, 3)``
 
     References
     ----------
@@ -78,15 +61,7 @@ def rate_matrix(q: ArrayLike, *, rates: str = "body") -> Float64:
 def omega_matrix(rate: ArrayLike, *, rates: str = "body") -> Float64:
     """Return the skew-symmetric matrix with q' = Omega q / 2, q as a column w, x, y, z.
 
-    Parameters
-    ----------
-    rate, rates
-        As for :func:`quaternion_rate`.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(..., 4, 4)``, rad/s.
+    `Returns`: Shape ``(..., 4, 4)``, rad/s
 
     References
     ----------
@@ -102,19 +77,10 @@ def omega_matrix(rate: ArrayLike, *, rates: str = "body") -> Float64:
 def rate_of(q: ArrayLike, q_rate: ArrayLike, *, rates: str = "body") -> Float64:
     """Return the angular rate of an attitude and its derivative: eq. 12 or 16 solved for w.
 
-    Parameters
-    ----------
-    q
-        Unit quaternions wxyz body -> reference, shape ``(..., 4)``.
-    q_rate
-        Their derivatives, shape ``(..., 4)``, 1/s.
-    rates
-        Where to resolve the rates: ``"body"``, 2 q* q', or ``"inertial"``, 2 q' q*.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(..., 3)``, rad/s.
+    `q`: unit quaternions wxyz body -> reference, shape ``(..., 4)``
+    `q_rate`: their derivatives, shape ``(..., 4)``, 1/s
+    `rates`: where to resolve the rates: ``"body"``, 2 q* q', or ``"inertial"``, 2 q' q*
+    `Returns`: Shape ``(..., 3)``, rad/s
 
     Examples
     --------
@@ -131,24 +97,10 @@ def rates_between(t_ns: Int64, wxyz: ArrayLike, *, rates: str = "body") -> Float
 
     Propagated by the method ``start`` from the first attitude, they give the attitudes back.
 
-    Parameters
-    ----------
-    t_ns
-        Rising time stamps, shape ``(N,)``, int64, ns.
-    wxyz
-        Unit quaternions body -> reference, shape ``(N, 4)``.
-    rates
-        Where to resolve the rates: ``"body"`` or ``"inertial"``.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(N - 1, 3)``, rad/s: row k holds from sample k to sample k + 1.
-
-    Raises
-    ------
-    SeriesError
-        They are not stamps and as many quaternions.
+    `t_ns`: Rising time stamps, shape ``(N,)``, int64, ns
+    `wxyz`: unit quaternions body -> reference, shape ``(N, 4)``
+    `rates`: where to resolve the rates: ``"body"`` or ``"inertial"``
+    `Returns`: Shape ``(N - 1, 3)``, rad/s: row k holds from sample k to sample k + 1
 
     References
     ----------
@@ -168,15 +120,7 @@ def rates_between(t_ns: Int64, wxyz: ArrayLike, *, rates: str = "body") -> Float
 def rotation_vectors_between(wxyz: ArrayLike, *, rates: str = "body") -> Float64:
     """Return the rotation vectors from each attitude to the next, the shorter way round.
 
-    Parameters
-    ----------
-    wxyz, rates
-        As for :func:`rates_between`.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(N - 1, 3)``, rad.
+    `Returns`: Shape ``(N - 1, 3)``, rad
     """
     q = np.asarray(wxyz, dtype=np.float64)
     before, after = q[:-1], q[1:]

@@ -36,15 +36,7 @@ PIECE = 1 << 17
 
 
 def every(series: Iterable[AttitudeSeries], step: int) -> Iterator[AttitudeSeries]:
-    """Yield every N-th attitude, beginning with the first.
-
-    Parameters
-    ----------
-    series
-        Attitudes in batches; the result does not depend on where they end.
-    step
-        N, at least 1.
-    """
+    """Yield every N-th attitude, beginning with the first."""
     count = 0
     for batch in series:
         chosen = batch[-count % step :: step]
@@ -63,10 +55,7 @@ MAX_PER_SAMPLE = 10_000
 class Steady:
     """A fixed number of times a second, counted from the first sample.
 
-    Parameters
-    ----------
-    rate
-        Times a second, Hz. The k-th time is k / rate, rounded to the nearest ns, without drift.
+    `rate`: times a second, Hz. The k-th time is k / rate, rounded to the nearest ns, without drift
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -75,15 +64,7 @@ class Steady:
         self._next = 0
 
     def up_to(self, first_ns: int, last_ns: int) -> Iterator[Int64]:
-        """Yield the wanted times from the last call's `last_ns` on, up to and with this one.
-
-        Parameters
-        ----------
-        first_ns
-            The first sample of the segment; earlier times have no attitude.
-        last_ns
-            The last sample read so far.
-        """
+        """Yield the wanted times from the last call's `last_ns` on, up to and with this one."""
         if self._origin is None:
             self._origin = first_ns
         first = max(self._next, regular_count(first_ns - self._origin - 1, self._rate))
@@ -92,14 +73,7 @@ class Steady:
             yield self._origin + regular_stamps(start, min(start + PIECE, stop), self._rate)
 
     def refuse_excess(self, t_ns: Int64) -> None:
-        """Refuse samples between which too many times lie: one of their stamps must be wrong.
-
-        Raises
-        ------
-        UsageError
-            An interval holds more than :data:`MAX_ROWS` times, or the block more than that and
-            than :data:`MAX_PER_SAMPLE` for each sample.
-        """
+        """Refuse samples between which too many times lie: one of their stamps must be wrong."""
         if len(t_ns) < 2:  # noqa: PLR2004  # ends of an interval
             return
         longest = int(np.argmax(np.diff(t_ns)))
@@ -124,10 +98,7 @@ class Steady:
 class Listed:
     """Times that are given.
 
-    Parameters
-    ----------
-    t_ns
-        Stamps, shape ``(N,)``, int64 ns, in order.
+    `t_ns`: Stamps, shape ``(N,)``, int64 ns, in order
     """
 
     def __init__(self, t_ns: Int64) -> None:
@@ -164,21 +135,7 @@ def at_times(
 ) -> Iterator[AttitudeSeries]:
     """Yield attitudes at the wanted times of one segment.
 
-    Parameters
-    ----------
-    propagated
-        The samples in order of time, batch by batch, with their attitudes.
-    times
-        When attitudes are wanted.
-    method, rates
-        How they were propagated.
-    gap_limit_ns
-        In intervals longer than this no rotation is assumed; None: in none.
-
-    Yields
-    ------
-    AttitudeSeries
-        Attitudes at the wanted times between the first sample and the last; none elsewhere.
+    `gap_limit_ns`: in intervals longer than this no rotation is assumed; None: in none
     """
     first_ns = None
     last: tuple[GyroSeries, AttitudeSeries] | None = None

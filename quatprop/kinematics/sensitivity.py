@@ -34,15 +34,7 @@ NEXT_BETTER: Final = {
 class Sensitivity:
     """The final attitudes that another method, and every second sample, lead to.
 
-    Parameters
-    ----------
-    q0, method, rates
-        As for :class:`quatprop.kinematics.propagate.Propagation`.
-
-    Attributes
-    ----------
-    next_method
-        The method that is compared; known when the first samples have passed.
+    `next_method`: the method that is compared; known when the first samples have passed
     """
 
     def __init__(self, q0: Float64, method: str, rates: str) -> None:
@@ -80,15 +72,7 @@ class Sensitivity:
     def angles(self, final: ArrayLike) -> tuple[float, float]:
         """Return how far the final attitude is from those of the others, rad.
 
-        Parameters
-        ----------
-        final
-            The attitude at the last sample by the method itself, wxyz, shape ``(4,)``.
-
-        Returns
-        -------
-        method_rad, sampling_rad : float
-            From that of the next better method, and from that of every second sample.
+        `final`: the attitude at the last sample by the method itself, wxyz, shape ``(4,)``
         """
         method_rad, sampling_rad = geodesic_angle(np.asarray(final), np.array(self._ends)).tolist()
         return method_rad, sampling_rad

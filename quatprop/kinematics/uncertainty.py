@@ -56,16 +56,11 @@ the mean of both ends; the mean is off by the square of the angle / 12."""
 class SensorErrors(NamedTuple):
     """Standard deviations of what is wrong with a gyroscope, the same on all axes.
 
-    Parameters
-    ----------
-    noise_density
-        Angle random walk N, the density of white noise, rad/s/sqrt(Hz), which is rad/sqrt(s).
-    bias_sigma
-        Constant bias, rad/s.
-    random_walk
-        Rate random walk K of the bias, rad/s^2/sqrt(Hz), which is rad/s/sqrt(s).
-    scale_sigma
-        Scale factors, a ratio.
+    `noise_density`: angle random walk N, the density of white noise, rad/s/sqrt(Hz), which is
+        rad/sqrt(s)
+    `bias_sigma`: Constant bias, rad/s
+    `random_walk`: Rate random walk K of the bias, rad/s^2/sqrt(Hz), which is rad/s/sqrt(s)
+    `scale_sigma`: Scale factors, a ratio
     """
 
     noise_density: float = 0.0
@@ -77,23 +72,13 @@ class SensorErrors(NamedTuple):
 class ErrorGrowth:
     """The covariance of the attitude, sample by sample.
 
-    Parameters
-    ----------
-    errors
-        Of the gyroscope.
-    rates
-        ``"body"`` or ``"inertial"``: the axes in which rates and their errors are resolved.
-    method
-        The integration rule: which samples a scale factor acts on in an interval.
-    mount
-        Sensor axes to body axes, shape ``(3, 3)``, for scale factors; None where they are the same.
-
-    Attributes
-    ----------
-    final
-        The covariance at the last sample so far, shape ``(3, 3)``, rad^2.
-    variances
-        What each error, by its name in :class:`SensorErrors`, adds to its trace, rad^2.
+    `errors`: of the gyroscope
+    `rates`: ``"body"`` or ``"inertial"``: the axes in which rates and their errors are resolved
+    `method`: the integration rule: which samples a scale factor acts on in an interval
+    `mount`: Sensor axes to body axes, shape ``(3, 3)``, for scale factors; None where they are the
+        same
+    `final`: the covariance at the last sample so far, shape ``(3, 3)``, rad^2
+    `variances`: what each error, by its name in :class:`SensorErrors`, adds to its trace, rad^2
 
     Notes
     -----
@@ -130,20 +115,9 @@ class ErrorGrowth:
     def advance(self, gyro: GyroSeries, wxyz: Float64, *, to_end: bool = False) -> Float64:
         """Return the covariance of the next attitudes.
 
-        Parameters
-        ----------
-        gyro
-            Samples that follow the last ones.
-        wxyz
-            Their attitudes, body -> reference, shape ``(N, 4)``.
-        to_end
-            Return that of the last of them only, for less work.
-
-        Returns
-        -------
-        ndarray
-            Covariances of small rotations about body axes, shape ``(N, 3, 3)`` or ``(1, 3, 3)``,
-            rad^2.
+        `wxyz`: their attitudes, body -> reference, shape ``(N, 4)``
+        `Returns`: Covariances of small rotations about body axes, shape ``(N, 3, 3)`` or ``(1, 3,
+            3)``, rad^2
         """
         self._rows = slice(-1, None) if to_end else slice(None)
         covariance = np.zeros((3, 3, 1 if to_end else len(gyro)))
@@ -286,12 +260,8 @@ def _with_previous(values: Float64, last: Float64) -> Float64:
 def reference_covariance(wxyz: Float64, covariance: Float64) -> Float64:
     """Return covariances of rotations about body axes as of rotations about reference axes.
 
-    Parameters
-    ----------
-    wxyz
-        Attitudes body -> reference, shape ``(N, 4)``.
-    covariance
-        Shape ``(N, 3, 3)``, rad^2.
+    `wxyz`: attitudes body -> reference, shape ``(N, 4)``
+    `covariance`: shape ``(N, 3, 3)``, rad^2
     """
     turn = rotation_matrix(wxyz)
     turned = np.asarray(turn @ covariance @ turn.swapaxes(-1, -2))

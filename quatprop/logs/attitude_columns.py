@@ -26,14 +26,7 @@ if TYPE_CHECKING:
 def match_attitudes(table: Table, selection: AttitudeSelection, recorded: str | None) -> Match:
     """Return the columns of the attitude, a quaternion before any other rotation.
 
-    Parameters
-    ----------
-    table
-        The file.
-    selection
-        What the user chose.
-    recorded
-        The layout, where the metadata of the file declare it.
+    `recorded`: the layout, where the metadata of the file declare it
     """
     try:
         match = match_quaternion(table, selection, recorded)
@@ -63,15 +56,6 @@ def match_quaternion(
 
     The layout comes from the names of the columns, from the metadata of the file, or from the
     user; where two of these contradict each other nothing is read.
-
-    Raises
-    ------
-    NoAttitudesError
-        No columns look like a quaternion and the user names none.
-    UndeclaredError
-        The order, the time or its unit is not declared, or there are several quaternions.
-    UsageError
-        The user names what is not there; or names, metadata and user contradict each other.
     """
     layout = selection.from_layout and layout_named(selection.from_layout).name
     matcher = ColumnMatcher(table, selection, "quat_cols", QUATERNION_PARTS)
@@ -164,13 +148,6 @@ def match_rotation(table: Table, selection: AttitudeSelection) -> Match | None:
     """Return which columns hold the time and a rotation that is no quaternion.
 
     None where no columns look like one.
-
-    Raises
-    ------
-    UndeclaredError
-        The unit, the time or its unit is not declared, or there are several rotations.
-    UsageError
-        The user contradicts the names.
     """
     chosen, named = selection.from_euler, selection.quat_cols
     matches = _matches(table, selection, _rotations(chosen))

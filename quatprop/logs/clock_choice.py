@@ -101,13 +101,7 @@ class ClockMatcher(TableColumns):
         return [c for c in found if distance(c) == nearest[c.rank, c.place]]
 
     def best(self, found: list[Clock]) -> Clock:
-        """Return the best clock that moves, and note what another one says.
-
-        Raises
-        ------
-        UndeclaredError
-            Two that are as good as each other differ, or may.
-        """
+        """Return the best clock that moves, and note what another one says."""
         found = [self._with_fraction(clock) for clock in sorted(found, key=goodness)]
         fractions = {k for clock in found for k in clock.columns[1:]}
         found = [clock for clock in found if clock.columns[0] not in fractions]

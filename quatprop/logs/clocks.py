@@ -38,15 +38,10 @@ TIME = r"(?:t|ts|time|timestamp|time_?stamp|stamp)"
 class ClockName(NamedTuple):
     """How sources name a clock.
 
-    Parameters
-    ----------
-    pattern
-        Regular expression for whole keys of columns. A group ``of`` is the beginning of the name
-        of what was sampled: of other sensors, the clock is not that of the rates.
-    rank
-        One of the ranks above.
-    unit
-        The unit that the name implies where nothing declares one.
+    `pattern`: Regular expression for whole keys of columns. A group ``of`` is the beginning of the
+        name of what was sampled: of other sensors, the clock is not that of the rates
+    `rank`: one of the ranks above
+    `unit`: the unit that the name implies where nothing declares one
     """
 
     pattern: str
@@ -96,18 +91,11 @@ INDEX = r"(?:.*[._])?(?:frame|index|idx|count|samples?|n|no|num|number)"
 class Clock(NamedTuple):
     """A column that may be the time, or those of its seconds and their fraction.
 
-    Parameters
-    ----------
-    columns
-        Where they are.
-    rank, place
-        How good it is, and which of those of its rank.
-    units
-        The unit of each column; ``""`` where nothing declares it.
-    zoned
-        Whether its text has offsets from UTC.
-    offset_ns
-        The offset of local text that the header states, ns.
+    `columns`: where they are
+    `rank`, `place`: how good it is, and which of those of its rank
+    `units`: the unit of each column; ``""`` where nothing declares it
+    `zoned`: whether its text has offsets from UTC
+    `offset_ns`: the offset of local text that the header states, ns
     """
 
     columns: tuple[int, ...]
@@ -120,13 +108,6 @@ class Clock(NamedTuple):
 
 def named_clock(key: str, keys: Iterable[str]) -> tuple[int, str, int] | None:
     """Return rank, implied unit and place of a column by its key; None where it is no clock.
-
-    Parameters
-    ----------
-    key
-        Of the column.
-    keys
-        Those of what was sampled.
 
     Examples
     --------
@@ -161,13 +142,6 @@ def first_times(cells: Sequence[Sequence[object]], clock: Clock) -> Float64 | No
     """Return the times of the first rows, ns; NaN where there is none, None if they are unknown.
 
     Floats are enough to compare them.
-
-    Parameters
-    ----------
-    cells
-        Of each of the clock's columns.
-    clock
-        Which it is.
     """
     if not all(unit in NS_PER_UNIT for unit in clock.units):
         return None
@@ -211,14 +185,9 @@ def stands_still(times: Float64 | None) -> bool:
 class Difference(NamedTuple):
     """How another clock differs from the one that is used, ns.
 
-    Parameters
-    ----------
-    constant_ns
-        By how much it is ahead, usually.
-    largest_ns
-        How far it is off that at most.
-    is_offset
-        Whether the constant is that of local time from UTC.
+    `constant_ns`: by how much it is ahead, usually
+    `largest_ns`: how far it is off that at most
+    `is_offset`: whether the constant is that of local time from UTC
     """
 
     constant_ns: int

@@ -26,12 +26,7 @@ if TYPE_CHECKING:
 class TableColumns:
     """The columns of a table, and what is declared about them.
 
-    Parameters
-    ----------
-    table
-        The table.
-    selection
-        What the user chose.
+    `selection`: what the user chose
     """
 
     def __init__(self, table: Table, selection: SignalSelection) -> None:
@@ -87,21 +82,9 @@ class TableColumns:
     ) -> str:
         """Return the unit of columns from user, header or convention.
 
-        Parameters
-        ----------
-        quantity
-            ``"rate"`` or ``"time"``.
-        positions
-            The columns.
-        units
-            The units that there are.
-        convention
-            The unit by convention, ``""`` where there is none.
-
-        Returns
-        -------
-        str
-            ``""`` where nothing declares it, which :meth:`timed_and_named` then refuses.
+        `quantity`: ``"rate"`` or ``"time"``
+        `units`: the units that there are
+        `convention`: the unit by convention, ``""`` where there is none
         """
         chosen: str | None = getattr(self.selection, f"{quantity}_unit")
         stated = {k: self.declared((k,)) or convention for k in positions}

@@ -29,16 +29,9 @@ if TYPE_CHECKING:
 class ColumnMatcher(TimeMatcher):
     """Finds the columns of one quantity in a table.
 
-    Parameters
-    ----------
-    table
-        The table.
-    selection
-        What the user chose.
-    setting
-        The setting that names the columns of the quantity, such as ``"rate_cols"``.
-    parts
-        For each component, how patterns spell it, with ``|`` between spellings.
+    `selection`: what the user chose
+    `setting`: the setting that names the columns of the quantity, such as ``"rate_cols"``
+    `parts`: for each component, how patterns spell it, with ``|`` between spellings
     """
 
     def __init__(
@@ -82,15 +75,7 @@ class ColumnMatcher(TimeMatcher):
         return GENERIC
 
     def only_set(self, sets: Sequence[Positions], quantity: str, component: str) -> Positions:
-        """Return the only set; refuse several.
-
-        Parameters
-        ----------
-        sets
-            At least one.
-        quantity, component
-            What each of them is, and what its first column is called.
-        """
+        """Return the only set; refuse several."""
         if len(sets) > 1:
             names = [self.columns[positions[0]].text for positions in sets]
             if len(set(names)) < len(names):

@@ -22,16 +22,10 @@ if TYPE_CHECKING:
 class Found(NamedTuple):
     """A quantity that a table seems to have; nothing was read of it yet.
 
-    Parameters
-    ----------
-    table, row
-        Where it is, and what its columns are by the vocabulary.
-    part
-        The part of the table.
-    sets
-        Its components in order; several where a message has many samples, the oldest first.
-    field
-        Its name, as the settings ``rate_field`` and ``quat_field`` take it.
+    `table`, `row`: where it is, and what its columns are by the vocabulary
+    `part`: the part of the table
+    `sets`: its components in order; several where a message has many samples, the oldest first
+    `field`: its name, as the settings ``rate_field`` and ``quat_field`` take it
     """
 
     table: Table
@@ -44,28 +38,19 @@ class Found(NamedTuple):
 class Match(NamedTuple):
     """A quantity of a table with all that is needed to read it.
 
-    Parameters
-    ----------
-    found
-        Where it is.
-    stamp
-        Its time.
-    factor
-        What stored numbers are multiplied by.
-    marks
-        The column that is -1, or of a bias false, where the quantity is absent; empty if there is
-        none.
-    remarks
-        What the user should know of the choice.
-    unit
-        ``"rad/s"`` or ``"deg/s"`` of rates, ``"rad"`` or ``"deg"`` of angles, ``""`` of the rest.
-    representation
-        Of an attitude: ``"quaternion"``, ``"rotvec"``, ``"matrix"``, ``"euler-zyx"`` and the like.
-    layout
-        ``"scalar-first"`` or ``"scalar-last"`` as it is stored; ``""`` where names say which is
-        which.
-    is_named
-        Whether the user names a rate, which is then read where it is marked as absent, too.
+    `found`: where it is
+    `stamp`: its time
+    `factor`: what stored numbers are multiplied by
+    `marks`: the column that is -1, or of a bias false, where the quantity is absent; empty if there
+        is none
+    `remarks`: what the user should know of the choice
+    `unit`: ``"rad/s"`` or ``"deg/s"`` of rates, ``"rad"`` or ``"deg"`` of angles, ``""`` of the
+        rest
+    `representation`: of an attitude: ``"quaternion"``, ``"rotvec"``, ``"matrix"``, ``"euler-zyx"``
+        and the like
+    `layout`: ``"scalar-first"`` or ``"scalar-last"`` as it is stored; ``""`` where names say which
+        is which
+    `is_named`: whether the user names a rate, which is then read where it is marked as absent, too
     """
 
     found: Found
@@ -122,14 +107,7 @@ def sets_of(
 
     Where a name comes up twice there are two sets.
 
-    Parameters
-    ----------
-    table, part
-        Where the columns are.
-    components
-        How the group ``part`` of the pattern spells each, with ``|`` between spellings.
-    pattern
-        As in a row of the vocabulary.
+    `components`: how the group ``part`` of the pattern spells each, with ``|`` between spellings
     """
     number = {own: k for k, spellings in enumerate(components) for own in spellings.split("|")}
     found: dict[str, dict[int, list[int]]] = {}
@@ -150,19 +128,7 @@ def sets_of(
 def find(table: Table, quantity: str, field: str | None = None) -> list[Found]:
     """Return what a table has of a quantity: by its types, or at a field that is named.
 
-    Parameters
-    ----------
-    table
-        A topic.
-    quantity
-        ``"rate"``, ``"quat"``, ``"bias"`` or ``"force"``.
-    field
-        Dotted path of a rate, or several with commas between them, or of a quaternion.
-
-    Raises
-    ------
-    SchemaError
-        The definition of a recognised type cannot be read, or the field is not of this quantity.
+    `quantity`: ``"rate"``, ``"quat"``, ``"bias"`` or ``"force"``
     """
     if field is not None:
         return _named(table, quantity, field)

@@ -28,19 +28,7 @@ if TYPE_CHECKING:
 
 
 def match_rates(table: Table, selection: RateSelection) -> Match:
-    """Return which columns hold time and rates, and their units.
-
-    Raises
-    ------
-    NoRatesError
-        No columns look like body rates and the user names none.
-    UndeclaredError
-        A unit, the time, or one of several sets is declared neither by the header nor by the user.
-    UnsupportedLogError
-        The header declares a unit that is not supported.
-    UsageError
-        The user names what is not there, or contradicts the header.
-    """
+    """Return which columns hold time and rates, and their units."""
     matcher = ColumnMatcher(table, selection, "rate_cols", RATE_PARTS)
     row = matcher.row("rate")
     by_row = matcher.sets(row.rate)
@@ -97,15 +85,7 @@ def _bare_sets(matcher: ColumnMatcher) -> list[Group]:
 
 
 def match_bias(table: Table) -> Match:
-    """Return which columns hold time and the biases of a gyroscope, and their units.
-
-    Raises
-    ------
-    UndeclaredError
-        The time, or one of several sets, is not declared.
-    UsageError
-        No columns look like biases, or their unit is not declared.
-    """
+    """Return which columns hold time and the biases of a gyroscope, and their units."""
     matcher = ColumnMatcher(table, RateSelection(), "rate_cols", RATE_PARTS)
     matcher.may_choose_series = False
     row = matcher.row("bias")

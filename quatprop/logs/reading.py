@@ -104,11 +104,6 @@ def refuse_marked(match: Match) -> None:
     """Refuse finite rates that are all marked as absent, unless they are named.
 
     Drivers mark what they do measure, too: every /gps/imu of NovAtel's has finite rates beside -1.
-
-    Raises
-    ------
-    TimelineError
-        They are, and the sentence names the setting that reads them.
     """
     if match.is_named or not match.marks:
         return

@@ -11,14 +11,9 @@ if TYPE_CHECKING:
 class Burst(NamedTuple):
     """Columns that say how many samples a message holds; its stamp is that of the last one.
 
-    Parameters
-    ----------
-    samples
-        How many elements of the three arrays are samples, the oldest first.
-    scale
-        What the stored numbers are multiplied by.
-    spacing
-        The time between samples, in the unit of the row's stamps.
+    `samples`: how many elements of the three arrays are samples, the oldest first
+    `scale`: what the stored numbers are multiplied by
+    `spacing`: the time between samples, in the unit of the row's stamps
     """
 
     samples: str
@@ -29,52 +24,34 @@ class Burst(NamedTuple):
 class Row(NamedTuple):
     """How one source names its columns, and what its numbers are.
 
-    Parameters
-    ----------
-    name
-        What summaries call it; ``""`` where files have other names than messages, as of ROS.
-    types
-        The message types, as ROS spells them.
-    rate, quat, bias, force
-        Patterns of the components of a rate, a quaternion, a gyroscope's bias, a specific force.
-    stamps
-        Its time, the best first: times, or numbers in the `time_unit`. In a file a column ``sec``
-        or ``secs`` has its nanoseconds in a column beside it.
-    unit
-        Of the rate and the bias; ``""`` where names must declare it.
-    time_unit
-        ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; ``""`` where times say it themselves.
-    absent
-        What follows the name of a quantity in that of a column that is -1 where it is absent.
-    valid
-        The column that is false where a bias is not valid.
-    position
-        Pattern of the components of the position that belongs to the quaternion, m.
-    covariance
-        Pattern of the 9 or 36 numbers of the quaternion's covariance about the axes of the
-        reference frame, rad^2; of 36 the last block counts.
-    layout
-        ``"scalar-first"`` or ``"scalar-last"`` of a quaternion whose components have no names.
-    frames
-        Which frames the quaternion relates, where the type fixes them.
-    measured
-        Whether a gyroscope measured the rate; what is estimated or commanded does not compete.
-    method
-        The integration rule that fits the rate, where its definition says what samples are:
-        ``"end"`` for averages over the interval that ends at the stamp.
-    span
-        The integration time of the sensor, in the `time_unit`, where the rate is an increment, rad,
-        over the interval that ends at the stamp.
-    burst
-        Where a message has many samples; the pattern of the rate is that of all their components.
-    angles, angle_unit
-        Pattern of Euler angles, and their unit where names do not declare it.
-    needs
-        Further columns, or the first line, by which a file is recognised.
-    file
-        Pattern found in the name of a file, where columns alone are not enough.
-    log_time
-        The column of the time of recording, if a file has one beside the message's own stamp.
+    `name`: what summaries call it; ``""`` where files have other names than messages, as of ROS
+    `types`: the message types, as ROS spells them
+    `rate`, `quat`, `bias`, `force`: Patterns of the components of a rate, a quaternion, a
+        gyroscope's bias, a specific force
+    `stamps`: its time, the best first: times, or numbers in the `time_unit`. In a file a column
+        ``sec`` or ``secs`` has its nanoseconds in a column beside it
+    `unit`: of the rate and the bias; ``""`` where names must declare it
+    `time_unit`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; ``""`` where times say it themselves
+    `absent`: what follows the name of a quantity in that of a column that is -1 where it is absent
+    `valid`: the column that is false where a bias is not valid
+    `position`: Pattern of the components of the position that belongs to the quaternion, m
+    `covariance`: Pattern of the 9 or 36 numbers of the quaternion's covariance about the axes of
+        the reference frame, rad^2; of 36 the last block counts
+    `layout`: ``"scalar-first"`` or ``"scalar-last"`` of a quaternion whose components have no names
+    `frames`: which frames the quaternion relates, where the type fixes them
+    `measured`: whether a gyroscope measured the rate; what is estimated or commanded does not
+        compete
+    `method`: the integration rule that fits the rate, where its definition says what samples are:
+        ``"end"`` for averages over the interval that ends at the stamp
+    `span`: the integration time of the sensor, in the `time_unit`, where the rate is an increment,
+        rad, over the interval that ends at the stamp
+    `burst`: where a message has many samples; the pattern of the rate is that of all their
+        components
+    `angles`, `angle_unit`: Pattern of Euler angles, and their unit where names do not declare it
+    `needs`: further columns, or the first line, by which a file is recognised
+    `file`: Pattern found in the name of a file, where columns alone are not enough
+    `log_time`: the column of the time of recording, if a file has one beside the message's own
+        stamp
     """
 
     name: str = ""

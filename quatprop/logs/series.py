@@ -42,12 +42,8 @@ _ABSENT = {"", "nan", "none", "null", "<na>"}
 class Labels(NamedTuple):
     """What a column has in the first rows.
 
-    Parameters
-    ----------
-    cells
-        Its text, row by row.
-    kinds
-        Its different labels, sorted; none where it has none.
+    `cells`: its text, row by row
+    `kinds`: its different labels, sorted; none where it has none
     """
 
     cells: tuple[str, ...]
@@ -68,13 +64,6 @@ def labels_of(cells: Sequence[object]) -> Labels:
 
 def take_turns(key: str, cells: Sequence[str]) -> tuple[str, ...]:
     """Return the labels of a column that come back again and again; none where rows are of one.
-
-    Parameters
-    ----------
-    key
-        Of the column.
-    cells
-        Its labels, row by row.
 
     Examples
     --------
@@ -104,14 +93,9 @@ def _may_be_numbered(key: str) -> bool:
 class SeriesChoice:
     """The choice of one of the series of a table.
 
-    Parameters
-    ----------
-    table
-        Its columns, and what the user chose.
-    numbers
-        The columns that are read.
-    other
-        Columns that are read too, and hold no labels.
+    `table`: its columns, and what the user chose
+    `numbers`: the columns that are read
+    `other`: columns that are read too, and hold no labels
     """
 
     def __init__(
@@ -131,15 +115,7 @@ class SeriesChoice:
         self._labels: dict[int, Labels] = {}
 
     def chosen(self) -> Series:
-        """Return the columns and labels of the rows to read; none where all are of one series.
-
-        Raises
-        ------
-        UndeclaredError
-            There are several, and none or too few are chosen.
-        UsageError
-            The series that is chosen is not there.
-        """
+        """Return the columns and labels of the rows to read; none where all are of one series."""
         if not self._candidates and self._wanted is None:
             return ()
         self._labels = self._read_labels(self._candidates)

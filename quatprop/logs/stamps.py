@@ -57,15 +57,6 @@ def choose_stamp(found: Found, selection: SignalSelection) -> tuple[Stamp, tuple
     """Return the time to read, and remarks: as selected, else a stamp, else the log time.
 
     Of several stamps it is the best that was set: one that is zero in all rows was not.
-
-    Raises
-    ------
-    UsageError
-        A header stamp or a publish time is asked for and there is none.
-    UndeclaredError
-        The unit of a time field is not declared.
-    TimelineError
-        All stamps are zero.
     """
     table = found.table
     stamps = stamps_of(found)
@@ -120,14 +111,8 @@ def _named_stamp(table: Table, place: str, unit: str | None) -> Stamp:
 def are_all(batches: Iterable[AnyArray], value: object, limit: int | None = None) -> bool:
     """Tell whether several rows all have one value; reads up to the first other one.
 
-    Parameters
-    ----------
-    batches
-        Rows, shape ``(N, ...)``.
-    value
-        What each is compared with.
-    limit
-        So many rows are enough; None is all.
+    `batches`: Rows, shape ``(N, ...)``
+    `limit`: So many rows are enough; None is all
     """
     count = 0
     for rows in batches:

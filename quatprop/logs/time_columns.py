@@ -38,14 +38,9 @@ _NO_COLUMN = "none"
 class TimeSource(NamedTuple):
     """Where the time of each row comes from.
 
-    Parameters
-    ----------
-    columns
-        Those of the stamps or of the counter; none where rows are counted.
-    sample_rate
-        Samples a second, Hz, where they are counted.
-    implied_unit
-        The unit by convention; ``""`` where there is none.
+    `columns`: Those of the stamps or of the counter; none where rows are counted
+    `sample_rate`: samples a second, Hz, where they are counted
+    `implied_unit`: the unit by convention; ``""`` where there is none
     """
 
     columns: tuple[int, ...] = ()
@@ -56,14 +51,8 @@ class TimeSource(NamedTuple):
 class TimeMatcher(ClockMatcher):
     """Finds the time of some columns of a table.
 
-    Parameters
-    ----------
-    table
-        The table.
-    selection
-        What the user chose.
-    setting
-        The setting that names the columns, such as ``"rate_cols"``.
+    `selection`: what the user chose
+    `setting`: the setting that names the columns, such as ``"rate_cols"``
     """
 
     def __init__(self, table: Table, selection: SignalSelection, setting: str) -> None:
@@ -72,15 +61,7 @@ class TimeMatcher(ClockMatcher):
         self.counted = "the rows"
 
     def stamp(self, numbers: Positions, row: Row) -> tuple[Stamp, Table]:
-        """Return the time of some columns, which may be a sample rate, and the rows to read.
-
-        Raises
-        ------
-        UndeclaredError
-            A unit or the time is not declared.
-        UsageError
-            The time is one of the columns.
-        """
+        """Return the time of some columns, which may be a sample rate, and the rows to read."""
         time, sample_rate, implied = self._time(row, numbers)
         series = SeriesChoice(self, numbers, time).chosen()
         if both := set(numbers) & set(time):
@@ -258,13 +239,7 @@ class TimeMatcher(ClockMatcher):
     def _note_unused_counters(
         self, numbers: Positions, counter: Positions, sample_rate: Fraction | float
     ) -> None:
-        """Note what else may count samples where rows are counted.
-
-        Raises
-        ------
-        UndeclaredError
-            A counter passes over numbers, and nothing tells which of them are samples.
-        """
+        """Note what else may count samples where rows are counted."""
         if counter:
             return
         rate = Setting("sample_rate", f"{float(sample_rate):g}")

@@ -50,20 +50,9 @@ def _identifiers(block: MessageBlock) -> Int64:
 class BinaryDecoder:
     """Takes the same fields out of every message of a channel.
 
-    Parameters
-    ----------
-    channel
-        Whose messages, with their definition.
-    field_paths
-        Dotted paths of the wanted fields; a struct or fixed array of equal numbers is one column
-        of rows.
-    path
-        The log, for errors.
-
-    Raises
-    ------
-    SchemaError
-        The definition cannot be read, has no such fields, or they are not numbers.
+    `channel`: Whose messages, with their definition
+    `field_paths`: Dotted paths of the wanted fields; a struct or fixed array of equal numbers is
+        one column of rows
     """
 
     def __init__(self, channel: Channel, field_paths: Sequence[str], path: Path | str) -> None:
@@ -84,24 +73,8 @@ class BinaryDecoder:
     def columns(self, block: MessageBlock) -> list[AnyArray]:
         """Return the wanted fields of all messages of a block.
 
-        Parameters
-        ----------
-        block
-            Messages of this channel.
-
-        Returns
-        -------
-        list of ndarray
-            One for each path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`, of the
-            field's own type in native byte order. They may be strided, never views of the block.
-
-        Raises
-        ------
-        MessageError
-            Messages end before a wanted field, or are not encapsulated like the others, in a way
-            that is not read; its `positions` say which of the block.
-        UnsupportedLogError
-            All messages are encapsulated in a way that is not read.
+        `Returns`: One for each path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`, of
+            the field's own type in native byte order. They may be strided, never views of the block
         """
         try:
             return self._columns(block)

@@ -27,10 +27,7 @@ NATIVE = "<" if np.little_endian else ">"
 class TooShortError(Exception):
     """Messages end before what the plan needs.
 
-    Parameters
-    ----------
-    positions
-        Which of the messages, shape ``(K,)``.
+    `positions`: which of the messages, shape ``(K,)``
     """
 
     def __init__(self, positions: Intp) -> None:
@@ -46,18 +43,11 @@ class MixedError(Exception):
 class MessageBytes:
     """Encoded messages of one byte order in one buffer.
 
-    Parameters
-    ----------
-    block
-        The messages, at least one.
-    order
-        Byte order, ``"<"`` or ``">"``.
-    origin
-        Where in each message alignment is counted from.
-    shortest
-        Bytes of the shortest message.
-    stride
-        Bytes from each message to the next where that is always the same, else 0.
+    `block`: the messages, at least one
+    `order`: Byte order, ``"<"`` or ``">"``
+    `origin`: where in each message alignment is counted from
+    `shortest`: bytes of the shortest message
+    `stride`: bytes from each message to the next where that is always the same, else 0
     """
 
     block: MessageBlock
@@ -82,13 +72,7 @@ class MessageBytes:
         return MessageBytes.of(self.block.at(positions), self.order, self.origin)
 
     def require(self, ends: Offsets) -> None:
-        """Check that no message ends before an offset.
-
-        Raises
-        ------
-        TooShortError
-            Some do.
-        """
+        """Check that no message ends before an offset."""
         if isinstance(ends, int) and ends <= self.shortest:
             return
         short = self.block.ends - self.block.starts < ends
@@ -127,26 +111,7 @@ class MessageBytes:
 def follow(plan: Plan, messages: MessageBytes, width: int) -> Columns:
     """Return the columns that a plan takes.
 
-    Parameters
-    ----------
-    plan
-        The plan of the message type.
-    messages
-        Which messages, at least one.
-    width
-        How many columns the plan takes.
-
-    Returns
-    -------
-    list of ndarray
-        Shape ``(N,)`` or ``(N, count)``, native byte order; views of memory of their own.
-
-    Raises
-    ------
-    TooShortError
-        Messages end before a wanted field.
-    MixedError
-        The messages are not all encapsulated like the first.
+    `Returns`: Shape ``(N,)`` or ``(N, count)``, native byte order; views of memory of their own
     """
     columns: Columns = [np.empty(0)] * width
     _walk(plan, messages, 0, columns)

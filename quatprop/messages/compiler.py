@@ -57,22 +57,7 @@ class FieldTree:
 
 @lru_cache(maxsize=256)
 def compile_plan(root: Struct, ways: tuple[Steps, ...], placement: Placement) -> Plan:
-    """Return how to fetch some fields of a message type.
-
-    Parameters
-    ----------
-    root
-        The message type.
-    ways
-        Where the fields are, at least one; each leads to equal numbers.
-    placement
-        The encoding.
-
-    Raises
-    ------
-    NotPlannedError
-        A field of unknown size lies before a wanted one.
-    """
+    """Return how to fetch some fields of a message type."""
     compiler = _Compiler(Extents(placement), itertools.count(), len(ways))
     compiler.begin()
     compiler.walk(root, FieldTree.at(ways))

@@ -51,12 +51,8 @@ class Names(NamedTuple):
 class Cursor:
     """A position in each of several messages, moved together; it differs after names.
 
-    Parameters
-    ----------
-    block, messages
-        Which messages of a block.
-    placement, order
-        How they are encoded, and in which byte order.
+    `block`, `messages`: which messages of a block
+    `placement`, `order`: how they are encoded, and in which byte order
     """
 
     def __init__(
@@ -119,15 +115,7 @@ class Cursor:
 
 
 def cursors_of(channel: Channel, block: MessageBlock, path: Path | str) -> list[Cursor]:
-    """Return a cursor for the messages of each encapsulation in a block.
-
-    Raises
-    ------
-    TooShortError
-        Messages end before their encapsulation does.
-    UnsupportedLogError
-        Messages are encapsulated in a way that is not read.
-    """
+    """Return a cursor for the messages of each encapsulation in a block."""
     if channel.encoding == "ros1":
         return [Cursor(block, np.arange(len(block)), ROS1, "<")]
     short = np.flatnonzero(block.ends - block.starts < XCDR1.header)
@@ -153,16 +141,7 @@ def first_names(
 ) -> list[str]:
     """Return what a string is in the first messages of a block; nothing if it cannot be reached.
 
-    Parameters
-    ----------
-    channel, block
-        Whose messages; the block has at least one.
-    root
-        Their definition.
-    field_path
-        Dotted path of the string, such as ``"imu.header.frame_id"``; through structs only.
-    path
-        The log, for errors.
+    `field_path`: Dotted path of the string, such as ``"imu.header.frame_id"``; through structs only
     """
     try:
         cursor = cursors_of(channel, block.at(np.arange(min(len(block), _FIRST))), path)[0]

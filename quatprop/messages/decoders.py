@@ -31,38 +31,12 @@ class FieldDecoder(Protocol):
     def columns(self, block: MessageBlock) -> list[AnyArray]:
         """Return the wanted fields of all messages of a block.
 
-        Returns
-        -------
-        list of ndarray
-            One for each path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`.
-
-        Raises
-        ------
-        MessageError
-            Messages do not fit; its `positions` say which of the block.
+        `Returns`: One for each path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`
         """
 
 
 def decoder_of(channel: Channel, field_paths: Sequence[str], path: Path | str) -> FieldDecoder:
-    """Return a decoder of some fields.
-
-    Parameters
-    ----------
-    channel
-        Whose messages, with their definition.
-    field_paths
-        Dotted paths of the wanted fields; a struct or array of equal numbers is one column of
-        rows.
-    path
-        The log, for errors.
-
-    Raises
-    ------
-    UnsupportedLogError
-        The encoding is not read, or needs a package that is not installed.
-    SchemaError
-        The definition cannot be read, has no such fields, or they are not numbers.
-    """
+    """Return a decoder of some fields."""
     if channel.encoding not in DECODERS:
         raise UnsupportedLogError(
             path,

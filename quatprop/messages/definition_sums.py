@@ -29,10 +29,8 @@ def definition_of(connection: Mapping[bytes, bytes]) -> bytes | None:
 
     That is its own, or the standard one where its own is damaged; None where neither has it.
 
-    Parameters
-    ----------
-    connection
-        The fields ``type``, ``message_definition`` and ``md5sum``; a sum of ``*`` is of any type.
+    `connection`: the fields ``type``, ``message_definition`` and ``md5sum``; a sum of ``*`` is of
+        any type
     """
     definition = connection[b"message_definition"]
     name, text, stated = (
@@ -58,12 +56,7 @@ def definition_of(connection: Mapping[bytes, bytes]) -> bytes | None:
 def definition_md5(type_name: str, definition: str) -> str | None:
     """Return the MD5 sum of a type and of all types inside it; None where one is not defined.
 
-    Parameters
-    ----------
-    type_name
-        ``package/Name``.
-    definition
-        Of the type, and below it those of the types inside it.
+    `type_name`: ``package/Name``
 
     Examples
     --------

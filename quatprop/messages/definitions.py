@@ -91,20 +91,7 @@ _FIELD = re.compile(
 
 
 def message_type(channel: Channel, path: Path | str) -> Struct:
-    """Return the type of a channel's messages.
-
-    Parameters
-    ----------
-    channel
-        With its definition, or without one if its type is a standard one.
-    path
-        The log, for errors.
-
-    Raises
-    ------
-    SchemaError
-        The definition cannot be read, or there is none.
-    """
+    """Return the type of a channel's messages."""
     if channel.encoding not in GRAMMARS and not (channel.type_name or channel.schema.strip()):
         raise SchemaError(
             path,

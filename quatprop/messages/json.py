@@ -57,18 +57,7 @@ AXES = ("x", "y", "z", "w")
 
 
 def message_type(channel: Channel) -> Struct:
-    """Return the type of a channel's messages, from its sample.
-
-    Parameters
-    ----------
-    channel
-        Its sample; without one its messages have no fields.
-
-    Raises
-    ------
-    BadDefinitionError
-        The sample is not a JSON object.
-    """
+    """Return the type of a channel's messages, from its sample."""
     if not channel.sample:
         return Struct(channel.type_name, ())
     try:
@@ -146,16 +135,6 @@ class JsonDecoder(ValueDecoder):
 
     A number that is a column of its own may be a time: it is kept exact, as a decimal. Rates that
     are null or missing are NaN.
-
-    Parameters
-    ----------
-    channel, field_paths, path
-        As for :class:`quatprop.messages.values.ValueDecoder`.
-
-    Raises
-    ------
-    SchemaError
-        There are no such fields, they are not numbers, or their order is not defined.
     """
 
     def __init__(self, channel: Channel, field_paths: Sequence[str], path: Path | str) -> None:

@@ -20,15 +20,10 @@ from quatprop.messages.schema import Array, Primitive, Struct, Type
 class Placement(NamedTuple):
     """How an encoding places its values.
 
-    Parameters
-    ----------
-    header
-        Bytes before the origin of alignment.
-    alignment
-        Largest alignment, bytes; 1 is packed.
-    delimited
-        Whether collections of strings or structs are preceded by their size in bytes, in which
-        writers differ.
+    `header`: bytes before the origin of alignment
+    `alignment`: Largest alignment, bytes; 1 is packed
+    `delimited`: whether collections of strings or structs are preceded by their size in bytes, in
+        which writers differ
     """
 
     header: int
@@ -44,10 +39,7 @@ XCDR2 = Placement(4, 4, delimited=True)
 class Extents:
     """Alignments and sizes of the parts of a definition, each computed once.
 
-    Parameters
-    ----------
-    placement
-        The encoding.
+    `placement`: the encoding
     """
 
     def __init__(self, placement: Placement) -> None:
@@ -71,15 +63,7 @@ class Extents:
         return 0
 
     def size(self, kind: Type, begin: int) -> int:
-        """Return the bytes of a value of fixed size, with the padding before it.
-
-        Parameters
-        ----------
-        kind
-            Its type.
-        begin
-            Where the value before it ends, bytes from the origin of alignment.
-        """
+        """Return the bytes of a value of fixed size, with the padding before it."""
         return self._size_from(kind, begin % 8)
 
     def _size(self, kind: Type, begin: int) -> int:

@@ -23,16 +23,10 @@ ENCAPSULATION = -2
 class Piece(NamedTuple):
     """Numbers within a window.
 
-    Parameters
-    ----------
-    column
-        Number of the column.
-    offset
-        Where in the window, bytes.
-    number
-        Their type.
-    length
-        How many, or None for a single number (which is not a row of one).
+    `column`: number of the column
+    `offset`: where in the window, bytes
+    `number`: their type
+    `length`: how many, or None for a single number (which is not a row of one)
     """
 
     column: int
@@ -49,14 +43,9 @@ class Piece(NamedTuple):
 class Window(NamedTuple):
     """Bytes fetched at once.
 
-    Parameters
-    ----------
-    offset
-        Where it begins, bytes from the beginning of the segment.
-    size
-        Bytes.
-    pieces
-        What is in it.
+    `offset`: where it begins, bytes from the beginning of the segment
+    `size`: Bytes
+    `pieces`: what is in it
     """
 
     offset: int
@@ -67,13 +56,9 @@ class Window(NamedTuple):
 class Skip(NamedTuple):
     """Move over the counted elements, of fixed size.
 
-    Parameters
-    ----------
-    first
-        Bytes of the first element, with the padding before it, by where the count ended modulo 8;
-        None where it takes as many as the others.
-    further
-        Bytes of every other element.
+    `first`: bytes of the first element, with the padding before it, by where the count ended modulo
+        8; None where it takes as many as the others
+    `further`: bytes of every other element
     """
 
     first: tuple[int, ...] | None
@@ -83,12 +68,8 @@ class Skip(NamedTuple):
 class Repeat(NamedTuple):
     """Move over elements of varying size, one after another in all messages at once.
 
-    Parameters
-    ----------
-    element
-        The plan of one element.
-    length
-        How many there are; None where the message counts them.
+    `element`: the plan of one element
+    `length`: how many there are; None where the message counts them
     """
 
     element: Plan
@@ -98,18 +79,11 @@ class Repeat(NamedTuple):
 class Segment(NamedTuple):
     """A run of fixed size, and how to reach the next segment.
 
-    Parameters
-    ----------
-    alignment
-        The segment begins at the next multiple of this.
-    windows
-        What to fetch.
-    reach
-        Bytes that every message must have from the beginning of the segment on.
-    size
-        Bytes to move on before `ending`.
-    ending
-        How to move on from there.
+    `alignment`: the segment begins at the next multiple of this
+    `windows`: what to fetch
+    `reach`: bytes that every message must have from the beginning of the segment on
+    `size`: bytes to move on before `ending`
+    `ending`: how to move on from there
     """
 
     alignment: int

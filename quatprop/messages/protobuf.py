@@ -56,15 +56,7 @@ MESSAGES = (10, 11)
 def message_type(channel: Channel) -> Struct:
     """Return the type of a channel's messages.
 
-    Parameters
-    ----------
-    channel
-        Its schema is a serialised ``FileDescriptorSet``.
-
-    Raises
-    ------
-    BadDefinitionError
-        The descriptors cannot be read, lack the type, or the library is not installed.
+    `channel`: its schema is a serialised ``FileDescriptorSet``
     """
     return _struct(_message_class(channel.type_name, channel.schema).DESCRIPTOR, {})
 
@@ -138,11 +130,6 @@ class ProtobufDecoder(ValueDecoder):
 
     Rates whose message is not set are NaN; other numbers that are not set have the default value
     of protobuf.
-
-    Parameters
-    ----------
-    channel, field_paths, path
-        As for :class:`quatprop.messages.values.ValueDecoder`.
     """
 
     def __init__(self, channel: Channel, field_paths: Paths[str], path: Path | str) -> None:

@@ -33,10 +33,7 @@ class BadDefinitionError(Exception):
 class Primitive:
     """A number, of one size everywhere.
 
-    Parameters
-    ----------
-    code
-        numpy's type string without byte order: ``"f8"``, ``"u4"``, ``"b1"``.
+    `code`: numpy's type string without byte order: ``"f8"``, ``"u4"``, ``"b1"``
     """
 
     code: str
@@ -55,10 +52,7 @@ TIME = Primitive("M8")
 class String:
     """A string.
 
-    Parameters
-    ----------
-    wide
-        Whether its characters are wider than a byte.
+    `wide`: whether its characters are wider than a byte
     """
 
     wide: bool = False
@@ -68,10 +62,7 @@ class String:
 class Unknown:
     """A type without a definition; an error only where a wanted field lies behind it.
 
-    Parameters
-    ----------
-    name
-        As the definition has it.
+    `name`: as the definition has it
     """
 
     name: str
@@ -81,12 +72,8 @@ class Unknown:
 class Struct:
     """A message or a part of one; compared by identity, to be cheap as a dictionary key.
 
-    Parameters
-    ----------
-    name
-        Type name, ``package/msg/Name``.
-    fields
-        Names and types, in the order of the bytes.
+    `name`: Type name, ``package/msg/Name``
+    `fields`: names and types, in the order of the bytes
     """
 
     name: str
@@ -159,19 +146,7 @@ def find(root: Struct, field_path: str) -> Type | None:
 def at(root: Struct, field_path: str, path: Path | str) -> tuple[Steps, Type]:
     """Return where a dotted path leads.
 
-    Parameters
-    ----------
-    root
-        The message.
-    field_path
-        Such as ``"header.stamp.sec"`` or ``"covariance[0]"``.
-    path
-        The log, for errors.
-
-    Raises
-    ------
-    SchemaError
-        It leads nowhere, or into a sequence, whose elements may be missing.
+    `field_path`: such as ``"header.stamp.sec"`` or ``"covariance[0]"``
     """
     way = steps(field_path)
     if way is None:
@@ -210,13 +185,7 @@ def numbers(kind: Type | None) -> tuple[Primitive, int] | None:
 def numbers_at(
     channel: Channel, root: Struct, field_path: str, path: Path | str
 ) -> tuple[Steps, Type, Primitive, int]:
-    """Return where a dotted path leads, the field there, and the equal numbers it is made of.
-
-    Raises
-    ------
-    SchemaError
-        As for :func:`at`, and where the field is not made of equal numbers.
-    """
+    """Return where a dotted path leads, the field there, and the equal numbers it is made of."""
     way, kind = at(root, field_path, path)
     shape = numbers(kind)
     if shape is None:

@@ -25,19 +25,8 @@ NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
 def to_ns(columns: Sequence[AnyArray], units: Sequence[str], names: str, path: Path | str) -> Int64:
     """Return times of one column, or of whole seconds and nanoseconds, which may carry over.
 
-    Parameters
-    ----------
-    columns
-        Shape ``(N,)`` each: integers, float64, or objects that are integers and decimals.
-    units
-        ``"s"``, ``"ms"``, ``"us"`` or ``"ns"`` of each; ``"ns"`` of the second.
-    names, path
-        The columns and the log, for errors.
-
-    Raises
-    ------
-    MessageError
-        A time is not finite or does not fit in 64 bits of nanoseconds; its `positions` say which.
+    `columns`: shape ``(N,)`` each: integers, float64, or objects that are integers and decimals
+    `units`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"`` of each; ``"ns"`` of the second
 
     Examples
     --------

@@ -41,18 +41,11 @@ class Frames(NamedTuple):
 class Transforms(NamedTuple):
     """The transforms of a block, in the order of its messages and of the list in each.
 
-    Parameters
-    ----------
-    message
-        Which message of the block each is in, shape ``(N,)``, int64.
-    t_ns
-        Header stamps, shape ``(N,)``, int64 ns.
-    frames
-        Number of the pair of frames in :attr:`TransformDecoder.frames`, shape ``(N,)``, int64.
-    wxyz
-        Rotations child -> parent, shape ``(N, 4)``, float64.
-    position
-        Positions of the child in the parent, shape ``(N, 3)``, float64, m.
+    `message`: which message of the block each is in, shape ``(N,)``, int64
+    `t_ns`: Header stamps, shape ``(N,)``, int64 ns
+    `frames`: number of the pair of frames in :attr:`TransformDecoder.frames`, shape ``(N,)``, int64
+    `wxyz`: rotations child -> parent, shape ``(N, 4)``, float64
+    `position`: positions of the child in the parent, shape ``(N, 3)``, float64, m
     """
 
     message: Int64
@@ -65,22 +58,8 @@ class Transforms(NamedTuple):
 class TransformDecoder:
     """Takes the transforms out of the messages of a channel.
 
-    Parameters
-    ----------
-    channel
-        Whose messages.
-    path
-        The log, for errors.
-
-    Attributes
-    ----------
-    frames
-        Every pair of frames met so far, in that order.
-
-    Raises
-    ------
-    SchemaError
-        The log's definition of the type is a different one.
+    `channel`: Whose messages
+    `frames`: every pair of frames met so far, in that order
     """
 
     def __init__(self, channel: Channel, path: Path | str) -> None:
@@ -95,15 +74,7 @@ class TransformDecoder:
             )
 
     def transforms(self, block: MessageBlock) -> Transforms:
-        """Return all transforms of a block.
-
-        Raises
-        ------
-        MessageError
-            Messages end before their lists do; its `positions` say which of the block.
-        UnsupportedLogError
-            Messages are encapsulated in a way that is not read.
-        """
+        """Return all transforms of a block."""
         none = np.empty(0, np.int64)
         elements = [Transforms(none, none, none, np.empty((0, 4)), np.empty((0, 3)))]
         try:

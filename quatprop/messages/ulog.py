@@ -110,18 +110,7 @@ def _size_of(field: re.Match[str], formats: Mapping[str, str], sizes: dict[str, 
 
 
 def message_type(channel: Channel) -> Struct:
-    """Return the type of a channel's messages.
-
-    Parameters
-    ----------
-    channel
-        Its schema is the definition, on the first line, and those of types inside it.
-
-    Raises
-    ------
-    BadDefinitionError
-        It cannot be read.
-    """
+    """Return the type of a channel's messages."""
     lines = channel.schema.decode("utf-8", "replace").splitlines()
     texts = dict(line.split(":", 1) for line in lines if ":" in line)
     if not texts:

@@ -25,14 +25,9 @@ if TYPE_CHECKING:
 class WantedColumn:
     """One column.
 
-    Parameters
-    ----------
-    ways
-        Where its numbers are: one, or those of a row.
-    number
-        Their type.
-    single
-        Whether it is a number and not a row of one.
+    `ways`: where its numbers are: one, or those of a row
+    `number`: their type
+    `single`: whether it is a number and not a row of one
     """
 
     ways: tuple[Steps, ...]
@@ -43,19 +38,8 @@ class WantedColumn:
 class ValueDecoder(ABC):
     """Takes fields out of messages, one message after the other.
 
-    Parameters
-    ----------
-    channel
-        Whose messages, with their definition.
-    field_paths
-        Dotted paths of the wanted fields.
-    path
-        The log, for errors.
-
-    Raises
-    ------
-    SchemaError
-        The definition cannot be read, has no such fields, or they are not numbers.
+    `channel`: Whose messages, with their definition
+    `field_paths`: Dotted paths of the wanted fields
     """
 
     def __init__(self, channel: Channel, field_paths: Sequence[str], path: Path | str) -> None:
@@ -69,13 +53,7 @@ class ValueDecoder(ABC):
         return WantedColumn(tuple(_leaves(way, kind)), number, isinstance(kind, Primitive))
 
     def columns(self, block: MessageBlock) -> list[AnyArray]:
-        """Return the wanted fields of all messages of a block.
-
-        Raises
-        ------
-        MessageError
-            Messages cannot be decoded or lack what must be there; its `positions` say which.
-        """
+        """Return the wanted fields of all messages of a block."""
         values: list[list[Any]] = []
         bad: list[int] = []
         for position, raw in enumerate(raw_messages(block)):

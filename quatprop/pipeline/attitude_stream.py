@@ -49,27 +49,13 @@ if TYPE_CHECKING:
 class AttitudeStream:
     """Propagates one source of rates.
 
-    Parameters
-    ----------
-    path
-        The log, for errors and the report.
-    source
-        Its rates.
-    settings
-        How to propagate them.
-    log
-        The open log, which can be read again; None for rates in memory.
-    observer
-        Looks at rates and attitudes as they pass.
-    sensitivity
-        Whether to compute how far the final attitude can be trusted.
-    rate
-        Whether the attitudes are to have their rate.
-
-    Raises
-    ------
-    LogError
-        The log cannot be used as asked.
+    `path`: the log, for errors and the report
+    `source`: its rates
+    `settings`: how to propagate them
+    `log`: the open log, which can be read again; None for rates in memory
+    `observer`: Looks at rates and attitudes as they pass
+    `sensitivity`: whether to compute how far the final attitude can be trusted
+    `rate`: whether the attitudes are to have their rate
     """
 
     def __init__(  # noqa: PLR0913  # a log, what to do with it, and who looks on
@@ -121,13 +107,7 @@ class AttitudeStream:
         return self._timeline.counts.used
 
     def __iter__(self) -> Iterator[AttitudeSeries]:
-        """Yield the attitudes in batches, once.
-
-        Raises
-        ------
-        NoSamplesError
-            There are none.
-        """
+        """Yield the attitudes in batches, once."""
         rates = self._checks.observe(self._batches)
         if self._observer is not None:
             rates = self._observer.rates(rates)
@@ -189,15 +169,7 @@ class AttitudeStream:
         )
 
     def report(self, *, layout: str | None = None, digest: Digest | None = None) -> RunReport:
-        """Return the report, when all attitudes have passed.
-
-        Parameters
-        ----------
-        layout
-            Order of the columns written.
-        digest
-            Size and SHA-256 of the log.
-        """
+        """Return the report, when all attitudes have passed."""
         settings, source, log = self._settings, self._source, self._log
         counts = self._timeline.counts
         span_s = counts.span_ns * 1e-9

@@ -33,16 +33,9 @@ rad/s^2/sqrt(Hz), and what they are here."""
 class ErrorSettings:
     """What is known of a gyroscope's errors, and whether their growth is wanted.
 
-    Parameters
-    ----------
-    noise_density, bias_sigma, random_walk, scale_sigma
-        As for :class:`quatprop.kinematics.uncertainty.SensorErrors`; None: not given.
-    imu
-        A file in YAML with the keys of :data:`IMU_KEYS`; what is given goes before it.
-    sigma
-        Whether every attitude is to have its standard deviations.
-    sigma_axes
-        ``"body"`` or ``"reference"``: the axes of the columns of standard deviations.
+    `imu`: a file in YAML with the keys of :data:`IMU_KEYS`; what is given goes before it
+    `sigma`: whether every attitude is to have its standard deviations
+    `sigma_axes`: ``"body"`` or ``"reference"``: the axes of the columns of standard deviations
     """
 
     noise_density: float | None = None
@@ -77,20 +70,12 @@ class ErrorSettings:
 class UncertaintyReport(NamedTuple):
     """How far the final attitude can be trusted, as far as the gyroscope's errors are known.
 
-    Parameters
-    ----------
-    errors
-        Standard deviations of the gyroscope's errors.
-    origins
-        Where each of them comes from: ``"given"``, a file, or ``"rest"``.
-    columns_axes
-        The axes of the columns of standard deviations; None where there are none.
-    sigma_rad
-        Standard deviations of the final attitude about body axes, shape ``(3,)``, rad.
-    largest
-        The error that contributes most.
-    largest_share
-        Its share of the variance.
+    `errors`: standard deviations of the gyroscope's errors
+    `origins`: where each of them comes from: ``"given"``, a file, or ``"rest"``
+    `columns_axes`: the axes of the columns of standard deviations; None where there are none
+    `sigma_rad`: standard deviations of the final attitude about body axes, shape ``(3,)``, rad
+    `largest`: the error that contributes most
+    `largest_share`: its share of the variance
     """
 
     errors: SensorErrors
@@ -106,18 +91,8 @@ def known_errors(
 ) -> tuple[SensorErrors, dict[str, str]] | None:
     """Return the errors of a gyroscope and where each comes from; None where none is known.
 
-    Parameters
-    ----------
-    settings
-        What is given.
-    rest
-        The rest from which the bias was taken, or None. The scatter of n rates over the time T is
-        the noise density N, and N / sqrt(T) what is left of the bias.
-
-    Raises
-    ------
-    UsageError
-        The file cannot be used.
+    `rest`: the rest from which the bias was taken, or None. The scatter of n rates over the time T
+        is the noise density N, and N / sqrt(T) what is left of the bias
     """
     given = {name: getattr(settings, name) for name in SensorErrors._fields}
     found = {name: (value, "given") for name, value in given.items() if value is not None}
@@ -156,16 +131,8 @@ def uncertainty_report(
 def read_imu(path: str) -> dict[str, float]:
     """Return the errors that a file states, by their names in :class:`ErrorSettings`.
 
-    Parameters
-    ----------
-    path
-        A file as Kalibr's ``imu.yaml`` or EuRoC's ``sensor.yaml``, its keys at the top or, as in
-        Kalibr's results, below the name of the only IMU.
-
-    Raises
-    ------
-    UsageError
-        It cannot be read, or states no error of a gyroscope.
+    `path`: a file as Kalibr's ``imu.yaml`` or EuRoC's ``sensor.yaml``, its keys at the top or, as
+        in Kalibr's results, below the name of the only IMU
     """
     content = read_yaml("imu", path)
     blocks = [content, *content.values()]

@@ -32,22 +32,11 @@ STEADY = 0.05
 class InitialAttitude:
     """Where a propagation begins.
 
-    Parameters
-    ----------
-    source
-        ``"level"``, ``"log"``, or an attitude series, a path or a topic of the log; ``""`` for
-        `wxyz`.
-    wxyz
-        The attitude body -> reference, where it is given.
-    heading
-        For ``"level"``: rotation about the reference's z axis, rad.
-    down
-        For ``"level"``: whether the reference's z axis points down, as in north-east-down.
-
-    Raises
-    ------
-    SeriesError, UsageError
-        `wxyz` is not a unit quaternion.
+    `source`: ``"level"``, ``"log"``, or an attitude series, a path or a topic of the log; ``""``
+        for `wxyz`
+    `wxyz`: the attitude body -> reference, where it is given
+    `heading`: for ``"level"``: rotation about the reference's z axis, rad
+    `down`: for ``"level"``: whether the reference's z axis points down, as in north-east-down
     """
 
     source: str = ""
@@ -78,17 +67,11 @@ class InitialAttitude:
 class Recording(NamedTuple):
     """The log that is propagated, and how.
 
-    Parameters
-    ----------
-    log
-        Open, and able to be read again; None for rates in memory.
-    source, selection
-        Its rates, and how they were chosen.
-    mount
-        Sensor axes to body axes, shape ``(3, 3)``, for accelerometer and orientation too; None
-        for the same.
-    in_order
-        Whether samples are used in the order of the log, not sorted.
+    `log`: Open, and able to be read again; None for rates in memory
+    `source`, `selection`: its rates, and how they were chosen
+    `mount`: Sensor axes to body axes, shape ``(3, 3)``, for accelerometer and orientation too; None
+        for the same
+    `in_order`: whether samples are used in the order of the log, not sorted
     """
 
     log: AnyLog | None
@@ -101,28 +84,9 @@ class Recording(NamedTuple):
 def first_attitude(wanted: InitialAttitude, recording: Recording, first: GyroSeries) -> Float64:
     """Return the attitude at the first sample that is propagated.
 
-    Parameters
-    ----------
-    wanted
-        Where to take it from.
-    recording
-        Where the samples come from.
-    first
-        The first samples that are propagated, in body axes: those that the timestamp handling
-        leaves, so that the attitude is that of the first one.
-
-    Returns
-    -------
-    ndarray
-        Unit quaternion body -> reference, shape ``(4,)``.
-
-    Raises
-    ------
-    UsageError
-        The log does not begin at rest, or the series is neither a file nor a topic.
-    LogError
-        The log has no accelerations, or the other series, or the log's own orientation, does not
-        reach to the first sample.
+    `first`: the first samples that are propagated, in body axes: those that the timestamp handling
+        leaves, so that the attitude is that of the first one
+    `Returns`: Unit quaternion body -> reference, shape ``(4,)``
     """
     if not wanted.source:
         return unit_q0(wanted.wxyz)
@@ -146,20 +110,10 @@ def first_attitude(wanted: InitialAttitude, recording: Recording, first: GyroSer
 def level(force: Float64, heading: float = 0.0, *, down: bool = False) -> Float64:
     """Return the attitude of a body at rest from the specific force it feels.
 
-    Parameters
-    ----------
-    force
-        Specific force in body axes, shape ``(3,)``, any unit; at rest it points up.
-    heading
-        Rotation about the reference's z axis, rad, applied last.
-    down
-        Whether the reference's z axis points down.
-
-    Returns
-    -------
-    ndarray
-        wxyz, body -> reference, shape ``(4,)``: the shortest turn that brings the force upright in
-        roll and pitch, then the heading.
+    `force`: Specific force in body axes, shape ``(3,)``, any unit; at rest it points up
+    `heading`: rotation about the reference's z axis, rad, applied last
+    `Returns`: wxyz, body -> reference, shape ``(4,)``: the shortest turn that brings the force
+        upright in roll and pitch, then the heading
 
     Examples
     --------

@@ -42,14 +42,9 @@ SMALL_BYTES = 1 << 18
 class Job(NamedTuple):
     """What to do with one log.
 
-    Parameters
-    ----------
-    log
-        Path of the log, or ``"-"`` for CSV on stdin.
-    output
-        Where its attitudes go.
-    settings
-        How it is propagated.
+    `log`: path of the log, or ``"-"`` for CSV on stdin
+    `output`: where its attitudes go
+    `settings`: how it is propagated
     """
 
     log: str
@@ -58,29 +53,7 @@ class Job(NamedTuple):
 
 
 def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> RunReport:
-    """Propagate one log and write its attitude series.
-
-    Parameters
-    ----------
-    job
-        What to do.
-    observer
-        Looks at rates and attitudes as they pass, and at the report when everything is written and
-        nothing is in its place; where it fails, no output is replaced.
-    summary
-        Whether somebody reads the report that is returned. What is only for a reader, and is kept
-        in no file, is not computed otherwise.
-
-    Returns
-    -------
-    RunReport
-        What was read, done, counted and lost.
-
-    Raises
-    ------
-    LogError, OutputError
-        The log cannot be used as asked, or the result cannot be written.
-    """
+    """Propagate one log and write its attitude series."""
     began = time.perf_counter()
     settings = job.settings
     _refuse_contradictions(job)
@@ -171,17 +144,7 @@ def open_output(
     log: AnyLog,
     sigma: str | None = None,
 ) -> AttitudeWriter:
-    """Open a file of attitudes, or a copy of the log to which they are added.
-
-    Parameters
-    ----------
-    output
-        Where and how.
-    log
-        The log that the attitudes come from.
-    sigma
-        As for :func:`quatprop.writers.open_writer`.
-    """
+    """Open a file of attitudes, or a copy of the log to which they are added."""
     if output.into:
         from quatprop.into import open_into
 

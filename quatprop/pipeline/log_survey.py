@@ -17,27 +17,16 @@ if TYPE_CHECKING:
 class SignalSurvey:
     """One signal of a log; None where something is unknown.
 
-    Parameters
-    ----------
-    source, type
-        Topic and message type, or columns and dialect.
-    clock
-        The timestamp source.
-    samples
-        Number of samples.
-    rate_hz, span_s
-        Mean sample rate, Hz, and time from the first sample to the last, s.
-    first_ns, last_ns
-        First and last stamp, ns.
-    median_dt_ns, min_dt_ns, max_dt_ns
-        Intervals, ns.
-    gaps, duplicates, backwards
-        Intervals longer than 10 median ones, repeated timestamps, and those that go backwards or
-        are outliers.
-    missing
-        What is not declared, and the settings that declare it; None where nothing is missing.
-    remarks
-        What a reader should know.
+    `source`, `type`: topic and message type, or columns and dialect
+    `clock`: the timestamp source
+    `samples`: number of samples
+    `rate_hz`, `span_s`: Mean sample rate, Hz, and time from the first sample to the last, s
+    `first_ns`, `last_ns`: first and last stamp, ns
+    `median_dt_ns`, `min_dt_ns`, `max_dt_ns`: Intervals, ns
+    `gaps`, `duplicates`, `backwards`: intervals longer than 10 median ones, repeated timestamps,
+        and those that go backwards or are outliers
+    `missing`: what is not declared, and the settings that declare it; None where nothing is missing
+    `remarks`: what a reader should know
     """
 
     source: str | None
@@ -62,14 +51,9 @@ class SignalSurvey:
 class RateSurvey(SignalSurvey):
     """One signal of body rates; takes the parameters of :class:`SignalSurvey` too.
 
-    Parameters
-    ----------
-    rate, rate_unit
-        The field or the columns, and their unit.
-    nonfinite
-        Samples that are NaN or infinite.
-    max_rate_rad_s, max_rate_deg_s
-        Largest magnitude of the angular rate.
+    `rate`, `rate_unit`: the field or the columns, and their unit
+    `nonfinite`: samples that are NaN or infinite
+    `max_rate_rad_s`, `max_rate_deg_s`: Largest magnitude of the angular rate
     """
 
     rate: str | None = None
@@ -83,17 +67,12 @@ class RateSurvey(SignalSurvey):
 class AttitudeSurvey(SignalSurvey):
     """One signal of attitudes; takes the parameters of :class:`SignalSurvey` too.
 
-    Parameters
-    ----------
-    attitude
-        The field or the columns.
-    layout, convention, direction
-        What the numbers mean.
-    invalid
-        Rows that are no unit quaternions.
-    method, made_from, q0_wxyz
-        How they were made, as the metadata of their file say: the integration rule, the log of the
-        rates, and the first attitude (Hamilton, body -> reference, scalar first).
+    `attitude`: the field or the columns
+    `layout`, `convention`, `direction`: what the numbers mean
+    `invalid`: rows that are no unit quaternions
+    `method`, `made_from`, `q0_wxyz`: how they were made, as the metadata of their file say: the
+        integration rule, the log of the rates, and the first attitude (Hamilton, body -> reference,
+        scalar first)
     """
 
     attitude: str = ""
@@ -110,16 +89,9 @@ class AttitudeSurvey(SignalSurvey):
 class LogSurvey:
     """What a log holds.
 
-    Parameters
-    ----------
-    path, kind
-        The log.
-    sources
-        Its signals of body rates.
-    attitudes
-        Its signals of attitudes.
-    losses
-        What could not be read.
+    `sources`: its signals of body rates
+    `attitudes`: its signals of attitudes
+    `losses`: what could not be read
     """
 
     path: str

@@ -57,14 +57,7 @@ _NONE = np.empty(0, dtype=np.int64)
 def log_remarks(log: AnyLog, source: RateSignal, rates: str = "body") -> list[str | Text]:
     """Return remarks on the stamps and the orientation beside the rates.
 
-    Parameters
-    ----------
-    log
-        An open log that can be read again; only its beginning is read.
-    source
-        The rates.
-    rates
-        ``"body"`` or ``"inertial"``: the frame in which they are resolved.
+    `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
     """
     with beginnings_kept(log):
         return [
@@ -132,19 +125,8 @@ def against_orientation(
 ) -> Text | None:
     """Return a remark if the rates rotate much less or more than the log's own orientation.
 
-    Parameters
-    ----------
-    batches
-        Rates from the beginning of the log, rad/s.
-    orientations
-        The orientation that the same messages carry, body -> reference.
-    rates
-        ``"body"`` or ``"inertial"``: the frame in which the rates are resolved.
-
-    Returns
-    -------
-    Text or None
-        None where they agree, where nothing moves, or where there is too little to compare.
+    `batches`: rates from the beginning of the log, rad/s
+    `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved
     """
     gyro: list[GyroSeries] = []
     own: list[AttitudeSeries] = []

@@ -135,13 +135,7 @@ class RateChecks:
         return np.concatenate([[False], equal])
 
     def remarks(self, counts: Counts) -> list[str | Text]:
-        """Return a sentence for each finding.
-
-        Parameters
-        ----------
-        counts
-            What was observed of the timestamps.
-        """
+        """Return a sentence for each finding."""
         largest = float(np.max([self._highest, -self._lowest]))
         if not math.isfinite(largest):
             return []

@@ -37,18 +37,10 @@ CONVENTION = {
 class SourceReport(NamedTuple):
     """Where the samples came from.
 
-    Parameters
-    ----------
-    path, kind
-        The log.
-    digest
-        Its size and SHA-256.
-    name, type
-        Topic and message type, or rate columns and dialect.
-    rate, rate_unit
-        The field or the columns that are the rate, and their unit.
-    clock
-        The timestamp source.
+    `digest`: its size and SHA-256
+    `name`, `type`: topic and message type, or rate columns and dialect
+    `rate`, `rate_unit`: the field or the columns that are the rate, and their unit
+    `clock`: the timestamp source
     """
 
     path: str
@@ -64,12 +56,7 @@ class SourceReport(NamedTuple):
 def digests_of_inputs(inputs: Mapping[str, str], log: Log | None) -> dict[str, Digest]:
     """Return what the files held that were read beside a log, by path.
 
-    Parameters
-    ----------
-    inputs
-        Setting -> the path or the address that it names.
-    log
-        Says where it has message definitions from; None for rates in memory.
+    `log`: Says where it has message definitions from; None for rates in memory
     """
     definitions = () if log is None else map(str, log.definition_files)
     paths = sorted((*inputs.values(), *definitions))
@@ -84,23 +71,15 @@ def digest_of_input(path: str) -> Digest:
 class ConventionReport(NamedTuple):
     """What the numbers mean.
 
-    Parameters
-    ----------
-    rates
-        ``"body"`` or ``"inertial"``.
-    method
-        The integration rule that was used.
-    method_from
-        ``"given"``, ``"log"`` where it follows from what the samples are, or ``"default"``.
-    samples
-        What the samples are: ``"rates"`` at their stamps, ``"averages"`` or ``"increments"`` over
-        the intervals that end at them.
-    layout
-        Order of the columns written; None where nothing was written.
-    q0_wxyz
-        Attitude at the first sample, scalar first.
-    q0_from
-        ``"given"``, ``"level"``, ``"log"`` or a file.
+    `rates`: ``"body"`` or ``"inertial"``
+    `method`: the integration rule that was used
+    `method_from`: ``"given"``, ``"log"`` where it follows from what the samples are, or
+        ``"default"``
+    `samples`: what the samples are: ``"rates"`` at their stamps, ``"averages"`` or ``"increments"``
+        over the intervals that end at them
+    `layout`: order of the columns written; None where nothing was written
+    `q0_wxyz`: Attitude at the first sample, scalar first
+    `q0_from`: ``"given"``, ``"level"``, ``"log"`` or a file
     """
 
     rates: str
@@ -125,31 +104,19 @@ class ConventionReport(NamedTuple):
 class ResultReport(NamedTuple):
     """What came out.
 
-    Parameters
-    ----------
-    samples
-        Samples that were propagated.
-    first_ns, last_ns
-        Their first and last stamp, ns.
-    span_s
-        Time between them, s.
-    sample_rate_hz
-        Mean rate of the samples, Hz; None where they span no time.
-    rows
-        Attitudes that were written.
-    final_wxyz
-        Attitude at the last sample, scalar first.
-    net_rotation_rad
-        Angle from the first to the last attitude, rad.
-    method_sensitivity_rad
-        Method sensitivity: the angle between the final attitudes of this and the next better
-        method, rad; None where it was not computed.
-    next_method
-        That method: for ``"cubic"`` the next lower one.
-    sampling_sensitivity_rad
-        Angle between the final attitudes from all samples and from every second one, rad.
-    path_angle_rad
-        Total angle traversed, rad.
+    `samples`: samples that were propagated
+    `first_ns`, `last_ns`: their first and last stamp, ns
+    `span_s`: time between them, s
+    `sample_rate_hz`: Mean rate of the samples, Hz; None where they span no time
+    `rows`: attitudes that were written
+    `final_wxyz`: Attitude at the last sample, scalar first
+    `net_rotation_rad`: angle from the first to the last attitude, rad
+    `method_sensitivity_rad`: Method sensitivity: the angle between the final attitudes of this and
+        the next better method, rad; None where it was not computed
+    `next_method`: That method: for ``"cubic"`` the next lower one
+    `sampling_sensitivity_rad`: angle between the final attitudes from all samples and from every
+        second one, rad
+    `path_angle_rad`: Total angle traversed, rad
     """
 
     samples: int
@@ -230,15 +197,7 @@ def convention_of(layout: str) -> JsonObject:
 class ReportFile:
     """A report as JSON, put in its place only when everything else is.
 
-    Parameters
-    ----------
-    target
-        A path, ``"-"`` for stdout, or None for nowhere.
-
-    Raises
-    ------
-    OutputError
-        The target cannot be written; raised before anything is computed.
+    `target`: a path, ``"-"`` for stdout, or None for nowhere
     """
 
     def __init__(self, target: str | None) -> None:

@@ -62,16 +62,8 @@ class Saturation:
     ) -> None:
         """Look at samples that follow.
 
-        Parameters
-        ----------
-        columns
-            Rates of the three axes, shape ``(3, N)``, rad/s.
-        old
-            How many of them were looked at before, for runs across their end.
-        reached
-            Largest rate, and largest negated rate, of each axis.
-        repeats
-            Which samples repeat the one before on all axes; None where hardly any does.
+        `columns`: rates of the three axes, shape ``(3, N)``, rad/s
+        `repeats`: which samples repeat the one before on all axes; None where hardly any does
         """
         for side, largest in enumerate(reached):
             near = largest >= np.maximum(BELOW * self._limits[side], 0)
@@ -115,16 +107,8 @@ class Saturation:
     ) -> Iterator[str]:
         """Yield a sentence for each end of an axis that is saturated.
 
-        Parameters
-        ----------
-        samples
-            How many samples there were.
-        moving
-            Which axes do not have one rate throughout.
-        hold
-            How many rows a sample is held for, on average.
-        interval
-            Between rows, s.
+        `moving`: which axes do not have one rate throughout
+        `interval`: Between rows, s
         """
         runs = self._runs[int(hold > 1)]
         for side, sign in enumerate("+-"):

@@ -29,30 +29,15 @@ if TYPE_CHECKING:
 class Segments:
     """Propagates a log segment by segment.
 
-    Parameters
-    ----------
-    timeline
-        Cuts the samples into segments; its policy says how one continues from another.
-    q0
-        Attitude at the first sample, wxyz, unit length.
-    method, rates
-        As for :class:`quatprop.kinematics.propagate.Propagation`.
-    times
-        When attitudes are wanted; None is at every sample.
-    errors
-        Of the gyroscope; None where they are not known.
-    mount
-        Its axes to those of the body, where the rates were turned, as for
-        :class:`quatprop.kinematics.uncertainty.ErrorGrowth`.
-
-    Attributes
-    ----------
-    final
-        The attitude at the last sample so far, wxyz.
-    sensitivity
-        How far it depends on method and sampling; None where that was not asked for.
-    growth
-        The growth of its error; None where the errors of the gyroscope are not known.
+    `timeline`: Cuts the samples into segments; its policy says how one continues from another
+    `q0`: Attitude at the first sample, wxyz, unit length
+    `times`: when attitudes are wanted; None is at every sample
+    `errors`: of the gyroscope; None where they are not known
+    `mount`: its axes to those of the body, where the rates were turned, as for
+        :class:`quatprop.kinematics.uncertainty.ErrorGrowth`
+    `final`: the attitude at the last sample so far, wxyz
+    `sensitivity`: how far it depends on method and sampling; None where that was not asked for
+    `growth`: the growth of its error; None where the errors of the gyroscope are not known
     """
 
     def __init__(  # noqa: PLR0913  # all that determines the attitudes
@@ -81,19 +66,7 @@ class Segments:
         covariance: bool = False,
         rate: bool = False,
     ) -> Iterator[AttitudeSeries]:
-        """Return the attitudes at every sample, or at the times that are wanted.
-
-        Parameters
-        ----------
-        samples
-            What the timeline's policy leaves of the log, in blocks.
-        sensitivity
-            Whether to find out how much the final attitude depends on method and sampling.
-        covariance
-            Whether attitudes are to have their covariance, if the errors are known.
-        rate
-            Whether they are to have their rate.
-        """
+        """Return the attitudes at every sample, or at the times that are wanted."""
         self._covariance, self._rate = covariance, rate
         if sensitivity:
             self.sensitivity = Sensitivity(self._q0, self._method, self._rates)

@@ -35,37 +35,22 @@ if TYPE_CHECKING:
 class PropagationSettings:
     """Everything that determines the attitudes of a log.
 
-    Parameters
-    ----------
-    kind
-        Kind of the log, a key of :data:`quatprop.log_kinds.READERS`; None: told by its content,
-        then by its suffix.
-    selection
-        Which samples.
-    policy
-        How irregular timestamps are handled.
-    method
-        Integration rule: a key of :data:`quatprop.kinematics.increments.METHODS`; None: what the
-        log says of its samples, or else ``"start"``.
-    rates
-        ``"body"`` or ``"inertial"``: the frame in which the rates are resolved.
-    q0
-        Attitude body -> reference at the first sample, or where to take it from.
-    conditioning
-        Bias, mounting and the part of the log to use.
-    every
-        Keep every N-th attitude; None is all.
-    rate
-        Attitudes at this rate, Hz, exact at those times; None is at the samples.
-    at
-        Attitudes at the stamps of this series, exact at those times; None is at the samples.
-    threads
-        How many threads compute at a time; None is as many as there are cores. The result is the
-        same, so that settings that differ in it alone are equal.
-    errors
-        What is known of the gyroscope's errors.
-    given
-        The settings that were given, by name, as text: what is needed to make an output again.
+    `kind`: Kind of the log, a key of :data:`quatprop.log_kinds.READERS`; None: told by its content,
+        then by its suffix
+    `selection`: which samples
+    `policy`: how irregular timestamps are handled
+    `method`: integration rule: a key of :data:`quatprop.kinematics.increments.METHODS`; None: what
+        the log says of its samples, or else ``"start"``
+    `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved
+    `q0`: Attitude body -> reference at the first sample, or where to take it from
+    `conditioning`: Bias, mounting and the part of the log to use
+    `every`: Keep every N-th attitude; None is all
+    `rate`: attitudes at this rate, Hz, exact at those times; None is at the samples
+    `at`: attitudes at the stamps of this series, exact at those times; None is at the samples
+    `threads`: how many threads compute at a time; None is as many as there are cores. The result is
+        the same, so that settings that differ in it alone are equal
+    `errors`: what is known of the gyroscope's errors
+    `given`: the settings that were given, by name, as text: what is needed to make an output again
     """
 
     kind: str | None = None
@@ -126,26 +111,16 @@ class PropagationSettings:
 class OutputSettings(NamedTuple):
     """Where attitudes go, and as what.
 
-    Parameters
-    ----------
-    path
-        Path of the attitude series, or ``"-"`` for CSV on stdout.
-    into
-        The output is a copy of the log with the attitudes added as messages.
-    to
-        Format, a key of :data:`quatprop.writers.formats.WRITERS`; None: told by the suffix.
-    layout
-        ``"scalar-first"`` or ``"scalar-last"``: the order of the columns written; None is what
-        the format prescribes, or scalar-first where it leaves the choice.
-    message
-        What to write the attitudes as, where they are written as messages.
-    beside
-        What else to write of each attitude: a key of
-        :data:`quatprop.conventions.representations.REPRESENTATIONS`; None for nothing.
-    comment
-        Write the report in a comment at the beginning of the output.
-    report
-        Where the report goes as JSON, ``"-"`` for stdout; None is nowhere.
+    `path`: path of the attitude series, or ``"-"`` for CSV on stdout
+    `into`: the output is a copy of the log with the attitudes added as messages
+    `to`: Format, a key of :data:`quatprop.writers.formats.WRITERS`; None: told by the suffix
+    `layout`: ``"scalar-first"`` or ``"scalar-last"``: the order of the columns written; None is
+        what the format prescribes, or scalar-first where it leaves the choice
+    `message`: what to write the attitudes as, where they are written as messages
+    `beside`: what else to write of each attitude: a key of
+        :data:`quatprop.conventions.representations.REPRESENTATIONS`; None for nothing
+    `comment`: Write the report in a comment at the beginning of the output
+    `report`: where the report goes as JSON, ``"-"`` for stdout; None is nowhere
     """
 
     path: str
@@ -192,16 +167,8 @@ class OutputSettings(NamedTuple):
 def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
     """Return settings from their names and values.
 
-    Parameters
-    ----------
-    options
-        Keys of :data:`quatprop.settings.PROPAGATE`; their values as text or as Python values, None
-        for not given.
-
-    Raises
-    ------
-    UsageError
-        There is no such setting, a value cannot be used, or settings contradict each other.
+    `options`: keys of :data:`quatprop.settings.PROPAGATE`; their values as text or as Python
+        values, None for not given
     """
     values = parse_all(options)
     given = {

@@ -67,19 +67,7 @@ _ASSUMED: tuple[tuple[dict[str, Any], tuple[str, ...]], ...] = (
 def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
     """Read every signal of a log once.
 
-    Parameters
-    ----------
-    path
-        The log.
-    kind
-        Its kind, or None: by its content.
-    selection
-        Restricts the signals.
-
-    Raises
-    ------
-    LogError
-        The log cannot be read, or holds neither body rates nor attitudes.
+    `kind`: its kind, or None: by its content
     """
     # Nothing is propagated or written: all cores but one unpack what is checked next.
     threads = thread_count()
@@ -164,17 +152,7 @@ def _declared(
     selection: SelectionT,
     assumed: Iterable[tuple[dict[str, Any], tuple[str, ...]]],
 ) -> tuple[SignalT, tuple[str, ...], Text | None]:
-    """Return a signal; where units are not declared, read by assumed ones.
-
-    Returns
-    -------
-    signal : Signal
-        The signal.
-    unknown : tuple of str
-        The facts that are not known where units were assumed.
-    missing : Text or None
-        What is not declared.
-    """
+    """Return a signal; where units are not declared, read by assumed ones."""
     try:
         return candidate.signal(), (), None
     except UndeclaredError as error:
@@ -271,13 +249,7 @@ def _made(table: Table, wanted: AttitudeSelection) -> AttitudeSurvey:
 
 
 def _survey_attitudes(signal: AttitudeSignal, log: AnyLog, seen: Seen) -> AttitudeSurvey:
-    """Return the survey of a signal of attitudes.
-
-    Raises
-    ------
-    NoAttitudesError
-        Every row is marked as absent, as gyroscopes without an estimate do.
-    """
+    """Return the survey of a signal of attitudes."""
     reading = seen.get((signal.name, signal.field))
     if reading is None:
         reading = _AttitudeReading(log, signal)

@@ -29,25 +29,14 @@ SMALL = 1e-6
 class Quantity(NamedTuple):
     """What one panel of a picture shows against time.
 
-    Parameters
-    ----------
-    name, unit
-        Label of its axis; no unit is ``""``.
-    axis
-        Its colour in a picture of one file: ``"x"``, ``"y"``, ``"z"``, ``"w"``, or
-        ``""``.
-    wraps
-        Whether it is an angle, in deg, that wraps at half a turn.
-    least
-        A series that varies by less is drawn as a constant.
-    scale
-        Range of its axis in either direction where the series is zero.
-    is_error
-        Whether it should be zero: its standard deviation is drawn about zero.
-    height
-        Height of its panel, in those of others.
-    shown_above
-        It has no panel unless it is larger than this somewhere; None: it always has one.
+    `name`, `unit`: label of its axis; no unit is ``""``
+    `axis`: its colour in a picture of one file: ``"x"``, ``"y"``, ``"z"``, ``"w"``, or ``""``
+    `wraps`: whether it is an angle, in deg, that wraps at half a turn
+    `least`: a series that varies by less is drawn as a constant
+    `scale`: Range of its axis in either direction where the series is zero
+    `is_error`: whether it should be zero: its standard deviation is drawn about zero
+    `height`: height of its panel, in those of others
+    `shown_above`: It has no panel unless it is larger than this somewhere; None: it always has one
     """
 
     name: str
@@ -99,14 +88,9 @@ ERROR = (
 class Group(NamedTuple):
     """Quantities that share their stamps.
 
-    Parameters
-    ----------
-    quantities
-        What is drawn, one panel each.
-    reduced
-        Their reduced samples, and then their standard deviations, where those are known.
-    gap_limit_ns
-        Intervals longer than this are gaps, ns; None: there are none.
+    `quantities`: what is drawn, one panel each
+    `reduced`: their reduced samples, and then their standard deviations, where those are known
+    `gap_limit_ns`: intervals longer than this are gaps, ns; None: there are none
     """
 
     quantities: tuple[Quantity, ...]
@@ -117,12 +101,8 @@ class Group(NamedTuple):
 class Accumulator:
     """Quantities of a picture, reduced while samples pass.
 
-    Parameters
-    ----------
-    quantities
-        What is kept of each sample.
-    has_sigmas
-        Whether standard deviations are kept too.
+    `quantities`: what is kept of each sample
+    `has_sigmas`: whether standard deviations are kept too
     """
 
     def __init__(self, quantities: tuple[Quantity, ...], *, has_sigmas: bool = False) -> None:
@@ -142,10 +122,7 @@ class Accumulator:
 class RateAccumulator(Accumulator):
     """Angular rates.
 
-    Parameters
-    ----------
-    unit
-        Unit in which they are drawn.
+    `unit`: unit in which they are drawn
     """
 
     def __init__(self, unit: str) -> None:
@@ -164,24 +141,13 @@ class RateAccumulator(Accumulator):
 class AttitudeAccumulator(Accumulator):
     """Attitudes, as angles or as components, and their norm error.
 
-    Parameters
-    ----------
-    components
-        Draw the components of the quaternion, of q and -q the one nearer to the one before,
-        instead of yaw, pitch and roll.
-    unwrap
-        Draw yaw and roll beyond half a turn, instead of cut there.
-    has_sigmas
-        Whether the attitudes have covariances.
-
-    Attributes
-    ----------
-    invalid
-        Invalid quaternions: zero, or not finite.
-    knows_sigmas
-        Whether a standard deviation above zero was among them.
-    norm_error
-        Largest difference from unit length.
+    `components`: Draw the components of the quaternion, of q and -q the one nearer to the one
+        before, instead of yaw, pitch and roll
+    `unwrap`: Draw yaw and roll beyond half a turn, instead of cut there
+    `has_sigmas`: whether the attitudes have covariances
+    `invalid`: Invalid quaternions: zero, or not finite
+    `knows_sigmas`: whether a standard deviation above zero was among them
+    `norm_error`: Largest difference from unit length
     """
 
     def __init__(

@@ -33,20 +33,7 @@ LEVEL_SHARE = 100.0
 
 
 def draw_panel(axes: Axes, panel: Panel, picture: Picture, place: int) -> list[tuple[Artist, str]]:
-    """Draw one panel: gaps behind, then lines, tolerance and marks.
-
-    Parameters
-    ----------
-    axes, panel, picture
-        Where to draw, what, and what it is part of.
-    place
-        Number of the panel from 1, for the names of its lines.
-
-    Returns
-    -------
-    list
-        What needs a place in the legend: the tolerance and the marks, and what they are.
-    """
+    """Draw one panel: gaps behind, then lines, tolerance and marks."""
     several = len(picture.gaps) > 1
     for file, spans in enumerate(picture.gaps):
         if len(spans):

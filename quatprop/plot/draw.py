@@ -53,13 +53,7 @@ METADATA: dict[str, dict[str, str | None]] = {
 
 
 def require_matplotlib() -> None:
-    """Make sure that pictures can be drawn.
-
-    Raises
-    ------
-    UsageError
-        matplotlib is not installed.
-    """
+    """Make sure that pictures can be drawn."""
     try:
         import matplotlib as mpl  # noqa: F401  # checked before anything is read
     except ImportError as error:
@@ -71,14 +65,7 @@ def require_matplotlib() -> None:
 def render(page: Page, kind: str, style: Style = STYLE) -> bytes:
     """Return a picture as a file.
 
-    Parameters
-    ----------
-    page
-        What to draw.
-    kind
-        ``"png"``, ``"svg"`` or ``"pdf"``.
-    style
-        How large it is.
+    `kind`: ``"png"``, ``"svg"`` or ``"pdf"``
     """
     stream = BytesIO()
     with _figure_of(page, {"font.size": style.font}, style) as drawn:

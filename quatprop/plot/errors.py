@@ -40,14 +40,9 @@ MATCHES = {
 class ComparedFile(NamedTuple):
     """A series and its error against a reference.
 
-    Parameters
-    ----------
-    name
-        Name of the file.
-    operand
-        The series.
-    comparison
-        Its comparison with the reference.
+    `name`: name of the file
+    `operand`: the series
+    `comparison`: its comparison with the reference
     """
 
     name: str
@@ -67,19 +62,7 @@ def pair_page(a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison, spell:
 def error_page(
     files: Sequence[ComparedFile], reference_name: str, reference: ReadAttitudes, spell: Spell
 ) -> Page:
-    """Return the page on the errors of series against one reference.
-
-    Parameters
-    ----------
-    files
-        The series and their errors, at least one.
-    reference_name
-        Name of the reference.
-    reference
-        The series that all were compared with.
-    spell
-        Writes a sentence that may mention settings.
-    """
+    """Return the page on the errors of series against one reference."""
     first, single = files[0].comparison, len(files) == 1
     offset_ns = first.time_offset.added_to_b_ns
     shifted = f", reference {duration_text(offset_ns)} later" if offset_ns else ""

@@ -70,16 +70,10 @@ MAX_NOTES = 3
 class Style(NamedTuple):
     """How large a picture and its letters are.
 
-    Parameters
-    ----------
-    width, height
-        Inches; no height is that which the panels need.
-    dpi
-        Dots an inch of a PNG.
-    font
-        Size of the letters, points.
-    title
-        Whether title, facts and notes stand around the panels.
+    `width`, `height`: Inches; no height is that which the panels need
+    `dpi`: Dots an inch of a PNG
+    `font`: size of the letters, points
+    `title`: whether title, facts and notes stand around the panels
     """
 
     width: float = WIDTH
@@ -93,13 +87,7 @@ STYLE = Style()
 
 
 def figure(page: Page, style: Style = STYLE) -> Figure:
-    """Return the figure of a page, in the style of matplotlib's current settings.
-
-    Raises
-    ------
-    UsageError
-        The panels and their letters have no room in that size.
-    """
+    """Return the figure of a page, in the style of matplotlib's current settings."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 

@@ -53,20 +53,12 @@ if TYPE_CHECKING:
 class View(NamedTuple):
     """What to draw of files.
 
-    Parameters
-    ----------
-    kind
-        A key of :data:`quatprop.log_kinds.READERS`; None: by content and suffix.
-    show
-        None: the rates of a file that has some, else its attitudes.
-    rates, attitudes
-        Which samples.
-    components
-        Draw quaternions as they are instead of as angles.
-    unwrap
-        Draw angles beyond half a turn.
-    part
-        Start and end of the part to draw, ends included.
+    `kind`: a key of :data:`quatprop.log_kinds.READERS`; None: by content and suffix
+    `show`: None: the rates of a file that has some, else its attitudes
+    `rates`, `attitudes`: which samples
+    `components`: Draw quaternions as they are instead of as angles
+    `unwrap`: Draw angles beyond half a turn
+    `part`: Start and end of the part to draw, ends included
     """
 
     kind: str | None = None
@@ -81,20 +73,12 @@ class View(NamedTuple):
 class FileView(NamedTuple):
     """What is shown of one file.
 
-    Parameters
-    ----------
-    plotted
-        What is drawn of it, labelled with its path.
-    meaning
-        Unit and clock of its numbers, or convention and method.
-    samples
-        How many, over which time.
-    facts
-        Rows of its table.
-    remarks
-        What a reader should know.
-    losses
-        What could not be read.
+    `plotted`: what is drawn of it, labelled with its path
+    `meaning`: unit and clock of its numbers, or convention and method
+    `samples`: how many, over which time
+    `facts`: rows of its table
+    `remarks`: what a reader should know
+    `losses`: what could not be read
     """
 
     plotted: PlottedFile
@@ -115,19 +99,7 @@ DRAWN_AS = {
 def view_file(path: str, view: View) -> FileView:
     """Read a file for a picture.
 
-    Parameters
-    ----------
-    path
-        A log or a table, or ``"-"`` for CSV on stdin.
-    view
-        What to draw.
-
-    Raises
-    ------
-    LogError
-        The file cannot be used with this selection, or holds neither rates nor attitudes.
-    UsageError
-        It can be read only once, and would have to be read twice.
+    `path`: a log or a table, or ``"-"`` for CSV on stdin
     """
     with open_log(path, view.kind, msg_path=view.rates.msg_path) as log:
         signal = _choose(log, view)

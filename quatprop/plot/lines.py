@@ -22,10 +22,7 @@ TURN = 360.0
 class Line(NamedTuple):
     """A line to draw.
 
-    Parameters
-    ----------
-    seconds, values
-        Its points, shape ``(P,)``; NaN in both where it breaks.
+    `seconds`, `values`: its points, shape ``(P,)``; NaN in both where it breaks
     """
 
     seconds: Float64
@@ -38,10 +35,7 @@ class Unwrap:
     Whole turns are added so that every angle is within half a turn of the one before it. The turns
     are counted in integers: no rounding accumulates.
 
-    Parameters
-    ----------
-    traces
-        How many angles each sample has.
+    `traces`: how many angles each sample has
     """
 
     def __init__(self, traces: int) -> None:
@@ -63,12 +57,7 @@ class Unwrap:
 def gaps_in(reduced: Reduced, limit_ns: int | None) -> Int64:
     """Return the gaps between bins as first and last stamps, shape ``(G, 2)``, int64 ns.
 
-    Parameters
-    ----------
-    reduced
-        The series.
-    limit_ns
-        Intervals longer than this are gaps, ns; None: there are no gaps.
+    `limit_ns`: intervals longer than this are gaps, ns; None: there are no gaps
     """
     gaps = reduced.gaps(limit_ns)
     return np.stack([reduced.last_ns[:-1][gaps], reduced.first_ns[1:][gaps]], axis=1)
@@ -77,16 +66,8 @@ def gaps_in(reduced: Reduced, limit_ns: int | None) -> Int64:
 def line(reduced: Reduced, trace: int, start_ns: int, limit_ns: int | None = None) -> Line:
     """Return one trace as a line.
 
-    Parameters
-    ----------
-    reduced
-        The series.
-    trace
-        Which of its traces.
-    start_ns
-        The stamp at which the seconds begin, ns.
-    limit_ns
-        Intervals longer than this are gaps, ns.
+    `start_ns`: the stamp at which the seconds begin, ns
+    `limit_ns`: intervals longer than this are gaps, ns
     """
     # Differences are formed before they are floats: stamps are too large for those.
     begin, end = (reduced.first_ns - start_ns) * 1e-9, (reduced.last_ns - start_ns) * 1e-9
@@ -110,11 +91,6 @@ def line(reduced: Reduced, trace: int, start_ns: int, limit_ns: int | None = Non
 
 def folded(continuous: Line) -> Line:
     """Return a line of angles, deg, within half a turn of zero, cut where it leaves that range.
-
-    Parameters
-    ----------
-    continuous
-        A line of angles of any size, without jumps.
 
     Examples
     --------

@@ -32,20 +32,12 @@ REDUCED = " Only extremes of short times are drawn of it: draw a part of it to z
 class Page(NamedTuple):
     """A picture, and the text around it.
 
-    Parameters
-    ----------
-    title
-        What it is of, in one line.
-    facts
-        Lines below the title of a picture: convention, method, counts.
-    lead
-        The same on a page: the result, in a line or two.
-    picture
-        The picture.
-    warnings
-        What a reader should know.
-    tables
-        Details: headings, and rows of labels and texts.
+    `title`: what it is of, in one line
+    `facts`: lines below the title of a picture: convention, method, counts
+    `lead`: the same on a page: the result, in a line or two
+    `picture`: the picture
+    `warnings`: what a reader should know
+    `tables`: Details: headings, and rows of labels and texts
     """
 
     title: str
@@ -61,15 +53,6 @@ def html(page: Page, made_by: str, inputs: Iterable[Row]) -> str:
 
     Everything that comes from files is text in it, never markup. Browsers run its own script, and
     load nothing.
-
-    Parameters
-    ----------
-    page
-        What it shows.
-    made_by
-        The command, or the program.
-    inputs
-        Name and content of each file that it is made from.
     """
     svg, numbers = inline_svg(page)
     limits = f'data-limits="{escape(numbers)}"'

@@ -23,15 +23,10 @@ if TYPE_CHECKING:
 class Curve(NamedTuple):
     """A line of a panel.
 
-    Parameters
-    ----------
-    drawn
-        Its points, seconds and values.
-    colour
-        A key of :data:`quatprop.plot.palette.AXES`, or the number of the file.
-    band
-        The area of one standard deviation: seconds, lower and upper edge, shape ``(P,)`` each, NaN
-        where it breaks; None where it is unknown.
+    `drawn`: its points, seconds and values
+    `colour`: a key of :data:`quatprop.plot.palette.AXES`, or the number of the file
+    `band`: the area of one standard deviation: seconds, lower and upper edge, shape ``(P,)`` each,
+        NaN where it breaks; None where it is unknown
     """
 
     drawn: Line
@@ -42,14 +37,9 @@ class Curve(NamedTuple):
 class Mark(NamedTuple):
     """A point with a label.
 
-    Parameters
-    ----------
-    seconds, value
-        Where it is.
-    label
-        Its text.
-    sign
-        ``"first"`` or ``"worst"``.
+    `seconds`, `value`: where it is
+    `label`: its text
+    `sign`: ``"first"`` or ``"worst"``
     """
 
     seconds: float
@@ -61,16 +51,10 @@ class Mark(NamedTuple):
 class Panel(NamedTuple):
     """One pair of axes.
 
-    Parameters
-    ----------
-    quantity
-        What it shows.
-    curves
-        Its lines.
-    level
-        A horizontal line and what it is, such as a tolerance.
-    marks
-        Marked points.
+    `quantity`: what it shows
+    `curves`: its lines
+    `level`: a horizontal line and what it is, such as a tolerance
+    `marks`: Marked points
     """
 
     quantity: Quantity
@@ -82,14 +66,9 @@ class Panel(NamedTuple):
 class PlottedFile(NamedTuple):
     """What is drawn of one file.
 
-    Parameters
-    ----------
-    label
-        Name of the file.
-    groups
-        What is drawn of it; the gaps are those of the first.
-    detail
-        What else stands in the legend.
+    `label`: name of the file
+    `groups`: what is drawn of it; the gaps are those of the first
+    `detail`: what else stands in the legend
     """
 
     label: str
@@ -122,20 +101,13 @@ class PlottedFile(NamedTuple):
 class Picture(NamedTuple):
     """The content of a picture.
 
-    Parameters
-    ----------
-    time
-        Label of the time axis.
-    panels
-        From top to bottom.
-    gaps
-        For each file: first and last second of each gap, shape ``(G, 2)``.
-    starts
-        For each file: the stamp at which its seconds begin, ns.
-    bin_s
-        The time that was reduced to its extremes, mostly; 0 where samples are drawn as they are.
-    legend
-        Names of the files where they are several.
+    `time`: label of the time axis
+    `panels`: from top to bottom
+    `gaps`: for each file: first and last second of each gap, shape ``(G, 2)``
+    `starts`: for each file: the stamp at which its seconds begin, ns
+    `bin_s`: the time that was reduced to its extremes, mostly; 0 where samples are drawn as they
+        are
+    `legend`: names of the files where they are several
     """
 
     time: str
@@ -147,18 +119,7 @@ class Picture(NamedTuple):
 
 
 def picture(files: Sequence[PlottedFile]) -> Picture:
-    """Return the picture of files, overlaid.
-
-    Parameters
-    ----------
-    files
-        At least one; the others have quantities of the first.
-
-    Raises
-    ------
-    UsageError
-        The files have different quantities.
-    """
+    """Return the picture of files, overlaid."""
     first, several = files[0], len(files) > 1
     for file in files[1:]:
         if not file.traces.keys() <= first.traces.keys():

@@ -23,23 +23,9 @@ if TYPE_CHECKING:
 class PropagationPicture(PictureFile):
     """Accumulates a run as it passes, and draws it when it is done.
 
-    Parameters
-    ----------
-    target
-        Where the picture goes.
-    job
-        What is run.
-    spell
-        Writes a sentence that may mention settings.
-    command
-        As for :class:`quatprop.plot.target.PictureFile`.
-
-    Raises
-    ------
-    OutputError
-        The suffix is that of no picture, or the file cannot be written.
-    UsageError
-        matplotlib is not installed.
+    `target`: where the picture goes
+    `job`: what is run
+    `spell`: Writes a sentence that may mention settings
     """
 
     def __init__(self, target: str, job: Job, spell: Spell = str, *, command: str = "") -> None:
@@ -61,13 +47,7 @@ class PropagationPicture(PictureFile):
         return self._attitudes.passing(batches)
 
     def draw(self, report: RunReport) -> None:
-        """Draw the picture and put it in its place.
-
-        Parameters
-        ----------
-        report
-            The report of :func:`quatprop.pipeline.job.run`.
-        """
+        """Draw the picture and put it in its place."""
         limit_ns = report.counts.gap_limit_ns
         groups = [self._rates.group(limit_ns)]
         if report.result.rows:

@@ -43,13 +43,10 @@ PENDING = 65_536
 class Reduced:
     """A reduced series: bins in order of time, only those that hold samples.
 
-    Parameters
-    ----------
-    first_ns, last_ns
-        Stamps of the first and the last sample of each bin in time, shape ``(M,)``, int64 ns.
-    first, low, high, last
-        Values of each trace, shape ``(traces, M)``. NaN where a sample is missing; `low` and
-        `high` only where all are.
+    `first_ns`, `last_ns`: stamps of the first and the last sample of each bin in time, shape
+        ``(M,)``, int64 ns
+    `first`, `low`, `high`, `last`: values of each trace, shape ``(traces, M)``. NaN where a sample
+        is missing; `low` and `high` only where all are
     """
 
     first_ns: Int64
@@ -74,12 +71,8 @@ class Reduced:
 class Reduction:
     """Reduces a series, batch after batch.
 
-    Parameters
-    ----------
-    traces
-        How many values each sample has.
-    bins
-        Most bins to keep, at least 2: stamps on both sides of zero never share one.
+    `traces`: how many values each sample has
+    `bins`: most bins to keep, at least 2: stamps on both sides of zero never share one
 
     Examples
     --------
@@ -102,12 +95,8 @@ class Reduction:
     def add(self, t_ns: Int64, values: Sequence[Float64] | Float64) -> None:
         """Add the next samples.
 
-        Parameters
-        ----------
-        t_ns
-            Stamps, shape ``(N,)``, int64 ns, in any order.
-        values
-            Of each trace, shape ``(traces, N)``; NaN, infinite or huge where there is none.
+        `t_ns`: Stamps, shape ``(N,)``, int64 ns, in any order
+        `values`: of each trace, shape ``(traces, N)``; NaN, infinite or huge where there is none
         """
         if not len(t_ns):
             return
@@ -148,12 +137,7 @@ class Reduction:
 def _merge(index: Int64, parts: Reduced) -> tuple[Int64, Reduced]:
     """Merge the parts of each bin; equal stamps keep their order of arrival.
 
-    Parameters
-    ----------
-    index
-        The bin of each part, shape ``(N,)``, N at least 1.
-    parts
-        Bins, or samples as bins of one.
+    `index`: the bin of each part, shape ``(N,)``, N at least 1
     """
     # Stamps of one bin lie together in both orders, and bins are in order of their stamps.
     by_first, by_last = _rising(parts.first_ns), _rising(parts.last_ns)

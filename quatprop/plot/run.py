@@ -34,42 +34,8 @@ def plot(  # noqa: PLR0913  # what the command line gives
 ) -> tuple[list[str], Sequence[str], bool]:
     """Draw files into a picture.
 
-    Parameters
-    ----------
-    files
-        Paths, at least one; ``"-"`` is CSV on stdin.
-    output
-        Where the picture goes.
-    view
-        What to draw of the files.
-    reference
-        Draw the error of each file against this series instead; None: what is in the files.
-    settings
-        How to compare with the reference.
-    style
-        How large the picture is.
-    spell
-        Writes a sentence that may mention settings.
-    command
-        As for :class:`quatprop.plot.target.PictureFile`.
-
-    Returns
-    -------
-    lines, warnings
-        What each file shows, and what a reader should know.
-    data_lost
-        Whether something of a file could not be read or used.
-
-    Raises
-    ------
-    LogError
-        A file cannot be used with this selection.
-    OutputError
-        The picture cannot be written.
-    UsageError
-        The files have different quantities, or matplotlib is not installed.
-    ComparisonError
-        A file cannot be compared with the reference.
+    `files`: Paths, at least one; ``"-"`` is CSV on stdin
+    `reference`: Draw the error of each file against this series instead; None: what is in the files
     """
     inputs = [*files, None if reference is None else reference.path]
     with PictureFile(output, inputs, style=style, command=command) as target:

@@ -27,24 +27,10 @@ KINDS = {".png": "png", ".svg": "svg", ".pdf": "pdf", ".html": "html", ".htm": "
 class PictureFile:
     """A picture or a page that is being written to a file.
 
-    Parameters
-    ----------
-    target
-        The file; the suffix determines the kind.
-    inputs, outputs
-        What else the run reads and writes: refused as the target.
-    style
-        How large the picture is; a page has its own size.
-    command
-        What a page says that it was made by.
-
-    Raises
-    ------
-    OutputError
-        The suffix is that of no picture, or the file cannot be written; raised before anything is
-        computed.
-    UsageError
-        matplotlib is not installed.
+    `target`: the file; the suffix determines the kind
+    `inputs`, `outputs`: what else the run reads and writes: refused as the target
+    `style`: how large the picture is; a page has its own size
+    `command`: what a page says that it was made by
     """
 
     def __init__(
@@ -91,11 +77,6 @@ def _contents(path: str) -> Row:
 
 def kind_of(target: str) -> str:
     """Return the kind of a picture by the suffix of its name.
-
-    Raises
-    ------
-    OutputError
-        The suffix is that of no picture.
 
     Examples
     --------

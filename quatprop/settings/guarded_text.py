@@ -40,13 +40,7 @@ class ContentError(ValueError):
 
 
 def read_bytes(source: Path | str | IO[bytes], limit: int = MAX_BYTES) -> bytes:
-    """Return the content of a file, or of an open one, which is closed.
-
-    Raises
-    ------
-    ContentError
-        It cannot be read, has more bytes than that, or no end.
-    """
+    """Return the content of a file, or of an open one, which is closed."""
     try:
         with Path(source).open("rb") if isinstance(source, Path | str) else source as stream:
             data = stream.read(limit + 1)
@@ -58,13 +52,7 @@ def read_bytes(source: Path | str | IO[bytes], limit: int = MAX_BYTES) -> bytes:
 
 
 def read_toml(text: bytes) -> dict[str, Any]:
-    """Return the content of TOML.
-
-    Raises
-    ------
-    ContentError
-        It is not TOML, or goes beyond a limit.
-    """
+    """Return the content of TOML."""
     import tomllib
 
     decoded = _decoded(text)
@@ -84,13 +72,7 @@ def read_toml(text: bytes) -> dict[str, Any]:
 
 
 def read_json(text: bytes | str) -> Any:
-    """Return the content of JSON, which has no NaN and no name twice in an object.
-
-    Raises
-    ------
-    ContentError
-        It is not JSON, or goes beyond a limit.
-    """
+    """Return the content of JSON, which has no NaN and no name twice in an object."""
     decoded = _decoded(text, "surrogateescape")
     try:
         content = _JSON.decode(decoded)
@@ -105,13 +87,7 @@ def read_json(text: bytes | str) -> Any:
 
 
 def read_yaml(text: bytes | str) -> Any:
-    """Return the content of YAML; tags make plain values only, whatever they ask for.
-
-    Raises
-    ------
-    ContentError
-        It is neither YAML nor JSON, or goes beyond a limit.
-    """
+    """Return the content of YAML; tags make plain values only, whatever they ask for."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 

@@ -82,14 +82,7 @@ SMALLEST_IN, LARGEST_IN = 1.0, 100.0
 def quantity(value: object, units: Mapping[str, float], noun: str, examples: str) -> float:
     """Return a number in the unit whose factor is 1: text with a unit, or a number in that.
 
-    Parameters
-    ----------
-    value
-        What was given.
-    units
-        Units and their factors.
-    noun, examples
-        What errors call it, and give as examples.
+    `units`: units and their factors
     """
     if not isinstance(value, str):
         if (parsed := number(value)) < 0:

@@ -17,20 +17,7 @@ if TYPE_CHECKING:
 def parse_all(
     options: Mapping[str, object], parsers: Mapping[str, Parser] = PROPAGATE
 ) -> dict[str, Any]:
-    """Return settings by name with their parsed values; None counts as not given.
-
-    Parameters
-    ----------
-    options
-        Names and values.
-    parsers
-        The settings there are.
-
-    Raises
-    ------
-    UsageError
-        There is no such setting, or a value cannot be used; the sentence names the setting.
-    """
+    """Return settings by name with their parsed values; None counts as not given."""
     values = {}
     refuse_unknown(options, parsers)
     for name, value in options.items():
@@ -44,20 +31,7 @@ def parse_all(
 
 
 def refuse_unknown(options: Iterable[str], names: Collection[str]) -> None:
-    """Refuse keywords that a function has not, and name the one that was probably meant.
-
-    Parameters
-    ----------
-    options
-        The keywords that were given.
-    names
-        Those that there are.
-
-    Raises
-    ------
-    UsageError
-        One of them is unknown.
-    """
+    """Refuse keywords that a function has not, and name the one that was probably meant."""
     keywords = {option: keyword for keyword, option in OPTION_NAMES.items()}
     for name in options:
         if name in names:
@@ -74,13 +48,6 @@ def refuse_unknown(options: Iterable[str], names: Collection[str]) -> None:
 
 def as_text(name: str, value: object, parsed: object) -> str | bool:
     """Return the value of a setting as a configuration has it.
-
-    Parameters
-    ----------
-    name
-        A key of :data:`quatprop.settings.PROPAGATE`.
-    value, parsed
-        As it was given, and what its parser made of it.
 
     Examples
     --------

@@ -18,20 +18,7 @@ MAX_BYTES = 1_000_000
 
 
 def read_yaml(setting: str, path: Path | str) -> Mapping[str, object]:
-    """Return the content of a file, by name.
-
-    Parameters
-    ----------
-    setting
-        The setting that names the file, for errors.
-    path
-        The file.
-
-    Raises
-    ------
-    UsageError
-        It cannot be read, or is not YAML or JSON with names at the top.
-    """
+    """Return the content of a file, by name."""
     try:
         # How OpenCV begins a file is not YAML.
         text = read_bytes(path, MAX_BYTES).removeprefix(b"%YAML:1.0")

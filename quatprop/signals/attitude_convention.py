@@ -43,13 +43,7 @@ def recorded_convention(provenance: Mapping[str, Any]) -> dict[str, str]:
 def meaning_of(
     path: Path | str, selection: AttitudeSelection, recorded: Mapping[str, str]
 ) -> Meaning:
-    """Return what numbers mean: as the user or the metadata say, else Hamilton, body to reference.
-
-    Raises
-    ------
-    UsageError
-        The user contradicts the metadata.
-    """
+    """Return what numbers mean: as user or metadata say, else Hamilton, body to reference."""
     return Meaning(
         _agreed(path, "convention", selection.from_convention, recorded) or "hamilton",
         _agreed(path, "direction", selection.from_direction, recorded) or "body-to-ref",
@@ -71,19 +65,7 @@ def _agreed(
 def message_layout(found: Found, given: str | None, recorded: str | None) -> str:
     """Return how a message stores a quaternion: by its definition, else as the user says.
 
-    Parameters
-    ----------
-    found
-        Where the quaternion is.
-    given, recorded
-        The layout that the user gives, and that in the metadata of the topic.
-
-    Raises
-    ------
-    UsageError
-        User, metadata and definition contradict each other.
-    UndeclaredError
-        None of them says it.
+    `given`, `recorded`: the layout that the user gives, and that in the metadata of the topic
     """
     given = given and layout_named(given).name
     table, by_definition = found.table, _defined_layout(found)

@@ -34,18 +34,11 @@ SIZES = (9, 36)
 class CovarianceColumns(NamedTuple):
     """The columns that say how certain attitudes are.
 
-    Parameters
-    ----------
-    table
-        Where they are.
-    columns
-        One group; none where there are no such columns.
-    axes
-        ``"reference"`` or ``"body"``: whose axes the errors are about.
-    are_sigmas
-        Whether they are standard deviations, rad, and not a covariance, rad^2.
-    own
-        Whether this package wrote them, and no driver.
+    `table`: where they are
+    `columns`: one group; none where there are no such columns
+    `axes`: ``"reference"`` or ``"body"``: whose axes the errors are about
+    `are_sigmas`: whether they are standard deviations, rad, and not a covariance, rad^2
+    `own`: whether this package wrote them, and no driver
     """
 
     table: Table
@@ -58,11 +51,6 @@ class CovarianceColumns(NamedTuple):
         """Yield rows whose last numbers are covariances about body axes, ``(N, 3, 3)``, rad^2.
 
         They are None where nothing is known. The first two of a row are stamps and quaternions.
-
-        Raises
-        ------
-        LogError
-            A standard deviation is negative or not finite.
         """
         if self.are_sigmas:
             rows = self._of_sigmas(rows)

@@ -32,22 +32,14 @@ if TYPE_CHECKING:
 class AttitudeInput:
     """Which attitude series to read.
 
-    Parameters
-    ----------
-    path
-        Any log or table with attitudes, or ``"-"``.
-    kind
-        A key of :data:`quatprop.log_kinds.READERS`; None for the kind that content and suffix show.
-    selection
-        Which attitudes.
-    normalize
-        Scale quaternions of any length but zero to unit length.
-    drop
-        Leave out invalid quaternions instead of refusing the series.
-    side
-        Which side of a comparison it is, ``"a"`` or ``"b"``, for errors.
-    positions
-        Read positions beside the attitudes too, where there are any.
+    `path`: any log or table with attitudes, or ``"-"``
+    `kind`: a key of :data:`quatprop.log_kinds.READERS`; None for the kind that content and suffix
+        show
+    `selection`: which attitudes
+    `normalize`: Scale quaternions of any length but zero to unit length
+    `drop`: Leave out invalid quaternions instead of refusing the series
+    `side`: which side of a comparison it is, ``"a"`` or ``"b"``, for errors
+    `positions`: read positions beside the attitudes too, where there are any
     """
 
     path: str
@@ -63,22 +55,13 @@ class AttitudeInput:
 class ReadAttitudes:
     """What is known of an attitude series once it was read.
 
-    Parameters
-    ----------
-    input
-        What was asked for.
-    kind
-        The kind of the log.
-    signal
-        The attitudes that were chosen.
-    samples
-        How many attitudes it has.
-    first_ns, last_ns
-        The earliest and the latest stamp, ns.
-    counts
-        Valid and invalid rows.
-    losses
-        What could not be read.
+    `input`: what was asked for
+    `kind`: the kind of the log
+    `signal`: the attitudes that were chosen
+    `samples`: how many attitudes it has
+    `first_ns`, `last_ns`: the earliest and the latest stamp, ns
+    `counts`: Valid and invalid rows
+    `losses`: what could not be read
     """
 
     input: AttitudeInput
@@ -119,32 +102,14 @@ class ReadAttitudes:
 class LoadedAttitudes(ReadAttitudes):
     """An attitude series in memory, and where it is from; see :class:`ReadAttitudes`.
 
-    Parameters
-    ----------
-    series
-        Its values.
+    `series`: its values
     """
 
     series: AttitudeSeries
 
 
 def attitude_input(path: str, options: Mapping[str, object], side: str = "") -> AttitudeInput:
-    """Return which attitude series to read, from settings by name.
-
-    Parameters
-    ----------
-    path
-        As for :class:`AttitudeInput`.
-    options
-        Keys of :data:`quatprop.settings.READ_ATTITUDES` and their values.
-    side
-        As for :class:`AttitudeInput`.
-
-    Raises
-    ------
-    UsageError
-        There is no such setting, or a value cannot be used.
-    """
+    """Return which attitude series to read, from settings by name."""
     values = parse_all(options, READ_ATTITUDES)
     return AttitudeInput(
         path,
@@ -157,27 +122,13 @@ def attitude_input(path: str, options: Mapping[str, object], side: str = "") -> 
 
 
 def load_attitudes(wanted: AttitudeInput) -> LoadedAttitudes:
-    """Read an attitude series into memory.
-
-    Raises
-    ------
-    LogError
-        It cannot be read, or not as asked.
-    NotRotationsError
-        Quaternions are invalid, and are not to be dropped.
-    """
+    """Read an attitude series into memory."""
     with open_attitudes(wanted) as file:
         return file.load(file.batches())
 
 
 def open_attitudes(wanted: AttitudeInput) -> AttitudeFile:
-    """Open an attitude series, to be read batch by batch.
-
-    Raises
-    ------
-    LogError
-        As for :func:`load_attitudes`.
-    """
+    """Open an attitude series, to be read batch by batch."""
     with errors_of(wanted.side), ExitStack() as stack:
         log = stack.enter_context(
             open_log(wanted.path, wanted.kind, msg_path=wanted.selection.msg_path)
@@ -190,16 +141,9 @@ def open_attitudes(wanted: AttitudeInput) -> AttitudeFile:
 class AttitudeFile:
     """An attitude series of an open log, which is closed when its ``with`` block ends.
 
-    Parameters
-    ----------
-    wanted
-        What was asked for.
-    log
-        The log.
-    signal
-        The attitudes that were chosen.
-    opened
-        Closes the log.
+    `wanted`: what was asked for
+    `signal`: the attitudes that were chosen
+    `opened`: Closes the log
     """
 
     def __init__(
@@ -224,13 +168,7 @@ class AttitudeFile:
         self._opened.close()
 
     def batches(self) -> Iterator[AttitudeSeries]:
-        """Read the valid attitudes, batch by batch, at least one; again with each call.
-
-        Raises
-        ------
-        LogError
-            As for :func:`load_attitudes`.
-        """
+        """Read the valid attitudes, batch by batch, at least one; again with each call."""
         wanted, signal = self._wanted, self.signal
         self._check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
         rows = signal.read(

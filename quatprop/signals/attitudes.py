@@ -39,21 +39,7 @@ if TYPE_CHECKING:
 
 
 def choose_attitudes(log: AnyLog, selection: AttitudeSelection) -> AttitudeSignal:
-    """Return the only attitudes that a selection leaves.
-
-    Raises
-    ------
-    NoAttitudesError
-        Nothing in the log carries attitudes.
-    NoSuchTopicError
-        The topic is not there, or carries none.
-    AmbiguousTopicError
-        Several topics carry attitudes.
-    UndeclaredError
-        The layout, a column or the time is declared nowhere.
-    UsageError
-        Settings contradict each other or the log.
-    """
+    """Return the only attitudes that a selection leaves."""
     found = attitude_candidates(log, selection)
     if len(found) > 1:
         # Neither a placeholder nor what is absent in every message competes with an attitude.
@@ -75,14 +61,7 @@ def _is_placeholder(candidate: Candidate[AttitudeSignal]) -> bool:
 def attitude_candidates(
     log: AnyLog, selection: AttitudeSelection
 ) -> list[Candidate[AttitudeSignal]]:
-    """Return the attitudes that a selection leaves, at least one.
-
-    Raises
-    ------
-    LogError
-        As for :func:`choose_attitudes`, but for the ambiguity; what is not declared about a
-        candidate is refused when its signal is asked for.
-    """
+    """Return the attitudes that a selection leaves, at least one."""
     return [
         Candidate(found, partial(_signal, found, selection), not found.table.is_secondary)
         for found in candidates(log, selection, ATTITUDES)

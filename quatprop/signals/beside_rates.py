@@ -26,19 +26,7 @@ def conditioning_inputs(
 ) -> ConditioningInputs:
     """Return what is needed besides the rates.
 
-    Parameters
-    ----------
-    log
-        An open log that can be read again; None for rates in memory.
-    source, selection
-        Its rates, and how they were chosen.
-    wanted
-        What is to be done to them.
-
-    Raises
-    ------
-    LogError, UsageError
-        The biases or the mounting that are asked for cannot be read.
+    `log`: an open log that can be read again; None for rates in memory
     """
     biases = mounting = None
     if wanted.bias_from is not None:
@@ -91,20 +79,7 @@ def specific_forces(source: RateSignal) -> Rows | None:
 
 
 def own_orientation(log: AnyLog, source: RateSignal, selection: RateSelection) -> AttitudeSignal:
-    """Return the orientation that is in the same messages or rows as the rates, on their clock.
-
-    Parameters
-    ----------
-    log
-        An open log that can be read again.
-    source, selection
-        Its rates, and how they were chosen.
-
-    Raises
-    ------
-    LogError, UsageError
-        There is none, or it cannot be read.
-    """
+    """Return the orientation that is in the same messages or rows as the rates, on their clock."""
     from quatprop.signals.attitudes import choose_attitudes
 
     wanted = AttitudeSelection.like(selection)

@@ -28,19 +28,8 @@ if TYPE_CHECKING:
 def read_biases(source: str, log: AnyLog | None, selection: SignalSelection) -> BiasSeries:
     """Read biases over time.
 
-    Parameters
-    ----------
-    source
-        A file, or a topic of the log.
-    log, selection
-        The log whose rates the biases are of, and how those were chosen; None for rates in memory.
-
-    Raises
-    ------
-    LogError
-        The file cannot be read, or holds no biases.
-    UsageError
-        There is no such file and no such topic.
+    `log`, `selection`: the log whose rates the biases are of, and how those were chosen; None for
+        rates in memory
     """
     if Path(source).exists():
         with open_log(source) as opened:

@@ -48,15 +48,10 @@ SelectionT = TypeVar("SelectionT", bound="SignalSelection")
 class Candidate(NamedTuple, Generic[SignalT]):
     """A signal that a log seems to hold.
 
-    Parameters
-    ----------
-    found
-        Where it is.
-    signal
-        Returns it; raises a LogError or UsageError where something about it is not declared.
-    preferred
-        Whether it comes before others: rates that a sensor measured before estimated or commanded
-        ones, the attitude of a vehicle before those of its several estimators.
+    `found`: where it is
+    `signal`: returns it; raises a LogError or UsageError where something about it is not declared
+    `preferred`: whether it comes before others: rates that a sensor measured before estimated or
+        commanded ones, the attitude of a vehicle before those of its several estimators
     """
 
     found: Found
@@ -77,18 +72,10 @@ class Candidate(NamedTuple, Generic[SignalT]):
 class SignalKind(NamedTuple):
     """What error messages say about rates or about attitudes.
 
-    Parameters
-    ----------
-    quantity
-        As in a row of the vocabulary.
-    name
-        Such as ``"body rates"``.
-    secondary
-        What candidates are that are not preferred.
-    field
-        The setting that names their message field.
-    none
-        The error for a log without any.
+    `name`: such as ``"body rates"``
+    `secondary`: what candidates are that are not preferred
+    `field`: the setting that names their message field
+    `none`: the error for a log without any
     """
 
     quantity: str
@@ -103,19 +90,7 @@ ATTITUDES = SignalKind("quat", "attitudes", "secondary attitudes", "quat_field",
 
 
 def choose(log: AnyLog, candidates: Sequence[Candidate[SignalT]], kind: SignalKind) -> SignalT:
-    """Return the only signal among some candidates.
-
-    Raises
-    ------
-    AmbiguousTopicError
-        Several topics remain.
-    UsageError
-        Several fields of one topic remain.
-    UnsupportedLogError
-        One topic has several message definitions, and their samples or stamps are not alike.
-    LogError
-        Something about the signal is not declared.
-    """
+    """Return the only signal among some candidates."""
     preferred = [candidate for candidate in candidates if candidate.preferred] or candidates
     topics = [candidate.topic for candidate in preferred]
     if len(set(topics)) > 1:
@@ -183,17 +158,6 @@ def candidates(log: AnyLog, selection: SignalSelection, kind: SignalKind) -> lis
     """Return what a selection leaves of a kind in the tables of a log, at least one.
 
     Which columns of a file it is, is found when its signal is asked for.
-
-    Raises
-    ------
-    NoSuchTopicError
-        The topic is not there, or carries nothing of this kind.
-    UsageError
-        No message has the field, or a setting is for tables.
-    SchemaError
-        The only topic has no definition, or one that cannot be used.
-    NoRatesError, NoAttitudesError
-        The log holds nothing of this kind.
     """
     tables = log.tables(selection.topic)
     if files := [table for table in tables or log.tables() if not table.is_typed]:

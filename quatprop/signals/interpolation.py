@@ -52,30 +52,12 @@ def attitude_at(
 ) -> Float64:
     """Return the attitude that a series has at a time.
 
-    Parameters
-    ----------
-    source
-        A file of attitudes, any log with attitudes, or a topic of `log`.
-    t_ns
-        The time, ns.
-    log, selection
-        An open log that can be read again, and how its rates were chosen; None for rates in
-        memory.
-
-    Returns
-    -------
-    ndarray
-        wxyz, Hamilton, body -> reference, shape ``(4,)``. At a stamp of the series its row as it
-        is stored, otherwise a unit quaternion on the shortest arc between its neighbours in time.
-
-    Raises
-    ------
-    TimelineError
-        The time is before the first or after the last attitude.
-    LogError
-        The series cannot be used as asked.
-    UsageError
-        There is no such file and no such topic.
+    `t_ns`: the time, ns
+    `log`, `selection`: an open log that can be read again, and how its rates were chosen; None for
+        rates in memory
+    `Returns`: wxyz, Hamilton, body -> reference, shape ``(4,)``. At a stamp of the series its row
+        as it is stored, otherwise a unit quaternion on the shortest arc between its neighbours in
+        time
     """
     wanted, clock = AttitudeSelection(), None if selection is None else selection.clock
     is_file = Path(source).exists()
@@ -104,18 +86,7 @@ def attitude_at(
 
 
 def stamps_in(path: Path | str) -> Int64:
-    """Return the stamps of a series of attitudes or of rates, in order, shape ``(N,)``, int64 ns.
-
-    Parameters
-    ----------
-    path
-        An attitude series, or any log with attitudes or rates.
-
-    Raises
-    ------
-    LogError
-        The file cannot be read, or holds neither.
-    """
+    """Return the stamps of a series of attitudes or rates, in order, ``(N,)``, int64 ns."""
     with errors_of("at"), open_log(path) as opened:
         try:
             stamps = [t_ns for t_ns, _ in choose_attitudes(opened, AttitudeSelection()).rows()]
@@ -132,27 +103,7 @@ def first_orientation(
 ) -> Float64:
     """Return a log's own orientation where a propagation of its rates begins.
 
-    Parameters
-    ----------
-    log
-        An open log that can be read again.
-    source, selection
-        Its rates, as :func:`quatprop.signals.rates.choose_rates` gives them, and how they were
-        chosen: the orientation is that of the same messages or rows, on the same clock.
-    t_ns
-        The stamp of the first sample that is used.
-
-    Returns
-    -------
-    ndarray
-        wxyz, Hamilton, body -> reference, as it is stored, shape ``(4,)``.
-
-    Raises
-    ------
-    TimelineError
-        The time is outside the orientations that are there.
-    LogError
-        The messages or rows have no orientation, or the log cannot be used as asked.
+    `Returns`: wxyz, Hamilton, body -> reference, as it is stored, shape ``(4,)``
     """
     try:
         with errors_of("q0"):
@@ -170,22 +121,7 @@ def first_orientation(
 def attitude_in(batches: Iterable[AttitudeSeries], t_ns: int, path: Path | str) -> Float64:
     """Return the attitude of a series at a time; see :func:`attitude_at`.
 
-    Parameters
-    ----------
-    batches
-        The series, in any order of time.
-    t_ns
-        The time, ns.
-    path
-        The file, for errors.
-
-    Raises
-    ------
-    NoSamplesError
-        The series is empty.
-    TimelineError
-        The time is before the first or after the last attitude, or its neighbours are more than
-        :data:`MAX_INTERPOLATION_NS` apart.
+    `t_ns`: the time, ns
     """
     before: Row | None = None
     after: Row | None = None

@@ -33,20 +33,12 @@ _ROUNDING = 4e-16
 class QuaternionCounts:
     """Valid and invalid rows of a series.
 
-    Parameters
-    ----------
-    read, used
-        Rows read, and rows that passed.
-    zero, not_unit, not_finite
-        Invalid rows, by reason.
-    normalized
-        Rows that were scaled to unit length.
-    worst
-        Largest difference of a length from 1 among the rows that are neither zero nor NaN.
-    first
-        Number of the first invalid row, from 0; None while there is none.
-    first_ns
-        Its stamp, ns.
+    `read`, `used`: rows read, and rows that passed
+    `zero`, `not_unit`, `not_finite`: Invalid rows, by reason
+    `normalized`: rows that were scaled to unit length
+    `worst`: Largest difference of a length from 1 among the rows that are neither zero nor NaN
+    `first`: number of the first invalid row, from 0; None while there is none
+    `first_ns`: its stamp, ns
     """
 
     read: int = 0
@@ -82,19 +74,9 @@ class QuaternionCounts:
 class QuaternionCheck:
     """Lets unit quaternions pass, and refuses or drops the others.
 
-    Parameters
-    ----------
-    path
-        The file, for errors.
-    normalize
-        Scale rows of any length but zero to unit length; zeros and NaN stay invalid.
-    drop
-        Leave out invalid rows instead of refusing the series.
-
-    Attributes
-    ----------
-    counts
-        Valid and invalid rows so far.
+    `normalize`: Scale rows of any length but zero to unit length; zeros and NaN stay invalid
+    `drop`: Leave out invalid rows instead of refusing the series
+    `counts`: Valid and invalid rows so far
     """
 
     def __init__(self, path: Path | str, *, normalize: bool = False, drop: bool = False) -> None:
@@ -108,17 +90,8 @@ class QuaternionCheck:
     ) -> Iterator[AttitudeSeries]:
         """Yield the valid rows.
 
-        Parameters
-        ----------
-        batches
-            Stamps, shape ``(N,)``, int64 ns, and quaternions, shape ``(N, 4)``; perhaps more of the
-            arguments of :class:`quatprop.series.AttitudeSeries`.
-
-        Raises
-        ------
-        NotRotationsError
-            Rows are invalid. Nothing is yielded from the first of them on; all are counted before
-            the error is raised.
+        `batches`: Stamps, shape ``(N,)``, int64 ns, and quaternions, shape ``(N, 4)``; perhaps more
+            of the arguments of :class:`quatprop.series.AttitudeSeries`
         """
         for t_ns, wxyz, *beside in batches:
             valid, scaled = self._valid(t_ns, wxyz)

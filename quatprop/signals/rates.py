@@ -28,21 +28,7 @@ if TYPE_CHECKING:
 
 
 def choose_rates(log: AnyLog, selection: RateSelection) -> RateSignal:
-    """Return the only body rates that a selection leaves.
-
-    Raises
-    ------
-    NoRatesError
-        Nothing in the log carries body rates.
-    NoSuchTopicError
-        The topic is not there, or carries none.
-    AmbiguousTopicError
-        Several topics carry body rates.
-    UndeclaredError
-        A unit, a column or the time is declared nowhere.
-    UsageError
-        Settings contradict each other or the log.
-    """
+    """Return the only body rates that a selection leaves."""
     return choose(log, rate_candidates(log, selection), RATES)
 
 
@@ -61,14 +47,7 @@ def signal_of_series(series: GyroSeries) -> RateSignal:
 
 
 def rate_candidates(log: AnyLog, selection: RateSelection) -> list[Candidate[RateSignal]]:
-    """Return the body rates that a selection leaves, at least one.
-
-    Raises
-    ------
-    LogError
-        As for :func:`choose_rates`, but for the ambiguity; what is not declared about a candidate
-        is refused when its signal is asked for.
-    """
+    """Return the body rates that a selection leaves, at least one."""
     return [
         Candidate(found, partial(_signal, found, selection), found.row.measured)
         for found in candidates(log, selection, RATES)

@@ -69,21 +69,13 @@ def _no_stamps() -> Iterator[tuple[Int64, Int64]]:
 class Signal:
     """One series of samples in a log.
 
-    Parameters
-    ----------
-    name
-        The topic, or the names of the columns.
-    type_name
-        The message type, or the dialect of a table; ``""`` where there is none.
-    field
-        The message field, the columns, or the frames.
-    clock
-        Time base: ``"header"``, ``"log"``, ``"publish"``, or the name of a column.
-    remarks
-        What was inferred.
-    stamps
-        Reads the stamps of messages and their log times, shape ``(N,)`` each, int64 ns, in the
-        order of the samples; nothing for a table.
+    `name`: the topic, or the names of the columns
+    `type_name`: the message type, or the dialect of a table; ``""`` where there is none
+    `field`: the message field, the columns, or the frames
+    `clock`: time base: ``"header"``, ``"log"``, ``"publish"``, or the name of a column
+    `remarks`: what was inferred
+    `stamps`: reads the stamps of messages and their log times, shape ``(N,)`` each, int64 ns, in
+        the order of the samples; nothing for a table
     """
 
     name: str
@@ -98,22 +90,15 @@ class Signal:
 class RateSignal(Signal):
     """Body rates of a log; takes the parameters of :class:`Signal` too.
 
-    Parameters
-    ----------
-    batches
-        Reads the samples, rad/s and ns, in batches in the order of the log.
-    unit
-        Unit in which they are stored, ``"rad/s"`` or ``"deg/s"``.
-    method
-        The integration rule that fits the sensor, where the definition of its messages says it.
-    increments
-        Whether samples are increments, which the sensor has integrated.
-    rows
-        Reads the samples of messages with their log times: their values are the arguments of
-        :class:`quatprop.series.GyroSeries`; nothing for a table.
-    matches
-        Where they are in messages: one, or one for each definition that the topic was recorded
-        with.
+    `batches`: reads the samples, rad/s and ns, in batches in the order of the log
+    `unit`: unit in which they are stored, ``"rad/s"`` or ``"deg/s"``
+    `method`: the integration rule that fits the sensor, where the definition of its messages says
+        it
+    `increments`: whether samples are increments, which the sensor has integrated
+    `rows`: reads the samples of messages with their log times: their values are the arguments of
+        :class:`quatprop.series.GyroSeries`; nothing for a table
+    `matches`: where they are in messages: one, or one for each definition that the topic was
+        recorded with
     """
 
     batches: Callable[[], Iterator[GyroSeries]]
@@ -144,17 +129,7 @@ class RateSignal(Signal):
     def method_used(self, wanted: str | None) -> tuple[str, str]:
         """Return the integration rule, and where it comes from.
 
-        Parameters
-        ----------
-        wanted
-            The method that the user has chosen; None: what the log says, or else ``"start"``.
-
-        Returns
-        -------
-        method : str
-            A key of :data:`quatprop.kinematics.increments.METHODS`.
-        method_from : str
-            ``"given"``, ``"log"`` where it follows from what the samples are, or ``"default"``.
+        `wanted`: the method that the user has chosen; None: what the log says, or else ``"start"``
         """
         if self.increments and wanted in {None, "start", "mean"}:
             # Where the rate was known in between is lost: all three are the increment itself.
@@ -187,33 +162,22 @@ class RateSignal(Signal):
 class AttitudeSignal(Signal):
     """Attitudes of a log; takes the parameters of :class:`Signal` too.
 
-    Parameters
-    ----------
-    read
-        Reads stamps in ns and quaternions ``(N, 4)``, scalar first, Hamilton, body -> reference,
-        batch after batch in the order of the log. They are not checked: see
+    `read`: reads stamps in ns and quaternions ``(N, 4)``, scalar first, Hamilton, body ->
+        reference, batch after batch in the order of the log. They are not checked: see
         :class:`quatprop.signals.quaternion_check.QuaternionCheck`. Beside them positions of the
         body in the reference frame, shape ``(N, 3)``, m, and covariances about body axes, shape
-        ``(N, 3, 3)``, rad^2; None where they are not wanted or not there.
-    layout
-        How they are stored, ``"scalar-first"`` or ``"scalar-last"``; ``"by name"`` where the
-        components have names and no such order; ``""`` for other representations.
-    meaning
-        What the stored numbers mean.
-    provenance
-        How the attitudes were made, as their file says.
-    representation
-        ``"quaternion"`` or a key of :data:`quatprop.conventions.representations.REPRESENTATIONS`.
-    has_positions
-        Whether there are positions.
-    may_have_covariances
-        Whether there is a place for covariances.
-    placeholder
-        Whether it is the identity in every message of a sensor: never set.
-    sigma_axes
-        The axes of standard deviations beside them; None where a table has none.
-    rotation_columns
-        Columns of a table that hold the same attitudes in other representations.
+        ``(N, 3, 3)``, rad^2; None where they are not wanted or not there
+    `layout`: how they are stored, ``"scalar-first"`` or ``"scalar-last"``; ``"by name"`` where the
+        components have names and no such order; ``""`` for other representations
+    `meaning`: what the stored numbers mean
+    `provenance`: how the attitudes were made, as their file says
+    `representation`: ``"quaternion"`` or a key of
+        :data:`quatprop.conventions.representations.REPRESENTATIONS`
+    `has_positions`: whether there are positions
+    `may_have_covariances`: whether there is a place for covariances
+    `placeholder`: whether it is the identity in every message of a sensor: never set
+    `sigma_axes`: the axes of standard deviations beside them; None where a table has none
+    `rotation_columns`: columns of a table that hold the same attitudes in other representations
     """
 
     read: ReadRows

@@ -37,20 +37,9 @@ GIVEN = Setting("mount", "W,X,Y,Z|x,-y,-z")
 def frame_mounting(log: AnyLog | None, source: RateSignal, frame: str) -> FrameMounting:
     """Return the mounting from the frame of a sensor to another, through the static transforms.
 
-    Parameters
-    ----------
-    log, source
-        The log and its rates; the sensor's frame is that in the header of its first message.
-    frame
-        Whose axes are the body's.
-
-    Raises
-    ------
-    UsageError
-        The log has no static transforms, the sensor names no frame, or no transforms lead from
-        one frame to the other.
-    LogError
-        The transforms cannot be read.
+    `log`, `source`: the log and its rates; the sensor's frame is that in the header of its first
+        message
+    `frame`: Whose axes are the body's
     """
     if log is None or not any(match.table.is_typed for match in source.matches):
         mount = Setting("mount", f"tf:{frame}")

@@ -69,12 +69,8 @@ def _latest(spans: Iterable[Span]) -> int:
 class TableRangeReader:
     """Reads ranges of stamps of a table that says which stamps each of its parts has.
 
-    Parameters
-    ----------
-    spans
-        The stamps of the parts, at least one part.
-    batches
-        Reads the samples of some parts.
+    `spans`: the stamps of the parts, at least one part
+    `batches`: reads the samples of some parts
     """
 
     spans: Sequence[Span]
@@ -121,14 +117,9 @@ class TableRangeReader:
 class RangeReader:
     """Reads ranges of stamps of a signal.
 
-    Parameters
-    ----------
-    span
-        When it was recorded, by the index.
-    stamps
-        Reads stamps and log times, shape ``(N,)`` each, int64 ns, of a range of log times.
-    batches
-        Reads the samples of a range of log times.
+    `span`: when it was recorded, by the index
+    `stamps`: reads stamps and log times, shape ``(N,)`` each, int64 ns, of a range of log times
+    `batches`: reads the samples of a range of log times
     """
 
     span: TimeRange
@@ -144,15 +135,7 @@ class RangeReader:
     ) -> tuple[PartOfLog, Iterator[GyroSeries]] | None:
         """Return the part of the log with the stamps of a range, and the samples of that part.
 
-        Parameters
-        ----------
-        first_ns, last_ns
-            The range, ends included; None is open.
-
-        Returns
-        -------
-        tuple or None
-            None where the whole log has to be read.
+        `first_ns`, `last_ns`: the range, ends included; None is open
         """
         zones = self._end_zones
         if zones is None:

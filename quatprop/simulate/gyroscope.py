@@ -35,27 +35,14 @@ the last place between machines."""
 class Gyroscope:
     """A gyroscope and how long it samples.
 
-    Parameters
-    ----------
-    sample_rate
-        Samples a second, Hz. Sample k is taken at the whole ns at or before ``k / sample_rate``,
-        and its stamp is true.
-    samples
-        Number of samples.
-    start_ns
-        First stamp, ns.
-    noise
-        Angular random walk, rad/s/sqrt(Hz): each sample of each axis gets white noise of
-        standard deviation ``noise * sqrt(sample_rate)``.
-    bias
-        Added to the rate, rad/s.
-    seed
-        Of the noise.
-
-    Raises
-    ------
-    UsageError
-        A value is out of its range.
+    `sample_rate`: samples a second, Hz. Sample k is taken at the whole ns at or before ``k /
+        sample_rate``, and its stamp is true
+    `samples`: number of samples
+    `start_ns`: first stamp, ns
+    `noise`: angular random walk, rad/s/sqrt(Hz): each sample of each axis gets white noise of
+        standard deviation ``noise * sqrt(sample_rate)``
+    `bias`: Added to the rate, rad/s
+    `seed`: of the noise
     """
 
     sample_rate: Fraction
@@ -87,19 +74,7 @@ def record(
 ) -> Iterator[AttitudeSeries]:
     """Yield the true attitudes with the measured rates, batch after batch.
 
-    Parameters
-    ----------
-    motion
-        The motion of the body.
-    gyroscope
-        The gyroscope that samples it.
-    q0
-        True attitude at the first sample, body -> reference, wxyz; made unit length.
-
-    Raises
-    ------
-    UsageError
-        q0 is not an attitude.
+    `q0`: True attitude at the first sample, body -> reference, wxyz; made unit length
     """
     if not 0 < np.linalg.norm(q0) < np.inf:
         raise UsageError("q0 must be four finite numbers W,X,Y,Z, not all zero")

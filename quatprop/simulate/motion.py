@@ -35,20 +35,13 @@ if TYPE_CHECKING:
 class Shape:
     """The parameters of the motions; each uses its own.
 
-    Parameters
-    ----------
-    frequency
-        Turns a second, Hz: of the spin, of the coning, of the precession of a tumbling body.
-    axis
-        Axis of the spin in the body, any length but zero.
-    angle
-        Degrees: half-angle of the cone, or nutation angle of a tumbling body.
-    spin_frequency
-        Turns a second of a tumbling body about its own axis.
-    walk
-        Strength of the random walk of the rate, rad/s/sqrt(s).
-    seed
-        Of the random walk.
+    `frequency`: Turns a second, Hz: of the spin, of the coning, of the precession of a tumbling
+        body
+    `axis`: axis of the spin in the body, any length but zero
+    `angle`: Degrees: half-angle of the cone, or nutation angle of a tumbling body
+    `spin_frequency`: Turns a second of a tumbling body about its own axis
+    `walk`: Strength of the random walk of the rate, rad/s/sqrt(s)
+    `seed`: of the random walk
     """
 
     frequency: Fraction = Fraction(1, 2)
@@ -60,13 +53,7 @@ class Shape:
 
 
 def motion_named(name: str, shape: Shape) -> Motion:
-    """Return a motion by name.
-
-    Raises
-    ------
-    UsageError
-        There is none, or a parameter is out of range.
-    """
+    """Return a motion by name."""
     if name not in MOTIONS:
         raise UsageError(f"no motion {quoted(name)}; choose one of {listed(MOTIONS)}")
     return MOTIONS[name](shape)
@@ -74,18 +61,6 @@ def motion_named(name: str, shape: Shape) -> Motion:
 
 def spin(axis: tuple[float, float, float], frequency: Fraction) -> Motion:
     """Return a constant rate about a body axis: ``q = cos(w t / 2) + u sin(w t / 2)``.
-
-    Parameters
-    ----------
-    axis
-        Body axis, any length but zero.
-    frequency
-        Turns a second.
-
-    Raises
-    ------
-    UsageError
-        The axis has no direction.
 
     References
     ----------
@@ -119,15 +94,6 @@ def precession(angle: Fraction, frequency: Fraction, spin_frequency: Fraction) -
     transverse and axial moments of inertia is ``A / C = 1 + s' / (f' cos n)``. And with
     ``s' = -f'`` it is classical coning: the body axis describes a cone of half-angle n while the
     body does not rotate about it, and gyroscopes measure the z rate ``-f' (1 - cos n)``.
-
-    Parameters
-    ----------
-    angle
-        n, degrees.
-    frequency
-        Turns a second of the precession.
-    spin_frequency
-        Turns a second of the body about its own axis.
 
     References
     ----------
@@ -170,12 +136,7 @@ def random_walk(walk: float, seed: int) -> Motion:
     The attitude is the product of the exact steps (source article, equation 36) in extended
     precision where the machine has it.
 
-    Parameters
-    ----------
-    walk
-        Strength, rad/s/sqrt(s): the rate's standard deviation after one second, on each axis.
-    seed
-        Of the random numbers.
+    `walk`: Strength, rad/s/sqrt(s): the rate's standard deviation after one second, on each axis
     """
     random = np.random.default_rng(seed)
     last = np.int64(0), np.zeros(3), np.array([1, 0, 0, 0], np.longdouble)
@@ -231,10 +192,7 @@ def hamilton(left: AnyArray, right: AnyArray) -> AnyArray:
 def step(rotvec: AnyArray) -> AnyArray:
     """Return the attitude steps of rotation vectors, rad: source article, equation 35.
 
-    Parameters
-    ----------
-    rotvec
-        Shape ``(N, 3)``.
+    `rotvec`: shape ``(N, 3)``
     """
     half = np.sqrt(np.sum(rotvec * rotvec, axis=-1, keepdims=True)) / 2
     with np.errstate(invalid="ignore"):
@@ -245,10 +203,7 @@ def step(rotvec: AnyArray) -> AnyArray:
 def running_product(steps: AnyArray) -> AnyArray:
     """Return ``steps[0] steps[1] ... steps[k]`` for every k, by doubling.
 
-    Parameters
-    ----------
-    steps
-        Unit quaternions, shape ``(N, 4)``.
+    `steps`: unit quaternions, shape ``(N, 4)``
     """
     product, reach = steps, 1
     while reach < len(steps):

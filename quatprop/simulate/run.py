@@ -65,27 +65,7 @@ def simulate(  # noqa: PLR0913  # a recording in full
 ) -> None:
     """Write a log of a motion, and its true attitude.
 
-    Parameters
-    ----------
-    target
-        Where the log goes.
-    motion, shape
-        What the body does: a key of :data:`quatprop.simulate.motion.MOTIONS` and its parameters.
-    gyroscope
-        How it is sampled.
-    q0
-        True attitude at the first sample, body -> reference, wxyz.
-    kind, compression
-        As for :func:`open_log_writer`.
-    truth
-        Where the true attitudes go, scalar-first; None writes none.
-
-    Raises
-    ------
-    UsageError
-        The motion is unknown, or a parameter is out of range.
-    OutputError
-        A file cannot be written; then neither is.
+    `truth`: where the true attitudes go, scalar-first; None writes none
     """
     refuse_overlap([], [str(target), None if truth is None else str(truth)])
     provenance = _provenance(motion, shape, gyroscope, q0)
@@ -144,12 +124,8 @@ class ImuEncoder(RosEncoder):
     The orientation is marked absent; the acceleration is that of a sensor that only rotates, in a
     reference frame whose z axis points up: the reaction to gravity.
 
-    Parameters
-    ----------
-    deviation
-        Standard deviation of the rates' noise, rad/s, for the covariance.
-    ros1
-        Whether they are encoded as in ROS 1 rather than in CDR, as in ROS 2.
+    `deviation`: standard deviation of the rates' noise, rad/s, for the covariance
+    `ros1`: whether they are encoded as in ROS 1 rather than in CDR, as in ROS 2
     """
 
     def __init__(self, deviation: float, *, ros1: bool) -> None:
@@ -191,28 +167,10 @@ def open_log_writer(
 ) -> AttitudeWriter:
     """Open a writer of a simulated log.
 
-    Parameters
-    ----------
-    target
-        Where to write; ``"-"`` is stdout.
-    kind
-        One of :data:`quatprop.writers.GENERAL_KINDS`; None takes it from the suffix of `target`.
-    deviation
-        Standard deviation of the rates' noise, rad/s, for the messages' covariance.
-    compression
-        ``"none"``, ``"lz4"``, ``"zstd"`` or ``"bz2"``; None is the kind's default.
-
-    Returns
-    -------
-    AttitudeWriter
-        Takes true attitudes with the measured rates.
-
-    Raises
-    ------
-    OutputError
-        The kind or suffix is unknown, or the target cannot be written.
-    UsageError
-        The kind has no such compression.
+    `target`: where to write; ``"-"`` is stdout
+    `kind`: one of :data:`quatprop.writers.GENERAL_KINDS`; None takes it from the suffix of `target`
+    `deviation`: standard deviation of the rates' noise, rad/s, for the messages' covariance
+    `compression`: ``"none"``, ``"lz4"``, ``"zstd"`` or ``"bz2"``; None is the kind's default
     """
     kind = kind_of(target, kind, GENERAL_KINDS)
     if kind not in GENERAL_KINDS:

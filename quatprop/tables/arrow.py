@@ -99,20 +99,7 @@ class _ArrowLog(TypedTable):
 
 
 class ParquetLog(_ArrowLog):
-    """A Parquet file.
-
-    Parameters
-    ----------
-    log
-        The file.
-
-    Raises
-    ------
-    UnreadableLogError
-        The file cannot be read.
-    DamagedLogError
-        It has no whole footer, and so no schema.
-    """
+    """A Parquet file."""
 
     kind = "parquet"
 
@@ -176,22 +163,7 @@ class ParquetLog(_ArrowLog):
 
 
 class FeatherLog(_ArrowLog):
-    """A Feather file: Arrow's IPC file format; or Arrow's IPC stream format.
-
-    Parameters
-    ----------
-    log
-        The file.
-
-    Raises
-    ------
-    UnreadableLogError
-        The file cannot be read.
-    UnsupportedLogError
-        It is of Feather's first version.
-    DamagedLogError
-        Its schema cannot be read.
-    """
+    """A Feather file: Arrow's IPC file format; or Arrow's IPC stream format."""
 
     kind = "feather"
 

@@ -31,26 +31,16 @@ OTHER_DATES = "dates that are not of ISO 8601"
 class TimedColumns(NamedTuple):
     """Which columns of a table to read as numbers, and which as the time.
 
-    Parameters
-    ----------
-    numbers
-        Positions of the columns of numbers.
-    time
-        Positions of the time column; of seconds and their fraction where they are two; empty
-        where rows are counted at `sample_rate`.
-    time_unit
-        ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; of the first column where they are two.
-    sample_rate
-        Rows a second, Hz, where there is no time column; what it counts a second where the time
-        column is a counter.
-    parts
-        Which of the parts of :meth:`TableLog.spans` to read; None for all.
-    fraction_unit
-        The unit of the second of two time columns.
-    utc_offset_ns
-        By how much the time column is ahead of UTC, ns, where the header says so.
-    series
-        Columns and the labels that the rows to read have in them.
+    `numbers`: positions of the columns of numbers
+    `time`: positions of the time column; of seconds and their fraction where they are two; empty
+        where rows are counted at `sample_rate`
+    `time_unit`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; of the first column where they are two
+    `sample_rate`: rows a second, Hz, where there is no time column; what it counts a second where
+        the time column is a counter
+    `parts`: which of the parts of :meth:`TableLog.spans` to read; None for all
+    `fraction_unit`: the unit of the second of two time columns
+    `utc_offset_ns`: by how much the time column is ahead of UTC, ns, where the header says so
+    `series`: columns and the labels that the rows to read have in them
     """
 
     numbers: tuple[int, ...]
@@ -76,19 +66,12 @@ class TimedColumns(NamedTuple):
 class TableNotes(NamedTuple):
     """What a table declares besides its column names.
 
-    Parameters
-    ----------
-    sample_rate
-        Rows a second, Hz, if the lines before the header declare it.
-    units
-        Units by position that a column's type or the lines before the header declare.
-    rate_scale
-        What stored rates are multiplied by.
-    title
-        The first line, where lines come before the header.
-    mount
-        How the sensor is mounted, as signed axes such as ``"y,-x,z"``, if the lines before the
-        header declare it; ``""`` where they do not, or where it is not turned.
+    `sample_rate`: rows a second, Hz, if the lines before the header declare it
+    `units`: units by position that a column's type or the lines before the header declare
+    `rate_scale`: what stored rates are multiplied by
+    `title`: the first line, where lines come before the header
+    `mount`: how the sensor is mounted, as signed axes such as ``"y,-x,z"``, if the lines before the
+        header declare it; ``""`` where they do not, or where it is not turned
     """
 
     sample_rate: float | None = None
@@ -103,12 +86,8 @@ class TableNotes(NamedTuple):
 class Span(NamedTuple):
     """The stamps of a part of a table.
 
-    Parameters
-    ----------
-    first_ns, last_ns
-        The earliest and the latest, ns.
-    rows
-        How many rows it has.
+    `first_ns`, `last_ns`: the earliest and the latest, ns
+    `rows`: how many rows it has
     """
 
     first_ns: int
@@ -119,10 +98,7 @@ class Span(NamedTuple):
 class TableLog(Log):
     """Rows of named or numbered columns: text, Arrow, NumPy and JSON Lines files.
 
-    Attributes
-    ----------
-    other_rows
-        How many rows of other series were passed over; grows while the log is read.
+    `other_rows`: how many rows of other series were passed over; grows while the log is read
     """
 
     def __init__(self, path: Path) -> None:
@@ -161,13 +137,7 @@ class TableLog(Log):
         """Return the columns that begin with text or a whole number, and whether it is a number."""
 
     def provenance(self) -> JsonObject:
-        """Return how the content came about, as written beside it; empty where it is not.
-
-        Raises
-        ------
-        DamagedLogError
-            What is written there is not what this package writes.
-        """
+        """Return how the content came about, as written beside it; empty where it is not."""
         return {}
 
     def row_count(self) -> int | None:
@@ -186,12 +156,6 @@ class TableLog(Log):
         """Yield stamps in ns, shape ``(N,)``, and numbers as stored, shape ``(N, k)``.
 
         Rows that do not fit are left out and noted in :attr:`losses`.
-
-        Raises
-        ------
-        UnsupportedLogError
-            A column does not hold numbers, a stamp does not fit in int64 ns, or most rows do not
-            fit.
         """
         batches = self._stored_rows(columns)
         if columns.series:
@@ -222,13 +186,7 @@ class TableLog(Log):
             ) from None
 
     def _of_series(self, batches: Batches, series: tuple[tuple[int, str], ...]) -> Batches:
-        """Yield rows of a series, and remark on how many there are of others.
-
-        Raises
-        ------
-        UsageError
-            There are none of it.
-        """
+        """Yield rows of a series, and remark on how many there are of others."""
         count = 0
         for batch in batches:
             count += len(batch[0])

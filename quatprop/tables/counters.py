@@ -34,14 +34,9 @@ _LARGEST_STEP = 4
 class Counting(NamedTuple):
     """How the first values of a column count.
 
-    Parameters
-    ----------
-    step
-        By how much they usually rise.
-    is_by_one
-        Whether they count samples one by one, but for lost ones.
-    has_gaps
-        Whether they rise by other steps, too.
+    `step`: by how much they usually rise
+    `is_by_one`: whether they count samples one by one, but for lost ones
+    `has_gaps`: whether they rise by other steps, too
     """
 
     step: int
@@ -66,20 +61,7 @@ def counting(numbers: Float64) -> Counting | None:
 
 
 def counted(values: Int64, before: tuple[int, int] | None = None) -> Int64:
-    """Return how many samples a counter has counted since its first value, shape ``(N,)``.
-
-    Parameters
-    ----------
-    values
-        Of the counter, which may begin again at 0.
-    before
-        The value before them, and how many it had counted.
-
-    Raises
-    ------
-    OverflowError
-        They are no counts of samples: their differences do not fit in 64 bits.
-    """
+    """Return how many samples a counter has counted since its first value, shape ``(N,)``."""
     if int(values.max()) >= _TOO_LARGE or int(values.min()) <= -_TOO_LARGE:
         raise OverflowError
     last, count = before or (int(values[0]), 0)
@@ -99,19 +81,7 @@ def counted_rows(
 ) -> Iterator[tuple[Int64, Float64]]:
     """Yield rows at the stamps of their counters, the first at 0 ns.
 
-    Parameters
-    ----------
-    batches
-        Counters and rows.
-    sample_rate
-        Samples a second, Hz.
-    note_lost
-        Is told at the end how many samples the counters passed over, if any.
-
-    Raises
-    ------
-    OverflowError
-        A stamp does not fit in 64 bits.
+    `sample_rate`: samples a second, Hz
     """
     before: tuple[int, int] | None = None
     rate = Fraction(str(sample_rate))

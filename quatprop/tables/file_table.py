@@ -25,12 +25,7 @@ if TYPE_CHECKING:
 class FileTable(Table):
     """A file of rows as a table.
 
-    Parameters
-    ----------
-    log
-        The file.
-    series
-        Columns and the labels that the rows to read have in them.
+    `series`: columns and the labels that the rows to read have in them
     """
 
     name = type = ""

@@ -33,20 +33,6 @@ class Hdf5Log(NumpyTable):
     ``group.gyr.x`` where its attribute ``columns`` says so. The attribute ``sampling_rate`` of the
     file, Hz, counts the rows where there is no time. In files of MATLAB (version 7.3) rows and
     columns are exchanged. Nothing outside the file is opened.
-
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    UsageError
-        h5py is not installed.
-    DamagedLogError
-        Its groups and datasets cannot be listed.
-    UnsupportedLogError
-        It has no dataset that is a table, or another file was joined to it.
     """
 
     kind = "hdf5"
@@ -148,13 +134,7 @@ class Hdf5Log(NumpyTable):
 
 
 def _columns(dataset: Any) -> list[ArrayColumn]:
-    """Return the columns of a dataset.
-
-    Raises
-    ------
-    HeaderError
-        It is no table of numbers.
-    """
+    """Return the columns of a dataset."""
     shape = shape_of(dataset)
     if shape is None or dataset.dtype.hasobject:
         raise HeaderError(f"its type is {dataset.dtype}, not numbers")

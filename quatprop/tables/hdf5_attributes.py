@@ -52,13 +52,7 @@ def sample_rate(file: Any) -> float | None:
 
 
 def unit_of(dataset: Any, file: BinaryIO) -> str:
-    """Return the unit that a dataset declares, as headers of columns have it.
-
-    Raises
-    ------
-    HeaderError
-        It cannot be read.
-    """
+    """Return the unit that a dataset declares, as headers of columns have it."""
     for name in _UNITS:
         texts = _texts(dataset, name, file)
         if len(texts) == 1 and texts[0]:
@@ -67,13 +61,7 @@ def unit_of(dataset: Any, file: BinaryIO) -> str:
 
 
 def column_names(dataset: Any, count: int, file: BinaryIO) -> list[str]:
-    """Return the names that a dataset gives its columns; none without them.
-
-    Raises
-    ------
-    HeaderError
-        They cannot be read.
-    """
+    """Return the names that a dataset gives its columns; none without them."""
     for name in _COLUMN_NAMES:
         names = _texts(dataset, name, file)
         if all(names) and len(set(names)) == len(names) == count > 1:

@@ -26,24 +26,7 @@ _OLD_ATTRIBUTE, _NEW_ATTRIBUTE = 1, 3
 
 
 def variable_text(file: BinaryIO, base: int, address: int, name: str) -> list[str] | None:
-    """Return the texts of an attribute.
-
-    Parameters
-    ----------
-    file
-        The open file.
-    base
-        Where in it addresses are counted from.
-    address
-        Of the header of the object that has the attribute.
-    name
-        Of the attribute, which holds texts of variable length.
-
-    Returns
-    -------
-    list of str or None
-        None where they cannot be found.
-    """
+    """Return the texts of an attribute."""
     try:
         for message in _attributes(file, base, address):
             found, data = _name_and_data(message)

@@ -39,20 +39,7 @@ _TYPES: dict[type, pa.DataType] = {bool: pa.bool_(), float: pa.float64()}
 
 
 class JsonLinesLog(TypedTable):
-    """A file of JSON Lines.
-
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    UnreadableLogError
-        The file cannot be read.
-    UnsupportedLogError
-        Its lines are no objects.
-    """
+    """A file of JSON Lines."""
 
     kind = "jsonl"
 

@@ -39,14 +39,9 @@ _TOP_LEVEL_NULL = re.compile(rb"(?:\A|[}\n\r\xbf])\s*null")
 class LineParser:
     """Parses lines of one table.
 
-    Parameters
-    ----------
-    rejected
-        Where rows that do not fit are noted.
-    numbers
-        Columns of numbers.
-    time
-        The columns of the time and their units.
+    `rejected`: where rows that do not fit are noted
+    `numbers`: columns of numbers
+    `time`: the columns of the time and their units
     """
 
     def __init__(
@@ -69,13 +64,7 @@ class LineParser:
         return nested_schema(fields)
 
     def parse(self, data: bytes | memoryview, line: int) -> Iterator[pa.RecordBatch | int]:
-        """Yield the rows of a block that begins with a line; for rejected rows, how many.
-
-        Raises
-        ------
-        UnsupportedLogError
-            Most rows do not fit.
-        """
+        """Yield the rows of a block that begins with a line; for rejected rows, how many."""
         try:
             yield from self._whole(data)
         except _MISFITS:

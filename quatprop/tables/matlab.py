@@ -39,22 +39,7 @@ _OBJECT = (
 
 
 class MatlabLog(NumpyTable):
-    """Variables that are vectors or matrices, and those in structs as ``struct.field``.
-
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    UsageError
-        scipy is not installed.
-    DamagedLogError
-        None of its variables can be read.
-    UnsupportedLogError
-        None of them is a table.
-    """
+    """Variables that are vectors or matrices, and those in structs as ``struct.field``."""
 
     kind = "matlab"
 

@@ -36,16 +36,10 @@ Group: TypeAlias = tuple[int, ...]
 class Column(NamedTuple):
     """A column of a table.
 
-    Parameters
-    ----------
-    text
-        Its name as the log spells it; of a message the dotted path of the field.
-    key
-        In lower case, words joined by ``_``, levels by ``.``, without its unit.
-    unit
-        The unit that its name declares; ``""`` where it declares none.
-    code
-        numpy's type string without byte order, where the definition says it.
+    `text`: its name as the log spells it; of a message the dotted path of the field
+    `key`: in lower case, words joined by ``_``, levels by ``.``, without its unit
+    `unit`: the unit that its name declares; ``""`` where it declares none
+    `code`: numpy's type string without byte order, where the definition says it
     """
 
     text: str
@@ -57,14 +51,9 @@ class Column(NamedTuple):
 class TablePart(NamedTuple):
     """A struct in every message, or all of a file: a type and where it is.
 
-    Parameters
-    ----------
-    prefix
-        What the names of its columns begin with: ``""``, or ``"imu."``.
-    type
-        Its type; ``""`` of a file.
-    begin, end
-        Its columns are ``columns[begin:end]``.
+    `prefix`: what the names of its columns begin with: ``""``, or ``"imu."``
+    `type`: its type; ``""`` of a file
+    `begin`, `end`: its columns are ``columns[begin:end]``
     """
 
     prefix: str
@@ -76,18 +65,12 @@ class TablePart(NamedTuple):
 class Stamp(NamedTuple):
     """What the time of a row is; a table turns it into exact int64 ns.
 
-    Parameters
-    ----------
-    columns
-        One column, or those of seconds and of their fraction; none for the log's own times.
-    units
-        The unit of each.
-    clock
-        ``"header"``, ``"log"``, ``"publish"``, or the names of columns.
-    sample_rate
-        Rows a second, Hz, where they are counted instead, or what a counter counts a second.
-    utc_offset_ns
-        By how much the time is ahead of UTC, ns, where the header says so.
+    `columns`: one column, or those of seconds and of their fraction; none for the log's own times
+    `units`: the unit of each
+    `clock`: ``"header"``, ``"log"``, ``"publish"``, or the names of columns
+    `sample_rate`: rows a second, Hz, where they are counted instead, or what a counter counts a
+        second
+    `utc_offset_ns`: by how much the time is ahead of UTC, ns, where the header says so
     """
 
     columns: Group = ()
@@ -100,28 +83,15 @@ class Stamp(NamedTuple):
 class Table(ABC):
     """Rows of named columns in a log.
 
-    Attributes
-    ----------
-    name
-        The topic; ``""`` of a file.
-    type
-        The message type; ``""`` of a file.
-    path
-        The log.
-    kind
-        The kind of the log.
-    notes
-        What a file declares besides the names of its columns.
-    log_clocks
-        The times that the log itself has of each row: ``"log"``, ``"publish"``.
-    is_decodable
-        Whether its rows can be read.
-    is_typed
-        Whether its columns are of message types; else their names are all that there is.
-    is_secondary
-        Whether it has the rows of another, main table.
-    matches
-        The columns whose names fit a pattern, once somebody has asked for them.
+    `name`: the topic; ``""`` of a file
+    `type`: the message type; ``""`` of a file
+    `kind`: the kind of the log
+    `notes`: what a file declares besides the names of its columns
+    `log_clocks`: the times that the log itself has of each row: ``"log"``, ``"publish"``
+    `is_decodable`: whether its rows can be read
+    `is_typed`: whether its columns are of message types; else their names are all that there is
+    `is_secondary`: whether it has the rows of another, main table
+    `matches`: the columns whose names fit a pattern, once somebody has asked for them
     """
 
     name: str
@@ -197,13 +167,8 @@ class Table(ABC):
         Rows that cannot be decoded, or that `convert` refuses by their positions, are left out and
         noted among the losses of the log.
 
-        Parameters
-        ----------
-        stamp, groups, convert
-            What to read, and how to go on with each batch.
-        within
-            Only the parts of the log with a range of :meth:`recorded_span`, or some of the parts of
-            :meth:`spans`; None is all.
+        `within`: only the parts of the log with a range of :meth:`recorded_span`, or some of the
+            parts of :meth:`spans`; None is all
         """
 
     def recorded_span(self) -> TimeRange | None:

@@ -37,14 +37,9 @@ class HeaderError(ValueError):
 class ArrayHeader(NamedTuple):
     """What stands before the numbers of an array.
 
-    Parameters
-    ----------
-    dtype
-        Of one element.
-    shape
-        Of the array.
-    is_fortran
-        Whether columns follow one another rather than rows.
+    `dtype`: of one element
+    `shape`: of the array
+    `is_fortran`: whether columns follow one another rather than rows
     """
 
     dtype: np.dtype[Any]
@@ -55,20 +50,12 @@ class ArrayHeader(NamedTuple):
 class ArrayColumn(NamedTuple):
     """A column of numbers within an array.
 
-    Parameters
-    ----------
-    name
-        ``""`` for the elements of a plain array of one dimension.
-    dtype
-        Of one value.
-    start
-        Bytes before its first row, counted from the end of the header.
-    step
-        Bytes of a row.
-    offset
-        Where in a row the value stands.
-    rows
-        How many rows.
+    `name`: ``""`` for the elements of a plain array of one dimension
+    `dtype`: of one value
+    `start`: bytes before its first row, counted from the end of the header
+    `step`: bytes of a row
+    `offset`: where in a row the value stands
+    `rows`: how many rows
     """
 
     name: str
@@ -80,13 +67,7 @@ class ArrayColumn(NamedTuple):
 
 
 def read_header(stream: BinaryIO) -> ArrayHeader:
-    """Read the header of an array; the stream is left at its first number.
-
-    Raises
-    ------
-    HeaderError
-        It is damaged, or that of an array which is not read.
-    """
+    """Read the header of an array; the stream is left at its first number."""
     magic = stream.read(len(MAGIC) + 2)
     version = tuple(magic[len(MAGIC) :])
     if not magic.startswith(MAGIC) or len(version) != 2:  # noqa: PLR2004  # major and minor
@@ -132,11 +113,6 @@ def columns_of(header: ArrayHeader) -> list[ArrayColumn]:
     An array of records has one for each field, those of nested fields as ``field.part``, those of
     fields that are arrays as ``field[0]``; a plain array of two dimensions has ``[0]``, ``[1]``...
     where there are several.
-
-    Raises
-    ------
-    HeaderError
-        It is no table: it has no rows, or records in two dimensions.
     """
     dtype, shape, is_fortran = header
     if len(shape) == 1:

@@ -38,13 +38,7 @@ _STEP = 1 << 12
 
 
 class CutArchive:
-    """The members of an archive, found by the headers before them.
-
-    Parameters
-    ----------
-    path
-        The file.
-    """
+    """The members of an archive, found by the headers before them."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -125,22 +119,7 @@ _SUFFIX = ".npy"
 
 
 class NpzLog(NumpyTable):
-    """An archive of arrays, each of them one column or several.
-
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    OSError
-        The file cannot be read.
-    DamagedLogError
-        It has no whole directory at its end.
-    UnsupportedLogError
-        It is an archive of something else.
-    """
+    """An archive of arrays, each of them one column or several."""
 
     kind = "npz"
 
@@ -185,13 +164,7 @@ class NpzLog(NumpyTable):
         self._archive.close()
 
     def _look_for_second_file(self) -> None:
-        """Refuse an archive behind other bytes, and note bytes behind it: zipfile passes over both.
-
-        Raises
-        ------
-        UnsupportedLogError
-            Its beginning is not that of the archive.
-        """
+        """Refuse an archive behind other bytes, and note bytes behind it, as zipfile does not."""
         if not isinstance(self._archive, zipfile.ZipFile):
             return
         begin = min((info.header_offset for info in self._archive.infolist()), default=0)

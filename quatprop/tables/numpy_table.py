@@ -166,20 +166,7 @@ def values_in(data: Buffer, column: ArrayColumn, rows: int) -> pa.Array:
 
 
 class NpyLog(NumpyTable):
-    """An array in a file by itself.
-
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    OSError
-        The file cannot be read.
-    DamagedLogError
-        Its header cannot be used.
-    """
+    """An array in a file by itself."""
 
     kind = "npy"
 

@@ -22,20 +22,7 @@ UNITS = {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
 def stamp_spans(metadata: FileMetaData, leaf: Leaf, time_unit: str) -> list[Span] | None:
     """Return the stamps of each row group.
 
-    Parameters
-    ----------
-    metadata
-        Of the file.
-    leaf
-        The time column.
-    time_unit
-        Its unit, where it has whole numbers.
-
-    Returns
-    -------
-    list of Span or None
-        None where the file does not say it of all row groups, or the column has other numbers:
-        of floats, statistics may leave out some.
+    `time_unit`: its unit, where it has whole numbers
     """
     paths = [metadata.schema.column(k).path for k in range(metadata.num_columns)]
     if leaf.name not in paths:

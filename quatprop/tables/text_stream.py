@@ -31,14 +31,9 @@ _LOSSES_A_BLOCK = 8
 class TextBlock(NamedTuple):
     """Whole records of a text.
 
-    Parameters
-    ----------
-    line
-        Number of its first line.
-    data
-        The records; valid until the next block is asked for.
-    quoted
-        Whether there are quotes in it, between which a line break may be part of a cell.
+    `line`: number of its first line
+    `data`: the records; valid until the next block is asked for
+    `quoted`: whether there are quotes in it, between which a line break may be part of a cell
     """
 
     line: int
@@ -49,17 +44,9 @@ class TextBlock(NamedTuple):
 class TextStream:
     """A text that can be read once, decompressed on the way.
 
-    Parameters
-    ----------
-    file
-        An open binary file, plain or compressed with gzip, zstd, bz2 or lz4.
-    may_be_compressed
-        Whether to look for compression.
-
-    Attributes
-    ----------
-    damage
-        Why the text ends before its end; ``""`` while it does not.
+    `file`: an open binary file, plain or compressed with gzip, zstd, bz2 or lz4
+    `may_be_compressed`: whether to look for compression
+    `damage`: why the text ends before its end; ``""`` while it does not
     """
 
     def __init__(self, file: BinaryIO, *, may_be_compressed: bool = True) -> None:
@@ -109,13 +96,7 @@ class TextStream:
 
 
 def open_text(path: Path) -> TextStream:
-    """Open a file as a text.
-
-    Raises
-    ------
-    UnreadableLogError
-        It cannot be read.
-    """
+    """Open a file as a text."""
     try:
         return TextStream(path.open("rb"))
     except OSError as error:
@@ -123,17 +104,7 @@ def open_text(path: Path) -> TextStream:
 
 
 def record_blocks(text: TextStream, line: int, size: int = BLOCK_BYTES) -> Iterator[TextBlock]:
-    """Yield a text as blocks that end where a record ends.
-
-    Parameters
-    ----------
-    text
-        The rows.
-    line
-        Number of their first line, from 1.
-    size
-        Bytes of a block.
-    """
+    """Yield a text as blocks that end where a record ends."""
     # Memory costs time: a small log gets little.
     buffer = bytearray(min(size, _SMALL_LOG))
     filled = text.fill(buffer)
@@ -174,17 +145,8 @@ def record_end(buffer: bytes | bytearray, end: int) -> int:
 class RejectedRows:
     """Rows of a text table that do not fit: noted as losses; if most do not, the table is refused.
 
-    Parameters
-    ----------
-    path
-        The table, for errors.
-    losses
-        Where to note them.
-
-    Attributes
-    ----------
-    count
-        How many rows were read so far, those that do not fit among them.
+    `losses`: where to note them
+    `count`: how many rows were read so far, those that do not fit among them
     """
 
     def __init__(self, path: Path, losses: Losses) -> None:

@@ -57,22 +57,7 @@ def decimal_type(unit: str, spare: int = 0) -> pa.DataType:
 def with_spare_places(
     parse: Callable[[int], ParsedT], spare: int, misfits: tuple[type[Exception], ...]
 ) -> tuple[ParsedT, int]:
-    """Parse text with so many spare places or, where it does not fit, with all of them.
-
-    Parameters
-    ----------
-    parse
-        Parses it with some spare places.
-    spare
-        What fitted before: stamps finer than a nanosecond are rare, but come together.
-    misfits
-        What `parse` raises where a row does not fit.
-
-    Returns
-    -------
-    tuple
-        What was parsed, and with how many spare places.
-    """
+    """Parse text with so many spare places or, where it does not fit, with all of them."""
     try:
         return parse(spare), spare
     except misfits:
@@ -86,16 +71,6 @@ def refuse_tiny_numbers(data: bytes | memoryview) -> None:
 
     It divides them by powers of ten out of a table that ends before, whatever lies there: from a
     few thousand places on it ends the process. Read line by line they are what they are.
-
-    Parameters
-    ----------
-    data
-        Whole records of text.
-
-    Raises
-    ------
-    TimestampRangeError
-        There is such a number, in any column.
     """
     whole = bytes(data) + b"   "
     text = np.frombuffer(whole, np.uint8)
@@ -113,22 +88,9 @@ def refuse_tiny_numbers(data: bytes | memoryview) -> None:
 def nanoseconds(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
     """Return a time column without nulls as int64 nanoseconds.
 
-    Parameters
-    ----------
-    column
-        Numbers of `unit` of any type, rounded half to even where they are finer; or times.
-    unit
-        ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(N,)``, int64, ns.
-
-    Raises
-    ------
-    TimestampRangeError
-        A stamp does not fit.
+    `column`: numbers of `unit` of any type, rounded half to even where they are finer; or times
+    `unit`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``
+    `Returns`: Shape ``(N,)``, int64, ns
     """
     if pa.types.is_decimal128(column.type):
         chunks = column.chunks if isinstance(column, pa.ChunkedArray) else [column]
@@ -174,11 +136,6 @@ def _unscaled(chunk: pa.Array) -> Int64:
 
 def from_text(text: str, unit: str) -> int:
     """Return one number as nanoseconds, rounded half to even.
-
-    Raises
-    ------
-    ValueError
-        The text is not a finite number, or (TimestampRangeError) out of range.
 
     Examples
     --------
@@ -249,24 +206,8 @@ def sum_parts(parts: Iterable[Int64]) -> Int64:
 def row_stamps(first: int, count: int, sample_rate: Fraction | float) -> Int64:
     """Return the stamps of rows that come at a steady rate.
 
-    Parameters
-    ----------
-    first
-        Number of the first row, from 0.
-    count
-        How many rows.
-    sample_rate
-        Rows a second, Hz; of a float the shortest decimal is taken as exact.
-
-    Returns
-    -------
-    ndarray
-        Shape ``(count,)``, int64, ns.
-
-    Raises
-    ------
-    UsageError
-        The last stamp does not fit.
+    `sample_rate`: rows a second, Hz; of a float the shortest decimal is taken as exact
+    `Returns`: Shape ``(count,)``, int64, ns
     """
     try:
         return regular_stamps(first, first + count, Fraction(str(sample_rate)))

@@ -44,14 +44,9 @@ DAMAGE = (pa.ArrowException, OSError, DamageError)
 class Leaf(NamedTuple):
     """A column that holds values.
 
-    Parameters
-    ----------
-    path
-        Its name; below it the names of the fields that lead to the values, where it is a struct.
-    type
-        Their type.
-    element
-        Which element of a list they are, from 0; None where they are no lists.
+    `path`: its name; below it the names of the fields that lead to the values, where it is a struct
+    `type`: their type
+    `element`: which element of a list they are, from 0; None where they are no lists
     """
 
     path: tuple[str, ...]
@@ -79,15 +74,10 @@ def element_leaves(path: tuple[str, ...], kind: pa.DataType, length: int) -> lis
 class RowGroup(NamedTuple):
     """Rows that are read together, and lost together where they are damaged.
 
-    Parameters
-    ----------
-    place
-        Where they are, in words.
-    rows
-        How many there should be; 0 where nothing says it.
-    batches
-        The rows; a number stands for that many that are not read: they are not asked for, or
-        rejected, which is noted already.
+    `place`: where they are, in words
+    `rows`: how many there should be; 0 where nothing says it
+    `batches`: the rows; a number stands for that many that are not read: they are not asked for, or
+        rejected, which is noted already
     """
 
     place: str
@@ -96,13 +86,7 @@ class RowGroup(NamedTuple):
 
 
 class TypedTable(TableLog):
-    """Typed, named columns in row groups; see :class:`quatprop.tables.base.TableLog`.
-
-    Parameters
-    ----------
-    path
-        The file.
-    """
+    """Typed, named columns in row groups; see :class:`quatprop.tables.base.TableLog`."""
 
     kind: str
 

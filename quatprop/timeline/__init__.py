@@ -34,14 +34,8 @@ if TYPE_CHECKING:
 class Timeline(StampChecks):
     """Applies a policy to a stream of samples and counts what it finds.
 
-    Parameters
-    ----------
-    policy
-        How each kind of irregularity is handled.
-    path
-        The log, for errors.
-    chosen_by
-        The setting that chooses other stamps: ``"clock"``, or of a table ``"time_col"``.
+    `policy`: how each kind of irregularity is handled
+    `chosen_by`: the setting that chooses other stamps: ``"clock"``, or of a table ``"time_col"``
     """
 
     def __init__(self, policy: Policy, path: Path | str, chosen_by: str = "clock") -> None:
@@ -50,38 +44,11 @@ class Timeline(StampChecks):
         self._last_magnitude = np.float64(0.0)
 
     def apply(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield the samples that are used, in blocks.
-
-        Parameters
-        ----------
-        batches
-            Samples in the order of the log.
-
-        Yields
-        ------
-        GyroSeries
-            Samples that follow the policy; stamps never decrease unless the policy keeps that.
-
-        Raises
-        ------
-        TimelineError
-            An event that the policy calls an error.
-        """
+        """Yield the samples that are used, in blocks."""
         return self.measured(self.finite(self.ordered(batches)))
 
     def ordered(self, batches: Iterable[GyroSeries]) -> Iterator[Numbered]:
-        """Yield samples as the policy for stamps that go backwards leaves them.
-
-        Parameters
-        ----------
-        batches
-            Samples in the order of the log.
-
-        Yields
-        ------
-        tuple
-            A batch of samples, and which of those that were read they are.
-        """
+        """Yield samples as the policy for stamps that go backwards leaves them."""
         examined = self.examined(batches, attrgetter("t_ns"))
         if self.policy.on_backwards == "sort":
             yield from self._sorted(examined)
@@ -144,18 +111,7 @@ class Timeline(StampChecks):
             yield block
 
     def segments(self, blocks: Iterable[GyroSeries]) -> Iterator[Iterator[GyroSeries]]:
-        """Cut samples at the gaps that are not propagated across.
-
-        Parameters
-        ----------
-        blocks
-            What :meth:`apply` yields.
-
-        Yields
-        ------
-        iterator of GyroSeries
-            The samples of one segment; take them all before the next segment.
-        """
+        """Cut samples at the gaps that are not propagated across."""
         if not self.policy.cuts_at_gaps:
             yield iter(blocks)
             return

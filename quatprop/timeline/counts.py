@@ -34,17 +34,12 @@ MIN_SAMPLES = 20
 class Event:
     """How often something happened, and where first.
 
-    Parameters
-    ----------
-    count
-        Occurrences.
-    first_index
-        Index of the first sample concerned, counted from 0: of rates that are not finite, outliers
-        and stamps that go backwards as read, of repeated stamps and gaps among the samples used.
-    first_ns
-        Its time stamp, ns.
-    cause
-        What the stamps around it show of why it happened; ``""`` where they do not.
+    `count`: Occurrences
+    `first_index`: Index of the first sample concerned, counted from 0: of rates that are not
+        finite, outliers and stamps that go backwards as read, of repeated stamps and gaps among the
+        samples used
+    `first_ns`: its time stamp, ns
+    `cause`: what the stamps around it show of why it happened; ``""`` where they do not
     """
 
     count: int = 0
@@ -68,34 +63,23 @@ class Event:
 class Counts:
     """What was observed of time stamps and rates; complete when the last batch has passed.
 
-    Parameters
-    ----------
-    read, used
-        Samples read, but for those outside of the range that is asked for, and samples used.
-    first_ns, last_ns
-        Stamps of the first and last sample used.
-    median_dt_ns
-        Median of the first :data:`quatprop.timeline.stamps.MEDIAN_WINDOW` positive intervals, ns.
-    min_dt_ns, max_dt_ns
-        Extreme intervals between samples used, ns.
-    gap_limit_ns
-        Intervals longer than this were counted as gaps.
-    duplicates, backwards, outliers, gaps
-        Stamps equal to the one before; earlier than one before; ahead of those after them; long
-        intervals. A gap is located by the sample after it.
-    longest_gap
-        The stamps before and after the longest, ns.
-    gap_list
-        The first :data:`LISTED_GAPS` gaps: the stamps before and after each, ns.
-    max_rate
-        Largest finite magnitude of the angular rate, rad/s.
-    path_angle_rad
-        Total angle traversed, rad: the sum of abs(w) dt with the rate at each interval's start,
-        or of the increments.
-    integrated_ns
-        For increments: the time over which the sensor integrated them, ns, in all intervals.
-    nonfinite
-        Rates that are not finite.
+    `read`, `used`: samples read, but for those outside of the range that is asked for, and samples
+        used
+    `first_ns`, `last_ns`: stamps of the first and last sample used
+    `median_dt_ns`: Median of the first :data:`quatprop.timeline.stamps.MEDIAN_WINDOW` positive
+        intervals, ns
+    `min_dt_ns`, `max_dt_ns`: Extreme intervals between samples used, ns
+    `gap_limit_ns`: intervals longer than this were counted as gaps
+    `duplicates`, `backwards`, `outliers`, `gaps`: stamps equal to the one before; earlier than one
+        before; ahead of those after them; long intervals. A gap is located by the sample after it
+    `longest_gap`: the stamps before and after the longest, ns
+    `gap_list`: the first :data:`LISTED_GAPS` gaps: the stamps before and after each, ns
+    `max_rate`: Largest finite magnitude of the angular rate, rad/s
+    `path_angle_rad`: Total angle traversed, rad: the sum of abs(w) dt with the rate at each
+        interval's start, or of the increments
+    `integrated_ns`: for increments: the time over which the sensor integrated them, ns, in all
+        intervals
+    `nonfinite`: rates that are not finite
     """
 
     read: int = 0
@@ -147,15 +131,7 @@ HANDLED = {
 
 
 def remarks(counts: Counts, policy: Policy) -> Iterator[Text]:
-    """Yield a sentence for every event that a reader of the result should know of.
-
-    Parameters
-    ----------
-    counts
-        What was observed.
-    policy
-        How it was handled.
-    """
+    """Yield a sentence for every event that a reader of the result should know of."""
     limit = duration_text(counts.gap_limit_ns or 0)
     events = {
         "": (counts.duplicates, "repeated timestamp{s}"),

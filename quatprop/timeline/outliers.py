@@ -55,12 +55,7 @@ def marked(
 
     With it comes by how much, ns, the first of them is ahead of those around it.
 
-    Parameters
-    ----------
-    batches
-        Samples in the order of the log.
-    stamps_of
-        Returns their stamps, shape ``(N,)``, int64 ns.
+    `stamps_of`: returns their stamps, shape ``(N,)``, int64 ns
     """
     stream = (batch for batch in batches if len(batch))
     waiting: deque[Batch] = deque()
@@ -94,12 +89,7 @@ def outliers_in_order(t_ns: Int64, found: Bool) -> Bool:
     Those that fit among the others came early, and are not wrong. A log that was written newest
     first jumps ahead towards its beginning.
 
-    Parameters
-    ----------
-    t_ns
-        All stamps of the log, ns.
-    found
-        Which are outliers in the order of the log.
+    `t_ns`: all stamps of the log, ns
     """
     if not found.any():
         return found
@@ -135,14 +125,9 @@ def _in_order(t_ns: Int64) -> bool:
 def _outliers(t_ns: Int64, own: slice, *, from_the_first: bool) -> tuple[Bool, int]:
     """Return which of some stamps are outliers, and by how much the first is ahead, ns.
 
-    Parameters
-    ----------
-    t_ns
-        Neighbouring stamps, ns.
-    own
-        Which of them are asked for.
-    from_the_first
-        Whether they begin with the first of the log, which has none before it to jump from.
+    `t_ns`: Neighbouring stamps, ns
+    `from_the_first`: whether they begin with the first of the log, which has none before it to jump
+        from
     """
     returns = np.flatnonzero(t_ns[1:] < t_ns[:-1]) + 1
     # Exact, however far apart the stamps are.

@@ -35,21 +35,15 @@ MEDIAN_WINDOW = 65_536
 class Policy(NamedTuple):
     """How each kind of irregularity is handled.
 
-    Parameters
-    ----------
-    on_backwards
-        Time stamps earlier than one before, and outliers: ``"error"``; ``"drop"`` the samples;
-        ``"sort"`` all samples by stamp (keeps the whole log in memory) and drop outliers;
-        ``"keep"`` them, for inspection only.
-    on_nonfinite
-        Rates that are NaN or infinite: ``"error"``; ``"drop"`` the samples; ``"hold"`` the last
-        finite rate; ``"keep"`` them, for inspection only.
-    on_gap
-        Intervals longer than `max_gap_ns`: ``"hold"`` propagates across them like any other;
-        ``"error"``; ``"zero"`` assumes no rotation; ``"split"`` restarts from q0.
-    max_gap_ns
-        Intervals longer than this count as gaps, ns; None means
-        :data:`quatprop.timeline.stamps.GAP_FACTOR` median intervals.
+    `on_backwards`: time stamps earlier than one before, and outliers: ``"error"``; ``"drop"`` the
+        samples; ``"sort"`` all samples by stamp (keeps the whole log in memory) and drop outliers;
+        ``"keep"`` them, for inspection only
+    `on_nonfinite`: rates that are NaN or infinite: ``"error"``; ``"drop"`` the samples; ``"hold"``
+        the last finite rate; ``"keep"`` them, for inspection only
+    `on_gap`: intervals longer than `max_gap_ns`: ``"hold"`` propagates across them like any other;
+        ``"error"``; ``"zero"`` assumes no rotation; ``"split"`` restarts from q0
+    `max_gap_ns`: intervals longer than this count as gaps, ns; None means
+        :data:`quatprop.timeline.stamps.GAP_FACTOR` median intervals
     """
 
     on_backwards: Literal["error", "drop", "sort", "keep"] = "error"
@@ -70,14 +64,8 @@ OBSERVE = Policy(on_backwards="keep", on_nonfinite="keep")
 class StampChecks:
     """Checks time stamps batch by batch, and counts what it finds.
 
-    Parameters
-    ----------
-    path
-        The log, for errors.
-    policy
-        How irregular stamps are handled.
-    chosen_by
-        The setting that chooses other stamps: ``"clock"``, or of a table ``"time_col"``.
+    `policy`: how irregular stamps are handled
+    `chosen_by`: the setting that chooses other stamps: ``"clock"``, or of a table ``"time_col"``
     """
 
     def __init__(
@@ -94,10 +82,7 @@ class StampChecks:
     def observe(self, batches: Iterable[Int64]) -> Iterator[Int64]:
         """Yield stamps unchanged, and count them.
 
-        Parameters
-        ----------
-        batches
-            Stamps in the order of the log, each shape ``(N,)``, int64 ns.
+        `batches`: stamps in the order of the log, each shape ``(N,)``, int64 ns
         """
         checked = (t_ns for t_ns, *_ in self.examined(batches, lambda t_ns: t_ns))
         for t_ns in self.with_gap_limit(checked, lambda t_ns: t_ns):
@@ -109,17 +94,7 @@ class StampChecks:
     ) -> Iterator[Examined[Batch]]:
         """Yield batches that are not empty, with the outliers and steps back that are in them.
 
-        Parameters
-        ----------
-        batches
-            Samples in the order of the log.
-        stamps_of
-            Returns their stamps, shape ``(N,)``, int64 ns.
-
-        Raises
-        ------
-        TimelineError
-            There is one, and the policy refuses it.
+        `stamps_of`: returns their stamps, shape ``(N,)``, int64 ns
         """
         for batch, outliers, ahead_ns in marked(batches, stamps_of):
             t_ns = stamps_of(batch)
@@ -225,20 +200,8 @@ class StampChecks:
     def intervals(self, t_ns: Int64) -> Int64:
         """Count the stamps as used and return the intervals that end at them.
 
-        Parameters
-        ----------
-        t_ns
-            The next stamps, shape ``(N,)``, at least one, int64 ns.
-
-        Returns
-        -------
-        ndarray
-            Shape ``(N,)``, int64 ns; ``(N - 1,)`` for the first batch.
-
-        Raises
-        ------
-        TimelineError
-            An interval does not fit in 64 bits, or the policy refuses a gap.
+        `t_ns`: the next stamps, shape ``(N,)``, at least one, int64 ns
+        `Returns`: Shape ``(N,)``, int64 ns; ``(N - 1,)`` for the first batch
         """
         counts = self.counts
         first_ns = int(t_ns[0]) if counts.first_ns is None else counts.first_ns

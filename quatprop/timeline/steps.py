@@ -22,14 +22,9 @@ COUNTERS = {"ns": 2**32, "us": 2**32 * 1_000, "ms": 2**32 * 1_000_000}
 class Examined(NamedTuple, Generic[Batch]):
     """A batch, and what is irregular about its stamps.
 
-    Parameters
-    ----------
-    batch
-        The samples.
-    rows
-        Which of the samples that were read they are, shape ``(N,)``.
-    outliers, back
-        Masks of outliers, and of stamps that are earlier than one before.
+    `batch`: the samples
+    `rows`: which of the samples that were read they are, shape ``(N,)``
+    `outliers`, `back`: Masks of outliers, and of stamps that are earlier than one before
     """
 
     batch: Batch
@@ -41,12 +36,7 @@ class Examined(NamedTuple, Generic[Batch]):
 def cause_of_step(t_ns: Int64, first: int) -> str:
     """Return the likely cause of a step back in time, if the stamps show one.
 
-    Parameters
-    ----------
-    t_ns
-        Stamps, ns.
-    first
-        The first that is earlier than one before.
+    `t_ns`: Stamps, ns
     """
     if first < 2:  # noqa: PLR2004  # it and two before
         return ""

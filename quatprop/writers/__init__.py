@@ -41,40 +41,14 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
 ) -> AttitudeWriter:
     """Open a writer of attitude series.
 
-    Parameters
-    ----------
-    target
-        Where to write; ``"-"`` is stdout.
-    kind
-        A key of :data:`WRITERS`; None takes it from the suffix of `target`. Stdout, pipes and
-        devices get CSV; any other name without a suffix is a ROS 2 bag folder.
-    layout
-        A name in :data:`quatprop.conventions.layout.LAYOUTS`; None is the layout that the format
-        prescribes, or scalar-first where there is a choice.
-    comment
-        Write the provenance in a comment at the beginning.
-    message
-        The message to write the attitudes as, in a format of messages.
-    sigma
-        ``"body"`` or ``"reference"``: add columns of standard deviations about these axes. Messages
-        with a covariance hold what the attitudes have, about reference axes, as ROS defines it.
-    beside
-        A key of :data:`quatprop.conventions.representations.REPRESENTATIONS`: add its columns to
-        those of the quaternion.
-
-    Returns
-    -------
-    AttitudeWriter
-        A context manager that removes what was not committed.
-
-    Raises
-    ------
-    OutputError
-        The kind or the suffix is unknown, the target is a folder, its folder does not exist,
-        writing there is not permitted, or the kind cannot go to stdout.
-    UsageError
-        The layout is unknown or not that of the format, or the format has no comments, no messages
-        or no place for further columns.
+    `target`: where to write; ``"-"`` is stdout
+    `kind`: a key of :data:`WRITERS`; None takes it from the suffix of `target`. Stdout, pipes and
+        devices get CSV; any other name without a suffix is a ROS 2 bag folder
+    `layout`: a name in :data:`quatprop.conventions.layout.LAYOUTS`; None is the layout that the
+        format prescribes, or scalar-first where there is a choice
+    `sigma`: ``"body"`` or ``"reference"``: add columns of standard deviations about these axes.
+        Messages with a covariance hold what the attitudes have, about reference axes, as ROS
+        defines it
     """
     from quatprop.conventions.representations import REPRESENTATIONS
     from quatprop.series import SIGMA_COLUMNS
@@ -105,13 +79,7 @@ def refuse_message(kind: str, message: Message | None) -> None:
 
 
 def holds_covariances(kind: str, message: Message | None) -> bool:
-    """Tell whether a format, or a message in it, has a place for covariances.
-
-    Parameters
-    ----------
-    kind, message
-        As for :func:`refuse_columns`.
-    """
+    """Tell whether a format, or a message in it, has a place for covariances."""
     chosen = WRITERS[kind]
     has_covariance = (message or Message()).definition.has_covariance
     return bool(chosen.columns or (chosen.encodings and has_covariance))
@@ -120,20 +88,7 @@ def holds_covariances(kind: str, message: Message | None) -> bool:
 def refuse_columns(
     kind: str, message: Message | None, sigma: str | None, beside: str | None
 ) -> None:
-    """Refuse standard deviations and angles where a format or a message has no place for them.
-
-    Parameters
-    ----------
-    kind
-        A key of :data:`WRITERS`.
-    message, sigma, beside
-        As for :func:`open_writer`.
-
-    Raises
-    ------
-    UsageError
-        They cannot be written.
-    """
+    """Refuse standard deviations and angles where a format or a message has no place for them."""
     if beside is None and sigma is None:
         return
     from quatprop.conventions.representations import REPRESENTATIONS
@@ -160,19 +115,7 @@ def open_table(
 ) -> TableWriter:
     """Open a table of any columns.
 
-    Parameters
-    ----------
-    target, kind, comment
-        As for :func:`open_writer`.
-    names
-        Names of the float64 columns that follow ``t_ns``.
-
-    Raises
-    ------
-    OutputError
-        As for :func:`open_writer`, or the kind holds attitudes only.
-    UsageError
-        The format has no comments.
+    `names`: names of the float64 columns that follow ``t_ns``
     """
     kind = kind_of(target, kind)
     if not WRITERS[kind].columns:
@@ -188,21 +131,7 @@ def open_messages(
 ) -> MessageWriter:
     """Open a container of messages of one topic.
 
-    Parameters
-    ----------
-    target
-        Where to write.
-    kind
-        A key of :data:`WRITERS` with messages.
-    topic
-        The topic and its definition, in one of the encodings of the format.
-    compression
-        One of the compressions of the format; None is its default.
-
-    Raises
-    ------
-    OutputError
-        As for :func:`open_writer`.
+    `compression`: one of the compressions of the format; None is its default
     """
     _refuse_stdout(target, kind)
     chosen = WRITERS[kind]

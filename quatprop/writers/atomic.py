@@ -40,21 +40,10 @@ def output_errors(target: Path | str, *others: type[Exception]) -> Iterator[None
 class OutputFile:
     """A file being written, to be committed or discarded.
 
-    Parameters
-    ----------
-    target
-        The file's path; ``"-"`` is stdout. Of a symbolic link, the file it points to is replaced
-        and the link stays.
-
-    Attributes
-    ----------
-    stream
-        Binary stream. Buffered, since an unbuffered one may write only a part of what it is given.
-
-    Raises
-    ------
-    OutputError
-        The target is a folder, its folder does not exist, or writing is not permitted.
+    `target`: the file's path; ``"-"`` is stdout. Of a symbolic link, the file it points to is
+        replaced and the link stays
+    `stream`: Binary stream. Buffered, since an unbuffered one may write only a part of what it is
+        given
     """
 
     def __init__(self, target: Path | str) -> None:
@@ -112,13 +101,7 @@ class OutputFile:
 
 @contextmanager
 def open_atomic(target: Path | str) -> Iterator[BinaryIO]:
-    """Open a binary stream whose bytes take the target's place at the end of the block.
-
-    Raises
-    ------
-    OutputError
-        As for :class:`OutputFile`, and where the disk is full.
-    """
+    """Open a binary stream whose bytes take the target's place at the end of the block."""
     output = OutputFile(target)
     try:
         with output_errors(target):
@@ -129,14 +112,7 @@ def open_atomic(target: Path | str) -> Iterator[BinaryIO]:
 
 
 def scratch_file(target: Path | str) -> BinaryIO:
-    """Open a nameless temporary file for content whose beginning is not yet known.
-
-    Parameters
-    ----------
-    target
-        Where the content will go in the end. The file is on the same disk, which has to have
-        room for the content anyway.
-    """
+    """Open a nameless temporary file for content whose beginning is not yet known."""
     import tempfile  # brings in much that few runs need
 
     in_temp_folder = is_stdout(target) or is_stream(target)
@@ -148,23 +124,10 @@ def scratch_file(target: Path | str) -> BinaryIO:
 class OutputPath:
     """A temporary path for libraries that create files or folders by name.
 
-    Parameters
-    ----------
-    target
-        Where the file or folder will be.
-    folder
-        Whether it will be a folder. An old file is replaced; an old folder is refused, because
-        replacing one cannot be done in one step.
-
-    Attributes
-    ----------
-    path
-        Where to create it: with the target's name, inside a temporary folder.
-
-    Raises
-    ------
-    OutputError
-        As for :class:`OutputFile`; or the folder exists already.
+    `target`: where the file or folder will be
+    `folder`: whether it will be a folder. An old file is replaced; an old folder is refused,
+        because replacing one cannot be done in one step
+    `path`: where to create it: with the target's name, inside a temporary folder
     """
 
     def __init__(self, target: Path | str, *, folder: bool = False) -> None:

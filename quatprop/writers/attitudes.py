@@ -24,19 +24,10 @@ if TYPE_CHECKING:
 class AttitudeWriter(Transaction):
     """Takes batches of attitudes in order; the arrays must not change before the commit.
 
-    Parameters
-    ----------
-    file
-        The file whose rows or messages they become, and with which they are committed.
-    rows
-        Returns what a batch becomes: stamps in ns, and columns or messages.
-    holds_positions
-        Whether positions are written too; where a batch has none, they are zero.
-
-    Attributes
-    ----------
-    locked_rows
-        In how many rows the angles that are written are not unique.
+    `file`: the file whose rows or messages they become, and with which they are committed
+    `rows`: returns what a batch becomes: stamps in ns, and columns or messages
+    `holds_positions`: whether positions are written too; where a batch has none, they are zero
+    `locked_rows`: in how many rows the angles that are written are not unique
     """
 
     def __init__(
@@ -76,16 +67,9 @@ def attitude_table(
 ) -> AttitudeWriter:
     """Return a writer of attitudes as a table: stamps, four components, and more columns.
 
-    Parameters
-    ----------
-    table
-        A table with the columns of `layout`, of `form` and of standard deviations.
-    layout
-        Order of the components.
-    sigma
-        The axes of the columns of standard deviations at the end; None where there are none.
-    form
-        What else to write of each attitude, such as its angles; None for nothing.
+    `table`: a table with the columns of `layout`, of `form` and of standard deviations
+    `sigma`: the axes of the columns of standard deviations at the end; None where there are none
+    `form`: what else to write of each attitude, such as its angles; None for nothing
     """
 
     def columns(series: AttitudeSeries) -> Columns:
@@ -113,14 +97,7 @@ def column_table(
 ) -> AttitudeWriter:
     """Return a writer of series as a table of numbers that are made of them.
 
-    Parameters
-    ----------
-    table
-        The table.
-    values
-        Returns the columns of a series, shape ``(N, k)``.
-    locked
-        Returns in how many rows of columns the angles are not unique.
+    `values`: returns the columns of a series, shape ``(N, k)``
     """
 
     def columns(series: AttitudeSeries | GyroSeries) -> Columns:
@@ -140,16 +117,7 @@ def attitude_messages(
 ) -> AttitudeWriter:
     """Return a writer of attitudes as messages.
 
-    Parameters
-    ----------
-    container
-        Takes the messages.
-    encoder
-        Encodes the attitudes.
-    target
-        The file, for errors.
-    log_times
-        Returns when attitudes are logged, ns.
+    `log_times`: returns when attitudes are logged, ns
     """
 
     def messages(series: AttitudeSeries) -> tuple[Int64, Records]:

@@ -32,20 +32,6 @@ def block_slices(rows: int, filled: int, size: int) -> Iterator[tuple[slice, sli
 
     Blocks end at fixed rows, wherever a batch ends: the bytes do not depend on batches.
 
-    Parameters
-    ----------
-    rows
-        Rows of the batch.
-    filled
-        Rows that the first block has already.
-    size
-        Rows of a block. The caller starts the next one when a place ends at `size`.
-
-    Yields
-    ------
-    source, place
-        Rows of the batch, and where they go in the block.
-
     Examples
     --------
     >>> list(block_slices(3, 3, 4))
@@ -74,17 +60,8 @@ class Transaction(ABC):
     def finish(self, provenance: Mapping[str, object]) -> None:
         """Write the file to its end.
 
-        Parameters
-        ----------
-        provenance
-            How the content came about: convention, layout, method, q0, source, counts,
-            versions; JSON-ready. Kept in the file where the format has a place for it. May be
-            empty.
-
-        Raises
-        ------
-        OutputError
-            The file cannot be finished.
+        `provenance`: how the content came about: convention, layout, method, q0, source, counts,
+            versions; JSON-ready. Kept in the file where the format has a place for it. May be empty
         """
 
     @abstractmethod
@@ -105,10 +82,7 @@ class Transaction(ABC):
 class FileWriter(Transaction):
     """Writes a file or folder; errors of the system become errors that name it.
 
-    Parameters
-    ----------
-    output
-        What is written.
+    `output`: what is written
     """
 
     _output: OutputFile | OutputPath
@@ -168,10 +142,7 @@ class FileWriter(Transaction):
 class TableWriter(FileWriter):
     """A file of named columns: int64 stamps ``t_ns`` first, then float64.
 
-    Attributes
-    ----------
-    holds_positions
-        Whether three columns of positions may follow those of the quaternion.
+    `holds_positions`: whether three columns of positions may follow those of the quaternion
     """
 
     holds_positions = False

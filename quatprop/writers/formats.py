@@ -19,29 +19,17 @@ if TYPE_CHECKING:
 class Format(NamedTuple):
     """One row of :data:`WRITERS`.
 
-    Parameters
-    ----------
-    suffixes
-        File name endings that mean this format; ``""`` is a name without one.
-    opener
-        ``module:class`` of the writer, imported when it is needed. It is called with the target
-        and, for columns, their names; for messages, a topic and a compression.
-    columns
-        Whether it is a table of any columns.
-    encodings
-        Encodings of the messages that it holds; empty where it holds none.
-    layout
-        The layout that the format's own definition prescribes; None where there is a choice.
-    has_stamps
-        Whether it has a place for timestamps.
-    is_text
-        Whether it may go to stdout.
-    comments
-        Whether it has comments, in which the provenance can be kept.
-    keeps_provenance
-        Whether it has a place of its own for the provenance, besides comments.
-    compressions
-        What its content can be compressed with; the first is the default.
+    `suffixes`: file name endings that mean this format; ``""`` is a name without one
+    `opener`: ``module:class`` of the writer, imported when it is needed. It is called with the
+        target and, for columns, their names; for messages, a topic and a compression
+    `columns`: whether it is a table of any columns
+    `encodings`: Encodings of the messages that it holds; empty where it holds none
+    `layout`: the layout that the format's own definition prescribes; None where there is a choice
+    `has_stamps`: whether it has a place for timestamps
+    `is_text`: whether it may go to stdout
+    `comments`: whether it has comments, in which the provenance can be kept
+    `keeps_provenance`: whether it has a place of its own for the provenance, besides comments
+    `compressions`: what its content can be compressed with; the first is the default
     """
 
     suffixes: tuple[str, ...]
@@ -119,17 +107,7 @@ DEFAULT_LAYOUT = "scalar-first"
 def layout_of(kind: str, layout: str | None = None) -> Layout:
     """Return the layout in which a kind of file is written.
 
-    Parameters
-    ----------
-    kind
-        A key of :data:`WRITERS`.
-    layout
-        The layout asked for; None where none was.
-
-    Raises
-    ------
-    UsageError
-        The layout is unknown, or the format's definition prescribes the other one.
+    `layout`: the layout asked for; None where none was
 
     Examples
     --------
@@ -153,17 +131,7 @@ def layout_of(kind: str, layout: str | None = None) -> Layout:
 def kind_of(target: Path | str, kind: str | None = None, choices: Collection[str] = WRITERS) -> str:
     """Return the kind of file to write: the given one, or that of the target's suffix.
 
-    Parameters
-    ----------
-    target, kind
-        Where to write, and the kind; None for that of the suffix.
-    choices
-        The kinds that errors offer.
-
-    Raises
-    ------
-    OutputError
-        The kind or the suffix is unknown.
+    `target`, `kind`: where to write, and the kind; None for that of the suffix
 
     Examples
     --------
@@ -191,11 +159,6 @@ def kind_of(target: Path | str, kind: str | None = None, choices: Collection[str
 def format_remarks(target: Path | str, kind: str | None = None) -> tuple[str, ...]:
     """Return what a file has no place for, though every attitude has it.
 
-    Parameters
-    ----------
-    target, kind
-        As for :func:`kind_of`.
-
     Examples
     --------
     >>> format_remarks("attitude.csv"), format_remarks("attitude.kitti")
@@ -209,11 +172,6 @@ def format_remarks(target: Path | str, kind: str | None = None) -> tuple[str, ..
 
 def keeps_provenance(target: Path | str, kind: str | None = None, *, comment: bool = False) -> bool:
     """Return whether a file keeps its provenance, in a comment or in a place of its own.
-
-    Parameters
-    ----------
-    target, kind, comment
-        As for :func:`open_writer`.
 
     Examples
     --------

@@ -36,13 +36,7 @@ def is_stream(target: Path | str) -> bool:
 
 
 def refuse_streams(target: Path | str, what: str) -> None:
-    """Refuse pipes and devices for a format whose beginning is written last.
-
-    Raises
-    ------
-    OutputError
-        The target is a stream.
-    """
+    """Refuse pipes and devices for a format whose beginning is written last."""
     if is_stdout(target) or is_stream(target):
         raise OutputError(
             target,
@@ -51,13 +45,7 @@ def refuse_streams(target: Path | str, what: str) -> None:
 
 
 def checked_place(target: Path | str) -> Path:
-    """Return the path that the target resolves to, if a file can be written there.
-
-    Raises
-    ------
-    OutputError
-        The target is a folder, its folder does not exist, or writing is not permitted.
-    """
+    """Return the path that the target resolves to, if a file can be written there."""
     place = Path(os.path.realpath(target))
     if place.is_dir():
         raise OutputError(target, "is a folder; name a file in it")
@@ -76,11 +64,6 @@ def refuse_outside(target: Path | str, folder: Path | str) -> None:
     """Refuse a target that does not lie in a folder, or that a link there leads out of.
 
     The folder itself may be a link.
-
-    Raises
-    ------
-    OutputError
-        It does not.
     """
     place, root = os.path.realpath(target), os.path.realpath(folder)
     if os.path.commonpath([place, root]) != root:
@@ -101,17 +84,8 @@ def refuse_overlap(inputs: Iterable[str | None], outputs: Iterable[str | None]) 
 
     The time that it takes is linear in the number of names, of which a batch has many.
 
-    Parameters
-    ----------
-    inputs
-        Files and folders that are read, with everything in the folders; None is skipped.
-    outputs
-        Where results go; None is skipped. Streams replace nothing.
-
-    Raises
-    ------
-    OutputError
-        An output is an input, lies inside one, or is named twice.
+    `inputs`: files and folders that are read, with everything in the folders; None is skipped
+    `outputs`: where results go; None is skipped. Streams replace nothing
     """
     targets = [name for name in outputs if name is not None]
     if sum(map(is_stdout, targets)) > 1:

@@ -36,12 +36,8 @@ _NOT_DEFINITIONS = frozenset(range(256)) - {SCHEMA, CHANNEL}
 class Definitions:
     """Schema and channel records in order of the file.
 
-    Attributes
-    ----------
-    first_id
-        What is added to the ids of the current part.
-    records
-        Opcode, content, place and `first_id` of each record.
+    `first_id`: what is added to the ids of the current part
+    `records`: Opcode, content, place and `first_id` of each record
     """
 
     def __init__(self) -> None:
@@ -96,19 +92,7 @@ def leading_definitions(
 def read_definitions(
     source: FileSource, index: McapIndex, *, is_complete: bool, is_closed: bool
 ) -> None:
-    """Read the chunks that may hold channels and schemas not yet defined.
-
-    Parameters
-    ----------
-    source
-        The file.
-    index
-        What is known of it; definitions are added.
-    is_complete
-        Whether all its channels are known.
-    is_closed
-        Whether the file has a footer; if not, message indexes may be missing after the last chunk.
-    """
+    """Read the chunks that may hold channels and schemas not yet defined."""
     suspect = []
     define = partial(_define_from, source, index, DecompressionBudget(source.size))
     for region in index.regions:
@@ -155,10 +139,7 @@ class DefinitionCheck:
 
     So no message goes to a topic that it is not of.
 
-    Parameters
-    ----------
-    index
-        The definitions by which its messages are read.
+    `index`: the definitions by which its messages are read
     """
 
     def __init__(self, index: McapIndex) -> None:
@@ -172,13 +153,7 @@ class DefinitionCheck:
         region: Region,
         ids: Sequence[int],
     ) -> None:
-        """Compare the definitions of a region: opcode, and begin and end of each in `data`.
-
-        Raises
-        ------
-        UnreadableDataError
-            A channel that is read, or its schema, is redefined there.
-        """
+        """Compare the definitions of a region: opcode, and begin and end of each in `data`."""
         for opcode, begin, end in definitions:
             record = region.first_id, opcode, bytes(data[begin:end])
             if record not in self._found:

@@ -38,21 +38,11 @@ UNDEFINED = "no record defines it"
 class McapReader(ChunkReader[Region, Loaded]):
     """Reads the messages of one channel.
 
-    Parameters
-    ----------
-    source
-        The file.
-    definitions
-        Compares definitions inside chunks with those of the index, to which losses are added.
-    topic, ids
-        The channel, and its ids in the index.
-    unchecked
-        Where chunks begin of which only selected messages were read; grows.
-
-    Attributes
-    ----------
-    lost
-        Messages that are known to be lost.
+    `definitions`: Compares definitions inside chunks with those of the index, to which losses are
+        added
+    `topic`, `ids`: the channel, and its ids in the index
+    `unchecked`: where chunks begin of which only selected messages were read; grows
+    `lost`: messages that are known to be lost
     """
 
     def __init__(
@@ -109,11 +99,6 @@ class McapReader(ChunkReader[Region, Loaded]):
 
         What precedes the first message is read, too, and the heads of all records, which show that
         nothing is hidden between them. The checksum is that of the whole chunk.
-
-        Raises
-        ------
-        UnreadableDataError
-            The chunk redefines a wanted channel.
         """
         own, index = chunk.own(self.ids), index_of(self.source, chunk)
         wanted, every = indexed_offsets(index, chunk, own), indexed_offsets(index, chunk)
@@ -169,13 +154,7 @@ class McapReader(ChunkReader[Region, Loaded]):
         return messages.block
 
     def messages(self, content: Loaded, chunk: Region) -> MessageBlock | None:
-        """Return the messages of a region by its records, and note what is lost of them.
-
-        Raises
-        ------
-        UnsupportedLogError
-            A chunk redefines the channel.
-        """
+        """Return the messages of a region by its records, and note what is lost of them."""
         if content.offsets is not None:
             content = self._whole(chunk)
         reason = content.damage
@@ -241,13 +220,7 @@ class McapReader(ChunkReader[Region, Loaded]):
 
 
 def _check_times(loaded: Loaded, region: Region, messages: LocatedMessages) -> None:
-    """Refuse a chunk that no checksum shows to be whole, and whose times are not as stated.
-
-    Raises
-    ------
-    UnreadableDataError
-        Log times are outside the range that the chunk states.
-    """
+    """Refuse a chunk that no checksum shows to be whole, and whose times are not as stated."""
     if loaded.has_checksum or region.may_have_logged(messages.block.log_ns):
         return
     if checksums_matter():

@@ -35,26 +35,8 @@ if TYPE_CHECKING:
 class McapLog(ChunkedLog[Region]):
     """An MCAP file; see :class:`quatprop.containers.base.MessageLog`.
 
-    Parameters
-    ----------
-    log
-        The file.
-    is_zstd
-        Whether messages are known to be compressed one by one; those in CDR are recognised.
-
-    Attributes
-    ----------
-    index
-        What it holds and where.
-
-    Raises
-    ------
-    UnreadableLogError
-        The file is missing or may not be read.
-    UnsupportedLogError
-        It is of another major version.
-    DamagedLogError
-        It is no MCAP file, or nothing of it can be read.
+    `is_zstd`: whether messages are known to be compressed one by one; those in CDR are recognised
+    `index`: what it holds and where
     """
 
     kind = "mcap"

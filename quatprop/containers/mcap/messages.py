@@ -34,13 +34,9 @@ _CHANNEL_BITS = (1 << 24) - 1
 class LocatedMessages:
     """Messages of several channels, and which channel each is of.
 
-    Parameters
-    ----------
-    block
-        The messages. Unsigned times after the year 2262 are negative in its `publish_ns`, and
-        clamped to :data:`~quatprop.containers.base.LATEST` in `log_ns`.
-    channels
-        Channel ids, shape ``(N,)``; may be a view of the buffer.
+    `block`: the messages. Unsigned times after the year 2262 are negative in its `publish_ns`, and
+        clamped to :data:`~quatprop.containers.base.LATEST` in `log_ns`
+    `channels`: Channel ids, shape ``(N,)``; may be a view of the buffer
     """
 
     block: MessageBlock
@@ -79,12 +75,7 @@ def _is_one_of(channels: NDArray[np.uint16], ids: Sequence[int]) -> NDArray[np.b
 def messages_at(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | None:
     """Return the messages at ascending offsets, or None where an offset is not a message's.
 
-    Parameters
-    ----------
-    data
-        The decompressed records of a region.
-    offsets
-        Where message records begin, shape ``(N,)``, int64.
+    `offsets`: where message records begin, shape ``(N,)``, int64
     """
     if len(offsets) == 0:
         none = MessageBlock(np.empty(0, np.uint8), offsets, offsets, offsets, offsets)
@@ -104,15 +95,9 @@ def messages_past_damage(
 ) -> LocatedMessages | None:
     """Return the messages of a walk that ended at damage, and those after the damage.
 
-    Parameters
-    ----------
-    data
-        The decompressed records of a region.
-    walked
-        Where the walk found messages, shape ``(N,)``, int64; the length of the last may be
-        damaged.
-    indexed
-        Where messages begin by the index, shape ``(M,)``, int64, ascending.
+    `walked`: where the walk found messages, shape ``(N,)``, int64; the length of the last may be
+        damaged
+    `indexed`: where messages begin by the index, shape ``(M,)``, int64, ascending
     """
     after = indexed[indexed > walked[-1]] if len(walked) else indexed
     # The damaged message may be the last that was walked to, or the first after it.
@@ -197,19 +182,8 @@ def indexed_offsets(
 ) -> NDArray[np.int64] | None:
     """Return the offsets that the message indexes of some channels list, or those of all.
 
-    Parameters
-    ----------
-    index
-        The message indexes of the region, which follow it in the file.
-    region
-        Says where each index is.
-    ids
-        The channels; None for all.
-
-    Returns
-    -------
-    ndarray or None
-        Shape ``(N,)``, int64, ascending; None where there is no index or it is damaged.
+    `ids`: the channels; None for all
+    `Returns`: Shape ``(N,)``, int64, ascending; None where there is no index or it is damaged
     """
     if not region.index_length or region.holds is None:
         return None
@@ -230,21 +204,7 @@ def index_entries(
 ) -> NDArray[np.int64] | None:
     """Return the log times and offsets in the message index of a channel.
 
-    Parameters
-    ----------
-    index
-        The message indexes of the region, which follow it in the file.
-    region
-        The region.
-    place
-        Where in the file that of the channel begins.
-    channel
-        The id of the channel in the region.
-
-    Returns
-    -------
-    ndarray or None
-        Shape ``(N, 2)``, int64; None where it is damaged.
+    `Returns`: Shape ``(N, 2)``, int64; None where it is damaged
     """
     at = place - region.start - region.length
     if at < 0 or at + INDEX_HEAD.size > len(index):

@@ -57,28 +57,19 @@ INDEX_ENTRY = 16
 class Region:
     """A chunk, or a run of messages outside chunks.
 
-    Parameters
-    ----------
-    start, length
-        The chunk record, or the messages, in the file, bytes.
-    is_chunk
-        Whether it is a chunk.
-    first_ns, last_ns
-        Its earliest and latest log time, ns; the latest is None where no index states it.
-    index_length
-        Bytes of message index that follow it.
-    holds
-        Where in the file the message index of each channel is, by channel id; 0 where it has none.
-        None if it is unknown which channels the region holds.
-    counts
-        Number of messages of each channel, by channel id, where they were counted.
-    first_id
-        What is added to its channel ids to tell them from those defined elsewhere in the file.
-    size
-        Bytes of its decompressed records by the index.
-    head_last_ns
-        Its latest log time by its head, ns, where no index states it; 0 if unknown. The head has
-        no checksum, so no chunk is skipped because of this time.
+    `start`, `length`: the chunk record, or the messages, in the file, bytes
+    `is_chunk`: whether it is a chunk
+    `first_ns`, `last_ns`: its earliest and latest log time, ns; the latest is None where no index
+        states it
+    `index_length`: bytes of message index that follow it
+    `holds`: where in the file the message index of each channel is, by channel id; 0 where it has
+        none. None if it is unknown which channels the region holds
+    `counts`: number of messages of each channel, by channel id, where they were counted
+    `first_id`: what is added to its channel ids to tell them from those defined elsewhere in the
+        file
+    `size`: bytes of its decompressed records by the index
+    `head_last_ns`: its latest log time by its head, ns, where no index states it; 0 if unknown. The
+        head has no checksum, so no chunk is skipped because of this time
     """
 
     start: int
@@ -146,18 +137,12 @@ class Region:
 class Loaded(NamedTuple):
     """A region that was read.
 
-    Parameters
-    ----------
-    data
-        Its decompressed records, as far as they could be read.
-    damage
-        Why they end early, or ``""``.
-    has_checksum
-        Whether a checksum shows that it is as it was written.
-    is_readable
-        Whether anything of it can be read.
-    offsets
-        Where the wanted messages begin in `data`, which has little else; None where it is whole.
+    `data`: its decompressed records, as far as they could be read
+    `damage`: why they end early, or ``""``
+    `has_checksum`: whether a checksum shows that it is as it was written
+    `is_readable`: whether anything of it can be read
+    `offsets`: where the wanted messages begin in `data`, which has little else; None where it is
+        whole
     """
 
     data: Buffer = b""
@@ -174,13 +159,7 @@ TORN = "the file ends inside it"
 def load(
     source: FileSource, region: Region, budget: DecompressionBudget, *, check: bool = True
 ) -> Loaded:
-    """Read a region and decompress it; `check` refuses a chunk whose checksum is wrong.
-
-    Raises
-    ------
-    UnreadableDataError
-        The region is damaged.
-    """
+    """Read a region and decompress it; `check` refuses a chunk whose checksum is wrong."""
     try:
         return _load(source, region, budget, check=check)
     except OSError as error:
@@ -220,18 +199,11 @@ def _load(
 class ChunkHead(NamedTuple):
     """The fields of a chunk before its data.
 
-    Parameters
-    ----------
-    first_ns, last_ns
-        Earliest and latest log time, ns, without sign.
-    size
-        Bytes of the decompressed data.
-    crc
-        Checksum of the decompressed data; 0 if there is none.
-    compression
-        How the data is compressed.
-    begin, end
-        Where the compressed data is, from the beginning of the record.
+    `first_ns`, `last_ns`: earliest and latest log time, ns, without sign
+    `size`: bytes of the decompressed data
+    `crc`: Checksum of the decompressed data; 0 if there is none
+    `compression`: how the data is compressed
+    `begin`, `end`: where the compressed data is, from the beginning of the record
     """
 
     first_ns: int
@@ -254,21 +226,7 @@ def head_of(source: FileSource, region: Region) -> ChunkHead | None:
 
 
 def chunk_head(record: Buffer, length: int) -> ChunkHead | None:
-    """Return the head of a chunk record.
-
-    Parameters
-    ----------
-    record
-        The beginning of the record.
-    length
-        Bytes of the whole record.
-
-    Returns
-    -------
-    ChunkHead or None
-        None where `record` is too short, or neither its head nor its content says that it is a
-        chunk of this length.
-    """
+    """Return the head of a chunk record."""
     fixed = RECORD.size + CHUNK_HEAD.size
     if len(record) < fixed + 8:
         return None

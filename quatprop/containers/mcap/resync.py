@@ -65,16 +65,10 @@ _MESSAGE_FIXED = 22
 class _Form(NamedTuple):
     """What the content of a record consists of.
 
-    Parameters
-    ----------
-    before
-        Bytes before the first length.
-    short
-        How many parts there are behind lengths of 4 bytes.
-    long
-        How many there are behind lengths of 8 bytes after them.
-    after
-        Bytes at the end.
+    `before`: bytes before the first length
+    `short`: how many parts there are behind lengths of 4 bytes
+    `long`: how many there are behind lengths of 8 bytes after them
+    `after`: bytes at the end
     """
 
     before: int
@@ -98,24 +92,7 @@ FIRST_PRIVATE_OPCODE = 0x80
 
 
 def length_by_content(source: FileSource, position: int, opcode: int, head: bytes) -> int | None:
-    """Return how long the content of a record says that it is.
-
-    Parameters
-    ----------
-    source
-        The file.
-    position
-        Where the record begins.
-    opcode
-        What it is taken for.
-    head
-        The bytes that it begins with, as many as were read.
-
-    Returns
-    -------
-    int or None
-        None where it does not say that: the content of a message, or of an unknown record.
-    """
+    """Return how long the content of a record says that it is."""
     form = _FORMS.get(opcode)
     if form is None:
         return None
@@ -161,24 +138,7 @@ def attachment_end(source: FileSource, position: int, ends: list[int]) -> int | 
 def next_record(
     source: FileSource, start: int, stop: int, end: int, kinds: Container[int]
 ) -> int | None:
-    """Return where the first record begins that can be accepted as one.
-
-    Parameters
-    ----------
-    source
-        The file.
-    start, stop
-        Where it may begin.
-    end
-        Where the data section ends.
-    kinds
-        Opcodes that it may have.
-
-    Returns
-    -------
-    int or None
-        None where there is no such record.
-    """
+    """Return where the first record begins that can be accepted as one."""
 
     def found(window: bytes) -> list[int]:
         return _candidates(window, kinds)

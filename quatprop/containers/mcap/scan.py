@@ -57,24 +57,12 @@ _NOT_MESSAGES = frozenset(range(256)) - {SCHEMA, CHANNEL, MESSAGE}
 class Scan:
     """A scan of the data section, from record to record.
 
-    Parameters
-    ----------
-    source
-        The file.
-    end
-        Where the data section ends.
-    indexed
-        Chunks of the summary, which are not scanned, by where they begin. Those that the scan
-        comes by are removed.
-    attachments
-        How long the attachments of the summary are, by where they begin.
-
-    Attributes
-    ----------
-    summary_start
-        Where the first data end record ends; 0 while none was read.
-    is_ended
-        Whether a data end was read, so that nothing more is expected.
+    `end`: where the data section ends
+    `indexed`: chunks of the summary, which are not scanned, by where they begin. Those that the
+        scan comes by are removed
+    `attachments`: how long the attachments of the summary are, by where they begin
+    `summary_start`: where the first data end record ends; 0 while none was read
+    `is_ended`: whether a data end was read, so that nothing more is expected
     """
 
     def __init__(

@@ -43,18 +43,11 @@ _PLACE = struct.Struct("<QQ")
 class McapIndex:
     """The index of a file: what it holds and where.
 
-    Parameters
-    ----------
-    regions
-        Where its messages are, in order of the file.
-    channels, schemas
-        The records by their ids.
-    counts
-        Number of messages of each channel id, where the file states them.
-    metadata
-        Where the metadata records with provenance begin, by the summary.
-    losses
-        What could not be read.
+    `regions`: where its messages are, in order of the file
+    `channels`, `schemas`: the records by their ids
+    `counts`: number of messages of each channel id, where the file states them
+    `metadata`: where the metadata records with provenance begin, by the summary
+    `losses`: what could not be read
     """
 
     regions: list[Region] = field(default_factory=list)
@@ -65,15 +58,7 @@ class McapIndex:
     losses: Losses = field(default_factory=Losses)
 
     def define(self, opcode: int, content: Buffer, place: str, first_id: int = 0) -> None:
-        """Add a schema or channel record; the first with an id counts.
-
-        Parameters
-        ----------
-        opcode, content, place
-            The record, and where it is.
-        first_id
-            What is added to its ids.
-        """
+        """Add a schema or channel record; the first with an id counts."""
         try:
             if opcode == SCHEMA:
                 schema = read_schema(content)
@@ -132,18 +117,11 @@ def _ends_data(source: FileSource, place: int) -> bool:
 class Summary:
     """The content of the summary section.
 
-    Parameters
-    ----------
-    index
-        Channels, schemas, counts and metadata records.
-    chunks
-        The chunks, by where they begin.
-    attachments
-        How long each attachment is, by where it begins.
-    channel_count
-        How many channels the statistics state; None if there are none.
-    is_complete
-        Whether it has all channels of the file.
+    `index`: Channels, schemas, counts and metadata records
+    `chunks`: the chunks, by where they begin
+    `attachments`: how long each attachment is, by where it begins
+    `channel_count`: how many channels the statistics state; None if there are none
+    `is_complete`: whether it has all channels of the file
     """
 
     index: McapIndex = field(default_factory=McapIndex)
@@ -232,20 +210,7 @@ def _indexed_chunk(content: memoryview, *, is_checked: bool) -> Region:
 
 
 def read_provenance(source: FileSource, offsets: Iterable[int]) -> dict[str, str]:
-    """Return the provenance of each topic, as JSON; under ``""`` that of all others.
-
-    Parameters
-    ----------
-    source
-        The file.
-    offsets
-        Where its metadata records with provenance begin.
-
-    Raises
-    ------
-    OSError
-        The file cannot be read.
-    """
+    """Return the provenance of each topic, as JSON; under ``""`` that of all others."""
     entries = [_metadata_at(source, offset) for offset in offsets]
     return {
         entry.get("topic", ""): entry["provenance"] for entry in entries if "provenance" in entry

@@ -32,16 +32,10 @@ _LONG_RUN = 16
 class WalkedRecords:
     """The result of walking over records.
 
-    Parameters
-    ----------
-    offsets
-        Where each message record begins, shape ``(N,)``, int64.
-    definitions
-        Opcode, and begin and end of the content, of each schema and channel.
-    end
-        Where the walk ended: after the last whole record, or before one to stop at.
-    malformed
-        Message records too short to be messages.
+    `offsets`: where each message record begins, shape ``(N,)``, int64
+    `definitions`: Opcode, and begin and end of the content, of each schema and channel
+    `end`: where the walk ended: after the last whole record, or before one to stop at
+    `malformed`: message records too short to be messages
     """
 
     offsets: NDArray[np.int64]
@@ -51,15 +45,7 @@ class WalkedRecords:
 
 
 def walk_records(data: Buffer, stop_at: Container[int] = frozenset({0})) -> WalkedRecords:
-    """Follow the records of `data` by their lengths.
-
-    Parameters
-    ----------
-    data
-        Records, one after another.
-    stop_at
-        Opcodes to stop at; no record has opcode 0.
-    """
+    """Follow the records of `data` by their lengths."""
     result = WalkedRecords(np.empty(0, np.int64))
     parts: list[NDArray[np.int64]] = []
     single: list[int] = []

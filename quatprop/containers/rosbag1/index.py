@@ -44,32 +44,19 @@ MAX_INDEX = 1 << 24
 class BagChunk:
     """A chunk, or a run of messages outside any chunk.
 
-    Parameters
-    ----------
-    start
-        Where its record begins.
-    end
-        Where its index data ends at the latest.
-    first_ns
-        Log time of its earliest message.
-    counts
-        Number of messages of each connection.
-    is_unchunked
-        Whether it is a run of messages outside any chunk.
-    first_conn
-        What is added to the numbers of its connections: bags that were put one behind another
-        have numbers of their own, each counted from 0.
-    last_ns
-        Log time of its latest message; None if it is unknown.
-    record
-        Its record, once it was read.
-    is_checked
-        Whether it ends where the next chunk begins, or whatever is between them was read.
-    is_missing
-        Whether `counts` are what is missing of a chunk whose rest was found elsewhere.
-    is_proved
-        Whether `counts` are certain, so that it holds no other connection; None if that was not
-        looked at yet.
+    `start`: where its record begins
+    `end`: where its index data ends at the latest
+    `first_ns`: Log time of its earliest message
+    `counts`: number of messages of each connection
+    `is_unchunked`: whether it is a run of messages outside any chunk
+    `first_conn`: what is added to the numbers of its connections: bags that were put one behind
+        another have numbers of their own, each counted from 0
+    `last_ns`: Log time of its latest message; None if it is unknown
+    `record`: its record, once it was read
+    `is_checked`: whether it ends where the next chunk begins, or whatever is between them was read
+    `is_missing`: whether `counts` are what is missing of a chunk whose rest was found elsewhere
+    `is_proved`: whether `counts` are certain, so that it holds no other connection; None if that
+        was not looked at yet
     """
 
     start: int
@@ -98,16 +85,11 @@ class BagChunk:
 class ChunkRecords:
     """What was loaded of a chunk.
 
-    Parameters
-    ----------
-    data
-        Its decompressed records, as far as they could be read, shape ``(B,)``.
-    damage
-        Why they end early, or ``""``.
-    read_index
-        Reads the index data that follow the chunk.
-    offsets
-        Where the wanted messages begin in `data`, which has little else; None where it is whole.
+    `data`: its decompressed records, as far as they could be read, shape ``(B,)``
+    `damage`: why they end early, or ``""``
+    `read_index`: reads the index data that follow the chunk
+    `offsets`: where the wanted messages begin in `data`, which has little else; None where it is
+        whole
     """
 
     data: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
@@ -145,22 +127,13 @@ def offsets_of(
 class BagIndex:
     """The connections and chunks of a bag.
 
-    Parameters
-    ----------
-    connections
-        Header and data fields of the connection records, by number.
-    chunks
-        Every chunk.
-    losses
-        What could not be read.
-    end
-        Where it ends.
-    first_conn
-        What is added to the numbers of connections in the current bag of joined ones.
-    origin
-        Where the current bag begins, from which its own index counts.
-    infos
-        What chunk infos say that were met among the records.
+    `connections`: Header and data fields of the connection records, by number
+    `chunks`: every chunk
+    `losses`: what could not be read
+    `end`: where it ends
+    `first_conn`: what is added to the numbers of connections in the current bag of joined ones
+    `origin`: where the current bag begins, from which its own index counts
+    `infos`: what chunk infos say that were met among the records
     """
 
     connections: dict[int, dict[bytes, bytes]] = field(default_factory=dict)
@@ -188,22 +161,7 @@ class BagIndex:
 
 
 def read_chunk(file: RecordFile, chunk: BagChunk, record: Record | None = None) -> ChunkRecords:
-    """Read and decompress a chunk.
-
-    Parameters
-    ----------
-    file
-        The bag.
-    chunk
-        Where in it.
-    record
-        Its record, if it is known.
-
-    Raises
-    ------
-    UnreadableDataError
-        There is no chunk where the index points, or it cannot be decompressed.
-    """
+    """Read and decompress a chunk."""
     if chunk.is_unchunked:
         records = file.at(chunk.start, chunk.end - chunk.start)
         return ChunkRecords(np.frombuffer(records, np.uint8))
@@ -237,20 +195,7 @@ def index_reader(
 
 
 def read_index(file: RecordFile, header: Record) -> BagIndex | None:
-    """Return the index at the end of a bag.
-
-    Parameters
-    ----------
-    file
-        The bag.
-    header
-        The bag header record, which says where the index is.
-
-    Returns
-    -------
-    BagIndex or None
-        None if it has no index of all chunks.
-    """
+    """Return the index at the end of a bag."""
     index = BagIndex()
     try:
         at = header.number(b"index_pos", 8)

@@ -44,14 +44,9 @@ _INDEX_HEAD = 55
 class BagReader(ChunkReader[BagChunk, ChunkRecords]):
     """Reads the messages of one channel.
 
-    Parameters
-    ----------
-    file
-        The bag.
-    losses
-        What is lost of it; grows.
-    topic, connections
-        The channel, and the numbers of its connections.
+    `file`: the bag
+    `losses`: what is lost of it; grows
+    `topic`, `connections`: the channel, and the numbers of its connections
     """
 
     def __init__(self, file: RecordFile, losses: Losses, topic: str, connections: set[int]) -> None:

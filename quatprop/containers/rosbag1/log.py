@@ -36,24 +36,7 @@ _PLACE = 8
 class Rosbag1Log(ChunkedLog[BagChunk]):
     """A ROS 1 bag.
 
-    Parameters
-    ----------
-    log
-        The file.
-
-    Attributes
-    ----------
-    index
-        What it holds.
-
-    Raises
-    ------
-    UnreadableLogError
-        It is missing or not permitted.
-    UnsupportedLogError
-        It is of another format version, or encrypted.
-    DamagedLogError
-        It has no bag header.
+    `index`: what it holds
     """
 
     kind = "bag"

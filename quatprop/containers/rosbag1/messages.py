@@ -24,19 +24,8 @@ def indexed_messages(
 
     All headers are compared with the first, so that a wrong index is detected.
 
-    Parameters
-    ----------
-    data
-        The decompressed chunk, shape ``(B,)``.
-    offsets
-        Where their records begin by the index, shape ``(N,)``, ascending.
-    connections
-        Numbers of the connections.
-
-    Returns
-    -------
-    MessageBlock or None
-        None if anything there is not a message of these connections.
+    `data`: the decompressed chunk, shape ``(B,)``
+    `offsets`: where their records begin by the index, shape ``(N,)``, ascending
     """
     if len(offsets) == 0:
         return None

@@ -55,12 +55,8 @@ Data = TypeVar("Data")
 class Record:
     """A record: its place in the file, and the fields of its header.
 
-    Parameters
-    ----------
-    start, data, end
-        Where the record begins, where its data begin, and where it ends.
-    fields
-        The values of its header.
+    `start`, `data`, `end`: where the record begins, where its data begin, and where it ends
+    `fields`: the values of its header
     """
 
     start: int
@@ -89,17 +85,9 @@ class Record:
 class RecordFile:
     """Reads records from a bag, and checks every length against the end of the file.
 
-    Parameters
-    ----------
-    source
-        The open bag.
-
-    Attributes
-    ----------
-    source
-        The open bag.
-    size
-        Its length, bytes.
+    `source`: the open bag
+    `source`: the open bag
+    `size`: its length, bytes
     """
 
     def __init__(self, source: FileSource) -> None:
@@ -115,13 +103,7 @@ class RecordFile:
         return _read(self.source.read_ranges, begins, ends)
 
     def record(self, start: int) -> Record:
-        """Return the record at `start`; it may end beyond the file.
-
-        Raises
-        ------
-        UnreadableDataError
-            There is none.
-        """
+        """Return the record at `start`; it may end beyond the file."""
         head = self.at(start, HEAD)
         size = int.from_bytes(head[:4], "little") + 8
         if size > MAX_HEADER:
@@ -138,13 +120,7 @@ def _read(read: Callable[..., Data], *place: object) -> Data:
 
 
 def record_at(data: Buffer, at: int, origin: int = 0) -> Record:
-    """Return the record at `at` of a buffer that begins at `origin`; its data may be beyond it.
-
-    Raises
-    ------
-    UnreadableDataError
-        There is none.
-    """
+    """Return the record at `at` of a buffer that begins at `origin`; its data may be beyond it."""
     header_end = header_end_of(data, at)
     if header_end + 4 > len(data):
         raise UnreadableDataError("its record is cut off")
@@ -204,13 +180,7 @@ def index_data(data: bytes) -> tuple[dict[int, NDArray[np.void]], int]:
 
 
 def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:
-    """Yield the records of a decompressed chunk, one after another.
-
-    Raises
-    ------
-    UnreadableDataError
-        The chunk is damaged there, or ends within a record.
-    """
+    """Yield the records of a decompressed chunk, one after another."""
     at = 0
     while at < len(data):
         record = _whole_record(data.data, at, len(data))
@@ -223,13 +193,9 @@ def surviving_records(
 ) -> tuple[list[Record], str]:
     """Return the intact records of a decompressed chunk, and what is damaged, or ``""``.
 
-    Parameters
-    ----------
-    data
-        The chunk, shape ``(B,)``.
-    indexed
-        Where messages begin by the index data, shape ``(N,)``, ascending. The lengths of the
-        records come first; after damage the index says where to go on.
+    `data`: the chunk, shape ``(B,)``
+    `indexed`: where messages begin by the index data, shape ``(N,)``, ascending. The lengths of the
+        records come first; after damage the index says where to go on
     """
     records: list[Record] = []
     try:

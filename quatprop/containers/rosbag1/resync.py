@@ -55,19 +55,7 @@ _CHAIN = 2
 def next_record(file: RecordFile, start: int, stop: int, kinds: Container[int]) -> int | None:
     """Return where the first record begins that can be accepted as one.
 
-    Parameters
-    ----------
-    file
-        The bag.
-    start, stop
-        Where it may begin.
-    kinds
-        Values of ``op`` that it may have.
-
-    Returns
-    -------
-    int or None
-        None where there is no such record.
+    `kinds`: values of ``op`` that it may have
     """
 
     def found(window: bytes) -> list[int]:

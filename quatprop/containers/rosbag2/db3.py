@@ -39,19 +39,8 @@ EVERY_TIME = TimeRange(-LATEST, LATEST)
 class Db3Log(MessageLog):
     """A ROS 2 bag in an SQLite database.
 
-    Parameters
-    ----------
-    path
-        The database.
-    is_zstd
-        Whether each message is known to be compressed with zstd; in CDR that is recognised.
-
-    Raises
-    ------
-    DamagedLogError
-        It is no database, or its tables of topics cannot be read.
-    UnsupportedLogError
-        It is another database.
+    `path`: the database
+    `is_zstd`: whether each message is known to be compressed with zstd; in CDR that is recognised
     """
 
     kind = "db3"
@@ -153,13 +142,7 @@ class Db3Log(MessageLog):
     def _queried(
         self, channel: Channel, ids: list[SQLiteValue], within: TimeRange
     ) -> Iterator[Fetch]:
-        """Fetch messages with a query, and count the rows that are no messages.
-
-        Raises
-        ------
-        apsw.Error
-            The database is damaged there.
-        """
+        """Fetch messages with a query, and count the rows that are no messages."""
         parameters = [*ids, *(id_ for id_ in self._topics if id_ not in ids)]
         marks = [f"?{k + 1}" for k in range(len(parameters))]
         this_topic = f"topic_id IN ({', '.join(marks[: len(ids)])})"

@@ -29,13 +29,7 @@ _TABLES = frozenset({"topics", "messages", "message_definitions", "metadata"})
 
 
 def refuse_computed(database: apsw.Connection, path: Path) -> None:
-    """Refuse a database in which a table of bags computes what it holds.
-
-    Raises
-    ------
-    UnsupportedLogError
-        It is a view or a virtual table, or has triggers.
-    """
+    """Refuse a database in which a table of bags computes what it holds."""
     # As blobs, since text that is not UTF-8 is an error otherwise.
     rows = database.execute(
         "SELECT CAST(type AS BLOB), CAST(name AS BLOB), CAST(lower(tbl_name) AS BLOB), rootpage "

@@ -35,13 +35,7 @@ class Fetch(NamedTuple):
 
 
 def fetch_of(rows: Sequence[tuple[int | None, bytes]]) -> Fetch:
-    """Return rows of log time and bytes as arrays, without those that have no time.
-
-    Raises
-    ------
-    TypeError
-        A time is no integer, or a message no bytes.
-    """
+    """Return rows of log time and bytes as arrays, without those that have no time."""
     times, messages = zip(*rows, strict=True)
     if None in times:
         timed = [row for row in rows if row[0] is not None]
@@ -55,15 +49,7 @@ def fetch_of(rows: Sequence[tuple[int | None, bytes]]) -> Fetch:
 
 
 def fetched(cursor: Iterator[tuple[Any, ...]]) -> Iterator[tuple[int, Fetch]]:
-    """Yield what a query gives in groups: how many rows, and those that have a time.
-
-    Raises
-    ------
-    apsw.Error
-        The database is damaged there.
-    TypeError, UnicodeDecodeError
-        A value is of another type.
-    """
+    """Yield what a query gives in groups: how many rows, and those that have a time."""
     size = 64
     damage = None
     while damage is None:

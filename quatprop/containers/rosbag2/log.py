@@ -36,21 +36,7 @@ MAX_OPEN = 16
 class Rosbag2Log(MessageLog):
     """A ROS 2 bag folder.
 
-    Parameters
-    ----------
-    path
-        The folder.
-    source_of_part
-        Opens a part that is not compressed.
-
-    Raises
-    ------
-    UnreadableLogError
-        It is not a folder.
-    UnsupportedLogError
-        It holds no bag, or several, or a compression that is not read.
-    DamagedLogError
-        None of its parts can be read.
+    `source_of_part`: Opens a part that is not compressed
     """
 
     kind = "rosbag2"

@@ -48,18 +48,11 @@ MAX_COUNT = (1 << 63) - 1
 class Folder:
     """The content of a bag folder.
 
-    Parameters
-    ----------
-    parts
-        The files to read, in the order of the metadata or of their numbers.
-    message_compression
-        How messages are compressed one by one, or None.
-    counts
-        Number of messages by topic and type, from the metadata.
-    losses
-        Parts that are missing or not read.
-    custom
-        Custom data in the metadata, by name.
+    `parts`: the files to read, in the order of the metadata or of their numbers
+    `message_compression`: how messages are compressed one by one, or None
+    `counts`: number of messages by topic and type, from the metadata
+    `losses`: parts that are missing or not read
+    `custom`: Custom data in the metadata, by name
     """
 
     parts: list[Path] = field(default_factory=list)
@@ -70,25 +63,7 @@ class Folder:
 
 
 def folder(path: Path) -> Folder:
-    """Find the parts of a bag folder.
-
-    Parameters
-    ----------
-    path
-        The folder.
-
-    Returns
-    -------
-    Folder
-        Its parts, and which of them are missing.
-
-    Raises
-    ------
-    UnsupportedLogError
-        It holds no parts, or parts of several bags and no metadata.
-    OSError
-        It cannot be listed.
-    """
+    """Find the parts of a bag folder."""
     # A pipe or a device with the name of a part would be read forever.
     there = {
         file.name: file for file in path.iterdir() if _PART.fullmatch(file.name) and file.is_file()
@@ -152,13 +127,7 @@ def _loaded(text: str) -> JsonObject:
 
 
 def custom_data(text: str) -> dict[str, str]:
-    """Return the custom data in the metadata of a bag, by name.
-
-    Parameters
-    ----------
-    text
-        The metadata as SQLite storage repeats it.
-    """
+    """Return the custom data in the metadata of a bag, by name."""
     return _custom(_loaded(text)) if len(text) <= MAX_METADATA else {}
 
 
@@ -256,16 +225,10 @@ def _count(value: object) -> int | None:
 class Part:
     """A file of the bag.
 
-    Parameters
-    ----------
-    path
-        The file in the folder.
-    copy
-        Its decompressed copy, if it is compressed.
-    channels
-        Its channels, each with the channel of the bag that it belongs to.
-    log
-        The part, as long as it is kept open.
+    `path`: the file in the folder
+    `copy`: its decompressed copy, if it is compressed
+    `channels`: its channels, each with the channel of the bag that it belongs to
+    `log`: the part, as long as it is kept open
     """
 
     path: Path

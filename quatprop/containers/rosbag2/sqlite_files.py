@@ -51,14 +51,9 @@ def files_beside(path: Path) -> list[str]:
 def read_only(path: Path, beside: Sequence[str] = ()) -> str:
     """Return the URI that opens a database without changing it or leaving files beside it.
 
-    Parameters
-    ----------
-    path
-        The database.
-    beside
-        The files of :func:`files_beside`, if they are to be read, too. Without shared memory
-        (``-shm``) beside the log, the connection must be set to ``locking_mode=EXCLUSIVE``, so
-        that it does not create that.
+    `beside`: the files of :func:`files_beside`, if they are to be read, too. Without shared memory
+        (``-shm``) beside the log, the connection must be set to ``locking_mode=EXCLUSIVE``, so that
+        it does not create that
     """
     address = f"file:{quote(str(path.absolute()))}?mode=ro"
     if not beside:
@@ -104,13 +99,9 @@ def limit_steps(database: apsw.Connection, size: int) -> None:
 class WalPages(NamedTuple):
     """What a write-ahead log holds.
 
-    Parameters
-    ----------
-    offsets
-        Where in the log the newest committed content of each page is, by page number.
-    unfinished
-        Pages of a transaction that was not finished, or that is damaged; of a log whose head is
-        damaged, about how many it has.
+    `offsets`: where in the log the newest committed content of each page is, by page number
+    `unfinished`: Pages of a transaction that was not finished, or that is damaged; of a log whose
+        head is damaged, about how many it has
     """
 
     offsets: dict[int, int]

@@ -33,22 +33,13 @@ _DAMAGE = (IndexError, struct.error, ValueError)
 class Cell(NamedTuple):
     """A row of a table, of which the last column read is a blob.
 
-    Parameters
-    ----------
-    log_ns
-        The time column.
-    rowid
-        Its key in the table.
-    group
-        The column by which rows are selected.
-    place
-        Where its record begins in the file.
-    local
-        Bytes of the record that are there.
-    size
-        Bytes of the record.
-    begin, end
-        Where in the record the blob is.
+    `log_ns`: the time column
+    `rowid`: its key in the table
+    `group`: the column by which rows are selected
+    `place`: where its record begins in the file
+    `local`: bytes of the record that are there
+    `size`: bytes of the record
+    `begin`, `end`: where in the record the blob is
     """
 
     log_ns: int
@@ -63,15 +54,7 @@ class Cell(NamedTuple):
 
 @contextmanager
 def open_pages(path: Path, columns: tuple[int, int, int]) -> Iterator[TablePages]:
-    """Open the pages of a database and of the write-ahead log beside it.
-
-    Parameters
-    ----------
-    path
-        The database.
-    columns
-        As for :class:`TablePages`.
-    """
+    """Open the pages of a database and of the write-ahead log beside it."""
     wal_name = f"{path.name}-wal"
     has_wal = wal_name in files_beside(path)
     beside = FileSource(path.with_name(wal_name)) if has_wal else nullcontext()
@@ -82,16 +65,10 @@ def open_pages(path: Path, columns: tuple[int, int, int]) -> Iterator[TablePages
 class TablePages:
     """The leaf pages of a table, whether the tables and indexes above them are intact or not.
 
-    Parameters
-    ----------
-    source
-        The database.
-    columns
-        Positions of the columns ``topic_id``, ``timestamp`` and ``data``.
-    overlay
-        Pages by number that a write-ahead log has newer: where they are in `wal`.
-    wal
-        The write-ahead log; None where there is none.
+    `source`: the database
+    `columns`: positions of the columns ``topic_id``, ``timestamp`` and ``data``
+    `overlay`: Pages by number that a write-ahead log has newer: where they are in `wal`
+    `wal`: the write-ahead log; None where there is none
     """
 
     def __init__(

@@ -47,24 +47,14 @@ _OTHER_DATE = re.compile(r"\s*\d+([/.:-])\d+\1\d+(?:\D.*)?")
 class CsvLayout:
     """How a text table is laid out.
 
-    Parameters
-    ----------
-    names
-        Column names as the header spells them; ``"0"``, ``"1"``... where there is none.
-    delimiter
-        ``","``, ``";"``, ``"|"``, a tab, or a space for any run of blanks.
-    decimal
-        ``"."`` or ``","``.
-    body
-        Bytes before the first row.
-    line
-        Number of the line of the first row, from 1.
-    notes
-        What the lines before the header declare.
-    header
-        The header line without its end; empty where there is none.
-    dates
-        Positions of columns of dates and times of day, with ``"UTC"`` where they name a zone.
+    `names`: column names as the header spells them; ``"0"``, ``"1"``... where there is none
+    `delimiter`: ``","``, ``";"``, ``"|"``, a tab, or a space for any run of blanks
+    `decimal`: ``"."`` or ``","``
+    `body`: bytes before the first row
+    `line`: number of the line of the first row, from 1
+    `notes`: what the lines before the header declare
+    `header`: the header line without its end; empty where there is none
+    `dates`: positions of columns of dates and times of day, with ``"UTC"`` where they name a zone
     """
 
     names: list[str]
@@ -84,20 +74,7 @@ class CsvLayout:
 
 
 def detect_layout(head: bytes, path: Path) -> CsvLayout:
-    """Return how the table that begins with `head` is laid out.
-
-    Parameters
-    ----------
-    head
-        The first :data:`HEAD_BYTES` of the file.
-    path
-        The log, for errors.
-
-    Raises
-    ------
-    UnsupportedLogError
-        It is not a text of one table.
-    """
+    """Return how the table that begins with `head` is laid out."""
     is_utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
     head = head.rstrip(b"\0")
     if not head or is_utf16 or b"\0" in head.partition(b"\n")[0]:
@@ -215,15 +192,7 @@ def _dates(row: list[str]) -> dict[int, str | None]:
 
 
 def _refuse_turns(rows: list[list[str]], first: int, data: list[list[str]], path: Path) -> None:
-    """Refuse times on lines of their own: each would be counted as a row that was lost.
-
-    Parameters
-    ----------
-    rows, first
-        All lines, and which is the first row of numbers.
-    data, path
-        The rows of numbers, and the log.
-    """
+    """Refuse times on lines of their own: each would be counted as a row that was lost."""
     others = [row for row in rows[first:] if row and not is_data(row) and any(map(str.strip, row))]
     if len(data) > 2 and len(others) >= len(data) - 1 and all(map(_is_time, others)):  # noqa: PLR2004
         in_pairs = first == 1 and _is_time(rows[0])
@@ -253,12 +222,7 @@ def _refuse_checksums(data: list[list[str]], path: Path) -> None:
 def _refuse_mixture(data: list[list[str]], title: str, width: int, path: Path) -> None:
     """Refuse rows most of which do not fit the first one, or that begin with their kind.
 
-    Parameters
-    ----------
-    data, width, path
-        Rows of numbers, the number of columns of the first one, and the log.
-    title
-        The name of their first column; ``""`` where they have no header.
+    `title`: the name of their first column; ``""`` where they have no header
     """
     widths = Counter(map(len, data))
     kinds = sorted({row[0].strip() for row in data})

@@ -41,20 +41,8 @@ _STDIN = Path("-")
 class CsvLog(TableLog):
     """A text table.
 
-    Parameters
-    ----------
-    source
-        The file, or an open binary stream such as stdin, which can be read only once. Both may
-        be compressed with gzip, zstd, bz2 or lz4.
-
-    Raises
-    ------
-    UnreadableLogError
-        The file cannot be read, or is empty.
-    DamagedLogError
-        It is compressed, and nothing of it can be decompressed.
-    UnsupportedLogError
-        It is not a text of one table.
+    `source`: the file, or an open binary stream such as stdin, which can be read only once. Both
+        may be compressed with gzip, zstd, bz2 or lz4
     """
 
     kind = "csv"
@@ -156,17 +144,7 @@ class CsvLog(TableLog):
     def _without_truncated_line(
         self, block: TextBlock, tail: bytes, text: TextStream, columns: TimedColumns
     ) -> TextBlock:
-        """Return a block without a last line that was cut off.
-
-        Parameters
-        ----------
-        block, text
-            The block and where it comes from.
-        tail
-            The end of the block before.
-        columns
-            What is read.
-        """
+        """Return a block without a last line that was cut off."""
         if bytes(block.data[-1:]) in {b"\n", b"\r"}:
             return block
         data = bytes(block.data).rstrip(b"\0")
@@ -217,20 +195,7 @@ class CsvLog(TableLog):
 
 
 class TumLog(CsvLog):
-    """A trajectory of eight columns: time in seconds, position, quaternion.
-
-    Parameters
-    ----------
-    source
-        As for :class:`quatprop.tables.csv.log.CsvLog`.
-
-    Raises
-    ------
-    UnreadableLogError
-        The file cannot be read, or is empty.
-    UnsupportedLogError
-        It has other columns.
-    """
+    """A trajectory of eight columns: time in seconds, position, quaternion."""
 
     kind = "tum"
     expected: tuple[str, ...] = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")

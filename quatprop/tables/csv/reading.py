@@ -38,21 +38,10 @@ _ENOUGH_ROWS = 100_000
 class BlockReader:
     """One reading of a table, which counts rows from block to block.
 
-    Parameters
-    ----------
-    rejected
-        Where rows that do not fit are noted.
-    path
-        The table.
-    layout
-        How it is laid out.
-    columns
-        Which columns to read.
-
-    Attributes
-    ----------
-    other_rows
-        How many rows of other series were passed over.
+    `rejected`: where rows that do not fit are noted
+    `layout`: how it is laid out
+    `columns`: which columns to read
+    `other_rows`: how many rows of other series were passed over
     """
 
     def __init__(

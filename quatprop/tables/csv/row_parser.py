@@ -46,20 +46,12 @@ MISFITS = (pa.ArrowInvalid, timestamps.TimestampRangeError, OpenQuoteError)
 class ParsedRows(NamedTuple):
     """Rows of a block or a piece.
 
-    Parameters
-    ----------
-    t_ns
-        Stamps, shape ``(N,)``, int64, ns; None for a table without time.
-    numbers
-        Numbers as stored, shape ``(N, k)``, float64; NaN where a cell is empty.
-    total
-        How many rows there were, kept and rejected.
-    kept
-        Which of them were kept, shape ``(N,)``, int64; None where all were.
-    rejected
-        Line number and reason of each row that was rejected.
-    others
-        How many rows of other series there were besides.
+    `t_ns`: Stamps, shape ``(N,)``, int64, ns; None for a table without time
+    `numbers`: numbers as stored, shape ``(N, k)``, float64; NaN where a cell is empty
+    `total`: how many rows there were, kept and rejected
+    `kept`: which of them were kept, shape ``(N,)``, int64; None where all were
+    `rejected`: line number and reason of each row that was rejected
+    `others`: how many rows of other series there were besides
     """
 
     t_ns: Int64 | None
@@ -79,14 +71,8 @@ def date_type(layout: CsvLayout, k: int) -> pa.DataType | None:
 class RowParser:
     """Reads rows one by one, and says which do not fit.
 
-    Parameters
-    ----------
-    path
-        The table.
-    layout
-        How it is laid out.
-    columns
-        Which columns to read.
+    `layout`: how it is laid out
+    `columns`: which columns to read
     """
 
     path: Path
@@ -94,20 +80,7 @@ class RowParser:
     columns: TimedColumns
 
     def parse(self, data: bytes, line: int) -> ParsedRows:
-        """Return the rows that fit.
-
-        Parameters
-        ----------
-        data
-            Whole records.
-        line
-            Number of the first line.
-
-        Raises
-        ------
-        UnsupportedLogError
-            One of the rows names other columns.
-        """
+        """Return the rows that fit."""
         stamps: list[int] = []
         numbers: list[list[float]] = []
         kept: list[int] = []
@@ -141,13 +114,7 @@ class RowParser:
         )
 
     def has_line_breaks_in_cells(self, data: bytes | memoryview) -> bool:
-        """Return whether cells of whole records have line breaks.
-
-        Raises
-        ------
-        OpenQuoteError
-            A quote is not closed, or only after what looks like rows by itself.
-        """
+        """Return whether cells of whole records have line breaks."""
         text = np.frombuffer(data, np.uint8)
         quotes = np.flatnonzero(text == ord('"'))
         if len(quotes) % 2:

@@ -42,25 +42,7 @@ class _Digits(NamedTuple):
 def is_truncated(
     before: bytes, last: bytes, layout: CsvLayout, used: Collection[int]
 ) -> bool | None:
-    """Return whether a last line without a line end was cut off.
-
-    Parameters
-    ----------
-    before
-        Rows that come before it, whole lines.
-    last
-        The line.
-    layout
-        How the table is laid out.
-    used
-        Positions of the columns that are read.
-
-    Returns
-    -------
-    bool or None
-        None where it may have been. A line with too few cells counts as not cut off here, since
-        it does not fit anyway, and so does one whose last cell is not used.
-    """
+    """Return whether a last line without a line end was cut off."""
     cells = _cells(last, layout)
     column = len(layout.names) - 1
     if len(cells) != len(layout.names) or column not in used:

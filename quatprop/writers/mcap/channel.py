@@ -46,18 +46,11 @@ COMPRESSIONS: Mapping[str, Callable[[bytes], bytes]] = {
 class McapChunk:
     """A chunk as it is written.
 
-    Parameters
-    ----------
-    compression
-        A key of :data:`COMPRESSIONS`.
-    first, last
-        Its earliest and latest log time, ns.
-    size, crc
-        Bytes and checksum of the records before compression.
-    data
-        The compressed records.
-    indexes
-        The message index of each channel, by id.
+    `compression`: a key of :data:`COMPRESSIONS`
+    `first`, `last`: its earliest and latest log time, ns
+    `size`, `crc`: bytes and checksum of the records before compression
+    `data`: the compressed records
+    `indexes`: the message index of each channel, by id
     """
 
     compression: str
@@ -70,17 +63,7 @@ class McapChunk:
 
 
 def compressed_chunk(compression: str, records: bytes, indexes: Mapping[int, Records]) -> McapChunk:
-    """Return a chunk of records.
-
-    Parameters
-    ----------
-    compression
-        A key of :data:`COMPRESSIONS`.
-    records
-        The records.
-    indexes
-        The messages of each channel, of type :data:`INDEX_ENTRY`.
-    """
+    """Return a chunk of records."""
     return McapChunk(
         compression=compression,
         first=min(int(index["log"].min()) for index in indexes.values()),
@@ -95,14 +78,9 @@ def compressed_chunk(compression: str, records: bytes, indexes: Mapping[int, Rec
 class MessageChannel:
     """A channel whose messages all have one size; made by McapFile.add_channel.
 
-    Parameters
-    ----------
-    submit
-        Takes the records of a full chunk and their index by the channel's id.
-    id_
-        The channel's id.
-    chunk_bytes
-        About how large a chunk is before it is compressed.
+    `submit`: takes the records of a full chunk and their index by the channel's id
+    `id_`: the channel's id
+    `chunk_bytes`: About how large a chunk is before it is compressed
     """
 
     def __init__(self, submit: Callable[..., None], id_: int, chunk_bytes: int) -> None:

@@ -33,14 +33,9 @@ _CRC_BYTES = 4
 class McapContents:
     """What the summary of a file lists.
 
-    Parameters
-    ----------
-    schemas, channels
-        The records by their ids.
-    chunks, attachments, metadata
-        Their index records.
-    counts
-        Messages of each channel.
+    `schemas`, `channels`: the records by their ids
+    `chunks`, `attachments`, `metadata`: their index records
+    `counts`: messages of each channel
     """
 
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -51,13 +46,7 @@ class McapContents:
     counts: Counter[int] = field(default_factory=Counter)
 
     def summary(self, start: int) -> bytes:
-        """Return the summary section and the footer.
-
-        Parameters
-        ----------
-        start
-            Where the section begins in the file.
-        """
+        """Return the summary section and the footer."""
         parts: list[bytes] = []
         offsets: list[McapRecord] = []
         place = start

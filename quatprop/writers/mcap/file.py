@@ -41,29 +41,16 @@ class McapFile:
 
     Schemas and channels stand ahead of the chunks; a chunk holds the messages of one channel.
 
-    Parameters
-    ----------
-    stream
-        Where the file goes, from its first byte; it need not be seekable.
-    header
-        What the file begins with; or only its profile, ``"ros2"`` or nothing.
-    compression
-        A key of :data:`COMPRESSIONS`.
-    contents
-        Schemas and channels that the caller writes with :meth:`append`, so that the ids of those
-        that are added here do not clash.
-    before
-        Called with the first log time of a chunk, ns, before it is written, so that the caller can
-        append earlier messages.
-    chunk_bytes
-        About how large a chunk is before it is compressed.
-
-    Attributes
-    ----------
-    contents
-        What the file contains so far.
-    size
-        Bytes written so far.
+    `stream`: where the file goes, from its first byte; it need not be seekable
+    `header`: what the file begins with; or only its profile, ``"ros2"`` or nothing
+    `compression`: a key of :data:`COMPRESSIONS`
+    `contents`: Schemas and channels that the caller writes with :meth:`append`, so that the ids of
+        those that are added here do not clash
+    `before`: called with the first log time of a chunk, ns, before it is written, so that the
+        caller can append earlier messages
+    `chunk_bytes`: About how large a chunk is before it is compressed
+    `contents`: what the file contains so far
+    `size`: bytes written so far
     """
 
     def __init__(  # noqa: PLR0913  # a new file needs the first three only
@@ -211,14 +198,9 @@ JSON, and ``topic``."""
 class McapWriter(MessageWriter):
     """Write messages to an MCAP file.
 
-    Parameters
-    ----------
-    target
-        A path.
-    topic
-        The topic and its definition.
-    compression
-        Of the chunks: ``"zstd"``, ``"lz4"`` or ``"none"``.
+    `target`: a path
+    `topic`: the topic and its definition
+    `compression`: of the chunks: ``"zstd"``, ``"lz4"`` or ``"none"``
     """
 
     _output: OutputFile

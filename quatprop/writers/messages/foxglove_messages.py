@@ -97,10 +97,7 @@ def delimited(number: int, content: bytes | str) -> bytes:
 def schema_of(name: str) -> bytes:
     """Return the definition of a type with all that it uses, as a ``FileDescriptorSet``.
 
-    Parameters
-    ----------
-    name
-        ``"foxglove.FrameTransform"`` or ``"foxglove.PoseInFrame"``.
+    `name`: ``"foxglove.FrameTransform"`` or ``"foxglove.PoseInFrame"``
     """
     used = [name]
     for one in used:
@@ -149,15 +146,8 @@ _VARINT_BYTES = 5
 class FoxgloveEncoder:
     """Encodes attitudes as one of Foxglove's own messages; see :class:`.ros_messages.RosEncoder`.
 
-    Parameters
-    ----------
-    message
-        What to encode.
-
-    Attributes
-    ----------
-    topic
-        The topic and its definition.
+    `message`: what to encode
+    `topic`: the topic and its definition
     """
 
     holds_positions = False
@@ -196,13 +186,7 @@ class FoxgloveEncoder:
         self._template = np.frombuffer(template, f"V{len(template)}")
 
     def encode(self, series: AttitudeSeries, target: Path | str) -> Records:
-        """Return the messages of a batch, shape ``(N,)``.
-
-        Raises
-        ------
-        OutputError
-            A stamp is before 1970; the error names the target.
-        """
+        """Return the messages of a batch, shape ``(N,)``."""
         if len(series) and series.t_ns.min() < 0:
             raise OutputError(
                 target,

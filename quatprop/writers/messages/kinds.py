@@ -28,16 +28,11 @@ if TYPE_CHECKING:
 class MessageType(NamedTuple):
     """One row of :data:`MESSAGES`.
 
-    Parameters
-    ----------
-    name
-        The type, as ROS 2 names it, or as Foxglove does.
-    parts
-        Its fields in order: ``stamp``, ``frame``, ``child``, the number of elements ``count``,
+    `name`: the type, as ROS 2 names it, or as Foxglove does
+    `parts`: its fields in order: ``stamp``, ``frame``, ``child``, the number of elements ``count``,
         ``position`` and ``xyzw``, or a ``pose`` of both; the ``covariance`` of the orientation, or
-        ``pose_covariance`` with it; ``rate``, ``acceleration`` and the covariance of each.
-    topic
-        The topic it is usually published under.
+        ``pose_covariance`` with it; ``rate``, ``acceleration`` and the covariance of each
+    `topic`: the topic it is usually published under
     """
 
     name: str
@@ -87,16 +82,10 @@ MESSAGES: Mapping[str, MessageType] = {
 class Message(NamedTuple):
     """The message that attitudes are written as, and its topic and frames.
 
-    Parameters
-    ----------
-    type
-        A key of :data:`MESSAGES`, or its full name.
-    topic
-        None is the usual one: ``/attitude``, or ``/tf`` for transforms.
-    frame
-        Name of the reference.
-    child
-        Name of the body.
+    `type`: a key of :data:`MESSAGES`, or its full name
+    `topic`: none is the usual one: ``/attitude``, or ``/tf`` for transforms
+    `frame`: name of the reference
+    `child`: name of the body
     """
 
     type: str = "QuaternionStamped"
@@ -106,13 +95,7 @@ class Message(NamedTuple):
 
     @property
     def definition(self) -> MessageType:
-        """The type's row of :data:`MESSAGES`.
-
-        Raises
-        ------
-        UsageError
-            There is none.
-        """
+        """The type's row of :data:`MESSAGES`."""
         short = self.type.replace(".", "/").rpartition("/")[2]
         if short not in MESSAGES or self.type not in _names(MESSAGES[short].name):
             raise UsageError(
@@ -135,17 +118,7 @@ def _names(name: str) -> tuple[str, ...]:
 def attitude_encoder(message: Message, encodings: Collection[str]) -> AttitudeEncoder:
     """Return the encoder of a message for a container.
 
-    Parameters
-    ----------
-    message
-        What to encode.
-    encodings
-        What the container takes: ``"cdr"`` or ``"ros1"``, and ``"protobuf"``.
-
-    Raises
-    ------
-    UsageError
-        There is no such message, or the container does not take its encoding.
+    `encodings`: what the container takes: ``"cdr"`` or ``"ros1"``, and ``"protobuf"``
     """
     if message.definition.is_ros:
         from quatprop.writers.messages.ros_messages import RosEncoder

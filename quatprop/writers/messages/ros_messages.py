@@ -45,14 +45,9 @@ _FORMATS = {
 class RosEncoder:
     """Encodes attitudes as a ROS message.
 
-    Parameters
-    ----------
-    message
-        What to encode.
-    ros1
-        Whether as in ROS 1 rather than in CDR, little-endian, as in ROS 2.
-    constants
-        What parts are in every message; others are zero where they are not written.
+    `message`: what to encode
+    `ros1`: whether as in ROS 1 rather than in CDR, little-endian, as in ROS 2
+    `constants`: what parts are in every message; others are zero where they are not written
     """
 
     def __init__(
@@ -109,13 +104,7 @@ class RosEncoder:
         return rows
 
     def _stamped(self, t_ns: Int64, target: Path | str) -> Records:
-        """Return messages with their stamps, shape ``(N,)``, whose other fields are to be filled.
-
-        Raises
-        ------
-        OutputError
-            A stamp is out of the range of ROS; the error names the target.
-        """
+        """Return messages with their stamps, ``(N,)``, whose other fields are to be filled."""
         seconds, nanoseconds = np.divmod(t_ns, NS_PER_S)
         outside = (seconds < 0) | (seconds > np.iinfo(np.int32).max)
         if outside.any():

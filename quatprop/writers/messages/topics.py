@@ -20,19 +20,13 @@ PROFILES = {"cdr": "ros2", "ros1": "ros1"}
 class Topic:
     """A topic to be written.
 
-    Parameters
-    ----------
-    name
-        What it is published under.
-    type_name
-        Message type, as the release names it: ``package/msg/Name`` in ROS 2, ``package/Name`` in
-        ROS 1.
-    encoding
-        How the messages are encoded: ``"cdr"``, ``"ros1"`` or ``"protobuf"``.
-    schema_encoding, schema
-        The definition: ``"ros2msg"``, ``"ros1msg"`` or ``"protobuf"``, and its text or bytes.
-    digest
-        Hash of the definition: MD5 in ROS 1, RIHS01 in ROS 2, otherwise empty.
+    `name`: what it is published under
+    `type_name`: message type, as the release names it: ``package/msg/Name`` in ROS 2,
+        ``package/Name`` in ROS 1
+    `encoding`: how the messages are encoded: ``"cdr"``, ``"ros1"`` or ``"protobuf"``
+    `schema_encoding`, `schema`: the definition: ``"ros2msg"``, ``"ros1msg"`` or ``"protobuf"``, and
+        its text or bytes
+    `digest`: Hash of the definition: MD5 in ROS 1, RIHS01 in ROS 2, otherwise empty
     """
 
     name: str
@@ -56,17 +50,7 @@ def ros2_types() -> Typestore:
 
 
 def ros_topic(name: str, type_name: str, *, ros1: bool) -> Topic:
-    """Return a topic of ROS messages.
-
-    Parameters
-    ----------
-    name
-        What it is published under.
-    type_name
-        Message type, as ROS 2 names it.
-    ros1
-        Whether the messages are encoded as in ROS 1, rather than in CDR as in ROS 2.
-    """
+    """Return a topic of ROS messages."""
     if ros1:
         definition, md5sum = ros1_types().generate_msgdef(type_name)
         short = type_name.replace("/msg/", "/")

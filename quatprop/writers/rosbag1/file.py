@@ -46,22 +46,13 @@ COMPRESSIONS: Mapping[str, Callable[[bytes], bytes]] = {
 class BagFile:
     """A ROS 1 bag being written, with one topic whose messages all have one size.
 
-    Parameters
-    ----------
-    stream
-        Where the bag goes; seekable, since the place of the index stands at its beginning.
-    topic
-        The topic and its definition.
-    compression
-        A key of :data:`COMPRESSIONS`.
-    connection
-        The number of its connection.
-    before
-        Called with the first log time of a chunk, ns, before it is written, so that the caller can
-        append earlier messages.
-    chunk_bytes
-        About how large a chunk is before it is compressed.
-
+    `stream`: where the bag goes; seekable, since the place of the index stands at its beginning
+    `topic`: the topic and its definition
+    `compression`: a key of :data:`COMPRESSIONS`
+    `connection`: the number of its connection
+    `before`: called with the first log time of a chunk, ns, before it is written, so that the
+        caller can append earlier messages
+    `chunk_bytes`: About how large a chunk is before it is compressed
     """
 
     def __init__(  # noqa: PLR0913  # a new bag needs the first three only
@@ -126,15 +117,7 @@ class BagFile:
         provenance: Mapping[str, object],
         others: Mapping[int, Mapping[str, bytes]] | None = None,
     ) -> None:
-        """Write buffered messages, the index and its place; the stream is left open.
-
-        Parameters
-        ----------
-        provenance
-            Kept with the connection, where the index repeats it.
-        others
-            The fields of the other connections of the bag, by number.
-        """
+        """Write buffered messages, the index and its place; the stream is left open."""
         self.flush()
         self._pool.shutdown()
         index = self._size
@@ -154,16 +137,7 @@ class BagFile:
         self._pool.shutdown()
 
     def append_chunk(self, chunk: Iterable[bytes], indexes: Mapping[int, Records]) -> None:
-        """Write a chunk and its index data.
-
-        Parameters
-        ----------
-        chunk
-            The whole record, in pieces.
-        indexes
-            The messages of each connection in it, of type :data:`ENTRY
-            <quatprop.writers.rosbag1.records.ENTRY>`.
-        """
+        """Write a chunk and its index data."""
         self._chunks.append(ChunkInfo.of(self._size, indexes))
         for piece in chunk:
             self._append(piece)
@@ -233,14 +207,9 @@ def _empty_rows(connection: int, size: int, chunk_bytes: int) -> Records:
 class BagWriter(MessageWriter):
     """Write messages to a ROS 1 bag.
 
-    Parameters
-    ----------
-    target
-        A path; a bag begins with the place of its index, so it cannot be a pipe.
-    topic
-        The topic and its definition.
-    compression
-        Of the chunks: ``"none"``, ``"lz4"`` or ``"bz2"``.
+    `target`: a path; a bag begins with the place of its index, so it cannot be a pipe
+    `topic`: the topic and its definition
+    `compression`: of the chunks: ``"none"``, ``"lz4"`` or ``"bz2"``
     """
 
     _output: OutputFile

@@ -62,14 +62,9 @@ def index_data(id_: int, entries: Records) -> bytes:
 class ChunkInfo:
     """The index record of a chunk.
 
-    Parameters
-    ----------
-    place
-        Where the chunk is.
-    start_ns, end_ns
-        Its earliest and latest log time, ns.
-    counts
-        Messages of each connection, by number.
+    `place`: where the chunk is
+    `start_ns`, `end_ns`: its earliest and latest log time, ns
+    `counts`: messages of each connection, by number
     """
 
     place: int

@@ -74,12 +74,7 @@ class ReproducibleSqlite(Sqlite3Writer):
 class BulkMcap:
     """MCAP storage in place of the library's.
 
-    Parameters
-    ----------
-    path
-        The folder.
-    compression
-        ``STORAGE`` means chunks in zstd.
+    `compression`: ``STORAGE`` means chunks in zstd
     """
 
     def __init__(self, path: Path, compression: CompressionMode) -> None:
@@ -142,14 +137,9 @@ class BulkWriter(Writer):
 class SqliteBagWriter(MessageWriter):
     """Write messages to a ROS 2 bag that stores them in SQLite.
 
-    Parameters
-    ----------
-    target
-        A path where nothing is yet.
-    topic
-        The topic and its definition.
-    compression
-        Of the chunks of an MCAP file: ``"zstd"`` or ``"none"``.
+    `target`: a path where nothing is yet
+    `topic`: the topic and its definition
+    `compression`: of the chunks of an MCAP file: ``"zstd"`` or ``"none"``
     """
 
     _output: OutputPath

@@ -36,12 +36,8 @@ def metadata(provenance: Mapping[str, object]) -> dict[bytes, bytes]:
 class ArrowTable(TableWriter):
     """Collect rows and write them a group at a time.
 
-    Parameters
-    ----------
-    target
-        A path.
-    names
-        Names of the float64 columns that follow ``t_ns``.
+    `target`: a path
+    `names`: names of the float64 columns that follow ``t_ns``
     """
 
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
@@ -80,12 +76,8 @@ class FeatherTable(ArrowTable):
     It begins with its metadata, which is complete only at the end: the rows are kept in a
     temporary file until then.
 
-    Parameters
-    ----------
-    target
-        A path.
-    names
-        Names of the float64 columns that follow ``t_ns``.
+    `target`: a path
+    `names`: names of the float64 columns that follow ``t_ns``
     """
 
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:

@@ -28,12 +28,8 @@ if TYPE_CHECKING:
 class JsonLinesTable(TextTable):
     """Write columns as JSON Lines.
 
-    Parameters
-    ----------
-    target
-        A path, or ``"-"`` for stdout.
-    names
-        Names of the float64 columns that follow ``t_ns``.
+    `target`: a path, or ``"-"`` for stdout
+    `names`: names of the float64 columns that follow ``t_ns``
     """
 
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:

@@ -29,12 +29,8 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 class NpyTable(TableWriter):
     """Write columns as one structured array with a field for each column.
 
-    Parameters
-    ----------
-    target
-        A path; the number of rows stands at its beginning, so it cannot be a pipe.
-    names
-        Names of the float64 columns that follow ``t_ns``.
+    `target`: a path; the number of rows stands at its beginning, so it cannot be a pipe
+    `names`: names of the float64 columns that follow ``t_ns``
     """
 
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
@@ -64,12 +60,8 @@ class NpyTable(TableWriter):
 class NpzTable(TableWriter):
     """Write columns as an archive of arrays; each is kept in a temporary file until the commit.
 
-    Parameters
-    ----------
-    target
-        A path.
-    names
-        Names of the float64 columns that follow ``t_ns``.
+    `target`: a path
+    `names`: names of the float64 columns that follow ``t_ns``
     """
 
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:

@@ -30,12 +30,8 @@ PAGE = 1 << 16
 class ParquetTable(ArrowTable):
     """Write columns as Parquet.
 
-    Parameters
-    ----------
-    target
-        A path.
-    names
-        Names of the float64 columns that follow ``t_ns``.
+    `target`: a path
+    `names`: names of the float64 columns that follow ``t_ns``
     """
 
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:

@@ -33,18 +33,12 @@ PIECE = 1 << 14
 class TextTable(TableWriter):
     """Write columns as lines of text.
 
-    Parameters
-    ----------
-    target
-        A path, or ``"-"`` for stdout.
-    header
-        What precedes the rows, such as a line of names. It is written with the first of them, so
-        that a run that fails earlier writes nothing to a pipe.
-    formatter
-        Returns the lines of some rows, given their stamps and columns.
-    comment
-        Begin with the provenance, in a comment. It is complete only at the end, so the rows are
-        kept in a temporary file until then.
+    `target`: a path, or ``"-"`` for stdout
+    `header`: what precedes the rows, such as a line of names. It is written with the first of them,
+        so that a run that fails earlier writes nothing to a pipe
+    `formatter`: returns the lines of some rows, given their stamps and columns
+    `comment`: Begin with the provenance, in a comment. It is complete only at the end, so the rows
+        are kept in a temporary file until then
     """
 
     def __init__(
@@ -108,14 +102,9 @@ class CsvTable(TextTable):
 
     The provenance may be in a comment before the header line, for readers that skip comments.
 
-    Parameters
-    ----------
-    target
-        A path, or ``"-"`` for stdout.
-    names
-        Names of the float64 columns that follow ``t_ns``.
-    comment
-        Begin with the provenance, in a comment.
+    `target`: a path, or ``"-"`` for stdout
+    `names`: names of the float64 columns that follow ``t_ns``
+    `comment`: Begin with the provenance, in a comment
     """
 
     separator = ","
