@@ -8,8 +8,8 @@ from functools import cache
 from mcap.reader import make_reader
 
 from quatprop.errors import LogError, UsageError
-from quatprop.formats import open_log
-from quatprop.selection import AttitudeSelection, RateSelection
+from quatprop.logs.open_log import open_log
+from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import choose_rates
 from quatprop.signals.signal import AttitudeSignal

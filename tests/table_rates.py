@@ -1,6 +1,6 @@
 """Rates of an open table."""
 
-from quatprop.selection import RateSelection
+from quatprop.settings.selection import RateSelection
 from quatprop.signals.rates import choose_rates
 
 

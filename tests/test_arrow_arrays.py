@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quatprop.arrow_arrays import to_arrow, to_numpy
+from quatprop.series.arrow_arrays import to_arrow, to_numpy
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
 CODES = ["f8", "f4", "f2", "i8", "u8", "i4", "u4", "i2", "u2", "i1", "u1", "?"]

@@ -23,9 +23,9 @@ from quatprop.errors import (
     UnsupportedLogError,
     UsageError,
 )
-from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.selection import AttitudeSelection, RateSelection
+from quatprop.logs.open_log import open_log
+from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.interpolation import attitude_at, first_orientation
 from quatprop.signals.quaternion_check import QuaternionCheck

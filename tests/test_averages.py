@@ -7,7 +7,6 @@ import pytest
 from test_cubic import IDENTITY, SECOND, orders, rotor, stamps
 
 from quatprop import propagate
-from quatprop.blocks import BLOCK
 from quatprop.kinematics.cubic import MAX_SPAN_RATIO
 from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.propagate import Propagation
@@ -15,6 +14,7 @@ from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.kinematics.resample import Listed, Steady
 from quatprop.pipeline.segments import Segments
 from quatprop.series import GyroSeries
+from quatprop.series.blocks import BLOCK
 from quatprop.timeline import Timeline
 from quatprop.timeline.stamps import Policy
 

@@ -27,9 +27,9 @@ from quatprop.cli.batch import command
 from quatprop.cli.commands import cli
 from quatprop.cli.propagate import command as propagate
 from quatprop.errors import LogError, QuatpropError, UsageError
+from quatprop.errors.third_party import TRACEBACK
 from quatprop.pipeline.job import Job
 from quatprop.pipeline.settings import OutputSettings
-from quatprop.third_party_errors import TRACEBACK
 
 INSTALLED = Path(sys.executable).with_name("quatprop")
 HEADER = "t_ns,wx,wy,wz\n"

@@ -17,8 +17,8 @@ from quatprop.batch.logs import FoundLog, LogSearch
 from quatprop.batch.outputs import shard
 from quatprop.batch.store_manifest import manifest_in
 from quatprop.cli.commands import cli
-from quatprop.containers.stores import list_objects
-from quatprop.containers.transfers import get, put, upload
+from quatprop.stores.objects import list_objects
+from quatprop.stores.transfers import get, put, upload
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
 HEADER = "t_ns,wx,wy,wz\n"

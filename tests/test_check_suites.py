@@ -22,7 +22,7 @@ from quatprop.check.case_run import propagate_case
 from quatprop.cli import compare, propagate
 from quatprop.cli.commands import cli
 from quatprop.errors import ComparisonError
-from quatprop.third_party_errors import TRACEBACK
+from quatprop.errors.third_party import TRACEBACK
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quatprop.blocks import BLOCK
 from quatprop.comparison.compare import compare
 from quatprop.comparison.settings import ComparisonSettings, angle_rad, comparison_settings
 from quatprop.errors import ComparisonError, UsageError
 from quatprop.series import AttitudeSeries
+from quatprop.series.blocks import BLOCK
 
 SAMPLES = 2000
 STEP_NS = 10_000_000

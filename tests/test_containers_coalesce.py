@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from quatprop.containers import coalesce as module
 from quatprop.containers.base import MessageBlock
-from quatprop.containers.byte_ranges import ranges_of, ranges_worth_reading
 from quatprop.containers.chunks import GROUP, LARGE, in_groups
 from quatprop.containers.coalesce import coalesce_blocks
+from quatprop.stores.byte_ranges import ranges_of, ranges_worth_reading
 
 PLACES = st.lists(st.tuples(st.integers(0, 40), st.integers(0, 30)), min_size=1, max_size=30)
 """Gap before each message, and its length."""

@@ -15,8 +15,8 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quatprop.containers.compressed_files import DecompressedCopy, file_compression
-from quatprop.containers.compression import (
+from quatprop.stores.compressed_files import DecompressedCopy, file_compression
+from quatprop.stores.compression import (
     MAX_SIZE,
     UnreadableDataError,
     decompress,
@@ -95,7 +95,7 @@ def test_a_zstd_frame_that_claims_a_terabyte_is_refused():
 
 def test_a_bomb_of_undeclared_size_is_refused_at_the_limit(monkeypatch):
     """Data without declared size stops growing at the limit."""
-    monkeypatch.setattr("quatprop.containers.compression.MAX_SIZE", 1 << 20)
+    monkeypatch.setattr("quatprop.stores.compression.MAX_SIZE", 1 << 20)
     for compression in ("lz4", "zstd", "bz2"):
         with pytest.raises(UnreadableDataError, match="it decompresses to more than 1048576 bytes"):
             decompress(PACK[compression](bytes(1 << 22)), compression)

@@ -19,12 +19,12 @@ from mcap.writer import CompressionType, IndexType, Writer
 from quatprop.concurrency import threads
 from quatprop.containers import chunks
 from quatprop.containers.base import Channel, Loss
-from quatprop.containers.file_source import FileSource
 from quatprop.containers.mcap.log import McapLog
 from quatprop.containers.mcap.messages import LATEST
 from quatprop.containers.mcap.walk import walk_records
 from quatprop.containers.topic_table import TopicTable
 from quatprop.errors import DamagedLogError, QuatpropError, UnreadableLogError, UnsupportedLogError
+from quatprop.stores.file_source import FileSource
 from quatprop.tables.model import Stamp
 
 IMU = Channel("/imu", "sensor_msgs/msg/Imu", "cdr", "ros2msg", b"Header header")

@@ -12,8 +12,8 @@ from mcap.writer import Writer
 import quatprop
 from quatprop.cli.commands import cli
 from quatprop.errors import SchemaError, UsageError
-from quatprop.formats import open_log
-from quatprop.selection import RateSelection
+from quatprop.logs.open_log import open_log
+from quatprop.settings.selection import RateSelection
 from quatprop.signals.rates import choose_rates
 
 GYRO = "builtin_interfaces/Time stamp\nTriple[1] angular\nfloat64 temperature\n"

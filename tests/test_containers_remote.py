@@ -21,11 +21,11 @@ from pyarrow import feather
 
 from quatprop.cli.commands import cli
 from quatprop.containers import transfers
-from quatprop.containers.file_source import FileSource
-from quatprop.containers.stores import _with_retry_limit, find, without_secret
-from quatprop.containers.transfers import local_copy, put, upload
 from quatprop.errors import LogError, OutputError, StoreError
-from quatprop.formats import open_log
+from quatprop.logs.open_log import open_log
+from quatprop.stores.file_source import FileSource
+from quatprop.stores.objects import _with_retry_limit, find, without_secret
+from quatprop.stores.transfers import local_copy, put, upload
 from quatprop.times import NS_PER_S
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
@@ -190,11 +190,11 @@ def test_missing_credentials_are_said(monkeypatch, said):
     def refuse(_address):
         raise pyarrow.ArrowException(said)
 
-    monkeypatch.setattr("quatprop.containers.stores.locate", refuse)
+    monkeypatch.setattr("quatprop.stores.objects.locate", refuse)
     with pytest.raises(StoreError, match="no credentials for its store were found") as caught:
         find("abfs://container@account.dfs.core.windows.net/a.mcap")
     assert "abfs://container@account" in str(caught.value)
-    monkeypatch.setattr("quatprop.containers.transfers.locate", refuse)
+    monkeypatch.setattr("quatprop.stores.transfers.locate", refuse)
     with pytest.raises(OutputError, match=r"found \(.*\); log in with the store's own tools"):
         put("gs://bucket/a.parquet", b"")
 
@@ -299,7 +299,7 @@ def test_what_a_kill_leaves_is_removed_by_the_next_run(temporary):
     """Copies of logs are locked while they are used; what is not locked is nobody's."""
     code = (
         "import os, sys\n"
-        "from quatprop.containers.transfers import local_copy\n"
+        "from quatprop.stores.transfers import local_copy\n"
         "with local_copy(sys.argv[1]):\n"
         "    os._exit(0)\n"
     )

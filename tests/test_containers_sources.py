@@ -21,10 +21,10 @@ from test_containers_ulog import added, gyro, write
 
 from quatprop import read_rates
 from quatprop.cli.commands import cli
-from quatprop.containers.file_source import FileSource
 from quatprop.containers.mcap.log import McapLog
 from quatprop.errors import DataLossWarning, RemarkWarning, UnreadableLogError, UsageError
-from quatprop.formats import open_log
+from quatprop.logs.open_log import open_log
+from quatprop.stores.file_source import FileSource
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
 

@@ -19,10 +19,10 @@ from quatprop.errors import (
     TimelineError,
     UnsupportedLogError,
 )
-from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import exp, geodesic_angle
-from quatprop.selection import RateSelection
+from quatprop.logs.open_log import open_log
 from quatprop.series import GyroSeries
+from quatprop.settings.selection import RateSelection
 from quatprop.signals.rates import choose_rates, rate_candidates
 
 NUMBERS = {

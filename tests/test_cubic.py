@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from quatprop.blocks import BLOCK
 from quatprop.kinematics.cubic import curvature, curvature_of_averages
 from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.propagate import attitudes
@@ -14,6 +13,7 @@ from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multi
 from quatprop.kinematics.resample import Listed, Steady
 from quatprop.pipeline.segments import Segments
 from quatprop.series import GyroSeries
+from quatprop.series.blocks import BLOCK
 from quatprop.timeline import Timeline
 from quatprop.timeline.stamps import Policy
 

@@ -25,9 +25,9 @@ from rosbags.typesys import Stores, get_typestore
 from quatprop.cli.commands import cli
 from quatprop.containers.base import Channel
 from quatprop.errors import LogError, SchemaError
-from quatprop.formats import open_log
+from quatprop.logs.open_log import open_log
 from quatprop.messages.definitions import message_type
-from quatprop.selection import RateSelection
+from quatprop.settings.selection import RateSelection
 from quatprop.signals.rates import choose_rates
 
 CUTS = 120

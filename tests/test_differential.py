@@ -11,8 +11,8 @@ import pytest
 from odd_messages import MESSAGE_LOGS
 from odd_tables import TABLE_LOGS
 
-from quatprop.formats import open_log
-from quatprop.selection import RateSelection
+from quatprop.logs.open_log import open_log
+from quatprop.settings.selection import RateSelection
 from quatprop.signals.rates import choose_rates
 
 COUNTS = {"mcap": 90, "bag": 40, "rosbag2": 50, "csv": 90, "arrow": 70, "numpy": 40, "jsonl": 50}

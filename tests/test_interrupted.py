@@ -16,8 +16,8 @@ from fuzz_logs import write_logs
 
 import quatprop
 from quatprop.errors import LogError
-from quatprop.formats import open_log
-from quatprop.selection import RateSelection
+from quatprop.logs.open_log import open_log
+from quatprop.settings.selection import RateSelection
 from quatprop.signals.rates import choose_rates
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
@@ -224,8 +224,8 @@ CHANGING = ["small.csv", "mcap-zstd.mcap", "mcap-none.mcap", "mcap-unchunked.mca
 SHRINKING = """
 import os, sys
 from quatprop.errors import LogError
-from quatprop.formats import open_log
-from quatprop.selection import RateSelection
+from quatprop.logs.open_log import open_log
+from quatprop.settings.selection import RateSelection
 from quatprop.signals.rates import choose_rates
 for path in sys.argv[1:]:
     count, lost = 0, True

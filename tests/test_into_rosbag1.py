@@ -6,9 +6,9 @@ from into_logs import IMU, RATE, imu_message, moments, run, write_bag
 from rosbags.rosbag1 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag1.records import RecordFile, index_data, walked_records
-from quatprop.formats import open_log
+from quatprop.logs.open_log import open_log
+from quatprop.stores.file_source import FileSource
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
 Form = Writer.CompressionFormat

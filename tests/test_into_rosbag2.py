@@ -12,8 +12,8 @@ from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
-from quatprop.formats import open_log
-from quatprop.into.rosbag2_metadata import Added, extended
+from quatprop.log_copy.rosbag2_metadata import Added, extended
+from quatprop.logs.open_log import open_log
 from quatprop.writers.messages.topics import ros_topic
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)

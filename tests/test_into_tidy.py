@@ -8,8 +8,8 @@ import pytest
 from into_logs import write_bag, write_mcap, write_rosbag2
 
 from quatprop.errors import OutputError, QuatpropError, UnreadableLogError, UsageError
-from quatprop.formats import open_log
-from quatprop.into import open_into
+from quatprop.log_copy import open_into
+from quatprop.logs.open_log import open_log
 from quatprop.writers.messages.kinds import Message
 
 OPEN = Path("/proc/self/fd")
@@ -93,8 +93,8 @@ def test_a_disk_that_is_full_at_once(log, tmp_path, monkeypatch):
     """What was begun is removed, and all files are closed."""
     for place in (
         "quatprop.writers.mcap.file.McapFile.__init__",
-        "quatprop.into.rosbag1.BagFile",
-        "quatprop.into.sqlite.SqlitePart._insert",
+        "quatprop.log_copy.rosbag1.BagFile",
+        "quatprop.log_copy.sqlite.SqlitePart._insert",
     ):
         monkeypatch.setattr(place, no_room)
     words = refused(log, tmp_path / "copy", OutputError)

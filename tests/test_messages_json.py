@@ -21,13 +21,13 @@ from quatprop.errors import (
     UndeclaredError,
     UnsupportedLogError,
 )
-from quatprop.formats import open_log
+from quatprop.logs.open_log import open_log
 from quatprop.logs.stamps import stamps_of
 from quatprop.messages.json import JsonDecoder
 from quatprop.messages.times import to_ns
 from quatprop.messages.values import ValueDecoder
-from quatprop.selection import RateSelection
 from quatprop.series import GyroSeries
+from quatprop.settings.selection import RateSelection
 from quatprop.signals.rates import choose_rates
 
 

@@ -10,10 +10,10 @@ from topics import found_in
 
 from quatprop.containers.base import Channel
 from quatprop.errors import SchemaError
-from quatprop.formats import open_log
+from quatprop.logs.open_log import open_log
 from quatprop.logs.stamps import place_of, stamps_of
-from quatprop.selection import RateSelection
 from quatprop.series import GyroSeries
+from quatprop.settings.selection import RateSelection
 from quatprop.signals.rates import choose_rates
 
 FIELD = descriptor_pb2.FieldDescriptorProto

@@ -6,13 +6,13 @@ from px4_messages import write_mcap, zeros
 from streams import propagated
 
 from quatprop.errors import SchemaError
-from quatprop.formats import open_log
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle
+from quatprop.logs.open_log import open_log
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings
-from quatprop.selection import RateSelection
 from quatprop.series import GyroSeries
+from quatprop.settings.selection import RateSelection
 from quatprop.signals.rates import choose_rates, rate_candidates
 
 COUNT = 50

@@ -15,7 +15,7 @@ from quatprop.logs.rows import Row
 from quatprop.logs.stamps import choose_stamp, place_of, stamps_of
 from quatprop.logs.vocabulary import ROWS, TYPES
 from quatprop.messages.times import to_ns
-from quatprop.selection import RateSelection
+from quatprop.settings.selection import RateSelection
 
 HEADER = (["header.stamp.sec", "header.stamp.nanosec"], ("s", "ns"))
 

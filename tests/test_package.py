@@ -58,33 +58,14 @@ def test_every_module_says_what_it_is_with_examples_that_hold(name, monkeypatch)
 
 
 LAYERS = (
-    {
-        "arrays",
-        "errors",
-        "text",
-        "times",
-        "checksum",
-        "third_party_errors",
-        "concurrency",
-        "progress",
-        "temp_files",
-    },
-    {
-        "base_series",
-        "series",
-        "blocks",
-        "selection",
-        "settings",
-        "provenance",
-        "arrow_arrays",
-        "columns",
-    },
+    {"arrays", "errors", "text", "times", "concurrency", "progress"},
+    {"series", "settings", "stores", "provenance"},
     {"kinematics", "conventions"},
     {"timeline", "conditioning"},
-    {"containers", "tables", "messages", "log_kinds", "formats"},
+    {"containers", "tables", "messages"},
     {"logs", "signals", "rendering"},
     {"writers"},
-    {"into", "simulate"},
+    {"log_copy", "simulate"},
     {"comparison", "pipeline"},
     {"conversion", "plot"},
     {"api", "batch", "check"},
@@ -164,7 +145,7 @@ def test_a_short_run_has_one_thread():
 
 UNUSED = {
     *("concurrent.futures", "random", "shutil", "tempfile", "tqdm", "click.shell_completion"),
-    *("pyarrow.dataset", "pyarrow.compute", "quatprop.into", "quatprop.comparison.settings"),
+    *("pyarrow.dataset", "pyarrow.compute", "quatprop.log_copy", "quatprop.comparison.settings"),
     *("quatprop.conditioning.calibration", "quatprop.conditioning.static_detection"),
     *("quatprop.signals.biases", "quatprop.signals.interpolation", "quatprop.signals.time_ranges"),
     *("mcap", "numpy.ma", "rosbags", "quatprop.messages.transforms", "quatprop.logs.columns"),
@@ -195,7 +176,7 @@ def test_a_plain_run_imports_what_it_uses(tmp_path):
 
 def test_the_kinds_of_the_command_line_are_those_of_the_table():
     """--from lists exactly the kinds that have a reader."""
-    from quatprop.log_kinds import READERS
+    from quatprop.logs.kinds import READERS
     from quatprop.settings import KINDS
 
     assert tuple(READERS) == KINDS

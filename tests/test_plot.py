@@ -179,7 +179,7 @@ def test_rates_are_rows_with_units_and_a_spike_stands_out(rates):
 
 def rate_selection():
     """Return what the columns of the rates here are."""
-    from quatprop.selection import RateSelection
+    from quatprop.settings.selection import RateSelection
 
     return RateSelection(rate_cols=("1", "2", "3"), time_col="0", time_unit="ns", rate_unit="rad/s")
 

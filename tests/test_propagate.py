@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from streams import propagated
 
-from quatprop.blocks import BLOCK, reblock
 from quatprop.errors import SeriesError, UsageError
 from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.product import PADDING
 from quatprop.kinematics.propagate import TILE, FinalAttitude, Propagation, attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
 from quatprop.series import GyroSeries
+from quatprop.series.blocks import BLOCK, reblock
 
 SECOND = 1_000_000_000
 Z_AXIS = np.array([0.0, 0.0, 1.0])

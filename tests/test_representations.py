@@ -13,10 +13,10 @@ from quatprop import RemarkWarning, convert, read_attitudes, write
 from quatprop.cli.commands import cli
 from quatprop.conventions.representations import REPRESENTATIONS, from_euler, from_matrices
 from quatprop.errors import UsageError
-from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.selection import AttitudeSelection
+from quatprop.logs.open_log import open_log
 from quatprop.settings import EULER_SEQUENCES
+from quatprop.settings.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.interpolation import stamps_in
 from quatprop.tables.base import TimedColumns

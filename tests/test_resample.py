@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from streams import propagated
 
-from quatprop.blocks import reblock
 from quatprop.errors import UsageError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, geodesic_angle, rotate
 from quatprop.kinematics.resample import PIECE, Listed, Steady, at_times, every
 from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.series.blocks import reblock
 
 S = 1_000_000_000
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from quatprop import propagate
-from quatprop.blocks import BLOCK
 from quatprop.errors import RemarkWarning, TimelineError, UsageError
 from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.propagate import Propagation, attitudes
@@ -16,6 +15,7 @@ from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.segments import Segments
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.series import GyroSeries
+from quatprop.series.blocks import BLOCK
 from quatprop.timeline import Timeline
 from quatprop.timeline.stamps import Policy
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from streams import propagated
 
-from quatprop.blocks import BLOCK, reblock
 from quatprop.conditioning import conditioned
 from quatprop.errors import SeriesError
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, log, multiply
 from quatprop.kinematics.resample import Listed, at_times
 from quatprop.series import GyroSeries
+from quatprop.series.blocks import BLOCK, reblock
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
 from quatprop.timeline.stamps import OBSERVE, Policy

@@ -8,11 +8,11 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop import DataLossWarning, RemarkWarning, propagate, read_rates
 from quatprop.errors import LogError, TimelineError, UsageError
-from quatprop.formats import open_log
+from quatprop.logs.open_log import open_log
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.pipeline.survey import survey
-from quatprop.selection import RateSelection
+from quatprop.settings.selection import RateSelection
 from quatprop.signals.rates import choose_rates
 
 STORE = get_typestore(Stores.ROS1_NOETIC)

@@ -19,7 +19,7 @@ from quatprop.errors import (
     UnreadableLogError,
     UnsupportedLogError,
 )
-from quatprop.selection import RateSelection
+from quatprop.settings.selection import RateSelection
 from quatprop.signals.rates import choose_rates
 from quatprop.tables.arrow import FeatherLog, ParquetLog
 

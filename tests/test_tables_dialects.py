@@ -10,8 +10,8 @@ from quatprop import read_rates
 from quatprop.cli.spelling import spelled
 from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.logs.rate_columns import match_rates
-from quatprop.selection import RateSelection
 from quatprop.settings.quantities import RATES
+from quatprop.settings.selection import RateSelection
 from quatprop.tables.base import TableNotes
 from quatprop.tables.column_names import parse_name
 from quatprop.tables.file_table import FileTable

@@ -10,7 +10,7 @@ import pytest
 from table_rates import rate_batches
 
 from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError
-from quatprop.formats import open_log
+from quatprop.logs.open_log import open_log
 
 ROW = '{"t_ns":%d,"wx":%r,"wy":%r,"wz":%r}\n'
 

@@ -11,7 +11,7 @@ from table_rates import rate_batches
 
 from quatprop.cli.commands import cli
 from quatprop.errors import DamagedLogError, NoRatesError, UndeclaredError, UnsupportedLogError
-from quatprop.formats import open_log
+from quatprop.logs.open_log import open_log
 from quatprop.tables.npy_format import HeaderError, read_header
 
 T_NS = np.array([1_700_000_000_123_456_789, 1_700_000_000_123_456_790, -5], np.int64)

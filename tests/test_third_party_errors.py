@@ -14,8 +14,8 @@ from click.testing import CliRunner
 from quatprop.cli.commands import cli
 from quatprop.containers.mcap import log as mcap
 from quatprop.errors import DamagedLogError, LogError, UnreadableLogError
-from quatprop.formats import open_log
-from quatprop.third_party_errors import ANYWHERE, READING, as_errors_of, as_user_error
+from quatprop.errors.third_party import ANYWHERE, READING, as_errors_of, as_user_error
+from quatprop.logs.open_log import open_log
 
 PACKAGES = ("apsw", "google.protobuf", "lz4", "mcap", "pyarrow", "rosbags", "ruamel.yaml")
 SKIPPED = ("test", "__main__", "setup", "benchmark", "conftest", "backend_cffi", "shell")

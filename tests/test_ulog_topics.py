@@ -7,8 +7,8 @@ from click.testing import CliRunner
 
 from quatprop.cli.commands import cli
 from quatprop.errors import AmbiguousTopicError, NoSuchTopicError
-from quatprop.formats import open_log
-from quatprop.selection import AttitudeSelection, RateSelection
+from quatprop.logs.open_log import open_log
+from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import choose_rates
 

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from quatprop.cli.commands import cli
 from quatprop.errors import OutputError
 from quatprop.series import AttitudeSeries
-from quatprop.temp_files import LockedTemp
+from quatprop.stores.temp_files import LockedTemp
 from quatprop.writers import open_writer
 from quatprop.writers.atomic import OutputPath, open_atomic
 from quatprop.writers.formats import WRITERS, kind_of

@@ -10,8 +10,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop.cli.commands import cli
 from quatprop.errors import TimelineError
-from quatprop.formats import open_log
-from quatprop.selection import AttitudeSelection, RateSelection
+from quatprop.logs.open_log import open_log
+from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import choose_rates
 

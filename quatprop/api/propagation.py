@@ -87,7 +87,7 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
     """
     from quatprop.concurrency.threads import use_threads
     from quatprop.containers.kept_blocks import beginnings_kept
-    from quatprop.formats import open_log
+    from quatprop.logs.open_log import open_log
     from quatprop.pipeline.attitude_stream import AttitudeStream
     from quatprop.pipeline.settings import propagation_settings
     from quatprop.signals.rates import choose_rates, signal_of_series

@@ -72,8 +72,8 @@ def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
     RemarkWarning
         Something was inferred, or looks wrong.
     """
-    from quatprop.formats import open_log
-    from quatprop.selection import RateSelection
+    from quatprop.logs.open_log import open_log
+    from quatprop.settings.selection import RateSelection
     from quatprop.signals.rates import choose_rates
 
     path, values = path_text("log", log), parse_all(options, READ_RATES)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from quatprop import __version__
 from quatprop.batch.run import propagate_log
 from quatprop.batch.tasks import BatchResult, BatchSettings, BatchTask, failed
-from quatprop.containers.stores import is_address
 from quatprop.errors import QuatpropError, UsageError
+from quatprop.stores.objects import is_address
 from quatprop.text import Setting, plain, quoted
 
 if TYPE_CHECKING:

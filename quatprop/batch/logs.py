@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.containers.stores import below, exists, find, is_address, list_objects, without_secret
 from quatprop.errors import UnreadableLogError, UsageError, os_reason
-from quatprop.log_kinds import COMPRESSION_SUFFIXES, READERS
+from quatprop.logs.kinds import COMPRESSION_SUFFIXES, READERS
+from quatprop.stores.objects import below, exists, find, is_address, list_objects, without_secret
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:

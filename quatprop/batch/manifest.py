@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop import __version__
 from quatprop.batch.entries import LISTS, TYPES, entries_in, json_line
-from quatprop.containers.stores import is_address, objects_of, without_secret
 from quatprop.errors import OutputError, StoreError
+from quatprop.stores.objects import is_address, objects_of, without_secret
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.targets import refuse_outside
 

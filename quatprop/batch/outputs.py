@@ -6,8 +6,8 @@ import os.path
 import re
 from typing import TYPE_CHECKING
 
-from quatprop.containers.stores import below, is_address, without_secret
 from quatprop.errors import UsageError
+from quatprop.stores.objects import below, is_address, without_secret
 from quatprop.text import Setting, Text, quoted
 
 if TYPE_CHECKING:

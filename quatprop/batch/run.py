@@ -14,8 +14,6 @@ from quatprop.batch.outputs import OTHER_OUTPUT, output_paths
 from quatprop.batch.tasks import BatchResult, BatchSettings, BatchTask, failed
 from quatprop.concurrency.processes import KILLED, map_processes
 from quatprop.concurrency.threads import available_cores
-from quatprop.containers.stores import is_address
-from quatprop.containers.transfers import upload
 from quatprop.errors import (
     NoRatesError,
     OutputError,
@@ -24,11 +22,13 @@ from quatprop.errors import (
     UnsupportedLogError,
     UsageError,
 )
+from quatprop.errors.third_party import as_user_error
 from quatprop.pipeline.job import Job, run
 from quatprop.provenance import digest_of
-from quatprop.temp_files import temp_folder
+from quatprop.stores.objects import is_address
+from quatprop.stores.temp_files import temp_folder
+from quatprop.stores.transfers import upload
 from quatprop.text import Text, plain, quoted
-from quatprop.third_party_errors import as_user_error
 from quatprop.writers.targets import refuse_outside, refuse_overlap
 
 if TYPE_CHECKING:

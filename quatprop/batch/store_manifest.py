@@ -19,8 +19,8 @@ from urllib.request import url2pathname
 
 from quatprop.batch.entries import ManifestEntry, entries_in, json_line
 from quatprop.batch.manifest import Manifest, write_table
-from quatprop.containers.stores import below, is_address, list_objects, without_secret
-from quatprop.containers.transfers import get, put, upload
+from quatprop.stores.objects import below, is_address, list_objects, without_secret
+from quatprop.stores.transfers import get, put, upload
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.batch.entries import ManifestEntry
 from quatprop.batch.manifest import log_name, options_digest, origin_digest
-from quatprop.containers.stores import without_secret
+from quatprop.stores.objects import without_secret
 
 if TYPE_CHECKING:
     from collections.abc import Callable

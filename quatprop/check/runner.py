@@ -15,8 +15,8 @@ from quatprop.check.spelling import sentence
 from quatprop.check.update import update
 from quatprop.concurrency.processes import KILLED, in_order, map_processes
 from quatprop.errors import QuatpropError
+from quatprop.errors.third_party import as_user_error
 from quatprop.text import plain
-from quatprop.third_party_errors import as_user_error
 from quatprop.writers.atomic import output_errors
 
 if TYPE_CHECKING:

@@ -140,7 +140,7 @@ def _search(names: Iterable[str], folder: str, chosen: Mapping[str, Any]) -> Log
     """Return the logs of all names, or of one part of them."""
     from quatprop.batch.logs import LogSearch
     from quatprop.batch.outputs import shard
-    from quatprop.containers.stores import without_secret
+    from quatprop.stores.objects import without_secret
 
     given = list(names)
     if chosen["list_file"] is not None:
@@ -239,8 +239,8 @@ class _Shown:
 
 def _line(task: BatchTask, result: BatchResult, span_s: float, width: int) -> str:
     """Return the result of one log in a line, and its warnings and losses below."""
-    from quatprop.containers.stores import without_secret
     from quatprop.rendering import loss_lines
+    from quatprop.stores.objects import without_secret
     from quatprop.times import duration_text
 
     span = duration_text(round(span_s * 1e9))
@@ -251,7 +251,7 @@ def _line(task: BatchTask, result: BatchResult, span_s: float, width: int) -> st
 
 
 def _report(task: BatchTask, result: BatchResult) -> dict[str, object]:
-    from quatprop.containers.stores import without_secret
+    from quatprop.stores.objects import without_secret
 
     return {
         "log": task.log,

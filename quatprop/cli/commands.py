@@ -87,7 +87,7 @@ class Commands(click.Group):
         except click.ClickException as error:
             raise Unusable(error.format_message()) from None
         except Exception as error:
-            from quatprop.third_party_errors import as_user_error
+            from quatprop.errors.third_party import as_user_error
 
             if (known := as_user_error(error)) is None:
                 raise

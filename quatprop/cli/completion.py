@@ -89,9 +89,9 @@ def _log(ctx: click.Context, side: str) -> str | None:
 
 def _names_in(path: str, setting: str, ctx: click.Context) -> list[str]:
     """Return topics, fields or columns of a log; none where it cannot be read."""
-    from quatprop.containers.stores import is_address
     from quatprop.errors import QuatpropError
-    from quatprop.formats import open_log
+    from quatprop.logs.open_log import open_log
+    from quatprop.stores.objects import is_address
 
     if is_address(path):
         return []
@@ -108,7 +108,7 @@ def _names_in(path: str, setting: str, ctx: click.Context) -> list[str]:
 def _in_messages(log: AnyLog, setting: str, ctx: click.Context) -> Iterator[str]:
     """Yield topics, or fields, of what the command reads."""
     from quatprop.errors import LogError
-    from quatprop.selection import AttitudeSelection, RateSelection
+    from quatprop.settings.selection import AttitudeSelection, RateSelection
     from quatprop.signals.attitudes import attitude_candidates
     from quatprop.signals.rates import rate_candidates
 

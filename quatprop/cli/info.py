@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from quatprop.pipeline.log_survey import AttitudeSurvey, LogSurvey, SignalSurvey
-    from quatprop.selection import RateSelection
+    from quatprop.settings.selection import RateSelection
 
 COLUMNS = {
     "source": "source",
@@ -70,7 +70,7 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
     from quatprop.cli.progress import progress
     from quatprop.errors import QuatpropError
     from quatprop.pipeline.survey import survey
-    from quatprop.selection import RateSelection
+    from quatprop.settings.selection import RateSelection
 
     kind = chosen.pop("kind")
     wanted = RateSelection(**chosen)
@@ -98,8 +98,8 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
 def _config(path: str, kind: str | None, selection: RateSelection) -> str:
     """Return the configuration that makes the attitudes of a file again."""
     from quatprop.cli.config import config_of
-    from quatprop.formats import open_log
-    from quatprop.selection import AttitudeSelection
+    from quatprop.logs.open_log import open_log
+    from quatprop.settings.selection import AttitudeSelection
     from quatprop.signals.attitudes import choose_attitudes
 
     with open_log(path, kind, msg_path=selection.msg_path) as log:

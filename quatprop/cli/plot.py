@@ -99,7 +99,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     from quatprop.conditioning import Conditioning
     from quatprop.plot.files import View
     from quatprop.plot.run import plot
-    from quatprop.selection import RateSelection
+    from quatprop.settings.selection import RateSelection
 
     reference = chosen["reference"]
     _refuse_idle(chosen)

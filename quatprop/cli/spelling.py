@@ -61,6 +61,6 @@ def in_options(value: Any) -> Any:
 
 def command_line() -> str:
     """Return the command that runs, as a shell takes it."""
-    from quatprop.containers.stores import without_secret
+    from quatprop.stores.objects import without_secret
 
     return shlex.join(["quatprop", *map(without_secret, sys.argv[1:])])

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.blocks import blocks
 from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, Pairs, associate, shifted
 from quatprop.comparison.clocks import find_offset
@@ -19,6 +18,7 @@ from quatprop.comparison.settings import ComparisonSettings
 from quatprop.comparison.statistics import sigma_statistics, window_statistics
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import UNIT_TOLERANCE, geodesic_angle, normalize
+from quatprop.series.blocks import blocks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.blocks import blocks
 from quatprop.comparison.settings import BY_ALL
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import conjugate, geodesic_angle, log, multiply, shorter
 from quatprop.kinematics.uncertainty import reference_covariance
+from quatprop.series.blocks import blocks
 from quatprop.text import Setting
 from quatprop.times import duration_text
 

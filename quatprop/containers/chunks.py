@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from quatprop.concurrency.threads import Deferred, prefetch
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
-from quatprop.containers.byte_ranges import SHARE
 from quatprop.containers.coalesce import compacted
-from quatprop.containers.file_source import FileSource, source_of
-from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.time_range import TimedPart, TimeRange, parts_within, span_of
 from quatprop.errors import UnreadableLogError, os_reason
+from quatprop.stores.byte_ranges import SHARE
+from quatprop.stores.file_source import FileSource, source_of
+from quatprop.stores.limits import DecompressionBudget
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator, Sequence

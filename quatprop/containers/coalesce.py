@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.base import MessageBlock
-from quatprop.containers.byte_ranges import ranges_of
+from quatprop.stores.byte_ranges import ranges_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.compression import UnreadableDataError, decompress
+from quatprop.stores.compression import UnreadableDataError, decompress
 
 if TYPE_CHECKING:
     from quatprop.containers.base import MessageBlock

@@ -18,11 +18,11 @@ import numpy as np
 
 from quatprop.containers import ulog_records
 from quatprop.containers.base import Channel, MessageBlock, MessageLog, by_topic
-from quatprop.containers.file_source import FileSource, source_of
 from quatprop.containers.ulog_records import HEAD, Records, walk_records
 from quatprop.errors import DamagedLogError, MessageError, UnsupportedLogError, os_reason
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.ulog import definition_text, px4_name
+from quatprop.stores.file_source import FileSource, source_of
 from quatprop.text import quoted
 from quatprop.times import NS_PER_UNIT
 

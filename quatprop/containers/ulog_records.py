@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Int64
     from quatprop.containers.base import Losses
-    from quatprop.containers.file_source import FileSource
+    from quatprop.stores.file_source import FileSource
 
 WINDOW = 1 << 22
 """Bytes that are read at a time; a record has less than 65,539."""

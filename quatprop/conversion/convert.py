@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.containers.stores import without_secret
 from quatprop.conventions import HAMILTON, Signs
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.destination import kept_sigma, open_destination, remarks_on
 from quatprop.conversion.job import Conversion, ConversionReport
 from quatprop.conversion.rates import RATES, rate_batches
 from quatprop.errors import NoSamplesError, UsageError
-from quatprop.formats import open_log
+from quatprop.logs.open_log import open_log
 from quatprop.pipeline.job import with_format
 from quatprop.pipeline.report import ReportFile
 from quatprop.provenance import digest_ahead
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck
+from quatprop.stores.objects import without_secret
 from quatprop.text import Setting, listed, quoted
 from quatprop.writers.targets import refuse_overlap
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from quatprop.blocks import BLOCK, reblock, with_next
 from quatprop.errors import SeriesError
 from quatprop.kinematics.increments import integration_rule, is_inertial, rotation_vectors
 from quatprop.kinematics.product import (
@@ -25,6 +24,7 @@ from quatprop.kinematics.product import (
 )
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, normalize
 from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.series.blocks import BLOCK, reblock, with_next
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.columns import rows_of, stamps_of
 from quatprop.kinematics.increments import is_inertial
 from quatprop.kinematics.quaternion import conjugate, log, multiply, shorter
+from quatprop.series.columns import rows_of, stamps_of
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:

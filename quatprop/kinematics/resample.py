@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from quatprop.blocks import with_next
 from quatprop.errors import UsageError
 from quatprop.kinematics.cubic import Curvature, curvature, curvature_of_averages
 from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotate
 from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.series.blocks import with_next
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S, regular_count, regular_stamps
 

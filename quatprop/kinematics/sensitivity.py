@@ -49,7 +49,7 @@ class Sensitivity:
         self._sparse = EverySecond()
 
     def add(self, block: GyroSeries) -> None:
-        """Take the next samples: a block of :func:`quatprop.blocks.reblock`."""
+        """Take the next samples: a block of :func:`quatprop.series.blocks.reblock`."""
         if self._runs is None:
             integrated = block.is_integrated(self._method)
             end = integrated and self._method not in {"coning", "cubic"}

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from quatprop.logs.rows import Row
-    from quatprop.selection import AttitudeSelection
+    from quatprop.settings.selection import AttitudeSelection
     from quatprop.tables.model import Table
 
 

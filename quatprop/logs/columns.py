@@ -17,7 +17,7 @@ from quatprop.times import NS_PER_S
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from quatprop.selection import SignalSelection
+    from quatprop.settings.selection import SignalSelection
     from quatprop.tables.model import Table
 
     Positions = tuple[int, ...]

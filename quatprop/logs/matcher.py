@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.logs.rows import Row
-    from quatprop.selection import SignalSelection
+    from quatprop.settings.selection import SignalSelection
     from quatprop.tables.model import Table
 
     Positions = tuple[int, ...]

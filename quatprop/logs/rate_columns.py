@@ -15,8 +15,8 @@ from quatprop.logs.matching import Found, Match, marks_of
 from quatprop.logs.names import BARE_RATES, BESIDE_BARE_RATES, WITH_RATE_UNIT
 from quatprop.logs.rows import RATE_PARTS
 from quatprop.logs.vocabulary import GENERIC, ROWS
-from quatprop.selection import RateSelection
 from quatprop.settings.quantities import RATES, SCALED_RATE_UNITS
+from quatprop.settings.selection import RateSelection
 from quatprop.tables.column_names import AXIS_FIRST, RATE_UNITS
 from quatprop.text import Setting, Text, listed, plain
 

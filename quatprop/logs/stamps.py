@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import AnyArray
     from quatprop.logs.matching import Found
-    from quatprop.selection import SignalSelection
+    from quatprop.settings.selection import SignalSelection
     from quatprop.tables.model import Table
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from quatprop.logs.clocks import Clock
     from quatprop.logs.rows import Row
-    from quatprop.selection import SignalSelection
+    from quatprop.settings.selection import SignalSelection
     from quatprop.tables.counters import Counting
     from quatprop.tables.model import Table
 

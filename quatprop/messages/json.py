@@ -18,7 +18,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.json as pyarrow_json
 
-from quatprop.arrow_arrays import nested_schema, to_numpy
 from quatprop.errors import SchemaError, UsageError
 from quatprop.messages.schema import (
     TIME,
@@ -32,6 +31,7 @@ from quatprop.messages.schema import (
 )
 from quatprop.messages.times import NANOSECONDS, SECONDS
 from quatprop.messages.values import ValueDecoder, WantedColumn, raw_messages
+from quatprop.series.arrow_arrays import nested_schema, to_numpy
 from quatprop.text import quoted
 from quatprop.times import instant
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Protocol
 
 from quatprop.conditioning import condition
 from quatprop.conditioning.time_range import clipping_remarks
-from quatprop.containers.stores import without_secret
 from quatprop.errors import NoSamplesError, SeriesError, TimelineError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.resample import Listed, Steady, Times, every
@@ -21,6 +20,7 @@ from quatprop.provenance import Digest
 from quatprop.settings.quantities import RATES
 from quatprop.signals.beside_rates import conditioning_inputs
 from quatprop.signals.signal import RateSignal, no_parts
+from quatprop.stores.objects import without_secret
 from quatprop.tables.base import TableLog
 from quatprop.text import Setting, Text
 from quatprop.timeline import Timeline

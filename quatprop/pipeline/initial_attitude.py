@@ -15,8 +15,8 @@ from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
-    from quatprop.selection import RateSelection
     from quatprop.series import GyroSeries
+    from quatprop.settings.selection import RateSelection
     from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import AnyLog
 

@@ -13,15 +13,15 @@ import numpy as np
 
 from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.containers.kept_blocks import beginnings_kept
-from quatprop.containers.stores import digest_of_object, is_address
 from quatprop.errors import UsageError
-from quatprop.formats import is_stream, open_log
+from quatprop.logs.open_log import is_stream, open_log
 from quatprop.pipeline.attitude_stream import AttitudeStream
 from quatprop.pipeline.report import ReportFile, RunReport, digests_of_inputs
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.provenance import digest_ahead
 from quatprop.series import AttitudeSeries
 from quatprop.signals.rates import choose_rates
+from quatprop.stores.objects import digest_of_object, is_address
 from quatprop.text import Setting
 from quatprop.writers import open_writer
 from quatprop.writers.formats import format_remarks, layout_of
@@ -126,7 +126,7 @@ def _as_logged(attitudes: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
 def with_format(output: OutputSettings, log: AnyLog) -> OutputSettings:
     """Return where attitudes of a log go, with the format and the order of its columns."""
     if output.into:
-        from quatprop.into import copy_kind
+        from quatprop.log_copy import copy_kind
 
         kind = copy_kind(log, output.path, output.to)
     else:
@@ -146,7 +146,7 @@ def open_output(
 ) -> AttitudeWriter:
     """Open a file of attitudes, or a copy of the log to which they are added."""
     if output.into:
-        from quatprop.into import open_into
+        from quatprop.log_copy import open_into
 
         opened = partial(open_into, log, output.path)
     else:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.blocks import reblock
 from quatprop.pipeline.saturation import HAS_RUN, SMALLEST_RANGE, Saturation
+from quatprop.series.blocks import reblock
 from quatprop.text import Setting, Text
 from quatprop.times import NS_PER_S
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from quatprop import __version__
-from quatprop.containers.stores import digest_of_object, is_address, without_secret
 from quatprop.provenance import Digest, JsonObject, as_json, digest_of
+from quatprop.stores.objects import digest_of_object, is_address, without_secret
 from quatprop.writers.atomic import OutputFile, output_errors
 
 if TYPE_CHECKING:

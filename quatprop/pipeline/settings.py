@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.conditioning import Conditioning
-from quatprop.containers.stores import is_address, without_secret
 from quatprop.conventions.layout import layout_named
 from quatprop.errors import UsageError
 from quatprop.pipeline.gyro_errors import ErrorSettings
 from quatprop.pipeline.initial_attitude import InitialAttitude
-from quatprop.selection import RateSelection
 from quatprop.settings.parsers import FROM_THE_LOG, StaticBias, file_beside
+from quatprop.settings.selection import RateSelection
 from quatprop.settings.values import as_text, parse_all
+from quatprop.stores.objects import is_address, without_secret
 from quatprop.text import Setting
 from quatprop.timeline.stamps import Policy
 from quatprop.writers.formats import keeps_provenance, kind_of
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 class PropagationSettings:
     """Everything that determines the attitudes of a log.
 
-    `kind`: Kind of the log, a key of :data:`quatprop.log_kinds.READERS`; None: told by its content,
+    `kind`: a key of :data:`quatprop.logs.kinds.READERS`; None: told by its content,
         then by its suffix
     `selection`: which samples
     `policy`: how irregular timestamps are handled

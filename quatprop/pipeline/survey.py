@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop.concurrency.threads import thread_count, use_threads
 from quatprop.containers.kept_blocks import beginnings_kept
-from quatprop.containers.stores import without_secret
 from quatprop.errors import (
     LogError,
     NoAttitudesError,
@@ -24,15 +23,16 @@ from quatprop.errors import (
     UndeclaredError,
     UsageError,
 )
-from quatprop.formats import open_log
+from quatprop.logs.open_log import open_log
 from quatprop.pipeline.log_survey import AttitudeSurvey, LogSurvey, RateSurvey, making, timing
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
-from quatprop.selection import AttitudeSelection, RateSelection
+from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitude_convention import meaning_of, recorded_convention
 from quatprop.signals.attitudes import attitude_candidates
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import rate_candidates
+from quatprop.stores.objects import without_secret
 from quatprop.text import Text, plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Counts

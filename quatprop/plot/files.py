@@ -13,7 +13,6 @@ from quatprop.conditioning.time_range import (
     length_text,
     pause_remarks,
 )
-from quatprop.containers.stores import without_secret
 from quatprop.conventions import HAMILTON
 from quatprop.errors import (
     NoAttitudesError,
@@ -23,19 +22,20 @@ from quatprop.errors import (
     NothingToDrawError,
     UndeclaredError,
 )
-from quatprop.formats import open_log
+from quatprop.logs.open_log import open_log
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.plot.accumulators import SIGMA_BAND, Accumulator, AttitudeAccumulator, RateAccumulator
 from quatprop.plot.picture import PlottedFile
 from quatprop.provenance import entry_of
 from quatprop.rendering import Row, count_text, instant_text, samples_text, source_text
-from quatprop.selection import AttitudeSelection, RateSelection
 from quatprop.series import AttitudeSeries
 from quatprop.settings.quantities import RATES
+from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import choose_rates
 from quatprop.signals.signal import AttitudeSignal, RateSignal
+from quatprop.stores.objects import without_secret
 from quatprop.text import Text, plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.outliers import marked
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 class View(NamedTuple):
     """What to draw of files.
 
-    `kind`: a key of :data:`quatprop.log_kinds.READERS`; None: by content and suffix
+    `kind`: a key of :data:`quatprop.logs.kinds.READERS`; None: by content and suffix
     `show`: None: the rates of a file that has some, else its attitudes
     `rates`, `attitudes`: which samples
     `components`: Draw quaternions as they are instead of as angles

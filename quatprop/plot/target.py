@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from quatprop.containers.stores import without_secret
 from quatprop.errors import OutputError
 from quatprop.pipeline.report import digest_of_input
 from quatprop.plot.draw import render, require_matplotlib
 from quatprop.plot.figure import STYLE, Style
 from quatprop.plot.page import Page, html
 from quatprop.provenance import as_json
+from quatprop.stores.objects import without_secret
 from quatprop.writers.atomic import OutputFile, output_errors
 from quatprop.writers.targets import is_stdout, is_stream, refuse_overlap
 

@@ -36,7 +36,7 @@ KINDS = (
     *("mcap", "bag", "db3", "rosbag2", "ulog"),
     *("parquet", "feather", "npy", "npz", "hdf5", "matlab", "jsonl", "tum", "kitti", "csv"),
 )
-"""The keys of :data:`quatprop.log_kinds.READERS`."""
+"""The keys of :data:`quatprop.logs.kinds.READERS`."""
 
 LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
 RATE_UNITS = ("rad/s", "deg/s")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.logs.matching import Found
-    from quatprop.selection import AttitudeSelection
+    from quatprop.settings.selection import AttitudeSelection
     from quatprop.tables.model import Group
 
 BY_NAME = "by name"

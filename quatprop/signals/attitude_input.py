@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from quatprop.containers.stores import without_secret
 from quatprop.errors import NoSamplesError, QuatpropError
-from quatprop.formats import open_log
-from quatprop.selection import AttitudeSelection
+from quatprop.logs.open_log import open_log
 from quatprop.series import AttitudeSeries
 from quatprop.settings import READ_ATTITUDES
+from quatprop.settings.selection import AttitudeSelection
 from quatprop.settings.values import parse_all
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck, QuaternionCounts
+from quatprop.stores.objects import without_secret
 from quatprop.text import Setting, Text
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class AttitudeInput:
     """Which attitude series to read.
 
     `path`: any log or table with attitudes, or ``"-"``
-    `kind`: a key of :data:`quatprop.log_kinds.READERS`; None for the kind that content and suffix
+    `kind`: a key of :data:`quatprop.logs.kinds.READERS`; None for the kind that content and suffix
         show
     `selection`: which attitudes
     `normalize`: Scale quaternions of any length but zero to unit length

@@ -32,7 +32,7 @@ from quatprop.text import plain
 
 if TYPE_CHECKING:
     from quatprop.logs.matching import Found
-    from quatprop.selection import AttitudeSelection
+    from quatprop.settings.selection import AttitudeSelection
     from quatprop.signals.signal import Rows
     from quatprop.tables.base import AnyLog
     from quatprop.tables.model import Table

@@ -9,7 +9,7 @@ from quatprop.conditioning import FROM_TRANSFORMS, Conditioning, ConditioningInp
 from quatprop.errors import LogError, UsageError
 from quatprop.logs.matching import Match, beside, marks_of
 from quatprop.logs.reading import read_vectors
-from quatprop.selection import AttitudeSelection, RateSelection
+from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.signals.quaternion_check import QuaternionCheck
 
 if TYPE_CHECKING:

@@ -9,12 +9,12 @@ import numpy as np
 
 from quatprop.conditioning.calibration import BiasSeries
 from quatprop.errors import LogError, UsageError
-from quatprop.formats import open_log
 from quatprop.logs.matching import Found, Match, column_beside, find
+from quatprop.logs.open_log import open_log
 from quatprop.logs.reading import read_vectors
 from quatprop.logs.stamps import choose_stamp
 from quatprop.logs.vocabulary import GENERIC, TYPES
-from quatprop.selection import RateSelection, SignalSelection
+from quatprop.settings.selection import RateSelection, SignalSelection
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:

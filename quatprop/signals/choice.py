@@ -27,7 +27,7 @@ from quatprop.text import Setting, did_you_mean, listed, plain, quoted
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from quatprop.selection import SignalSelection
+    from quatprop.settings.selection import SignalSelection
     from quatprop.tables.base import AnyLog
 
 TABLE_SETTINGS = (

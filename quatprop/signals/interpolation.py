@@ -19,9 +19,9 @@ from quatprop.errors import (
     UndeclaredError,
     UsageError,
 )
-from quatprop.formats import open_log
 from quatprop.kinematics.quaternion import normalize, slerp
-from quatprop.selection import AttitudeSelection, RateSelection, SignalSelection
+from quatprop.logs.open_log import open_log
+from quatprop.settings.selection import AttitudeSelection, RateSelection, SignalSelection
 from quatprop.signals.attitude_input import errors_of
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.beside_rates import own_orientation

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from quatprop.conditioning.time_range import PartReader
     from quatprop.logs.matching import Found
     from quatprop.logs.rows import Row
-    from quatprop.selection import RateSelection
     from quatprop.series import GyroSeries
+    from quatprop.settings.selection import RateSelection
     from quatprop.tables.base import AnyLog
     from quatprop.tables.model import Within
 

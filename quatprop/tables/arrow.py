@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from quatprop.containers.file_source import FileSource, source_of
-from quatprop.containers.limits import checksums_matter
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY, JsonObject, provenance_in
+from quatprop.stores.file_source import FileSource, source_of
+from quatprop.stores.limits import checksums_matter
 from quatprop.tables.base import Span, TimedColumns, refuse_second_file
 from quatprop.tables.row_groups import stamp_spans
 from quatprop.tables.typed_table import (

@@ -14,8 +14,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from quatprop.containers.compression import MAX_SIZE
-from quatprop.containers.limits import decompressed_limit, too_large
+from quatprop.stores.compression import MAX_SIZE
+from quatprop.stores.limits import decompressed_limit, too_large
 from quatprop.tables.hdf5_attributes import absent_values
 from quatprop.tables.npy_format import HeaderError
 from quatprop.tables.numpy_table import rows_at_once, values_in

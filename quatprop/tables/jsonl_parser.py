@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import pyarrow as pa
 from pyarrow import json as arrow_json
 
-from quatprop.arrow_arrays import nested_schema, readable
 from quatprop.concurrency.threads import thread_count
+from quatprop.series.arrow_arrays import nested_schema, readable
 from quatprop.tables import timestamps
 from quatprop.text import plain
 

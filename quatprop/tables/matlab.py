@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from quatprop.containers.compression import UnreadableDataError, decompressed_pieces
-from quatprop.containers.limits import DecompressionBudget
 from quatprop.errors import DamagedLogError, UnsupportedLogError, UsageError
+from quatprop.stores.compression import UnreadableDataError, decompressed_pieces
+from quatprop.stores.limits import DecompressionBudget
 from quatprop.tables.npy_format import ArrayHeader, HeaderError, columns_of
 from quatprop.tables.numpy_table import NumpyTable
 from quatprop.text import plain, quoted

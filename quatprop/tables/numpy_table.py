@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO, TypeAlias
 import numpy as np
 import pyarrow as pa
 
-from quatprop.arrow_arrays import to_arrow
 from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.series.arrow_arrays import to_arrow
 from quatprop.tables.npy_format import ArrayColumn, HeaderError, columns_of, read_header
 from quatprop.tables.typed_table import BATCH_ROWS, DamageError, Leaf, RowGroup, TypedTable
 from quatprop.text import listed, plain

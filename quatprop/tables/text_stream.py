@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 
-from quatprop.containers.compressed_files import MAGIC_BYTES, file_compression
-from quatprop.containers.compression import UnreadableDataError, decompressed_pieces
 from quatprop.errors import UnreadableLogError, UnsupportedLogError, os_reason
+from quatprop.stores.compressed_files import MAGIC_BYTES, file_compression
+from quatprop.stores.compression import UnreadableDataError, decompressed_pieces
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:

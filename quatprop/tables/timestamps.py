@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 import pyarrow as pa
 
-from quatprop.arrow_arrays import to_numpy
 from quatprop.errors import UsageError
+from quatprop.series.arrow_arrays import to_numpy
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S, regular_stamps
 

@@ -13,8 +13,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from quatprop.arrow_arrays import to_arrow, to_numpy
 from quatprop.errors import UnsupportedLogError
+from quatprop.series.arrow_arrays import to_arrow, to_numpy
 from quatprop.tables import timestamps
 from quatprop.tables.base import TableLog, TableNotes, TimedColumns
 from quatprop.text import Setting, listed, plain, quoted

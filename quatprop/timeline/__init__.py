@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from quatprop.blocks import reblock
 from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries
+from quatprop.series.blocks import reblock
 from quatprop.text import Setting
 from quatprop.timeline.outliers import outliers_in_order
 from quatprop.timeline.stamps import LONGEST_NS, Policy, StampChecks

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 from quatprop.errors import OutputError
-from quatprop.temp_files import LockedTemp, take_mode_of, temp_file, temp_folder
+from quatprop.stores.temp_files import LockedTemp, take_mode_of, temp_file, temp_folder
 from quatprop.writers.targets import checked_place, is_stdout, is_stream
 
 if TYPE_CHECKING:

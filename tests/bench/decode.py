@@ -10,8 +10,8 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from table import Table, best_of
 
-from quatprop.formats import open_log
-from quatprop.selection import RateSelection
+from quatprop.logs.open_log import open_log
+from quatprop.settings.selection import RateSelection
 from quatprop.signals.rates import choose_rates
 
 CHUNK_HEAD = 9 + 8 + 8 + 8 + 4 + 4 + 8

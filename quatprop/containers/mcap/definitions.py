@@ -10,19 +10,19 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from quatprop.containers.base import Channel
-from quatprop.containers.compression import UnreadableDataError, decompress_prefix
-from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.messages import messages_at
 from quatprop.containers.mcap.records import MALFORMED, read_channel, read_schema
 from quatprop.containers.mcap.regions import CHANNEL, SCHEMA, ChunkHead, Region, load
 from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import walk_records
+from quatprop.stores.compression import UnreadableDataError, decompress_prefix
+from quatprop.stores.limits import DecompressionBudget
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from quatprop.containers.compression import Buffer
-    from quatprop.containers.file_source import FileSource
+    from quatprop.stores.compression import Buffer
+    from quatprop.stores.file_source import FileSource
 
 IDS = 1 << 16
 """Ids that the records of one part can have."""

@@ -7,10 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.byte_ranges import LARGE, ranges_worth_reading
 from quatprop.containers.chunks import ChunkReader
-from quatprop.containers.compression import UnreadableDataError
-from quatprop.containers.limits import CHECKSUMS, checksums_matter
 from quatprop.containers.mcap.messages import (
     heads_at,
     index_of,
@@ -21,14 +18,17 @@ from quatprop.containers.mcap.messages import (
 from quatprop.containers.mcap.regions import MESSAGE, PEEK, RECORD, Loaded, Region, head_of, load
 from quatprop.containers.mcap.walk import MESSAGE_HEAD, walk_records
 from quatprop.errors import UnsupportedLogError
+from quatprop.stores.byte_ranges import LARGE, ranges_worth_reading
+from quatprop.stores.compression import UnreadableDataError
+from quatprop.stores.limits import CHECKSUMS, checksums_matter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.containers.base import MessageBlock
-    from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.definitions import DefinitionCheck
     from quatprop.containers.mcap.messages import LocatedMessages
+    from quatprop.stores.file_source import FileSource
 
 
 UNDEFINED = "no record defines it"

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence
     from pathlib import Path
 
-    from quatprop.containers.file_source import FileSource
+    from quatprop.stores.file_source import FileSource
 
 
 class McapLog(ChunkedLog[Region]):

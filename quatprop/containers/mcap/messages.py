@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.compression import Buffer
-    from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.regions import Region
+    from quatprop.stores.compression import Buffer
+    from quatprop.stores.file_source import FileSource
 
 _HEAD = MESSAGE_HEAD.itemsize
 _FIXED = _HEAD - RECORD.size

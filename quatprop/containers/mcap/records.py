@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.containers.compression import Buffer
+    from quatprop.stores.compression import Buffer
 
 MALFORMED = (ValueError, struct.error)
 """Exceptions that are raised when a damaged record is read."""

@@ -13,15 +13,10 @@ from dataclasses import dataclass
 from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.checksum import crc32
-from quatprop.containers.compression import (
-    MAX_SIZE,
-    UnreadableDataError,
-    decompress,
-    decompress_prefix,
-)
-from quatprop.containers.limits import CHECKSUMS, DecompressionBudget, checksums_matter
 from quatprop.errors import os_reason
+from quatprop.stores.checksum import crc32
+from quatprop.stores.compression import MAX_SIZE, UnreadableDataError, decompress, decompress_prefix
+from quatprop.stores.limits import CHECKSUMS, DecompressionBudget, checksums_matter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,8 +24,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.containers.compression import Buffer
-    from quatprop.containers.file_source import FileSource
+    from quatprop.stores.compression import Buffer
+    from quatprop.stores.file_source import FileSource
 
 HEADER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 1, 3, 4, 5, 6, 7
 ATTACHMENT, METADATA, DATA_END = 9, 12, 15

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.checksum import crc32
 from quatprop.containers.mcap.regions import (
     ATTACHMENT,
     CHANNEL,
@@ -36,11 +35,12 @@ from quatprop.containers.mcap.regions import (
     plausible_chunk,
 )
 from quatprop.containers.resync import WINDOW, first_accepted
+from quatprop.stores.checksum import crc32
 
 if TYPE_CHECKING:
     from collections.abc import Container
 
-    from quatprop.containers.file_source import FileSource
+    from quatprop.stores.file_source import FileSource
 
 CHUNKS = frozenset({CHUNK})
 """Opcodes to look for where the messages inside an uncompressed chunk would match, too."""

@@ -10,10 +10,7 @@ from bisect import bisect_right
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from quatprop.checksum import crc32
 from quatprop.containers.base import LATEST, Losses
-from quatprop.containers.compression import MAX_SIZE
-from quatprop.containers.limits import checksums_matter
 from quatprop.containers.mcap.definitions import Definitions, leading_definitions
 from quatprop.containers.mcap.messages import messages_at
 from quatprop.containers.mcap.regions import (
@@ -43,11 +40,14 @@ from quatprop.containers.mcap.resync import (
 )
 from quatprop.containers.mcap.summary import MAGIC
 from quatprop.containers.mcap.walk import walk_records
+from quatprop.stores.checksum import crc32
+from quatprop.stores.compression import MAX_SIZE
+from quatprop.stores.limits import checksums_matter
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from quatprop.containers.file_source import FileSource
+    from quatprop.stores.file_source import FileSource
 
 _LOOSE_SIZE = 1 << 22
 """Bytes of messages outside chunks that are one region."""

@@ -6,9 +6,7 @@ import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.checksum import crc32
 from quatprop.containers.base import LATEST, Losses
-from quatprop.containers.compression import MAX_SIZE
 from quatprop.containers.mcap.records import (
     MALFORMED,
     prefixed,
@@ -18,13 +16,15 @@ from quatprop.containers.mcap.records import (
 )
 from quatprop.containers.mcap.regions import CHANNEL, DATA_END, METADATA, RECORD, SCHEMA, Region
 from quatprop.provenance import METADATA_KEY
+from quatprop.stores.checksum import crc32
+from quatprop.stores.compression import MAX_SIZE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.containers.compression import Buffer
-    from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.records import ChannelRecord, SchemaRecord
+    from quatprop.stores.compression import Buffer
+    from quatprop.stores.file_source import FileSource
 
 MAGIC = b"\x89MCAP0\r\n"
 """The bytes with which every MCAP file begins and ends."""

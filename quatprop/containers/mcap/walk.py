@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.compression import Buffer
+    from quatprop.stores.compression import Buffer
 
 MESSAGE_HEAD = np.dtype(
     {

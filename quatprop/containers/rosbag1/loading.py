@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.base import Losses, MessageBlock
-from quatprop.containers.byte_ranges import LARGE, ranges_worth_reading
 from quatprop.containers.chunks import ChunkReader
-from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.rosbag1.index import (
     BagChunk,
     ChunkRecords,
@@ -30,6 +28,8 @@ from quatprop.containers.rosbag1.records import (
     index_data,
     surviving_records,
 )
+from quatprop.stores.byte_ranges import LARGE, ranges_worth_reading
+from quatprop.stores.compression import UnreadableDataError
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence

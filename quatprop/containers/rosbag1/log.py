@@ -12,7 +12,6 @@ from rosbags.typesys.msg import normalize_msgtype
 
 from quatprop.containers.base import Channel, MessageBlock, by_topic
 from quatprop.containers.chunks import ChunkedLog
-from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.rosbag1.index import MAGIC, BagChunk, BagIndex, read_index
 from quatprop.containers.rosbag1.loading import BagReader, accounts_for_all, prove
 from quatprop.containers.rosbag1.rebuild import rebuild_index
@@ -21,6 +20,7 @@ from quatprop.containers.rosbag1.resync import RECORDS
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.messages.definition_sums import definition_of
 from quatprop.provenance import METADATA_KEY
+from quatprop.stores.compression import UnreadableDataError
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.base import MessageBlock
-from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.rosbag1.records import OP_MESSAGE, fields_of, header_end_of
+from quatprop.stores.compression import UnreadableDataError
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ from itertools import zip_longest
 
 import numpy as np
 
-from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.rosbag1.index import MAGIC, BagChunk, BagIndex, chunk_of_info, read_chunk
 from quatprop.containers.rosbag1.records import (
     OP_BAG_HEADER,
@@ -22,6 +21,7 @@ from quatprop.containers.rosbag1.records import (
     surviving_records,
 )
 from quatprop.containers.rosbag1.resync import CHUNKS, RECORDS, is_chunk, next_record
+from quatprop.stores.compression import UnreadableDataError
 from quatprop.times import NS_PER_S
 
 _LOOSE_SIZE = 1 << 20

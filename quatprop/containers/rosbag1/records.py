@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from quatprop.containers.compression import UnreadableDataError
 from quatprop.errors import os_reason
+from quatprop.stores.compression import UnreadableDataError
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.file_source import FileSource
+    from quatprop.stores.file_source import FileSource
 
     Buffer = bytes | memoryview
 

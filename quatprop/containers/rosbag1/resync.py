@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.resync import first_accepted
 from quatprop.containers.rosbag1.records import (
     INDEX_ENTRY,
@@ -22,6 +21,7 @@ from quatprop.containers.rosbag1.records import (
     data_fields,
     record_at,
 )
+from quatprop.stores.compression import UnreadableDataError
 
 if TYPE_CHECKING:
     from collections.abc import Container

@@ -8,7 +8,6 @@ import apsw
 
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog, by_topic
 from quatprop.containers.compressed_messages import decompressed
-from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag2.db3_tables import check_indexes, columns_of, has_rowid, read_topics
 from quatprop.containers.rosbag2.fetches import ROWS, Fetch, combined, fetch_of, fetched, next_group
 from quatprop.containers.rosbag2.parts import custom_data
@@ -23,6 +22,7 @@ from quatprop.containers.rosbag2.sqlite_pages import open_pages
 from quatprop.containers.time_range import TimeRange
 from quatprop.errors import DamagedLogError
 from quatprop.provenance import of_all_topics
+from quatprop.stores.file_source import FileSource
 from quatprop.text import quoted
 
 if TYPE_CHECKING:

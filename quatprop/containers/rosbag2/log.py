@@ -9,9 +9,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from quatprop.containers.base import NO_BOUND, Channel, Loss, MessageBlock, MessageLog, by_topic
-from quatprop.containers.compressed_files import MAGIC_BYTES, DecompressedCopy, file_compression
-from quatprop.containers.compression import UnreadableDataError
-from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag2.parts import METADATA, Part, folder, total_count
 from quatprop.containers.time_range import TimeRange
 from quatprop.errors import (
@@ -22,6 +19,9 @@ from quatprop.errors import (
     os_reason,
 )
 from quatprop.provenance import of_all_topics
+from quatprop.stores.compressed_files import MAGIC_BYTES, DecompressedCopy, file_compression
+from quatprop.stores.compression import UnreadableDataError
+from quatprop.stores.file_source import FileSource
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ from quatprop.text import listed, quoted
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.containers.compressed_files import DecompressedCopy
     from quatprop.provenance import JsonObject
+    from quatprop.stores.compressed_files import DecompressedCopy
 
 METADATA = "metadata.yaml"
 

@@ -10,7 +10,7 @@ from urllib.parse import quote
 import apsw
 import numpy as np
 
-from quatprop.containers.file_source import FileSource
+from quatprop.stores.file_source import FileSource
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

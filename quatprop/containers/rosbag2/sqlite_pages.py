@@ -13,8 +13,8 @@ import struct
 from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.containers.file_source import FileSource
 from quatprop.containers.rosbag2.sqlite_files import files_beside, read_wal
+from quatprop.stores.file_source import FileSource
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping

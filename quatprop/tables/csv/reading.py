@@ -13,8 +13,8 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from quatprop.arrow_arrays import readable, to_arrow, to_numpy
 from quatprop.concurrency.threads import thread_count
+from quatprop.series.arrow_arrays import readable, to_arrow, to_numpy
 from quatprop.tables import timestamps
 from quatprop.tables.csv.row_parser import MISFITS, ParsedRows, RowParser, date_type, squeeze_blanks
 from quatprop.tables.text_stream import RejectedRows, TextBlock, TextStream, record_blocks

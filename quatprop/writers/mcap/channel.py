@@ -15,7 +15,7 @@ import numpy as np
 import zstandard
 from mcap.opcode import Opcode
 
-from quatprop.checksum import crc32
+from quatprop.stores.checksum import crc32
 from quatprop.writers.base import block_slices
 
 if TYPE_CHECKING:

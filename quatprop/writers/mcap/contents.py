@@ -19,7 +19,7 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from quatprop.checksum import crc32
+from quatprop.stores.checksum import crc32
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

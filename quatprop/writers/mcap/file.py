@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, BinaryIO
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, MetadataIndex, Schema
 
-from quatprop.checksum import crc32
 from quatprop.concurrency.threads import OrderedThreadPool
+from quatprop.stores.checksum import crc32
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import MessageWriter, provenance_json
 from quatprop.writers.mcap.channel import CHUNK_BYTES, McapChunk, MessageChannel, compressed_chunk

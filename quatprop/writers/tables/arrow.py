@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
-from quatprop.arrow_arrays import series_schema, to_arrow
 from quatprop.provenance import METADATA_KEY
+from quatprop.series.arrow_arrays import series_schema, to_arrow
 from quatprop.writers.atomic import OutputFile, scratch_file
 from quatprop.writers.base import TableWriter, block_slices, provenance_json
 

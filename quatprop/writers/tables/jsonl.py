@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from quatprop.arrow_arrays import text_scalar, to_arrow
+from quatprop.series.arrow_arrays import text_scalar, to_arrow
 from quatprop.writers.tables.text import TextTable
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 import pyarrow.csv
 
-from quatprop.arrow_arrays import to_arrow
 from quatprop.concurrency.threads import OrderedThreadPool
 from quatprop.provenance import COMMENT
+from quatprop.series.arrow_arrays import to_arrow
 from quatprop.writers.atomic import OutputFile, scratch_file
 from quatprop.writers.base import TableWriter, provenance_json
 

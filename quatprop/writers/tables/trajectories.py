@@ -12,8 +12,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from quatprop.arrow_arrays import to_arrow
 from quatprop.kinematics.quaternion import normalize, rotation_matrix
+from quatprop.series.arrow_arrays import to_arrow
 from quatprop.writers.tables.text import TextTable, delimited
 
 if TYPE_CHECKING:

@@ -15,8 +15,6 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, Header, MetadataIndex, Schema
 
-from quatprop.containers.compression import UnreadableDataError
-from quatprop.containers.limits import DecompressionBudget
 from quatprop.containers.mcap.definitions import IDS
 from quatprop.containers.mcap.messages import index_entries, messages_at
 from quatprop.containers.mcap.records import (
@@ -30,16 +28,18 @@ from quatprop.containers.mcap.regions import INDEX_HEAD, PEEK, RECORD, chunk_hea
 from quatprop.containers.mcap.summary import MAGIC, read_footer
 from quatprop.containers.mcap.walk import walk_records
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError, os_reason
+from quatprop.stores.compression import UnreadableDataError
+from quatprop.stores.limits import DecompressionBudget
 from quatprop.text import Setting
 from quatprop.writers.mcap.channel import INDEX_ENTRY, McapChunk, compressed_chunk
 from quatprop.writers.mcap.contents import McapContents
 
 if TYPE_CHECKING:
     from quatprop.arrays import Records
-    from quatprop.containers.compression import Buffer
-    from quatprop.containers.file_source import FileSource
     from quatprop.containers.mcap.log import McapLog
     from quatprop.containers.mcap.regions import Region
+    from quatprop.stores.compression import Buffer
+    from quatprop.stores.file_source import FileSource
     from quatprop.writers.mcap.file import McapFile
 
     Indexes = dict[int, Records]

@@ -6,8 +6,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-from quatprop.into.mcap_copy import ROSBAG2, SERIALIZED, McapCopy
-from quatprop.into.rosbag2_metadata import Added, extended_record
+from quatprop.log_copy.mcap_copy import ROSBAG2, SERIALIZED, McapCopy
+from quatprop.log_copy.rosbag2_metadata import Added, extended_record
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import MessageWriter
 from quatprop.writers.mcap.contents import encoded

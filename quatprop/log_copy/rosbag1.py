@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.compression import UnreadableDataError
 from quatprop.containers.rosbag1.index import BagChunk, read_chunk
 from quatprop.containers.rosbag1.records import (
     OP_CHUNK,
@@ -22,6 +21,7 @@ from quatprop.containers.rosbag1.records import (
     walked_records,
 )
 from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.stores.compression import UnreadableDataError
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S
 from quatprop.writers.atomic import OutputFile

@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, cast
 
 from quatprop.errors import OutputError, UsageError
-from quatprop.log_kinds import COMPRESSION_SUFFIXES
+from quatprop.logs.kinds import COMPRESSION_SUFFIXES
 from quatprop.text import Setting, listed, plain, quoted
 from quatprop.writers import refuse_columns
 from quatprop.writers.attitudes import AttitudeWriter, attitude_messages
@@ -91,7 +91,7 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
             f"another with {Setting('out_topic', 'NAME')}",
         )
     module, _, name = COPIERS[log.kind][1].partition(":")
-    container = getattr(import_module(f"quatprop.into.{module}"), name)(log, target, message)
+    container = getattr(import_module(f"quatprop.log_copy.{module}"), name)(log, target, message)
 
     def log_times(series: AttitudeSeries) -> Int64:
         return series.t_ns if series.log_ns is None else series.log_ns

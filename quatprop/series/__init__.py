@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from quatprop.base_series import Series
-from quatprop.columns import rows_of, seconds_in_ns, stamps_of, times_beside
 from quatprop.errors import UsageError
+from quatprop.series.base import Series
+from quatprop.series.columns import rows_of, seconds_in_ns, stamps_of, times_beside
 
 if TYPE_CHECKING:
     import pyarrow as pa

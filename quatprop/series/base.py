@@ -68,7 +68,7 @@ class Series:
         """Return a table of the stamps and of columns."""
         import pyarrow as pa
 
-        from quatprop.arrow_arrays import series_schema, to_arrow
+        from quatprop.series.arrow_arrays import series_schema, to_arrow
 
         arrays = [to_arrow(values) for values in (self.t_ns, *columns.values())]
         return pa.table(arrays, schema=series_schema(columns))

@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.containers.compression import UnreadableDataError, decompressed_pieces
-from quatprop.containers.limits import decompressed_limit, too_large
-from quatprop.temp_files import temp_folder
+from quatprop.stores.compression import UnreadableDataError, decompressed_pieces
+from quatprop.stores.limits import decompressed_limit, too_large
+from quatprop.stores.temp_files import temp_folder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

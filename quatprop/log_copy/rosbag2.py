@@ -13,9 +13,9 @@ import numpy as np
 from quatprop.containers.mcap.log import McapLog
 from quatprop.containers.rosbag2.parts import METADATA, folder
 from quatprop.errors import OutputError, UnsupportedLogError
-from quatprop.into import sqlite
-from quatprop.into.mcap import McapPart
-from quatprop.into.rosbag2_metadata import Added, extended, extended_record
+from quatprop.log_copy import sqlite
+from quatprop.log_copy.mcap import McapPart
+from quatprop.log_copy.rosbag2_metadata import Added, extended, extended_record
 from quatprop.text import Setting, plain
 from quatprop.writers.atomic import OutputPath
 from quatprop.writers.base import MessageWriter, provenance_json

@@ -15,7 +15,7 @@ from quatprop.text import Setting
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from quatprop.containers.file_source import FileSource
+    from quatprop.stores.file_source import FileSource
 
 HEAD_BYTES = 4096
 """Bytes at the beginning of a file by which its kind is recognised."""
@@ -31,7 +31,7 @@ class Reader(NamedTuple):
     `magic`: what its content may begin with; empty where only the suffix tells
     `suffixes`: Suffixes by which it is recognised where the content does not tell
     `reads_source`: whether it reads from an open
-        :class:`~quatprop.containers.file_source.FileSource`; otherwise it opens the path itself
+        :class:`~quatprop.stores.file_source.FileSource`; otherwise it opens the path itself
     """
 
     load: str

@@ -10,11 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from quatprop.containers.base import MessageLog
-from quatprop.containers.compressed_files import DecompressedCopy, file_compression
-from quatprop.containers.compression import UnreadableDataError
-from quatprop.containers.file_source import FileSource
 from quatprop.containers.msg_files import MsgFiles
-from quatprop.containers.stores import below, find, is_address, without_secret
 from quatprop.errors import (
     DamagedLogError,
     LogError,
@@ -23,10 +19,14 @@ from quatprop.errors import (
     UsageError,
     os_reason,
 )
-from quatprop.log_kinds import READERS, TEXT_KINDS, head_of, kind_of
-from quatprop.temp_files import temp_folder
+from quatprop.errors.third_party import as_errors_of
+from quatprop.logs.kinds import READERS, TEXT_KINDS, head_of, kind_of
+from quatprop.stores.compressed_files import DecompressedCopy, file_compression
+from quatprop.stores.compression import UnreadableDataError
+from quatprop.stores.file_source import FileSource
+from quatprop.stores.objects import below, find, is_address, without_secret
+from quatprop.stores.temp_files import temp_folder
 from quatprop.text import Setting, listed, plain, quoted
-from quatprop.third_party_errors import as_errors_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -55,7 +55,7 @@ def open_log(
 
     `path`: a file, a ROS 2 bag folder, the address of one of them in an object store, or ``"-"``
         for stdin
-    `kind`: a key of :data:`quatprop.log_kinds.READERS`; None to recognise it by the content, then
+    `kind`: a key of :data:`quatprop.logs.kinds.READERS`; None to recognise it by the content, then
         by the suffix
     `msg_path`: a ``.msg`` file, a package or a folder of packages with the definitions that a bag
         lacks; None for files that lie beside it
@@ -95,8 +95,8 @@ def _open_remote(
     copied: bool,
 ) -> AnyLog:
     """Open a log in an object store; `stack` closes it, and removes what was copied."""
-    from quatprop.containers.remote import RemoteSource
-    from quatprop.containers.transfers import bag_files, local_copy
+    from quatprop.stores.remote import RemoteSource
+    from quatprop.stores.transfers import bag_files, local_copy
 
     _, found = find(address)
     if copied or (kind == "rosbag2" and found.is_file):

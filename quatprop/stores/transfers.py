@@ -9,7 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, TypeVar
 
-from quatprop.containers.stores import (
+from quatprop.errors import OutputError
+from quatprop.stores.objects import (
     below,
     find,
     list_objects,
@@ -18,13 +19,12 @@ from quatprop.containers.stores import (
     store_reason,
     without_secret,
 )
-from quatprop.errors import OutputError
-from quatprop.temp_files import temp_folder
+from quatprop.stores.temp_files import temp_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
 
-    from quatprop.containers.compression import Buffer
+    from quatprop.stores.compression import Buffer
 
 Result = TypeVar("Result")
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import apsw
 
 from quatprop.containers.rosbag2.sqlite_files import files_beside, open_database
-from quatprop.into.rosbag2_metadata import Added
+from quatprop.log_copy.rosbag2_metadata import Added
 from quatprop.writers.rosbag2.writer import insert_messages
 
 if TYPE_CHECKING:

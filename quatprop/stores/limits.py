@@ -9,8 +9,8 @@ from __future__ import annotations
 import os
 import re
 
-from quatprop.containers.compression import UnreadableDataError
 from quatprop.errors import UsageError
+from quatprop.stores.compression import UnreadableDataError
 from quatprop.text import quoted
 
 CHECKSUMS = "QUATPROP_CHECKSUMS"

@@ -9,10 +9,10 @@ from collections import OrderedDict
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
-from quatprop.containers.file_source import FileSource
-from quatprop.containers.stores import etag_of, locate, reading
-from quatprop.containers.transfers import copy_object
-from quatprop.temp_files import temp_folder
+from quatprop.stores.file_source import FileSource
+from quatprop.stores.objects import etag_of, locate, reading
+from quatprop.stores.temp_files import temp_folder
+from quatprop.stores.transfers import copy_object
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
