@@ -617,6 +617,7 @@ def test_attitudes_of_sensor_logger_are_not_taken_for_those_of_x_io(tmp_path):
     assert attitudes.wxyz[0].tolist() == [0.8, 0.6, 0, 0]
 
 
+@pytest.mark.filterwarnings("ignore:.*2 samples lost by the counter:quatprop.RemarkWarning")
 def test_numbered_quaternions_of_xsens_begin_with_the_scalar(tmp_path):
     """Quat_q0 is w, by its manual; the counter is the time."""
     path = tmp_path / "mt.txt"

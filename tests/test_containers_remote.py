@@ -20,9 +20,9 @@ from mcap.writer import CompressionType
 from pyarrow import feather
 
 from quatprop.cli.commands import cli
-from quatprop.containers import transfers
 from quatprop.errors import LogError, OutputError, StoreError
 from quatprop.logs.open_log import open_log
+from quatprop.stores import transfers
 from quatprop.stores.file_source import FileSource
 from quatprop.stores.objects import _with_retry_limit, find, without_secret
 from quatprop.stores.transfers import local_copy, put, upload
