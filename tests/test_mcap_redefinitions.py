@@ -114,6 +114,7 @@ def test_an_id_that_is_defined_anew_between_chunks_is_read_as_the_library_does(
     ("anew", "told"),
     [
         (channel(1, "/b"), "channel 1 (/a is now /b)"),
+        (channel(1, "/\0\x1b[2J"), r"channel 1 (/a is now /\x00\x1b[2J)"),
         (channel(1, "/a", 3), "channel 1 (/a has changed)"),
         (schema(1, "a/msg/B"), "schema 1 (a/msg/A is now a/msg/B)"),
         (schema(1, "a/msg/A", "string text"), "schema 1 (a/msg/A has changed)"),

@@ -17,6 +17,7 @@ from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import walk_records
 from quatprop.stores.compression import UnreadableDataError, decompress_prefix
 from quatprop.stores.limits import DecompressionBudget
+from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -177,8 +178,8 @@ class DefinitionCheck:
                 if before != now:
                     by_schema = [c.id for c in index.channels.values() if c.schema_id == id_]
                     channels = [id_] if kind == "channel" else by_schema
-                    change = f"is now {now[0]}" if before[0] != now[0] else "has changed"
-                    return channels, f"{kind} {id_ % IDS}", f"{before[0]} {change}"
+                    change = f"is now {plain(now[0])}" if before[0] != now[0] else "has changed"
+                    return channels, f"{kind} {id_ % IDS}", f"{plain(before[0])} {change}"
         return [], "", ""
 
 
