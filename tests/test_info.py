@@ -17,7 +17,7 @@ from pyarrow import parquet as pq
 
 from quatprop.cli.commands import cli
 from quatprop.cli.spelling import spelled
-from quatprop.containers import kept_blocks
+from quatprop.containers import kept_blocks, topic_table
 from quatprop.containers.base import MessageBlock
 from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.kept_blocks import beginnings_kept, blocks_of
@@ -288,6 +288,7 @@ def test_rates_and_attitudes_of_a_topic_are_read_together(tmp_path, monkeypatch,
     """A log is read once, and what is said of it is what reading each by itself shows."""
     monkeypatch.setattr(plausibility, "COMPARED_SAMPLES", 10)
     monkeypatch.setattr(kept_blocks, "ROOM", room)
+    monkeypatch.setattr(topic_table, "ENOUGH_MESSAGES", 2000)
     log = tmp_path / "log.mcap"
     with log.open("wb") as file, (SAMPLES / "coning.mcap").open("rb") as stream:
         (schema, channel, message), *_ = make_reader(stream).iter_messages()

@@ -22,7 +22,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from quatprop.containers.topic_table import as_rows
 from quatprop.errors import MessageError
 from quatprop.messages.binary import BinaryDecoder
+from quatprop.messages.columns import take_messages
 from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct, numbers, steps
+from quatprop.messages.values import raw_messages
 
 ENCODINGS = [("ros1", "<", 1), ("cdr", "<", 8), ("cdr", ">", 8)]
 
@@ -82,9 +84,12 @@ def test_columns_equal_the_values_that_were_encoded(case, encoding):
     """Every wanted field of every message comes back, whatever varies before it."""
     root, wanted, values, gap = case
     messages = [Encoder(*encoding).message(root, value) for value in values]
-    columns = BinaryDecoder(channel_of(root, encoding[0]), wanted, "log").columns(
-        block_of(messages, gap)
-    )
+    decoder = BinaryDecoder(channel_of(root, encoding[0]), wanted, "log")
+    columns = decoder.columns(block_of(messages, gap))
+    half = len(messages) // 2
+    parts = decoder.columns(block_of(messages[:half]), block_of(messages[half:], gap))
+    for whole, joined in zip(columns, parts, strict=True):
+        np.testing.assert_array_equal(whole, joined)
     for path, column in zip(wanted, columns, strict=True):
         truth = np.array([look_up(value, path) for value in values], column.dtype)
         assert column.dtype.isnative
@@ -156,6 +161,16 @@ def test_a_message_is_long_enough_exactly_from_the_end_of_the_wanted_field_on():
     ) as caught:
         decoder.columns(block_of([whole, whole[: 4 + 8 + 7], whole]))
     assert caught.value.positions == (1,)
+    with pytest.raises(MessageError, match="recorded at 1000 ns and 1 others ends, after 19 bytes"):
+        decoder.columns(block_of([whole]), block_of([whole, whole[: 4 + 8 + 7], whole[:9]]))
+
+
+def test_messages_are_taken_from_several_blocks_by_their_positions():
+    """Positions go on from one block to the next; a block without any is left out."""
+    blocks = [block_of([b"a", b"bc"]), block_of([]), block_of([b"d"]), block_of([b"e", b"f"])]
+    taken = take_messages(blocks, np.array([1, 3, 4]))
+    assert [*raw_messages(*taken)] == [b"bc", b"e", b"f"]
+    assert [len(block) for block in taken] == [1, 2]
 
 
 @pytest.mark.parametrize(

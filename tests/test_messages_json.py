@@ -130,7 +130,7 @@ def test_stamps_are_told_by_their_form(stamp):
     """Seconds and nanoseconds under any of their names, and RFC 3339."""
     (found,) = found_in(channel_of(imu(stamp=stamp)))
     decode = found.table.decoder(stamps_of(found)[0], ())
-    (t_ns,) = decode(encoded([imu(stamp=stamp)])).values
+    (t_ns,) = decode([encoded([imu(stamp=stamp)])]).values
     assert t_ns.tolist() == [1_700_000_000_000_000_005]
 
 
@@ -267,10 +267,10 @@ def test_numbers_by_themselves_are_exact_either_way():
     for columns in (decoder.columns, lambda block: ValueDecoder.columns(decoder, block)):
         (found,) = columns(encoded(raw))
         assert found.tolist() == [Decimal("1700000000.123456789123"), 3]
-    t_ns = to_ns([found], ["s"], "t", "log")
+    t_ns = to_ns([found], ["s"], ["t"], "log")
     assert t_ns.tolist() == [1_700_000_000_123_456_789, 3_000_000_000]
     with pytest.raises(MessageError, match="does not fit in 64 bits of nanoseconds") as caught:
-        to_ns([np.array([1, 10**12, float("nan")], object)], ["s"], "t", "log")
+        to_ns([np.array([1, 10**12, float("nan")], object)], ["s"], ["t"], "log")
     assert caught.value.positions == (1, 2)
 
 
@@ -414,4 +414,4 @@ def test_an_orientation_in_JSON_is_read_by_the_names_of_its_parts():
     (found,) = found_in(channel_of(imu()), "quat")
     message = imu() | {"orientation": {"x": 0.1, "w": 0.9, "z": 0.3, "y": 0.2}}
     decode = found.table.decoder(stamps_of(found)[0], found.sets)
-    assert decode(encoded([message])).values[1].tolist() == [[0.9, 0.1, 0.2, 0.3]]
+    assert decode([encoded([message])]).values[1].tolist() == [[0.9, 0.1, 0.2, 0.3]]

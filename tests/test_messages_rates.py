@@ -224,7 +224,7 @@ def test_time_fields_are_times_or_numbers_with_a_unit():
 )  # fmt: skip
 def test_stamps_are_exact_nanoseconds(units, columns, t_ns):
     """No stamp goes through a float, unless it was one."""
-    result = to_ns(columns, units.split(), "t", "log")
+    result = to_ns(columns, units.split(), ["t"], "log")
     assert result.dtype == np.int64
     assert result.tolist() == [t_ns]
 
@@ -242,7 +242,7 @@ def test_stamps_are_exact_nanoseconds(units, columns, t_ns):
 def test_stamps_that_do_not_fit_are_reported_with_their_place(unit, column):
     """A stamp never wraps round."""
     with pytest.raises(MessageError, match="does not fit in 64 bits of nanoseconds") as caught:
-        to_ns([column], [unit], "t", "log")
+        to_ns([column], [unit], ["t"], "log")
     assert caught.value.positions == (1,)
 
 
@@ -269,7 +269,7 @@ def test_real_recordings_give_what_the_library_decodes(shared_logs, name):
             raw = [bytes(message) for _, _, message in reader.messages([connection])][:300]
             for found in found_in(channel) if raw else ():
                 stamp = stamps_of(found)[0]
-                t_ns, rate = found.table.decoder(stamp, found.sets)(_block(raw)).values
+                t_ns, rate = found.table.decoder(stamp, found.sets)([_block(raw)]).values
                 for position, message in enumerate(raw):
                     decoded = reader.deserialize(message, connection.msgtype)
                     vector = _attribute(decoded, found.field)

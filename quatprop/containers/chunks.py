@@ -5,14 +5,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from contextlib import closing
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING, Generic, TypeVar
+
+import numpy as np
 
 from quatprop.concurrency.threads import Deferred, prefetch
 from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
-from quatprop.containers.coalesce import compacted
 from quatprop.containers.time_range import TimedPart, TimeRange, parts_within, span_of
 from quatprop.errors import UnreadableLogError, os_reason
-from quatprop.stores.byte_ranges import SHARE
+from quatprop.stores.byte_ranges import SHARE, ranges_of
 from quatprop.stores.file_source import FileSource, source_of
 from quatprop.stores.limits import DecompressionBudget
 
@@ -30,6 +32,9 @@ GROUP = 1 << 20
 
 FIRST = 1 << 16
 """Bytes of the first group, for who reads only the beginning; each is twice the one before."""
+
+_GAP = 256
+"""Bytes between two messages that are copied with them: record heads and small other messages."""
 
 LARGE = 1 << 26
 """Bytes from which a chunk is not loaded ahead of its use."""
@@ -128,6 +133,7 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
 
         Chunks are read and decompressed ahead, in threads.
         """
+        keep_freed_memory()
         ranges = [each for chunk in chunks for each in self.expected(chunk)]
         self.source.expect([begin for begin, _ in ranges], [end for _, end in ranges])
         bounds = [*(chunk.first_ns for chunk in chunks[1:]), LATEST]
@@ -156,6 +162,16 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         return size // SHARE if size <= LARGE and self.is_mixed(chunk) else size
 
 
+@cache
+def keep_freed_memory() -> None:
+    """Let the C library keep the memory of freed chunks for the next ones, up to 64 MB.
+
+    To give it back, and to have each page cleared again, would cost as much as decompressing them.
+    glibc keeps twice the largest allocation that was ever freed; what is never used costs nothing.
+    """
+    np.empty((1 << 25) - (1 << 13), np.uint8)
+
+
 def load_ahead(
     sized: Iterable[tuple[Item, int]], load: Callable[[Item], Content]
 ) -> Generator[tuple[Item, Content], None, None]:
@@ -176,6 +192,21 @@ def load_ahead(
     with closing(prefetch(load_group, in_groups(sized))) as groups:
         for group in groups:
             yield from group
+
+
+def compacted(block: MessageBlock) -> MessageBlock:
+    """Return a copy of a block without the bytes between its messages."""
+    if not len(block):
+        return block
+    ranges = ranges_of(block.starts, block.ends, _GAP)
+    return replace(
+        block,
+        data=ranges.of(block.data),
+        starts=block.starts - ranges.moved,
+        ends=block.ends - ranges.moved,
+        publish_ns=block.publish_ns.copy(),
+        stride=0,
+    )
 
 
 def in_groups(sized: Iterable[tuple[Item, int]]) -> Iterator[tuple[list[Item], bool]]:

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from quatprop.containers.coalesce import compacted
+from quatprop.containers.chunks import compacted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -23,9 +23,6 @@ if TYPE_CHECKING:
     _Waiting = tuple[int, int, int, "Columns"]
     """First log time, stream and arrival of a batch that is held back: its place in the output."""
 
-ENOUGH_ROWS = 1 << 13
-"""Rows of a batch that is large enough."""
-
 _NEVER = int(np.iinfo(np.int64).max) + 1
 """The bound of a stream that has ended: later than any log time."""
 
@@ -142,17 +139,3 @@ def _merged(waiting: list[_Waiting]) -> Columns:
         columns = zip(*(part.values for part in parts), strict=True)
         values = tuple(np.concatenate(column)[order] for column in columns)
     return Columns(log_ns, values, int(log_ns[-1]))
-
-
-def in_larger_batches(batches: Iterable[Columns]) -> Iterator[Columns]:
-    """Yield batches of more rows, each of which takes less time; the first one as it is."""
-    waiting: list[Columns] = []
-    rows, enough = 0, 0
-    for batch in batches:
-        waiting.append(batch)
-        rows += len(batch)
-        if rows >= enough:
-            yield joined_rows(waiting)
-            waiting, rows, enough = [], 0, ENOUGH_ROWS
-    if waiting:
-        yield joined_rows(waiting)

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.base import LATEST
-from quatprop.containers.coalesce import coalesce_blocks
 from quatprop.containers.kept_blocks import blocks_of
-from quatprop.containers.merge import Columns, in_larger_batches, merge_by_time
+from quatprop.containers.merge import Columns, merge_by_time
 from quatprop.containers.time_range import TimeRange
 from quatprop.errors import MessageError, UsageError
+from quatprop.messages.columns import take_messages
 from quatprop.messages.cursor import first_names
 from quatprop.messages.decoders import DECODERS, decoder_of
 from quatprop.messages.definitions import message_type
@@ -23,7 +23,7 @@ from quatprop.messages.times import to_ns
 from quatprop.messages.ulog import is_secondary
 from quatprop.progress import metered
 from quatprop.tables.model import Column, Stamp, Table, TablePart
-from quatprop.text import Setting, listed, plain, quoted
+from quatprop.text import Setting, plain, quoted
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -35,10 +35,16 @@ if TYPE_CHECKING:
     from quatprop.provenance import JsonObject
     from quatprop.tables.model import Convert, Group, Within
 
-    Decode = Callable[[MessageBlock], Columns]
+    Decode = Callable[[Sequence[MessageBlock]], Columns]
 
 CLOCK_STEP_NS = 100_000_000
 """Time services set a clock that is wrong by more than this; what is less they catch up slowly."""
+
+ENOUGH_MESSAGES = 1 << 13
+"""Messages that are decoded together."""
+
+ENOUGH_BYTES = 1 << 22
+"""Bytes of blocks that wait to be decoded at most, which still are in the processor's cache."""
 
 TEXT_ENCODINGS = ("cdr", "ros1")
 """Encodings of which text and lists of transforms are read."""
@@ -178,15 +184,12 @@ class TopicTable(Table):
         """Yield batches in the order of the log times, if these are recorded."""
         decode = self.decoder(stamp, groups)
         if isinstance(within, TimeRange):
-            blocks = metered(coalesce_blocks(self.log.blocks_within(self.channel, within)), None)
+            blocks = metered(self.log.blocks_within(self.channel, within), None)
         else:
-            blocks = metered(coalesce_blocks(blocks_of(self.log, self.channel)), self.channel.count)
-        batches = (self._readable(lambda rows: convert(decode(rows)), block) for block in blocks)
-        return (
-            merge_by_time([in_larger_batches(batches)])
-            if self.log.has_log_time
-            else filter(len, batches)
-        )
+            blocks = metered(blocks_of(self.log, self.channel), self.channel.count)
+        together = decoded_together(blocks)
+        batches = (self._readable(lambda own: convert(decode(own)), own) for own in together)
+        return merge_by_time([batches]) if self.log.has_log_time else filter(len, batches)
 
     def recorded_span(self) -> TimeRange | None:
         """Return when the topic was recorded by the index of the log, if it has one."""
@@ -204,54 +207,54 @@ class TopicTable(Table):
         """Yield what is decoded; messages that do not fit are noted when they are read for good."""
         for block in self._blocks():
             try:
-                yield decode(block).values
+                yield decode([block]).values
             except MessageError as error:
                 if not error.positions:
                     raise
-                yield decode(_without(block, error.positions)).values
+                yield decode(_without([block], error.positions)).values
 
     def decoder(self, stamp: Stamp, groups: Sequence[Group]) -> Decode:
-        """Return what decodes the time and some groups of columns of a block."""
+        """Return what decodes the time and some groups of columns of blocks."""
         times = [self.columns[k].text for k in stamp.columns]
         wanted = [self.fields_of(group) for group in groups]
         fields = [*times, *(name for names, _ in wanted for name in names)]
         decoder = decoder_of(self.channel, fields, self.path)
 
-        def decode(block: MessageBlock) -> Columns:
-            arrays = iter(decoder.columns(block))
-            t_ns = self.ns(stamp, [*islice(arrays, len(times))], block)
+        def decode(blocks: Sequence[MessageBlock]) -> Columns:
+            arrays = iter(decoder.columns(*blocks))
+            t_ns = self.ns(stamp, [*islice(arrays, len(times))], blocks)
             values = []
             for group, (names, places) in zip(groups, wanted, strict=True):
                 own = [*islice(arrays, len(names))]
                 values.append(own[0] if len(group) == 1 else as_rows(own, places))
-            return Columns(block.log_ns, (t_ns, *values), block.not_before_ns)
+            return Columns(log_ns_of(blocks), (t_ns, *values), blocks[-1].not_before_ns)
 
         return decode
 
-    def ns(self, stamp: Stamp, fields: Sequence[AnyArray], block: MessageBlock) -> Int64:
-        """Return the time of every message of a block, shape ``(N,)``, int64 ns."""
+    def ns(self, stamp: Stamp, fields: Sequence[AnyArray], blocks: Sequence[MessageBlock]) -> Int64:
+        """Return the time of every message of blocks, shape ``(N,)``, int64 ns."""
         if stamp.clock == "log":
-            return block.log_ns
+            return log_ns_of(blocks)
         if stamp.clock == "publish":
-            return np.where(block.publish_ns < 0, LATEST, block.publish_ns)
-        names = listed(self.columns[k].text for k in stamp.columns)
-        return to_ns(fields, stamp.units, names, self.path)
+            publish_ns = np.concatenate([block.publish_ns for block in blocks])
+            return np.where(publish_ns < 0, LATEST, publish_ns)
+        return to_ns(fields, stamp.units, [self.columns[k].text for k in stamp.columns], self.path)
 
-    def _readable(self, decode: Decode, block: MessageBlock) -> Columns:
-        """Return the rows of a block without the messages that do not fit."""
-        log_ns = block.log_ns
-        if self.log.has_log_time and (log_ns[1:] < log_ns[:-1]).any():
-            self._remark_on_step(log_ns)
+    def _readable(self, decode: Decode, blocks: Sequence[MessageBlock]) -> Columns:
+        """Return the rows of blocks without the messages that do not fit."""
+        for log_ns in (block.log_ns for block in blocks if self.log.has_log_time):
+            if (log_ns[1:] < log_ns[:-1]).any():
+                self._remark_on_step(log_ns)
         try:
-            return decode(block)
+            return decode(blocks)
         except MessageError as error:
             if not error.positions:
                 raise
             # Of the same reason in several blocks each counts, however often they are read.
-            first_ns = int(log_ns[error.positions[0]])
-            reason, count = str(error.reason), len(error.positions)
-            self.log.losses.note(f"topic {self.name}", reason, count, part=first_ns)
-            return self._readable(decode, _without(block, error.positions))
+            for bad in take_messages(blocks, np.array(error.positions)):
+                first_ns, reason = int(bad.log_ns[0]), str(error.reason)
+                self.log.losses.note(f"topic {self.name}", reason, len(bad), part=first_ns)
+            return self._readable(decode, _without(blocks, error.positions))
 
     def _remark_on_step(self, log_ns: Int64) -> None:
         """Remark on log times, in the order of the log, that step back as after setting a clock."""
@@ -273,8 +276,30 @@ class TopicTable(Table):
         self.log.remarks = [*(one for one in self.log.remarks if one != text), text]
 
 
-def _without(block: MessageBlock, positions: Sequence[int]) -> MessageBlock:
-    return block.at(np.delete(np.arange(len(block)), positions))
+def decoded_together(blocks: Iterable[MessageBlock]) -> Iterator[list[MessageBlock]]:
+    """Yield blocks that are decoded together, since it takes time for each; the first by itself."""
+    waiting: list[MessageBlock] = []
+    messages = size = enough = 0
+    for block in blocks:
+        waiting.append(block)
+        messages += len(block)
+        size += len(block.data)
+        if messages >= enough or size >= ENOUGH_BYTES:
+            yield waiting
+            waiting, messages, size, enough = [], 0, 0, ENOUGH_MESSAGES
+    if waiting:
+        yield waiting
+
+
+def _without(blocks: Sequence[MessageBlock], positions: Sequence[int]) -> list[MessageBlock]:
+    """Return blocks without the messages at some positions; at least one block."""
+    every = np.arange(sum(map(len, blocks)))
+    return take_messages(blocks, np.delete(every, positions)) or [blocks[-1].at(every[:0])]
+
+
+def log_ns_of(blocks: Sequence[MessageBlock]) -> Int64:
+    """Return when each message of blocks was recorded, shape ``(N,)``, int64 ns."""
+    return np.concatenate([block.log_ns for block in blocks])
 
 
 def as_rows(fields: list[AnyArray], places: Sequence[int] = ()) -> Float64:

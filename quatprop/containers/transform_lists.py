@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.coalesce import coalesce_blocks
-from quatprop.containers.merge import Columns
+from quatprop.containers.merge import Columns, joined_rows
 from quatprop.containers.topic_table import TEXT_ENCODINGS, TopicTable
 from quatprop.errors import MessageError, NoSamplesError, UsageError
 from quatprop.messages.schema import TIME
@@ -60,7 +59,7 @@ class TransformTable(TopicTable):
         `wanted`: ``"child"`` or ``"parent:child"``; None for the only pair there is
         """
         decoder = TransformDecoder(self.channel, self.path)
-        for block in coalesce_blocks(self.log.blocks(self.channel)):
+        for block in self.log.blocks(self.channel):
             try:
                 decoder.transforms(block)
             except MessageError as error:
@@ -102,14 +101,17 @@ class TransformTable(TopicTable):
         if self.frames is not None:
             transforms.frames.append(self.frames)
 
-        def decode(block: MessageBlock) -> Columns:
+        def decode(blocks: Sequence[MessageBlock]) -> Columns:
+            return joined_rows([decode_one(block) for block in blocks])
+
+        def decode_one(block: MessageBlock) -> Columns:
             found = transforms.transforms(block)
             ours = found.frames == 0
             message = found.message[ours]
             if stamp.clock == "header":
                 t_ns = found.t_ns[ours]
             else:
-                t_ns = self.ns(stamp, (), block)[message]
+                t_ns = self.ns(stamp, (), [block])[message]
             # In the order of the columns: x, y, z, w, and the position.
             numbers = np.column_stack((found.wxyz[ours][:, [1, 2, 3, 0]], found.position[ours]))
             values = (numbers[:, [k - 1 for k in group]] for group in groups)

@@ -1,4 +1,4 @@
-"""Binary messages (CDR, ROS 1, ULog), decoded a block at a time into columns."""
+"""Binary messages (CDR, ROS 1, ULog), decoded some blocks at a time into columns."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import MessageError, SchemaError, UnsupportedLogError
-from quatprop.messages.columns import MessageBytes, MixedError, TooShortError, follow
+from quatprop.messages.columns import MessageBytes, MixedError, TooShortError, follow, take_messages
 from quatprop.messages.compiler import NotPlannedError, compile_plan
 from quatprop.messages.definitions import message_type
 from quatprop.messages.placement import ROS1, XCDR1, XCDR2, Placement
@@ -40,11 +40,14 @@ In the other encapsulations fields carry tags or sizes, which plans do not suppo
 """
 
 
-def _identifiers(block: MessageBlock) -> Int64:
+def _identifiers(blocks: Sequence[MessageBlock]) -> Int64:
     """Return the first two bytes of CDR messages as numbers; 0 for those without all four."""
-    starts = np.where(block.ends - block.starts < XCDR1.header, -1, block.starts)
-    first, second = (block.data[starts + k].astype(np.int64) for k in (0, 1))
-    return np.where(starts < 0, 0, first << 8 | second)
+    identifiers = []
+    for block in blocks:
+        starts = np.where(block.ends - block.starts < XCDR1.header, -1, block.starts)
+        first, second = (block.data[starts + k].astype(np.int64) for k in (0, 1))
+        identifiers.append(np.where(starts < 0, 0, first << 8 | second))
+    return np.concatenate(identifiers)
 
 
 class BinaryDecoder:
@@ -70,38 +73,38 @@ class BinaryDecoder:
         # A definition without a plan is an error before the first message is read.
         self._plan(ROS1 if channel.encoding in PACKED else XCDR1)
 
-    def columns(self, block: MessageBlock) -> list[AnyArray]:
-        """Return the wanted fields of all messages of a block.
+    def columns(self, *blocks: MessageBlock) -> list[AnyArray]:
+        """Return the wanted fields of all messages of blocks.
 
         `Returns`: One for each path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`, of
-            the field's own type in native byte order. They may be strided, never views of the block
+            the field's own type in native byte order. They may be strided, never views of a block
         """
         try:
-            return self._columns(block)
+            return self._columns([block for block in blocks if len(block)])
         except TooShortError as error:
-            raise self._too_short(block, error.positions) from None
+            raise self._too_short(blocks, error.positions) from None
 
-    def _columns(self, block: MessageBlock) -> list[AnyArray]:
-        if not len(block) or not self._ways:
-            return self._empty_columns(len(block))
-        placement, order = self._encoding(block)
-        messages = MessageBytes.of(block, order, placement.header)
+    def _columns(self, blocks: Sequence[MessageBlock]) -> list[AnyArray]:
+        if not blocks or not self._ways:
+            return self._empty_columns(0)
+        placement, order = self._encoding(blocks)
+        messages = MessageBytes.of(blocks, order, placement.header)
         messages.require(placement.header)
         try:
             return follow(self._plan(placement), messages, len(self._ways))
         except MixedError:
-            return self._mixed(block)
+            return self._mixed(blocks)
 
-    def _mixed(self, block: MessageBlock) -> list[AnyArray]:
+    def _mixed(self, blocks: Sequence[MessageBlock]) -> list[AnyArray]:
         """Return the columns of messages in several encapsulations, each decoded by itself."""
-        identifiers = _identifiers(block)
+        identifiers = _identifiers(blocks)
         if not set(identifiers.tolist()) <= ENCAPSULATIONS.keys():
-            raise self._not_plain(block)
-        mixed = self._empty_columns(len(block))
+            raise self._not_plain(identifiers)
+        mixed = self._empty_columns(len(identifiers))
         for identifier in np.unique(identifiers):
             same = np.flatnonzero(identifiers == identifier)
             try:
-                parts = self._columns(block.at(same))
+                parts = self._columns(take_messages(blocks, same))
             except TooShortError as error:
                 raise TooShortError(same[error.positions]) from None
             for column, part in zip(mixed, parts, strict=True):
@@ -111,28 +114,28 @@ class BinaryDecoder:
     def _empty_columns(self, count: int) -> list[AnyArray]:
         return [np.empty((count, *empty.shape[1:]), empty.dtype) for empty in self._empty]
 
-    def _encoding(self, block: MessageBlock) -> tuple[Placement, str]:
+    def _encoding(self, blocks: Sequence[MessageBlock]) -> tuple[Placement, str]:
         """Return how the first message is encoded."""
         if self.channel.encoding in PACKED:
             return ROS1, "<"
-        begin, end = int(block.starts[0]), int(block.ends[0])
+        first = blocks[0]
+        begin, end = int(first.starts[0]), int(first.ends[0])
         if end - begin < XCDR1.header:
-            raise TooShortError(np.flatnonzero(block.ends - block.starts < XCDR1.header))
-        identifier = int(block.data[begin]) << 8 | int(block.data[begin + 1])
+            sizes = np.concatenate([block.ends - block.starts for block in blocks])
+            raise TooShortError(np.flatnonzero(sizes < XCDR1.header))
+        identifier = int(first.data[begin]) << 8 | int(first.data[begin + 1])
         if identifier in ENCAPSULATIONS:
             return ENCAPSULATIONS[identifier]
-        raise self._not_plain(block)
+        raise self._not_plain(_identifiers(blocks))
 
-    def _not_plain(self, block: MessageBlock) -> MessageError | UnsupportedLogError:
+    def _not_plain(self, identifiers: Int64) -> MessageError | UnsupportedLogError:
         """Return the error for encapsulations that are not read: of some messages, or of all."""
-        identifiers = _identifiers(block)
         bad = np.flatnonzero(~np.isin(identifiers, list(ENCAPSULATIONS)))
-        identifier = int(identifiers[bad[0]])
         reason = (
             f"messages of topic {quoted(self.channel.topic)} are encapsulated as "
-            f"0x{identifier:04x}, which is not read; record with plain CDR"
+            f"0x{int(identifiers[bad[0]]):04x}, which is not read; record with plain CDR"
         )
-        if len(bad) < len(block):
+        if len(bad) < len(identifiers):
             return MessageError(self.path, reason, bad.tolist())
         return UnsupportedLogError(self.path, reason)
 
@@ -146,14 +149,14 @@ class BinaryDecoder:
                 ) from None
         return self._plans[placement]
 
-    def _too_short(self, block: MessageBlock, positions: Intp) -> MessageError:
-        first = int(positions[0])
-        size = int(block.ends[first] - block.starts[first])
+    def _too_short(self, blocks: Sequence[MessageBlock], positions: Intp) -> MessageError:
+        (first,) = take_messages(blocks, positions[:1])
+        size = int(first.ends[0] - first.starts[0])
         others = f" and {len(positions) - 1} others" if len(positions) > 1 else ""
         return MessageError(
             self.path,
             f"the message of topic {quoted(self.channel.topic)} recorded at "
-            f"{block.log_ns[first]} ns{others} ends, after {size} bytes, before the wanted field "
+            f"{first.log_ns[0]} ns{others} ends, after {size} bytes, before the wanted field "
             f"of {quoted(self.channel.type_name)}; the log is damaged or its definition is not "
             "that of its messages",
             positions.tolist(),

@@ -1,4 +1,4 @@
-"""Follow a decoding plan through all messages of a block at once.
+"""Follow a decoding plan through all messages of a block, or of several, at once.
 
 While all messages agree, the offset within a message is one integer; after a string or sequence of
 differing lengths it is an array, until an alignment makes the offsets equal again. Every segment is
@@ -15,6 +15,8 @@ import numpy as np
 from quatprop.messages.plan import COUNT, ENCAPSULATION, Piece, Plan, Repeat, Skip, Window
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from quatprop.arrays import AnyArray, Int64, Intp, Records
     from quatprop.containers.base import MessageBlock
 
@@ -41,56 +43,65 @@ class MixedError(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MessageBytes:
-    """Encoded messages of one byte order in one buffer.
+    """Encoded messages of one byte order, in one buffer or several.
 
-    `block`: the messages, at least one
+    `blocks`: the messages of each buffer, at least one
     `order`: Byte order, ``"<"`` or ``">"``
     `origin`: where in each message alignment is counted from
     `shortest`: bytes of the shortest message
-    `stride`: bytes from each message to the next where that is always the same, else 0
+    `strides`: of each block the bytes from one message to the next where that is always the same,
+        else 0
     """
 
-    block: MessageBlock
+    blocks: Sequence[MessageBlock]
     order: str
     origin: int
     shortest: int
-    stride: int
+    strides: Sequence[int]
 
     @classmethod
-    def of(cls, block: MessageBlock, order: str, origin: int) -> MessageBytes:
-        """Return messages with the length of the shortest and their stride."""
-        if block.stride:
-            return cls(block, order, origin, int(block.ends[0] - block.starts[0]), block.stride)
-        shortest = int((block.ends - block.starts).min())
-        return cls(block, order, origin, shortest, _stride(block.starts))
+    def of(cls, blocks: Sequence[MessageBlock], order: str, origin: int) -> MessageBytes:
+        """Return messages with the length of the shortest and their strides."""
+        shortest = min(
+            int(b.ends[0] - b.starts[0] if b.stride else (b.ends - b.starts).min()) for b in blocks
+        )
+        strides = [block.stride or _stride(block.starts) for block in blocks]
+        return cls(blocks, order, origin, shortest, strides)
 
     def __len__(self) -> int:
-        return len(self.block)
+        return sum(map(len, self.blocks))
 
     def at(self, positions: Intp) -> MessageBytes:
-        """Return some of the messages."""
-        return MessageBytes.of(self.block.at(positions), self.order, self.origin)
+        """Return some of the messages, at ascending positions."""
+        return MessageBytes.of(take_messages(self.blocks, positions), self.order, self.origin)
 
     def require(self, ends: Offsets) -> None:
         """Check that no message ends before an offset."""
         if isinstance(ends, int) and ends <= self.shortest:
             return
-        short = self.block.ends - self.block.starts < ends
+        short = np.concatenate([block.ends - block.starts for block in self.blocks]) < ends
         if np.count_nonzero(short):
             raise TooShortError(np.flatnonzero(short))
 
     def window(self, window: Window, offset: Offsets) -> Records:
-        """Return the bytes of a window in each message, shape ``(N,)``."""
+        """Return a copy of the bytes of a window in each message, shape ``(N,)``."""
         kind = np.dtype((np.void, window.size))
-        data, starts = self.block.data, self.block.starts
-        if self.stride and isinstance(offset, int):
-            begin = int(starts[0]) + offset + window.offset
-            return np.ndarray((len(starts),), kind, data, begin, (self.stride,)).copy()
-        # All windows of the buffer, one byte apart: indexing them copies each message's window
-        # in a single call.
-        shape = (len(data) - window.size + 1,)
-        windows: Records = np.ndarray(shape, kind, data, 0, (1,))
-        fetched: Records = windows[starts + (offset + window.offset)]
+        fetched: Records = np.empty(len(self), kind)
+        begin = 0
+        for block, stride in zip(self.blocks, self.strides, strict=True):
+            end = begin + len(block)
+            if stride and isinstance(offset, int):
+                first = int(block.starts[0]) + offset + window.offset
+                own = np.ndarray((len(block),), kind, block.data, first, (stride,))
+            else:
+                here = offset if isinstance(offset, int) else offset[begin:end]
+                # All windows of the buffer, one byte apart: indexing them copies each message's
+                # window in a single call.
+                shape = (len(block.data) - window.size + 1,)
+                windows: Records = np.ndarray(shape, kind, block.data, 0, (1,))
+                own = windows[block.starts + (here + window.offset)]
+            fetched[begin:end] = own
+            begin = end
         return fetched
 
     def numbers(self, piece: Piece, window: Records) -> AnyArray:
@@ -106,6 +117,17 @@ class MessageBytes:
         if number.code == "b1":
             stored = stored != 0
         return stored if self.order == NATIVE else stored.astype(NATIVE + code)
+
+
+def take_messages(blocks: Sequence[MessageBlock], positions: Intp) -> list[MessageBlock]:
+    """Return some messages of blocks, by their ascending positions among those of all blocks."""
+    begins = np.cumsum([0, *map(len, blocks)])
+    bounds = positions.searchsorted(begins)
+    return [
+        block.at(positions[first:last] - begin)
+        for block, begin, first, last in zip(blocks, begins, bounds, bounds[1:], strict=False)
+        if first < last
+    ]
 
 
 def follow(plan: Plan, messages: MessageBytes, width: int) -> Columns:

@@ -28,8 +28,8 @@ DECODERS: Final[dict[str, str]] = {
 class FieldDecoder(Protocol):
     """Takes the same fields out of every message of a channel."""
 
-    def columns(self, block: MessageBlock) -> list[AnyArray]:
-        """Return the wanted fields of all messages of a block.
+    def columns(self, *blocks: MessageBlock) -> list[AnyArray]:
+        """Return the wanted fields of all messages of blocks.
 
         `Returns`: One for each path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`
         """

@@ -151,14 +151,14 @@ class JsonDecoder(ValueDecoder):
             )
         return super()._wanted(root, field_path)
 
-    def columns(self, block: MessageBlock) -> list[AnyArray]:
-        """Return the wanted fields of all messages of a block, parsed at once where possible."""
-        columns = self._at_once(block) if self._schema is not None and len(block) else None
-        return super().columns(block) if columns is None else columns
+    def columns(self, *blocks: MessageBlock) -> list[AnyArray]:
+        """Return the wanted fields of all messages of blocks, parsed at once where possible."""
+        columns = self._at_once(blocks) if self._schema is not None and any(blocks) else None
+        return super().columns(*blocks) if columns is None else columns
 
-    def _at_once(self, block: MessageBlock) -> list[AnyArray] | None:
+    def _at_once(self, blocks: Sequence[MessageBlock]) -> list[AnyArray] | None:
         # A line break within a message is white space: in a string it would be escaped.
-        document = b"\n".join(message.replace(b"\n", b" ") for message in raw_messages(block))
+        document = b"\n".join(message.replace(b"\n", b" ") for message in raw_messages(*blocks))
         try:
             table = pyarrow_json.read_json(
                 pa.BufferReader(document),
@@ -167,7 +167,7 @@ class JsonDecoder(ValueDecoder):
                     explicit_schema=self._schema, unexpected_field_behavior="ignore"
                 ),
             )
-            if len(table) != len(block):
+            if len(table) != sum(map(len, blocks)):
                 return None
             return [_stacked(table, wanted) for wanted in self.wanted]
         except (pa.ArrowException, _MisreadError):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import MessageError
-from quatprop.text import Setting, Text
+from quatprop.text import Setting, Text, listed
 from quatprop.times import NS_PER_UNIT
 
 if TYPE_CHECKING:
@@ -22,15 +22,18 @@ NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
 """Names of the two parts of a time, in ROS 1, ROS 2 and related systems."""
 
 
-def to_ns(columns: Sequence[AnyArray], units: Sequence[str], names: str, path: Path | str) -> Int64:
+def to_ns(
+    columns: Sequence[AnyArray], units: Sequence[str], names: Sequence[str], path: Path | str
+) -> Int64:
     """Return times of one column, or of whole seconds and nanoseconds, which may carry over.
 
     `columns`: shape ``(N,)`` each: integers, float64, or objects that are integers and decimals
     `units`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"`` of each; ``"ns"`` of the second
+    `names`: their names, for errors
 
     Examples
     --------
-    >>> to_ns([np.array([2]), np.array([5])], ["s", "ns"], "stamp", "log")
+    >>> to_ns([np.array([2]), np.array([5])], ["s", "ns"], ["sec", "nsec"], "log")
     array([2000000005])
     """
     first, scale = columns[0], NS_PER_UNIT[units[0]]
@@ -45,8 +48,9 @@ def to_ns(columns: Sequence[AnyArray], units: Sequence[str], names: str, path: P
         raise MessageError(
             path,
             Text(
-                f"the time {first[bad[0]]} {units[0]} in {names} does not fit in 64 bits of "
-                f"nanoseconds; choose {Setting('clock', 'log')} or another {Setting('time_field')}"
+                f"the time {first[bad[0]]} {units[0]} in {listed(names)} does not fit in 64 bits "
+                f"of nanoseconds; choose {Setting('clock', 'log')} or another "
+                f"{Setting('time_field')}"
             ),
             bad,
         )

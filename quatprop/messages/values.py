@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quatprop.errors import MessageError
+from quatprop.messages.columns import take_messages
 from quatprop.messages.definitions import message_type
 from quatprop.messages.schema import Array, Primitive, Steps, Struct, Type, numbers_at
 from quatprop.text import quoted
@@ -52,18 +53,18 @@ class ValueDecoder(ABC):
         way, kind, number, _ = numbers_at(self.channel, root, field_path, self.path)
         return WantedColumn(tuple(_leaves(way, kind)), number, isinstance(kind, Primitive))
 
-    def columns(self, block: MessageBlock) -> list[AnyArray]:
-        """Return the wanted fields of all messages of a block."""
+    def columns(self, *blocks: MessageBlock) -> list[AnyArray]:
+        """Return the wanted fields of all messages of blocks."""
         values: list[list[Any]] = []
         bad: list[int] = []
-        for position, raw in enumerate(raw_messages(block)):
+        for position, raw in enumerate(raw_messages(*blocks)):
             try:
                 message = self._parsed(raw)
                 values.append([self._values(message, wanted) for wanted in self.wanted])
             except (ArithmeticError, LookupError, RecursionError, TypeError, ValueError):
                 bad.append(position)
         if bad:
-            raise self._undecodable(block, bad)
+            raise self._undecodable(blocks, bad)
         rows = zip(*values, strict=True) if values else iter([()] * len(self.wanted))
         return [self._column(wanted, row) for wanted, row in zip(self.wanted, rows, strict=True)]
 
@@ -89,22 +90,24 @@ class ValueDecoder(ABC):
         shape = (len(values),) if wanted.single else (len(values), len(wanted.ways))
         return np.array(values, self._dtype(wanted)).reshape(shape)
 
-    def _undecodable(self, block: MessageBlock, bad: list[int]) -> MessageError:
+    def _undecodable(self, blocks: Sequence[MessageBlock], bad: list[int]) -> MessageError:
+        (first,) = take_messages(blocks, np.array(bad[:1]))
         others = f" and {len(bad) - 1} others" if len(bad) > 1 else ""
         return MessageError(
             self.path,
             f"the message of topic {quoted(self.channel.topic)} recorded at "
-            f"{block.log_ns[bad[0]]} ns{others} cannot be decoded as {self.channel.encoding} with "
+            f"{first.log_ns[0]} ns{others} cannot be decoded as {self.channel.encoding} with "
             "the wanted fields; the log is damaged or its messages differ",
             bad,
         )
 
 
-def raw_messages(block: MessageBlock) -> Iterator[bytes]:
+def raw_messages(*blocks: MessageBlock) -> Iterator[bytes]:
     """Yield the bytes of every message."""
-    data = block.data.data
-    for begin, end in zip(block.starts.tolist(), block.ends.tolist(), strict=True):
-        yield bytes(data[begin:end])
+    for block in blocks:
+        data = block.data.data
+        for begin, end in zip(block.starts.tolist(), block.ends.tolist(), strict=True):
+            yield bytes(data[begin:end])
 
 
 def _leaves(way: Steps, kind: Type) -> Iterator[Steps]:

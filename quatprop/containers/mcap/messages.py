@@ -44,9 +44,12 @@ class LocatedMessages:
 
     def of(self, ids: Sequence[int]) -> LocatedMessages:
         """Return the messages of some channels."""
-        wanted = _is_one_of(self.channels, ids)
+        # Those at even distances are all of one channel.
+        wanted = _is_one_of(self.channels[: 1 if self.block.stride else None], ids)
         if wanted.all():
             return self
+        if self.block.stride:
+            wanted = wanted.repeat(len(self))
         return LocatedMessages(self.block.at(wanted), self.channels[wanted])
 
     def __len__(self) -> int:

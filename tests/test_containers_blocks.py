@@ -1,16 +1,16 @@
-"""Blocks of messages put together, and the stretches that hold messages."""
+"""Blocks of messages that are decoded together, and the stretches that hold messages."""
 
-from itertools import chain, pairwise
+from itertools import chain
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quatprop.containers import coalesce as module
+from quatprop.containers import topic_table
 from quatprop.containers.base import MessageBlock
-from quatprop.containers.chunks import GROUP, LARGE, in_groups
-from quatprop.containers.coalesce import coalesce_blocks
+from quatprop.containers.chunks import GROUP, LARGE, compacted, in_groups
+from quatprop.containers.topic_table import decoded_together
 from quatprop.stores.byte_ranges import ranges_of, ranges_worth_reading
 
 PLACES = st.lists(st.tuples(st.integers(0, 40), st.integers(0, 30)), min_size=1, max_size=30)
@@ -57,40 +57,33 @@ def test_messages_out_of_place_are_in_stretches_of_their_own():
 
 
 @given(st.lists(PLACES, max_size=12), st.integers(1, 40))
-def test_joined_blocks_have_the_same_messages(several, enough):
-    """Whatever is put together, no message is lost, changed or moved."""
+def test_blocks_are_decoded_together_in_their_order(several, enough):
+    """None is left out, and those that wait are few: the first is not held back."""
     blocks = [block_of(places, seed, bound=seed) for seed, places in enumerate(several)]
-    before, module.ENOUGH_MESSAGES = module.ENOUGH_MESSAGES, enough
+    before, topic_table.ENOUGH_MESSAGES = topic_table.ENOUGH_MESSAGES, enough
     try:
-        together = list(coalesce_blocks(blocks))
+        together = list(decoded_together(blocks))
     finally:
-        module.ENOUGH_MESSAGES = before
-    assert [*chain(*map(messages, together))] == [*chain(*map(messages, blocks))]
-    bounds = [block.not_before_ns for block in together]
-    assert bounds == sorted(bounds)
-    assert not blocks or bounds[-1] == blocks[-1].not_before_ns
-    large = enough // 2
-    for one, other in pairwise(together):
-        assert len(one) >= large or len(other) >= large or len(one) >= enough
+        topic_table.ENOUGH_MESSAGES = before
+    assert [*chain(*together)] == blocks
+    assert [len(each) for each in together[:1]] == [1][: len(blocks)]
+    for each in together:
+        assert sum(map(len, each[:-1])) < enough
+    for each in together[1:-1]:
+        assert sum(map(len, each)) >= enough
 
 
-def test_a_large_block_passes_as_it_is():
-    """What is large enough is not copied."""
-    small, large = block_of([(1, 2)] * 3), block_of([(0, 1)] * module.ENOUGH_MESSAGES)
-    assert list(coalesce_blocks([small, large, small]))[1] is large
-
-
-def test_waiting_messages_are_bounded_in_bytes():
-    """Large messages come out before many of them are in memory."""
-    half = module.ENOUGH_BYTES // 2
+def test_blocks_that_wait_are_bounded_in_bytes():
+    """Large messages are decoded before many of them are in memory."""
+    half = topic_table.ENOUGH_BYTES // 2
     blocks = (block_of([(0, half)], seed) for seed in range(6))
-    assert [len(block) for block in coalesce_blocks(blocks)] == [2, 2, 2]
+    assert [len(each) for each in decoded_together(blocks)] == [1, 2, 2, 1]
 
 
-def test_small_blocks_keep_nothing_but_their_messages():
+def test_a_compacted_block_holds_nothing_but_its_messages():
     """A block beside images does not hold on to them."""
     block = block_of([(10_000, 8)] * 5)
-    (kept,) = coalesce_blocks([block])
+    kept = compacted(block)
     assert len(kept.data) == 5 * 8
     assert messages(kept) == messages(block)
 
