@@ -13,7 +13,7 @@ from quatprop.times import NS_PER_UNIT, duration_text
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from quatprop.containers.base import Loss
+    from quatprop.tables.log import Loss
 
     Spell = Callable[[str | Text], str]
     """Writes a sentence as an interface spells the settings in it; ``str`` as the library does."""

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 NS_PER_S = 1_000_000_000
 """Nanoseconds in a second."""
 
-_LONGEST_NS = 2**63 - 1
+LATEST = 2**63 - 1
+"""The last nanosecond that fits int64, in the year 2262."""
 
 NS_PER_UNIT = {
     "ns": 1,
@@ -120,13 +121,13 @@ def numbered_stamps(numbers: NDArray[np.int64], rate: Fraction) -> NDArray[np.in
         return np.empty(0, np.int64)
     start, low, high = (int(x) for x in (numbers[0], numbers.min(), numbers.max()))
     period, divisor = NS_PER_S * rate.denominator, rate.numerator
-    if max(abs(low), abs(high) + 1) * period // divisor > _LONGEST_NS:
+    if max(abs(low), abs(high) + 1) * period // divisor > LATEST:
         raise UsageError(
             f"at {float(rate):.6g} Hz the times of {high + 1} samples do not fit in int64 ns"
         )
     # The first in unbounded integers, the others relative to it, in 64 bits where they fit.
     whole, rest = divmod(start * period, divisor)
-    small = (high - low + 1) * period + 2 * divisor <= _LONGEST_NS
+    small = (high - low + 1) * period + 2 * divisor <= LATEST
     relative = (numbers - start).astype(np.int64 if small else object) * period + rest
     stamps = whole + relative // divisor
     excess = 2 * (relative % divisor)

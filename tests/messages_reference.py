@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.containers.base import Channel, MessageBlock
+from quatprop.messages.blocks import Channel, MessageBlock
 from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct, steps
 
 if TYPE_CHECKING:

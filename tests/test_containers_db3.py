@@ -13,10 +13,10 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.msg import normalize_msgtype
 
-from quatprop.containers.base import Loss
 from quatprop.containers.rosbag2.db3 import Db3Log
 from quatprop.containers.rosbag2.sqlite_files import open_database
 from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.tables.log import Loss
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 REAL = [

@@ -18,13 +18,14 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from quatprop.concurrency import threads
 from quatprop.containers import chunks
-from quatprop.containers.base import Channel, Loss
 from quatprop.containers.mcap.log import McapLog
 from quatprop.containers.mcap.messages import LATEST
 from quatprop.containers.mcap.walk import walk_records
 from quatprop.containers.topic_table import TopicTable
 from quatprop.errors import DamagedLogError, QuatpropError, UnreadableLogError, UnsupportedLogError
+from quatprop.messages.blocks import Channel
 from quatprop.stores.file_source import FileSource
+from quatprop.tables.log import Loss
 from quatprop.tables.model import Stamp
 
 IMU = Channel("/imu", "sensor_msgs/msg/Imu", "cdr", "ros2msg", b"Header header")
@@ -226,7 +227,7 @@ def test_stamps_that_need_the_64th_bit_are_cut_not_wrapped(tmp_path):
     log = McapLog(saved(tmp_path, buffer.getvalue()))
     (block,) = log.blocks(log.channels()[0])
     assert block.log_ns.tolist() == [5, LATEST, LATEST, LATEST]
-    published = TopicTable(log, log.channels()[0]).ns(Stamp(clock="publish"), [], block)
+    published = TopicTable(log, log.channels()[0]).ns(Stamp(clock="publish"), [], [block])
     assert published.tolist() == [5, LATEST, LATEST, LATEST]
 
 

@@ -10,10 +10,11 @@ import pytest
 from rosbags.rosbag1 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from quatprop.containers.base import Channel, Loss
 from quatprop.containers.rosbag1.log import Rosbag1Log
 from quatprop.containers.rosbag1.records import RecordFile
 from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.messages.blocks import Channel
+from quatprop.tables.log import Loss
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
 REAL = [

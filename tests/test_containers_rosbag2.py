@@ -15,12 +15,12 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
-from quatprop.containers.base import Loss
 from quatprop.containers.mcap.log import McapLog
 from quatprop.containers.rosbag2.log import Rosbag2Log
 from quatprop.containers.rosbag2.parts import METADATA, folder
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.stores.file_source import FileSource
+from quatprop.tables.log import Loss
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 AUK = [

@@ -10,7 +10,6 @@ from streams import propagated
 
 import quatprop
 from quatprop.containers import ulog_records
-from quatprop.containers.base import Loss
 from quatprop.containers.ulog_records import SYNC
 from quatprop.errors import (
     AmbiguousTopicError,
@@ -24,6 +23,7 @@ from quatprop.logs.open_log import open_log
 from quatprop.series import GyroSeries
 from quatprop.settings.selection import RateSelection
 from quatprop.signals.rates import choose_rates, rate_candidates
+from quatprop.tables.log import Loss
 
 NUMBERS = {
     "uint64": ("uint64_t", "Q"), "uint32": ("uint32_t", "I"), "int32": ("int32_t", "i"),

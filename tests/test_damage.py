@@ -23,9 +23,9 @@ from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 
 from quatprop.cli.commands import cli
-from quatprop.containers.base import Channel
 from quatprop.errors import LogError, SchemaError
 from quatprop.logs.open_log import open_log
+from quatprop.messages.blocks import Channel
 from quatprop.messages.definitions import message_type
 from quatprop.settings.selection import RateSelection
 from quatprop.signals.rates import choose_rates

@@ -13,9 +13,9 @@ from click.testing import CliRunner
 from table_rates import rate_batches
 
 from quatprop.cli.commands import cli
-from quatprop.containers.base import Loss
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.tables.csv.log import CsvLog
+from quatprop.tables.log import Loss
 from quatprop.text import quoted
 
 HEADER = "t_ns,wx,wy,wz\n"

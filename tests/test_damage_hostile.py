@@ -15,13 +15,13 @@ from test_damage_mcap import MESSAGES, read, unclosed, written
 from quatprop.cli.commands import cli
 from quatprop.concurrency import threads
 from quatprop.containers import chunks
-from quatprop.containers.base import Loss
 from quatprop.containers.mcap import loading as mcap
 from quatprop.containers.mcap.log import McapLog
 from quatprop.errors import DamagedLogError, UsageError
 from quatprop.logs.open_log import open_log
 from quatprop.rendering import loss_lines
 from quatprop.stores.limits import MAX_UNPACKED, decompressed_limit
+from quatprop.tables.log import Loss
 
 SIZE = 1 << 24
 MESSAGE = struct.pack("<BQHIQQ", 5, 22 + 8, 1, 0, 10**9, 10**9) + bytes(8)

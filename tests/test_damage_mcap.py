@@ -8,8 +8,8 @@ import pytest
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from quatprop.containers.base import Loss
 from quatprop.containers.mcap.log import McapLog
+from quatprop.tables.log import Loss
 
 MESSAGES = 400
 COMPRESSIONS = (CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD)

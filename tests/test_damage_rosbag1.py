@@ -7,8 +7,8 @@ import pytest
 from rosbags.rosbag1 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from quatprop.containers.base import Loss
 from quatprop.containers.rosbag1.log import Rosbag1Log
+from quatprop.tables.log import Loss
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
 NOISE = random.Random(1).randbytes(5000)

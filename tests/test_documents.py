@@ -11,8 +11,8 @@ from documents import GUIDES, ROOT, Document
 from topics import found_in, mark, stamps
 
 from quatprop.cli.commands import cli
-from quatprop.containers.base import Channel
 from quatprop.logs.vocabulary import TYPES
+from quatprop.messages.blocks import Channel
 
 README = ROOT / "README.md"
 DOCUMENTS = [README, *sorted(GUIDES.glob("*.md"))]

@@ -18,12 +18,12 @@ from pyarrow import parquet as pq
 from quatprop.cli.commands import cli
 from quatprop.cli.spelling import spelled
 from quatprop.containers import kept_blocks, topic_table
-from quatprop.containers.base import MessageBlock
 from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.kept_blocks import beginnings_kept, blocks_of
 from quatprop.containers.mcap.log import McapLog
 from quatprop.errors import DamagedLogError
 from quatprop.messages import protobuf
+from quatprop.messages.blocks import MessageBlock
 from quatprop.pipeline import plausibility, survey
 from quatprop.series import AttitudeSeries
 from quatprop.text import Setting, Text

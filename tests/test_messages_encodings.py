@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from messages_reference import Encoder, block_of, channel_of
 
-from quatprop.containers.base import Channel
 from quatprop.errors import MessageError, SchemaError, UnsupportedLogError
 from quatprop.messages.binary import BinaryDecoder
+from quatprop.messages.blocks import Channel
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.definitions import message_type
 from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct

@@ -12,7 +12,6 @@ from messages_reference import block_of
 from rosbags.typesys import Stores, get_typestore
 from topics import found_in, mark
 
-from quatprop.containers.base import Channel
 from quatprop.errors import (
     AmbiguousTopicError,
     MessageError,
@@ -23,6 +22,7 @@ from quatprop.errors import (
 )
 from quatprop.logs.open_log import open_log
 from quatprop.logs.stamps import stamps_of
+from quatprop.messages.blocks import Channel
 from quatprop.messages.json import JsonDecoder
 from quatprop.messages.times import to_ns
 from quatprop.messages.values import ValueDecoder

@@ -8,10 +8,10 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, ti
 from mcap.writer import Writer
 from topics import found_in
 
-from quatprop.containers.base import Channel
 from quatprop.errors import SchemaError
 from quatprop.logs.open_log import open_log
 from quatprop.logs.stamps import place_of, stamps_of
+from quatprop.messages.blocks import Channel
 from quatprop.series import GyroSeries
 from quatprop.settings.selection import RateSelection
 from quatprop.signals.rates import choose_rates

@@ -8,12 +8,12 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from topics import found_in, mark, names, stamps
 
-from quatprop.containers.base import Channel, MessageBlock
 from quatprop.containers.topic_table import TopicTable
 from quatprop.errors import MessageError, SchemaError, UndeclaredError
 from quatprop.logs.rows import Row
 from quatprop.logs.stamps import choose_stamp, place_of, stamps_of
 from quatprop.logs.vocabulary import ROWS, TYPES
+from quatprop.messages.blocks import Channel, MessageBlock
 from quatprop.messages.times import to_ns
 from quatprop.settings.selection import RateSelection
 

@@ -6,9 +6,9 @@ import pytest
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from quatprop.containers.base import Channel
 from quatprop.errors import SchemaError
 from quatprop.messages.binary import BinaryDecoder
+from quatprop.messages.blocks import Channel
 from quatprop.messages.definitions import NUMBERS, message_type
 from quatprop.messages.flattening import flattened
 from quatprop.messages.schema import (

@@ -23,10 +23,10 @@ from table_rates import rate_batches
 
 from quatprop import read_rates
 from quatprop.cli.commands import cli
-from quatprop.containers.base import Loss
 from quatprop.errors import UndeclaredError, UnreadableLogError, UnsupportedLogError, UsageError
 from quatprop.tables import text_stream, timestamps
 from quatprop.tables.csv.log import CsvLog
+from quatprop.tables.log import Loss
 
 UNITS = {"rate_unit": "rad/s", "time_unit": "s"}
 NUMBERED = {"rate_cols": ("1", "2", "3"), "time_col": "0", **UNITS}

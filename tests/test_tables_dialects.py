@@ -12,10 +12,9 @@ from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError, 
 from quatprop.logs.rate_columns import match_rates
 from quatprop.settings.quantities import RATES
 from quatprop.settings.selection import RateSelection
-from quatprop.tables.base import TableNotes
 from quatprop.tables.column_names import parse_name
 from quatprop.tables.file_table import FileTable
-from quatprop.tables.model import Stamp
+from quatprop.tables.model import Stamp, TableNotes
 
 AXES = ("wx", "wy", "wz")
 NAMED = {"rate_cols": ("x", "y", "z"), "time_col": "t", "rate_unit": "rad/s", "time_unit": "us"}

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.api.reading import StrPath
-    from quatprop.containers.base import Log
     from quatprop.pipeline.attitude_stream import AttitudeStream
     from quatprop.pipeline.report import RunReport
     from quatprop.pipeline.settings import PropagationSettings
+    from quatprop.tables.log import Log
 
 
 @dataclass(frozen=True, slots=True, repr=False)

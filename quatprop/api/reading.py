@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from os import PathLike
 
-    from quatprop.containers.base import Loss
+    from quatprop.tables.log import Loss
 
     StrPath: TypeAlias = str | PathLike[str]
 

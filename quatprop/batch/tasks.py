@@ -12,8 +12,8 @@ from quatprop.stores.objects import without_secret
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from quatprop.containers.base import Loss
     from quatprop.pipeline.job import Job
+    from quatprop.tables.log import Loss
     from quatprop.text import Text
 
 

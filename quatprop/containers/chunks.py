@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 import numpy as np
 
 from quatprop.concurrency.threads import Deferred, prefetch
-from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog
-from quatprop.containers.time_range import TimedPart, TimeRange, parts_within, span_of
+from quatprop.containers.topics import TopicLog
 from quatprop.errors import UnreadableLogError, os_reason
-from quatprop.stores.byte_ranges import SHARE, ranges_of
+from quatprop.messages.blocks import Channel, MessageBlock
+from quatprop.stores.byte_ranges import SHARE
 from quatprop.stores.file_source import FileSource, source_of
 from quatprop.stores.limits import DecompressionBudget
+from quatprop.tables.time_range import TimedPart, TimeRange, parts_within, span_of
+from quatprop.times import LATEST
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -33,14 +35,11 @@ GROUP = 1 << 20
 FIRST = 1 << 16
 """Bytes of the first group, for who reads only the beginning; each is twice the one before."""
 
-_GAP = 256
-"""Bytes between two messages that are copied with them: record heads and small other messages."""
-
 LARGE = 1 << 26
 """Bytes from which a chunk is not loaded ahead of its use."""
 
 
-class ChunkedLog(MessageLog, Generic[Chunk]):
+class ChunkedLog(TopicLog, Generic[Chunk]):
     """A file whose messages are in chunks.
 
     `source`: the open file
@@ -148,7 +147,7 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         """Return a chunk, or copies of its messages: the memory of a mixed one is used again."""
         content = self.load(chunk)
         block = self.indexed(content, chunk) if self.is_mixed(chunk) else None
-        return content if block is None else compacted(block)
+        return content if block is None else block.compacted()
 
     def _located(self, content: Content | MessageBlock, chunk: Chunk) -> MessageBlock | None:
         if isinstance(content, MessageBlock):
@@ -192,21 +191,6 @@ def load_ahead(
     with closing(prefetch(load_group, in_groups(sized))) as groups:
         for group in groups:
             yield from group
-
-
-def compacted(block: MessageBlock) -> MessageBlock:
-    """Return a copy of a block without the bytes between its messages."""
-    if not len(block):
-        return block
-    ranges = ranges_of(block.starts, block.ends, _GAP)
-    return replace(
-        block,
-        data=ranges.of(block.data),
-        starts=block.starts - ranges.moved,
-        ends=block.ends - ranges.moved,
-        publish_ns=block.publish_ns.copy(),
-        stride=0,
-    )
 
 
 def in_groups(sized: Iterable[tuple[Item, int]]) -> Iterator[tuple[list[Item], bool]]:

@@ -10,7 +10,7 @@ import numpy as np
 from quatprop.stores.compression import UnreadableDataError, decompress
 
 if TYPE_CHECKING:
-    from quatprop.containers.base import MessageBlock
+    from quatprop.messages.blocks import MessageBlock
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 """How a compressed message begins; one in CDR begins with 0."""

@@ -6,12 +6,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from quatprop.containers.chunks import compacted
+from quatprop.containers.base import MessageLog
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.containers.base import Channel, Log, MessageBlock, MessageLog
+    from quatprop.messages.blocks import Channel, MessageBlock
+    from quatprop.tables.log import Log
 
 ROOM = 1 << 25
 """Bytes of messages that are kept of all channels of a log at most."""
@@ -60,7 +61,7 @@ class KeptBlocks:
                     continue
                 # There is nothing to gain where the buffer holds little else.
                 size = int((block.ends - block.starts).sum())
-                kept = block if 2 * size > len(block.data) else compacted(block)
+                kept = block if 2 * size > len(block.data) else block.compacted()
                 own.size += len(kept.data)
                 yield kept
                 self.keep_at_most(ROOM)
@@ -92,6 +93,9 @@ def _blocks_from(place: _Place, rest: Iterator[MessageBlock]) -> Iterator[Messag
 @contextmanager
 def beginnings_kept(log: Log) -> Iterator[None]:
     """Keep in this block what is read of messages, for who reads their beginning several times."""
+    if not isinstance(log, MessageLog):
+        yield
+        return
     outer = log.kept
     log.kept = kept = outer or KeptBlocks()
     try:

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from quatprop.containers.base import Channel
+    from quatprop.messages.blocks import Channel
 
 _LARGEST = 1 << 16
 """Bytes of a file that is read as a definition; real ones have a few thousand."""

@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.base import LATEST
 from quatprop.containers.kept_blocks import blocks_of
-from quatprop.containers.merge import Columns, merge_by_time
-from quatprop.containers.time_range import TimeRange
 from quatprop.errors import MessageError, UsageError
 from quatprop.messages.columns import take_messages
 from quatprop.messages.cursor import first_names
@@ -22,20 +19,23 @@ from quatprop.messages.schema import Primitive, String, Struct, at, find, number
 from quatprop.messages.times import to_ns
 from quatprop.messages.ulog import is_secondary
 from quatprop.progress import metered
+from quatprop.tables.batches import RowBatch, merge_by_time
 from quatprop.tables.model import Column, Stamp, Table, TablePart
+from quatprop.tables.time_range import TimeRange
 from quatprop.text import Setting, plain, quoted
-from quatprop.times import duration_text
+from quatprop.times import LATEST, duration_text
 
 if TYPE_CHECKING:
     import re
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from quatprop.arrays import AnyArray, Float64, Int64
-    from quatprop.containers.base import Channel, MessageBlock, MessageLog
+    from quatprop.containers.base import MessageLog
+    from quatprop.messages.blocks import Channel, MessageBlock
     from quatprop.provenance import JsonObject
     from quatprop.tables.model import Convert, Group, Within
 
-    Decode = Callable[[Sequence[MessageBlock]], Columns]
+    Decode = Callable[[Sequence[MessageBlock]], RowBatch]
 
 CLOCK_STEP_NS = 100_000_000
 """Time services set a clock that is wrong by more than this; what is less they catch up slowly."""
@@ -79,7 +79,7 @@ class TopicTable(Table):
         """Tell by the text of the definition, cheaply, whether one of some types may be inside."""
         return any(name.rpartition("/")[2].encode() in self.channel.schema for name in types)
 
-    # Columns.
+    # RowBatch.
 
     @cached_property
     def root(self) -> Struct:
@@ -180,7 +180,7 @@ class TopicTable(Table):
         groups: Sequence[Group],
         convert: Convert,
         within: Within = None,
-    ) -> Iterator[Columns]:
+    ) -> Iterator[RowBatch]:
         """Yield batches in the order of the log times, if these are recorded."""
         decode = self.decoder(stamp, groups)
         if isinstance(within, TimeRange):
@@ -220,14 +220,14 @@ class TopicTable(Table):
         fields = [*times, *(name for names, _ in wanted for name in names)]
         decoder = decoder_of(self.channel, fields, self.path)
 
-        def decode(blocks: Sequence[MessageBlock]) -> Columns:
+        def decode(blocks: Sequence[MessageBlock]) -> RowBatch:
             arrays = iter(decoder.columns(*blocks))
             t_ns = self.ns(stamp, [*islice(arrays, len(times))], blocks)
             values = []
             for group, (names, places) in zip(groups, wanted, strict=True):
                 own = [*islice(arrays, len(names))]
                 values.append(own[0] if len(group) == 1 else as_rows(own, places))
-            return Columns(log_ns_of(blocks), (t_ns, *values), blocks[-1].not_before_ns)
+            return RowBatch(log_ns_of(blocks), (t_ns, *values), blocks[-1].not_before_ns)
 
         return decode
 
@@ -240,7 +240,7 @@ class TopicTable(Table):
             return np.where(publish_ns < 0, LATEST, publish_ns)
         return to_ns(fields, stamp.units, [self.columns[k].text for k in stamp.columns], self.path)
 
-    def _readable(self, decode: Decode, blocks: Sequence[MessageBlock]) -> Columns:
+    def _readable(self, decode: Decode, blocks: Sequence[MessageBlock]) -> RowBatch:
         """Return the rows of blocks without the messages that do not fit."""
         for log_ns in (block.log_ns for block in blocks if self.log.has_log_time):
             if (log_ns[1:] < log_ns[:-1]).any():
@@ -277,7 +277,11 @@ class TopicTable(Table):
 
 
 def decoded_together(blocks: Iterable[MessageBlock]) -> Iterator[list[MessageBlock]]:
-    """Yield blocks that are decoded together, since it takes time for each; the first by itself."""
+    """Yield blocks that are decoded together, since it takes time for each.
+
+    The first is by itself, for who reads only the beginning; then about twice as many messages as
+    before are together.
+    """
     waiting: list[MessageBlock] = []
     messages = size = enough = 0
     for block in blocks:
@@ -286,7 +290,8 @@ def decoded_together(blocks: Iterable[MessageBlock]) -> Iterator[list[MessageBlo
         size += len(block.data)
         if messages >= enough or size >= ENOUGH_BYTES:
             yield waiting
-            waiting, messages, size, enough = [], 0, 0, ENOUGH_MESSAGES
+            enough = min(ENOUGH_MESSAGES, 2 * messages)
+            waiting, messages, size = [], 0, 0
     if waiting:
         yield waiting
 

@@ -5,33 +5,37 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from quatprop.containers.base import MessageLog
 from quatprop.containers.kept_blocks import blocks_of
 from quatprop.containers.topic_table import TopicTable
 from quatprop.messages.values import raw_messages
 
 if TYPE_CHECKING:
-    from quatprop.containers.base import Channel, MessageLog
+    from quatprop.messages.blocks import Channel
 
 TRANSFORM_LISTS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 """Types that consist of one list of ``geometry_msgs/TransformStamped``."""
 
 
-def topics(log: MessageLog, topic: str | None = None) -> list[TopicTable]:
-    """Return the topics of a log that have messages.
+class TopicLog(MessageLog):
+    """A container whose tables are its topics."""
 
-    `topic`: only those of this name; None for all. A ULog topic with one instance may be named
-        without it: ``sensor_combined`` for ``sensor_combined/0``
-    """
-    channels = [channel for channel in log.channels() if channel.count != 0]
-    if topic is not None:
-        named = [channel for channel in channels if channel.topic == topic]
-        instances = [
-            channel
-            for channel in channels
-            if channel.encoding == "ulog" and channel.topic.rpartition("/")[0] == topic
-        ]
-        channels = named or (instances if len(instances) == 1 else [])
-    return [_table_of(log, channel) for channel in channels]
+    def tables(self, topic: str | None = None) -> list[TopicTable]:
+        """Return the topics that have messages.
+
+        `topic`: only those of this name; None for all. A ULog topic with one instance may be named
+            without it: ``sensor_combined`` for ``sensor_combined/0``
+        """
+        channels = [channel for channel in self.channels() if channel.count != 0]
+        if topic is not None:
+            named = [channel for channel in channels if channel.topic == topic]
+            instances = [
+                channel
+                for channel in channels
+                if channel.encoding == "ulog" and channel.topic.rpartition("/")[0] == topic
+            ]
+            channels = named or (instances if len(instances) == 1 else [])
+        return [_table_of(self, channel) for channel in channels]
 
 
 def _table_of(log: MessageLog, channel: Channel) -> TopicTable:

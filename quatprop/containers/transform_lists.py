@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.merge import Columns, joined_rows
 from quatprop.containers.topic_table import TEXT_ENCODINGS, TopicTable
 from quatprop.errors import MessageError, NoSamplesError, UsageError
 from quatprop.messages.schema import TIME
 from quatprop.messages.transforms import Frames, TransformDecoder
+from quatprop.tables.batches import RowBatch, joined_rows
 from quatprop.tables.model import Column, TablePart
 from quatprop.text import Setting, listed, plain, quoted
 
@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from quatprop.arrays import Float64
-    from quatprop.containers.base import Channel, MessageBlock, MessageLog
+    from quatprop.containers.base import MessageLog
     from quatprop.containers.topic_table import Decode
+    from quatprop.messages.blocks import Channel, MessageBlock
     from quatprop.tables.model import Group, Stamp
 
 _NAMES = (
@@ -101,10 +102,10 @@ class TransformTable(TopicTable):
         if self.frames is not None:
             transforms.frames.append(self.frames)
 
-        def decode(blocks: Sequence[MessageBlock]) -> Columns:
+        def decode(blocks: Sequence[MessageBlock]) -> RowBatch:
             return joined_rows([decode_one(block) for block in blocks])
 
-        def decode_one(block: MessageBlock) -> Columns:
+        def decode_one(block: MessageBlock) -> RowBatch:
             found = transforms.transforms(block)
             ours = found.frames == 0
             message = found.message[ours]
@@ -115,6 +116,6 @@ class TransformTable(TopicTable):
             # In the order of the columns: x, y, z, w, and the position.
             numbers = np.column_stack((found.wxyz[ours][:, [1, 2, 3, 0]], found.position[ours]))
             values = (numbers[:, [k - 1 for k in group]] for group in groups)
-            return Columns(block.log_ns[message], (t_ns, *values), block.not_before_ns)
+            return RowBatch(block.log_ns[message], (t_ns, *values), block.not_before_ns)
 
         return decode

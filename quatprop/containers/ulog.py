@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers import ulog_records
-from quatprop.containers.base import Channel, MessageBlock, MessageLog, by_topic
+from quatprop.containers.topics import TopicLog
 from quatprop.containers.ulog_records import HEAD, Records, walk_records
 from quatprop.errors import DamagedLogError, MessageError, UnsupportedLogError, os_reason
+from quatprop.messages.blocks import Channel, MessageBlock, by_topic
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.ulog import definition_text, px4_name
 from quatprop.stores.file_source import FileSource, source_of
@@ -41,7 +42,7 @@ BLOCK = 65_536
 _FLAGS = struct.Struct("<8s8s3Q")
 
 
-class UlogLog(MessageLog):
+class UlogLog(TopicLog):
     """A ULog file; see :class:`quatprop.containers.base.MessageLog`.
 
     Topics are named ``sensor_combined/0``: the message and its instance.

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from quatprop.arrays import Int64
-    from quatprop.containers.base import Losses
     from quatprop.stores.file_source import FileSource
+    from quatprop.tables.log import Losses
 
 WINDOW = 1 << 22
 """Bytes that are read at a time; a record has less than 65,539."""

@@ -16,12 +16,12 @@ from quatprop.writers.formats import WRITERS, layout_of
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from quatprop.containers.base import Loss
     from quatprop.conventions.layout import Layout
     from quatprop.pipeline.settings import OutputSettings
     from quatprop.signals.attitude_input import AttitudeInput
     from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import AttitudeSignal
+    from quatprop.tables.log import Loss
     from quatprop.text import Text
 
 

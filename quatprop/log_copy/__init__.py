@@ -22,9 +22,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from quatprop.arrays import Int64
-    from quatprop.containers.base import Log, MessageLog
+    from quatprop.containers.base import MessageLog
     from quatprop.series import AttitudeSeries
     from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
 
 COPIERS: Mapping[str, tuple[str, str]] = {
     "mcap": ("mcap", "mcap:McapCopyWriter"),

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.merge import Columns
 from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import MessageError, TimelineError
 from quatprop.logs.matching import column_beside
 from quatprop.logs.stamps import are_all
 from quatprop.messages.times import to_ns
+from quatprop.tables.batches import RowBatch
 from quatprop.tables.column_names import as_option
 from quatprop.text import Setting, quoted
 from quatprop.times import NS_PER_S, NS_PER_UNIT
@@ -31,7 +31,7 @@ MAX_SPACING_NS = NS_PER_S
 """Samples of a burst are not further apart than this, unless the message is damaged."""
 
 
-def read_rates(match: Match, within: Within = None) -> Iterator[Columns]:
+def read_rates(match: Match, within: Within = None) -> Iterator[RowBatch]:
     """Yield batches of stamps, ns, rates, rad/s, ``(N, 3)``, and integration times of increments.
 
     Only the parts of the log that have a range of log times by its index; None is all.
@@ -45,7 +45,7 @@ def read_rates(match: Match, within: Within = None) -> Iterator[Columns]:
     elif match.marks:
         groups += (match.marks,)
 
-    def convert(rows: Columns) -> Columns:
+    def convert(rows: RowBatch) -> RowBatch:
         t_ns, rate, *beside = rows.values
         values: tuple[AnyArray, ...] = (t_ns, rate)
         if row.span:
@@ -60,19 +60,19 @@ def read_rates(match: Match, within: Within = None) -> Iterator[Columns]:
             without_absent(rate, beside[0])
         if match.factor != 1.0:
             np.multiply(rate, match.factor, out=rate)
-        return Columns(rows.log_ns, values, rows.not_before_ns)
+        return RowBatch(rows.log_ns, values, rows.not_before_ns)
 
     return match.table.read(match.stamp, groups, convert, within)
 
 
-def _read_bursts(match: Match, burst: Burst, within: Within) -> Iterator[Columns]:
+def _read_bursts(match: Match, burst: Burst, within: Within) -> Iterator[RowBatch]:
     """Read many samples a message, evenly spaced up to the stamp; one row a sample."""
     table, part = match.table, match.found.part
     axes = [tuple(axis) for axis in zip(*match.found.sets, strict=True)]
     groups = [*axes, *(column_beside(table, part, name) for name in burst)]
     ns_per_unit = NS_PER_UNIT[match.row.time_unit]
 
-    def convert(rows: Columns) -> Columns:
+    def convert(rows: RowBatch) -> RowBatch:
         stamp_ns, x, y, z, samples, scale, spacing = rows.values
         stored = np.stack((x, y, z), axis=-1).reshape(len(x), -1, 3)
         counts, room = samples.astype(np.int64), stored.shape[1]
@@ -95,7 +95,7 @@ def _read_bursts(match: Match, burst: Burst, within: Within) -> Iterator[Columns
         # Rounded last: the spacing need not be a whole number of nanoseconds.
         before = np.rint((counts[message] - 1 - position) * spacing_ns[message]).astype(np.int64)
         values = (stamp_ns[message] - before, rate)
-        return Columns(rows.log_ns[message], values, rows.not_before_ns)
+        return RowBatch(rows.log_ns[message], values, rows.not_before_ns)
 
     return table.read(match.stamp, groups, convert, within)
 
@@ -137,11 +137,11 @@ def _place_of_marks(match: Match) -> str:
     return f"column {quoted(match.table.columns[match.marks[0]].text)}"
 
 
-def read_attitudes(match: Match, beside: Sequence[Group] = ()) -> Iterator[Columns]:
+def read_attitudes(match: Match, beside: Sequence[Group] = ()) -> Iterator[RowBatch]:
     """Yield stamps, ns, quaternions wxyz, ``(N, 4)``, and other groups beside them."""
     marks, form = [match.marks] if match.marks else [], match.representation
 
-    def convert(rows: Columns) -> Columns:
+    def convert(rows: RowBatch) -> RowBatch:
         t_ns, stored, *others = rows.values
         if marks:
             without_absent(stored, others.pop(0))
@@ -150,7 +150,7 @@ def read_attitudes(match: Match, beside: Sequence[Group] = ()) -> Iterator[Colum
             # What is not finite is reported later, row by row.
             with np.errstate(invalid="ignore", over="ignore"):
                 stored = REPRESENTATIONS[form].attitudes(stored)
-        return Columns(rows.log_ns, (t_ns, stored, *others), rows.not_before_ns)
+        return RowBatch(rows.log_ns, (t_ns, stored, *others), rows.not_before_ns)
 
     return match.table.read(match.stamp, (*match.found.sets, *marks, *beside), convert)
 
@@ -159,7 +159,7 @@ def read_vectors(match: Match) -> Iterator[tuple[Int64, Float64]]:
     """Yield stamps, ns, and specific forces or biases, ``(N, 3)``, NaN where they are absent."""
     groups = (*match.found.sets, *([match.marks] if match.marks else ()))
 
-    def convert(rows: Columns) -> Columns:
+    def convert(rows: RowBatch) -> RowBatch:
         t_ns, vectors, *marks = rows.values
         for mark in marks:
             if match.row.valid:
@@ -168,7 +168,7 @@ def read_vectors(match: Match) -> Iterator[tuple[Int64, Float64]]:
                 without_absent(vectors, mark)
         if match.factor != 1.0:
             vectors = vectors * match.factor
-        return Columns(rows.log_ns, (t_ns, vectors), rows.not_before_ns)
+        return RowBatch(rows.log_ns, (t_ns, vectors), rows.not_before_ns)
 
     for rows in match.table.read(match.stamp, groups, convert):
         t_ns, vectors = rows.values

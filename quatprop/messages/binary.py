@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.arrays import AnyArray, Int64, Intp
-    from quatprop.containers.base import Channel, MessageBlock
+    from quatprop.messages.blocks import Channel, MessageBlock
     from quatprop.messages.plan import Plan
 
 PACKED = ("ros1", "ulog")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.arrays import AnyArray, Int64, Intp, Records
-    from quatprop.containers.base import MessageBlock
+    from quatprop.messages.blocks import MessageBlock
 
     Offsets: TypeAlias = int | Int64
     Columns: TypeAlias = list[AnyArray]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.arrays import AnyArray, Bool, Int64, Intp
-    from quatprop.containers.base import Channel, MessageBlock
+    from quatprop.messages.blocks import Channel, MessageBlock
 
 _FIRST = 200
 """Messages that :func:`first_names` reads."""

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.arrays import AnyArray
-    from quatprop.containers.base import Channel, MessageBlock
+    from quatprop.messages.blocks import Channel, MessageBlock
 
 DECODERS: Final[dict[str, str]] = {
     "cdr": "quatprop.messages.binary:BinaryDecoder",

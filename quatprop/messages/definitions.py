@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-    from quatprop.containers.base import Channel
+    from quatprop.messages.blocks import Channel
     from quatprop.messages.schema import Type
 
     Kind = tuple[int, Any]

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.arrays import AnyArray
-    from quatprop.containers.base import Channel, MessageBlock
+    from quatprop.messages.blocks import Channel, MessageBlock
     from quatprop.messages.schema import Steps, Type
     from quatprop.provenance import JsonObject
 

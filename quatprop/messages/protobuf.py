@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence as Paths
     from pathlib import Path
 
-    from quatprop.containers.base import Channel
+    from quatprop.messages.blocks import Channel
     from quatprop.messages.schema import Steps, Type
 
 NUMBERS: Mapping[int, Primitive] = {

@@ -13,7 +13,7 @@ from quatprop.text import did_you_mean, listed, quoted
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from quatprop.containers.base import Channel
+    from quatprop.messages.blocks import Channel
 
 MAX_DEPTH = 50
 """Definitions nested deeper than this are refused: none are in practice, and searches recurse."""

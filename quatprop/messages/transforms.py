@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.containers.base import Channel, MessageBlock
+    from quatprop.messages.blocks import Channel, MessageBlock
 
 
 _TRANSLATION_AND_ROTATION = Primitive("f8"), 3 + 4

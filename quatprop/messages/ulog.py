@@ -20,7 +20,7 @@ from quatprop.text import quoted
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from quatprop.containers.base import Channel
+    from quatprop.messages.blocks import Channel
     from quatprop.messages.definitions import Fields, Kind
 
 _NUMBERS = {

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from quatprop.provenance import JsonObject, entry_of
 
 if TYPE_CHECKING:
-    from quatprop.containers.base import Loss
+    from quatprop.tables.log import Loss
     from quatprop.text import Text
     from quatprop.timeline.counts import Counts
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.conditioning import ConditioningReport
-    from quatprop.containers.base import Log, Loss
     from quatprop.pipeline.gyro_errors import UncertaintyReport
+    from quatprop.tables.log import Log, Loss
     from quatprop.text import Text
     from quatprop.timeline.counts import Counts
     from quatprop.timeline.stamps import Policy

@@ -45,8 +45,8 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.containers.base import Loss
     from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Loss
     from quatprop.timeline.counts import Counts
 
 

@@ -22,10 +22,10 @@ from quatprop.text import Setting, Text
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from quatprop.containers.base import Loss
     from quatprop.provenance import JsonObject
     from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Loss
 
 
 @dataclass(frozen=True, slots=True)

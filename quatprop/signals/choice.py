@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
-from quatprop.containers.merge import Columns, merge_by_time
 from quatprop.errors import (
     AmbiguousTopicError,
     NoAttitudesError,
@@ -22,6 +21,7 @@ from quatprop.errors import (
 from quatprop.logs.matching import Found, find
 from quatprop.logs.vocabulary import GENERIC
 from quatprop.signals.signal import RateSignal, Signal, no_parts, series_of, stamps_of
+from quatprop.tables.batches import RowBatch, merge_by_time
 from quatprop.text import Setting, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def _joined(log: AnyLog, signals: list[SignalT]) -> SignalT:
             f"definitions, and some have no header stamp; choose {Setting('clock', 'log')}",
         )
 
-    def merged() -> Iterator[Columns]:
+    def merged() -> Iterator[RowBatch]:
         return merge_by_time([s.rows() for s in signals if isinstance(s, RateSignal)])
 
     remark = (

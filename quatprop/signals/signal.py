@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64, Int64
     from quatprop.conditioning.time_range import PartReader
-    from quatprop.containers.merge import Columns
     from quatprop.conventions import Meaning
     from quatprop.logs.matching import Match
     from quatprop.provenance import JsonObject
+    from quatprop.tables.batches import RowBatch
 
     Rows: TypeAlias = Iterator[
         tuple[Int64, Float64, Float64 | None, Float64 | None, *tuple[Any, ...]]
@@ -38,14 +38,14 @@ if TYPE_CHECKING:
             """
 
 
-def stamps_of(rows: Iterable[Columns]) -> Iterator[tuple[Int64, Int64]]:
+def stamps_of(rows: Iterable[RowBatch]) -> Iterator[tuple[Int64, Int64]]:
     """Yield the stamps of rows and their log times, shapes ``(N,)``, int64 ns."""
     for columns in rows:
         yield columns.values[0], columns.log_ns
 
 
 def series_of(
-    rows: Iterable[Columns], *, averages: bool, logged: bool = False
+    rows: Iterable[RowBatch], *, averages: bool, logged: bool = False
 ) -> Iterator[GyroSeries]:
     """Yield rates, rad/s, of rows whose values are their stamps, the rates, and their spans.
 
@@ -106,7 +106,7 @@ class RateSignal(Signal):
     method: str | None = None
     increments: bool = False
     part_reader: Callable[[], PartReader | None] = no_parts
-    rows: Callable[[], Iterator[Columns]] = lambda: iter(())
+    rows: Callable[[], Iterator[RowBatch]] = lambda: iter(())
     matches: tuple[Match, ...] = ()
 
     def with_log_times(self) -> RateSignal:
@@ -116,7 +116,7 @@ class RateSignal(Signal):
         batches = partial(self._logged_batches, self.rows)
         return replace(self, batches=batches, part_reader=no_parts)
 
-    def _logged_batches(self, rows: Callable[[], Iterator[Columns]]) -> Iterator[GyroSeries]:
+    def _logged_batches(self, rows: Callable[[], Iterator[RowBatch]]) -> Iterator[GyroSeries]:
         return series_of(rows(), averages=self.method == "end", logged=True)
 
     @property

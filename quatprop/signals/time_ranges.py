@@ -19,17 +19,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.conditioning.time_range import Ends, EndsFinder, PartOfLog
-from quatprop.containers.base import LATEST
-from quatprop.containers.time_range import TimeRange
+from quatprop.tables.time_range import TimeRange
 from quatprop.timeline.outliers import LOOK_AHEAD, marked
-from quatprop.times import NS_PER_S
+from quatprop.times import LATEST, NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from quatprop.arrays import Int64
     from quatprop.series import GyroSeries
-    from quatprop.tables.base import Span
+    from quatprop.tables.model import Span
 
 
 MARGIN_NS = 60 * NS_PER_S

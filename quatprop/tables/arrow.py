@@ -13,7 +13,7 @@ from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY, JsonObject, provenance_in
 from quatprop.stores.file_source import FileSource, source_of
 from quatprop.stores.limits import checksums_matter
-from quatprop.tables.base import Span, TimedColumns, refuse_second_file
+from quatprop.tables.base import TimedColumns, refuse_second_file
 from quatprop.tables.row_groups import stamp_spans
 from quatprop.tables.typed_table import (
     BATCH_ROWS,
@@ -29,6 +29,8 @@ from quatprop.text import plain
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
+
+    from quatprop.tables.model import Span
 
 
 _PARQUET_TAIL = 8

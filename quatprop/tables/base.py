@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, NoReturn, TypeAlias
 
-from quatprop.containers.base import Log, MessageLog
 from quatprop.errors import UnsupportedLogError, UsageError
 from quatprop.progress import metered
 from quatprop.tables.counters import counted_rows
+from quatprop.tables.log import Log
 from quatprop.text import Setting, plain, quoted
 
 if TYPE_CHECKING:
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
     from quatprop.provenance import JsonObject
     from quatprop.tables.file_table import FileTable
+    from quatprop.tables.model import Span, TableNotes
 
     Batches = Iterator[tuple[Int64, Float64]]
 
@@ -61,38 +61,6 @@ class TimedColumns(NamedTuple):
     def units(self) -> tuple[str, ...]:
         """The unit of each time column."""
         return (self.time_unit, self.fraction_unit)[: len(self.time)]
-
-
-class TableNotes(NamedTuple):
-    """What a table declares besides its column names.
-
-    `sample_rate`: rows a second, Hz, if the lines before the header declare it
-    `units`: units by position that a column's type or the lines before the header declare
-    `rate_scale`: what stored rates are multiplied by
-    `title`: the first line, where lines come before the header
-    `mount`: how the sensor is mounted, as signed axes such as ``"y,-x,z"``, if the lines before the
-        header declare it; ``""`` where they do not, or where it is not turned
-    """
-
-    sample_rate: float | None = None
-    units: Mapping[int, str] = MappingProxyType({})
-    rate_scale: float = 1.0
-    title: str = ""
-    mount: str = ""
-    dates: Mapping[int, bool] = MappingProxyType({})
-    texts: frozenset[int] = frozenset()
-
-
-class Span(NamedTuple):
-    """The stamps of a part of a table.
-
-    `first_ns`, `last_ns`: the earliest and the latest, ns
-    `rows`: how many rows it has
-    """
-
-    first_ns: int
-    last_ns: int
-    rows: int
 
 
 class TableLog(Log):
@@ -206,8 +174,8 @@ class TableLog(Log):
         """Yield :meth:`rows` with the stamps, or the counts of samples, that columns hold."""
 
 
-AnyLog: TypeAlias = MessageLog | TableLog
-"""A log of either kind."""
+AnyLog: TypeAlias = Log
+"""A log of any kind."""
 
 
 def refuse_second_file(path: Path, begin: int) -> NoReturn:

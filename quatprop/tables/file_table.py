@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.merge import Columns
 from quatprop.errors import MessageError
 from quatprop.tables.base import TimedColumns
+from quatprop.tables.batches import RowBatch
 from quatprop.tables.column_names import parse_name
 from quatprop.tables.model import Stamp, Table, TablePart
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import AnyArray, Float64
     from quatprop.provenance import JsonObject
-    from quatprop.tables.base import Span, TableLog
-    from quatprop.tables.model import Column, Convert, Group, Series, Within
+    from quatprop.tables.base import TableLog
+    from quatprop.tables.model import Column, Convert, Group, Series, Span, Within
 
 
 class FileTable(Table):
@@ -74,15 +74,15 @@ class FileTable(Table):
         groups: Sequence[Group],
         convert: Convert,
         within: Within = None,
-    ) -> Iterator[Columns]:
+    ) -> Iterator[RowBatch]:
         """Yield batches in the order of the file, whose stamps stand for the log times."""
         parts = within if isinstance(within, frozenset) else None
         timed = self._timed(stamp, groups)._replace(parts=parts)
         for t_ns, cells in self._log.metered_rows(timed):
             values = (t_ns, *_split(cells, groups))
-            yield self._converted(Columns(t_ns, values), convert)
+            yield self._converted(RowBatch(t_ns, values), convert)
 
-    def _converted(self, rows: Columns, convert: Convert) -> Columns:
+    def _converted(self, rows: RowBatch, convert: Convert) -> RowBatch:
         """Return rows without those that cannot be converted."""
         try:
             return convert(rows)

@@ -6,9 +6,10 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from quatprop.errors import DamagedLogError, UnsupportedLogError, UsageError
-from quatprop.tables.base import TableNotes, refuse_second_file
+from quatprop.tables.base import refuse_second_file
 from quatprop.tables.hdf5_attributes import column_names, packing, sample_rate, unit_of
 from quatprop.tables.hdf5_storage import ERRORS, StoredRows, read_rows, refusal, shape_of
+from quatprop.tables.model import TableNotes
 from quatprop.tables.npy_format import ArrayColumn, ArrayHeader, HeaderError, columns_of
 from quatprop.tables.numpy_table import NumpyTable, Wanted
 from quatprop.tables.typed_table import DamageError

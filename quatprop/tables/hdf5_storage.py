@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from quatprop.arrays import Int64
-    from quatprop.containers.base import Losses
+    from quatprop.tables.log import Losses
     from quatprop.tables.npy_format import ArrayColumn
 
 _CACHE_BYTES = 1 << 26

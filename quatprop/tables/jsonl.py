@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.provenance import JsonObject
-    from quatprop.tables.base import TableNotes, TimedColumns
+    from quatprop.tables.base import TimedColumns
+    from quatprop.tables.model import TableNotes
 
 HEAD_BYTES = 1 << 16
 """How much of the file is looked at for the names of its columns."""

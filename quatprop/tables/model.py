@@ -8,9 +8,8 @@ list of transforms is a table of its elements. What a column means is said in
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
-
-from quatprop.tables.base import TableNotes
 
 if TYPE_CHECKING:
     import re
@@ -19,18 +18,17 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.arrays import AnyArray, Float64, Int64
-    from quatprop.containers.merge import Columns
-    from quatprop.containers.time_range import TimeRange
     from quatprop.provenance import JsonObject
-    from quatprop.tables.base import Span
+    from quatprop.tables.batches import RowBatch
+    from quatprop.tables.time_range import TimeRange
     from quatprop.text import Setting
 
-    Convert = Callable[[Columns], Columns]
+    Convert = Callable[[RowBatch], RowBatch]
     Series = tuple[tuple[int, str], ...]
     Within = TimeRange | frozenset[int] | None
 
 Group: TypeAlias = tuple[int, ...]
-"""Columns that are read together: rows ``(N, k)`` of float64; of one column ``(N,)`` as stored."""
+"""RowBatch that are read together: rows ``(N, k)`` of float64; of one column ``(N,)`` as stored."""
 
 
 class Column(NamedTuple):
@@ -78,6 +76,38 @@ class Stamp(NamedTuple):
     clock: str = "header"
     sample_rate: Fraction | float | None = None
     utc_offset_ns: int = 0
+
+
+class TableNotes(NamedTuple):
+    """What a table declares besides its column names.
+
+    `sample_rate`: rows a second, Hz, if the lines before the header declare it
+    `units`: units by position that a column's type or the lines before the header declare
+    `rate_scale`: what stored rates are multiplied by
+    `title`: the first line, where lines come before the header
+    `mount`: how the sensor is mounted, as signed axes such as ``"y,-x,z"``, if the lines before the
+        header declare it; ``""`` where they do not, or where it is not turned
+    """
+
+    sample_rate: float | None = None
+    units: Mapping[int, str] = MappingProxyType({})
+    rate_scale: float = 1.0
+    title: str = ""
+    mount: str = ""
+    dates: Mapping[int, bool] = MappingProxyType({})
+    texts: frozenset[int] = frozenset()
+
+
+class Span(NamedTuple):
+    """The stamps of a part of a table.
+
+    `first_ns`, `last_ns`: the earliest and the latest, ns
+    `rows`: how many rows it has
+    """
+
+    first_ns: int
+    last_ns: int
+    rows: int
 
 
 class Table(ABC):
@@ -161,7 +191,7 @@ class Table(ABC):
         groups: Sequence[Group],
         convert: Convert,
         within: Within = None,
-    ) -> Iterator[Columns]:
+    ) -> Iterator[RowBatch]:
         """Yield batches of rows whose values are their times, ns, and the groups, converted.
 
         Rows that cannot be decoded, or that `convert` refuses by their positions, are left out and

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
-from quatprop.tables.base import Span
+from quatprop.tables.model import Span
 from quatprop.tables.timestamps import TimestampRangeError, nanoseconds
 
 if TYPE_CHECKING:

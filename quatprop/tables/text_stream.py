@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from quatprop.containers.base import Losses
+    from quatprop.tables.log import Losses
 
 BLOCK_BYTES = 1 << 22
 """Bytes of a block; a longer record makes a longer one."""

@@ -16,7 +16,8 @@ import pyarrow.compute as pc
 from quatprop.errors import UnsupportedLogError
 from quatprop.series.arrow_arrays import to_arrow, to_numpy
 from quatprop.tables import timestamps
-from quatprop.tables.base import TableLog, TableNotes, TimedColumns
+from quatprop.tables.base import TableLog, TimedColumns
+from quatprop.tables.model import TableNotes
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:

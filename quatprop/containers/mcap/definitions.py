@@ -9,12 +9,12 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from quatprop.containers.base import Channel
 from quatprop.containers.mcap.messages import messages_at
 from quatprop.containers.mcap.records import MALFORMED, read_channel, read_schema
 from quatprop.containers.mcap.regions import CHANNEL, SCHEMA, ChunkHead, Region, load
 from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import walk_records
+from quatprop.messages.blocks import Channel
 from quatprop.stores.compression import UnreadableDataError, decompress_prefix
 from quatprop.stores.limits import DecompressionBudget
 from quatprop.text import plain

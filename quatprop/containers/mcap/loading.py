@@ -25,9 +25,9 @@ from quatprop.stores.limits import CHECKSUMS, checksums_matter
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from quatprop.containers.base import MessageBlock
     from quatprop.containers.mcap.definitions import DefinitionCheck
     from quatprop.containers.mcap.messages import LocatedMessages
+    from quatprop.messages.blocks import MessageBlock
     from quatprop.stores.file_source import FileSource
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from quatprop.containers.base import LATEST, Channel, MessageBlock, by_topic
 from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.compressed_messages import decompressed
 from quatprop.containers.mcap.definitions import DefinitionCheck, ids_by_channel, read_definitions
@@ -23,7 +22,9 @@ from quatprop.containers.mcap.summary import (
     read_summary,
 )
 from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.messages.blocks import Channel, MessageBlock, by_topic
 from quatprop.text import quoted
+from quatprop.times import LATEST
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.base import LATEST, MessageBlock
 from quatprop.containers.mcap.regions import INDEX_ENTRY, INDEX_HEAD, MESSAGE, MESSAGE_INDEX, RECORD
 from quatprop.containers.mcap.walk import MESSAGE_HEAD
+from quatprop.messages.blocks import MessageBlock
+from quatprop.times import LATEST
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,7 +36,7 @@ class LocatedMessages:
     """Messages of several channels, and which channel each is of.
 
     `block`: the messages. Unsigned times after the year 2262 are negative in its `publish_ns`, and
-        clamped to :data:`~quatprop.containers.base.LATEST` in `log_ns`
+        clamped to :data:`~quatprop.times.LATEST` in `log_ns`
     `channels`: Channel ids, shape ``(N,)``; may be a view of the buffer
     """
 

@@ -10,7 +10,6 @@ from bisect import bisect_right
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from quatprop.containers.base import LATEST, Losses
 from quatprop.containers.mcap.definitions import Definitions, leading_definitions
 from quatprop.containers.mcap.messages import messages_at
 from quatprop.containers.mcap.regions import (
@@ -43,6 +42,8 @@ from quatprop.containers.mcap.walk import walk_records
 from quatprop.stores.checksum import crc32
 from quatprop.stores.compression import MAX_SIZE
 from quatprop.stores.limits import checksums_matter
+from quatprop.tables.log import Losses
+from quatprop.times import LATEST
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

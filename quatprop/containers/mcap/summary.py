@@ -6,7 +6,6 @@ import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.containers.base import LATEST, Losses
 from quatprop.containers.mcap.records import (
     MALFORMED,
     prefixed,
@@ -18,6 +17,8 @@ from quatprop.containers.mcap.regions import CHANNEL, DATA_END, METADATA, RECORD
 from quatprop.provenance import METADATA_KEY
 from quatprop.stores.checksum import crc32
 from quatprop.stores.compression import MAX_SIZE
+from quatprop.tables.log import Losses
+from quatprop.times import LATEST
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.base import Losses
 from quatprop.containers.rosbag1.records import (
     OP_CHUNK,
     OP_CHUNK_INFO,
@@ -24,6 +23,7 @@ from quatprop.containers.rosbag1.records import (
     index_data,
 )
 from quatprop.stores.compression import UnreadableDataError, decompress, decompress_prefix
+from quatprop.tables.log import Losses
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.base import Losses, MessageBlock
 from quatprop.containers.chunks import ChunkReader
 from quatprop.containers.rosbag1.index import (
     BagChunk,
@@ -28,6 +27,7 @@ from quatprop.containers.rosbag1.records import (
     index_data,
     surviving_records,
 )
+from quatprop.messages.blocks import MessageBlock
 from quatprop.stores.byte_ranges import LARGE, ranges_worth_reading
 from quatprop.stores.compression import UnreadableDataError
 
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
     from quatprop.containers.rosbag1.records import Record, RecordFile
+    from quatprop.tables.log import Losses
 
 
 _INDEX_HEAD = 55

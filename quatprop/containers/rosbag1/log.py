@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from rosbags.typesys.msg import normalize_msgtype
 
-from quatprop.containers.base import Channel, MessageBlock, by_topic
 from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.rosbag1.index import MAGIC, BagChunk, BagIndex, read_index
 from quatprop.containers.rosbag1.loading import BagReader, accounts_for_all, prove
@@ -18,6 +17,7 @@ from quatprop.containers.rosbag1.rebuild import rebuild_index
 from quatprop.containers.rosbag1.records import OP_BAG_HEADER, RecordFile
 from quatprop.containers.rosbag1.resync import RECORDS
 from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.messages.blocks import Channel, MessageBlock, by_topic
 from quatprop.messages.definition_sums import definition_of
 from quatprop.provenance import METADATA_KEY
 from quatprop.stores.compression import UnreadableDataError

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.base import MessageBlock
 from quatprop.containers.rosbag1.records import OP_MESSAGE, fields_of, header_end_of
+from quatprop.messages.blocks import MessageBlock
 from quatprop.stores.compression import UnreadableDataError
 from quatprop.times import NS_PER_S
 

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import apsw
 
-from quatprop.containers.base import LATEST, Channel, MessageBlock, MessageLog, by_topic
 from quatprop.containers.compressed_messages import decompressed
 from quatprop.containers.rosbag2.db3_tables import check_indexes, columns_of, has_rowid, read_topics
 from quatprop.containers.rosbag2.fetches import ROWS, Fetch, combined, fetch_of, fetched, next_group
@@ -19,11 +18,14 @@ from quatprop.containers.rosbag2.sqlite_files import (
     read_wal,
 )
 from quatprop.containers.rosbag2.sqlite_pages import open_pages
-from quatprop.containers.time_range import TimeRange
+from quatprop.containers.topics import TopicLog
 from quatprop.errors import DamagedLogError
+from quatprop.messages.blocks import Channel, MessageBlock, by_topic
 from quatprop.provenance import of_all_topics
 from quatprop.stores.file_source import FileSource
+from quatprop.tables.time_range import TimeRange
 from quatprop.text import quoted
+from quatprop.times import LATEST
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -36,7 +38,7 @@ EVERY_TIME = TimeRange(-LATEST, LATEST)
 """All log times: those of other rows are counted as lost then."""
 
 
-class Db3Log(MessageLog):
+class Db3Log(TopicLog):
     """A ROS 2 bag in an SQLite database.
 
     `path`: the database

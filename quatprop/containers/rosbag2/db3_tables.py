@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import apsw
 from rosbags.typesys.msg import normalize_msgtype
 
-from quatprop.containers.base import Channel
 from quatprop.errors import UnsupportedLogError
+from quatprop.messages.blocks import Channel
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import apsw
 import numpy as np
 
-from quatprop.containers.base import MessageBlock
+from quatprop.messages.blocks import MessageBlock
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -8,9 +8,8 @@ from contextlib import closing, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from quatprop.containers.base import NO_BOUND, Channel, Loss, MessageBlock, MessageLog, by_topic
 from quatprop.containers.rosbag2.parts import METADATA, Part, folder, total_count
-from quatprop.containers.time_range import TimeRange
+from quatprop.containers.topics import TopicLog
 from quatprop.errors import (
     DamagedLogError,
     LogError,
@@ -18,22 +17,28 @@ from quatprop.errors import (
     UnsupportedLogError,
     os_reason,
 )
+from quatprop.messages.blocks import Channel, MessageBlock, by_topic
 from quatprop.provenance import of_all_topics
 from quatprop.stores.compressed_files import MAGIC_BYTES, DecompressedCopy, file_compression
 from quatprop.stores.compression import UnreadableDataError
 from quatprop.stores.file_source import FileSource
+from quatprop.tables.batches import NO_BOUND
+from quatprop.tables.log import Loss
+from quatprop.tables.time_range import TimeRange
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
     from pathlib import Path
 
+    from quatprop.containers.base import MessageLog
+
 
 MAX_OPEN = 16
 """So many parts are kept open; an open database takes some megabytes. Others are opened again."""
 
 
-class Rosbag2Log(MessageLog):
+class Rosbag2Log(TopicLog):
     """A ROS 2 bag folder.
 
     `source_of_part`: Opens a part that is not compressed

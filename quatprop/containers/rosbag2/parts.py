@@ -10,14 +10,16 @@ from typing import TYPE_CHECKING
 
 from rosbags.typesys.msg import normalize_msgtype
 
-from quatprop.containers.base import Channel, Losses, MessageLog
 from quatprop.errors import UnsupportedLogError
 from quatprop.settings.guarded_text import ContentError, read_bytes, read_yaml
+from quatprop.tables.log import Losses
 from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from quatprop.containers.base import MessageLog
+    from quatprop.messages.blocks import Channel
     from quatprop.provenance import JsonObject
     from quatprop.stores.compressed_files import DecompressedCopy
 

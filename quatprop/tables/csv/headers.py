@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError
 from quatprop.provenance import COMMENT
-from quatprop.tables.base import OTHER_DATES, TableNotes
+from quatprop.tables.base import OTHER_DATES
 from quatprop.tables.csv.notes import NUMBER, RATES, column_names, declared_notes, header_row
 from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
+
+    from quatprop.tables.model import TableNotes
 
 
 HEAD_BYTES = 1 << 18

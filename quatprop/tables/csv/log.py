@@ -29,7 +29,8 @@ from quatprop.text import quoted
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from quatprop.tables.base import Batches, TableNotes, TimedColumns
+    from quatprop.tables.base import Batches, TimedColumns
+    from quatprop.tables.model import TableNotes
     from quatprop.tables.text_stream import TextBlock
 
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import UnsupportedLogError
 from quatprop.settings.quantities import SCALED_RATE_UNITS
-from quatprop.tables.base import TableNotes
 from quatprop.tables.column_names import RATE_UNITS, TIME_UNITS, parse_name
+from quatprop.tables.model import TableNotes
 
 if TYPE_CHECKING:
     from pathlib import Path

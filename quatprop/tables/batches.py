@@ -13,22 +13,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.containers.base import NO_BOUND
-
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    _Waiting = tuple[int, int, int, "Columns"]
+    _Waiting = tuple[int, int, int, "RowBatch"]
     """First log time, stream and arrival of a batch that is held back: its place in the output."""
+
+NO_BOUND = int(np.iinfo(np.int64).min)
+"""`not_before_ns` of a batch that says nothing about the batches after it."""
 
 _NEVER = int(np.iinfo(np.int64).max) + 1
 """The bound of a stream that has ended: later than any log time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Columns:
+class RowBatch:
     """Rows decoded from one block of messages.
 
     `log_ns`: when each row was recorded, shape ``(N,)``, int64 ns
@@ -43,35 +44,35 @@ class Columns:
     def __len__(self) -> int:
         return len(self.log_ns)
 
-    def rows(self, selected: slice | NDArray[np.int64]) -> Columns:
+    def rows(self, selected: slice | NDArray[np.int64]) -> RowBatch:
         """Return selected rows: views for a slice, copies for positions."""
-        return Columns(self.log_ns[selected], tuple(column[selected] for column in self.values))
+        return RowBatch(self.log_ns[selected], tuple(column[selected] for column in self.values))
 
 
-def joined_rows(batches: Sequence[Columns]) -> Columns:
+def joined_rows(batches: Sequence[RowBatch]) -> RowBatch:
     """Return the rows of batches of one stream, at least one, as one batch."""
     if len(batches) == 1:
         return batches[0]
     columns = zip(*(batch.values for batch in batches), strict=True)
     values = tuple(np.concatenate(column) for column in columns)
     log_ns = np.concatenate([batch.log_ns for batch in batches])
-    return Columns(log_ns, values, batches[-1].not_before_ns)
+    return RowBatch(log_ns, values, batches[-1].not_before_ns)
 
 
-def merge_by_time(streams: Sequence[Iterable[Columns]]) -> Iterator[Columns]:
+def merge_by_time(streams: Sequence[Iterable[RowBatch]]) -> Iterator[RowBatch]:
     """Merge streams of batches into one in order of log time.
 
     The result is that of a stable sort of all rows by log time, with equal times in order of
     streams and then of arrival, provided that no batch comes before its stream's bound.
 
-    A batch without a bound (:data:`~quatprop.containers.base.NO_BOUND`) is taken to end before
+    A batch without a bound (:data:`~quatprop.tables.batches.NO_BOUND`) is taken to end before
     the next one of its stream begins; its stream need not be held in memory. Rows that come
     before their bound are not lost: they are yielded as soon as they are read, out of order.
 
     Examples
     --------
-    >>> even = Columns(np.array([0, 2]), (np.array([10, 12]),), not_before_ns=4)
-    >>> odd = Columns(np.array([1, 3]), (np.array([11, 13]),), not_before_ns=5)
+    >>> even = RowBatch(np.array([0, 2]), (np.array([10, 12]),), not_before_ns=4)
+    >>> odd = RowBatch(np.array([1, 3]), (np.array([11, 13]),), not_before_ns=5)
     >>> [batch.values[0].tolist() for batch in merge_by_time([[even], [odd]])]
     [[10, 11, 12, 13]]
     """
@@ -118,15 +119,15 @@ def _ready(waiting: list[_Waiting], bounds: list[int]) -> list[_Waiting]:
     return ready
 
 
-def _sorted(batch: Columns) -> Columns:
+def _sorted(batch: RowBatch) -> RowBatch:
     """Return a batch in order of log time; it usually is."""
     if (batch.log_ns[1:] >= batch.log_ns[:-1]).all():
         return batch
     rows = batch.rows(np.argsort(batch.log_ns, kind="stable"))
-    return Columns(rows.log_ns, rows.values, batch.not_before_ns)
+    return RowBatch(rows.log_ns, rows.values, batch.not_before_ns)
 
 
-def _merged(waiting: list[_Waiting]) -> Columns:
+def _merged(waiting: list[_Waiting]) -> RowBatch:
     """Return batches as one, equal times in order of stream, then of arrival."""
     if len(waiting) == 1:
         part = waiting[0][3]
@@ -138,4 +139,4 @@ def _merged(waiting: list[_Waiting]) -> Columns:
         log_ns = log_ns[order]
         columns = zip(*(part.values for part in parts), strict=True)
         values = tuple(np.concatenate(column)[order] for column in columns)
-    return Columns(log_ns, values, int(log_ns[-1]))
+    return RowBatch(log_ns, values, int(log_ns[-1]))

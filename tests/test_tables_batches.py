@@ -5,15 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quatprop.containers.base import NO_BOUND
-from quatprop.containers.merge import Columns, merge_by_time
+from quatprop.tables.batches import NO_BOUND, RowBatch, merge_by_time
 
 
 def columns(log_ns, first=0, promise=NO_BOUND):
     """Return a batch whose values tell where each row comes from."""
     log_ns = np.array(log_ns, np.int64)
     names = first + np.arange(len(log_ns))
-    return Columns(log_ns, (names, np.stack([names * 1.0, log_ns * 1.0], axis=1)), promise)
+    return RowBatch(log_ns, (names, np.stack([names * 1.0, log_ns * 1.0], axis=1)), promise)
 
 
 def all_rows(batches):
@@ -141,7 +140,7 @@ def test_only_what_overlaps_is_held():
             data = np.ndarray.__new__(Counted, (150, 2))
             alive += 1
             most = max(most, alive)
-            yield Columns(times, (data,), 100 * (number + 1) + offset)
+            yield RowBatch(times, (data,), 100 * (number + 1) + offset)
             del data
 
     assert sum(len(batch) for batch in merge_by_time([stream(0), stream(30)])) == 2 * 100 * 150
