@@ -13,7 +13,6 @@ import click
 from quatprop.cli import propagate
 from quatprop.cli.help import Command
 from quatprop.cli.options import QUIET, own_options, with_options
-from quatprop.cli.spelling import spelled
 from quatprop.cli.types import PATH, OneOf, content_of
 from quatprop.concurrency.threads import available_cores
 from quatprop.text import listed, plain
@@ -110,7 +109,7 @@ def command(
     job = propagate.job_of({**chosen, **paths}, Path.cwd())
     planned = plan(search.logs, job, folder, suffix, manifest)
     _warn_of_unused(manifest)
-    settings = BatchSettings.of(job, reports=as_json, spell=spelled)
+    settings = BatchSettings.of(job, reports=as_json)
     tasks = outdated(planned, settings, manifest) if chosen["skip_existing"] else planned
     skipped = set(planned).difference(tasks)
     lost = with_data_lost(skipped, manifest) if skipped else 0
@@ -205,7 +204,7 @@ class _Shown:
         if self._keeps:
             self.reports[index] = _report(task, result)
         if result.entry.state == "failed":
-            self._errors.append(spelled(result.error))
+            self._errors.append(result.entry.error or "")
             self._say(f"Error: {self._errors[-1]}")
         elif not self._quiet and result.entry.span_s is not None:
             self._say(_line(task, result, result.entry.span_s, self._width))
@@ -246,7 +245,7 @@ def _line(task: BatchTask, result: BatchResult, span_s: float, width: int) -> st
     span = duration_text(round(span_s * 1e9))
     samples = f"{result.entry.samples:>12,} samples over {span:<10}"
     lines = [f"{plain(task.log):<{width}}  {samples}  -> {plain(without_secret(task.output))}"]
-    lines += [f"  warning: {spelled(remark)}" for remark in result.remarks]
+    lines += [f"  warning: {remark}" for remark in result.entry.remarks]
     return "\n".join(lines + [f"  {line}" for line in loss_lines(result.losses)])
 
 

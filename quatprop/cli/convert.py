@@ -9,10 +9,9 @@ import click
 from quatprop.cli.help import Command
 from quatprop.cli.options import QUIET, REPORT, input_of, own_options, setting_options, with_options
 from quatprop.cli.output_options import EULER, INTO, OUTPUT_OPTIONS, output_settings, with_unit
-from quatprop.cli.spelling import spelled
 from quatprop.cli.types import PATH, OneOf
 from quatprop.settings import CONVENTIONS, DIRECTIONS, READ_ATTITUDES
-from quatprop.text import plain
+from quatprop.text import plain, spelled
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,12 +9,11 @@ import click
 
 from quatprop.cli.help import Command
 from quatprop.cli.options import setting_options, with_options
-from quatprop.cli.spelling import sentence, spelled
 from quatprop.cli.types import PATH
 from quatprop.provenance import as_json as to_json
 from quatprop.rendering import loss_lines
 from quatprop.settings import READ_RATES
-from quatprop.text import plain
+from quatprop.text import plain, spelled
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -85,7 +84,7 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
             with progress():
                 surveys.append(survey(path, kind, wanted))
         except QuatpropError as error:
-            click.echo(f"Error: {sentence(error)}", err=True)
+            click.echo(f"Error: {error}", err=True)
     if as_json:
         click.echo(json.dumps(to_json(surveys), indent=2))
     else:

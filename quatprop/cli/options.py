@@ -12,11 +12,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from quatprop.cli.help import SettingOption
-from quatprop.cli.spelling import option as option_name
-from quatprop.cli.spelling import spelled
 from quatprop.cli.types import PATH, OneOf, ParamType, Parsed
 from quatprop.settings.parsers import Choice, Parser, flag
-from quatprop.text import Setting, Text
+from quatprop.settings.spelling import in_options, option
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -47,13 +45,13 @@ def setting_options(
     options = []
     for name, keyword in keywords.items():
         short = "-t " if name == "topic" and not side else ""
-        names = f"{short}{option_name(Setting(name), side)} {name}_{side}".rstrip("_")
+        names = f"{short}{option(name)}{side and f'-{side}'} {name}_{side}".rstrip("_")
         says = keyword.says
         if name == "kind":
             says = f"{says[:-1]}: {', '.join(keyword.choices)}."
         if keyword.parse is not flag or keyword.default != "none":
             says = f"{says}  [default: {keyword.default}]"
-        text = spelled(Text(prefix + says.format(log=log, signal=signal)), side)
+        text = in_options(prefix + says.format(log=log, signal=signal), side)
         group = f"Input {side.upper()}" if side else keyword.group
         common = keyword.common and not side
         options.append(
@@ -125,8 +123,8 @@ def with_options(
         every += own_options(some) if isinstance(some, dict) else some
 
     def decorated(command: Command) -> Command:
-        for option in reversed(every):
-            command = option(command)
+        for give in reversed(every):
+            command = give(command)
         return command
 
     return decorated

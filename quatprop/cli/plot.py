@@ -16,12 +16,12 @@ from quatprop.cli.options import (
     setting_options,
     with_options,
 )
-from quatprop.cli.spelling import command_line, option, spelled
 from quatprop.cli.types import PATH, OneOf, Parsed
 from quatprop.comparison.settings import COMPARE
 from quatprop.settings import ONE_SERIES, PROPAGATE, READ_RATES
 from quatprop.settings.quantities import picture_size
-from quatprop.text import Setting, plain
+from quatprop.settings.spelling import option
+from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -96,6 +96,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     Several files are laid over one another.
     """
     from quatprop.cli.progress import progress
+    from quatprop.cli.summary import command_line
     from quatprop.conditioning import Conditioning
     from quatprop.plot.files import View
     from quatprop.plot.run import plot
@@ -124,7 +125,6 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
             against,
             settings_of(chosen),
             style=_style(chosen),
-            spell=spelled,
             command=command_line(),
         )
     if not quiet:
@@ -148,14 +148,14 @@ def _show(chosen: Mapping[str, Any]) -> Literal["rates", "attitude"] | None:
     for name in ("components", "unwrap", *ATTITUDES):
         if chosen[name]:
             if show == "rates":
-                raise click.UsageError(f"{option(Setting(name))} goes with --show attitude")
+                raise click.UsageError(f"{option(name)} goes with --show attitude")
             return "attitude"
     return show
 
 
 def _refuse_idle(chosen: Mapping[str, Any]) -> None:
     """Refuse options that go with others than those that are given."""
-    of_error = {option(Setting(name)) for name in ERROR}
+    of_error = {option(name) for name in ERROR}
     for parameter in click.get_current_context().command.params:
         name, value = parameter.opts[-1], chosen.get(str(parameter.name))
         if value is None or value is False:

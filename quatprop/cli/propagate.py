@@ -11,7 +11,6 @@ from quatprop.cli.config import config_option
 from quatprop.cli.help import Command
 from quatprop.cli.options import PLOT, QUIET, REPORT, setting_options, with_options
 from quatprop.cli.output_options import INTO, OUTPUT_OPTIONS, output_settings
-from quatprop.cli.spelling import command_line, spelled
 from quatprop.cli.types import PATH, TEXTS
 from quatprop.settings import PROPAGATE
 from quatprop.settings.parsers import file_beside
@@ -54,7 +53,7 @@ def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> i
     LOG (--into).
     """
     from quatprop.cli.progress import progress
-    from quatprop.cli.summary import INDENT, show, summary
+    from quatprop.cli.summary import INDENT, command_line, show, summary
     from quatprop.pipeline.job import run
 
     job = job_of(chosen)
@@ -63,7 +62,7 @@ def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> i
         if plot is not None:
             from quatprop.plot.propagation import PropagationPicture
 
-            drawing = PropagationPicture(plot, job, spelled, command=command_line())
+            drawing = PropagationPicture(plot, job, command=command_line())
             picture = stack.enter_context(drawing)
         report = run(job, picture, summary=not quiet)
     if not quiet:

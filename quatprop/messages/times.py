@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import MessageError
-from quatprop.text import Setting, Text
+from quatprop.text import Setting
 from quatprop.times import NS_PER_UNIT
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def to_ns(columns: Sequence[AnyArray], units: Sequence[str], names: str, path: P
     if bad:
         raise MessageError(
             path,
-            Text(
+            (
                 f"the time {first[bad[0]]} {units[0]} in {names} does not fit in 64 bits of "
                 f"nanoseconds; choose {Setting('clock', 'log')} or another {Setting('time_field')}"
             ),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
 from quatprop.settings.parsers import Choice
-from quatprop.text import Text
+from quatprop.text import in_python
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -69,7 +69,7 @@ def parameters(options: type, signal: str = "rates", log: str = "the log") -> st
             says += f" One of {', '.join(map(repr, keyword.choices))}."
         if keyword.default != "none" or "none" in keyword.choices:
             says += f" By default: {keyword.default}."
-        said = str(Text(says.format(log=log, signal=signal)))
+        said = in_python(says.format(log=log, signal=signal))
         indent = " " * 4
         lines.append(f"{name} : {_type(hint.__origin__)}")
         lines.append(fill(said, 96, initial_indent=indent, subsequent_indent=indent))
