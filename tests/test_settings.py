@@ -12,7 +12,7 @@ import pytest
 
 from quatprop.check.cases import PARSERS
 from quatprop.cli.commands import cli
-from quatprop.cli.options import setting_options, with_options
+from quatprop.cli.options import options_of, with_options
 from quatprop.cli.propagate import command
 from quatprop.comparison.settings import COMPARE
 from quatprop.errors import UsageError
@@ -220,7 +220,7 @@ def test_a_row_is_all_that_help_and_documents_need():
         "    Way of the log, as clock='log' has it. One of 'down', 'up'. By default: up."
     )
     command = click.Command("do", params=[])
-    with_options(setting_options(keywords_of(Options), log="B", side="b"))(command)
+    with_options(options_of(keywords_of(Options), log="B", side="b"))(command)
     (option,) = command.params
     assert (option.opts, option.name, option.group) == (["--upside-b"], "upside_b", "Input B")
     assert option.help == "Way of B, as --clock-b log has it.  [default: up]"

@@ -9,17 +9,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.help import Command
-from quatprop.cli.options import (
-    JSON,
-    PLOT,
-    input_of,
-    refuse_stdin_twice,
-    setting_options,
-    with_options,
-)
+from quatprop.cli.options import JSON, PLOT, input_of, options_of, refuse_stdin_twice, with_options
 from quatprop.cli.types import PATH
 from quatprop.comparison.settings import COMPARE, ComparisonSettings
 from quatprop.settings import CHECKS, ONE_SERIES
+from quatprop.settings.keyword import Keyword
+from quatprop.settings.parsers import flag
 from quatprop.text import spelled
 
 if TYPE_CHECKING:
@@ -32,15 +27,22 @@ EXAMPLES = (
 )
 
 
+OPTIONS = {
+    **PLOT,
+    **JSON,
+    "-q --quiet": Keyword(flag, "Print nothing; the exit code only.", group="Display", common=True),
+}  # fmt: skip
+
+
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("a", type=PATH, metavar="A")
 @click.argument("b", type=PATH, metavar="B")
 @with_options(
-    setting_options(COMPARE, log="B"),
-    setting_options(CHECKS),
-    {**PLOT, **JSON, "-q --quiet": "Print nothing; the exit code only."},
-    setting_options(ONE_SERIES, log="A", signal="attitudes", side="a"),
-    setting_options(ONE_SERIES, log="B", signal="attitudes", side="b"),
+    options_of(COMPARE, log="B"),
+    options_of(CHECKS),
+    OPTIONS,
+    options_of(ONE_SERIES, log="A", signal="attitudes", side="a"),
+    options_of(ONE_SERIES, log="B", signal="attitudes", side="b"),
 )
 def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **chosen: Any) -> int:
     """Measure the geodesic error between two attitude series, A and B.

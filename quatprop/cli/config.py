@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from quatprop.cli.help import GroupedOption
 from quatprop.cli.types import PATH, content_of
 from quatprop.provenance import as_json
 from quatprop.settings.guarded_text import ContentError, read_toml
@@ -112,6 +113,9 @@ def _state(path: str, file: Mapping[str, Any]) -> str:
 
 config_option = click.option(
     "--config",
+    cls=GroupedOption,
+    group="Execution",
+    common=False,
     type=PATH,
     metavar="FILE",
     is_eager=True,

@@ -9,9 +9,7 @@ from quatprop.settings.parsers import Choice
 from quatprop.text import in_python
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from quatprop.settings.parsers import Parser
+    from collections.abc import Callable, Mapping
 
 PYTHON_TYPES = {
     "PathLike": "path",
@@ -33,14 +31,16 @@ class Keyword:
     `takes`: what help calls the value; of a choice it lists the names
     `group`: the heading in help
     `common`: whether help shows it without being asked for all
+    `preset`: whether the default is a value, which is read like one that was given
     """
 
-    parse: Parser
+    parse: Callable[..., Any]
     says: str
     default: str = "none"
     takes: str = ""
     group: str = "Input"
     common: bool = False
+    preset: bool = False
 
     def __call__(self, value: object) -> Any:
         """Return the value in the type that the program uses."""
