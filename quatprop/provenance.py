@@ -19,6 +19,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.errors import DamagedLogError, UnreadableLogError, os_reason
 from quatprop.settings.guarded_text import ContentError, read_json
+from quatprop.text import in_python
 
 JsonObject: TypeAlias = dict[str, Any]
 """An object of JSON, as it is read or about to be written."""
@@ -36,41 +37,41 @@ COMMENT = b"# quatprop "
 """How the first line of a text begins that holds the provenance."""
 
 
-def as_json(value: object) -> Any:
+def as_json(value: object, spell: Callable[[str], str] = in_python) -> Any:
     """Return a value as JSON has it: the one place where reports and results become JSON.
 
     Dataclasses and named tuples become objects with their fields as keys (those of a digest among
     them) but for what ``repr`` leaves out, arrays and other sequences become lists, paths and
-    sentences become strings; sentences with settings as the library spells them. Numbers that are
-    not finite become null.
+    strings; settings in sentences are spelled as in Python, or by `spell`. Numbers that are not
+    finite become null.
 
     Examples
     --------
-    >>> from quatprop.text import Setting, Text
-    >>> as_json({"path": Path("a.bag"), "remarks": (Text(f"see {Setting('clock', 'log')}"),)})
+    >>> from quatprop.text import Setting
+    >>> as_json({"path": Path("a.bag"), "remarks": (f"see {Setting('clock', 'log')}",)})
     {'path': 'a.bag', 'remarks': ["see clock='log'"]}
     """
     if isinstance(value, float) and not math.isfinite(value):
         value = None  # JSON has no infinities.
     if value is None or isinstance(value, _PLAIN):
-        return value
+        return spell(value) if isinstance(value, str) else value
     if isinstance(value, Digest):
         return value.as_json()
     names = getattr(value, "_fields", None)
     if is_dataclass(value):
         names = [field.name for field in fields(value) if field.repr]
     if names is not None:
-        items = {name: as_json(getattr(value, name)) for name in names}
+        items = {name: as_json(getattr(value, name), spell) for name in names}
         # A digest says more about the same thing.
         digest = items.pop("digest", {})
         return {**items, **digest}
     if isinstance(value, Mapping):
-        return {str(key): as_json(item) for key, item in value.items()}
+        return {str(key): as_json(item, spell) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
-        return [as_json(item) for item in value]
+        return [as_json(item, spell) for item in value]
     # NumPy's arrays and scalars, without importing NumPy.
     convert = getattr(value, "tolist", None)
-    return str(value) if convert is None else convert()
+    return spell(str(value)) if convert is None else convert()
 
 
 def provenance_in(text: bytes | str | None, path: Path | str) -> JsonObject:

@@ -75,14 +75,13 @@ class SuiteFile(pytest.File):
         """Return its cases."""
         from quatprop.check.cases import load_cases
         from quatprop.check.lock import read_lock
-        from quatprop.check.spelling import sentence
         from quatprop.errors import QuatpropError
 
         try:
             suite, cases = load_cases(self.path)
             pins = read_lock(suite.lock)
         except QuatpropError as error:
-            raise self.CollectError(sentence(error)) from None
+            raise self.CollectError(str(error)) from None
         for case in cases:
             yield CaseItem.from_parent(self, name=case.name, case=case, pin=pins.get(case.name))
 

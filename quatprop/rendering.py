@@ -7,16 +7,14 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.text import Text, plain
+from quatprop.text import plain, spelled
 from quatprop.times import NS_PER_UNIT, duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
     from quatprop.tables.log import Loss
 
-    Spell = Callable[[str | Text], str]
-    """Writes a sentence as an interface spells the settings in it; ``str`` as the library does."""
 
 Row = tuple[str, str]
 """A label and the text of its value; an empty label continues the row before."""
@@ -158,7 +156,7 @@ def file_names(paths: Iterable[str]) -> list[str]:
 
 def loss_lines(losses: Sequence[Loss]) -> list[str]:
     """Return a line for each thing lost of a damaged log, or for the first of many."""
-    lines = [f"lost: {plain(loss.place)}: {plain(loss.reason)}" for loss in losses[:MAX_LOSSES]]
+    lines = [f"lost: {plain(loss.place)}: {spelled(loss.reason)}" for loss in losses[:MAX_LOSSES]]
     if len(losses) > MAX_LOSSES:
         more = len(losses) - MAX_LOSSES
         lines.append(f"lost: {more} more, which the JSON report lists")

@@ -1,16 +1,23 @@
 """Sentences for users: settings that each interface spells in its own way, and safe quoting.
 
-A choice of the user's is a :class:`Setting` in a :class:`Text`: ``clock='log'`` in Python,
-``--clock log`` on the command line, ``clock = "log"`` in a suite.
+A sentence is plain text. A setting in it is a mark, which is spelled where the text leaves the
+program: ``clock='log'`` in Python, ``--clock log`` on the command line, ``clock = "log"`` in a
+suite.
 """
 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, NamedTuple, Self
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator
+
+    Spelling = Callable[[str, str], str]
+    """Returns a sentence as an interface spells it, and what the second argument says: of which of
+    several inputs its settings are."""
 
 MAX_LISTED = 12
 """Names listed one by one before "and N more"."""
@@ -18,79 +25,63 @@ MAX_LISTED = 12
 MAX_SHOWN = 60
 """Characters of a value that are shown as they are."""
 
+_MARK = re.compile("\ue000([^\ue000-\ue002]*)\ue002([^\ue000-\ue002]*)\ue002(\\w*)\ue001")
+"""A setting in a sentence: :func:`quoted` and :func:`plain` let no such characters pass."""
 
-_MARK = re.compile("\ue000(.*?)\ue001")
-"""A setting in an f-string: :func:`quoted` and :func:`plain` let no such characters pass."""
 
-
-class Setting(NamedTuple):
-    """A choice of the user's, to be mentioned in a sentence.
-
-    In an f-string it is a mark, which :class:`Text` reads; ``str()`` spells it as Python does.
+def Setting(name: str, value: str = "", side: str = "") -> str:  # noqa: N802  # the mark's name
+    """Return the mark of a setting, to be mentioned in a sentence.
 
     `name`: the parameter of the library, such as ``"on_backwards"``
     `value`: what it could be set to, such as ``"log"``; alternatives with ``|`` between them. Empty
         where only the choice is mentioned
     `side`: of which input, where a command has two: ``"a"`` or ``"b"``
+    """
+    return f"\ue000{name}\ue002{value}\ue002{side}\ue001"
+
+
+def with_settings(text: str, spell: Callable[[str, str, str], str]) -> str:
+    """Return a sentence whose marks a function has replaced by name, value and side.
 
     Examples
     --------
-    >>> str(Setting("on_backwards", "drop|sort"))
-    "on_backwards='drop' or 'sort'"
+    >>> with_settings(f"choose {Setting('clock', 'log')}", lambda name, value, _: name + value)
+    'choose clocklog'
     """
-
-    name: str
-    value: str = ""
-    side: str = ""
-
-    def __str__(self) -> str:
-        if not self.value:
-            return self.name
-        return f"{self.name}=" + " or ".join(repr(value) for value in self.value.split("|"))
-
-    def __format__(self, _spec: str) -> str:
-        return f"\ue000{self.name}\ue002{self.value}\ue002{self.side}\ue001"
+    return _MARK.sub(lambda mark: spell(*mark.groups()), text)
 
 
-class Text(str):
-    """A sentence that may mention settings: text as the library spells it, and its parts.
-
-    `parts`: Text, in which f-strings may have settings; settings, and sentences to be joined as
-        they are
+def in_python(text: str, _side: str = "") -> str:
+    """Return a sentence as the library spells settings.
 
     Examples
     --------
-    >>> text = Text(f"several topics carry body rates; choose one with {Setting('topic')}")
-    >>> text
-    'several topics carry body rates; choose one with topic'
-    >>> text.spelled(lambda setting: f"--{setting.name}")
-    'several topics carry body rates; choose one with --topic'
+    >>> in_python(f"choose {Setting('clock', 'log|publish')}")
+    "choose clock='log' or 'publish'"
     """
+    return with_settings(text, _keyword)
 
-    __slots__ = ("parts",)
 
-    parts: tuple[str | Setting, ...]
+def _keyword(name: str, value: str, _side: str) -> str:
+    return name + "=" * bool(value) + " or ".join(map(repr, filter(None, value.split("|"))))
 
-    def __new__(cls, *parts: str | Setting) -> Self:
-        """Join the parts."""
-        flat: list[str | Setting] = []
-        for part in parts:
-            if isinstance(part, Text):
-                flat += part.parts
-                continue
-            for number, piece in enumerate(_MARK.split(f"{part}")):
-                # Every second piece is what stood in a mark.
-                flat.append(Setting(*piece.split("\ue002")) if number % 2 else piece)
-        text = super().__new__(cls, "".join(map(str, flat)))
-        text.parts = tuple(filter(None, flat))
-        return text
 
-    def __reduce__(self) -> tuple[type[Text], tuple[str | Setting, ...]]:
-        return Text, self.parts
+_SPELLING: ContextVar[Spelling] = ContextVar("SPELLING", default=in_python)
 
-    def spelled(self, spell: Callable[[Setting], str]) -> str:
-        """Return the sentence, its settings spelled by a function."""
-        return "".join(part if isinstance(part, str) else spell(part) for part in self.parts)
+
+@contextmanager
+def spelling(interface: Spelling) -> Iterator[None]:
+    """Spell sentences as an interface does in this block, or in a function that this decorates."""
+    token = _SPELLING.set(interface)
+    try:
+        yield
+    finally:
+        _SPELLING.reset(token)
+
+
+def spelled(text: str, side: str = "") -> str:
+    """Return a sentence on one line, as the interface spells it that runs."""
+    return plain(_SPELLING.get()(text, side))
 
 
 def quoted(text: object) -> str:

@@ -4,6 +4,7 @@ import json
 import os
 from pathlib import Path
 
+import click.testing
 import hypothesis
 import pytest
 
@@ -24,6 +25,20 @@ for name in ("GITHUB_STEP_SUMMARY", "GITHUB_ACTIONS"):
 # How long an example takes depends on what else the machine does.
 hypothesis.settings.register_profile("quatprop", deadline=None)
 hypothesis.settings.load_profile("quatprop")
+
+
+class SpelledRunner(click.testing.CliRunner):
+    """Runs the command line; no setting in a sentence may be left unspelled, or be escaped."""
+
+    def invoke(self, *args, **kwargs):
+        """Run it, and look at what it prints."""
+        result = super().invoke(*args, **kwargs)
+        assert "ue000" not in result.output
+        assert "\ue000" not in result.output
+        return result
+
+
+click.testing.CliRunner = SpelledRunner
 
 
 class Recordings(type(Path())):

@@ -22,9 +22,9 @@ import quatprop
 from quatprop import AttitudeSeries, GyroSeries
 from quatprop.cli.commands import cli
 from quatprop.comparison.settings import COMPARE
-from quatprop.errors import LogError, SeriesError, UsageError
+from quatprop.errors import LogError, NoRatesError, SeriesError, UsageError
 from quatprop.settings import PROPAGATE, READ_ATTITUDES, READ_RATES
-from quatprop.text import Setting, Text
+from quatprop.text import Setting
 
 SAMPLES = Path(__file__).parents[1] / "sample_logs"
 T_NS = np.array([1_700_000_000_000_000_000, 1_700_000_000_010_000_000, 1_700_000_000_020_000_001])
@@ -394,14 +394,23 @@ def test_positions_are_in_tables():
     ]
 
 
-def test_remarks_of_a_report_are_text():
-    """They print as sentences, and pass between processes."""
-    text = Text(f"choose {Setting('clock', 'log')}; or not")
-    assert text.parts == ("choose ", Setting("clock", "log"), "; or not")
-    assert text == Text("choose ", Setting("clock", "log"), "; or not")
-    assert [text] == ["choose clock='log'; or not"]
-    assert repr([text]) == "[\"choose clock='log'; or not\"]"
-    assert pickle.loads(pickle.dumps(text)).parts == text.parts  # noqa: S301  # our own
+def test_sentences_of_results_are_spelled_for_python(tmp_path):
+    """No mark of a setting is left in what the functions return, or in an error that passes on."""
+    log, out = SAMPLES / "coning.mcap", tmp_path / "out.csv"
+    late = quatprop.propagate(log)
+    late = AttitudeSeries(late.t_ns + 40_000_000, late.wxyz)
+    comparison = quatprop.compare(late, quatprop.propagate(log))
+    assert "time_offset='40ms'" in comparison.likely_cause.remedy
+    quatprop.write(late, tmp_path / "in.parquet")
+    report = quatprop.convert(tmp_path / "in.parquet", out, convention="jpl")
+    assert "header_comment" in report.remarks[0]
+    for error in (UsageError(f"choose {Setting('clock', 'log')}"), NoRatesError(log, ["/a"])):
+        again = pickle.loads(pickle.dumps(error))  # noqa: S301  # our own
+        assert repr(again) == repr(error)
+        assert str(again) == str(error)
+        assert "ue000" not in repr(error)
+    for text in (repr(comparison), str(comparison.likely_cause), repr(report.remarks)):
+        assert "ue000" not in text
 
 
 @pytest.mark.parametrize("path", [7, None, b"", "", "a\0b"])

@@ -120,8 +120,8 @@ def test_what_nobody_expected_does_not_stop_the_others(tmp_path, monkeypatch, er
     bad, good = (str(log(tmp_path / name)) for name in ("bad.csv", "good.csv"))
     tasks = [task(name, tmp_path / "out.csv", "out.csv") for name in (bad, good)]
     results = [propagate_log(task, SETTINGS) for task in tasks]
-    assert str(results[0].error).startswith(sentence.format(log=bad))
-    assert not results[1].error
+    assert str(results[0].entry.error).startswith(sentence.format(log=bad))
+    assert not results[1].entry.error
     # One log is propagated in this process.
     done = run(bad, "-o", tmp_path / "out")
     assert done.exit_code == 2
@@ -749,10 +749,10 @@ def test_what_other_machines_raise_is_an_outcome(tmp_path, monkeypatch):
     quiet = {"processes": False, "dashboard_address": None, "threads_per_worker": 1}
     with distributed.LocalCluster(n_workers=1, **quiet) as cluster:
         results = dict(on_a_cluster(tasks, SETTINGS, cluster.scheduler_address, manifest))
-    assert str(results[0].error).endswith(
+    assert str(results[0].entry.error).endswith(
         "a.csv: the cluster failed (ModuleNotFoundError: No module named 'quatprop')"
     )
-    assert not results[1].error
+    assert not results[1].entry.error
     assert {n: entry["state"] for n, entry in entries(tmp_path).items()} == {
         "a": "failed", "b": "done",
     }  # fmt: skip
@@ -794,7 +794,7 @@ def test_a_worker_of_another_version_is_refused(tmp_path):
     """Its outputs would be those of another version."""
     there = task("a.csv", tmp_path / "a.csv", "a.csv")
     result = propagate_on_worker(there, SETTINGS, "0.0.1")
-    assert result.error == (
+    assert result.entry.error == (
         f"a.csv: its worker has quatprop {__version__}, not 0.0.1; install the same version"
     )
 

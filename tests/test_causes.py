@@ -10,11 +10,19 @@ from scipy.spatial.transform import Rotation
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
-from quatprop.cli.spelling import spelled
+from quatprop.comparison import compare as comparing
+from quatprop.comparison.settings import comparison_settings
 from quatprop.kinematics.quaternion import conjugate, exp, multiply
+from quatprop.settings.spelling import in_options
+from quatprop.text import in_python
 
 SECONDS = np.arange(0, 60, 0.01)
 T_NS = (SECONDS * 1e9).round().astype(np.int64)
+
+
+def compare(a, b, **options):
+    """Return a comparison whose sentences are still to be spelled."""
+    return comparing.compare(a, b, comparison_settings(**options))
 
 
 def rates(seconds):
@@ -57,15 +65,15 @@ def noisy():
 def test_a_bias_does_not_hide_a_conjugate(noisy):
     """The evidence is the windows with and without it, and the options are those of B."""
     a, b = noisy
-    cause = quatprop.compare(a, changed(b, conjugate)).likely_cause
+    cause = compare(a, changed(b, conjugate)).likely_cause
     assert cause.name == "conjugate"
     assert "direction (reference to body) or the JPL convention" in cause.sentence
     assert cause.window_ns in {100_000_000, 200_000_000, 500_000_000, 1_000_000_000, 2_000_000_000}
     assert cause.rms_before > 20 * cause.rms_after
-    assert spelled(cause.advice).endswith(
+    assert in_options(cause.advice).endswith(
         "read it with --from-direction-b ref-to-body or --from-convention-b jpl"
     )
-    assert cause.advice.endswith(
+    assert in_python(cause.advice).endswith(
         "read it with from_direction='ref-to-body' or from_convention='jpl'"
     )
 
@@ -80,9 +88,9 @@ def test_a_bias_does_not_hide_a_conjugate(noisy):
 def test_the_option_of_a_layout_is_offered(noisy, order, name, option):
     """The layout that B was written in is the one to read it with."""
     a, b = noisy
-    cause = quatprop.compare(a, changed(b, lambda q: q[:, order])).likely_cause
+    cause = compare(a, changed(b, lambda q: q[:, order])).likely_cause
     assert cause.name == name
-    assert spelled(cause.advice).endswith(f"if it is B, read it with {option}")
+    assert in_options(cause.advice).endswith(f"if it is B, read it with {option}")
 
 
 def test_a_mounting_is_described_as_the_option_takes_it():
@@ -90,30 +98,30 @@ def test_a_mounting_is_described_as_the_option_takes_it():
     of_b = rates(SECONDS)
     of_a = of_b[:, [1, 2, 0]] * [1, -1, -1]
     a, b = (quatprop.propagate(GyroSeries(T_NS, rate)) for rate in (of_a, of_b))
-    cause = quatprop.compare(a, b).likely_cause
+    cause = compare(a, b).likely_cause
     assert cause.name == "axes"
     assert cause.sentence == "the body axes x, y, z of A are y, -z, -x of B"
-    assert spelled(cause.remedy) == (
+    assert in_options(cause.remedy) == (
         "if A was propagated, propagate it with --mount -z,x,-y; if B was, with --mount y,-z,-x; "
         "--align mount takes it out"
     )
     for rate, mount, other in ((of_a, "-z,x,-y", b), (of_b, "y,-z,-x", a)):
         again = quatprop.propagate(GyroSeries(T_NS, rate), mount=mount)
-        assert quatprop.compare(again, other).error_rad.max < 1e-12
+        assert compare(again, other).error_rad.max < 1e-12
 
 
 def test_another_method_is_no_mounting():
     """What a changed method does is named, exactly, even where a rotation would help."""
     series = GyroSeries(T_NS, rates(SECONDS))
     a, b = (quatprop.propagate(series, method=method) for method in ("start", "coning"))
-    cause = quatprop.compare(a, b, tol="1e-9rad").likely_cause
+    cause = compare(a, b, tol="1e-9rad").likely_cause
     assert cause.name == "method"
     assert cause.sentence == (
         "the same rates lead to A with method start, and to B with method coning"
     )
     assert cause.rms_after < 1e-12
     assert cause.rms_before > 1e-5
-    assert spelled(cause.remedy) == (
+    assert in_options(cause.remedy) == (
         "if A was propagated, propagate it with --method coning; if B was, with --method start"
     )
 
@@ -122,7 +130,7 @@ def test_one_interval_may_be_the_method_or_the_clock():
     """Between start and end lies one interval, so both are said."""
     series = GyroSeries(T_NS, rates(SECONDS))
     a, b = (quatprop.propagate(series, method=method) for method in ("start", "end"))
-    assert quatprop.compare(a, b).likely_cause.sentence == (
+    assert compare(a, b).likely_cause.sentence == (
         "the same rates lead to A with method start, and to B with method end, or their "
         "timestamps are one interval, 10 ms, apart"
     )
@@ -131,13 +139,13 @@ def test_one_interval_may_be_the_method_or_the_clock():
 def test_half_an_interval_may_be_the_method_or_the_clock(noisy):
     """Against an independent reference both are said, with the offset and its uncertainty."""
     a, b = noisy
-    cause = quatprop.compare(a, AttitudeSeries(T_NS + 5_000_000, b.wxyz)).likely_cause
+    cause = compare(a, AttitudeSeries(T_NS + 5_000_000, b.wxyz)).likely_cause
     late = next(one for one in (cause, cause.also) if one and one.name == "time offset")
     assert late.sentence.startswith("B is ")
     assert late.sentence.endswith(
         " late (half a sampling interval of A): a clock offset, or another integration rule"
     )
-    assert spelled(late.remedy) == (
+    assert in_options(late.remedy) == (
         "--time-offset auto takes the offset out, --method changes the rule"
     )
 
@@ -145,10 +153,10 @@ def test_half_an_interval_may_be_the_method_or_the_clock(noisy):
 def test_an_offset_is_an_interval_only_within_its_uncertainty(noisy):
     """5.7 ms are not half of 10 ms where the offset is known to a tenth of that difference."""
     a, b = noisy
-    cause = quatprop.compare(a, AttitudeSeries(T_NS + 5_700_000, b.wxyz)).likely_cause
+    cause = compare(a, AttitudeSeries(T_NS + 5_700_000, b.wxyz)).likely_cause
     late = next(one for one in (cause, cause.also) if one and one.name == "time offset")
     assert "interval" not in late.sentence
-    assert spelled(late.remedy) == "--time-offset auto takes the offset out"
+    assert in_options(late.remedy) == "--time-offset auto takes the offset out"
 
 
 def ppm_named(cause):
@@ -162,12 +170,12 @@ def test_a_clock_that_drifts_is_named_with_its_uncertainty(noisy, ppm):
     """Within three standard deviations; the offset changes by 18 or 60 ms in a minute."""
     a, b = noisy
     drifting = AttitudeSeries(T_NS + T_NS * ppm // 1_000_000, b.wxyz)
-    cause = quatprop.compare(a, drifting, align="mean").likely_cause
+    cause = compare(a, drifting, align="mean").likely_cause
     drift = next(one for one in (cause, cause.also) if one and one.name == "clock drift")
     found, std = ppm_named(drift)
     assert std < 0.1 * abs(ppm)
     assert found == pytest.approx(ppm, abs=3 * std)
-    assert spelled(drift.remedy) == "correct the stamps; --time-offset auto leaves the change in"
+    assert in_options(drift.remedy) == "correct the stamps; --time-offset auto leaves the change in"
 
 
 def test_a_clock_that_drifts_is_named_in_a_recording(shared_logs):
@@ -192,7 +200,7 @@ def test_steady_precession_does_not_distinguish_a_clock_from_a_mounting(ms):
     rate = np.stack([np.cos(0.5 * SECONDS), np.sin(0.5 * SECONDS), 0 * SECONDS + 2], axis=1)
     a = quatprop.propagate(GyroSeries(T_NS, rate))
     b = AttitudeSeries(T_NS + ms * 1_000_000, a.wxyz)
-    cause = quatprop.compare(a, b).likely_cause
+    cause = compare(a, b).likely_cause
     found = re.fullmatch(
         r"B is (\d+) ms (late|early); this motion does not distinguish it from body frames that "
         r"differ by ([\d.]+) deg",
@@ -200,16 +208,16 @@ def test_steady_precession_does_not_distinguish_a_clock_from_a_mounting(ms):
     )
     assert found.groups()[:2] == (str(abs(ms)), "late" if ms > 0 else "early")
     assert float(found[3]) == pytest.approx(np.degrees(0.5e-3 * abs(ms)), rel=1e-5)
-    assert spelled(cause.remedy) == f"--time-offset {-ms}ms or --align mount takes it out"
+    assert in_options(cause.remedy) == f"--time-offset {-ms}ms or --align mount takes it out"
     for remedy in ({"time_offset": f"{-ms}ms"}, {"align": "mount"}):
-        assert quatprop.compare(a, b, **remedy).error_rad.rms < 1e-5
+        assert compare(a, b, **remedy).error_rad.rms < 1e-5
 
 
 def test_motion_about_one_axis_leaves_alternatives():
     """About one axis, a conjugate, reversed axes and opposite rates are the same: all are said."""
     rate = rates(SECONDS) * [0, 0, 1]
     a = quatprop.propagate(GyroSeries(T_NS, rate))
-    cause = quatprop.compare(a, changed(a, conjugate)).likely_cause
+    cause = compare(a, changed(a, conjugate)).likely_cause
     assert cause.name == "conjugate"
     assert cause.sentence.endswith(
         "; this motion does not distinguish it from swapped or reversed axes or rates of the "
@@ -232,7 +240,7 @@ def test_two_causes_are_both_named(noisy):
     """A large bias explains the error, and the delay beside it is found in the windows."""
     a, b = noisy
     late = delayed(b, 30)
-    cause = quatprop.compare(a, late, align="mean").likely_cause
+    cause = compare(a, late, align="mean").likely_cause
     assert {cause.name, cause.also.name if cause.also else ""} >= {"time offset"}
 
 
@@ -241,7 +249,7 @@ def test_what_explains_most_of_the_error_is_named_first(noisy):
     a, _ = noisy
     turn = Rotation.from_rotvec([0.0, 0.0, 3.0]).as_quat(scalar_first=True)
     late = delayed(changed(a, lambda q: multiply(turn, q)), 30)
-    cause = quatprop.compare(a, late, tol="5deg").likely_cause
+    cause = compare(a, late, tol="5deg").likely_cause
     assert (cause.name, cause.also.name) == ("reference frame", "time offset")
     assert cause.also.sentence.startswith("B is 30 ms")
     assert np.degrees(cause.also.total_before) == pytest.approx(171.9, abs=2)
@@ -253,7 +261,7 @@ def test_turned_frames_come_before_a_method():
     series = GyroSeries(T_NS, rates(SECONDS))
     a, b = (quatprop.propagate(series, method=method) for method in ("start", "coning"))
     turn = Rotation.from_rotvec([0.0, 0.0, 3.0]).as_quat(scalar_first=True)
-    cause = quatprop.compare(a, changed(b, lambda q: multiply(turn, q))).likely_cause
+    cause = compare(a, changed(b, lambda q: multiply(turn, q))).likely_cause
     assert (cause.name, cause.also.name) == ("reference frame", "method")
 
 
@@ -264,7 +272,7 @@ def test_independent_motions_have_no_cause():
         quatprop.propagate(GyroSeries(T_NS, np.cumsum(rng.normal(size=(6000, 3)), axis=0) * 0.02))
         for _ in range(2)
     )
-    assert quatprop.compare(a, b, align="mean").likely_cause is None
+    assert compare(a, b, align="mean").likely_cause is None
 
 
 def test_the_uncertainty_of_an_offset_is_honest():
@@ -279,7 +287,7 @@ def test_the_uncertainty_of_an_offset_is_honest():
         a = quatprop.propagate(GyroSeries(t_ns, measured), method="mean")
         noise = exp(np.radians(0.5) * rng.normal(size=(3000, 3)))
         b = AttitudeSeries(t_ns + true_ns, multiply(multiply(truth, noise), turn))
-        offset = quatprop.compare(a, b, time_offset="auto", tol=10.0).time_offset
+        offset = compare(a, b, time_offset="auto", tol=10.0).time_offset
         squares.append(((offset.added_to_b_ns + true_ns) / offset.found.std_ns) ** 2)
     # chi-squared of 12 degrees of freedom: 99 % between 3.1 and 28.3
     assert 3.1 < np.sum(squares) < 28.3
@@ -301,7 +309,7 @@ def test_integration_rules_that_cannot_be_right_are_tried_without_a_warning(shap
         for rotation in (vector, 0.001 * k * [1, 2, 3])
     )
     for pair in ((a, b), (b, a)):
-        assert quatprop.compare(*pair).error_rad.max > 0
+        assert compare(*pair).error_rad.max > 0
 
 
 def test_rules_whose_rates_leave_all_bounds_are_no_candidates():
@@ -311,4 +319,4 @@ def test_rules_whose_rates_leave_all_bounds_are_no_candidates():
     slow = np.cumsum(rng.normal(size=(24, 3)) * 1e-6, axis=0)
     vectors = slow, slow + 0.1 * rng.normal(size=(24, 3))
     a, b = (AttitudeSeries(stamps, exp(vector)) for vector in vectors)
-    assert quatprop.compare(a, b).error_rad.max > 0.1
+    assert compare(a, b).error_rad.max > 0.1

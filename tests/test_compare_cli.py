@@ -14,10 +14,9 @@ from mcap.writer import Writer
 from scipy.spatial.transform import Rotation
 
 from quatprop.cli.commands import cli
-from quatprop.cli.spelling import option
 from quatprop.errors import LogError
 from quatprop.settings import ONE_SERIES
-from quatprop.text import Setting
+from quatprop.settings.spelling import option
 
 FIRST_NS = 1_700_000_000_000_000_000
 
@@ -402,7 +401,7 @@ def test_an_option_of_a_side_arrives_there_alone(side, option, monkeypatch, tmp_
 
 def test_every_option_of_a_side_is_tried():
     """The table above has all of them."""
-    assert OF_A_SIDE.keys() == {option(Setting(name)) for name in ONE_SERIES}
+    assert OF_A_SIDE.keys() == {option(name) for name in ONE_SERIES}
 
 
 @pytest.mark.parametrize(

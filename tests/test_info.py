@@ -16,7 +16,6 @@ from mcap.writer import CompressionType, Writer
 from pyarrow import parquet as pq
 
 from quatprop.cli.commands import cli
-from quatprop.cli.spelling import spelled
 from quatprop.containers import kept_blocks, topic_table
 from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.kept_blocks import beginnings_kept, blocks_of
@@ -26,7 +25,8 @@ from quatprop.messages import protobuf
 from quatprop.messages.blocks import MessageBlock
 from quatprop.pipeline import plausibility, survey
 from quatprop.series import AttitudeSeries
-from quatprop.text import Setting, Text
+from quatprop.settings.spelling import in_options
+from quatprop.text import Setting, in_python
 from quatprop.writers import open_writer
 from quatprop.writers.formats import WRITERS
 
@@ -40,16 +40,11 @@ HEADS = {
 RATE_UNIT, TIME_UNIT = Setting("rate_unit", "rad/s|deg/s"), Setting("time_unit", "s|ms|us|ns")
 SAY = "is not declared; say it with "
 MISSING = {
-    "unit of the rates": Text(
-        "the unit of the rates 'gyro_x', 'gyro_y', 'gyro_z' ", SAY, RATE_UNIT
-    ),
-    "unit of the time": Text("the unit of the time 't' ", SAY, TIME_UNIT),
-    "both": Text(
-        "the unit of the rates 'wx', 'wy', 'wz' and the unit of the time 't' "
-        "are not declared; say them with ",
-        *(RATE_UNIT, " and ", TIME_UNIT),
-    ),
-}  # fmt: skip
+    "unit of the rates": f"the unit of the rates 'gyro_x', 'gyro_y', 'gyro_z' {SAY}{RATE_UNIT}",
+    "unit of the time": f"the unit of the time 't' {SAY}{TIME_UNIT}",
+    "both": "the unit of the rates 'wx', 'wy', 'wz' and the unit of the time 't' "
+    f"are not declared; say them with {RATE_UNIT} and {TIME_UNIT}",
+}
 
 
 def info(*arguments, code=0):
@@ -82,14 +77,14 @@ def test_a_table_whose_units_are_unknown_is_shown(tmp_path, unknown):
     ((log,), errors) = info(path)
     (source,) = log["sources"]
     assert errors == ""
-    assert source["missing"] == str(sentence)
+    assert source["missing"] == in_python(sentence)
     assert source["samples"] == 5
     timed = unknown == "unit of the rates"
     assert (source["rate_hz"], source["span_s"]) == ((100.0, 0.04) if timed else (None, None))
     rated = unknown == "unit of the time"
     assert (source["max_rate_rad_s"] is not None) == rated
     assert (source["rate_unit"] is not None) == rated
-    assert text(path)[-1] == f"  {source['source']}: {spelled(sentence)}"
+    assert text(path)[-1] == f"  {source['source']}: {in_options(sentence)}"
 
 
 def test_a_column_that_is_not_told_is_asked_for(tmp_path):

@@ -20,7 +20,7 @@ from quatprop.provenance import Digest, as_json, digest_ahead, digest_of
 from quatprop.series import AttitudeSeries
 from quatprop.settings.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.text import Setting, Text
+from quatprop.text import Setting
 from quatprop.times import Instant
 from quatprop.writers import open_writer
 from quatprop.writers.formats import WRITERS, keeps_provenance
@@ -298,7 +298,7 @@ def test_results_become_json_in_one_place():
     """Dataclasses, arrays, paths and sentences are JSON-ready, however they are nested."""
     place = Instant(5, "first")
     value = {"at": place, "q": np.array([1.0, 0.0]), "n": np.int64(3), "p": Path("a"), "x": (None,)}
-    value["why"] = [Text("use ", Setting("clock", "header|log"))]
+    value["why"] = [f"use {Setting('clock', 'header|log')}"]
     assert json.loads(json.dumps(as_json(value))) == {
         "at": {"ns": 5, "origin": "first"},
         "q": [1.0, 0.0],

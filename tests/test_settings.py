@@ -1,7 +1,7 @@
 """Settings by name: the same values from text, from TOML and from Python."""
 
-import ast
 import datetime as dt
+import json
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, TypedDict
@@ -10,16 +10,19 @@ import click
 import numpy as np
 import pytest
 
-import quatprop
-from quatprop.cli.options import setting_options, with_options
+from quatprop.check.cases import PARSERS
+from quatprop.cli.commands import cli
+from quatprop.cli.options import options_of, with_options
 from quatprop.cli.propagate import command
+from quatprop.comparison.settings import COMPARE
 from quatprop.errors import UsageError
 from quatprop.pipeline.settings import PropagationSettings, propagation_settings
-from quatprop.settings import METHODS, PROPAGATE
+from quatprop.settings import CHECKS, METHODS, ONE_SERIES, PROPAGATE, READ_ATTITUDES, READ_RATES
 from quatprop.settings.keyword import Keyword, keywords_of, parameters
 from quatprop.settings.parsers import Choice, StaticBias, file_beside
+from quatprop.settings.spelling import in_keys, in_options
 from quatprop.settings.values import parse_all
-from quatprop.text import Setting
+from quatprop.text import Setting, in_python
 from quatprop.times import Instant
 
 
@@ -144,37 +147,64 @@ def test_words_of_settings_are_no_files(tmp_path, monkeypatch):
         assert propagation_settings({name: text}).inputs == {}
 
 
-READS_MARKS = {"Text", "Keyword", "__init__", "_refuse", "refuse_placeholder"}
-"""What makes a sentence of an f-string, beside every error."""
+@pytest.mark.parametrize(
+    ("command", "side", "rows"),
+    [
+        ("propagate", "", PROPAGATE),
+        ("batch", "", PROPAGATE),
+        ("convert", "", READ_ATTITUDES),
+        ("info", "", READ_RATES),
+        ("plot", "", {**READ_RATES, **ONE_SERIES}),
+        ("plot", "ref", ONE_SERIES),
+        ("compare", "", {**COMPARE, **CHECKS}),
+        ("compare", "a", {**COMPARE, **READ_ATTITUDES}),
+        ("compare", "b", {**COMPARE, **READ_ATTITUDES}),
+    ],
+)
+def test_options_in_sentences_exist(command, side, rows):
+    """What a sentence names is an option of the command, and takes the value it says."""
+    options = {name: one for one in cli.get_command(None, command).params for name in one.opts}
+    for name, row in rows.items():
+        said = in_options(f"use {Setting(name, '|'.join(row.choices), side)}").split()
+        assert said[1] in options, (command, side, name)
+        if row.choices:
+            assert set(options[said[1]].type.choices) == set(said[2].split("|")), name
 
 
-@pytest.mark.parametrize("path", sorted(Path(quatprop.__file__).parent.rglob("*.py")), ids=str)
-def test_what_mentions_a_setting_is_a_sentence(path):
-    """Its f-string is a part of a Text or an error, or in a variable that is."""
-    nodes = list(ast.walk(ast.parse(path.read_text())))
-    above = {child: node for node in nodes for child in ast.iter_child_nodes(node)}
+@pytest.mark.parametrize(
+    ("side", "rows"),
+    [("", {**PROPAGATE, **COMPARE, **CHECKS}), ("b", {**COMPARE, **READ_ATTITUDES})],
+)
+def test_keys_in_sentences_exist(side, rows):
+    """What a sentence names is a key of a case, and its parser takes the values it says."""
+    for name, row in rows.items():
+        said = in_keys(f"use {Setting(name, '|'.join(row.choices), side)}")
+        key, _, values = said.removeprefix("use ").partition(" = ")
+        assert key in PARSERS, (side, name)
+        if row.choices:
+            for value in values.split(" or "):
+                assert PARSERS[key](json.loads(value)) == json.loads(value)
+        elif values:
+            assert PARSERS[key](json.loads(values)) is True
 
-    def is_in_sentence(node, seen=()):
-        targets = set()
-        while not isinstance(node, ast.stmt):
-            node = above[node]
-            name = ast.unparse(node.func).split(".")[-1] if isinstance(node, ast.Call) else ""
-            if name in READS_MARKS or name.endswith("Error"):
-                return True
-            if name == "append":
-                targets.add(ast.unparse(node.func.value))
-        targets |= {target.id for target in ast.walk(node) if isinstance(target, ast.Name)
-                    and isinstance(target.ctx, ast.Store)}  # fmt: skip
-        return node not in seen and any(
-            is_in_sentence(read, (*seen, node))
-            for read in nodes
-            if isinstance(read, ast.Name | ast.Attribute)
-            if isinstance(read.ctx, ast.Load) and ast.unparse(read).split(".")[-1] in targets
-        )
 
-    for node in nodes:
-        if isinstance(node, ast.FormattedValue) and ast.unparse(node.value).startswith("Setting("):
-            assert is_in_sentence(node), f"{path.name}:{node.lineno}: {ast.unparse(above[node])}"
+@pytest.mark.parametrize("side", ["at", "q0", "info"])
+def test_options_of_a_lookup_are_those_of_convert(side):
+    """About attitudes that are only looked up, a command has few options of its own."""
+    for name in READ_ATTITUDES:
+        said = in_options(f"use {Setting(name)} or so", side)
+        own = "info" if name in READ_RATES and side == "info" else "convert"
+        options = [option for one in cli.get_command(None, own).params for option in one.opts]
+        assert said.split()[1] in options
+        assert (" of quatprop convert or so" in said) == (own == "convert")
+
+
+def test_keywords_in_sentences_exist():
+    """The library's are the names of the rows."""
+    for name, row in PROPAGATE.items():
+        values = " or ".join(map(repr, row.choices))
+        expected = f"{name}={values}" if values else name
+        assert in_python(f"use {Setting(name, '|'.join(row.choices), 'b')}") == f"use {expected}"
 
 
 def test_a_row_is_all_that_help_and_documents_need():
@@ -190,7 +220,7 @@ def test_a_row_is_all_that_help_and_documents_need():
         "    Way of the log, as clock='log' has it. One of 'down', 'up'. By default: up."
     )
     command = click.Command("do", params=[])
-    with_options(setting_options(keywords_of(Options), log="B", side="b"))(command)
+    with_options(options_of(keywords_of(Options), log="B", side="b"))(command)
     (option,) = command.params
     assert (option.opts, option.name, option.group) == (["--upside-b"], "upside_b", "Input B")
     assert option.help == "Way of B, as --clock-b log has it.  [default: up]"

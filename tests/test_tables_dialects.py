@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from quatprop import read_rates
-from quatprop.cli.spelling import spelled
 from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.logs.rate_columns import match_rates
 from quatprop.settings.quantities import RATES
 from quatprop.settings.selection import RateSelection
+from quatprop.settings.spelling import in_options
 from quatprop.tables.column_names import parse_name
 from quatprop.tables.file_table import FileTable
 from quatprop.tables.model import Stamp, TableNotes
@@ -163,7 +163,7 @@ def test_a_turned_sensor_of_a_gcsv_is_remarked_on():
     """Its rates are taken as they are, and the mounting that turns them is named."""
     notes = TableNotes(units={0: "ms"}, title="GYROFLOW IMU LOG", mount="y,-x,z")
     (remark,) = chosen("t,gx,gy,gz", notes=notes).remarks
-    assert spelled(remark) == (
+    assert in_options(remark) == (
         "the file says how its sensor is mounted, and rates are taken as they are; to turn them "
         "into the camera's axes use --mount y,-x,z"
     )
@@ -173,7 +173,7 @@ def test_a_left_handed_orientation_of_a_gcsv_is_not_proposed():
     """It is no rotation, and --mount would refuse it."""
     notes = TableNotes(units={0: "ms"}, title="GYROFLOW IMU LOG", mount="x,y,-z")
     (remark,) = chosen("t,gx,gy,gz", notes=notes).remarks
-    assert spelled(remark) == (
+    assert in_options(remark) == (
         "the file says how its sensor is mounted, and rates are taken as they are; as the mounting "
         "x,y,-z is left-handed, it cannot be right"
     )
@@ -183,7 +183,7 @@ def test_stamps_that_a_sample_rate_replaces_are_named():
     """Rows are counted as asked, and the stamps beside them are not passed over in silence."""
     found = chosen("time,wx,wy,wz", sample_rate=200.0, rate_unit="rad/s")
     assert (found.stamp.columns, found.stamp.sample_rate) == ((), 200.0)
-    assert [spelled(remark) for remark in found.remarks] == [
+    assert [in_options(remark) for remark in found.remarks] == [
         "--sample-rate 200 counts the rows; the stamps in 'time' are not used",
     ]
     assert chosen("wx,wy,wz", sample_rate=200.0, rate_unit="rad/s").remarks == ()
@@ -375,7 +375,7 @@ def test_a_unit_that_the_user_gives_overrules_the_header():
         found = chosen(header, rate_unit="rad/s", **options)
         assert (found.unit, found.factor) == ("rad/s", 1.0)
         (remark,) = found.remarks
-        assert spelled(remark) == (
+        assert in_options(remark) == (
             "--rate-unit says rad/s, but by header or convention 'gyro_x_dps', 'gyro_y_dps', "
             "'gyro_z_dps' are in deg/s; read in rad/s, as asked for"
         )

@@ -15,9 +15,11 @@ from quatprop.errors import DataLossWarning, SeriesError
 from quatprop.series import AttitudeSeries
 from quatprop.settings import READ_ATTITUDES, AttitudeOptions
 from quatprop.settings.values import refuse_unknown
+from quatprop.text import in_python
 
 if TYPE_CHECKING:
     from quatprop.api.reading import StrPath
+    from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.result import Comparison
     from quatprop.conversion.job import ConversionReport
 
@@ -56,7 +58,9 @@ def compare(
     from quatprop.comparison.settings import comparison_settings
 
     settings = comparison_settings(**options)
-    return compare_series(_side("a", a), _side("b", b), settings)
+    result = compare_series(_side("a", a), _side("b", b), settings)
+    remarks = tuple(map(in_python, result.remarks))
+    return replace(result, remarks=remarks, likely_cause=_in_python(result.likely_cause))
 
 
 def write(
@@ -191,7 +195,18 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     )
     if report.data_lost:
         warnings.warn(f"{wanted.path}: rows were lost or dropped", DataLossWarning, stacklevel=2)
-    return report
+    return replace(report, remarks=tuple(map(in_python, report.remarks)))
+
+
+def _in_python(cause: Cause | None) -> Cause | None:
+    """Return a cause whose sentences are spelled for Python."""
+    if cause is None:
+        return None
+    return cause._replace(
+        sentence=in_python(cause.sentence),
+        remedy=cause.remedy and in_python(cause.remedy),
+        also=_in_python(cause.also),
+    )
 
 
 def _side(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:

@@ -9,7 +9,7 @@ from quatprop.api.reading import path_text, warn, with_keywords_of
 from quatprop.errors import QuatpropError, SeriesError, UsageError
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.settings import READ_RATES, PropagateOptions
-from quatprop.text import Setting, Text
+from quatprop.text import Setting, in_python, with_settings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -101,8 +101,7 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
             stream = AttitudeStream("series", signal_of_series(log), settings, None)
             return _propagated("series", stream, settings, None)
         except QuatpropError as error:
-            error.text = _in_memory(error.text)
-            error.args = (str(error.text),)
+            error.reason = _in_memory(error.reason)
             raise
     path = path_text("log", log, "make a GyroSeries of arrays")
     kind, msg_path = settings.kind, settings.selection.msg_path
@@ -122,19 +121,15 @@ _IN_MEMORY = {
 """What to change of rates in memory, where advice for logs names a setting."""
 
 
-def _in_memory(sentence: str | Text) -> Text:
+def _in_memory(sentence: str) -> str:
     """Return a sentence that advises no setting that is for logs."""
-    parts = sentence.parts if isinstance(sentence, Text) else (sentence,)
-    return Text(
-        *(
-            part
-            if not isinstance(part, Setting) or part.name not in _IN_MEMORY
-            else "t_ns in ns"
-            if part.name == "time_unit" and part.value
-            else _IN_MEMORY[part.name]
-            for part in parts
-        )
-    )
+
+    def advised(name: str, value: str, side: str) -> str:
+        if name == "time_unit" and value:
+            return "t_ns in ns"
+        return _IN_MEMORY.get(name) or Setting(name, value, side)
+
+    return in_python(with_settings(sentence, advised))
 
 
 def _refuse_log_settings(options: Mapping[str, object]) -> None:
@@ -152,7 +147,7 @@ def _propagated(
 
     series = AttitudeSeries.joined(list(stream))
     report = replace(stream.report(), files=digests_of_inputs(settings.inputs, log))
-    if log is None:
-        report = replace(report, remarks=type(report.remarks)(map(_in_memory, report.remarks)))
+    spell = _in_memory if log is None else in_python
+    report = replace(report, remarks=tuple(map(spell, report.remarks)))
     warn(path, report.losses, report.remarks, dropped=report.counts.dropped, depth=4)
     return PropagatedSeries(series.t_ns, series.wxyz, covariance=series.covariance, report=report)

@@ -15,7 +15,7 @@ from quatprop.settings import READ_RATES, AttitudeOptions, RateOptions
 from quatprop.settings.keyword import parameters
 from quatprop.settings.parsers import path as parse_path
 from quatprop.settings.values import parse_all
-from quatprop.text import Setting, Text
+from quatprop.text import Setting, spelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -127,23 +127,23 @@ def path_text(name: str, path: StrPath, hint: str = "") -> str:
         return parse_path(path)
     except UsageError as error:
         hint = f"; {hint}" if hint and not isinstance(path, str) else ""
-        raise UsageError(f"{Setting(name)}: ", error.text, hint) from None
+        raise UsageError(f"{Setting(name)}: {error.text}{hint}") from None
 
 
 def warn(
     path: str,
     losses: Iterable[Loss],
-    remarks: Iterable[str | Text],
+    remarks: Iterable[str],
     *,
     dropped: int = 0,
     depth: int = 3,
 ) -> None:
     """Warn of losses and remarks at the line of the user's call, `depth` calls up."""
     for loss in losses:
-        message = f"{path}: lost: {loss.place}: {loss.reason}"
+        message = f"{path}: lost: {loss.place}: {spelled(loss.reason)}"
         warnings.warn(DataLossWarning(message, loss.messages), stacklevel=depth)
     if dropped:
         message = f"{path}: {dropped} rows were dropped"
         warnings.warn(DataLossWarning(message, dropped), stacklevel=depth)
     for remark in remarks:
-        warnings.warn(f"{path}: {remark}", RemarkWarning, stacklevel=depth)
+        warnings.warn(f"{path}: {spelled(remark)}", RemarkWarning, stacklevel=depth)

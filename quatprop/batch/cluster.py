@@ -82,8 +82,7 @@ def on_a_cluster(
             if result is None:
                 raise QuatpropError(
                     f"the Dask scheduler at {quoted(scheduler)} no longer answers; what is done "
-                    "is recorded: go on with ",
-                    Setting("skip_existing"),
+                    f"is recorded: go on with {Setting('skip_existing')}"
                 )
             submit(1)
             manifest.append(result.entry)

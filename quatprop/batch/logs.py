@@ -173,9 +173,8 @@ class LogSearch:
         root = _absolute(self.root or root)
         if not place.startswith(os.path.join(root, "")):
             raise UsageError(
-                f"{quoted(place)} does not lie in {quoted(root)}; choose another ",
-                Setting("root"),
-                " (names are relative to the current folder)",
+                f"{quoted(place)} does not lie in {quoted(root)}; choose another "
+                f"{Setting('root')} (names are relative to the current folder)"
             )
         name = place[len(os.path.join(root, "")) :]
         self.logs.append(FoundLog(path, name if folder else _stem(name), maybe))

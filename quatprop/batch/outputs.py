@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import UsageError
 from quatprop.stores.objects import below, is_address, without_secret
-from quatprop.text import Setting, Text, quoted
+from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from quatprop.batch.logs import FoundLog
 
-OTHER_OUTPUT = Text(
+OTHER_OUTPUT = (
     f"keep their folders in the names with {Setting('root', 'DIR')}, a folder above both, or "
     "write to another folder"
-)  # fmt: skip
+)
 """The way out where two logs have the same output."""
 
 
@@ -36,7 +36,7 @@ def output_paths(logs: Iterable[FoundLog], folder: str, suffix: str) -> list[str
             )
             folders = {os.path.dirname(path) for path in (owner.path, log.path)}  # noqa: PTH120
             way_out = OTHER_OUTPUT if len(folders) > 1 else "rename one of them"
-            raise UsageError(f"{one} and {other} would both be written to {both}; ", way_out)
+            raise UsageError(f"{one} and {other} would both be written to {both}; {way_out}")
     return paths
 
 

@@ -25,10 +25,11 @@ from quatprop.errors import (
 from quatprop.errors.third_party import as_user_error
 from quatprop.pipeline.job import Job, run
 from quatprop.provenance import digest_of
+from quatprop.settings.spelling import in_options
 from quatprop.stores.objects import is_address
 from quatprop.stores.temp_files import temp_folder
 from quatprop.stores.transfers import upload
-from quatprop.text import Text, plain, quoted
+from quatprop.text import plain, quoted, spelled, spelling
 from quatprop.writers.targets import refuse_outside, refuse_overlap
 
 if TYPE_CHECKING:
@@ -60,8 +61,7 @@ def plan(
         if owner != log_name(log.path):
             raise UsageError(
                 f"{quoted(path)} was made from {quoted(owner)}, not from "
-                f"{quoted(log_name(log.path))}; ",
-                OTHER_OUTPUT,
+                f"{quoted(log_name(log.path))}; {OTHER_OUTPUT}"
             )
         tasks.append(BatchTask(log.path, path, name, log.maybe, log.refused))
     return tasks
@@ -95,6 +95,7 @@ def with_data_lost(tasks: Iterable[BatchTask], manifest: Manifest) -> int:
     return sum(entries[task.name]["state"] == "data lost" for task in tasks)
 
 
+@spelling(in_options)
 def propagate_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
     """Propagate one log; an error becomes its result."""
     began = time.perf_counter()
@@ -108,14 +109,12 @@ def propagate_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
     except Exception as error:
         if (user_error := as_user_error(error)) is None:
             raise
-        result = failed(task, Text(f"{plain(task.log)}: ", user_error.text))
+        result = failed(task, f"{plain(task.log)}: {user_error.text}")
     seconds = time.perf_counter() - began
     entry = result.entry._replace(
         seconds=seconds,
         options=settings.options,
         origin=origin,
-        remarks=tuple(map(settings.spell, result.remarks)),
-        error=settings.spell(result.error) or None,
     )
     return result._replace(entry=entry)
 
@@ -156,6 +155,7 @@ def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchRes
         sample_rate_hz=result.sample_rate_hz,
         method=report.convention.method,
         final_wxyz=tuple(map(float, result.final_wxyz)),
+        remarks=tuple(map(spelled, report.remarks)),
         losses=tuple(f"{loss.place}: {loss.reason}" for loss in report.losses),
         log_bytes=log.bytes,
         log_sha256=log.sha256,
@@ -164,7 +164,7 @@ def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchRes
         output_sha256=output.sha256,
     )
     json = report.as_json() if settings.reports else None
-    return BatchResult(entry, remarks=report.remarks, losses=report.losses, report=json)
+    return BatchResult(entry, losses=report.losses, report=json)
 
 
 def propagate_and_record(

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from quatprop.batch.entries import ManifestEntry
 from quatprop.batch.manifest import log_name, options_digest, origin_digest
 from quatprop.stores.objects import without_secret
+from quatprop.text import spelled
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
 
     from quatprop.pipeline.job import Job
     from quatprop.tables.log import Loss
-    from quatprop.text import Text
 
 
 class BatchTask(NamedTuple):
@@ -43,20 +42,16 @@ class BatchSettings(NamedTuple):
     `job`: how logs are propagated; its paths are ignored
     `options`: digest of its settings
     `reports`: whether results have the reports of the runs
-    `spell`: returns a sentence as the manifest has it; a worker has to be able to import it
     """
 
     job: Job
     options: str
     reports: bool = False
-    spell: Callable[[str | Text], str] = str
 
     @classmethod
-    def of(
-        cls, job: Job, *, reports: bool = False, spell: Callable[[str | Text], str] = str
-    ) -> BatchSettings:
+    def of(cls, job: Job, *, reports: bool = False) -> BatchSettings:
         """Return the settings of a batch, with the digest."""
-        return cls(job, options_digest(job), reports, spell)
+        return cls(job, options_digest(job), reports)
 
     def with_threads(self, count: int) -> BatchSettings:
         """Return the same with so many threads, unless the settings say how many."""
@@ -75,20 +70,15 @@ class BatchResult(NamedTuple):
     """The result of one log.
 
     `entry`: what the manifest records
-    `error`: why there are no attitudes; empty where there are
     `report`: the report of the run, as JSON; None if it is not wanted, or where there are no
         attitudes
     """
 
     entry: ManifestEntry
-    error: str | Text = ""
-    remarks: tuple[str | Text, ...] = ()
     losses: tuple[Loss, ...] = ()
     report: Any = None
 
 
-def failed(task: BatchTask, error: str | Text, state: str = "failed") -> BatchResult:
+def failed(task: BatchTask, error: str, state: str = "failed") -> BatchResult:
     """Return the result of a log without attitudes."""
-    return BatchResult(
-        ManifestEntry(state, log_name(task.path), task.name, error=str(error)), error
-    )
+    return BatchResult(ManifestEntry(state, log_name(task.path), task.name, error=spelled(error)))

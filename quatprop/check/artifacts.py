@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from quatprop.check.case_run import propagate_case
-from quatprop.check.spelling import sentence, spelled
 from quatprop.comparison.compare import compare
 from quatprop.errors import QuatpropError
 from quatprop.plot.errors import pair_page
@@ -51,10 +50,10 @@ def write_artifacts(case: Case, pin: Pin | None, folder: Path) -> Path:
         a, b = load_attitudes(AttitudeInput(str(series), "parquet")), load_attitudes(reference)
         comparison = compare(a.series, b.series, case.comparison)
         with PictureFile(str(page), [str(series), reference.path]) as picture:
-            picture.commit(pair_page(a, b, comparison, spelled))
+            picture.commit(pair_page(a, b, comparison))
     except QuatpropError as error:
         # No matplotlib, or nothing to compare: a page of this says so.
-        text = escape(sentence(error), quote=False)
+        text = escape(str(error), quote=False)
         with open_atomic(page) as stream:
             stream.write(f"<!doctype html>\n<p>{text}</p>\n".encode())
     return place

@@ -9,7 +9,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.check.spelling import sentence
 from quatprop.comparison.compare import compare
 from quatprop.comparison.summary import criterion_text, with_names
 from quatprop.errors import ComparisonError
@@ -115,7 +114,7 @@ def try_compare(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompari
     try:
         return compare_case(case, a, b)
     except ComparisonError as error:
-        return CaseComparison(None, failure=sentence(error))
+        return CaseComparison(None, failure=str(error))
 
 
 def compare_timestamps(a: AttitudeSeries, b: AttitudeSeries) -> str:

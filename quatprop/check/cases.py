@@ -12,15 +12,15 @@ import os
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from quatprop.check.case import Case, CaseNotRun
-from quatprop.check.spelling import sentence, suite_key
 from quatprop.check.suite import CaseTable, Suite, read_suite
 from quatprop.comparison.settings import COMPARE, comparison_settings
 from quatprop.errors import QuatpropError, SuiteError, UsageError
 from quatprop.pipeline.settings import propagation_settings
 from quatprop.settings import PROPAGATE, READ_ATTITUDES
 from quatprop.settings.parsers import file_beside
+from quatprop.settings.spelling import in_keys, suite_key
 from quatprop.signals.attitude_input import attitude_input
-from quatprop.text import Setting, Text, did_you_mean, quoted
+from quatprop.text import did_you_mean, quoted, spelling
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -33,9 +33,9 @@ DEFAULT_TOLERANCE = "1e-9rad"
 DEFAULT_COVERAGE = "99"
 """Percentage of a reference that a log must cover which need not have the same bytes."""
 
-PROPAGATION_KEYS = {suite_key(Setting(name)): name for name in PROPAGATE}
-COMPARISON_KEYS = {suite_key(Setting(name)): name for name in COMPARE}
-REFERENCE_KEYS = {suite_key(Setting(name), "b"): name for name in READ_ATTITUDES}
+PROPAGATION_KEYS = {suite_key(name): name for name in PROPAGATE}
+COMPARISON_KEYS = {suite_key(name): name for name in COMPARE}
+REFERENCE_KEYS = {suite_key(name, "b"): name for name in READ_ATTITUDES}
 
 PARSERS: Mapping[str, Callable[[object], Any]] = {
     **{key: PROPAGATE[name] for key, name in PROPAGATION_KEYS.items()},
@@ -48,6 +48,7 @@ OWN_KEYS = {"log", "reference", "reference-log", "pin-log", "skip", "xfail"}
 """Keys of a case that are no settings."""
 
 
+@spelling(in_keys)
 def load_cases(path: Path | str) -> tuple[Suite, list[Case | CaseNotRun]]:
     """Read a suite and make its cases."""
     suite = read_suite(path)
@@ -69,7 +70,7 @@ def load_cases(path: Path | str) -> tuple[Suite, list[Case | CaseNotRun]]:
                     raise SuiteError(suite.path, reason, case.name, "reference")
             cases.append(case)
         except QuatpropError as error:
-            cases.append(CaseNotRun(table.name, sentence(error), line=table.line))
+            cases.append(CaseNotRun(table.name, str(error), line=table.line))
     return suite, cases
 
 
@@ -122,7 +123,7 @@ class _CaseParser:
         try:
             propagation = propagation_settings(parsed)
         except UsageError as error:
-            self._refuse(sentence(error))
+            self._refuse(error.text)
         strict = pins_log and not {"time-offset", "match", "max-dt"} & values.keys()
         stored, usual = reference is not None, {}
         if not strict and (stored or not pins_log):
@@ -214,7 +215,7 @@ class _CaseParser:
                 self._refuse(error.text, key)
         return parsed, {key: str(text) for key, text in texts.items()}
 
-    def _refuse(self, reason: str | Text, key: str | None = None) -> NoReturn:
+    def _refuse(self, reason: str, key: str | None = None) -> NoReturn:
         raise SuiteError(self._suite.path, reason, self._table.name, key)
 
 

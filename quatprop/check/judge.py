@@ -13,12 +13,12 @@ from quatprop.check.case_run import compare_case, compare_timestamps, propagate_
 from quatprop.check.cases import same_option
 from quatprop.check.lock import DIGITS, Pin, describe_change, digests_of, sha256_of
 from quatprop.check.reference import DEFAULT, describe_provenance, read_reference
-from quatprop.check.spelling import sentence
 from quatprop.comparison.settings import Sigmas
 from quatprop.errors import LogError, QuatpropError
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.settings.spelling import in_keys
 from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
-from quatprop.text import Setting, listed, plain, quoted
+from quatprop.text import Setting, listed, plain, quoted, spelling
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -52,7 +52,7 @@ def judge(case: Case, pin: Pin | None) -> CaseResult:
     except LogError as error:
         if not case.pins_log:
             raise
-        reason = f"{sentence(error)}; the same bytes could be used by quatprop {pin.quatprop}"
+        reason = f"{error}; the same bytes could be used by quatprop {pin.quatprop}"
         return CaseResult(case.name, "error", reason)
     failures = []
     if run.samples != pin.samples and case.pins_log:
@@ -197,6 +197,7 @@ def _compare_last(case: Case, pin: Pin, run: CaseRun) -> str:
     return f"the attitude at the last sample is {angle} from the one that was pinned"
 
 
+@spelling(in_keys)
 def explain(case: Case | CaseNotRun, pin: Pin | None) -> str:
     """Return what a case depends on, what is pinned, and how it is judged.
 
@@ -249,7 +250,7 @@ def _state(path: str, pinned: Mapping[str, str]) -> str:
     try:
         digests = digests_of(path)
     except QuatpropError as error:
-        return sentence(error)
+        return str(error)
     changed = [name for name, *_ in differences(pinned, digests)]
     if set(digests) != {""}:
         now, was = f"{len(digests)} files", listed(map(plain, changed))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from quatprop.errors import LogError, SuiteError, UnreadableLogError
 from quatprop.provenance import JsonObject, as_json, digest_of
 from quatprop.settings.guarded_text import ContentError, read_bytes, read_json
-from quatprop.text import Setting, Text
+from quatprop.text import Setting
 from quatprop.writers.atomic import open_atomic
 
 if TYPE_CHECKING:
@@ -91,15 +91,15 @@ def read_lock(path: Path) -> dict[str, Pin]:
         raise SuiteError(path, _what_is_wrong(content.decode(errors="replace"))) from error
 
 
-def _what_is_wrong(text: str) -> Text:
+def _what_is_wrong(text: str) -> str:
     """Return what is wrong with a lock that cannot be used."""
     for number, line in enumerate(text.splitlines(), 1):
         if line.startswith(CONFLICT_MARKERS):
-            return Text(
+            return (
                 f"line {number} is a conflict marker of a merge; remove the markers, keeping one "
                 f"side of each case, and check with {Setting('update')}"
             )
-    return Text(
+    return (
         f"it is not the lock that {Setting('update')} writes; restore it, or remove it and update"
     )
 

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 from quatprop.check.case import Case, CaseNotRun, CaseResult
 from quatprop.check.judge import judge
 from quatprop.check.lock import Pin, write_lock
-from quatprop.check.spelling import sentence
 from quatprop.check.update import update
 from quatprop.concurrency.processes import KILLED, in_order, map_processes
 from quatprop.errors import QuatpropError
 from quatprop.errors.third_party import as_user_error
-from quatprop.text import plain
+from quatprop.settings.spelling import in_keys
+from quatprop.text import plain, spelling
 from quatprop.writers.atomic import output_errors
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ def select_cases(
     return [case for case in cases if matches(case.name)]
 
 
+@spelling(in_keys)
 def run_case(
     pinned: PinnedCase, *, updating: Path | None = None, artifacts: Path | None = None
 ) -> CaseResult:
@@ -66,7 +67,7 @@ def run_case(
     except Exception as error:
         if (user_error := as_user_error(error)) is None:
             raise
-        result = CaseResult(case.name, "error", sentence(user_error))
+        result = CaseResult(case.name, "error", str(user_error))
     if case.xfail and result.verdict == "fail":
         result = result._replace(verdict="xfail", reason=f"{case.xfail}: {result.reason}")
     elif case.xfail and result.verdict == "pass":
@@ -82,7 +83,7 @@ def _keep_evidence(case: Case, pin: Pin | None, artifacts: Path) -> str:
         with output_errors(artifacts):
             return f"see {plain(write_artifacts(case, pin, artifacts))}"
     except QuatpropError as error:
-        return f"its artifacts cannot be kept: {sentence(error)}"
+        return f"its artifacts cannot be kept: {error}"
 
 
 def run_cases(

@@ -27,7 +27,6 @@ from quatprop.check.reference import (
     refuse_replacing,
     write_reference,
 )
-from quatprop.check.spelling import sentence
 from quatprop.errors import QuatpropError
 from quatprop.text import plain
 from quatprop.writers.targets import refuse_outside, refuse_overlap
@@ -124,7 +123,7 @@ def _compare_with_old(case: Case, run: CaseRun) -> list[str]:
     try:
         old = read_reference(str(case.reference)).series
     except QuatpropError as error:
-        return [f"the old reference could not be read: {sentence(error)}"]
+        return [f"the old reference could not be read: {error}"]
     comparison = try_compare(case, run.series, old)
     if comparison.error_rad is None:
         return [f"attitudes: not comparable with the old reference: {comparison.failure}"]

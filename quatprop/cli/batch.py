@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli import propagate
-from quatprop.cli.help import Command
-from quatprop.cli.options import QUIET, own_options, with_options
-from quatprop.cli.spelling import spelled
-from quatprop.cli.types import PATH, OneOf, content_of
+from quatprop.cli.help import Command, GroupedOption
+from quatprop.cli.options import QUIET, with_options
+from quatprop.cli.types import PATH, content_of
 from quatprop.concurrency.threads import available_cores
+from quatprop.settings.keyword import Keyword
+from quatprop.settings.parsers import Choice, flag
 from quatprop.text import listed, plain
 from quatprop.writers.formats import WRITERS
 
@@ -41,33 +42,38 @@ SHARED = [option for option in propagate.command.params if option.name not in ON
 EXAMPLES = ("quatprop batch 'sample_logs/*.bag' -o attitudes --to csv -j 2",)
 
 
-OPTIONS = own_options(
-    {
-        "--to": f"FORMAT  {', '.join(WRITERS)}.",
-        "--list list_file": "FILE|-  Also take names from FILE or stdin, one a line, relative to "
-        "the current folder.  [default: none]",
-        "--root": "DIR  Outputs keep the path of their log below DIR.  [default: the folder that "
-        "is searched, the fixed part of a GLOB, and for a LOG its own folder]",
-        "--shard": "I/N  Only the I-th of N parts of the logs, I from 1, as for array jobs; every "
-        "part must be given the same names.  [default: all]",
-        "-j processes": "N  Logs at a time: each in a process of its own.  [default: the cores]",
-        "--dask": "ADDRESS  Use the workers of the Dask cluster whose scheduler has this address; "
-        "they must see the same paths.  [default: this machine]",
-        "--skip-existing": "Leave out logs whose output is up to date: made by the same version, "
-        "with the same options, from the log as it is (size and time).",
-        "--retries": "N  Try a log again, up to N times, whose process was killed.",
-        "--json as_json": "JSON on stdout: the report of each log.",
-        **QUIET,
-    },
-    {
-        "--to": OneOf(tuple(WRITERS)),
-        "--shard": click.STRING,
-        "-j processes": click.IntRange(min=1),
-        "--dask": click.STRING,
-        "--retries": click.IntRange(min=0),
-    },
-    {"--to": "parquet", "--retries": 0},
-)
+OPTIONS = {
+    "--to": Keyword(
+        Choice(*WRITERS), f"{', '.join(WRITERS)}.", "parquet", "FORMAT", group="Output",
+        common=True, preset=True),
+    "--list list_file": Keyword(
+        PATH, "Also take names from FILE or stdin, one a line, relative to the current folder.",
+        takes="FILE|-", group="Execution"),
+    "--root": Keyword(
+        PATH, "Outputs keep the path of their log below DIR.",
+        "the folder that is searched, the fixed part of a GLOB, and for a LOG its own folder",
+        "DIR", group="Execution"),
+    "--shard": Keyword(
+        click.STRING,
+        "Only the I-th of N parts of the logs, I from 1, as for array jobs; every part "
+        "must be given the same names.", "all", "I/N", group="Execution"),
+    "-j processes": Keyword(
+        click.IntRange(min=1), "Logs at a time: each in a process of its own.", "the cores", "N",
+        group="Execution", common=True),
+    "--dask": Keyword(
+        click.STRING,
+        "Use the workers of the Dask cluster whose scheduler has this address; they must "
+        "see the same paths.", "this machine", "ADDRESS", group="Execution"),
+    "--skip-existing": Keyword(
+        flag, "Leave out logs whose output is up to date: made by the same version, with the "
+        "same options, from the log as it is (size and time).", group="Execution", common=True),
+    "--retries": Keyword(
+        click.IntRange(min=0), "Try a log again, up to N times, whose process was killed.", "0",
+        "N", group="Execution", preset=True),
+    "--json as_json": Keyword(
+        flag, "JSON on stdout: the report of each log.", group="Display", common=True),
+    **QUIET,
+}  # fmt: skip
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
@@ -79,6 +85,9 @@ OPTIONS = own_options(
     type=PATH,
     metavar="DIR",
     required=True,
+    cls=GroupedOption,
+    group="Output",
+    common=True,
     help="Where the attitude series go: each under the name of its log, and the manifest; a "
     "folder, or a prefix such as s3://bucket/runs.",
 )
@@ -110,7 +119,7 @@ def command(
     job = propagate.job_of({**chosen, **paths}, Path.cwd())
     planned = plan(search.logs, job, folder, suffix, manifest)
     _warn_of_unused(manifest)
-    settings = BatchSettings.of(job, reports=as_json, spell=spelled)
+    settings = BatchSettings.of(job, reports=as_json)
     tasks = outdated(planned, settings, manifest) if chosen["skip_existing"] else planned
     skipped = set(planned).difference(tasks)
     lost = with_data_lost(skipped, manifest) if skipped else 0
@@ -205,7 +214,7 @@ class _Shown:
         if self._keeps:
             self.reports[index] = _report(task, result)
         if result.entry.state == "failed":
-            self._errors.append(spelled(result.error))
+            self._errors.append(result.entry.error or "")
             self._say(f"Error: {self._errors[-1]}")
         elif not self._quiet and result.entry.span_s is not None:
             self._say(_line(task, result, result.entry.span_s, self._width))
@@ -246,7 +255,7 @@ def _line(task: BatchTask, result: BatchResult, span_s: float, width: int) -> st
     span = duration_text(round(span_s * 1e9))
     samples = f"{result.entry.samples:>12,} samples over {span:<10}"
     lines = [f"{plain(task.log):<{width}}  {samples}  -> {plain(without_secret(task.output))}"]
-    lines += [f"  warning: {spelled(remark)}" for remark in result.remarks]
+    lines += [f"  warning: {remark}" for remark in result.entry.remarks]
     return "\n".join(lines + [f"  {line}" for line in loss_lines(result.losses)])
 
 

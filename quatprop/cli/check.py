@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.help import Command
-from quatprop.cli.options import JSON, own_options, with_options
+from quatprop.cli.options import JSON, with_options
 from quatprop.cli.types import PATH
+from quatprop.settings.keyword import Keyword
+from quatprop.settings.parsers import flag
 from quatprop.text import listed, plain
 
 if TYPE_CHECKING:
@@ -33,27 +35,28 @@ EXAMPLES = (
 )
 
 
-OPTIONS = own_options(
-    {
-        "-j processes": "N  Cases at a time, each in a process of its own; the output is the same "
-        "for any N.",
-        "--update": "Write the references of cases that are new, changed or fail, and show what "
-        "changed. Cases that pass are left as they are.",
-        "--init": "Write SUITE.toml, with a case for each LOG, and the references.",
-        "--explain": "Show what the cases depend on, what is pinned, and how they are judged; run "
-        "nothing.",
-        "--artifacts": "DIR  Keep the attitudes, a page with the error, and the commands of each "
-        "case that fails in DIR/CASE.  [default: none]",
-        "--strict": "Fail, too, if a case that is pinned is no longer in the suite, or if one "
-        "passes that is known to fail.",
-        "--junit": "FILE  Also write the results as JUnit XML.  [default: none]",
-        **JSON,
-        "-q --quiet": "Only failures and the totals.",
-        "-v --verbose": "A line for every case that passes.",
-    },
-    {"-j processes": click.IntRange(min=1)},
-    {"-j processes": 1},
-)
+OPTIONS = {
+    "-j processes": Keyword(click.IntRange(min=1),
+        "Cases at a time, each in a process of its own; the output is the same for any N.", "1",
+        "N", preset=True),
+    "--update": Keyword(
+        flag, "Write the references of cases that are new, changed or fail, and show what "
+        "changed. Cases that pass are left as they are."),
+    "--init": Keyword(flag, "Write SUITE.toml, with a case for each LOG, and the references."),
+    "--explain": Keyword(
+        flag, "Show what the cases depend on, what is pinned, and how they are judged; run "
+        "nothing."),
+    "--artifacts": Keyword(
+        PATH, "Keep the attitudes, a page with the error, and the commands of each case that "
+        "fails in DIR/CASE.", takes="DIR"),
+    "--strict": Keyword(
+        flag, "Fail, too, if a case that is pinned is no longer in the suite, or if one passes "
+        "that is known to fail."),
+    "--junit": Keyword(PATH, "Also write the results as JUnit XML.", takes="FILE"),
+    **JSON,
+    "-q --quiet": Keyword(flag, "Only failures and the totals."),
+    "-v --verbose": Keyword(flag, "A line for every case that passes."),
+}  # fmt: skip
 
 
 @click.command(cls=Command, examples=EXAMPLES, grouped=False, no_args_is_help=True)

@@ -11,7 +11,7 @@ from quatprop import __version__
 from quatprop.cli import FAILED
 from quatprop.cli.help import write_section
 from quatprop.cli.interruption import INTERRUPTED, MESSAGE, interruptible
-from quatprop.text import did_you_mean
+from quatprop.text import did_you_mean, spelling
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -71,27 +71,28 @@ class Commands(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; an error becomes a sentence and an exit code here, and only here."""
-        from quatprop.cli.spelling import sentence
+        from quatprop.settings.spelling import in_options
 
-        try:
-            with interruptible():
-                return super().invoke(ctx)
-        except BrokenPipeError:
-            # The reader of our output has gone, as in `| head`: that is its right.
-            ctx.exit(0)
-        except KeyboardInterrupt:
-            click.echo(MESSAGE, err=True)
-            ctx.exit(INTERRUPTED)
-        except (click.exceptions.NoArgsIsHelpError, click.Abort, click.exceptions.Exit):
-            raise
-        except click.ClickException as error:
-            raise Unusable(error.format_message()) from None
-        except Exception as error:
-            from quatprop.errors.third_party import as_user_error
-
-            if (known := as_user_error(error)) is None:
+        with spelling(in_options):
+            try:
+                with interruptible():
+                    return super().invoke(ctx)
+            except BrokenPipeError:
+                # The reader of our output has gone, as in `| head`: that is its right.
+                ctx.exit(0)
+            except KeyboardInterrupt:
+                click.echo(MESSAGE, err=True)
+                ctx.exit(INTERRUPTED)
+            except (click.exceptions.NoArgsIsHelpError, click.Abort, click.exceptions.Exit):
                 raise
-            raise Unusable(sentence(known)) from error
+            except click.ClickException as error:
+                raise Unusable(error.format_message()) from None
+            except Exception as error:
+                from quatprop.errors.third_party import as_user_error
+
+                if (known := as_user_error(error)) is None:
+                    raise
+                raise Unusable(str(known)) from error
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         """List the commands from the table."""

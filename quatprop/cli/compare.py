@@ -9,18 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.help import Command
-from quatprop.cli.options import (
-    JSON,
-    PLOT,
-    input_of,
-    refuse_stdin_twice,
-    setting_options,
-    with_options,
-)
-from quatprop.cli.spelling import command_line, in_options, spelled
+from quatprop.cli.options import JSON, PLOT, input_of, options_of, refuse_stdin_twice, with_options
 from quatprop.cli.types import PATH
 from quatprop.comparison.settings import COMPARE, ComparisonSettings
 from quatprop.settings import CHECKS, ONE_SERIES
+from quatprop.settings.keyword import Keyword
+from quatprop.settings.parsers import flag
+from quatprop.text import spelled
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -32,15 +27,22 @@ EXAMPLES = (
 )
 
 
+OPTIONS = {
+    **PLOT,
+    **JSON,
+    "-q --quiet": Keyword(flag, "Print nothing; the exit code only.", group="Display", common=True),
+}  # fmt: skip
+
+
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("a", type=PATH, metavar="A")
 @click.argument("b", type=PATH, metavar="B")
 @with_options(
-    setting_options(COMPARE, log="B"),
-    setting_options(CHECKS),
-    {**PLOT, **JSON, "-q --quiet": "Print nothing; the exit code only."},
-    setting_options(ONE_SERIES, log="A", signal="attitudes", side="a"),
-    setting_options(ONE_SERIES, log="B", signal="attitudes", side="b"),
+    options_of(COMPARE, log="B"),
+    options_of(CHECKS),
+    OPTIONS,
+    options_of(ONE_SERIES, log="A", signal="attitudes", side="a"),
+    options_of(ONE_SERIES, log="B", signal="attitudes", side="b"),
 )
 def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **chosen: Any) -> int:
     """Measure the geodesic error between two attitude series, A and B.
@@ -51,7 +53,7 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
     """
     from quatprop import __version__
     from quatprop.cli.progress import progress
-    from quatprop.cli.summary import show
+    from quatprop.cli.summary import command_line, show
     from quatprop.comparison.files import compare_files
     from quatprop.comparison.summary import comparison_rows
     from quatprop.provenance import as_json as to_json
@@ -70,17 +72,17 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
             side_a, side_b, settings_of(chosen), keep=picture is not None
         )
         if picture is not None:
-            picture.commit(pair_page(first, second, comparison, spelled))
+            picture.commit(pair_page(first, second, comparison))
     if as_json:
         report = {
             "quatprop": __version__,
-            "a": to_json(first.report()),
-            "b": to_json(second.report()),
-            **comparison.report(),
+            "a": to_json(first.report(), spelled),
+            "b": to_json(second.report(), spelled),
+            **to_json(comparison, spelled),
         }
-        click.echo(json.dumps(in_options(report), indent=2))
+        click.echo(json.dumps(report, indent=2))
     elif not quiet:
-        rows = comparison_rows(first, second, comparison, spelled)
+        rows = comparison_rows(first, second, comparison)
         show(lines_of(rows), indent=10, err=False)
     if comparison.passed is False:
         return 1

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.spelling import option
+from quatprop.cli.help import GroupedOption
 from quatprop.cli.types import PATH, content_of
 from quatprop.provenance import as_json
 from quatprop.settings.guarded_text import ContentError, read_toml
 from quatprop.settings.parsers import file_beside
-from quatprop.text import Setting, did_you_mean, plain, quoted
+from quatprop.settings.spelling import option
+from quatprop.text import did_you_mean, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -90,7 +91,7 @@ def config_of(path: str, provenance: Mapping[str, Any]) -> str:
         if isinstance(value, str) and (file := file_beside(name, value, Path.cwd()))
     }
     for name, value in {**settings, **files}.items():
-        lines.append(f"{option(Setting(name))[2:]} = {json.dumps(value)}")
+        lines.append(f"{option(name)[2:]} = {json.dumps(value)}")
     return "\n".join(lines)
 
 
@@ -112,6 +113,9 @@ def _state(path: str, file: Mapping[str, Any]) -> str:
 
 config_option = click.option(
     "--config",
+    cls=GroupedOption,
+    group="Execution",
+    common=False,
     type=PATH,
     metavar="FILE",
     is_eager=True,

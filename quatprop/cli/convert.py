@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.help import Command
-from quatprop.cli.options import QUIET, REPORT, input_of, own_options, setting_options, with_options
+from quatprop.cli.options import QUIET, REPORT, input_of, options_of, with_options
 from quatprop.cli.output_options import EULER, INTO, OUTPUT_OPTIONS, output_settings, with_unit
-from quatprop.cli.spelling import spelled
-from quatprop.cli.types import PATH, OneOf
+from quatprop.cli.types import PATH
 from quatprop.settings import CONVENTIONS, DIRECTIONS, READ_ATTITUDES
-from quatprop.text import plain
+from quatprop.settings.keyword import Keyword
+from quatprop.settings.parsers import Choice
+from quatprop.text import plain, spelled
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,36 +28,29 @@ EXAMPLES = (
 )
 
 
-OPTIONS = own_options(
-    {
-        "--convention": "Convention of OUT.",
-        "--direction": "Which coordinates OUT turns into which.",
-        "--sign": "Of q and -q, which are the same attitude: the one that is there, the one nearer "
-        "to the row before, or the one with w >= 0 (of half turns, w = 0, the one whose first "
-        "component that is not zero is positive).",
-        "--as representation": "quaternion|rotvec|euler-zyx|matrix|body-rates|inertial-rates  What "
-        "to write: quaternions, rotation vectors in rad, yaw, pitch and roll about z, y' and x'' "
-        "(or angles of another sequence, such as euler-xyz or euler-zxz), matrices row by row, or "
-        "the rates in rad/s that lead from each attitude to the next: propagated with --method "
-        "start, they give the attitudes back.",
-        **REPORT,
-        **QUIET,
-    },
-    {
-        "--convention": OneOf(CONVENTIONS),
-        "--direction": OneOf(DIRECTIONS),
-        "--sign": OneOf(("keep", "continuous", "positive")),
-        "--as representation": OneOf(
-            ("quaternion", "rotvec", *EULER, "matrix", "body-rates", "inertial-rates")
-        ),
-    },
-    {
-        "--convention": "hamilton",
-        "--direction": "body-to-ref",
-        "--sign": "keep",
-        "--as representation": "quaternion",
-    },
-)
+OPTIONS = {
+    "--convention": Keyword(
+        Choice(*CONVENTIONS), "Convention of OUT.", "hamilton", group="Output", common=True,
+        preset=True),
+    "--direction": Keyword(
+        Choice(*DIRECTIONS), "Which coordinates OUT turns into which.", "body-to-ref",
+        group="Output", common=True, preset=True),
+    "--sign": Keyword(Choice("keep", "continuous", "positive"),
+        "Of q and -q, which are the same attitude: the one that is there, the one nearer "
+        "to the row before, or the one with w >= 0 (of half turns, w = 0, the one whose "
+        "first component that is not zero is positive).", "keep", group="Output", common=True,
+        preset=True),
+    "--as representation": Keyword(
+        Choice("quaternion", "rotvec", *EULER, "matrix", "body-rates", "inertial-rates"),
+        "What to write: quaternions, rotation vectors in rad, yaw, pitch and roll about "
+        "z, y' and x'' (or angles of another sequence, such as euler-xyz or euler-zxz), "
+        "matrices row by row, or the rates in rad/s that lead from each attitude to the "
+        "next: propagated with --method start, they give the attitudes back.", "quaternion",
+        "quaternion|rotvec|euler-zyx|matrix|body-rates|inertial-rates", group="Output", common=True,
+        preset=True),
+    **REPORT,
+    **QUIET,
+}  # fmt: skip
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
@@ -64,7 +58,7 @@ OPTIONS = own_options(
 @click.argument("output", type=PATH, metavar="[OUT]", required=False)
 @with_options(
     INTO,
-    setting_options(READ_ATTITUDES, log="IN", signal="attitudes"),
+    options_of(READ_ATTITUDES, log="IN", signal="attitudes"),
     OUTPUT_OPTIONS,
     OPTIONS,
 )

@@ -32,24 +32,9 @@ GROUPS = (
 SIDES = ("a", "b", "ref")
 """Endings of options about one of several inputs, which have a group of their own."""
 
-OUTPUT = "output folder to layout beside convention direction sign representation plot"
-BATCH = "processes skip_existing"
-DISPLAY = "quiet as_json as_config help help_all"
-COMMON = {*f"{OUTPUT} {BATCH} {DISPLAY}".split()}
-"""Parameters beside settings that help always shows; the others on request."""
 
-GROUP = {
-    **dict.fromkeys(
-        f"{OUTPUT} euler_unit into comment message out_topic frames report".split(), "Output"
-    ),
-    **dict.fromkeys(f"{BATCH} config list_file root shard dask retries".split(), "Execution"),
-    **dict.fromkeys(f"{DISPLAY} verbose".split(), "Display"),
-}
-"""The group of each parameter beside settings; others are in none."""
-
-
-class SettingOption(click.Option):
-    """The option of a setting, with its group in help and whether help always shows it."""
+class GroupedOption(click.Option):
+    """An option with its group in help, and whether help always shows it."""
 
     def __init__(self, *args: Any, group: str, common: bool, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -118,10 +103,10 @@ class Command(click.Command):
         every = ctx.meta.get(ALL) or not self._grouped
         groups: dict[str, list[tuple[str, str]]] = {OWN: [], **{title: [] for title in GROUPS}}
         for option in self.get_params(ctx):
-            name = "help" if "--help" in option.opts else str(option.name)
             record = option.get_help_record(ctx) if isinstance(option, click.Option) else None
-            title, common = GROUP.get(name, OWN), name in COMMON
-            if isinstance(option, SettingOption):
+            # Those of click itself show help.
+            title, common = "Display", True
+            if isinstance(option, GroupedOption):
                 title, common = option.group, option.common
             title = title if self._grouped else OWN
             if record is not None and (every or common or title == OWN):

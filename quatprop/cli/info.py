@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.help import Command
-from quatprop.cli.options import setting_options, with_options
-from quatprop.cli.spelling import sentence, spelled
+from quatprop.cli.options import options_of, with_options
 from quatprop.cli.types import PATH
 from quatprop.provenance import as_json as to_json
 from quatprop.rendering import loss_lines
 from quatprop.settings import READ_RATES
-from quatprop.text import plain
+from quatprop.settings.keyword import Keyword
+from quatprop.settings.parsers import flag
+from quatprop.text import plain, spelled
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -49,15 +50,20 @@ EXAMPLES = (
 )
 
 
+OPTIONS = {
+    "--json as_json": Keyword(
+        flag, "JSON on stdout instead of a table.", group="Display", common=True),
+    "--as-config": Keyword(
+        flag, "Print the options that LOG, an output of propagate, was made with; as a file "
+        "for propagate --config, which makes it again.", group="Display", common=True),
+}  # fmt: skip
+
+
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("logs", type=PATH, metavar="LOG...", nargs=-1, required=True)
 @with_options(
-    {
-        "--json as_json": "JSON on stdout instead of a table.",
-        "--as-config": "Print the options that LOG, an output of propagate, was made with; as a "
-        "file for propagate --config, which makes it again.",
-    },
-    setting_options(READ_RATES),
+    OPTIONS,
+    options_of(READ_RATES),
 )
 def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any) -> int:
     """Show every source of body rates and of attitudes in each LOG.
@@ -85,7 +91,7 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
             with progress():
                 surveys.append(survey(path, kind, wanted))
         except QuatpropError as error:
-            click.echo(f"Error: {sentence(error)}", err=True)
+            click.echo(f"Error: {error}", err=True)
     if as_json:
         click.echo(json.dumps(to_json(surveys), indent=2))
     else:

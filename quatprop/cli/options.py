@@ -1,27 +1,26 @@
-"""Options from tables: what help says of each, and the parser of its value.
+"""Options from rows: what help says of each, and the parser of its value.
 
 An option that is a setting of the library follows from its row in :mod:`quatprop.settings`, and
-means the same everywhere. What a command has beside them is in a table of its own, for
-:func:`own_options`.
+means the same everywhere. What a command has beside them has rows of the same type.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from quatprop.cli.help import SettingOption
-from quatprop.cli.spelling import option as option_name
-from quatprop.cli.spelling import spelled
+from quatprop.cli.help import GroupedOption
 from quatprop.cli.types import PATH, OneOf, ParamType, Parsed
-from quatprop.settings.parsers import Choice, Parser, flag
-from quatprop.text import Setting, Text
+from quatprop.settings.keyword import Keyword
+from quatprop.settings.parsers import flag
+from quatprop.settings.spelling import in_options, option
+from quatprop.text import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
-    from quatprop.settings.keyword import Keyword
     from quatprop.signals.attitude_input import AttitudeInput
 
     Command = TypeVar("Command", bound=Callable[..., Any])
@@ -29,15 +28,15 @@ if TYPE_CHECKING:
     """Gives a command an option."""
 
 
-def setting_options(
-    keywords: Mapping[str, Keyword],
+def options_of(
+    rows: Mapping[str, Keyword],
     *,
     log: str = "LOG",
     signal: str = "rates",
     side: str = "",
     prefix: str = "",
 ) -> list[Option]:
-    """Return the options for settings.
+    """Return the options for rows, by the name of a setting, or by the names that click takes.
 
     `log`, `signal`: what help calls the input, and what is read of it
     `side`: ends the names of the options, such as ``"a"`` for ``--topic-a``, and after an
@@ -45,88 +44,75 @@ def setting_options(
     `prefix`: begins the help of each
     """
     options = []
-    for name, keyword in keywords.items():
+    for name, row in rows.items():
+        ending = side and f"-{side}"
         short = "-t " if name == "topic" and not side else ""
-        names = f"{short}{option_name(Setting(name), side)} {name}_{side}".rstrip("_")
-        says = keyword.says
+        names = f"{short}{option(name)}{ending} {name}{ending.replace('-', '_')}"
+        says = row.says
         if name == "kind":
-            says = f"{says[:-1]}: {', '.join(keyword.choices)}."
-        if keyword.parse is not flag or keyword.default != "none":
-            says = f"{says}  [default: {keyword.default}]"
-        text = spelled(Text(prefix + says.format(log=log, signal=signal)), side)
-        group = f"Input {side.upper()}" if side else keyword.group
-        common = keyword.common and not side
+            says = f"{says[:-1]}: {', '.join(row.choices)}."
+        if not row.preset and (row.parse is not flag or row.default != "none"):
+            says = f"{says}  [default: {row.default}]"
+        value: dict[str, Any] = {"is_flag": True} if row.parse is flag else {"type": _type(row)}
+        if row.preset:
+            value |= {"default": row.default, "show_default": True}
         options.append(
-            _option(
-                names,
-                keyword.parse,
-                keyword.takes,
-                text,
-                cls=SettingOption,
-                group=group,
-                common=common,
+            click.option(
+                *(name if name.startswith("-") else names).split(),
+                cls=GroupedOption,
+                group=f"Input {side.upper()}" if side else row.group,
+                common=row.common and not side,
+                metavar=row.takes or None,
+                help=plain(in_options(prefix + says.format(log=log, signal=signal), side)),
+                **value,
             )
         )
     return options
 
 
-def own_options(
-    texts: Mapping[str, str],
-    kinds: Mapping[str, Parser | ParamType] | None = None,
-    defaults: Mapping[str, object] | None = None,
-) -> list[Option]:
-    """Return the options of one command.
-
-    `defaults`: names -> the default, which help shows; without one it is None, or said in the text
-    """
-    kinds, defaults = kinds or {}, defaults or {}
-    options = []
-    for names, text in texts.items():
-        takes, _, says = text.partition("  ")
-        if " " in takes:
-            takes, says = "", text
-        shown = {"default": defaults[names], "show_default": True} if names in defaults else {}
-        options.append(_option(names, kinds.get(names), takes, says, **shown))
-    return options
-
-
-def _option(
-    names: str, kind: Parser | ParamType | None, takes: str, says: str, **attributes: Any
-) -> Option:
-    """Return an option; `takes` is what help calls its value, unless that is a choice or a flag."""
-    if kind is flag or not (kind or takes):
-        return click.option(*names.split(), is_flag=True, help=says, **attributes)
-    if isinstance(kind, Choice):
-        kind = OneOf(kind.names)
-    elif kind is not None and not isinstance(kind, click.ParamType):
-        kind = Parsed(kind, takes)
-    metavar = takes or None
-    return click.option(*names.split(), type=kind or PATH, metavar=metavar, help=says, **attributes)
+def _type(row: Keyword) -> ParamType:
+    """Return how click reads a value."""
+    if isinstance(row.parse, click.ParamType):
+        return row.parse
+    return OneOf(row.choices) if row.choices else Parsed(row.parse, row.takes)
 
 
 REPORT = {
-    "--report": "PATH|-  Write a JSON report: source, conventions, counts, policies, version.  "
-    "[default: none]",
+    "--report": Keyword(
+        PATH,
+        "Write a JSON report: source, conventions, counts, policies, version.",
+        takes="PATH|-",
+        group="Output",
+    ),
 }
 PLOT = {
-    "--plot": "PIC  Draw a picture: .png, .svg, .pdf, or .html for a report with the picture in "
-    "it.  [default: none]",
+    "--plot": Keyword(
+        PATH,
+        "Draw a picture: .png, .svg, .pdf, or .html for a report with the picture in it.",
+        takes="PIC",
+        group="Output",
+        common=True,
+    ),
 }
-QUIET = {"-q --quiet": "No summary; errors only."}
-JSON = {"--json as_json": "JSON on stdout instead of text."}
+QUIET = {"-q --quiet": Keyword(flag, "No summary; errors only.", group="Display", common=True)}
+JSON = {
+    "--json as_json": Keyword(
+        flag, "JSON on stdout instead of text.", group="Display", common=True
+    ),
+}
 
 
 def with_options(
-    *options: Sequence[Option] | dict[str, str],
+    *options: Sequence[Option] | Mapping[str, Keyword],
 ) -> Callable[[Command], Command]:
-    """Return a decorator that gives a command these options, or those of texts, in this order."""
+    """Return a decorator that gives a command these options, or those of rows, in this order."""
     every: list[Option] = []
     for some in options:
-        every += own_options(some) if isinstance(some, dict) else some
+        every += options_of(some) if isinstance(some, Mapping) else some
 
     def decorated(command: Command) -> Command:
-        for option in reversed(every):
-            command = option(command)
+        for give in reversed(every):
+            command = give(command)
         return command
 
     return decorated

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.options import own_options
-from quatprop.cli.types import OneOf
+from quatprop.cli.types import PATH
 from quatprop.settings import EULER_SEQUENCES, LAYOUTS
+from quatprop.settings.keyword import Keyword
+from quatprop.settings.parsers import Choice, flag
 from quatprop.writers.formats import WRITERS
 from quatprop.writers.messages.kinds import MESSAGES, Message
 
@@ -22,38 +23,36 @@ EULER = tuple(f"euler-{sequence}" for sequence in EULER_SEQUENCES)
 """Representations by Euler angles."""
 
 INTO = {
-    "--into": "PATH  Instead: write PATH, a copy of the log with a topic of attitudes added and "
-    "everything else kept. For MCAP files and bags; see --message, --out-topic and --frames.  "
-    "[default: off]",
-}
-OUTPUT_OPTIONS = own_options(
-    {
-        "--to": f"FORMAT  {', '.join(WRITERS)}.  [default: by the suffix; without one a ROS 2 bag "
-        "folder]",
-        "--layout": "Order of the quaternion: a matter of storage only.  [default: scalar-first, "
-        "but what the format prescribes for tum, euroc and ROS messages]",
-        "--with beside": "euler-zyx|...  Also write angles, a rotation vector or a matrix; in "
-        "further columns of a table: euler-zyx is yaw, pitch and roll, euler-xyz and so on another "
-        "sequence; rotvec; matrix.  [default: none]",
-        "--euler-unit": "Unit of Euler angles.  [default: rad]",
-        "--header-comment comment": "Begin csv, tsv, tum or euroc with the report in a # comment.",
-        "--message": f"TYPE  What mcap and bags hold: {', '.join(MESSAGES)}. The last two are "
-        "Foxglove's own, for mcap only.  [default: "
-        "QuaternionStamped]",
-        "--out-topic": "NAME  Topic of the messages.  [default: /attitude, or /tf for transforms]",
-        "--frames": "REFERENCE,BODY  Names of the two frames in the messages.  [default: "
-        "reference,body]",
-    },
-    {
-        "--to": OneOf(tuple(WRITERS)),
-        "--layout": OneOf(LAYOUTS),
-        "--with beside": OneOf(("rotvec", *EULER, "matrix")),
-        "--euler-unit": OneOf(("rad", "deg")),
-        "--message": OneOf(tuple(MESSAGES)),
-        "--out-topic": click.STRING,
-        "--frames": click.STRING,
-    },
-)
+    "--into": Keyword(
+        PATH, "Instead: write PATH, a copy of the log with a topic of attitudes added and "
+        "everything else kept. For MCAP files and bags; see --message, --out-topic and "
+        "--frames.", "off", "PATH", group="Output"),
+}  # fmt: skip
+OUTPUT_OPTIONS = {
+    "--to": Keyword(
+        Choice(*WRITERS), f"{', '.join(WRITERS)}.",
+        "by the suffix; without one a ROS 2 bag folder", "FORMAT", group="Output", common=True),
+    "--layout": Keyword(
+        Choice(*LAYOUTS), "Order of the quaternion: a matter of storage only.",
+        "scalar-first, but what the format prescribes for tum, euroc and ROS messages",
+        group="Output", common=True),
+    "--with beside": Keyword(Choice("rotvec", *EULER, "matrix"),
+        "Also write angles, a rotation vector or a matrix; in further columns of a "
+        "table: euler-zyx is yaw, pitch and roll, euler-xyz and so on another sequence; "
+        "rotvec; matrix.", takes="euler-zyx|...", group="Output", common=True),
+    "--euler-unit": Keyword(Choice("rad", "deg"), "Unit of Euler angles.", "rad", group="Output"),
+    "--header-comment comment": Keyword(
+        flag, "Begin csv, tsv, tum or euroc with the report in a # comment.", group="Output"),
+    "--message": Keyword(Choice(*MESSAGES),
+        f"What mcap and bags hold: {', '.join(MESSAGES)}. The last two are "
+        "Foxglove's own, for mcap only.", "QuaternionStamped", "TYPE", group="Output"),
+    "--out-topic": Keyword(
+        click.STRING, "Topic of the messages.", "/attitude, or /tf for transforms", "NAME",
+        group="Output"),
+    "--frames": Keyword(
+        click.STRING, "Names of the two frames in the messages.", "reference,body",
+        "REFERENCE,BODY", group="Output"),
+}  # fmt: skip
 """How an attitude series is written."""
 
 

@@ -7,21 +7,16 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 
 from quatprop.cli.compare import settings_of
-from quatprop.cli.help import Command
-from quatprop.cli.options import (
-    QUIET,
-    input_of,
-    own_options,
-    refuse_stdin_twice,
-    setting_options,
-    with_options,
-)
-from quatprop.cli.spelling import command_line, option, spelled
-from quatprop.cli.types import PATH, OneOf, Parsed
+from quatprop.cli.help import Command, GroupedOption
+from quatprop.cli.options import QUIET, input_of, options_of, refuse_stdin_twice, with_options
+from quatprop.cli.types import PATH
 from quatprop.comparison.settings import COMPARE
 from quatprop.settings import ONE_SERIES, PROPAGATE, READ_RATES
+from quatprop.settings.keyword import Keyword
+from quatprop.settings.parsers import Choice, flag
 from quatprop.settings.quantities import picture_size
-from quatprop.text import Setting, plain
+from quatprop.settings.spelling import option
+from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -43,30 +38,31 @@ EXAMPLES = (
 )
 
 
-OPTIONS = own_options(
-    {
-        "--show": "What to draw.  [default: attitudes where an option says which, else the rates "
-        "of a file that has some, else its attitudes]",
-        "--components": "Draw the four components of the quaternion.  [default: yaw, pitch and "
-        "roll]",
-        "--unwrap": "Draw yaw and roll beyond half a turn.  [default: from -180 to 180 deg]",
-        "--size": "W[xH]UNIT  Size of the picture, such as 90mm, 16x9cm or 3.5in.  [default: "
-        "7.5in wide]",
-        "--dpi": "N  Dots an inch of a PNG.  [default: 200]",
-        "--font-size": "PT  Size of the letters in points.  [default: 8.5]",
-        "--no-title": "Leave out the lines above and below the panels.",
-    },
-    {
-        "--show": OneOf(("rates", "attitude")),
-        "--size": Parsed(picture_size, "SIZE"),
-        "--dpi": click.IntRange(min=10, max=2400),
-        "--font-size": click.FloatRange(min=2, max=72),
-    },
-)
+OPTIONS = {
+    "--show": Keyword(
+        Choice("rates", "attitude"), "What to draw.",
+        "attitudes where an option says which, else the rates of a file that has some, "
+        "else its attitudes", group="Options"),
+    "--components": Keyword(
+        flag, "Draw the four components of the quaternion.", "yaw, pitch and roll",
+        group="Options"),
+    "--unwrap": Keyword(
+        flag, "Draw yaw and roll beyond half a turn.", "from -180 to 180 deg", group="Options"),
+    "--size": Keyword(
+        picture_size, "Size of the picture, such as 90mm, 16x9cm or 3.5in.", "7.5in wide",
+        "W[xH]UNIT", group="Options"),
+    "--dpi": Keyword(
+        click.IntRange(min=10, max=2400), "Dots an inch of a PNG.", "200", "N", group="Options"),
+    "--font-size": Keyword(
+        click.FloatRange(min=2, max=72), "Size of the letters in points.", "8.5", "PT",
+        group="Options"),
+    "--no-title": Keyword(flag, "Leave out the lines above and below the panels.", group="Options"),
+}  # fmt: skip
 REFERENCE = {
-    "--reference": "REF  Draw the geodesic error of each FILE against this attitude series; holds "
-    "both in memory.  [default: what is in FILE]",
-}
+    "--reference": Keyword(
+        PATH, "Draw the geodesic error of each FILE against this attitude series; holds both "
+        "in memory.", "what is in FILE", "REF", group="Options"),
+}  # fmt: skip
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
@@ -77,17 +73,20 @@ REFERENCE = {
     type=PATH,
     metavar="PIC",
     required=True,
+    cls=GroupedOption,
+    group="Output",
+    common=True,
     help="Where the picture goes: .png, .svg, .pdf, or .html for a report with the picture in it.",
 )
 @with_options(
     OPTIONS,
-    setting_options({name: PROPAGATE[name] for name in PART}, log="FILE"),
+    options_of({name: PROPAGATE[name] for name in PART}, log="FILE"),
     REFERENCE,
-    setting_options(ERROR, log="REF", prefix="(with --reference) "),
+    options_of(ERROR, log="REF", prefix="(with --reference) "),
     QUIET,
-    setting_options(READ_RATES, log="FILE"),
-    setting_options(ATTITUDES, log="FILE", signal="attitudes"),
-    setting_options(ONE_SERIES, log="REF", signal="attitudes", side="ref"),
+    options_of(READ_RATES, log="FILE"),
+    options_of(ATTITUDES, log="FILE", signal="attitudes"),
+    options_of(ONE_SERIES, log="REF", signal="attitudes", side="ref"),
 )
 def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     """Draw rates or attitudes of each FILE, or its error against a reference, against time.
@@ -96,6 +95,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     Several files are laid over one another.
     """
     from quatprop.cli.progress import progress
+    from quatprop.cli.summary import command_line
     from quatprop.conditioning import Conditioning
     from quatprop.plot.files import View
     from quatprop.plot.run import plot
@@ -124,7 +124,6 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
             against,
             settings_of(chosen),
             style=_style(chosen),
-            spell=spelled,
             command=command_line(),
         )
     if not quiet:
@@ -148,14 +147,14 @@ def _show(chosen: Mapping[str, Any]) -> Literal["rates", "attitude"] | None:
     for name in ("components", "unwrap", *ATTITUDES):
         if chosen[name]:
             if show == "rates":
-                raise click.UsageError(f"{option(Setting(name))} goes with --show attitude")
+                raise click.UsageError(f"{option(name)} goes with --show attitude")
             return "attitude"
     return show
 
 
 def _refuse_idle(chosen: Mapping[str, Any]) -> None:
     """Refuse options that go with others than those that are given."""
-    of_error = {option(Setting(name)) for name in ERROR}
+    of_error = {option(name) for name in ERROR}
     for parameter in click.get_current_context().command.params:
         name, value = parameter.opts[-1], chosen.get(str(parameter.name))
         if value is None or value is False:

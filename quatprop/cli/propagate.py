@@ -9,12 +9,12 @@ import click
 
 from quatprop.cli.config import config_option
 from quatprop.cli.help import Command
-from quatprop.cli.options import PLOT, QUIET, REPORT, setting_options, with_options
+from quatprop.cli.options import PLOT, QUIET, REPORT, options_of, with_options
 from quatprop.cli.output_options import INTO, OUTPUT_OPTIONS, output_settings
-from quatprop.cli.spelling import command_line, spelled
 from quatprop.cli.types import PATH, TEXTS
 from quatprop.settings import PROPAGATE
-from quatprop.settings.parsers import file_beside
+from quatprop.settings.keyword import Keyword
+from quatprop.settings.parsers import file_beside, flag
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -30,10 +30,14 @@ EXAMPLES = (
 
 
 OUT = {
-    "-o --output": "PATH|-  Where the attitudes go; - is stdout.  [default: none, required without "
-    "--into]",
-}
-VERBOSE = {"-v --verbose": "A longer summary: conventions, policies, timings."}
+    "-o --output": Keyword(
+        PATH, "Where the attitudes go; - is stdout.", "none, required without --into", "PATH|-",
+        group="Output", common=True),
+}  # fmt: skip
+VERBOSE = {
+    "-v --verbose": Keyword(
+        flag, "A longer summary: conventions, policies, timings.", group="Display"),
+}  # fmt: skip
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
@@ -42,7 +46,7 @@ VERBOSE = {"-v --verbose": "A longer summary: conventions, policies, timings."}
     OUT,
     INTO,
     OUTPUT_OPTIONS,
-    setting_options(PROPAGATE),
+    options_of(PROPAGATE),
     [config_option],
     {**REPORT, **PLOT, **QUIET, **VERBOSE},
 )
@@ -54,7 +58,7 @@ def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> i
     LOG (--into).
     """
     from quatprop.cli.progress import progress
-    from quatprop.cli.summary import INDENT, show, summary
+    from quatprop.cli.summary import INDENT, command_line, show, summary
     from quatprop.pipeline.job import run
 
     job = job_of(chosen)
@@ -63,7 +67,7 @@ def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> i
         if plot is not None:
             from quatprop.plot.propagation import PropagationPicture
 
-            drawing = PropagationPicture(plot, job, spelled, command=command_line())
+            drawing = PropagationPicture(plot, job, command=command_line())
             picture = stack.enter_context(drawing)
         report = run(job, picture, summary=not quiet)
     if not quiet:

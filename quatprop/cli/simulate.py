@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.help import Command
-from quatprop.cli.options import own_options, with_options
-from quatprop.cli.types import PATH, OneOf
+from quatprop.cli.options import with_options
+from quatprop.cli.types import PATH
 from quatprop.errors import UsageError
-from quatprop.settings.parsers import count, frequency, length, numbers
+from quatprop.settings.keyword import Keyword
+from quatprop.settings.parsers import Choice, count, flag, frequency, length, numbers
 from quatprop.writers.formats import GENERAL_KINDS
 
 if TYPE_CHECKING:
@@ -58,52 +59,43 @@ EXAMPLES = (
 )
 
 
-OPTIONS = own_options(
-    {
-        "--to kind": "Kind of the log.  [default: by the suffix; without one a ROS 2 bag folder]",
-        "--compression": "Compression of a message log.  [default: zstd for mcap, else none]",
-        "--truth": "PATH  Where the true attitudes go, or 'none'.  [default: OUT's name with "
-        ".truth.csv, beside Parquet .truth.parquet, beside - none]",
-        "--motion": "What the body does.",
-        "--rate sample_rate": "HZ  Samples a second.",
-        "--duration": "DUR  How long, such as 20s or 1h; the last sample is just before it.  "
-        "[default: 20s]",
-        "--samples": "N  How many samples, instead of a duration.  [default: by duration]",
-        "--start start_ns": "TIME  Time of the first sample, RFC 3339 or ns.  [default: "
-        "2023-11-14T22:13:20Z]",
-        "--seed": "N  Of noise and random walk: the same seed gives the same log.  [default: 0]",
-        "--noise": "X  Angular random walk, rad/s/sqrt(Hz).  [default: 0]",
-        "--bias": "X,Y,Z  Constant error of the rates, rad/s.  [default: 0,0,0]",
-        "--q0": "W,X,Y,Z  True attitude at the first sample, body to reference, scalar first.",
-        "--frequency": "HZ  Turns a second: of a spin, of coning, of the precession of tumbling.  "
-        "[default: 0.5]",
-        "--axis": "X,Y,Z  Axis of a spin in the body.  [default: 0,0,1]",
-        "--angle": "DEG  Half-angle of the cone, or nutation angle of tumbling.  [default: 10]",
-        "--spin-frequency": "HZ  Turns a second of a tumbling body about its own axis.  [default: "
-        "0.2]",
-        "--walk": "X  Random walk of the rate, rad/s/sqrt(s).  [default: 0.1]",
-        "-q --quiet": "Say nothing.  [default: a line on stderr]",
-    },
-    {
-        "--to kind": OneOf(GENERAL_KINDS),
-        "--compression": OneOf(("none", "lz4", "zstd", "bz2")),
-        "--motion": OneOf(MOTIONS),
-        "--rate sample_rate": frequency,
-        "--duration": length,
-        "--samples": count,
-        "--start start_ns": _moment,
-        "--seed": click.IntRange(min=0),
-        "--noise": click.FloatRange(min=0),
-        "--bias": numbers("X,Y,Z"),
-        "--q0": numbers("W,X,Y,Z"),
-        "--frequency": _exact,
-        "--axis": numbers("X,Y,Z"),
-        "--angle": _exact,
-        "--spin-frequency": _exact,
-        "--walk": click.FloatRange(min=0),
-    },
-    {"--motion": "spin", "--rate sample_rate": "100", "--q0": "1,0,0,0"},
-)
+OPTIONS = {
+    "--to kind": Keyword(
+        Choice(*GENERAL_KINDS), "Kind of the log.",
+        "by the suffix; without one a ROS 2 bag folder"),
+    "--compression": Keyword(
+        Choice("none", "lz4", "zstd", "bz2"), "Compression of a message log.",
+        "zstd for mcap, else none"),
+    "--truth": Keyword(
+        PATH, "Where the true attitudes go, or 'none'.",
+        "OUT's name with .truth.csv, beside Parquet .truth.parquet, beside - none", "PATH"),
+    "--motion": Keyword(Choice(*MOTIONS), "What the body does.", "spin", preset=True),
+    "--rate sample_rate": Keyword(frequency, "Samples a second.", "100", "HZ", preset=True),
+    "--duration": Keyword(
+        length, "How long, such as 20s or 1h; the last sample is just before it.", "20s", "DUR"),
+    "--samples": Keyword(count, "How many samples, instead of a duration.", "by duration", "N"),
+    "--start start_ns": Keyword(
+        _moment, "Time of the first sample, RFC 3339 or ns.", "2023-11-14T22:13:20Z", "TIME"),
+    "--seed": Keyword(
+        click.IntRange(min=0), "Of noise and random walk: the same seed gives the same log.", "0",
+        "N"),
+    "--noise": Keyword(click.FloatRange(min=0), "Angular random walk, rad/s/sqrt(Hz).", "0", "X"),
+    "--bias": Keyword(numbers("X,Y,Z"), "Constant error of the rates, rad/s.", "0,0,0", "X,Y,Z"),
+    "--q0": Keyword(
+        numbers("W,X,Y,Z"), "True attitude at the first sample, body to reference, scalar first.",
+        "1,0,0,0", "W,X,Y,Z", preset=True),
+    "--frequency": Keyword(
+        _exact, "Turns a second: of a spin, of coning, of the precession of tumbling.", "0.5",
+        "HZ"),
+    "--axis": Keyword(numbers("X,Y,Z"), "Axis of a spin in the body.", "0,0,1", "X,Y,Z"),
+    "--angle": Keyword(
+        _exact, "Half-angle of the cone, or nutation angle of tumbling.", "10", "DEG"),
+    "--spin-frequency": Keyword(
+        _exact, "Turns a second of a tumbling body about its own axis.", "0.2", "HZ"),
+    "--walk": Keyword(
+        click.FloatRange(min=0), "Random walk of the rate, rad/s/sqrt(s).", "0.1", "X"),
+    "-q --quiet": Keyword(flag, "Say nothing.", "a line on stderr"),
+}  # fmt: skip
 
 
 @click.command(

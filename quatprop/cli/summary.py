@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from typing import TYPE_CHECKING
 
 import click
 
-from quatprop.cli.spelling import spelled
 from quatprop.pipeline.summary import conventions, facts
 from quatprop.rendering import lines_of, loss_lines
+from quatprop.stores.objects import without_secret
+from quatprop.text import spelled
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -46,3 +48,8 @@ def summary(report: RunReport, *, verbose: bool) -> list[str]:
     lines = lines_of(rows, width=INDENT - 1)
     lines += [f"warning: {spelled(remark)}" for remark in report.remarks]
     return lines + loss_lines(report.losses)
+
+
+def command_line() -> str:
+    """Return the command that runs, as a shell takes it."""
+    return shlex.join(["quatprop", *map(without_secret, sys.argv[1:])])

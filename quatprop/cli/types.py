@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.spelling import sentence
 from quatprop.errors import UsageError, os_reason
 from quatprop.settings.guarded_text import MAX_BYTES, ContentError, read_bytes
 from quatprop.settings.parsers import Parser, choice_named
@@ -66,7 +65,7 @@ class Parsed(ParamType):
         try:
             return self.parser(value)
         except UsageError as error:
-            self.fail(sentence(error), param, ctx)
+            self.fail(str(error), param, ctx)
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str

@@ -9,7 +9,7 @@ import numpy as np
 
 from quatprop.comparison.trials import ClockError, RateRatio, Trial
 from quatprop.rendering import degrees_text
-from quatprop.text import Setting, Text
+from quatprop.text import Setting
 from quatprop.times import NS_PER_S, duration_text
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ NEAR_INTERVAL = 0.15
 
 def described(
     trial: Trial, alternatives: Sequence[Trial], intervals: Sequence[float]
-) -> tuple[str, str, Setting | Text | None]:
+) -> tuple[str, str, str | None]:
     """Return the name of a cause, a sentence, and the remedy.
 
     `intervals`: Median intervals of A and B, s
@@ -78,7 +78,7 @@ def described(
                 # Motion that looks the same in turned axes may have a constant speed, by which no
                 # offset is found.
                 offset = Setting("time_offset", f"{seconds * 1000:.6g}ms")
-                remedy = Text(offset, " or ", ALIGN_MOUNT)
+                remedy = f"{offset} or {ALIGN_MOUNT}"
     return trial.name, sentence, remedy
 
 
@@ -96,9 +96,7 @@ def _alternative(trial: Trial) -> str:
             return " with ".join(ALTERNATIVES[name] for name in trial.name.split(" and "))
 
 
-def _sentence_and_remedy(
-    trial: Trial, intervals: Sequence[float]
-) -> tuple[str, Setting | Text | None]:
+def _sentence_and_remedy(trial: Trial, intervals: Sequence[float]) -> tuple[str, str | None]:
     match trial.value:
         case ClockError() as clock:
             return _offset(clock, intervals) if trial.name == "time offset" else _drift(clock)
@@ -114,7 +112,7 @@ def _sentence_and_remedy(
             return _misreading(trial)
 
 
-def _misreading(trial: Trial) -> tuple[str, Text | None]:
+def _misreading(trial: Trial) -> tuple[str, str | None]:
     if trial.name == "rate sign":
         return RATE_SIGN, None
     side = trial.side
@@ -124,7 +122,7 @@ def _misreading(trial: Trial) -> tuple[str, Text | None]:
             f"what multiplies on the left in {which} multiplies on the right in {other}: body "
             "rates against inertial rates"
         )
-        return sentence, Text(f"propagate with {Setting('rates', 'body|inertial')}")
+        return sentence, f"propagate with {Setting('rates', 'body|inertial')}"
     sentence = "; also, ".join(MISREADINGS[name] for name in trial.name.split(" and "))
     remedies = []
     if trial.name.startswith("layout"):
@@ -135,29 +133,29 @@ def _misreading(trial: Trial) -> tuple[str, Text | None]:
     if trial.name.endswith("conjugate"):
         direction = Setting("from_direction", "ref-to-body", side)
         remedies.append(f"{direction} or {Setting('from_convention', 'jpl', side)}")
-    return sentence, Text(f"if it is {side.upper()}, read it with {' and '.join(remedies)}")
+    return sentence, f"if it is {side.upper()}, read it with {' and '.join(remedies)}"
 
 
-def _offset(offset: ClockError, intervals: Sequence[float]) -> tuple[str, Setting | Text | None]:
+def _offset(offset: ClockError, intervals: Sequence[float]) -> tuple[str, str | None]:
     late = "late" if offset.seconds < 0 else "early"
     amount, std = (round(value * NS_PER_S) for value in (abs(offset.seconds), offset.std))
     sentence = f"B is {_rounded(amount, std)} {late}"
-    remedy = Text(f"{Setting('time_offset', 'auto')} takes the offset out")
+    remedy = f"{Setting('time_offset', 'auto')} takes the offset out"
     for name, interval in zip("AB", intervals, strict=True):
         within = min(max(WITHIN_STDS * offset.std, ROUNDED * interval), NEAR_INTERVAL * interval)
         for share, text in ((0.5, "half a sampling interval"), (1.0, "one sampling interval")):
             if abs(abs(offset.seconds) - share * interval) <= within:
                 sentence += f" ({text} of {name}): a clock offset, or another integration rule"
-                return sentence, Text(remedy, f", {Setting('method')} changes the rule")
+                return sentence, f"{remedy}, {Setting('method')} changes the rule"
     return sentence, remedy
 
 
-RATE_UNIT = Text(f"see {Setting('rate_unit', 'rad/s|deg/s')} where the rates are read")
+RATE_UNIT = f"see {Setting('rate_unit', 'rad/s|deg/s')} where the rates are read"
 
-ALIGN_MOUNT = Text(f"{Setting('align', 'mount')} takes it out")
+ALIGN_MOUNT = f"{Setting('align', 'mount')} takes it out"
 
 
-def _drift(drift: ClockError) -> tuple[str, Text]:
+def _drift(drift: ClockError) -> tuple[str, str]:
     ppm, std = abs(drift.ratio) * 1e6, max(drift.std * 1e6, 0.01)
     digits = max(1 - math.floor(math.log10(std)), 0)
     pace = "slow" if drift.ratio > 0 else "fast"
@@ -169,9 +167,7 @@ def _drift(drift: ClockError) -> tuple[str, Text]:
         f"B's clock is {pace} by {ppm:.{digits}f} +- {std:.{digits}f} ppm against A's: the offset "
         f"between their timestamps changes by {moved} in {span}"
     )
-    return sentence, Text(
-        f"correct the stamps; {Setting('time_offset', 'auto')} leaves the change in"
-    )
+    return sentence, f"correct the stamps; {Setting('time_offset', 'auto')} leaves the change in"
 
 
 def _rounded(amount_ns: int, std_ns: int) -> str:
@@ -183,7 +179,7 @@ def _rounded(amount_ns: int, std_ns: int) -> str:
     return f"{amount} +- {std}"
 
 
-def _methods(of_a: str, of_b: str, interval: float) -> tuple[str, Text]:
+def _methods(of_a: str, of_b: str, interval: float) -> tuple[str, str]:
     sentence = f"the same rates lead to A with method {of_a}, and to B with method {of_b}"
     if {of_a, of_b} == {"start", "end"}:
         amount = duration_text(round(interval * NS_PER_S))
@@ -191,21 +187,21 @@ def _methods(of_a: str, of_b: str, interval: float) -> tuple[str, Text]:
     return sentence, _if_propagated("method", of_b, of_a)
 
 
-def _if_propagated(setting: str, a: str, b: str) -> Text:
+def _if_propagated(setting: str, a: str, b: str) -> str:
     """Return how either series may be propagated to arrive at the other: one may be a truth."""
     of_a, of_b = Setting(setting, a), Setting(setting, b)
-    return Text(f"if A was propagated, propagate it with {of_a}; if B was, with {of_b}")
+    return f"if A was propagated, propagate it with {of_a}; if B was, with {of_b}"
 
 
-def _axes(matrix: Float64) -> tuple[str, Text]:
+def _axes(matrix: Float64) -> tuple[str, str]:
     """Describe y = M x, x in B's axes and y in A's."""
     sentence = f"the body axes x, y, z of A are {_signed(matrix)} of B"
     if np.linalg.det(matrix) > 0:
         mounts = (_signed(turn).replace(" ", "") for turn in (matrix.T, matrix))
-        return sentence, Text(_if_propagated("mount", *mounts), "; ", ALIGN_MOUNT)
+        return sentence, f"{_if_propagated('mount', *mounts)}; {ALIGN_MOUNT}"
     return (
         f"{sentence}, which is left-handed: an axis is reversed, or two are swapped",
-        Text("see the order and the signs of the rates that were propagated"),
+        "see the order and the signs of the rates that were propagated",
     )
 
 

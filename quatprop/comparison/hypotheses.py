@@ -21,7 +21,7 @@ from quatprop.kinematics.quaternion import (
 )
 from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.rendering import degrees_text
-from quatprop.text import Setting, Text
+from quatprop.text import Setting
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class Cause(NamedTuple):
     sentence: str
     rms_before: float
     rms_after: float
-    remedy: Setting | Text | None = None
+    remedy: str | None = None
     window_ns: int | None = None
     also: Cause | None = None
     total_before: float | None = None
@@ -88,9 +88,9 @@ class Cause(NamedTuple):
         return self.leaves(NOTICEABLE)
 
     @property
-    def advice(self) -> Text:
+    def advice(self) -> str:
         """The sentence with the remedy; not for a regression, which the remedy would hide."""
-        return Text(self.sentence, *(("; ", self.remedy) if self.remedy else ()))
+        return f"{self.sentence}; {self.remedy}" if self.remedy else self.sentence
 
 
 def causes_of_errors(pairs: Pairs, alignment: str, before: float) -> Iterator[Cause]:
@@ -104,12 +104,12 @@ def causes_of_errors(pairs: Pairs, alignment: str, before: float) -> Iterator[Ca
     if frame_is_free:
         mean = align("mean", a, b)
         sentence = f"the reference frames differ by {degrees_text(mean.reference_rad)}"
-        remedy = Text(f"{ALIGN_MEAN} takes it out")
+        remedy = f"{ALIGN_MEAN} takes it out"
         yield Cause("reference frame", sentence, before, _rms(a, mean.apply(b)), remedy)
     if alignment != "mount":
         body = mean_rotation(multiply(conjugate(b), a))
         angle = degrees_text(float(geodesic_angle(IDENTITY, body)))
-        remedy = Text(f"{Setting('align', 'mount')} takes it out")
+        remedy = f"{Setting('align', 'mount')} takes it out"
         sentence = f"the body frames differ by {angle}"
         yield Cause("body frame", sentence, before, _rms(a, multiply(b, body)), remedy)
     bias, unbiased = _without_bias(pairs, aligned if alignment == "mount" else b)
@@ -119,7 +119,7 @@ def causes_of_errors(pairs: Pairs, alignment: str, before: float) -> Iterator[Ca
         mean = align("mean", a, unbiased)
         angle = degrees_text(mean.reference_rad, 4)
         sentence = f"the reference frames differ by {angle}; also, {bias}"
-        remedy, after = Text(f"{ALIGN_MEAN} takes the frames out"), _rms(a, mean.apply(unbiased))
+        remedy, after = f"{ALIGN_MEAN} takes the frames out", _rms(a, mean.apply(unbiased))
         yield Cause("rate bias and reference frame", sentence, before, after, remedy)
     yield from _steady_drifts(pairs, aligned, before)
 

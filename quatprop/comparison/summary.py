@@ -7,7 +7,7 @@ import re
 from typing import TYPE_CHECKING
 
 from quatprop.rendering import angle_text, count_text, degrees_text, loss_lines, source_text
-from quatprop.text import plain
+from quatprop.text import plain, spelled
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -18,16 +18,14 @@ if TYPE_CHECKING:
     from quatprop.comparison.meter import ComparedSample
     from quatprop.comparison.result import Comparison, Criterion
     from quatprop.comparison.statistics import SigmaStatistics, WindowStatistics
-    from quatprop.rendering import Row, Spell
+    from quatprop.rendering import Row
     from quatprop.signals.attitude_input import ReadAttitudes
 
 STATISTICS = {"rms": "RMS", "p95": "95 %"}
 """Statistics whose label is not their name."""
 
 
-def comparison_rows(
-    a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison, spell: Spell
-) -> Iterator[Row]:
+def comparison_rows(a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison) -> Iterator[Row]:
     """Yield what was compared, how, and the result."""
     first_ns = comparison.association.first_ns
     yield "A", _series(a)
@@ -46,12 +44,12 @@ def comparison_rows(
             label, how = "cause", "likely"
             if each.explains_little:
                 label, how = "remark", "explains little of the error"
-            yield label, f"{how} ({each.name}): {spell(each.advice)}"
+            yield label, f"{how} ({each.name}): {spelled(each.advice)}"
             yield "", _evidence(each)
-    yield from _remarks("A", a, spell)
-    yield from _remarks("B", b, spell)
+    yield from _remarks("A", a)
+    yield from _remarks("B", b)
     for remark in comparison.remarks:
-        yield "remark", spell(remark)
+        yield "remark", spelled(remark)
 
 
 def criterion_text(criterion: Criterion, comparison: Comparison) -> str:
@@ -201,9 +199,9 @@ def _from_to(before: float, after: float) -> str:
     return f"the RMS error goes from {degrees_text(before, 4)} to {degrees_text(after, 4)}"
 
 
-def _remarks(name: str, operand: ReadAttitudes, spell: Spell) -> Iterator[Row]:
+def _remarks(name: str, operand: ReadAttitudes) -> Iterator[Row]:
     for remark in operand.signal.remarks:
-        yield "remark", f"{name}: {spell(remark)}"
+        yield "remark", f"{name}: {spelled(remark)}"
     if operand.counts.invalid:
         yield "lost", f"{count_text(operand.counts.invalid, 'invalid quaternion')} of {name}"
     for line in loss_lines(operand.losses):

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from quatprop.conditioning.cells import Rows
     from quatprop.conditioning.static_detection import Rest
     from quatprop.series import GyroSeries
-    from quatprop.text import Text
     from quatprop.timeline import Timeline
     from quatprop.times import Instant
 
@@ -116,12 +115,12 @@ class ConditioningReport(NamedTuple):
     start_ns: int | None
     end_ns: int | None
     outside: list[int]
-    remarks: tuple[str | Text, ...] = ()
+    remarks: tuple[str, ...] = ()
     part: PartOfLog | None = None
     length: str = ""
 
     @property
-    def all_remarks(self) -> list[str | Text]:
+    def all_remarks(self) -> list[str]:
         """What a reader should know, once all samples have passed."""
         return [*self.remarks, *(self.bias_series.remarks() if self.bias_series else ())]
 

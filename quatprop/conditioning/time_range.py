@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from quatprop.errors import UsageError
-from quatprop.text import Setting, Text
+from quatprop.text import Setting
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import duration_text
 
@@ -143,7 +143,7 @@ def length_text(settings: Conditioning, ends: Ends) -> str:
     return duration_text(ends.last_ns - ends.first_ns) if is_relative else ""
 
 
-def pause_remarks(settings: Conditioning, ends: Ends) -> Iterator[Text]:
+def pause_remarks(settings: Conditioning, ends: Ends) -> Iterator[str]:
     """Yield a remark for each end of the range that counts from a sample beside a pause."""
     for name, instant in (("start", settings.start), ("end", settings.end)):
         if instant is None or instant.origin == "clock":
@@ -151,14 +151,14 @@ def pause_remarks(settings: Conditioning, ends: Ends) -> Iterator[Text]:
         pause = ends.pauses[instant.origin == "last"]
         if pause is not None:
             anchor = ends.last_ns if instant.origin == "last" else ends.first_ns
-            yield Text(
+            yield (
                 f"{Setting(name)} counts from the {instant.origin} sample, at {anchor} ns, close "
                 f"to a pause of {duration_text(pause[1] - pause[0])} from {pause[0]} to {pause[1]} "
                 "ns; if a clock was wrong there, give an absolute time"
             )
 
 
-def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> Iterator[Text]:
+def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> Iterator[str]:
     """Yield a remark for each absolute end that leaves nothing out, and on what was not read."""
     before, after = report.outside if report.part is None else report.part.leaves_out
     ends = (
@@ -167,12 +167,12 @@ def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> Iter
     )
     for name, side, instant, left_out in ends:
         if instant is not None and instant.origin == "clock" and not left_out:
-            yield Text(
+            yield (
                 f"{Setting(name)} is {side} sample and leaves nothing out; a number without a unit "
                 "is in ns"
             )
     if report.part is not None:
-        yield Text(
+        yield (
             "only the part of the log around the time range was read, by its index: what is "
             "damaged or lost elsewhere is not reported, and there is no SHA-256 of the log"
         )

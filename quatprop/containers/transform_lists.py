@@ -83,7 +83,7 @@ class TransformTable(TopicTable):
         chosen.frames = fits[0]
         return chosen
 
-    def transforms(self, way_out: Setting) -> Iterator[tuple[Frames, Float64]]:
+    def transforms(self, way_out: str) -> Iterator[tuple[Frames, Float64]]:
         """Yield the frames and the rotation of each transform."""
         if self.channel.encoding not in TEXT_ENCODINGS:
             raise UsageError(

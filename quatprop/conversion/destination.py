@@ -9,7 +9,7 @@ from quatprop.conventions.representations import NEAR_LOCK_DEG, QUATERNION, REPR
 from quatprop.conversion.rates import RATES
 from quatprop.errors import OutputError, UsageError
 from quatprop.pipeline.job import open_output
-from quatprop.text import Setting, Text, listed, quoted
+from quatprop.text import Setting, listed, quoted
 from quatprop.writers import holds_covariances, open_table, refuse_message
 from quatprop.writers.attitudes import AttitudeWriter, column_table
 from quatprop.writers.formats import WRITERS, format_remarks
@@ -75,7 +75,7 @@ def remarks_on(
     positions_lost: bool,
     sigma_lost: bool,
     lost_columns: Sequence[str],
-) -> Iterator[str | Text]:
+) -> Iterator[str]:
     """Yield what a reader of the output should know.
 
     `positions_lost`: whether the source has positions and the output none
@@ -90,9 +90,7 @@ def remarks_on(
             "output with a place for them, and Hamilton quaternions body to reference on both sides"
         )
     if lost_columns:
-        yield Text(
-            f"columns {listed(lost_columns)} are not kept; {Setting('beside')} writes such ones"
-        )
+        yield f"columns {listed(lost_columns)} are not kept; {Setting('beside')} writes such ones"
     if singular:
         form = REPRESENTATIONS[job.representation]
         first, second, third = (name.rpartition("_")[0] for name in form.columns)
@@ -104,7 +102,7 @@ def remarks_on(
         )
     output, meaning = job.output, job.meaning
     if meaning != HAMILTON and not output.keeps_provenance:
-        yield Text(
+        yield (
             f"the file cannot state that it is {meaning.convention} {meaning.direction}, so its "
             f"reader has to know it; {Setting('header_comment')}, or Parquet, would"
         )

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from quatprop.signals.quaternion_check import QuaternionCounts
     from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.log import Loss
-    from quatprop.text import Text
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +88,7 @@ class ConversionReport:
     columns: tuple[str, ...]
     counts: QuaternionCounts
     losses: tuple[Loss, ...]
-    remarks: tuple[str | Text, ...]
+    remarks: tuple[str, ...]
 
     def __repr__(self) -> str:
         path = self.job.output.path

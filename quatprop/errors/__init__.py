@@ -27,15 +27,15 @@
     └── OutputError                    the result cannot be written where it was asked for
 
 Each is a sentence: where, what, and the way out. A choice of the user's that settles the matter is
-a :class:`quatprop.text.Setting` in it, which each interface spells in its own way. Text that comes
-from a file goes through :func:`quatprop.text.quoted`, so that it cannot command the terminal.
+a mark in it (:func:`quatprop.text.Setting`), which each interface spells in its own way. Text that
+comes from a file goes through :func:`quatprop.text.quoted`, so that it cannot command the terminal.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from quatprop.text import Setting, Text, listed, plain, quoted
+from quatprop.text import Setting, listed, plain, quoted, spelled
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -69,22 +69,32 @@ class QuatpropError(Exception):
 
     Parameters
     ----------
-    *parts
-        The sentence and the settings that it mentions, as for :class:`quatprop.text.Text`.
+    reason
+        What is wrong and, after a semicolon, the way out; may mention settings.
 
     Attributes
     ----------
-    text
-        The sentence.
     side
         Which of several inputs it is about, where there are several with the same settings: ``"a"``
         or ``"b"`` of a comparison, ``"q0"`` or ``"at"`` of a propagation; empty otherwise.
     """
 
-    def __init__(self, *parts: str | Setting | Text) -> None:
-        self.text = Text(*parts)
-        self.side = ""
-        super().__init__(str(self.text))
+    side = ""
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+
+    @property
+    def text(self) -> str:
+        """The sentence, in which settings are marks."""
+        return self.reason
+
+    def __str__(self) -> str:
+        """Return the sentence as the interface spells it that runs."""
+        return spelled(self.text, self.side)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self)!r})"
 
 
 class UsageError(QuatpropError):
@@ -99,12 +109,12 @@ class SuiteError(UsageError):
     """
 
     def __init__(
-        self, suite: Path | str, reason: str | Text, case: str | None = None, key: str | None = None
+        self, suite: Path | str, reason: str, case: str | None = None, key: str | None = None
     ) -> None:
         where = plain(suite)
         where += f", case {quoted(case)}" if case is not None else ""
         where += f", {quoted(key)}" if key is not None else ""
-        super().__init__(f"{where}: ", reason)
+        super().__init__(f"{where}: {reason}")
 
 
 class SeriesError(QuatpropError, ValueError):
@@ -116,21 +126,16 @@ class StoreError(QuatpropError):
 
 
 class LogError(QuatpropError):
-    """A log that cannot be used as asked.
+    """A log that cannot be used as asked."""
 
-    `reason`: what is wrong and, after a semicolon, the way out; may mention settings
-    """
-
-    def __init__(self, path: Path | str, *reason: str | Setting | Text) -> None:
-        self.reason = Text(*reason)
-        super().__init__(f"{plain(path)}: ", self.reason)
+    def __init__(self, path: Path | str, reason: str) -> None:
+        super().__init__(reason)
         self.path = path
 
-    def move_to(self, path: Path | str) -> None:
-        """Name another file: the one the user knows, where a copy of it was read."""
-        self.path = path
-        self.text = Text(f"{plain(path)}: ", self.reason)
-        self.args = (str(self.text),)
+    @property
+    def text(self) -> str:
+        """The sentence, with the file that the user knows."""
+        return f"{plain(self.path)}: {self.reason}"
 
 
 class UnreadableLogError(LogError):
@@ -159,7 +164,7 @@ class MessageError(LogError):
     `positions`: which messages of the block, so that a caller can go on without them
     """
 
-    def __init__(self, path: Path | str, reason: str | Text, positions: Iterable[int] = ()) -> None:
+    def __init__(self, path: Path | str, reason: str, positions: Iterable[int] = ()) -> None:
         super().__init__(path, reason)
         self.positions = tuple(positions)
 
@@ -188,14 +193,14 @@ class _NothingFoundError(LogError):
 class NoRatesError(_NothingFoundError):
     """Nothing in the log carries body rates."""
 
-    wanted, field = "body rates", f"{Setting('rate_field')}"
+    wanted, field = "body rates", Setting("rate_field")
     columns = f"{Setting('rate_cols')} and {Setting('time_col')}"
 
 
 class NoAttitudesError(_NothingFoundError):
     """Nothing in the log carries attitudes."""
 
-    wanted, field = "attitudes", f"{Setting('quat_field')}"
+    wanted, field = "attitudes", Setting("quat_field")
     columns = f"{Setting('quat_cols')}, {Setting('from_layout')} and {Setting('time_col')}"
 
 
@@ -263,12 +268,12 @@ class UndeclaredError(LogError):
         self,
         path: Path | str,
         unknown: str,
-        way_out: str | Setting | Text,
+        way_out: str,
         *,
         several: bool = False,
     ) -> None:
         reason = "are not declared; say them" if several else "is not declared; say it"
-        super().__init__(path, f"{unknown} {reason} with ", way_out)
+        super().__init__(path, f"{unknown} {reason} with {way_out}")
 
 
 class TimelineError(LogError):
@@ -282,8 +287,8 @@ class ComparisonError(QuatpropError):
 class OutputError(QuatpropError):
     """The result cannot be written where it was asked for; `reason` as for :class:`LogError`."""
 
-    def __init__(self, path: Path | str, *reason: str | Setting | Text) -> None:
-        super().__init__(f"{plain(path)}: ", *reason)
+    def __init__(self, path: Path | str, reason: str) -> None:
+        super().__init__(f"{plain(path)}: {reason}")
         self.path = path
 
 

@@ -13,7 +13,7 @@ from quatprop.logs.columns import TableColumns
 from quatprop.logs.vocabulary import GENERIC
 from quatprop.tables.base import OTHER_DATES
 from quatprop.tables.column_names import TIME_UNITS, as_option, whole_key
-from quatprop.text import Setting, Text, listed, plain
+from quatprop.text import Setting, listed, plain
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -112,10 +112,10 @@ class ClockMatcher(TableColumns):
         best, *others = moving
         used = times[best]
         if best is not found[0]:
-            self.overruled.append(Text(
+            self.overruled.append(
                 f"the times in {self.names(found[0].columns)} are all the same; those in "
                 f"{self.names(best.columns)} are used"
-            ))  # fmt: skip
+            )
         for other in others:
             theirs = times[other]
             if used is None or theirs is None:
@@ -142,7 +142,7 @@ class ClockMatcher(TableColumns):
         sentence = clocks.difference_text(*names, differ)
         column = as_option([column.text for column in self.columns], other.columns[0])
         self.overruled.append(
-            Text(f"{sentence}; to use them, name them with {Setting('time_col', column)}")
+            f"{sentence}; to use them, name them with {Setting('time_col', column)}"
         )
 
     def _first_times(self, found: list[Clock]) -> dict[Clock, Float64 | None]:
@@ -191,7 +191,7 @@ class ClockMatcher(TableColumns):
             if self.declared((candidates[0],)) not in TIME_UNITS:
                 way = f"{way} and {Setting('time_unit', '|'.join(TIME_UNITS))}"
         steady = f"or {Setting('sample_rate', 'HZ')} for rows at a steady rate"
-        return UndeclaredError(self.path, what, Text(f"{way}, {steady}"))
+        return UndeclaredError(self.path, what, f"{way}, {steady}")
 
 
 def _shared(a: str, b: str) -> int:

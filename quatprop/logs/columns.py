@@ -11,7 +11,7 @@ from quatprop.logs.matching import matching
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.tables.column_names import TIME_UNITS, parse_name, whole_key
 from quatprop.tables.timestamps import from_text
-from quatprop.text import Setting, Text, did_you_mean, listed, plain, quoted
+from quatprop.text import Setting, did_you_mean, listed, plain, quoted
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -37,8 +37,8 @@ class TableColumns:
         self.may_choose_series = True
         self.columns = table.columns
         self.selection = selection
-        self.unknown: list[tuple[str, Setting]] = []
-        self.overruled: list[Text] = []
+        self.unknown: list[tuple[str, str]] = []
+        self.overruled: list[str] = []
 
     def matching(self, pattern: str) -> list[int]:
         """Return the columns whose names match a pattern."""
@@ -98,9 +98,7 @@ class TableColumns:
             # Who gives a unit knows better than the header.
             if {*found} - {chosen}:
                 given = f"{Setting(f'{quantity}_unit')} says {chosen}"
-                self.overruled.append(
-                    Text(f"{given}, but {by_header}; read in {chosen}, as asked for")
-                )
+                self.overruled.append(f"{given}, but {by_header}; read in {chosen}, as asked for")
             return chosen
         if facts[1:]:
             raise UsageError(f"{plain(self.path)}: {by_header}; convert them to one unit")
@@ -148,7 +146,7 @@ class TableColumns:
                 f"convert them to {' or '.join(_choices(units))}",
             )
 
-    def undeclared(self, what: str, setting: Setting) -> None:
+    def undeclared(self, what: str, setting: str) -> None:
         """Note what is not declared; all of it is refused together, in :meth:`timed_and_named`."""
         self.unknown.append((what, setting))
 

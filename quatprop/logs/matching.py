@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from quatprop.tables.model import Group, Stamp, Table
-    from quatprop.text import Text
 
 
 class Found(NamedTuple):
@@ -57,7 +56,7 @@ class Match(NamedTuple):
     stamp: Stamp
     factor: float = 1.0
     marks: Group = ()
-    remarks: tuple[str | Text, ...] = ()
+    remarks: tuple[str, ...] = ()
     unit: str = ""
     representation: str = "quaternion"
     layout: str = ""

@@ -261,5 +261,5 @@ def _renamed_errors(path: Path | str) -> Iterator[None]:
     try:
         yield
     except LogError as error:
-        error.move_to(path)
+        error.path = path
         raise

@@ -18,7 +18,7 @@ from quatprop.logs.vocabulary import GENERIC, ROWS
 from quatprop.settings.quantities import RATES, SCALED_RATE_UNITS
 from quatprop.settings.selection import RateSelection
 from quatprop.tables.column_names import AXIS_FIRST, RATE_UNITS
-from quatprop.text import Setting, Text, listed, plain
+from quatprop.text import Setting, listed, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -69,7 +69,7 @@ def _no_rates(matcher: ColumnMatcher) -> LogError:
             matcher.path,
             f"about which axes {matcher.names(angles)} turn (those of the body, or others, as in "
             "OpenRocket)",
-            Text(f"{Setting('rate_cols', 'X,Y,Z')} if they are those of the body"),
+            f"{Setting('rate_cols', 'X,Y,Z')} if they are those of the body",
         )
     return NoRatesError(matcher.path, [column.text for column in matcher.columns], "columns")
 
@@ -108,7 +108,7 @@ def match_bias(table: Table) -> Match:
     return Match(found._replace(table=rows), stamp, RATES[unit], unit=unit)
 
 
-def _remarks(matcher: ColumnMatcher, row: Row, unit: str) -> Iterator[str | Text]:
+def _remarks(matcher: ColumnMatcher, row: Row, unit: str) -> Iterator[str]:
     yield from matcher.overruled
     estimates = [one.rate for one in ROWS if one.name == row.name and not one.measured]
     if ignored := matcher.sets(*estimates) if row.measured else []:
@@ -121,10 +121,10 @@ def _remarks(matcher: ColumnMatcher, row: Row, unit: str) -> Iterator[str | Text
     if unused := matcher.unused_stamps(row):
         sample_rate = Setting("sample_rate", f"{float(matcher.selection.sample_rate or 0):g}")
         names = matcher.names(unused)
-        yield Text(f"{sample_rate} counts {matcher.counted}; the stamps in {names} are not used")
+        yield f"{sample_rate} counts {matcher.counted}; the stamps in {names} are not used"
 
 
-def _mount_remark(mount: str) -> Text:
+def _mount_remark(mount: str) -> str:
     """Return the remark on a file that says how its sensor is mounted."""
     try:
         mounting(mount)
@@ -132,4 +132,4 @@ def _mount_remark(mount: str) -> Text:
     except UsageError:
         way_out = f"as the mounting {mount} is left-handed, it cannot be right"
     taken = "the file says how its sensor is mounted, and rates are taken as they are"
-    return Text(f"{taken}; {way_out}")
+    return f"{taken}; {way_out}"

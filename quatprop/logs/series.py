@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.logs.names import SENSOR
-from quatprop.text import Setting, Text, listed, plain, quoted
+from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
@@ -231,7 +231,7 @@ class SeriesChoice:
         return UndeclaredError(
             self._table.path,
             f"which series to read, of {listed(labels)} that take turns in column {name},",
-            Text(f"{Setting('series', choices)}, or if all rows are of one sensor, with "
+            (f"{Setting('series', choices)}, or if all rows are of one sensor, with "
                 f"{Setting('series', ALL)}"),
         )  # fmt: skip
 
@@ -239,4 +239,4 @@ class SeriesChoice:
         for k, labels in turning.items():
             name = self._table.names((k,))
             sentence = f"the rows of {listed(labels)} in column {name} take turns, and are read as "
-            self._table.overruled.append(Text(f"{sentence}those of one series, as asked for"))
+            self._table.overruled.append(f"{sentence}those of one series, as asked for")

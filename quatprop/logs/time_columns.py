@@ -16,7 +16,7 @@ from quatprop.tables.base import OTHER_DATES
 from quatprop.tables.column_names import TIME_UNITS, as_option
 from quatprop.tables.counters import counting
 from quatprop.tables.model import Stamp
-from quatprop.text import Setting, Text, plain
+from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
     from fractions import Fraction
@@ -170,7 +170,7 @@ class TimeMatcher(ClockMatcher):
         used = f"those in {self.names(moving)} are" if len(moving) == 1 else "the sample rate is"
         if len(moving) == 1 or self.notes.sample_rate is not None:
             self.overruled.append(
-                Text(f"the times in {self.names(stopped)} are all the same; {used} used")
+                f"the times in {self.names(stopped)} are all the same; {used} used"
             )
         return TimeSource(tuple(moving)) if len(moving) == 1 else None
 
@@ -206,11 +206,11 @@ class TimeMatcher(ClockMatcher):
             counter = self._counter(numbers)
             if counter:
                 self.counted = "the samples"
-                self.overruled.append(Text(
+                self.overruled.append(
                     f"{Setting('sample_rate', f'{float(sample_rate):g}')} is that of the counter "
                     f"{self.names(counter)}, which also counts lost samples; to count rows, give "
                     f"{Setting('time_col', _NO_COLUMN)} too"
-                ))  # fmt: skip
+                )
             self._note_unused_counters(numbers, counter, sample_rate)
             return TimeSource(counter, sample_rate)
         if name == _NO_COLUMN and name not in (column.text.strip() for column in self.columns):
@@ -251,16 +251,16 @@ class TimeMatcher(ClockMatcher):
                 raise UndeclaredError(
                     self.path,
                     f"whether {counts} counts samples",
-                    Text(f"{use} and {rate} if it does, or {Setting('time_col', _NO_COLUMN)} and "
+                    (f"{use} and {rate} if it does, or {Setting('time_col', _NO_COLUMN)} and "
                          f"{rate} to count rows"),
                 )  # fmt: skip
-            self.overruled.append(Text(f"{counts} is not used; to use it, give {use} and {rate}"))
+            self.overruled.append(f"{counts} is not used; to use it, give {use} and {rate}")
             return
         for k, how in self._countings(clocks.INDEX, numbers).items():
             if how.has_gaps:
                 use = Setting("time_col", as_option(names, k))
-                self.overruled.append(Text(
+                self.overruled.append(
                     f"{self.names((k,))} passes over numbers, as if samples were lost, but rows "
                     f"are counted; to count by it, give {use} and {rate}"
-                ))  # fmt: skip
+                )
                 return

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import MessageError
-from quatprop.text import Setting, Text, listed
+from quatprop.text import Setting, listed
 from quatprop.times import NS_PER_UNIT
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def to_ns(
     if bad:
         raise MessageError(
             path,
-            Text(
+            (
                 f"the time {first[bad[0]]} {units[0]} in {listed(names)} does not fit in 64 bits "
                 f"of nanoseconds; choose {Setting('clock', 'log')} or another "
                 f"{Setting('time_field')}"

@@ -22,7 +22,7 @@ from quatprop.signals.beside_rates import conditioning_inputs
 from quatprop.signals.signal import RateSignal, no_parts
 from quatprop.stores.objects import without_secret
 from quatprop.tables.base import TableLog
-from quatprop.text import Setting, Text
+from quatprop.text import Setting
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
 
@@ -135,14 +135,13 @@ class AttitudeStream:
         except SeriesError as error:
             if self._log is None:
                 raise
-            way_out = Text("; leave others out with ", Setting("start"), " and ", Setting("end"))
-            raise TimelineError(self._path, error.text, way_out) from error
+            way_out = f"leave others out with {Setting('start')} and {Setting('end')}"
+            raise TimelineError(self._path, f"{error.text}; {way_out}") from error
         if not self._rows:
             counts = self._timeline.counts
             raise TimelineError(
                 self._path,
-                self._times_left_out(),
-                f"; its samples are from {counts.first_ns} to "
+                f"{self._times_left_out()}; its samples are from {counts.first_ns} to "
                 f"{counts.last_ns} ns: are both on the same clock?",
             )
 
@@ -177,7 +176,7 @@ class AttitudeStream:
         method_rad, sampling_rad = (
             (None, None) if sensitivity is None else sensitivity.angles(self._segments.final)
         )
-        findings: list[str | Text] = [
+        findings: list[str] = [
             *source.remarks,
             *source.method_remarks(settings.method),
             *remarks(counts, settings.policy),
@@ -231,18 +230,18 @@ class AttitudeStream:
             ),
         )
 
-    def _times_left_out(self) -> Text:
+    def _times_left_out(self) -> str:
         """Say how many of the times asked for have no attitude, and why; nothing if all have."""
         times, counts = self._times, self._timeline.counts
         if not isinstance(times, Listed) or len(times) <= self._rows:
-            return Text()
+            return ""
         outside = times.count_outside(counts.first_ns or 0, counts.last_ns or 0)
         in_gaps = len(times) - self._rows - outside
         places = [f"{outside} outside the samples used"] if outside else []
         places += [f"{in_gaps} in gaps"] if in_gaps else []
         left_out = f"{outside + in_gaps} of the {len(times)}" if self._rows else "none of the"
         verb = "have no" if self._rows else "has an"
-        return Text(
+        return (
             f"{left_out} times asked for with {Setting('at')} {verb} attitude: "
             f"{' and '.join(places)}"
         )

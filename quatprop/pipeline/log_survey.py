@@ -9,7 +9,6 @@ from quatprop.provenance import JsonObject, entry_of
 
 if TYPE_CHECKING:
     from quatprop.tables.log import Loss
-    from quatprop.text import Text
     from quatprop.timeline.counts import Counts
 
 
@@ -43,8 +42,8 @@ class SignalSurvey:
     gaps: int | None = None
     duplicates: int | None = None
     backwards: int | None = None
-    missing: Text | None = None
-    remarks: tuple[str | Text, ...] = ()
+    missing: str | None = None
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

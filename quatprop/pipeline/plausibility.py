@@ -20,7 +20,7 @@ from quatprop.settings.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.signals.sensor_frames import sensor_frames
-from quatprop.text import Setting, Text, listed
+from quatprop.text import Setting, listed
 from quatprop.times import utc_text
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ OTHER_CLOCK_NS = 3_600_000_000_000
 _NONE = np.empty(0, dtype=np.int64)
 
 
-def log_remarks(log: AnyLog, source: RateSignal, rates: str = "body") -> list[str | Text]:
+def log_remarks(log: AnyLog, source: RateSignal, rates: str = "body") -> list[str]:
     """Return remarks on the stamps and the orientation beside the rates.
 
     `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
@@ -82,27 +82,24 @@ def frame_remarks(source: RateSignal) -> list[str]:
     return [said]
 
 
-def stamp_remarks(source: RateSignal) -> list[Text]:
+def stamp_remarks(source: RateSignal) -> list[str]:
     """Return remarks on header stamps, compared with the times of recording."""
     if source.clock != "header":
         return []
     stamped, logged = next(source.stamps(), (_NONE, _NONE))
     zeros = int(np.count_nonzero(stamped == 0))
-    way_out = Text(f"; for the time of recording choose {Setting('clock', 'log')}")
+    way_out = f"for the time of recording choose {Setting('clock', 'log')}"
     if zeros:
-        return [Text(f"{zeros} of the first {len(stamped)} header stamps are zero", way_out)]
+        return [f"{zeros} of the first {len(stamped)} header stamps are zero; {way_out}"]
     if not logged.any() or abs(int(stamped[0]) - int(logged[0])) <= OTHER_CLOCK_NS:
         return []
     begin, recorded = utc_text(int(stamped[0])), utc_text(int(logged[0]))
     return [
-        Text(
-            f"header stamps begin at {begin} and the recording at {recorded}: another clock",
-            way_out,
-        )
+        f"header stamps begin at {begin} and the recording at {recorded}: another clock; {way_out}"
     ]
 
 
-def orientation_remarks(log: AnyLog, source: RateSignal, rates: str = "body") -> list[str | Text]:
+def orientation_remarks(log: AnyLog, source: RateSignal, rates: str = "body") -> list[str]:
     """Return remarks on the rates, compared with the orientation beside them, if there is one."""
     topic = next((match.table.name for match in source.matches), None) or None
     try:
@@ -113,7 +110,7 @@ def orientation_remarks(log: AnyLog, source: RateSignal, rates: str = "body") ->
     except QuatpropError:
         # Without an orientation, or with one that cannot be read, there is nothing to compare.
         return []
-    remarks: list[str | Text] = [] if remark is None else [remark]
+    remarks: list[str] = [] if remark is None else [remark]
     counts = check.counts
     if counts.zero or counts.not_unit:
         remarks.append(f"the log's own orientation is not used: {counts.summary}")
@@ -122,7 +119,7 @@ def orientation_remarks(log: AnyLog, source: RateSignal, rates: str = "body") ->
 
 def against_orientation(
     batches: Iterable[GyroSeries], orientations: Iterable[AttitudeSeries], rates: str = "body"
-) -> Text | None:
+) -> str | None:
     """Return a remark if the rates rotate much less or more than the log's own orientation.
 
     `batches`: rates from the beginning of the log, rad/s
@@ -142,15 +139,15 @@ def against_orientation(
         if min(moved) > MOVING and max(moved) < OFF_SCALE * min(moved):
             return None
     if by_orientation > MOVING and by_orientation > OFF_SCALE * by_rates:
-        return Text(
+        return (
             f"the log's own orientation rotates {by_orientation / max(by_rates, 1e-9):.3g} times "
             "as far as its rates: were they scaled by pi/180 once too often?"
         )
     # An orientation that stands still was never estimated: many drivers leave it at identity.
     if by_orientation > MOVING / OFF_SCALE and by_rates > OFF_SCALE * by_orientation:
-        return Text(
+        return (
             f"the rates rotate {by_rates / max(by_orientation, 1e-09):.3g} times as far as the "
-            f"log's own orientation: if they are in deg/s, use {Setting('rate_unit', 'deg/s')}",
+            f"log's own orientation: if they are in deg/s, use {Setting('rate_unit', 'deg/s')}"
         )
     return None
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from quatprop.pipeline.saturation import HAS_RUN, SMALLEST_RANGE, Saturation
 from quatprop.series.blocks import reblock
-from quatprop.text import Setting, Text
+from quatprop.text import Setting
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -134,21 +134,19 @@ class RateChecks:
         self._different += int(np.count_nonzero((~equal & counted)[new]))
         return np.concatenate([[False], equal])
 
-    def remarks(self, counts: Counts) -> list[str | Text]:
+    def remarks(self, counts: Counts) -> list[str]:
         """Return a sentence for each finding."""
         largest = float(np.max([self._highest, -self._lowest]))
         if not math.isfinite(largest):
             return []
         if largest == 0.0 and not self._lowest.any():
             return ["every rate is zero: is this the right topic?"]
-        remarks: list[str | Text] = []
+        remarks: list[str] = []
         interval = _interval_s(counts)
         if largest > WIDEST_RANGE:
             remarks.append(
-                Text(
-                    f"rates up to {largest:.4g} rad/s are beyond any gyroscope; if they are in "
-                    f"deg/s, use {Setting('rate_unit', 'deg/s')}",
-                )
+                f"rates up to {largest:.4g} rad/s are beyond any gyroscope; if they are in "
+                f"deg/s, use {Setting('rate_unit', 'deg/s')}"
             )
         elif interval is not None:
             remarks += self._slow(largest * interval, interval)

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from quatprop.conditioning import ConditioningReport
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.tables.log import Log, Loss
-    from quatprop.text import Text
     from quatprop.timeline.counts import Counts
     from quatprop.timeline.stamps import Policy
 
@@ -163,7 +162,7 @@ class RunReport:
     policy: Policy
     counts: Counts
     losses: tuple[Loss, ...]
-    remarks: tuple[str | Text, ...]
+    remarks: tuple[str, ...]
     conditioning: ConditioningReport
     uncertainty: UncertaintyReport | None
     result: ResultReport

@@ -33,7 +33,7 @@ from quatprop.signals.attitudes import attitude_candidates
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import rate_candidates
 from quatprop.stores.objects import without_secret
-from quatprop.text import Text, plain
+from quatprop.text import plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Counts
 from quatprop.timeline.counts import remarks as timeline_remarks
@@ -151,7 +151,7 @@ def _declared(
     list_again: Callable[[SelectionT], list[Candidate[SignalT]]],
     selection: SelectionT,
     assumed: Iterable[tuple[dict[str, Any], tuple[str, ...]]],
-) -> tuple[SignalT, tuple[str, ...], Text | None]:
+) -> tuple[SignalT, tuple[str, ...], str | None]:
     """Return a signal; where units are not declared, read by assumed ones."""
     try:
         return candidate.signal(), (), None
@@ -228,10 +228,7 @@ def _attitudes(log: AnyLog, selection: RateSelection, seen: Seen) -> Iterator[At
             name = candidate.topic or ",".join(column.text for column in columns)
             yield AttitudeSurvey(source=name, attitude=candidate.field, missing=error.reason)
         except UsageError as error:
-            sentence, *rest = error.text.parts
-            if isinstance(sentence, str):
-                sentence = sentence.removeprefix(f"{plain(log.path)}: ")
-            reason = Text(sentence, *rest)
+            reason = error.text.removeprefix(f"{plain(log.path)}: ")
             yield AttitudeSurvey(source=candidate.topic, attitude=candidate.field, missing=reason)
         else:
             facts = {**dict.fromkeys(unknown), "missing": missing}

@@ -13,7 +13,7 @@ from quatprop.plot.accumulators import ERROR, SIGMA_BAND, Accumulator
 from quatprop.plot.page import Page
 from quatprop.plot.picture import Mark, Picture, PlottedFile, picture
 from quatprop.rendering import degrees_text, file_names, loss_lines
-from quatprop.text import plain
+from quatprop.text import plain, spelled
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import duration_text
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
     from quatprop.comparison.meter import ComparedSample
     from quatprop.comparison.result import Comparison
-    from quatprop.rendering import Spell
     from quatprop.signals.attitude_input import ReadAttitudes
 
 DIGITS = 4
@@ -50,17 +49,17 @@ class ComparedFile(NamedTuple):
     comparison: Comparison
 
 
-def pair_page(a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison, spell: Spell) -> Page:
+def pair_page(a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison) -> Page:
     """Return the page on the comparison of A with B; see :func:`error_page`."""
     name, reference = file_names([a.input.path, b.input.path])
     if name == reference:
         # Two topics of one log.
         name, reference = (f"{name} {plain(side.signal.name)}" for side in (a, b))
-    return error_page([ComparedFile(name, a, comparison)], reference, b, spell)
+    return error_page([ComparedFile(name, a, comparison)], reference, b)
 
 
 def error_page(
-    files: Sequence[ComparedFile], reference_name: str, reference: ReadAttitudes, spell: Spell
+    files: Sequence[ComparedFile], reference_name: str, reference: ReadAttitudes
 ) -> Page:
     """Return the page on the errors of series against one reference."""
     first, single = files[0].comparison, len(files) == 1
@@ -80,9 +79,9 @@ def error_page(
         facts=(f"{about}; {how}", _max_and_rms(first) if single else ""),
         lead=tuple(_verdict(file) for file in files),
         picture=_with_tolerance_and_marks(picture(lines), files),
-        warnings=tuple(_warnings(files, reference, spell)),
+        warnings=tuple(_warnings(files, reference)),
         tables=[
-            (f"{name} against {reference_name}", comparison_rows(side, reference, result, spell))
+            (f"{name} against {reference_name}", comparison_rows(side, reference, result))
             for name, side, result in files
         ],
     )
@@ -164,9 +163,7 @@ def _verdict(file: ComparedFile) -> str:
     return f"{text}; {relation} the tolerance of {degrees_text(comparison.tolerance_rad, DIGITS)}"
 
 
-def _warnings(
-    files: Sequence[ComparedFile], reference: ReadAttitudes, spell: Spell
-) -> Iterator[str]:
+def _warnings(files: Sequence[ComparedFile], reference: ReadAttitudes) -> Iterator[str]:
     for name, operand, comparison in files:
         named = partial(with_names, a=name, b="the reference")
         for criterion in comparison.criteria:
@@ -175,15 +172,15 @@ def _warnings(
         if cause := comparison.likely_cause:
             for each in filter(None, (cause, cause.also)):
                 how = "explains little of the error" if each.explains_little else "likely cause"
-                yield f"{name}: {how} ({each.name}): {named(spell(each.advice))}"
-        yield from (f"{name}: {named(spell(remark))}" for remark in comparison.remarks)
-        yield from _operand_warnings(operand, spell)
-    yield from _operand_warnings(reference, spell)
+                yield f"{name}: {how} ({each.name}): {named(spelled(each.advice))}"
+        yield from (f"{name}: {named(spelled(remark))}" for remark in comparison.remarks)
+        yield from _operand_warnings(operand)
+    yield from _operand_warnings(reference)
 
 
-def _operand_warnings(operand: ReadAttitudes, spell: Spell) -> Iterator[str]:
+def _operand_warnings(operand: ReadAttitudes) -> Iterator[str]:
     path = operand.input.path
-    yield from (f"{path}: {spell(remark)}" for remark in operand.signal.remarks)
+    yield from (f"{path}: {spelled(remark)}" for remark in operand.signal.remarks)
     if operand.counts.invalid:
         yield f"{path}: {operand.counts.invalid} invalid quaternions were left out"
     yield from (f"{path}: {line}" for line in loss_lines(operand.losses))

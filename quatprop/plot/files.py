@@ -36,7 +36,7 @@ from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import choose_rates
 from quatprop.signals.signal import AttitudeSignal, RateSignal
 from quatprop.stores.objects import without_secret
-from quatprop.text import Text, plain
+from quatprop.text import plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.outliers import marked
 from quatprop.timeline.stamps import OBSERVE, StampChecks
@@ -85,7 +85,7 @@ class FileView(NamedTuple):
     meaning: str
     samples: str
     facts: tuple[Row, ...]
-    remarks: tuple[str | Text, ...]
+    remarks: tuple[str, ...]
     losses: tuple[Loss, ...]
 
 

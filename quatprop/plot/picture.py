@@ -125,8 +125,8 @@ def picture(files: Sequence[PlottedFile]) -> Picture:
         if not file.traces.keys() <= first.traces.keys():
             raise UsageError(
                 f"{plain(first.label)} shows {_content(first)} and {plain(file.label)} "
-                f"{_content(file)}; draw them apart, or choose with ",
-                Setting("show"),
+                f"{_content(file)}; draw them apart, or choose with "
+                f"{Setting('show')}"
             )
     starts, time = _time_axis(files)
     panels = []

@@ -10,13 +10,13 @@ from quatprop.plot.page import Page
 from quatprop.plot.picture import PlottedFile, picture
 from quatprop.plot.target import PictureFile
 from quatprop.rendering import file_names, instant_text, loss_lines, source_text
+from quatprop.text import spelled
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.pipeline.job import Job
     from quatprop.pipeline.report import RunReport
-    from quatprop.rendering import Spell
     from quatprop.series import AttitudeSeries, GyroSeries
 
 
@@ -25,14 +25,12 @@ class PropagationPicture(PictureFile):
 
     `target`: where the picture goes
     `job`: what is run
-    `spell`: Writes a sentence that may mention settings
     """
 
-    def __init__(self, target: str, job: Job, spell: Spell = str, *, command: str = "") -> None:
+    def __init__(self, target: str, job: Job, *, command: str = "") -> None:
         settings, output = job.settings, job.output
         inputs = [job.log, *settings.inputs.values()]
         super().__init__(target, inputs, [output.path, output.report], command=command)
-        self._spell = spell
         self._rates = RateAccumulator("rad/s")
         self._attitudes = AttitudeAccumulator(has_sigmas=settings.errors.sigma)
         # Attitudes at other times than those of the samples have other intervals.
@@ -58,7 +56,7 @@ class PropagationPicture(PictureFile):
         samples = f"{report.result.samples:,} samples, {source.clock} clock"
         method = f"method {convention.method}, {convention.rates} rates"
         band = f" ({SIGMA_BAND})" if self._attitudes.knows_sigmas else ""
-        warnings = tuple(map(self._spell, report.remarks))
+        warnings = tuple(map(spelled, report.remarks))
         page = Page(
             title=title,
             facts=(f"{method}; Hamilton q, body to reference, as zyx angles{band}", samples),

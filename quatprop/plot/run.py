@@ -13,12 +13,12 @@ from quatprop.plot.picture import picture
 from quatprop.plot.target import PictureFile
 from quatprop.rendering import file_names, loss_lines
 from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
+from quatprop.text import spelled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.comparison.settings import ComparisonSettings
-    from quatprop.rendering import Spell
 
 
 def plot(  # noqa: PLR0913  # what the command line gives
@@ -29,7 +29,6 @@ def plot(  # noqa: PLR0913  # what the command line gives
     settings: ComparisonSettings,
     *,
     style: Style = STYLE,
-    spell: Spell = str,
     command: str = "",
 ) -> tuple[list[str], Sequence[str], bool]:
     """Draw files into a picture.
@@ -41,18 +40,18 @@ def plot(  # noqa: PLR0913  # what the command line gives
     with PictureFile(output, inputs, style=style, command=command) as target:
         if reference is None:
             views = [view_file(path, view) for path in files]
-            page = _page(views, spell)
+            page = _page(views)
             named = zip(page.tables, views, strict=True)
             lines = [f"{name}: {one.samples}" for (name, _), one in named]
             data_lost = any(one.losses for one in views)
         else:
-            page, data_lost = _error_page(files, view, reference, settings, spell)
+            page, data_lost = _error_page(files, view, reference, settings)
             lines = list(page.lead)
         target.commit(page)
     return lines, page.warnings, data_lost
 
 
-def _page(views: list[FileView], spell: Spell) -> Page:
+def _page(views: list[FileView]) -> Page:
     """Return the page on files, each as it is."""
     several = len(views) > 1
     names = file_names(view.plotted.label for view in views)
@@ -67,7 +66,7 @@ def _page(views: list[FileView], spell: Spell) -> Page:
         warnings=tuple(
             f"{name}: {remark}" if several else remark
             for name, view in zip(names, views, strict=True)
-            for remark in (*map(spell, view.remarks), *loss_lines(view.losses))
+            for remark in (*map(spelled, view.remarks), *loss_lines(view.losses))
         ),
         tables=[(file.name, view.facts) for file, view in zip(files, views, strict=True)],
     )
@@ -78,7 +77,6 @@ def _error_page(
     view: View,
     wanted: AttitudeInput,
     settings: ComparisonSettings,
-    spell: Spell,
 ) -> tuple[Page, bool]:
     """Return the page on the errors of files against a reference, and whether data was lost."""
     reference = load_attitudes(wanted)
@@ -88,6 +86,6 @@ def _error_page(
         operand = load_attitudes(AttitudeInput(path, view.kind, view.attitudes, drop=True))
         comparison = compare(operand.series, reference.series, settings)
         files.append(ComparedFile(name, operand, comparison))
-    page = error_page(files, names[-1], reference, spell)
+    page = error_page(files, names[-1], reference)
     left_out = any(file.operand.data_lost or file.comparison.left_out for file in files)
     return page, reference.data_lost or left_out

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
 from quatprop.settings.parsers import Choice
-from quatprop.text import Text
+from quatprop.text import in_python
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from quatprop.settings.parsers import Parser
+    from collections.abc import Callable, Mapping
 
 PYTHON_TYPES = {
     "PathLike": "path",
@@ -33,14 +31,16 @@ class Keyword:
     `takes`: what help calls the value; of a choice it lists the names
     `group`: the heading in help
     `common`: whether help shows it without being asked for all
+    `preset`: whether the default is a value, which is read like one that was given
     """
 
-    parse: Parser
+    parse: Callable[..., Any]
     says: str
     default: str = "none"
     takes: str = ""
     group: str = "Input"
     common: bool = False
+    preset: bool = False
 
     def __call__(self, value: object) -> Any:
         """Return the value in the type that the program uses."""
@@ -69,7 +69,7 @@ def parameters(options: type, signal: str = "rates", log: str = "the log") -> st
             says += f" One of {', '.join(map(repr, keyword.choices))}."
         if keyword.default != "none" or "none" in keyword.choices:
             says += f" By default: {keyword.default}."
-        said = str(Text(says.format(log=log, signal=signal)))
+        said = in_python(says.format(log=log, signal=signal))
         indent = " " * 4
         lines.append(f"{name} : {_type(hint.__origin__)}")
         lines.append(fill(said, 96, initial_indent=indent, subsequent_indent=indent))

@@ -241,7 +241,7 @@ def bias(value: object) -> tuple[float, ...] | StaticBias | str:
     try:
         return numbers("X,Y,Z")(value)
     except UsageError as error:
-        raise UsageError(error.text, ", nor static[:DUR]") from None
+        raise UsageError(f"{error.text}, nor static[:DUR]") from None
 
 
 def mounting(value: object) -> str:

@@ -26,7 +26,7 @@ def parse_all(
         try:
             values[name] = parsers[name](value)
         except UsageError as error:
-            raise UsageError(f"{Setting(name)}: ", error.text) from error
+            raise UsageError(f"{Setting(name)}: {error.text}") from error
     return values
 
 

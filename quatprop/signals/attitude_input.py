@@ -17,7 +17,7 @@ from quatprop.settings.values import parse_all
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.stores.objects import without_secret
-from quatprop.text import Setting, Text
+from quatprop.text import Setting
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -134,7 +134,7 @@ def open_attitudes(wanted: AttitudeInput) -> AttitudeFile:
             open_log(wanted.path, wanted.kind, msg_path=wanted.selection.msg_path)
         )
         signal = choose_attitudes(log, wanted.selection)
-        signal.refuse_placeholder(wanted.path, Text(f"choose another {Setting('topic')}"))
+        signal.refuse_placeholder(wanted.path, f"choose another {Setting('topic')}")
         return AttitudeFile(wanted, log, signal, stack.pop_all())
 
 

@@ -27,7 +27,7 @@ from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.beside_rates import own_orientation
 from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import choose_rates
-from quatprop.text import Setting, Text, plain, quoted
+from quatprop.text import Setting, plain, quoted
 from quatprop.times import NS_PER_UNIT, duration_text
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def first_orientation(
     try:
         with errors_of("q0"):
             signal = own_orientation(log, source, selection)
-        signal.refuse_placeholder(log.path, Text(f"give another {Setting('q0')}"))
+        signal.refuse_placeholder(log.path, f"give another {Setting('q0')}")
         batches = QuaternionCheck(log.path, drop=True).apply(signal.rows())
         return attitude_in(batches, t_ns, log.path)
     except NoSamplesError:

@@ -14,7 +14,7 @@ import numpy as np
 from quatprop.errors import NotRotationsError
 from quatprop.kinematics.quaternion import UNIT_TOLERANCE, normalize
 from quatprop.series import AttitudeSeries
-from quatprop.text import Setting, Text
+from quatprop.text import Setting
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -134,13 +134,13 @@ class QuaternionCheck:
         counts.read += len(t_ns)
         return valid, wxyz
 
-    def _reason(self) -> Text:
+    def _reason(self) -> str:
         counts = self.counts
         if counts.not_finite == counts.read:
-            return Text(
+            return (
                 f"none of {counts.read} rows holds an attitude (they are absent, not finite or no "
                 "rotations); if the log holds body rates, propagate them first"
             )
         scaling = f"{Setting('normalize')} scales those of another length, "
         ways = f"{scaling if counts.not_unit else ''}{Setting('on_invalid', 'drop')}"
-        return Text(f"{counts.summary}; {ways} leaves them out")
+        return f"{counts.summary}; {ways} leaves them out"

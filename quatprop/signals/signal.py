@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from quatprop.errors import LogError
 from quatprop.series import GyroSeries
-from quatprop.text import Text, quoted
+from quatprop.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -82,7 +82,7 @@ class Signal:
     type_name: str
     field: str
     clock: str
-    remarks: tuple[str | Text, ...] = ()
+    remarks: tuple[str, ...] = ()
     stamps: Callable[[], Iterator[tuple[Int64, Int64]]] = _no_stamps
 
 
@@ -195,12 +195,11 @@ class AttitudeSignal(Signal):
         """Read stamps and quaternions alone."""
         return ((t_ns, wxyz) for t_ns, wxyz, *_ in self.read())
 
-    def refuse_placeholder(self, path: Path | str, way_out: Text) -> None:
+    def refuse_placeholder(self, path: Path | str, way_out: str) -> None:
         """Refuse an orientation that was never set, in a log at a path."""
         if self.placeholder:
             raise LogError(
                 path,
                 f"the orientation of {quoted(self.name)} is the identity in every message: a "
-                "placeholder, not an attitude; ",
-                way_out,
+                f"placeholder, not an attitude; {way_out}",
             )

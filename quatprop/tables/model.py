@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from quatprop.provenance import JsonObject
     from quatprop.tables.batches import RowBatch
     from quatprop.tables.time_range import TimeRange
-    from quatprop.text import Setting
 
     Convert = Callable[[RowBatch], RowBatch]
     Series = tuple[tuple[int, str], ...]
@@ -164,7 +163,7 @@ class Table(ABC):
         """Return the rows between two frames, of a table of transforms."""
         return self
 
-    def transforms(self, way_out: Setting) -> Iterator[tuple[tuple[str, str], Float64]]:  # noqa: ARG002
+    def transforms(self, way_out: str) -> Iterator[tuple[tuple[str, str], Float64]]:  # noqa: ARG002
         """Yield parent and child frame and the rotation of each transform, of a table of them."""
         return iter(())
 

@@ -212,4 +212,4 @@ def row_stamps(first: int, count: int, sample_rate: Fraction | float) -> Int64:
     try:
         return regular_stamps(first, first + count, Fraction(str(sample_rate)))
     except UsageError as error:
-        raise UsageError(error.text, f"; check {Setting('sample_rate')}") from None
+        raise UsageError(f"{error.text}; check {Setting('sample_rate')}") from None

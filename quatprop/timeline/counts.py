@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from quatprop.text import Setting, Text
+from quatprop.text import Setting
 from quatprop.times import NS_PER_S, duration_text
 
 if TYPE_CHECKING:
@@ -116,13 +116,13 @@ HANDLED = {
     ("", ""): "kept: a zero-length step leaves the attitude unchanged",
     ("on_backwards", "drop"): "dropped",
     ("on_backwards", "sort"): "sorted",
-    ("on_backwards", "keep"): Text(f"refused without {Setting('on_backwards', 'drop|sort')}"),
+    ("on_backwards", "keep"): f"refused without {Setting('on_backwards', 'drop|sort')}",
     ("on_nonfinite", "drop"): "dropped",
     ("on_nonfinite", "hold"): "replaced by the last finite rate",
-    ("on_nonfinite", "keep"): Text(f"refused without {Setting('on_nonfinite', 'drop|hold')}"),
+    ("on_nonfinite", "keep"): f"refused without {Setting('on_nonfinite', 'drop|hold')}",
     ("outliers", "drop"): "dropped",
     ("outliers", "sort"): "dropped",
-    ("outliers", "keep"): Text(f"refused without {Setting('on_backwards', 'drop|sort')}"),
+    ("outliers", "keep"): f"refused without {Setting('on_backwards', 'drop|sort')}",
     ("on_gap", "hold"): "propagated across",
     ("on_gap", "zero"): "no rotation assumed",
     ("on_gap", "split"): "restarted from q0",
@@ -130,7 +130,7 @@ HANDLED = {
 """Setting and its value -> what was done to an event."""
 
 
-def remarks(counts: Counts, policy: Policy) -> Iterator[Text]:
+def remarks(counts: Counts, policy: Policy) -> Iterator[str]:
     """Yield a sentence for every event that a reader of the result should know of."""
     limit = duration_text(counts.gap_limit_ns or 0)
     events = {
@@ -146,11 +146,10 @@ def remarks(counts: Counts, policy: Policy) -> Iterator[Text]:
             handled = HANDLED[setting, chosen]
             if event is counts.backwards and event.cause and chosen == "keep":
                 handled = "refused"  # neither drop nor sort mends the clock
-            yield Text(
-                f"{event.count} {noun.format(s='s' if event.count > 1 else '')} (",
-                handled,
-                f"), first at sample {event.first_index}, t = {event.first_ns} ns{event.cause}",
-                _longest(counts) if event is counts.gaps else "",
+            longest = _longest(counts) if event is counts.gaps else ""
+            yield (
+                f"{event.count} {noun.format(s='s' if event.count > 1 else '')} ({handled}), first "
+                f"at sample {event.first_index}, t = {event.first_ns} ns{event.cause}{longest}"
             )
     yield from _time_remarks(counts)
 
@@ -164,7 +163,7 @@ def _longest(counts: Counts) -> str:
     return f"{which}{duration_text(after - before)} after {before} ns"
 
 
-def _time_remarks(counts: Counts) -> Iterator[Text]:
+def _time_remarks(counts: Counts) -> Iterator[str]:
     """Yield sentences about the time that the samples cover."""
     if (
         counts.duplicates.count > counts.used / 2
@@ -172,20 +171,20 @@ def _time_remarks(counts: Counts) -> Iterator[Text]:
         and counts.median_dt_ns is not None
         and counts.median_dt_ns % NS_PER_S == 0
     ):
-        yield Text(
+        yield (
             "the timestamps are whole seconds, each of several samples: they do not tell when a "
             f"sample was taken; choose another with {Setting('clock')} or {Setting('time_col')}"
         )
     if counts.integrated_ns is not None:
         missed = counts.span_ns - counts.integrated_ns
         if abs(missed) > INTEGRATED_SHARE * counts.span_ns:
-            yield Text(
+            yield (
                 f"the increments cover {duration_text(counts.integrated_ns)} of the "
                 f"{duration_text(counts.span_ns)} between the first timestamp and the last"
                 + (": no rotation is assumed for the rest" if missed > 0 else "")
             )
     if counts.used > 1 and counts.span_ns == 0:
-        yield Text(
+        yield (
             f"all timestamps are {counts.first_ns} ns; is there another {Setting('clock')} or "
             f"time column, or are they in another {Setting('time_unit')}?"
         )
@@ -198,7 +197,7 @@ def _time_remarks(counts: Counts) -> Iterator[Text]:
                 if slow
                 else (f"{rate:,.0f} samples per second are beyond any")
             )
-            yield Text(
+            yield (
                 f"{oddity} gyroscope; if the timestamps are in another unit, use "
                 f"{Setting('time_unit', 's|ms|us|ns')}"
             )

@@ -1,0 +1,63 @@
+"""How interfaces spell settings: as options, ``--clock log``, or as keys of a suite.
+
+Text that leaves the program has gone through :func:`quatprop.text.spelled`; the command line sets
+:func:`in_options` for that, a suite :func:`in_keys`. As keywords they are what they are.
+"""
+
+from __future__ import annotations
+
+from quatprop.settings import ONE_SERIES, OPTION_NAMES, PROPAGATE, READ_ATTITUDES, READ_RATES
+from quatprop.settings.parsers import flag
+from quatprop.text import with_settings
+
+LOOKUPS = {"at": {"start"}, "q0": {"start"}, "info": READ_RATES.keys()}
+"""Sides whose attitudes are only looked up, and what the command has itself of their settings;
+quatprop convert can say everything about them."""
+
+FLAGS = {name for name, row in {**PROPAGATE, **READ_ATTITUDES}.items() if row.parse is flag}
+"""Settings that are on or off."""
+
+_ELSEWHERE = " of quatprop convert"
+
+
+def option(name: str, side: str = "") -> str:
+    """Return a setting as an option, such as ``--clock``, or ``--clock-b`` of side b."""
+    key = OPTION_NAMES.get(name, name).replace("_", "-")
+    return f"--{key}-{side}" if side and name in ONE_SERIES else f"--{key}"
+
+
+def suite_key(name: str, side: str = "") -> str:
+    """Return a setting as a key of a case, such as ``clock``; B is the reference."""
+    key = option(name)[2:]
+    return f"reference-{key}" if side == "b" and name in ONE_SERIES else key
+
+
+def in_options(text: str, side: str = "") -> str:
+    """Return a sentence with options; whose they are is said once, after the last."""
+
+    def spell(name: str, value: str, own: str) -> str:
+        about = own or side
+        if about in LOOKUPS:
+            elsewhere = "" if name in LOOKUPS[about] else _ELSEWHERE
+            return f"{option(name)} {value}".rstrip() + elsewhere
+        return f"{option(name, about)} {value}".rstrip()
+
+    sentence, elsewhere, rest = with_settings(text, spell).rpartition(_ELSEWHERE)
+    return sentence.replace(_ELSEWHERE, "") + elsewhere + rest
+
+
+def in_keys(text: str, side: str = "") -> str:
+    """Return a sentence with keys of a suite."""
+
+    def spell(name: str, value: str, own: str) -> str:
+        about = own or side
+        if about in {"at", "q0"}:
+            # Attitudes of a file that is only looked up have no keys of their own.
+            return f"{option(name)} {value}".rstrip() + _ELSEWHERE
+        if name == "update":  # an option of the command, not a key of a case
+            return option(name)
+        values = " or ".join(f'"{one}"' for one in value.split("|")) if value else ""
+        on = " = true" if name in FLAGS else ""
+        return suite_key(name, about) + (f" = {values}" if values else on)
+
+    return with_settings(text, spell)
