@@ -54,12 +54,12 @@ class McapPart:
             resources.callback(self._file.abort)
             # Some recorders declare topics without messages in the summary only.
             self._file.append(encoded([*contents.schemas.values(), *contents.channels.values()]))
-            self._channel = self._file.add_channel(self.encoder.topic)
+            self._file.add_channel(self.encoder.topic)
             self._resources = resources.pop_all()
 
     def write(self, log_ns: Int64, messages: Records) -> None:
         """Append messages, after everything of the file that was logged before them."""
-        self._channel.write(log_ns, messages)
+        self._file.write(log_ns, messages)
         self.added.add(log_ns)
 
     def finish(
