@@ -90,12 +90,8 @@ class McapCopyWriter(MessageWriter):
 
     def __init__(self, log: McapLog, target: Path | str, message: Message) -> None:
         super().__init__(OutputFile(target))
-        try:
-            with self._errors():
-                self._part = McapPart(log, self._output.stream, message)
-        except BaseException:
-            self._output.discard()
-            raise
+        with self._opening():
+            self._part = McapPart(log, self._output.stream, message)
         self.encoder = self._part.encoder
 
     def _write(self, log_ns: Int64, messages: Records) -> None:

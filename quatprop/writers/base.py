@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -177,6 +178,16 @@ class FileWriter(Transaction):
 
     def _errors(self) -> AbstractContextManager[None]:
         return output_errors(self._output.target, *self._other_errors)
+
+    @contextmanager
+    def _opening(self) -> Iterator[None]:
+        """Remove the file where it cannot even be begun."""
+        try:
+            with self._errors():
+                yield
+        except BaseException:
+            self._output.discard()
+            raise
 
 
 class TableWriter(FileWriter):

@@ -212,7 +212,7 @@ class McapWriter(MessageWriter):
     def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
         self._topic = topic.name
         super().__init__(OutputFile(target))
-        with self._errors():
+        with self._opening():
             profile = PROFILES.get(topic.encoding, "")
             self._file = McapFile(self._output.stream, profile, compression)
             self._file.add_channel(topic)

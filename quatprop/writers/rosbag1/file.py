@@ -11,7 +11,7 @@ from __future__ import annotations
 import bz2
 import struct
 from functools import partial
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import lz4.frame
 import numpy as np
@@ -182,15 +182,22 @@ class BagWriter(MessageWriter):
     `target`: a path; a bag begins with the place of its index, so it cannot be a pipe
     `topic`: the topic and its definition
     `compression`: of the chunks: ``"none"``, ``"lz4"`` or ``"bz2"``
+    `options`: those of :class:`BagFile`
     """
 
     _output: OutputFile
 
-    def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
+    def __init__(
+        self,
+        target: Path | str,
+        topic: Topic,
+        compression: str,
+        **options: Any,
+    ) -> None:
         refuse_streams(target, "a ROS 1 bag")
         super().__init__(OutputFile(target))
-        with self._errors():
-            self._bag = BagFile(self._output.stream, topic, compression)
+        with self._opening():
+            self._bag = BagFile(self._output.stream, topic, compression, **options)
 
     def _write(self, log_ns: Int64, messages: Records) -> None:
         self._bag.write(log_ns, messages)

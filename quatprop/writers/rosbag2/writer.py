@@ -146,7 +146,7 @@ class SqliteBagWriter(MessageWriter):
         super().__init__(OutputPath(target, folder=True))
         self._bag = BulkWriter(self._output.path, version=9, storage_plugin=self.storage)
         self._bag.compression_mode = _COMPRESSIONS[compression]
-        with self._errors():
+        with self._opening():
             self._bag.open()
             self._connection = self._bag.add_connection(
                 topic.name, topic.type_name, msgdef=topic.schema.decode(), rihs01=topic.digest
