@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -76,33 +76,38 @@ def compare(
     coverage = Coverage(
         meter.covered.share_of(reference), 100 * len(pairs) / len(b) if counted else None
     )
-    measured = Measured(
-        meter, Matching.of(pairs), offset, coverage, pairs, lost_of_a + lost_of_b, remarks
+    return build_comparison(
+        a,
+        b,
+        settings,
+        meter,
+        Matching.of(pairs),
+        offset,
+        coverage,
+        pairs=pairs,
+        left_out=lost_of_a + lost_of_b,
+        remarks=remarks,
     )
-    return conclude(a, b, settings, measured)
 
 
-class Measured(NamedTuple):
-    """What was measured of two series.
+def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a comparison
+    a: AttitudeSeries,
+    b: AttitudeSeries,
+    settings: ComparisonSettings,
+    meter: ErrorMeter,
+    association: Matching,
+    time_offset: AppliedOffset,
+    coverage: Coverage,
+    *,
+    pairs: Pairs | None = None,
+    left_out: int = 0,
+    remarks: Sequence[str] = (),
+) -> Comparison:
+    """Judge and explain errors, once all are measured.
 
-    `meter`: the errors
     `pairs`: what was compared; None where the result need not have it, nor the errors
     """
-
-    meter: ErrorMeter
-    association: Matching
-    time_offset: AppliedOffset
-    coverage: Coverage
-    pairs: Pairs | None = None
-    left_out: int = 0
-    remarks: Sequence[str] = ()
-
-
-def conclude(
-    a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings, measured: Measured
-) -> Comparison:
-    """Judge and explain errors, once all are measured."""
-    meter, pairs, remarks = measured.meter, measured.pairs, [*measured.remarks]
+    remarks = [*remarks]
     window = sigmas = None
     if pairs is not None:
         if settings.window:
@@ -113,7 +118,7 @@ def conclude(
     if pairs is None:
         errors.sort()
     rising = errors if pairs is None else np.sort(errors)
-    exact = measured.association.match == "exact"
+    exact = association.match == "exact"
     if exact and meter.opposite and largest <= SMALL_ERROR:
         remarks.append(
             f"B has the opposite sign in {meter.opposite} of {len(errors)} samples: q and -q are "
@@ -127,16 +132,16 @@ def conclude(
     comparison = Comparison(
         pairs=pairs,
         errors=np.empty(0) if pairs is None else errors,
-        association=measured.association,
-        time_offset=measured.time_offset,
+        association=association,
+        time_offset=time_offset,
         alignment=meter.alignment,
         error_rad=meter.statistics(rising, final),
         drift_deg_h=meter.drift_deg_h,
         worst=meter.worst,
         window=window,
         sigmas=sigmas,
-        coverage=measured.coverage,
-        left_out=measured.left_out,
+        coverage=coverage,
+        left_out=left_out,
         tolerance_rad=settings.limit_rad if math.isfinite(settings.limit_rad) else None,
         first_exceeding=meter.first_exceeding,
         remarks=tuple(remarks),

@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, equal_stamps, is_mostly_exact, require_enough
-from quatprop.comparison.compare import Measured, compare, conclude, unit
+from quatprop.comparison.compare import build_comparison, compare, unit
 from quatprop.comparison.meter import CoveredTime, ErrorMeter
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage
 from quatprop.comparison.windows import MAX_SAMPLES
@@ -175,5 +175,5 @@ def _streamed(
     require_enough(matching, spans_ns, settings)
     coverage = Coverage(covered.share_of(sides[1].covered), 100 * len(meter) / sides[1].samples)
     first, second = (AttitudeSeries.joined(side.head) for side in sides)
-    measured = Measured(meter, matching, AppliedOffset(offset_ns, None), coverage)
-    return conclude(first, second, settings, measured)
+    offset = AppliedOffset(offset_ns, None)
+    return build_comparison(first, second, settings, meter, matching, offset, coverage)
