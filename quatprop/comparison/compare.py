@@ -37,28 +37,9 @@ SMALL_ERROR = 0.5
 def compare(
     a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings | None = None
 ) -> Comparison:
-    """Measure the geodesic error between two attitude series.
+    """Measure the geodesic error between two attitude series, which are sorted and normalised.
 
-    Parameters
-    ----------
-    a, b
-        The series. They are sorted by time and normalised.
-    settings
-        How to compare; None: all defaults.
-
-    Raises
-    ------
-    ComparisonError
-        The series cannot be compared: too few pairs, no motion to align by...
-
-    Examples
-    --------
-    >>> t_ns = np.arange(3) * 10_000_000
-    >>> from quatprop.series import AttitudeSeries
-    >>> a = AttitudeSeries(t_ns, np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)))
-    >>> b = AttitudeSeries(t_ns, -a.wxyz)
-    >>> compare(a, b).error_rad.max
-    0.0
+    `settings`: how to compare; None: all defaults
     """
     settings = settings or ComparisonSettings()
     remarks: list[str] = []

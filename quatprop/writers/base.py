@@ -134,22 +134,11 @@ class FileWriter(Transaction):
         self._output = output
 
     def write(self, t_ns: Int64, rows: Any) -> None:
-        """Append a batch of rows.
+        """Append a batch of rows; a closed pipe raises BrokenPipeError.
 
-        Parameters
-        ----------
-        t_ns
-            The stamp of each, shape ``(N,)``, ns; of messages, when each was logged.
-        rows
-            The named columns of a table, all of that length; or encoded messages, shape ``(N,)``,
-            always of the same item size.
-
-        Raises
-        ------
-        OutputError
-            The disk is full, or the target is otherwise gone.
-        BrokenPipeError
-            The reader of the output has gone.
+        `t_ns`: the stamp of each, shape ``(N,)``, ns; of messages, when each was logged
+        `rows`: the named columns of a table, all of that length; or encoded messages, shape
+            ``(N,)``, always of the same item size
         """
         with self._errors():
             self._write(t_ns, rows)
