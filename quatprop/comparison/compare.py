@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.comparison.accumulator import CoveredTime, ErrorAccumulator
 from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, Pairs, associate, shifted
 from quatprop.comparison.clocks import find_offset
 from quatprop.comparison.diagnosis import NO_ERROR, likely_cause
-from quatprop.comparison.meter import CoveredTime, ErrorMeter
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judge
 from quatprop.comparison.settings import ComparisonSettings
 from quatprop.comparison.statistics import sigma_statistics, window_statistics
@@ -48,21 +48,23 @@ def compare(
     offset = AppliedOffset(found.ns if found else int(settings.time_offset), found)
     b = shifted(b, offset.added_to_b_ns)
     pairs = associate(a, b, settings)
-    meter = ErrorMeter(pairs.at, align(settings.align, pairs.a, pairs.b), settings.limit_rad)
-    meter.add(pairs.t_ns, pairs.index, pairs.a, pairs.b)
+    measured = ErrorAccumulator(
+        pairs.at, align(settings.align, pairs.a, pairs.b), settings.limit_rad
+    )
+    measured.add(pairs.t_ns, pairs.index, pairs.a, pairs.b)
     reference = CoveredTime()
     for rows in blocks(len(b)):
         reference.add(b.t_ns[rows])
     counted = pairs.match == "exact" or pairs.at == "B"
     coverage = Coverage(
-        meter.covered.share_of(reference), 100 * len(pairs) / len(b) if counted else None
+        measured.covered.share_of(reference), 100 * len(pairs) / len(b) if counted else None
     )
     return build_comparison(
         a,
         b,
         settings,
-        meter,
-        Matching.of(pairs),
+        measured,
+        Matching.from_pairs(pairs),
         offset,
         coverage,
         pairs=pairs,
@@ -75,7 +77,7 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
     a: AttitudeSeries,
     b: AttitudeSeries,
     settings: ComparisonSettings,
-    meter: ErrorMeter,
+    measured: ErrorAccumulator,
     association: Matching,
     time_offset: AppliedOffset,
     coverage: Coverage,
@@ -92,18 +94,18 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
     window = sigmas = None
     if pairs is not None:
         if settings.window:
-            window = window_statistics(pairs, meter.alignment, settings.window)
-        sigmas = sigma_statistics(a, b, pairs, meter.alignment)
-    errors = meter.errors()
-    final, largest = float(errors[-1]), meter.worst.error_rad
+            window = window_statistics(pairs, measured.alignment, settings.window)
+        sigmas = sigma_statistics(a, b, pairs, measured.alignment)
+    errors = measured.errors()
+    final, largest = float(errors[-1]), measured.worst.error_rad
     if pairs is None:
         errors.sort()
     rising = errors if pairs is None else np.sort(errors)
     exact = association.match == "exact"
-    if exact and meter.opposite and largest <= SMALL_ERROR:
+    if exact and measured.opposite and largest <= SMALL_ERROR:
         remarks.append(
-            f"B has the opposite sign in {meter.opposite} of {len(errors)} samples: q and -q are "
-            "the same attitude, so this is no error"
+            f"B has the opposite sign in {measured.opposite} of {len(errors)} samples: q and -q "
+            "are the same attitude, so this is no error"
         )
     if sigmas and math.isinf(sigmas.max):
         remarks.append(
@@ -115,16 +117,16 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
         errors=np.empty(0) if pairs is None else errors,
         association=association,
         time_offset=time_offset,
-        alignment=meter.alignment,
-        error_rad=meter.statistics(rising, final),
-        drift_deg_h=meter.drift_deg_h,
-        worst=meter.worst,
+        alignment=measured.alignment,
+        error_rad=measured.statistics(rising, final),
+        drift_deg_h=measured.drift_deg_h,
+        worst=measured.worst,
         window=window,
         sigmas=sigmas,
         coverage=coverage,
         left_out=left_out,
         tolerance_rad=settings.limit_rad if math.isfinite(settings.limit_rad) else None,
-        first_exceeding=meter.first_exceeding,
+        first_exceeding=measured.first_exceeding,
         remarks=tuple(remarks),
     )
     criteria = tuple(judge(settings, comparison))

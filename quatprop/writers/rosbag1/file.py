@@ -119,7 +119,7 @@ class BagFile:
 
     def append_chunk(self, chunk: Iterable[bytes], indexes: Mapping[int, Records]) -> None:
         """Write a chunk and its index data."""
-        self._chunks.append(ChunkInfo.of(self._size, indexes))
+        self._chunks.append(ChunkInfo.from_indexes(self._size, indexes))
         for piece in chunk:
             self._append(piece)
         for id_, entries in indexes.items():
