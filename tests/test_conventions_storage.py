@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from quatprop.cli.commands import cli
-from quatprop.conventions import REPRESENTATIONS, Meaning, Signs
-from quatprop.conventions.representations import euler_angles, from_euler
+from quatprop.conventions import Meaning, Signs
+from quatprop.conventions.representations import REPRESENTATIONS, euler_angles, from_euler
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.settings import EULER_SEQUENCES

@@ -10,6 +10,7 @@ from into_logs import write_bag, write_mcap, write_rosbag2
 from quatprop.errors import OutputError, QuatpropError, UnreadableLogError, UsageError
 from quatprop.log_copy import open_into
 from quatprop.logs.open_log import open_log
+from quatprop.writers import open_writer
 from quatprop.writers.messages.kinds import Message
 
 OPEN = Path("/proc/self/fd")
@@ -93,7 +94,7 @@ def test_a_disk_that_is_full_at_once(log, tmp_path, monkeypatch):
     """What was begun is removed, and all files are closed."""
     for place in (
         "quatprop.writers.mcap.file.McapFile.__init__",
-        "quatprop.log_copy.rosbag1.BagFile",
+        "quatprop.writers.rosbag1.file.BagFile",
         "quatprop.log_copy.sqlite.SqlitePart._insert",
     ):
         monkeypatch.setattr(place, no_room)
@@ -119,3 +120,22 @@ def test_a_disk_that_fails_while_it_is_looked_through(tmp_path, monkeypatch, wri
     ):
         pass
     assert opened(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "place"),
+    [
+        ("mcap", "quatprop.writers.mcap.file.McapFile.__init__"),
+        ("bag", "quatprop.writers.rosbag1.file.BagFile.__init__"),
+        ("npy", "quatprop.writers.tables.npy.NpyTable._write_header"),
+        ("rosbag2", "quatprop.writers.rosbag2.writer.BulkWriter.open"),
+    ],
+)
+def test_a_file_of_its_own_on_a_disk_that_is_full_at_once(tmp_path, monkeypatch, kind, place):
+    """It is removed and closed while the error is still held, as a notebook holds the last one."""
+    monkeypatch.setattr(place, no_room)
+    with pytest.raises(OutputError, match="No space left on device") as held:
+        open_writer(tmp_path / "out", kind)
+    assert held.value.__traceback__ is not None
+    assert opened(tmp_path) == []
+    assert list(tmp_path.iterdir()) == []

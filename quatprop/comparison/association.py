@@ -71,7 +71,7 @@ class Matching(NamedTuple):
     last_ns: int = 0
 
     @classmethod
-    def of(cls, pairs: Pairs) -> Self:
+    def from_pairs(cls, pairs: Pairs) -> Self:
         """Return how pairs were matched."""
         ends = (int(pairs.t_ns[0]), int(pairs.t_ns[-1])) if len(pairs) else (0, 0)
         return cls(pairs.match, pairs.at, pairs.max_dt_ns, len(pairs), pairs.candidates, *ends)
@@ -91,7 +91,7 @@ def associate(a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings
     if match not in {None, "exact"}:
         pairs = _near(a, b, str(match), settings.max_dt)
     spans = [(int(series.t_ns[0]), int(series.t_ns[-1])) for series in (a, b)]
-    require_enough(Matching.of(pairs), spans, settings)
+    require_enough(Matching.from_pairs(pairs), spans, settings)
     return pairs
 
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.comparison.accumulator import CoveredTime, ErrorAccumulator
 from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, Pairs, associate, shifted
 from quatprop.comparison.clocks import find_offset
 from quatprop.comparison.diagnosis import NO_ERROR, likely_cause
-from quatprop.comparison.meter import CoveredTime, ErrorMeter
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judge
 from quatprop.comparison.settings import ComparisonSettings
 from quatprop.comparison.statistics import sigma_statistics, window_statistics
@@ -37,28 +37,9 @@ SMALL_ERROR = 0.5
 def compare(
     a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings | None = None
 ) -> Comparison:
-    """Measure the geodesic error between two attitude series.
+    """Measure the geodesic error between two attitude series, which are sorted and normalised.
 
-    Parameters
-    ----------
-    a, b
-        The series. They are sorted by time and normalised.
-    settings
-        How to compare; None: all defaults.
-
-    Raises
-    ------
-    ComparisonError
-        The series cannot be compared: too few pairs, no motion to align by...
-
-    Examples
-    --------
-    >>> t_ns = np.arange(3) * 10_000_000
-    >>> from quatprop.series import AttitudeSeries
-    >>> a = AttitudeSeries(t_ns, np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)))
-    >>> b = AttitudeSeries(t_ns, -a.wxyz)
-    >>> compare(a, b).error_rad.max
-    0.0
+    `settings`: how to compare; None: all defaults
     """
     settings = settings or ComparisonSettings()
     remarks: list[str] = []
@@ -67,57 +48,64 @@ def compare(
     offset = AppliedOffset(found.ns if found else int(settings.time_offset), found)
     b = shifted(b, offset.added_to_b_ns)
     pairs = associate(a, b, settings)
-    meter = ErrorMeter(pairs.at, align(settings.align, pairs.a, pairs.b), settings.limit_rad)
-    meter.add(pairs.t_ns, pairs.index, pairs.a, pairs.b)
+    measured = ErrorAccumulator(
+        pairs.at, align(settings.align, pairs.a, pairs.b), settings.limit_rad
+    )
+    measured.add(pairs.t_ns, pairs.index, pairs.a, pairs.b)
     reference = CoveredTime()
     for rows in blocks(len(b)):
         reference.add(b.t_ns[rows])
     counted = pairs.match == "exact" or pairs.at == "B"
     coverage = Coverage(
-        meter.covered.share_of(reference), 100 * len(pairs) / len(b) if counted else None
+        measured.covered.share_of(reference), 100 * len(pairs) / len(b) if counted else None
     )
-    measured = Measured(
-        meter, Matching.of(pairs), offset, coverage, pairs, lost_of_a + lost_of_b, remarks
+    return build_comparison(
+        a,
+        b,
+        settings,
+        measured,
+        Matching.from_pairs(pairs),
+        offset,
+        coverage,
+        pairs=pairs,
+        left_out=lost_of_a + lost_of_b,
+        remarks=remarks,
     )
-    return conclude(a, b, settings, measured)
 
 
-class Measured(NamedTuple):
-    """What was measured of two series.
+def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a comparison
+    a: AttitudeSeries,
+    b: AttitudeSeries,
+    settings: ComparisonSettings,
+    measured: ErrorAccumulator,
+    association: Matching,
+    time_offset: AppliedOffset,
+    coverage: Coverage,
+    *,
+    pairs: Pairs | None = None,
+    left_out: int = 0,
+    remarks: Sequence[str] = (),
+) -> Comparison:
+    """Judge and explain errors, once all are measured.
 
-    `meter`: the errors
     `pairs`: what was compared; None where the result need not have it, nor the errors
     """
-
-    meter: ErrorMeter
-    association: Matching
-    time_offset: AppliedOffset
-    coverage: Coverage
-    pairs: Pairs | None = None
-    left_out: int = 0
-    remarks: Sequence[str] = ()
-
-
-def conclude(
-    a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings, measured: Measured
-) -> Comparison:
-    """Judge and explain errors, once all are measured."""
-    meter, pairs, remarks = measured.meter, measured.pairs, [*measured.remarks]
+    remarks = [*remarks]
     window = sigmas = None
     if pairs is not None:
         if settings.window:
-            window = window_statistics(pairs, meter.alignment, settings.window)
-        sigmas = sigma_statistics(a, b, pairs, meter.alignment)
-    errors = meter.errors()
-    final, largest = float(errors[-1]), meter.worst.error_rad
+            window = window_statistics(pairs, measured.alignment, settings.window)
+        sigmas = sigma_statistics(a, b, pairs, measured.alignment)
+    errors = measured.errors()
+    final, largest = float(errors[-1]), measured.worst.error_rad
     if pairs is None:
         errors.sort()
     rising = errors if pairs is None else np.sort(errors)
-    exact = measured.association.match == "exact"
-    if exact and meter.opposite and largest <= SMALL_ERROR:
+    exact = association.match == "exact"
+    if exact and measured.opposite and largest <= SMALL_ERROR:
         remarks.append(
-            f"B has the opposite sign in {meter.opposite} of {len(errors)} samples: q and -q are "
-            "the same attitude, so this is no error"
+            f"B has the opposite sign in {measured.opposite} of {len(errors)} samples: q and -q "
+            "are the same attitude, so this is no error"
         )
     if sigmas and math.isinf(sigmas.max):
         remarks.append(
@@ -127,18 +115,18 @@ def conclude(
     comparison = Comparison(
         pairs=pairs,
         errors=np.empty(0) if pairs is None else errors,
-        association=measured.association,
-        time_offset=measured.time_offset,
-        alignment=meter.alignment,
-        error_rad=meter.statistics(rising, final),
-        drift_deg_h=meter.drift_deg_h,
-        worst=meter.worst,
+        association=association,
+        time_offset=time_offset,
+        alignment=measured.alignment,
+        error_rad=measured.statistics(rising, final),
+        drift_deg_h=measured.drift_deg_h,
+        worst=measured.worst,
         window=window,
         sigmas=sigmas,
-        coverage=measured.coverage,
-        left_out=measured.left_out,
+        coverage=coverage,
+        left_out=left_out,
         tolerance_rad=settings.limit_rad if math.isfinite(settings.limit_rad) else None,
-        first_exceeding=meter.first_exceeding,
+        first_exceeding=measured.first_exceeding,
         remarks=tuple(remarks),
     )
     criteria = tuple(judge(settings, comparison))

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
+from quatprop.comparison.accumulator import CoveredTime, ErrorAccumulator
 from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, equal_stamps, is_mostly_exact, require_enough
-from quatprop.comparison.compare import Measured, compare, conclude, unit
-from quatprop.comparison.meter import CoveredTime, ErrorMeter
+from quatprop.comparison.compare import build_comparison, compare, unit
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage
 from quatprop.comparison.windows import MAX_SAMPLES
 from quatprop.concurrency.threads import in_background
@@ -158,22 +158,22 @@ def _streamed(
     offset_ns = int(settings.time_offset)
     with closing(in_background(a, 1)) as batches_a, closing(in_background(b, 1)) as batches_b:
         sides = _Ordered(batches_a, 0), _Ordered(batches_b, offset_ns)
-        meter = ErrorMeter("A", align("none", IDENTITY, IDENTITY), settings.limit_rad)
+        measured = ErrorAccumulator("A", align("none", IDENTITY, IDENTITY), settings.limit_rad)
         for t_ns, index, of_a, of_b in _equal_stamps(*sides):
-            if not len(meter) and len(t_ns):
-                meter.alignment = align(settings.align, of_a, of_b)
-            meter.add(t_ns, index, of_a, of_b)
+            if not len(measured) and len(t_ns):
+                measured.alignment = align(settings.align, of_a, of_b)
+            measured.add(t_ns, index, of_a, of_b)
     # Arrow keeps what it read with; the errors are sorted and explained in its place.
     pa.default_memory_pool().release_unused()
     candidates = min(side.common for side in sides)
-    if settings.match is None and not is_mostly_exact(len(meter), candidates):
+    if settings.match is None and not is_mostly_exact(len(measured), candidates):
         raise _NotStreamableError
-    covered = meter.covered
+    covered = measured.covered
     ends = covered.first_ns, covered.last_ns
-    matching = Matching("exact", "A", 0, len(meter), candidates, *ends)
+    matching = Matching("exact", "A", 0, len(measured), candidates, *ends)
     spans_ns = [(side.covered.first_ns, side.covered.last_ns) for side in sides]
     require_enough(matching, spans_ns, settings)
-    coverage = Coverage(covered.share_of(sides[1].covered), 100 * len(meter) / sides[1].samples)
+    coverage = Coverage(covered.share_of(sides[1].covered), 100 * len(measured) / sides[1].samples)
     first, second = (AttitudeSeries.joined(side.head) for side in sides)
-    measured = Measured(meter, matching, AppliedOffset(offset_ns, None), coverage)
-    return conclude(first, second, settings, measured)
+    offset = AppliedOffset(offset_ns, None)
+    return build_comparison(first, second, settings, measured, matching, offset, coverage)

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from quatprop.arrays import Float64, Int64
+    from quatprop.comparison.accumulator import ComparedSample
     from quatprop.comparison.alignment import Alignment
     from quatprop.comparison.association import Matching, Pairs
     from quatprop.comparison.clocks import ClockOffset
     from quatprop.comparison.hypotheses import Cause
-    from quatprop.comparison.meter import ComparedSample
     from quatprop.comparison.statistics import ErrorStatistics, SigmaStatistics, WindowStatistics
 
 

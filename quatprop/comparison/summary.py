@@ -13,9 +13,9 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from quatprop.comparison.accumulator import ComparedSample
     from quatprop.comparison.association import Matching
     from quatprop.comparison.hypotheses import Cause
-    from quatprop.comparison.meter import ComparedSample
     from quatprop.comparison.result import Comparison, Criterion
     from quatprop.comparison.statistics import SigmaStatistics, WindowStatistics
     from quatprop.rendering import Row

@@ -206,11 +206,11 @@ def _look_ahead(
     if settings.static_ns is None:
         deque(samples, maxlen=0)
         return finder.ends(), None
-    from quatprop.conditioning.cells import cells_of
+    from quatprop.conditioning.cells import window_sums
     from quatprop.conditioning.static_detection import find_rest
 
-    cells = cells_of(((each.t_ns, each.rate) for each in samples), settings.static_ns // 2 or 1)
-    rest = find_rest(cells, inputs, settings.static_ns, settings.rates)
+    sums = window_sums(((each.t_ns, each.rate) for each in samples), settings.static_ns // 2 or 1)
+    rest = find_rest(sums, inputs, settings.static_ns, settings.rates)
     return finder.ends(), rest
 
 

@@ -1,4 +1,4 @@
-"""Sums over cells of equal time: enough for the mean and the scatter of a signal in each."""
+"""Sums over windows of equal time: enough for the mean and the scatter of a signal in each."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ if TYPE_CHECKING:
     from quatprop.arrays import Bool, Float64, Int64, Intp
 
     Rows: TypeAlias = Iterable[tuple[Int64, Float64]]
-    Cells: TypeAlias = NDArray[np.void]
+    WindowSums: TypeAlias = NDArray[np.void]
 
 
-def cells_of(rows: Rows, cell_ns: int, origin_ns: int | None = None, width: int = 3) -> Cells:
-    """Return the sums of every cell, in the order of time; only finite rows are counted.
+def window_sums(
+    rows: Rows, window_ns: int, origin_ns: int | None = None, width: int = 3
+) -> WindowSums:
+    """Return the sums of every window, in the order of time; only finite rows are counted.
 
     `rows`: Stamps, ns, and values, shape ``(N, width)``
-    `cell_ns`: the length of a cell, ns
-    `origin_ns`: where the first cell begins, ns; None for the first stamp
+    `window_ns`: the length of a window, ns
+    `origin_ns`: where the first window begins, ns; None for the first stamp
     """
     kind = np.dtype(
         [(name, np.int64) for name in ("index", "first_ns", "last_ns")]
@@ -35,28 +37,30 @@ def cells_of(rows: Rows, cell_ns: int, origin_ns: int | None = None, width: int 
         origin_ns = int(t_ns[0]) if origin_ns is None else origin_ns
         finite: Bool = np.logical_and.reduce(np.isfinite(values), axis=1)
         known = np.where(finite[:, None], values, 0.0)
-        cells = np.zeros(len(t_ns), dtype=kind)
-        cells["index"] = (t_ns - origin_ns) // cell_ns
-        cells["first_ns"] = cells["last_ns"] = t_ns
-        cells["count"] = finite
-        cells["total"] = known
+        sums = np.zeros(len(t_ns), dtype=kind)
+        sums["index"] = (t_ns - origin_ns) // window_ns
+        sums["first_ns"] = sums["last_ns"] = t_ns
+        sums["count"] = finite
+        sums["total"] = known
         with np.errstate(over="ignore"):
-            cells["squares"] = (known**2).sum(axis=1)
-        parts.append(_by_index(cells))
-    cells = np.concatenate(parts)
-    return _by_index(cells[np.argsort(cells["index"], kind="stable")])
+            sums["squares"] = (known**2).sum(axis=1)
+        parts.append(_by_index(sums))
+    sums = np.concatenate(parts)
+    return _by_index(sums[np.argsort(sums["index"], kind="stable")])
 
 
-def cells_beside(rates: Cells, rows: Rows, cell_ns: int, width: int = 3) -> Cells | None:
-    """Return the cells of another signal at those of the rates; None where none is measured.
+def aligned_window_sums(
+    rates: WindowSums, rows: Rows, window_ns: int, width: int = 3
+) -> WindowSums | None:
+    """Return the sums of another signal in the windows of the rates; None where none is measured.
 
     Drivers of sensors without an accelerometer leave its fields empty, NaN or zero.
     """
     origin_ns = int(rates["first_ns"][np.searchsorted(rates["index"], 0)])
-    cells = cells_of(rows, cell_ns, origin_ns, width)
-    aligned = np.zeros(len(rates), dtype=cells.dtype)
-    _, ours, theirs = np.intersect1d(rates["index"], cells["index"], return_indices=True)
-    aligned[ours] = cells[theirs]
+    sums = window_sums(rows, window_ns, origin_ns, width)
+    aligned = np.zeros(len(rates), dtype=sums.dtype)
+    _, ours, theirs = np.intersect1d(rates["index"], sums["index"], return_indices=True)
+    aligned[ours] = sums[theirs]
     return aligned if aligned["squares"].any() else None
 
 
@@ -66,14 +70,14 @@ def outer_products(rows: Rows) -> Rows:
         yield t_ns, np.einsum("ij,ik->ijk", wxyz, wxyz).reshape(-1, 16)
 
 
-def _by_index(rows: Cells) -> Cells:
-    """Add up neighbouring rows of the same cell."""
+def _by_index(rows: WindowSums) -> WindowSums:
+    """Add up neighbouring rows of the same window."""
     if not len(rows):
         return rows
     return merged(rows, np.flatnonzero(np.diff(rows["index"], prepend=rows["index"][0] - 1)))
 
 
-def merged(rows: Cells, starts: Intp) -> Cells:
+def merged(rows: WindowSums, starts: Intp) -> WindowSums:
     """Add up the rows from each start to the next."""
     merged = rows[starts]
     merged["first_ns"] = np.minimum.reduceat(rows["first_ns"], starts)
@@ -83,14 +87,14 @@ def merged(rows: Cells, starts: Intp) -> Cells:
     return merged
 
 
-def mean_of(cells: Cells) -> Float64:
-    """Return the mean of each cell, ``(N, width)``; NaN where it is empty."""
+def mean_of(sums: WindowSums) -> Float64:
+    """Return the mean of each window, ``(N, width)``; NaN where it is empty."""
     with np.errstate(invalid="ignore"):
-        return np.asarray(cells["total"] / cells["count"][:, None])
+        return np.asarray(sums["total"] / sums["count"][:, None])
 
 
-def scatter_of(cells: Cells) -> Float64:
-    """Return the RMS deviation from the mean in each cell; NaN where it is empty."""
+def scatter_of(sums: WindowSums) -> Float64:
+    """Return the RMS deviation from the mean in each window; NaN where it is empty."""
     with np.errstate(invalid="ignore"):
-        variance = cells["squares"] / cells["count"] - (mean_of(cells) ** 2).sum(axis=1)
+        variance = sums["squares"] / sums["count"] - (mean_of(sums) ** 2).sum(axis=1)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))

@@ -1,8 +1,8 @@
 """Static detection: the period of a log in which the sensor was at rest.
 
-A log is divided into cells of equal time, of which only sums are kept. The sensor is at rest over
-neighbouring cells in which the rates and the specific force scatter little and have the same mean,
-while the log's own orientation, if it has one, does not turn with the rates.
+A log is divided into windows of equal time, of which only sums are kept. The sensor is at rest over
+neighbouring windows in which the rates and the specific force scatter little and have the same
+mean, while the log's own orientation, if it has one, does not turn with the rates.
 """
 
 from __future__ import annotations
@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.conditioning.cells import cells_beside, mean_of, merged, outer_products, scatter_of
+from quatprop.conditioning.cells import (
+    aligned_window_sums,
+    mean_of,
+    merged,
+    outer_products,
+    scatter_of,
+)
 from quatprop.errors import UsageError
 from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.text import Setting
@@ -21,7 +27,7 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from quatprop.arrays import Bool, Float64, Intp
     from quatprop.conditioning import ConditioningInputs
-    from quatprop.conditioning.cells import Cells
+    from quatprop.conditioning.cells import WindowSums
 
 
 AT_REST = 0.05
@@ -31,7 +37,7 @@ FORCE_AT_REST = 0.1
 """Specific force that scatters by more than this share of its size is not at rest."""
 
 REST_FACTOR = 3.0
-"""Cells at rest scatter at most this much more than the two quietest neighbours."""
+"""Windows at rest scatter at most this much more than the two quietest neighbours."""
 
 QUIET, FORCE_QUIET = 1e-3, 0.01
 """Smaller scatter than this needs no comparison with the quietest: rad/s, and share of the size."""
@@ -86,7 +92,7 @@ class Rest(NamedTuple):
 
 
 def find_rest(
-    rates: Cells, inputs: ConditioningInputs, shortest_ns: int, frame: str = "body"
+    rates: WindowSums, inputs: ConditioningInputs, shortest_ns: int, frame: str = "body"
 ) -> Rest:
     """Return the rest of a log from which the bias is taken.
 
@@ -95,10 +101,10 @@ def find_rest(
 
     `frame`: ``"body"`` or ``"inertial"``: that in which the rates are resolved
     """
-    cell_ns = max(shortest_ns // 2, 1)
+    window_ns = max(shortest_ns // 2, 1)
     quiet = _quiet_rates(rates)
     signals, steady = [(rates, AGREEMENT)], ["rate"]
-    forces = None if inputs.force is None else cells_beside(rates, inputs.force(), cell_ns)
+    forces = None if inputs.force is None else aligned_window_sums(rates, inputs.force(), window_ns)
     if forces is not None and forces["count"][quiet].any():
         size = float(np.nanmedian(np.linalg.norm(mean_of(forces[quiet]), axis=1)))
         quiet = _quiet_forces(forces, quiet, size)
@@ -108,7 +114,7 @@ def find_rest(
     if not periods:
         raise _no_rest(f" that lasts {duration_text(shortest_ns)} (by {' and '.join(steady)})")
     own = None if inputs.orientation is None else outer_products(inputs.orientation())
-    orientations = None if own is None else cells_beside(rates, own, cell_ns, 16)
+    orientations = None if own is None else aligned_window_sums(rates, own, window_ns, 16)
     if orientations is not None:
         periods = _not_turning(rates, orientations, periods, frame)
         steady.append("orientation")
@@ -130,15 +136,15 @@ def find_rest(
     )
 
 
-def _quiet_rates(rates: Cells) -> Intp:
-    """Return the cells whose rates by themselves could be those of a gyroscope at rest."""
-    # A cell that is not full, or of a sensor that has not begun to measure, is no evidence.
+def _quiet_rates(rates: WindowSums) -> Intp:
+    """Return the windows whose rates by themselves could be those of a gyroscope at rest."""
+    # A window that is not full, or of a sensor that has not begun to measure, is no evidence.
     full = rates["count"] >= max(2.0, np.median(rates["count"]) / 2 if len(rates) else 0.0)
     measured = full & (rates["squares"] > 0) if rates["squares"].any() else full
-    cells = np.flatnonzero(measured)
-    if not len(cells):
+    windows = np.flatnonzero(measured)
+    if not len(windows):
         raise _no_rest(": too few samples")
-    scatter, speed = scatter_of(rates[cells]), np.linalg.norm(mean_of(rates[cells]), axis=1)
+    scatter, speed = scatter_of(rates[windows]), np.linalg.norm(mean_of(rates[windows]), axis=1)
     steady = scatter <= AT_REST
     if not steady.any():
         raise _no_rest(f" (the quietest scatters by {scatter.min():.3g} rad/s)")
@@ -148,35 +154,35 @@ def _quiet_rates(rates: Cells) -> Intp:
             f"the steadiest period of the log has a mean rate of {speed[steady].min():.3g} rad/s, "
             f"more than the bias of a gyroscope: the body turns; give {Setting('bias', 'X,Y,Z')}"
         )
-    cells = cells[slow]
-    return np.asarray(cells[_quiet(rates, cells, QUIET)])
+    windows = windows[slow]
+    return np.asarray(windows[_quiet(rates, windows, QUIET)])
 
 
-def _quiet_forces(forces: Cells, cells: Intp, size: float) -> Intp:
-    """Return the cells, of those given, in which the specific force scatters little."""
-    scatter = scatter_of(forces[cells])
+def _quiet_forces(forces: WindowSums, windows: Intp, size: float) -> Intp:
+    """Return the windows, of those given, in which the specific force scatters little."""
+    scatter = scatter_of(forces[windows])
     steady = scatter <= FORCE_AT_REST * size
     if not steady.any():
         raise _no_rest(
             " (where the rates are quiet, the specific force scatters by at least "
             f"{np.nanmin(scatter) / size:.0%}: the body moves)"
         )
-    cells = cells[steady]
-    return np.asarray(cells[_quiet(forces, cells, FORCE_QUIET * size)])
+    windows = windows[steady]
+    return np.asarray(windows[_quiet(forces, windows, FORCE_QUIET * size)])
 
 
-def _quiet(signal: Cells, cells: Intp, floor: float) -> Bool:
-    """Return which of some cells scatter about as little as the quietest pair of neighbours."""
-    scatter = scatter_of(signal[cells])
-    pairs = np.maximum(scatter[1:], scatter[:-1])[np.diff(signal["index"][cells]) == 1]
+def _quiet(signal: WindowSums, windows: Intp, floor: float) -> Bool:
+    """Return which of some windows scatter about as little as the quietest pair of neighbours."""
+    scatter = scatter_of(signal[windows])
+    pairs = np.maximum(scatter[1:], scatter[:-1])[np.diff(signal["index"][windows]) == 1]
     quietest = float(min(pairs, default=scatter.min()))
     # The scatter of few samples may be large or small by chance.
-    by_chance = 2 / np.sqrt(6 * (signal["count"][cells] - 1))
+    by_chance = 2 / np.sqrt(6 * (signal["count"][windows] - 1))
     return np.asarray(scatter * (1 - by_chance) <= max(floor, REST_FACTOR * quietest))
 
 
-def _periods(rates: Cells, quiet: Intp, signals: list[tuple[Cells, float]]) -> list[Intp]:
-    """Return runs of at least two neighbouring cells over which no signal changes its mean.
+def _periods(rates: WindowSums, quiet: Intp, signals: list[tuple[WindowSums, float]]) -> list[Intp]:
+    """Return runs of at least two neighbouring windows over which no signal changes its mean.
 
     With each signal comes how much its means may differ.
     """
@@ -192,13 +198,13 @@ def _periods(rates: Cells, quiet: Intp, signals: list[tuple[Cells, float]]) -> l
     return periods
 
 
-def _end_of_agreement(signals: list[tuple[Cells, float]], start: int, stop: int) -> int:
-    """Return the first cell after `start` that differs from those before it, or `stop`."""
+def _end_of_agreement(signals: list[tuple[WindowSums, float]], start: int, stop: int) -> int:
+    """Return the first window after `start` that differs from those before it, or `stop`."""
     size = 16
     while True:
         end = min(start + size, stop)
         changed = np.logical_or.reduce(
-            [_changes(cells[start:end], limit) for cells, limit in signals]
+            [_changes(windows[start:end], limit) for windows, limit in signals]
         )
         if changed.any():
             return start + 1 + int(np.argmax(changed))
@@ -207,16 +213,18 @@ def _end_of_agreement(signals: list[tuple[Cells, float]], start: int, stop: int)
         size *= 4
 
 
-def _changes(cells: Cells, agreement: float) -> Bool:
-    """Return which cells but the first differ by more from the mean of those before them."""
-    count = np.cumsum(cells["count"])[:-1]
-    before = np.cumsum(cells["total"], axis=0)[:-1] / count[:, None]
-    apart = np.abs(mean_of(cells)[1:] - before).max(axis=1)
-    error = scatter_of(cells)[1:] / math.sqrt(3) * np.sqrt(1 / cells["count"][1:] + 1 / count)
+def _changes(windows: WindowSums, agreement: float) -> Bool:
+    """Return which windows but the first differ by more from the mean of those before them."""
+    count = np.cumsum(windows["count"])[:-1]
+    before = np.cumsum(windows["total"], axis=0)[:-1] / count[:, None]
+    apart = np.abs(mean_of(windows)[1:] - before).max(axis=1)
+    error = scatter_of(windows)[1:] / math.sqrt(3) * np.sqrt(1 / windows["count"][1:] + 1 / count)
     return np.asarray(apart > np.maximum(agreement, NOISE * error))
 
 
-def _not_turning(rates: Cells, orientations: Cells, periods: list[Intp], frame: str) -> list[Intp]:
+def _not_turning(
+    rates: WindowSums, orientations: WindowSums, periods: list[Intp], frame: str
+) -> list[Intp]:
     """Return the periods in which the orientation does not turn as the rates say.
 
     An orientation that drifts or settles while the rates say otherwise shows no rotation.

@@ -29,25 +29,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conventions.representations import REPRESENTATIONS, Representation
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate
 from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
-
-
-__all__ = [
-    "CONVENTIONS",
-    "DIRECTIONS",
-    "HAMILTON",
-    "REPRESENTATIONS",
-    "SIGNS",
-    "Meaning",
-    "Representation",
-    "Signs",
-]
 
 CONVENTIONS = ("hamilton", "jpl")
 DIRECTIONS = ("body-to-ref", "ref-to-body")

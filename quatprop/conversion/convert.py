@@ -33,22 +33,7 @@ if TYPE_CHECKING:
 
 
 def convert(job: Conversion) -> ConversionReport:
-    """Write an attitude series in other terms.
-
-    Parameters
-    ----------
-    job
-        How to convert it.
-
-    Raises
-    ------
-    LogError
-        The source cannot be used with this selection, or holds invalid quaternions.
-    OutputError
-        The result cannot be written.
-    UsageError
-        Settings contradict each other.
-    """
+    """Write an attitude series in other terms."""
     _refuse_contradictions(job)
     wanted, output = job.source, job.output
     refuse_overlap([wanted.path], [output.path, output.report])

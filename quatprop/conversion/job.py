@@ -33,7 +33,7 @@ class Conversion:
     `meaning`: what the written numbers mean
     `sign`: ``"keep"``, ``"continuous"`` or ``"positive"``. Rotation vectors of ``"keep"`` are the
         short ones, up to half a turn
-    `representation`: ``"quaternion"``, a key of :data:`quatprop.conventions.REPRESENTATIONS`, or of
+    `representation`: ``"quaternion"``, a key of :data:`REPRESENTATIONS`, or of
         :data:`quatprop.conversion.rates.RATES`
     """
 

@@ -146,8 +146,8 @@ def _integrated(t_ns: Int64, rate: Float64, method: str, span_ns: Int64 | None) 
     dt = durations / NS_PER_S
     rotvec = _end(rate[:, :-1], average, dt)
     if method in {"coning", "cubic"}:
-        bend = curvature_of_averages(t_ns, rate, span_ns, causal=method == "coning")
-        rotvec += bend.rotation_of_averages(average, dt)
+        curvature = curvature_of_averages(t_ns, rate, span_ns, causal=method == "coning")
+        rotvec += curvature.rotation_of_averages(average, dt)
     return rotvec
 
 

@@ -157,9 +157,9 @@ def at_times(
             # The conjugates turn by the opposite rates, on the right.
             gyro, after = gyro.with_rate(-gyro.rate), after.with_rate(-after.rate)
             wxyz = conjugate(wxyz)
-        bend = _curvature(GyroSeries.joined([gyro, after]), method, gap_limit_ns)
+        curvature = _curvature(GyroSeries.joined([gyro, after]), method, gap_limit_ns)
         for wanted in times.up_to(first_ns, int(gyro.t_ns[-1])):
-            between = _between(gyro, wxyz, wanted, method, bend)
+            between = _between(gyro, wxyz, wanted, method, curvature)
             if gap_limit_ns is not None:
                 at = np.searchsorted(gyro.t_ns, wanted, side="right") - 1
                 inside = np.diff(gyro.t_ns, append=gyro.t_ns[-1])[at] > gap_limit_ns
@@ -218,7 +218,7 @@ def _curvature(gyro: GyroSeries, method: str, gap_limit_ns: int | None) -> Curva
 
 
 def _between(
-    gyro: GyroSeries, wxyz: Float64, wanted: Int64, method: str, bend: Curvature | None
+    gyro: GyroSeries, wxyz: Float64, wanted: Int64, method: str, curvature: Curvature | None
 ) -> Float64:
     """Return the attitudes at wanted times within the samples, ``(M, 4)``."""
     before = np.searchsorted(gyro.t_ns, wanted, side="right") - 1
@@ -227,23 +227,23 @@ def _between(
     interval = (gyro.t_ns[after] - gyro.t_ns[before]) / NS_PER_S
     fraction = np.divide(elapsed, interval, out=np.zeros_like(interval), where=interval > 0)
     first, second = gyro.rate[before].T, gyro.rate[after].T
-    bend = None if bend is None else bend.at(before)
+    curvature = None if curvature is None else curvature.at(before)
     if gyro.is_integrated(method):
         # An increment may have been integrated over more or less time than there is between stamps.
         if gyro.span_ns is not None:
             elapsed = fraction * (gyro.span_ns[after] / NS_PER_S)
         rotvec = METHODS["end"](first, second, elapsed)
-        if bend is not None:
-            rotvec += bend.rotation_of_averages(second, elapsed)
+        if curvature is not None:
+            rotvec += curvature.rotation_of_averages(second, elapsed)
     else:
         if method in {"coning", "cubic"}:
             # A rate that is linear in time has got part of the way to the next sample's.
             second = first + fraction * (second - first)
-        if bend is not None:
-            second += bend.rate(elapsed)
+        if curvature is not None:
+            second += curvature.rate(elapsed)
         rotvec = METHODS[method](first, second, elapsed)
-        if bend is not None:
-            rotvec += bend.rotation(elapsed)
+        if curvature is not None:
+            rotvec += curvature.rotation(elapsed)
     attitudes = multiply(wxyz[before], exp(rotvec.T))
     # At a sample itself the attitude is the sample's, to the bit.
     return np.asarray(np.where((fraction == 0)[:, None], wxyz[before], attitudes))

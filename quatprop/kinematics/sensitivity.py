@@ -46,7 +46,7 @@ class Sensitivity:
         """Begin a segment: at q0 again, or at the attitudes reached so far."""
         self._starts = [self._q0, self._q0] if restart else self._ends
         self._runs: list[FinalAttitude] | None = None
-        self._sparse = EverySecond()
+        self._sparse = Decimator()
 
     def add(self, block: GyroSeries) -> None:
         """Take the next samples: a block of :func:`quatprop.series.blocks.reblock`."""
@@ -61,7 +61,7 @@ class Sensitivity:
             ]
         other, sparse = self._runs
         other.add(block)
-        sparse.add(self._sparse.of(block))
+        sparse.add(self._sparse.kept(block))
 
     def finish(self) -> None:
         """End the segment."""
@@ -78,7 +78,7 @@ class Sensitivity:
         return method_rad, sampling_rad
 
 
-class EverySecond:
+class Decimator:
     """Leaves out every second sample of a segment, but not the last.
 
     Averages and increments over two intervals are joined: nothing of the motion is left out, but
@@ -90,7 +90,7 @@ class EverySecond:
         self._held: GyroSeries | None = None
         self._rest = GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))
 
-    def of(self, block: GyroSeries) -> GyroSeries:
+    def kept(self, block: GyroSeries) -> GyroSeries:
         """Return the samples of the next block that remain."""
         if block.span_ns is None and not block.averages:
             # No sample depends on others, so none is copied.

@@ -54,12 +54,12 @@ class McapPart:
             resources.callback(self._file.abort)
             # Some recorders declare topics without messages in the summary only.
             self._file.append(encoded([*contents.schemas.values(), *contents.channels.values()]))
-            self._channel = self._file.add_channel(self.encoder.topic)
+            self._file.add_channel(self.encoder.topic)
             self._resources = resources.pop_all()
 
     def write(self, log_ns: Int64, messages: Records) -> None:
         """Append messages, after everything of the file that was logged before them."""
-        self._channel.write(log_ns, messages)
+        self._file.write(log_ns, messages)
         self.added.add(log_ns)
 
     def finish(
@@ -90,12 +90,8 @@ class McapCopyWriter(MessageWriter):
 
     def __init__(self, log: McapLog, target: Path | str, message: Message) -> None:
         super().__init__(OutputFile(target))
-        try:
-            with self._errors():
-                self._part = McapPart(log, self._output.stream, message)
-        except BaseException:
-            self._output.discard()
-            raise
+        with self._opening():
+            self._part = McapPart(log, self._output.stream, message)
         self.encoder = self._part.encoder
 
     def _write(self, log_ns: Int64, messages: Records) -> None:

@@ -31,7 +31,7 @@ from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogE
 from quatprop.stores.compression import UnreadableDataError
 from quatprop.stores.limits import DecompressionBudget
 from quatprop.text import Setting
-from quatprop.writers.mcap.channel import INDEX_ENTRY, McapChunk, compressed_chunk
+from quatprop.writers.mcap.chunk import INDEX_ENTRY, McapChunk, compressed_chunk
 from quatprop.writers.mcap.contents import McapContents
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ off are written anew with their complete messages.
 from __future__ import annotations
 
 from collections import defaultdict
-from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,12 +23,9 @@ from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.stores.compression import UnreadableDataError
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S
-from quatprop.writers.atomic import OutputFile
-from quatprop.writers.base import MessageWriter
 from quatprop.writers.messages.kinds import Message, attitude_encoder
 from quatprop.writers.rosbag1 import records
-from quatprop.writers.rosbag1.file import COMPRESSIONS, BagFile
-from quatprop.writers.targets import refuse_streams
+from quatprop.writers.rosbag1.file import COMPRESSIONS, BagFile, BagWriter
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -37,7 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.arrays import Int64, Records
+    from quatprop.arrays import Records
     from quatprop.containers.rosbag1.log import Rosbag1Log
     from quatprop.containers.rosbag1.records import Record
 
@@ -49,7 +45,7 @@ _CHUNK_BYTES = 1 << 17
 _PIECE = 1 << 20
 
 
-class BagCopyWriter(MessageWriter):
+class BagCopyWriter(BagWriter):
     """Copy a ROS 1 bag and add attitudes to it.
 
     `log`: the log to copy
@@ -57,39 +53,22 @@ class BagCopyWriter(MessageWriter):
     `message`: the message to write the attitudes as
     """
 
-    _output: OutputFile
-    _bag: BagFile
-
     def __init__(self, log: Rosbag1Log, target: Path | str, message: Message) -> None:
         self.encoder = attitude_encoder(message, ("ros1",))
-        refuse_streams(target, "a ROS 1 bag")
         self._copy = BagCopy(log)
-        super().__init__(OutputFile(target))
-        with ExitStack() as resources:
-            resources.callback(self._output.discard)
-            with self._errors():
-                self._bag = BagFile(
-                    self._output.stream,
-                    self.encoder.topic,
-                    "none",
-                    connection=self._copy.free_id,
-                    before=lambda first_ns: self._copy.up_to(first_ns, self._bag),
-                    chunk_bytes=_CHUNK_BYTES,
-                )
-            resources.pop_all()
-
-    def _write(self, log_ns: Int64, messages: Records) -> None:
-        self._bag.write(log_ns, messages)
+        super().__init__(
+            target,
+            self.encoder.topic,
+            "none",
+            connection=self._copy.free_id,
+            before=lambda first_ns: self._copy.up_to(first_ns, self._bag),
+            chunk_bytes=_CHUNK_BYTES,
+        )
 
     def _finish(self, provenance: Mapping[str, object]) -> None:
         self._bag.flush()
         self._copy.up_to(None, self._bag)
         self._bag.finish(provenance, self._copy.connections)
-
-    def abort(self) -> None:
-        """Remove what was not committed."""
-        self._bag.abort()
-        super().abort()
 
 
 class BagCopy:

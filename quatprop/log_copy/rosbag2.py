@@ -51,17 +51,13 @@ class Rosbag2CopyWriter(MessageWriter):
         self._part_log = ExitStack()
         is_folder = log.path.is_dir()
         super().__init__(OutputPath(target, folder=is_folder))
-        try:
-            with self._errors():
-                # Messages before the start of the next part belong to this one.
-                self._ends = [*map(_first_ns, self._files[1:]), _LATEST]
-                if is_folder:
-                    self._output.path.mkdir()
-                    self._copy_other_files()
-                self._open_next()
-        except BaseException:
-            self.abort()
-            raise
+        with self._opening():
+            # Messages before the start of the next part belong to this one.
+            self._ends = [*map(_first_ns, self._files[1:]), _LATEST]
+            if is_folder:
+                self._output.path.mkdir()
+                self._copy_other_files()
+            self._open_next()
 
     def _write(self, log_ns: Int64, messages: Records) -> None:
         """Append messages, to one part or to several."""
@@ -118,8 +114,10 @@ class Rosbag2CopyWriter(MessageWriter):
         place = self._output.path
         place = place / source.name if self._source.is_dir() else place
         if source.suffix == ".mcap":
-            log = self._part_log.enter_context(McapLog(source))
-            self._parts.append(McapPart(log, place, self._message))
+            with ExitStack() as opened:
+                log = opened.enter_context(McapLog(source))
+                self._parts.append(McapPart(log, place, self._message))
+                self._part_log = opened.pop_all()
         else:
             self._parts.append(sqlite.SqlitePart(source, place, self.encoder.topic))
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.comparison.meter import ComparedSample
+    from quatprop.comparison.accumulator import ComparedSample
     from quatprop.comparison.result import Comparison
     from quatprop.signals.attitude_input import ReadAttitudes
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.arrays import Bool, Float64, Int64
-    from quatprop.timeline.steps import Examined
+    from quatprop.timeline.stamps import Examined
 
     Numbered: TypeAlias = tuple[GyroSeries, Int64]
     """A batch, and which of the samples that were read it holds."""

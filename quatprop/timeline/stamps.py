@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -10,7 +10,6 @@ from quatprop.errors import TimelineError
 from quatprop.text import Setting
 from quatprop.timeline.counts import LISTED_GAPS, Counts, Event
 from quatprop.timeline.outliers import Rows, marked
-from quatprop.timeline.steps import Examined, cause_of_step
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -30,6 +29,13 @@ LONGEST_NS = int(np.iinfo(np.int64).max)
 
 MEDIAN_WINDOW = 65_536
 """The median interval is that of the first so many intervals: exact, in constant memory."""
+
+
+_FAR = 10
+"""A counter that has wrapped around goes on after at most so many intervals."""
+
+COUNTERS = {"ns": 2**32, "us": 2**32 * 1_000, "ms": 2**32 * 1_000_000}
+"""After how many ns a counter of 32 bits begins again, by its unit."""
 
 
 class Policy(NamedTuple):
@@ -59,6 +65,20 @@ class Policy(NamedTuple):
 
 OBSERVE = Policy(on_backwards="keep", on_nonfinite="keep")
 """Change nothing, count everything."""
+
+
+class Examined(NamedTuple, Generic[Batch]):
+    """A batch, and what is irregular about its stamps.
+
+    `batch`: the samples
+    `rows`: which of the samples that were read they are, shape ``(N,)``
+    `outliers`, `back`: Masks of outliers, and of stamps that are earlier than one before
+    """
+
+    batch: Batch
+    rows: Int64
+    outliers: Bool
+    back: Bool
 
 
 class StampChecks:
@@ -145,7 +165,7 @@ class StampChecks:
         if len(where) and not self.counts.backwards.count:
             first = int(where[0])
             self._step_ns = int(reached[first]) - int(t_ns[first])
-            cause = cause_of_step(np.append(before, t_ns), len(before) + first)
+            cause = _cause_of_step(np.append(before, t_ns), len(before) + first)
             self.counts.backwards.cause = cause
         self.counts.backwards.add(where, t_ns, rows)
         found[~outliers] = back
@@ -247,3 +267,17 @@ class StampChecks:
                 f"longer than {duration_text(limit)}; choose "
                 f"{Setting('on_gap', 'hold|zero|split')} or a longer {Setting('max_gap')}",
             )
+
+
+def _cause_of_step(t_ns: Int64, first: int) -> str:
+    """Return the likely cause of a step back in time, if the stamps show one.
+
+    `t_ns`: Stamps, ns
+    """
+    if first < 2:  # noqa: PLR2004  # it and two before
+        return ""
+    before, middle, after = t_ns[first - 2 : first + 1].tolist()
+    for unit, period in COUNTERS.items():
+        if 0 < period - (middle - after) <= min(_FAR * (middle - before), period // 1000):
+            return f" as if a counter of 32 bits in {unit} had wrapped around"
+    return ""

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
 
 from quatprop.provenance import as_json
 from quatprop.writers.atomic import OutputFile, OutputPath, output_errors
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from contextlib import AbstractContextManager
 
-    from quatprop.arrays import Int64
+    from quatprop.arrays import AnyArray, Int64, Records
 
 
 def provenance_json(provenance: Mapping[str, object]) -> str:
@@ -42,6 +45,44 @@ def block_slices(rows: int, filled: int, size: int) -> Iterator[tuple[slice, sli
         count = min(rows - done, size - filled)
         yield slice(done, done + count), slice(filled, filled + count)
         done, filled = done + count, (filled + count) % size
+
+
+class RecordBlock:
+    """Records of messages that all have one size, filled a column at a time.
+
+    `empty`: returns the records of a block of messages of a size, whose field ``data`` is the last
+    `submit`: takes a full block, and at the end what is left
+    """
+
+    def __init__(self, empty: Callable[[int], Records], submit: Callable[[Records], None]) -> None:
+        self._empty = empty
+        self._submit = submit
+        self._rows: Records | None = None
+        self._filled = 0
+
+    def write(self, messages: Records, **columns: AnyArray) -> None:
+        """Append messages and the other fields of their records, all of shape ``(N,)``."""
+        if self._rows is None:
+            self._rows = self._empty(messages.itemsize)
+        columns["data"] = messages.view(self._rows.dtype["data"])
+        for source, place in block_slices(len(messages), self._filled, len(self._rows)):
+            for name, values in columns.items():
+                self._rows[name][place] = values[source]
+            self._filled = place.stop
+            if self._filled == len(self._rows):
+                self.flush()
+
+    def flush(self) -> None:
+        """Hand on the records that do not fill a block."""
+        if self._filled and self._rows is not None:
+            self._submit(self._rows[: self._filled].copy())
+            self._filled = 0
+
+
+def empty_records(head: dict[str, str], size: int, block_bytes: int) -> Records:
+    """Return a block of about so many bytes of records: fields, and data of `size` bytes."""
+    dtype = np.dtype([*head.items(), ("data", f"V{size}")])
+    return np.zeros(max(1, block_bytes // dtype.itemsize), dtype)
 
 
 class Transaction(ABC):
@@ -93,22 +134,11 @@ class FileWriter(Transaction):
         self._output = output
 
     def write(self, t_ns: Int64, rows: Any) -> None:
-        """Append a batch of rows.
+        """Append a batch of rows; a closed pipe raises BrokenPipeError.
 
-        Parameters
-        ----------
-        t_ns
-            The stamp of each, shape ``(N,)``, ns; of messages, when each was logged.
-        rows
-            The named columns of a table, all of that length; or encoded messages, shape ``(N,)``,
-            always of the same item size.
-
-        Raises
-        ------
-        OutputError
-            The disk is full, or the target is otherwise gone.
-        BrokenPipeError
-            The reader of the output has gone.
+        `t_ns`: the stamp of each, shape ``(N,)``, ns; of messages, when each was logged
+        `rows`: the named columns of a table, all of that length; or encoded messages, shape
+            ``(N,)``, always of the same item size
         """
         with self._errors():
             self._write(t_ns, rows)
@@ -137,6 +167,16 @@ class FileWriter(Transaction):
 
     def _errors(self) -> AbstractContextManager[None]:
         return output_errors(self._output.target, *self._other_errors)
+
+    @contextmanager
+    def _opening(self) -> Iterator[None]:
+        """Remove the file where it cannot even be begun."""
+        try:
+            with self._errors():
+                yield
+        except BaseException:
+            self._output.discard()
+            raise
 
 
 class TableWriter(FileWriter):

@@ -10,14 +10,15 @@ import struct
 from functools import partial
 from typing import TYPE_CHECKING, BinaryIO
 
+import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, MetadataIndex, Schema
 
 from quatprop.concurrency.threads import OrderedThreadPool
 from quatprop.stores.checksum import crc32
 from quatprop.writers.atomic import OutputFile
-from quatprop.writers.base import MessageWriter, provenance_json
-from quatprop.writers.mcap.channel import CHUNK_BYTES, McapChunk, MessageChannel, compressed_chunk
+from quatprop.writers.base import MessageWriter, RecordBlock, provenance_json
+from quatprop.writers.mcap.chunk import CHUNK_BYTES, McapChunk, chunk_of_messages, empty_messages
 from quatprop.writers.mcap.contents import McapContents, encoded
 from quatprop.writers.messages.topics import PROFILES, Topic
 
@@ -39,7 +40,8 @@ _RECORD_HEAD_BYTES = 9
 class McapFile:
     """An MCAP file being written.
 
-    Schemas and channels stand ahead of the chunks; a chunk holds the messages of one channel.
+    Schemas and channels stand ahead of the chunks. Messages are written to one channel, and all
+    have one size.
 
     `stream`: where the file goes, from its first byte; it need not be seekable
     `header`: what the file begins with; or only its profile, ``"ros2"`` or nothing
@@ -66,18 +68,16 @@ class McapFile:
         self._stream = stream
         self._before = before
         self._chunk_bytes = chunk_bytes
-        self._channels: list[MessageChannel] = []
-        self._pool = OrderedThreadPool(partial(compressed_chunk, compression), self._append_own)
+        self._written = 0
+        self._pool = OrderedThreadPool(partial(chunk_of_messages, compression), self._append_own)
         self.contents = McapContents() if contents is None else contents
         self.size = 0
         self._crc = 0
         self.append(MAGIC)
         self._append_record(Header(header, "quatprop") if isinstance(header, str) else header)
 
-    def add_channel(
-        self, topic: Topic, metadata: Mapping[str, str] | None = None
-    ) -> MessageChannel:
-        """Declare a channel whose messages all have one size."""
+    def add_channel(self, topic: Topic, metadata: Mapping[str, str] | None = None) -> None:
+        """Declare the channel to which messages are written."""
         record = Channel(
             id=_free_id(self.contents.channels),
             topic=topic.name,
@@ -87,9 +87,14 @@ class McapFile:
         )
         self._append_record(record)
         self.contents.channels[record.id] = record
-        channel = MessageChannel(self._pool.submit, record.id, self._chunk_bytes)
-        self._channels.append(channel)
-        return channel
+        empty = partial(empty_messages, record.id, self._chunk_bytes)
+        self._messages = RecordBlock(empty, self._pool.submit)
+
+    def write(self, log_ns: Int64, messages: Records) -> None:
+        """Append messages, shape ``(N,)``, logged and published at some times, ns, from 1970 on."""
+        number = np.arange(self._written, self._written + len(messages), dtype=np.uint64)
+        self._messages.write(messages, sequence=number, log=log_ns, publish=log_ns)
+        self._written += len(messages)
 
     def _schema_id(self, topic: Topic) -> int:
         """Return the id of a topic's definition, which is declared unless it is there already."""
@@ -128,8 +133,7 @@ class McapFile:
 
     def flush(self) -> None:
         """Write buffered messages."""
-        for channel in self._channels:
-            channel.flush()
+        self._messages.flush()
         self._pool.drain()
 
     def _append_own(self, chunk: McapChunk) -> None:
@@ -208,13 +212,13 @@ class McapWriter(MessageWriter):
     def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
         self._topic = topic.name
         super().__init__(OutputFile(target))
-        with self._errors():
+        with self._opening():
             profile = PROFILES.get(topic.encoding, "")
             self._file = McapFile(self._output.stream, profile, compression)
-            self._channel = self._file.add_channel(topic)
+            self._file.add_channel(topic)
 
     def _write(self, log_ns: Int64, messages: Records) -> None:
-        self._channel.write(log_ns, messages)
+        self._file.write(log_ns, messages)
 
     def _finish(self, provenance: Mapping[str, object]) -> None:
         finish_with_provenance(self._file, self._topic, provenance)

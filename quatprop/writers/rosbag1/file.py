@@ -11,7 +11,7 @@ from __future__ import annotations
 import bz2
 import struct
 from functools import partial
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import lz4.frame
 import numpy as np
@@ -19,7 +19,7 @@ import numpy as np
 from quatprop.concurrency.threads import OrderedThreadPool
 from quatprop.times import NS_PER_S
 from quatprop.writers.atomic import OutputFile
-from quatprop.writers.base import MessageWriter, block_slices, provenance_json
+from quatprop.writers.base import MessageWriter, RecordBlock, empty_records, provenance_json
 from quatprop.writers.rosbag1 import records
 from quatprop.writers.rosbag1.records import MAGIC, ChunkInfo, u4
 from quatprop.writers.targets import refuse_streams
@@ -68,7 +68,6 @@ class BagFile:
         self._stream = stream
         self._id = connection
         self._before = before
-        self._chunk_bytes = chunk_bytes
         self._fields = {
             "topic": topic.name.encode(),
             "type": topic.type_name.encode(),
@@ -77,8 +76,7 @@ class BagFile:
         }
         self._pool = OrderedThreadPool(partial(_compressed, compression), self._append_own)
         self._chunks: list[ChunkInfo] = []
-        self._rows: Records | None = None
-        self._filled = 0
+        self._messages = RecordBlock(partial(_empty_rows, connection, chunk_bytes), self._submit)
         # The first chunk begins with the connection, as other readers than ours may expect.
         self._prefix = records.connection(connection, self._fields)
         self._size = 0
@@ -86,30 +84,13 @@ class BagFile:
         self._append(records.bag(0, 0, 0))
 
     def write(self, log_ns: Int64, messages: Records) -> None:
-        """Append messages.
-
-        Parameters
-        ----------
-        log_ns
-            When each arrived, shape ``(N,)``, ns, from 1970 to 2106.
-        messages
-            Shape ``(N,)``, always of the same item size.
-        """
-        if self._rows is None:
-            self._rows = _empty_rows(self._id, messages.itemsize, self._chunk_bytes)
-        data = messages.view(self._rows.dtype["data"])
+        """Append messages, shape ``(N,)``, that arrived at some times, ns, from 1970 to 2106."""
         seconds, nanoseconds = np.divmod(log_ns, NS_PER_S)
-        for source, place in block_slices(len(data), self._filled, len(self._rows)):
-            rows = self._rows[place]
-            rows["sec"], rows["nanosec"] = seconds[source], nanoseconds[source]
-            rows["data"] = data[source]
-            self._filled = place.stop
-            if self._filled == len(self._rows):
-                self._submit()
+        self._messages.write(messages, sec=seconds, nanosec=nanoseconds)
 
     def flush(self) -> None:
         """Write buffered messages."""
-        self._submit()
+        self._messages.flush()
         self._pool.drain()
 
     def finish(
@@ -138,16 +119,15 @@ class BagFile:
 
     def append_chunk(self, chunk: Iterable[bytes], indexes: Mapping[int, Records]) -> None:
         """Write a chunk and its index data."""
-        self._chunks.append(ChunkInfo.of(self._size, indexes))
+        self._chunks.append(ChunkInfo.from_indexes(self._size, indexes))
         for piece in chunk:
             self._append(piece)
         for id_, entries in indexes.items():
             self._append(records.index_data(id_, entries))
 
-    def _submit(self) -> None:
-        if self._filled and self._rows is not None:
-            self._pool.submit(self._prefix, self._rows[: self._filled].copy())
-            self._prefix, self._filled = b"", 0
+    def _submit(self, rows: Records) -> None:
+        self._pool.submit(self._prefix, rows)
+        self._prefix = b""
 
     def _append_own(self, chunk: tuple[int, bytes, Records]) -> None:
         first_ns, record, index = chunk
@@ -184,21 +164,13 @@ def _compressed(compression: str, prefix: bytes, rows: Records) -> tuple[int, by
     return int(times.min()), record, index
 
 
-def _empty_rows(connection: int, size: int, chunk_bytes: int) -> Records:
-    """Return the records of a chunk of messages, without times and data."""
+def _empty_rows(connection: int, chunk_bytes: int, size: int) -> Records:
+    """Return the records of a chunk of messages of `size` bytes, without times and data."""
     head = records.fields({"op": records.MESSAGE, "conn": u4(connection), "time": bytes(8)})
     # The time is the last field of the head.
     before = struct.pack("<I", len(head)) + head[:-8]
-    dtype = np.dtype(
-        [
-            ("before", f"V{len(before)}"),
-            ("sec", "<u4"),
-            ("nanosec", "<u4"),
-            ("length", "<u4"),
-            ("data", f"V{size}"),
-        ]
-    )
-    rows = np.zeros(max(1, chunk_bytes // dtype.itemsize), dtype)
+    fields = {"before": f"V{len(before)}", "sec": "<u4", "nanosec": "<u4", "length": "<u4"}
+    rows = empty_records(fields, size, chunk_bytes)
     rows["before"] = np.void(before)
     rows["length"] = size
     return rows
@@ -210,15 +182,22 @@ class BagWriter(MessageWriter):
     `target`: a path; a bag begins with the place of its index, so it cannot be a pipe
     `topic`: the topic and its definition
     `compression`: of the chunks: ``"none"``, ``"lz4"`` or ``"bz2"``
+    `options`: those of :class:`BagFile`
     """
 
     _output: OutputFile
 
-    def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
+    def __init__(
+        self,
+        target: Path | str,
+        topic: Topic,
+        compression: str,
+        **options: Any,
+    ) -> None:
         refuse_streams(target, "a ROS 1 bag")
         super().__init__(OutputFile(target))
-        with self._errors():
-            self._bag = BagFile(self._output.stream, topic, compression)
+        with self._opening():
+            self._bag = BagFile(self._output.stream, topic, compression, **options)
 
     def _write(self, log_ns: Int64, messages: Records) -> None:
         self._bag.write(log_ns, messages)

@@ -73,7 +73,7 @@ class ChunkInfo:
     counts: Mapping[int, int]
 
     @classmethod
-    def of(cls, place: int, indexes: Mapping[int, Records]) -> ChunkInfo:
+    def from_indexes(cls, place: int, indexes: Mapping[int, Records]) -> ChunkInfo:
         """Return what the index data of a chunk say of it."""
         log_ns = np.concatenate([np.zeros(0, np.int64), *map(times, indexes.values())])
         span = (int(log_ns.min()), int(log_ns.max())) if len(log_ns) else (0, 0)

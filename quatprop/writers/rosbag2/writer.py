@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
     from quatprop.arrays import AnyArray, Int64, Records
-    from quatprop.writers.mcap.channel import MessageChannel
 
 
 _COMPRESSIONS = {"none": CompressionMode.NONE, "zstd": CompressionMode.STORAGE}
@@ -83,7 +82,6 @@ class BulkMcap:
         self._file = McapFile(
             self._stream, "ros2", "zstd" if compression == CompressionMode.STORAGE else "none"
         )
-        self._channels: dict[int, MessageChannel] = {}
 
     def add_msgtype(self, connection: Connection) -> None:
         """Types are declared with the topics."""
@@ -92,13 +90,11 @@ class BulkMcap:
         """Declare a topic."""
         schema = connection.msgdef.data.encode()
         topic = Topic(connection.topic, connection.msgtype, "cdr", "ros2msg", schema)
-        self._channels[connection.id] = self._file.add_channel(
-            topic, {"offered_qos_profiles": offered_qos_profiles}
-        )
+        self._file.add_channel(topic, {"offered_qos_profiles": offered_qos_profiles})
 
-    def write_block(self, connection: Connection, log_ns: Int64, messages: AnyArray) -> None:
+    def write_block(self, _connection: Connection, log_ns: Int64, messages: Records) -> None:
         """Append messages."""
-        self._channels[connection.id].write(log_ns, messages)
+        self._file.write(log_ns, messages)
 
     def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
         """Messages are written by the block only."""
@@ -150,7 +146,7 @@ class SqliteBagWriter(MessageWriter):
         super().__init__(OutputPath(target, folder=True))
         self._bag = BulkWriter(self._output.path, version=9, storage_plugin=self.storage)
         self._bag.compression_mode = _COMPRESSIONS[compression]
-        with self._errors():
+        with self._opening():
             self._bag.open()
             self._connection = self._bag.add_connection(
                 topic.name, topic.type_name, msgdef=topic.schema.decode(), rihs01=topic.digest

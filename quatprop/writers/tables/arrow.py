@@ -83,7 +83,7 @@ class FeatherTable(ArrowTable):
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
         super().__init__(target, names)
         self._body = scratch_file(target)
-        with self._errors():
+        with self._opening():
             self._rows = pa.ipc.new_stream(self._body, self._schema)
 
     def _finish(self, provenance: Mapping[str, object]) -> None:

@@ -38,7 +38,7 @@ class NpyTable(TableWriter):
         self._count = 0
         refuse_streams(target, "a NumPy file")
         super().__init__(OutputFile(target))
-        with self._errors():
+        with self._opening():
             self._write_header()
 
     def _write(self, t_ns: AnyArray, columns: Sequence[AnyArray]) -> None:

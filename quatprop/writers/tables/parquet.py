@@ -36,7 +36,7 @@ class ParquetTable(ArrowTable):
 
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
         super().__init__(target, names)
-        with self._errors():
+        with self._opening():
             self._parquet = pyarrow.parquet.ParquetWriter(
                 self._output.stream,
                 self._schema,

@@ -81,7 +81,7 @@ class CoveredTime:
         return self._ns
 
 
-class ErrorMeter:
+class ErrorAccumulator:
     """Measures the errors of pairs of attitudes, block by block.
 
     What it finds does not depend on where blocks end.
