@@ -12,11 +12,14 @@ from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 
+import h5py
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from into_logs import write_bag, write_mcap
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
+from scipy.io import savemat
 from test_containers_ulog import added, gyro, write
 
 from quatprop import read_rates
@@ -58,7 +61,9 @@ BEHIND = {
     ".csv.gz": None,
     ".db3": "{} bytes follow the database and are not read; was another joined to it?",
     ".ulg": "{} bytes follow the log and are not read; was another joined to it?",
-    ".npy": "{} bytes follow its array",
+    ".npy": "{} bytes follow its array and are not read; was another joined to it?",
+    ".h5": "{} bytes follow the file and are not read; was another joined to it?",
+    ".mat": "{} bytes follow the file and are not read; was another joined to it?",
 }
 """What is said of the second of two logs that `cat` put one behind the other; None: it is read."""
 
@@ -72,6 +77,14 @@ def test_logs_one_behind_another_are_read_to_the_end_or_their_rest_is_lost(tmp_p
         start = str(10**18 + k * 10**12)
         if suffix == ".ulg":
             write(log, added("sensor_gyro", 0, 1), *gyro(1, range(5000, 255_000, 5000), 1e-6))
+        elif suffix in {".h5", ".mat"}:
+            columns = {"t_ns": int(start) + 10**7 * np.arange(50)}
+            columns |= {f"gyro_{axis}_rad_s": np.full(50, 0.1) for axis in "xyz"}
+            if suffix == ".mat":
+                savemat(log, columns)
+            else:
+                with h5py.File(log, "w") as file:
+                    file.update(columns)
         else:
             target = tmp_path / f"{k}" if suffix == ".db3" else log
             made = ["simulate", str(target), "--samples", "50", "--truth", "none", "-q"]

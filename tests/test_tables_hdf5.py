@@ -7,8 +7,9 @@ import pytest
 from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
-from quatprop import propagate, read_attitudes, read_rates
+from quatprop import DataLossWarning, propagate, read_attitudes, read_rates
 from quatprop.cli.commands import cli
+from quatprop.tables.hdf5 import Hdf5Log
 
 h5py = pytest.importorskip("h5py")
 
@@ -140,16 +141,21 @@ def test_the_time_beside_the_rates_is_theirs(tmp_path):
 
 
 @pytest.mark.parametrize("version", ["earliest", "latest"])
-def test_two_files_joined_are_refused(tmp_path, version):
-    """HDF5 stops at the end that the first one states, and half the samples would be missing."""
+@pytest.mark.parametrize("rest", [None, b"\0", b"\xff" * 99], ids=["joined", "zero", "noise"])
+@pytest.mark.parametrize("before", [0, 512])
+def test_what_follows_the_end_of_the_file_is_lost(tmp_path, version, rest, before):
+    """HDF5 stops at the end that the file states, and half the samples would be missing."""
     path = tmp_path / "a.h5"
-    with h5py.File(path, "w", libver=version) as file:
+    with h5py.File(path, "w", libver=version, userblock_size=before) as file:
         file["gyr"] = RATES
-    size = path.stat().st_size
-    path.write_bytes(2 * path.read_bytes())
-    assert refusal(path) == (
-        f"Error: {path}: another file begins in it at byte {size}; split it there into two\n"
-    )
+        file.attrs["sampling_rate"] = RATE_HZ
+    content = path.read_bytes()
+    with Hdf5Log(path) as log:
+        assert not log.losses
+    rest = content if rest is None else rest
+    path.write_bytes(content + rest)
+    with pytest.warns(DataLossWarning, match=f"byte {len(content)}: {len(rest)} bytes follow the"):
+        assert read_rates(path, rate_unit="rad/s").rate.tobytes() == RATES.tobytes()
 
 
 def test_a_damaged_chunk_loses_its_rows(tmp_path):

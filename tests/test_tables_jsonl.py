@@ -223,3 +223,12 @@ def test_one_object_with_all_rows_is_named_as_such(tmp_path, indent, count):
     )
     line = '{"list":[{"a":1}],"t_ns":1,"wx":1,"wy":2,"wz":3}'
     assert read(written(tmp_path, line))[:2] == ([1], [[1, 2, 3]])
+
+
+def test_a_time_that_no_integer_holds_loses_its_row(tmp_path):
+    """As in a table of text; the log was refused as a whole."""
+    text = "".join(ROW % (k, k, k, 1) for k in range(40))
+    text += f'{{"t_ns":{10**25},"wx":1,"wy":1,"wz":1}}\n'
+    t_ns, _, losses = read(written(tmp_path, text))
+    assert t_ns == list(range(40))
+    assert losses == [("line 41", "its time does not fit in int64 ns")]

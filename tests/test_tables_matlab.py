@@ -133,3 +133,11 @@ def test_without_scipy_the_way_out_is_named(path, monkeypatch):
         "files of MATLAB before version 7.3 need scipy, which is not installed; pip install scipy, "
         "or save it again with '-v7.3'"
     )
+
+
+def test_two_files_of_version_4_in_one_are_refused(path):
+    """Such a file has no beginning, so the variables of the second replaced those of the first."""
+    savemat(path, {"gyr": RATES, "t": SECONDS}, format="4")
+    path.write_bytes(2 * path.read_bytes())
+    reason = "several of its variables have one name; was another file joined to it?"
+    assert refusal(path) == reason

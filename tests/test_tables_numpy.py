@@ -228,7 +228,10 @@ def test_what_follows_the_array_is_told(tmp_path):
         np.save(file, records())
     _, _, losses = read(path)
     assert [(loss.place, loss.reason) for loss in losses] == [
-        ("end of the file", "288 bytes follow its array")
+        (
+            "end of the file",
+            "288 bytes follow its array and are not read; was another joined to it?",
+        )
     ]
 
 
@@ -292,7 +295,10 @@ def test_joined_archives_are_refused(tmp_path):
     content = path.read_bytes()
     path.write_bytes(content[:-22] + bytes(22))  # without the end record of the second
     assert [(loss.place, loss.reason) for loss in read(path)[2]] == [
-        (f"byte {size}", f"{size} bytes follow the archive")
+        (
+            f"byte {size}",
+            f"{size} bytes follow the archive and are not read; was another joined to it?",
+        )
     ]
 
 

@@ -11,7 +11,6 @@ from quatprop.stores.objects import without_secret
 from quatprop.text import spelled
 
 if TYPE_CHECKING:
-
     from quatprop.pipeline.job import Job
     from quatprop.tables.log import Loss
 

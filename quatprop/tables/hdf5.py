@@ -6,12 +6,11 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from quatprop.errors import DamagedLogError, UnsupportedLogError, UsageError
-from quatprop.tables.base import refuse_second_file
 from quatprop.tables.hdf5_attributes import column_names, packing, sample_rate, unit_of
 from quatprop.tables.hdf5_storage import ERRORS, StoredRows, read_rows, refusal, shape_of
 from quatprop.tables.model import TableNotes
 from quatprop.tables.npy_format import ArrayColumn, ArrayHeader, HeaderError, columns_of
-from quatprop.tables.numpy_table import NumpyTable, Wanted
+from quatprop.tables.numpy_table import NumpyTable, Wanted, following
 from quatprop.tables.typed_table import DamageError
 from quatprop.text import plain, quoted
 
@@ -55,8 +54,7 @@ class Hdf5Log(NumpyTable):
                 with path.open("rb") as self._bytes:
                     self._file.visititems(self._describe)
                 self._file.visititems_links(self._describe_link)
-                if (end := _second_file(path)) is not None:
-                    refuse_second_file(path, end)
+                self._note_rest()
                 if all(member in self._refused for member, _ in self._members):
                     reason = next(iter(self._refused.values()), "it has no datasets; name a log")
                     raise UnsupportedLogError(path, reason)
@@ -76,6 +74,23 @@ class Hdf5Log(NumpyTable):
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+    def _note_rest(self) -> None:
+        """Note bytes behind the end that the file states.
+
+        References
+        ----------
+        The HDF Group, "HDF5 File Format Specification", II.A: "Superblock".
+        """
+        with self.path.open("rb") as file:
+            file.seek(self._file.userblock_size)
+            head = file.read(64)
+            size = file.seek(0, 2)
+        version = head[len(_MAGIC)]
+        at = 28 if version > 1 else 40 + 4 * version
+        end = int.from_bytes(head[at : at + 8], "little")
+        if head.startswith(_MAGIC) and end < size:
+            self.losses.note(f"byte {end}", following(size - end, "the file"))
 
     def _describe_link(self, path: str, link: Any) -> None:
         """Note a link to another file."""
@@ -140,21 +155,3 @@ def _columns(dataset: Any) -> list[ArrayColumn]:
     if shape is None or dataset.dtype.hasobject:
         raise HeaderError(f"its type is {dataset.dtype}, not numbers")
     return columns_of(ArrayHeader(dataset.dtype, shape, is_fortran=False))
-
-
-def _second_file(path: Path) -> int | None:
-    """Return where another file begins behind the end that the first one states.
-
-    References
-    ----------
-    The HDF Group, "HDF5 File Format Specification", II.A: "Superblock".
-    """
-    with path.open("rb") as file:
-        head = file.read(64)
-        version = head[len(_MAGIC)]
-        at = 28 if version > 1 else 40 + 4 * version
-        end = int.from_bytes(head[at : at + 8], "little")
-        if not head.startswith(_MAGIC) or end > path.stat().st_size:
-            return None
-        file.seek(end)
-        return end if file.read(len(_MAGIC)) == _MAGIC else None

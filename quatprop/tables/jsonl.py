@@ -16,17 +16,17 @@ from typing import TYPE_CHECKING
 import pyarrow as pa
 
 from quatprop.errors import UnsupportedLogError
-from quatprop.tables.jsonl_parser import LineParser
-from quatprop.tables.text_stream import RejectedRows, open_text, record_blocks
-from quatprop.tables.typed_table import Leaf, RowGroup, TypedTable, element_leaves
+from quatprop.tables.jsonl_parser import JsonRows
+from quatprop.tables.text_stream import open_text, record_blocks
+from quatprop.tables.typed_table import Leaf, TypedTable, element_leaves
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from quatprop.provenance import JsonObject
-    from quatprop.tables.base import TimedColumns
+    from quatprop.tables.base import Batches, TimedColumns
     from quatprop.tables.model import TableNotes
 
 HEAD_BYTES = 1 << 16
@@ -99,18 +99,13 @@ class JsonLinesLog(TypedTable):
                     f"column {quoted(leaf.name)} holds text, not numbers; convert it to numbers",
                 )
 
-    def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
-        yield RowGroup("the rest of the file", 0, self._batches(columns))
-
-    def _batches(self, columns: TimedColumns) -> Iterator[pa.RecordBatch | int]:
-        parser = LineParser(
-            RejectedRows(self.path, self.losses),
-            [self._leaves[k] for k in (*columns.numbers, *(k for k, _ in columns.series))],
-            [(self._leaves[k], unit) for k, unit in zip(columns.time, columns.units, strict=True)],
-        )
+    def _stored_rows(self, columns: TimedColumns) -> Batches:
+        """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
+        self._refuse_text(columns)
+        self._forget_earlier_reading()
+        rows = JsonRows(self, columns, {k: self._leaves[k] for k in columns.used})
         with closing(open_text(self.path)) as text:
-            for block in record_blocks(text, 1):
-                yield from parser.parse(block.data, block.line)
+            yield from rows.batches(record_blocks(text, 1))
             if text.damage:
                 self.losses.note("end of the file", text.damage)
 

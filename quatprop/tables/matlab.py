@@ -20,7 +20,7 @@ from quatprop.errors import DamagedLogError, UnsupportedLogError, UsageError
 from quatprop.stores.compression import UnreadableDataError, decompressed_pieces
 from quatprop.stores.limits import DecompressionBudget
 from quatprop.tables.npy_format import ArrayHeader, HeaderError, columns_of
-from quatprop.tables.numpy_table import NumpyTable
+from quatprop.tables.numpy_table import NumpyTable, following
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class MatlabLog(NumpyTable):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         try:
-            from scipy.io import loadmat
+            from scipy.io import loadmat, whosmat
         except ImportError as error:
             raise UsageError(
                 f"{plain(path)}: files of MATLAB before version 7.3 need scipy, which is not "
@@ -58,11 +58,16 @@ class MatlabLog(NumpyTable):
         for place, element in self._elements():
             try:
                 variables = loadmat(BytesIO(element))
+                names = [name for name, *_ in whosmat(BytesIO(element))]
             except MemoryError:
                 raise
             except Exception as error:  # noqa: BLE001  # what scipy raises for damage is its choice
                 self.losses.note(place, f"a variable is damaged: {plain(error)}")
                 continue
+            if len(set(names)) < len(names):
+                raise UnsupportedLogError(
+                    path, "several of its variables have one name; was another file joined to it?"
+                )
             found += 1
             for name, value in variables.items():
                 if type(value).__name__ == "MatlabOpaque":
@@ -90,6 +95,10 @@ class MatlabLog(NumpyTable):
             while tag := file.read(_TAG_BYTES):
                 place = f"byte {file.tell() - len(tag)}"
                 kind, length = struct.unpack(order + "II", tag.ljust(_TAG_BYTES, b"\0"))
+                if _MAGIC.startswith(tag):
+                    rest = size - file.tell() + len(tag)
+                    self.losses.note(place, following(rest, "the file"))
+                    return
                 data = file.read(min(length, size))
                 if len(tag) < _TAG_BYTES or len(data) < length:
                     self.losses.note(place, "the file ends within a variable")

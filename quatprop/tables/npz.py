@@ -21,7 +21,7 @@ from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.provenance import METADATA_KEY, JsonObject, provenance_in
 from quatprop.tables.base import refuse_second_file
 from quatprop.tables.npy_format import ArrayColumn, HeaderError, columns_of, read_header
-from quatprop.tables.numpy_table import NumpyTable, archive_damage
+from quatprop.tables.numpy_table import NumpyTable, archive_damage, following
 from quatprop.tables.typed_table import DamageError
 from quatprop.text import listed, plain, quoted
 
@@ -176,7 +176,7 @@ class NpzLog(NumpyTable):
             at = file.read().rfind(b"PK\5\6")
         end = first + at + _END_SIZE + len(self._archive.comment)
         if at >= 0 and end < size:
-            self.losses.note(f"byte {end}", f"{size - end} bytes follow the archive")
+            self.losses.note(f"byte {end}", following(size - end, "the archive"))
 
     def _other_content(self) -> str:
         """Return what an archive without arrays of NumPy is."""

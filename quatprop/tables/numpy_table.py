@@ -110,6 +110,11 @@ class NumpyTable(TypedTable):
                 stream.read(1)
 
 
+def following(count: int, what: str) -> str:
+    """Return why bytes behind the end of a file are lost."""
+    return f"{count} bytes follow {what} and are not read; was another joined to it?"
+
+
 def rows_at_once(size: int) -> int:
     """Return how many rows of some bytes are read together."""
     return max(1, min(BATCH_ROWS, _BLOCK_BYTES // size))
@@ -185,7 +190,7 @@ class NpyLog(NumpyTable):
             self._add_column(name, "", column)
         beyond = size - begin - math.prod(header.shape) * header.dtype.itemsize
         if beyond > 0:
-            self.losses.note("end of the file", f"{beyond} bytes follow its array")
+            self.losses.note("end of the file", following(beyond, "its array"))
 
     def _open_array(self, member: str) -> BinaryIO:  # noqa: ARG002  # there is one array
         return self.path.open("rb")

@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
 
-from quatprop.errors import UnreadableLogError, UnsupportedLogError, os_reason
+from quatprop.errors import UnreadableLogError, os_reason
 from quatprop.stores.compressed_files import MAGIC_BYTES, file_compression
 from quatprop.stores.compression import UnreadableDataError, decompressed_pieces
-from quatprop.text import Setting, plain
+from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from quatprop.tables.log import Losses
 
 BLOCK_BYTES = 1 << 22
 """Bytes of a block; a longer record makes a longer one."""
@@ -25,7 +24,6 @@ BLOCK_BYTES = 1 << 22
 _SMALL_LOG = 1 << 16
 _PIECE_BYTES = 1 << 18
 _LONGEST_RECORD = 1 << 26
-_LOSSES_A_BLOCK = 8
 
 
 class TextBlock(NamedTuple):
@@ -140,43 +138,3 @@ def record_end(buffer: bytes | bytearray, end: int) -> int:
         quotes -= buffer.count(b'"', before, cut)
         cut = before
     return cut or last
-
-
-class RejectedRows:
-    """Rows of a text table that do not fit: noted as losses; if most do not, the table is refused.
-
-    `losses`: where to note them
-    `count`: how many rows were read so far, those that do not fit among them
-    """
-
-    def __init__(self, path: Path, losses: Losses) -> None:
-        self.count = 0
-        self._path = path
-        self._losses = losses
-        self._first = (0, "")
-        self._rejected = 0
-
-    def note(self, rows: list[tuple[int, str]]) -> None:
-        """Note line number and reason of rejected rows of a block, together where they are many."""
-        if not rows:
-            return
-        if not self._rejected:
-            self._first = rows[0]
-        self._rejected += len(rows)
-        if len(rows) <= _LOSSES_A_BLOCK:
-            for line, reason in rows:
-                self._losses.note(f"line {line}", reason, 1)
-            return
-        reason = f"{len(rows)} of these rows do not fit; the first: {rows[0][1]}"
-        self._losses.note(f"lines {rows[0][0]} to {rows[-1][0]}", reason, len(rows))
-
-    def refuse_if_most(self) -> None:
-        """Refuse a table of which more rows were rejected than read."""
-        if 2 * self._rejected > self.count:
-            line, reason = self._first
-            raise UnsupportedLogError(
-                self._path,
-                f"{self._rejected} of its first {self.count} rows do not fit (line {line}: "
-                f"{reason}); check the columns and units, such as {Setting('time_unit')}, or "
-                "whether it is one table",
-            )

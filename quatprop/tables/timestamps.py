@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from decimal import ROUND_HALF_EVEN, Context, Decimal, InvalidOperation, Overflow
 from fractions import Fraction
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -20,7 +20,7 @@ from quatprop.text import Setting
 from quatprop.times import NS_PER_S, regular_stamps
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable
 
     from quatprop.arrays import Float64, Int64
 
@@ -37,9 +37,6 @@ _LIMITS = np.iinfo(np.int64)
 _EXACT = Context(prec=400, rounding=ROUND_HALF_EVEN)
 
 
-ParsedT = TypeVar("ParsedT")
-
-
 class TimestampRangeError(ValueError):
     """A stamp that int64 nanoseconds cannot hold."""
 
@@ -52,18 +49,6 @@ def decimal_type(unit: str, spare: int = 0) -> pa.DataType:
     """
     scale = PLACES[unit] + spare
     return pa.decimal128(_DIGITS - scale, scale)
-
-
-def with_spare_places(
-    parse: Callable[[int], ParsedT], spare: int, misfits: tuple[type[Exception], ...]
-) -> tuple[ParsedT, int]:
-    """Parse text with so many spare places or, where it does not fit, with all of them."""
-    try:
-        return parse(spare), spare
-    except misfits:
-        if spare:
-            raise
-    return parse(SPARE_PLACES), SPARE_PLACES
 
 
 def refuse_tiny_numbers(data: bytes | memoryview) -> None:
@@ -82,7 +67,7 @@ def refuse_tiny_numbers(data: bytes | memoryview) -> None:
         marks = marks[text[marks + 1] == ord("-")] + 1
         first, second, third = (text[marks + k] - np.uint8(ord("0")) for k in (1, 2, 3))
         if np.any((first <= 9) & (second <= 9) & ((third <= 9) | (first >= 4))):  # noqa: PLR2004  # digits
-            raise TimestampRangeError
+            raise TimestampRangeError("its time is a number below 1e-39")
 
 
 def nanoseconds(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:

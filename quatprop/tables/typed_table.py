@@ -21,7 +21,7 @@ from quatprop.tables.model import TableNotes
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from quatprop.arrays import Bool, Float64, Int64
@@ -133,11 +133,19 @@ class TypedTable(TableLog):
                 if isinstance(batch, int):
                     count += batch
                     continue
-                own = self._own_rows(batch, columns) if columns.series else batch
-                t_ns, numbers = self._values(own, columns, first + count)
-                if len(t_ns):
-                    yield t_ns, numbers
-                count += own.num_rows
+                try:
+                    rows = batch_rows(batch, self._leaves, columns, first + count)
+                except timestamps.TimestampRangeError:
+                    names = listed(self._leaves[k].name for k in columns.time)
+                    raise UnsupportedLogError(
+                        self.path,
+                        f"times of column {names} do not fit in int64 ns when they are "
+                        f"{columns.time_unit}; check {Setting('time_unit')}",
+                    ) from None
+                rows.note(self, first + count)
+                if len(rows.t_ns):
+                    yield rows.t_ns, rows.numbers
+                count += rows.total
             first += count if columns.series else max(group.rows, count)
 
     def _whole_batches(self, group: RowGroup) -> Iterator[pa.RecordBatch | int]:
@@ -185,16 +193,6 @@ class TypedTable(TableLog):
             if _is_whole(leaf.type) or _is_text(leaf.type)
         }
 
-    def _own_rows(self, batch: pa.RecordBatch, columns: TimedColumns) -> pa.RecordBatch:
-        """Return the rows of the series, and count the others."""
-        own = np.ones(batch.num_rows, np.bool_)
-        for k, label in columns.series:
-            values = values_of(batch, self._leaves[k])
-            texts = pc.utf8_trim_whitespace(values.cast(pa.string()))
-            own &= to_numpy(pc.equal(texts, label).fill_null(False))  # its only one
-        self.other_rows += int(np.count_nonzero(~own))
-        return batch.filter(to_arrow(own))
-
     def _refuse_text(self, columns: TimedColumns) -> None:
         declared = self.notes.units
         names = self.columns()
@@ -213,44 +211,59 @@ class TypedTable(TableLog):
                     f"column {quoted(leaf.name)} holds {held}, not numbers; convert it to numbers",
                 )
 
-    def _values(
-        self, batch: pa.RecordBatch, columns: TimedColumns, first: int
-    ) -> tuple[Int64, Float64]:
-        numbers = np.empty((batch.num_rows, len(columns.numbers)))
-        for axis, k in enumerate(columns.numbers):
-            values = values_of(batch, self._leaves[k])
-            if pa.types.is_decimal128(values.type):
-                values = values.cast(pa.string())  # the nearest double, which Arrow's own is not
-            numbers[:, axis] = to_numpy(values.cast(pa.float64(), safe=False))
-        if not columns.time:
-            t_ns = timestamps.row_stamps(first, batch.num_rows, columns.sample_rate or 1.0)
-            return t_ns, numbers
-        timed = np.ones(batch.num_rows, np.bool_)
-        for k in columns.time:
-            timed &= _has_value(values_of(batch, self._leaves[k]))
-        if not timed.all():
-            untimed = int(np.count_nonzero(~timed))
-            place = f"rows {first + 1} to {first + batch.num_rows}"
-            self.losses.note(place, "rows without a time", untimed)
-            batch, numbers = batch.filter(to_arrow(timed)), numbers[timed]
-        return self._stamps(batch, columns), numbers
 
-    def _stamps(self, batch: pa.RecordBatch, columns: TimedColumns) -> Int64:
-        try:
-            return timestamps.sum_parts(
-                timestamps.nanoseconds(values_of(batch, self._leaves[k]), unit)
-                for k, unit in zip(columns.time, columns.units, strict=True)
-            )
-        except timestamps.TimestampRangeError:
-            names = listed(self._leaves[k].name for k in columns.time)
-            raise UnsupportedLogError(
-                self.path,
-                f"times of column {names} do not fit in int64 ns when they are "
-                f"{columns.time_unit}; check {Setting('time_unit')}",
-            ) from None
+class BatchRows(NamedTuple):
+    """Rows of the series that is read, those with a time.
+
+    `t_ns`: stamps, shape ``(N,)``, int64, ns
+    `numbers`: as stored, shape ``(N, k)``, float64; NaN where there are none
+    `total`: how many rows of the series there were, with a time or without
+    `others`: how many rows of other series
+    """
+
+    t_ns: Int64
+    numbers: Float64
+    total: int
+    others: int
+
+    def note(self, log: TableLog, first: int) -> None:
+        """Count rows that are not read, in a batch that begins with a row of the series."""
+        log.other_rows += self.others
+        if untimed := self.total - len(self.t_ns):
+            place = f"rows {first + 1} to {first + self.total}"
+            log.losses.note(place, "rows without a time", untimed)
 
 
-def values_of(batch: pa.RecordBatch, leaf: Leaf) -> pa.Array:
+def batch_rows(
+    batch: pa.RecordBatch | pa.Table,
+    leaves: Sequence[Leaf] | Mapping[int, Leaf],
+    columns: TimedColumns,
+    first: int,
+) -> BatchRows:
+    """Return stamps and numbers of a batch, whose first row of the series has a number."""
+    total = batch.num_rows
+    for k, label in columns.series:
+        texts = pc.utf8_trim_whitespace(values_of(batch, leaves[k]).cast(pa.string()))
+        batch = batch.filter(pc.equal(texts, label))
+    count = batch.num_rows
+    numbers = np.empty((count, len(columns.numbers)))
+    for axis, k in enumerate(columns.numbers):
+        values = values_of(batch, leaves[k])
+        if pa.types.is_decimal128(values.type):
+            values = values.cast(pa.string())  # the nearest double, which Arrow's own is not
+        numbers[:, axis] = to_numpy(values.cast(pa.float64(), safe=False))
+    if not columns.time:
+        t_ns = timestamps.row_stamps(first, count, columns.sample_rate or 1.0)
+        return BatchRows(t_ns, numbers, count, total - count)
+    times = [values_of(batch, leaves[k]) for k in columns.time]
+    timed = np.logical_and.reduce([_has_value(values) for values in times])
+    if not timed.all():
+        times, numbers = [values.filter(to_arrow(timed)) for values in times], numbers[timed]
+    t_ns = timestamps.sum_parts(map(timestamps.nanoseconds, times, columns.units))
+    return BatchRows(t_ns, numbers, count, total - count)
+
+
+def values_of(batch: pa.RecordBatch | pa.Table, leaf: Leaf) -> pa.Array | pa.ChunkedArray:
     """Return the values of a column; null where a list is too short."""
     column = batch.column(leaf.path[0])
     if leaf.path[1:]:
@@ -275,7 +288,7 @@ def _is_whole(kind: pa.DataType) -> bool:
     return bool(pa.types.is_integer(kind) or (pa.types.is_decimal128(kind) and kind.scale == 0))
 
 
-def _has_value(column: pa.Array) -> Bool:
+def _has_value(column: pa.Array | pa.ChunkedArray) -> Bool:
     """Return which values are neither null nor NaN nor infinite, shape ``(N,)``."""
     valid = column.is_valid()
     if pa.types.is_floating(column.type):

@@ -14,16 +14,10 @@ from quatprop.provenance import COMMENT, JsonObject, provenance_in
 from quatprop.tables.base import TableLog
 from quatprop.tables.csv.headers import HEAD_BYTES, detect_layout, is_data, split_cells
 from quatprop.tables.csv.notes import NUMBER
-from quatprop.tables.csv.reading import BlockReader
+from quatprop.tables.csv.reading import CsvRows
 from quatprop.tables.csv.row_parser import RowParser
 from quatprop.tables.csv.truncation import TAIL_BYTES, is_truncated
-from quatprop.tables.text_stream import (
-    RejectedRows,
-    TextStream,
-    open_text,
-    record_blocks,
-    record_end,
-)
+from quatprop.tables.text_stream import TextStream, open_text, record_blocks, record_end
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -122,25 +116,23 @@ class CsvLog(TableLog):
     def _stored_rows(self, columns: TimedColumns) -> Batches:
         """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         text = self._restart()
-        rejected = RejectedRows(self.path, self.losses)
-        reader = BlockReader(rejected, self.path, self._layout, columns)
-        tail = b""
+        rows = CsvRows(self, self._layout, columns)
         try:
-            for block in record_blocks(text, self._layout.line):
-                whole = self._without_truncated_line(block, tail, text, columns)
-                tail = bytes(block.data[-TAIL_BYTES:])
-                if not len(whole.data):
-                    continue
-                t_ns, numbers = reader.read(whole)
-                rejected.refuse_if_most()
-                if len(t_ns):
-                    yield t_ns, numbers
-            self.other_rows = reader.other_rows
+            yield from rows.batches(self._whole_blocks(text, columns))
             if text.damage:
                 self.losses.note("end of the file", text.damage)
         finally:
             if self._stream is None:
                 text.close()
+
+    def _whole_blocks(self, text: TextStream, columns: TimedColumns) -> Iterator[TextBlock]:
+        """Yield the rows of a text, but for a last line that was cut off."""
+        tail = b""
+        for block in record_blocks(text, self._layout.line):
+            whole = self._without_truncated_line(block, tail, text, columns)
+            tail = bytes(block.data[-TAIL_BYTES:])
+            if len(whole.data):
+                yield whole
 
     def _without_truncated_line(
         self, block: TextBlock, tail: bytes, text: TextStream, columns: TimedColumns

@@ -19,13 +19,13 @@ from quatprop.errors import UnsupportedLogError
 from quatprop.tables import timestamps
 from quatprop.tables.csv.headers import COMMENTS, CsvLayout
 from quatprop.tables.csv.notes import NUMBER, without_trailing_cells
+from quatprop.tables.text_rows import RowMisfitError
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
-    from quatprop.arrays import Float64, Int64
     from quatprop.tables.base import TimedColumns
 
 _LARGEST = np.iinfo(np.int64).max
@@ -35,31 +35,23 @@ _NOT_A_NUMBER = {
 }
 
 
-class OpenQuoteError(ValueError):
-    """A quote that is not closed where its cell should end."""
-
-
-MISFITS = (pa.ArrowInvalid, timestamps.TimestampRangeError, OpenQuoteError)
-"""What is raised for a block in which a row does not fit."""
-
-
 class ParsedRows(NamedTuple):
-    """Rows of a block or a piece.
+    """Rows of a piece.
 
-    `t_ns`: Stamps, shape ``(N,)``, int64, ns; None for a table without time
-    `numbers`: numbers as stored, shape ``(N, k)``, float64; NaN where a cell is empty
-    `total`: how many rows there were, kept and rejected
-    `kept`: which of them were kept, shape ``(N,)``, int64; None where all were
-    `rejected`: line number and reason of each row that was rejected
+    `stamps`: ns, of the rows that fit; not to be used for a table without time
+    `numbers`: as stored, of the rows that fit; NaN where a cell is empty
+    `kept`: which of the rows they are
+    `total`: how many rows there were, those that do not fit among them
+    `rejected`: line number and reason of each row that does not fit
     `others`: how many rows of other series there were besides
     """
 
-    t_ns: Int64 | None
-    numbers: Float64
+    stamps: list[int]
+    numbers: list[list[float]]
+    kept: list[int]
     total: int
-    kept: Int64 | None = None
-    rejected: tuple[tuple[int, str], ...] = ()
-    others: int = 0
+    rejected: list[tuple[int, str]]
+    others: int
 
 
 def date_type(layout: CsvLayout, k: int) -> pa.DataType | None:
@@ -81,14 +73,11 @@ class RowParser:
 
     def parse(self, data: bytes, line: int) -> ParsedRows:
         """Return the rows that fit."""
-        stamps: list[int] = []
-        numbers: list[list[float]] = []
-        kept: list[int] = []
-        rejected: list[tuple[int, str]] = []
-        count = others = 0
+        rows = ParsedRows([], [], [], 0, [], 0)
+        total = others = 0
         for place, cells in self._records(data, line):
             if isinstance(cells, str):
-                rejected.append((place, cells))
+                rows.rejected.append((place, cells))
             elif self._is_no_row([cell.strip() for cell in cells], place):
                 continue
             elif self._is_of_another_series(cells):
@@ -98,33 +87,26 @@ class RowParser:
                 try:
                     stamp, row = self._row(cells)
                 except ValueError as error:
-                    rejected.append((place, str(error)))
+                    rows.rejected.append((place, str(error)))
                 else:
-                    stamps.append(stamp)
-                    numbers.append(row)
-                    kept.append(count)
-            count += 1
-        return ParsedRows(
-            np.array(stamps, np.int64) if self.columns.time else None,
-            np.array(numbers, np.float64).reshape(-1, len(self.columns.numbers)),
-            count,
-            np.array(kept, np.int64),
-            tuple(rejected),
-            others,
-        )
+                    rows.stamps.append(stamp)
+                    rows.numbers.append(row)
+                    rows.kept.append(total)
+            total += 1
+        return rows._replace(total=total, others=others)
 
     def has_line_breaks_in_cells(self, data: bytes | memoryview) -> bool:
         """Return whether cells of whole records have line breaks."""
         text = np.frombuffer(data, np.uint8)
         quotes = np.flatnonzero(text == ord('"'))
         if len(quotes) % 2:
-            raise OpenQuoteError
+            raise RowMisfitError
         breaks = np.flatnonzero(text == ord("\n"))
         breaks = breaks[np.searchsorted(quotes, breaks) % 2 == 1]
         content = bytes(data) if len(breaks) else b""
         for begin in breaks + 1:
             if self.is_row(content[begin : content.find(b"\n", begin)]):
-                raise OpenQuoteError
+                raise RowMisfitError
         return len(breaks) > 0
 
     def is_row(self, line: bytes) -> bool:

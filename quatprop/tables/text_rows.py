@@ -1,0 +1,139 @@
+"""Rows of a text table: whole blocks at once, and taken apart where a row does not fit."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
+
+from quatprop.concurrency.threads import thread_count
+from quatprop.errors import UnsupportedLogError
+from quatprop.tables import timestamps
+from quatprop.tables.typed_table import BatchRows, Leaf, batch_rows
+from quatprop.text import Setting
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+
+    from quatprop.arrays import Float64, Int64
+    from quatprop.tables.base import Batches, TableLog, TimedColumns
+    from quatprop.tables.log import Losses
+    from quatprop.tables.text_stream import TextBlock
+
+_LOSSES_A_BLOCK = 8
+
+
+class RowMisfitError(ValueError):
+    """A row that pyarrow must not parse, or would not refuse."""
+
+
+MISFITS = (
+    *(pa.ArrowInvalid, pa.ArrowNotImplementedError, UnicodeDecodeError),
+    *(timestamps.TimestampRangeError, RowMisfitError),
+)
+"""What is raised for text in which a row does not fit."""
+
+
+class TextRows(ABC):
+    """One reading of a text table: a format says how to parse a block, and how to take it apart.
+
+    `leaves`: the columns to read, by their positions in the table
+    `task_bytes`: what one thread of pyarrow parses at a time
+    """
+
+    task_bytes: int
+
+    def __init__(self, log: TableLog, columns: TimedColumns, leaves: Mapping[int, Leaf]) -> None:
+        self.log = log
+        self.columns = columns
+        self.leaves = leaves
+        self.rejected = RejectedRows(log.path, log.losses)
+        # Stamps finer than ns are tried for once; without stamps there is nothing to try.
+        self._spare = 0 if columns.time else timestamps.SPARE_PLACES
+
+    @abstractmethod
+    def parse(self, block: TextBlock, task_bytes: int, spare: int) -> pa.Table:
+        """Return all rows of a block, their stamps with spare places; raise one of MISFITS."""
+
+    @abstractmethod
+    def apart(self, block: TextBlock) -> Batches:
+        """Yield the rows that fit, of a block in which one does not, and note the others."""
+
+    def batches(self, blocks: Iterable[TextBlock]) -> Batches:
+        """Yield stamps in ns, shape ``(N,)``, and numbers, shape ``(N, k)``, of rows that fit."""
+        for block in blocks:
+            try:
+                t_ns, numbers = self.whole(block)
+            except MISFITS:
+                none = (np.empty(0, np.int64), np.empty((0, len(self.columns.numbers))))
+                parts = zip(none, *self.apart(block), strict=True)
+                t_ns, numbers = map(np.concatenate, parts)
+            self.rejected.refuse_if_most()
+            if len(t_ns):
+                yield t_ns, numbers
+
+    def whole(self, block: TextBlock, task_bytes: int = 0) -> tuple[Int64, Float64]:
+        """Return stamps and numbers of a block all of whose rows fit."""
+        task_bytes = task_bytes or self.task_bytes
+        try:
+            rows = self._rows(block, task_bytes, self._spare)
+        except MISFITS:
+            if self._spare:
+                raise
+            rows = self._rows(block, task_bytes, timestamps.SPARE_PLACES)
+            self._spare = timestamps.SPARE_PLACES
+        rows.note(self.log, self.rejected.count)
+        self.rejected.count += rows.total
+        return rows.t_ns, rows.numbers
+
+    def _rows(self, block: TextBlock, task_bytes: int, spare: int) -> BatchRows:
+        table = self.parse(block, task_bytes, spare)
+        return batch_rows(table, self.leaves, self.columns, self.rejected.count)
+
+
+def use_threads(data: bytes | memoryview, task_bytes: int) -> bool:
+    """Whether a text is work for several threads."""
+    return len(data) > task_bytes and thread_count() > 1
+
+
+class RejectedRows:
+    """Rows of a text table that do not fit: noted as losses; if most do not, the table is refused.
+
+    `losses`: where to note them
+    `count`: how many rows were read so far, those that do not fit among them
+    """
+
+    def __init__(self, path: Path, losses: Losses) -> None:
+        self.count = 0
+        self._path = path
+        self._losses = losses
+        self._first = (0, "")
+        self._rejected = 0
+
+    def note(self, rows: list[tuple[int, str]]) -> None:
+        """Note line number and reason of rejected rows of a block, together where they are many."""
+        if not rows:
+            return
+        if not self._rejected:
+            self._first = rows[0]
+        self._rejected += len(rows)
+        if len(rows) <= _LOSSES_A_BLOCK:
+            for line, reason in rows:
+                self._losses.note(f"line {line}", reason, 1)
+            return
+        reason = f"{len(rows)} of these rows do not fit; the first: {rows[0][1]}"
+        self._losses.note(f"lines {rows[0][0]} to {rows[-1][0]}", reason, len(rows))
+
+    def refuse_if_most(self) -> None:
+        """Refuse a table of which more rows were rejected than read."""
+        if 2 * self._rejected > self.count:
+            line, reason = self._first
+            raise UnsupportedLogError(
+                self._path,
+                f"{self._rejected} of its first {self.count} rows do not fit (line {line}: "
+                f"{reason}); check the columns and units, such as {Setting('time_unit')}, or "
+                "whether it is one table",
+            )
