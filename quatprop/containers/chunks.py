@@ -139,9 +139,9 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         sized = ((chunk, self._share(chunk)) for chunk in chunks)
         with closing(load_ahead(sized, self._load)) as loaded:
             for (chunk, content), bound in zip(loaded, bounds, strict=False):
-                block = self._located(content, chunk)
+                block = self._message_block(content, chunk)
                 if block:
-                    yield replace(block, not_before_ns=bound)
+                    yield replace(block, watermark_ns=bound)
 
     def _load(self, chunk: Chunk) -> Content | MessageBlock:
         """Return a chunk, or copies of its messages: the memory of a mixed one is used again."""
@@ -149,7 +149,7 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         block = self.indexed(content, chunk) if self.is_mixed(chunk) else None
         return content if block is None else block.compacted()
 
-    def _located(self, content: Content | MessageBlock, chunk: Chunk) -> MessageBlock | None:
+    def _message_block(self, content: Content | MessageBlock, chunk: Chunk) -> MessageBlock | None:
         if isinstance(content, MessageBlock):
             return content
         block = self.indexed(content, chunk)

@@ -227,7 +227,7 @@ class TopicTable(Table):
             for group, (names, places) in zip(groups, wanted, strict=True):
                 own = [*islice(arrays, len(names))]
                 values.append(own[0] if len(group) == 1 else as_rows(own, places))
-            return RowBatch(log_ns_of(blocks), (t_ns, *values), blocks[-1].not_before_ns)
+            return RowBatch(log_ns_of(blocks), (t_ns, *values), blocks[-1].watermark_ns)
 
         return decode
 
