@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from quatprop.stores.byte_ranges import ranges_of
@@ -46,11 +47,16 @@ class Channel:
 
     def __post_init__(self) -> None:
         """Keep the definition as it is compared."""
-        definition = self.schema
-        if self.schema_encoding in {"ros1msg", "ros2msg"}:
-            lines = (line.partition(b"#")[0].split() for line in definition.splitlines())
-            definition = b"\n".join(b" ".join(line) for line in lines if line)
+        is_lines = self.schema_encoding in {"ros1msg", "ros2msg"}
+        definition = _without_comments(self.schema) if is_lines else self.schema
         object.__setattr__(self, "_definition", definition)
+
+
+@lru_cache(maxsize=256)
+def _without_comments(definition: bytes) -> bytes:
+    """Return the lines of a definition without comments and needless blanks."""
+    lines = (line.partition(b"#")[0].split() for line in definition.splitlines())
+    return b"\n".join(b" ".join(line) for line in lines if line)
 
 
 def by_topic(channels: Iterable[Channel]) -> list[Channel]:

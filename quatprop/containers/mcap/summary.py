@@ -110,7 +110,7 @@ def _ends_data(source: FileSource, place: int) -> bool:
     # Later versions of the format may add fields to it.
     return any(
         RECORD.unpack_from(tail, at) == (DATA_END, len(tail) - at - RECORD.size)
-        for at in range(len(tail) - RECORD.size - 3)
+        for at in reversed(range(len(tail) - RECORD.size - 3))
     )
 
 
