@@ -20,8 +20,7 @@ from quatprop.messages.times import to_ns
 from quatprop.messages.ulog import is_secondary
 from quatprop.progress import metered
 from quatprop.tables.batches import RowBatch, merge_by_time
-from quatprop.tables.model import Column, Stamp, Table, TablePart
-from quatprop.tables.time_range import TimeRange
+from quatprop.tables.model import Column, Stamp, Table, TablePart, TimeRange
 from quatprop.text import Setting, plain, quoted
 from quatprop.times import LATEST, duration_text
 

@@ -24,7 +24,7 @@ from quatprop.stores.compression import UnreadableDataError
 from quatprop.stores.file_source import FileSource
 from quatprop.tables.batches import NO_BOUND
 from quatprop.tables.log import Loss
-from quatprop.tables.time_range import TimeRange
+from quatprop.tables.model import TimeRange
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
