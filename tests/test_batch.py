@@ -241,7 +241,7 @@ def test_compressed_logs_lose_both_suffixes(tmp_path):
 
 def test_addresses_give_names_without_what_opens_them():
     """What an address says of its store is no part of a file's name."""
-    logs = ["s3://key:secret@logs/a.mcap?region=eu.west/1", "s3://logs/d/b.bag.zst?a=b.c"]
+    logs = ["s3://key:secret@logs/a.mcap?chunk=eu.west/1", "s3://logs/d/b.bag.zst?a=b.c"]
     assert names(*logs) == ["a", "b"]
     assert names(*logs, root="s3://logs") == ["a", "d/b"]
 

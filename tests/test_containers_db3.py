@@ -45,7 +45,7 @@ def rows_of(log, channel):
     for block in log.blocks(channel):
         assert block.log_ns.min() >= bound
         assert (block.publish_ns == block.log_ns).all()
-        bound = block.not_before_ns
+        bound = block.watermark_ns
         data = block.data.tobytes()
         rows += [
             (log_ns, data[start:end])

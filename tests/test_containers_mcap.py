@@ -212,7 +212,7 @@ def test_blocks_promise_what_does_not_come_any_more(tmp_path):
     assert len(blocks) > 10
     firsts = [int(block.log_ns.min()) for block in blocks]
     assert firsts == sorted(firsts)
-    assert [block.not_before_ns for block in blocks] == [*firsts[1:], LATEST]
+    assert [block.watermark_ns for block in blocks] == [*firsts[1:], LATEST]
 
 
 def test_stamps_that_need_the_64th_bit_are_cut_not_wrapped(tmp_path):

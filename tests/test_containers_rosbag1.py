@@ -174,7 +174,7 @@ def test_no_later_block_is_earlier_than_promised(tmp_path, name):
     with Rosbag1Log(path if name == "indexed" else unindexed(path)) as log:
         blocks = list(log.blocks(log.channels()[1]))
     assert len(blocks) > 20
-    promises = [block.not_before_ns for block in blocks]
+    promises = [block.watermark_ns for block in blocks]
     assert promises == sorted(promises)
     for promise, later in zip(promises, blocks[1:], strict=False):
         assert later.log_ns.min() >= promise

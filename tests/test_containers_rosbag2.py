@@ -55,7 +55,7 @@ def rows_of(log, channel):
     bound = None
     for block in log.blocks(channel):
         assert bound is None or block.log_ns.min() >= bound
-        bound = block.not_before_ns
+        bound = block.watermark_ns
         data = block.data.tobytes()
         rows += [
             (log_ns, data[start:end])
@@ -197,7 +197,7 @@ def test_blocks_of_overlapping_parts_alternate(tmp_path, monkeypatch):
     path, _ = split_bag(tmp_path / "bag", overlap=280)
     with Rosbag2Log(path) as log:
         (imu, _) = log.channels()
-        ahead = [int(block.log_ns.max()) - block.not_before_ns for block in log.blocks(imu)]
+        ahead = [int(block.log_ns.max()) - block.watermark_ns for block in log.blocks(imu)]
     assert max(ahead) < 256 * 1_000_000
 
 

@@ -21,7 +21,7 @@ def all_rows(batches):
     for batch in batches:
         assert len(batch.log_ns) == len(batch.values[0]) == len(batch.values[1]) > 0
         assert (batch.values[1] == np.stack([batch.values[0], batch.log_ns], axis=1)).all()
-        assert batch.not_before_ns == batch.log_ns[-1]
+        assert batch.watermark_ns == batch.log_ns[-1]
         rows += zip(batch.log_ns.tolist(), batch.values[0].tolist(), strict=True)
     return rows
 

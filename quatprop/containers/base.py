@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from quatprop.containers.kept_blocks import KeptBlocks
     from quatprop.messages.blocks import Channel, MessageBlock
-    from quatprop.tables.time_range import TimeRange
+    from quatprop.tables.model import TimeRange
 
 
 class MessageLog(Log):

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from contextlib import closing
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -17,12 +17,23 @@ from quatprop.messages.blocks import Channel, MessageBlock
 from quatprop.stores.byte_ranges import SHARE
 from quatprop.stores.file_source import FileSource, source_of
 from quatprop.stores.limits import DecompressionBudget
-from quatprop.tables.time_range import TimedPart, TimeRange, parts_within, span_of
+from quatprop.tables.model import TimeRange
 from quatprop.times import LATEST
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
     from pathlib import Path
+
+
+class TimedPart(Protocol):
+    """A part of a log, such as a chunk.
+
+    `first_ns`, `last_ns`: Log times of its earliest and latest message, ns; the latest is None
+        where it is unknown
+    """
+
+    first_ns: int
+    last_ns: int | None
 
 
 Chunk = TypeVar("Chunk", bound=TimedPart)
@@ -139,9 +150,9 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         sized = ((chunk, self._share(chunk)) for chunk in chunks)
         with closing(load_ahead(sized, self._load)) as loaded:
             for (chunk, content), bound in zip(loaded, bounds, strict=False):
-                block = self._located(content, chunk)
+                block = self._message_block(content, chunk)
                 if block:
-                    yield replace(block, not_before_ns=bound)
+                    yield replace(block, watermark_ns=bound)
 
     def _load(self, chunk: Chunk) -> Content | MessageBlock:
         """Return a chunk, or copies of its messages: the memory of a mixed one is used again."""
@@ -149,7 +160,7 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         block = self.indexed(content, chunk) if self.is_mixed(chunk) else None
         return content if block is None else block.compacted()
 
-    def _located(self, content: Content | MessageBlock, chunk: Chunk) -> MessageBlock | None:
+    def _message_block(self, content: Content | MessageBlock, chunk: Chunk) -> MessageBlock | None:
         if isinstance(content, MessageBlock):
             return content
         block = self.indexed(content, chunk)
@@ -159,6 +170,19 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         """Return how much of a group a chunk is, bytes: of a mixed one little is decoded."""
         size = self.size_of(chunk)
         return size // SHARE if size <= LARGE and self.is_mixed(chunk) else size
+
+
+def span_of(parts: Sequence[TimedPart]) -> TimeRange | None:
+    """Return when parts in order of time were recorded; None where that is not known of each."""
+    last = [part.last_ns for part in parts if part.last_ns is not None]
+    if not parts or len(last) < len(parts):
+        return None
+    return TimeRange(parts[0].first_ns, max(last))
+
+
+def parts_within(parts: Sequence[Chunk], within: TimeRange) -> list[Chunk]:
+    """Return the parts that overlap a range, or may."""
+    return [p for p in parts if p.last_ns is None or within.overlaps(p.first_ns, p.last_ns)]
 
 
 @cache

@@ -20,8 +20,7 @@ from quatprop.messages.times import to_ns
 from quatprop.messages.ulog import is_secondary
 from quatprop.progress import metered
 from quatprop.tables.batches import RowBatch, merge_by_time
-from quatprop.tables.model import Column, Stamp, Table, TablePart
-from quatprop.tables.time_range import TimeRange
+from quatprop.tables.model import Column, Stamp, Table, TablePart, TimeRange
 from quatprop.text import Setting, plain, quoted
 from quatprop.times import LATEST, duration_text
 
@@ -227,7 +226,7 @@ class TopicTable(Table):
             for group, (names, places) in zip(groups, wanted, strict=True):
                 own = [*islice(arrays, len(names))]
                 values.append(own[0] if len(group) == 1 else as_rows(own, places))
-            return RowBatch(log_ns_of(blocks), (t_ns, *values), blocks[-1].not_before_ns)
+            return RowBatch(log_ns_of(blocks), (t_ns, *values), blocks[-1].watermark_ns)
 
         return decode
 

@@ -116,6 +116,6 @@ class TransformTable(TopicTable):
             # In the order of the columns: x, y, z, w, and the position.
             numbers = np.column_stack((found.wxyz[ours][:, [1, 2, 3, 0]], found.position[ours]))
             values = (numbers[:, [k - 1 for k in group]] for group in groups)
-            return RowBatch(block.log_ns[message], (t_ns, *values), block.not_before_ns)
+            return RowBatch(block.log_ns[message], (t_ns, *values), block.watermark_ns)
 
         return decode

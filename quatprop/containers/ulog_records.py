@@ -34,6 +34,9 @@ SYNC = bytes.fromhex("2f731320250cbb12")
 """Content of synchronisation records, behind which reading resumes after damage."""
 
 HEAD = struct.Struct("<HB")
+_HEAD_AND_ID = struct.Struct("<HBH")
+"""A head and the first two bytes behind it, which are the id of a message."""
+
 _MAGIC = b"ULog\x01\x12\x35"
 _FORMAT, _SUBSCRIPTION, _DATA, _DROPOUT = b"FADO"
 _IDS = 1 << 16
@@ -137,23 +140,25 @@ def walk_records(source: FileSource, position: int, end: int, records: Records) 
 
 def _add_records(data: bytes, base: int, records: Records) -> int:
     """Add records up to the first that is damaged or not whole; return their bytes."""
-    unpack, size_of_head = HEAD.unpack_from, HEAD.size
+    unpack, size_of_head, end = _HEAD_AND_ID.unpack_from, HEAD.size, len(data)
     offset, size_note, id_note = records.offsets.append, records.sizes.append, records.ids.append
     bare_sizes, numbers = records.bare_sizes, records.numbers
-    position, last = 0, len(data) - size_of_head
+    padded = data + bytes(_HEAD_AND_ID.size)
+    position, last = 0, end - size_of_head
     while position <= last:
-        size, kind = unpack(data, position)
-        begin, after = position + size_of_head, position + size_of_head + size
-        if after > len(data):
+        size, kind, id_ = unpack(padded, position)
+        after = position + size_of_head + size
+        if after > end:
             break
         if kind == _DATA and size > 1:
-            id_ = data[begin] | data[begin + 1] << 8
             if size != bare_sizes[id_] and not _is_accepted(data, position, records):
                 break
             offset(base + position)
             size_note(size)
             id_note(numbers[id_])
-        elif kind not in _KINDS or not _KINDS[kind](content := data[begin:after]):
+        elif kind not in _KINDS or not _KINDS[kind](
+            content := data[position + size_of_head : after]
+        ):
             if not _is_alone(data, position, records):
                 break
             count = 1 if size in bare_sizes else None

@@ -15,6 +15,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, Header, MetadataIndex, Schema
 
+from quatprop.containers.mcap.chunks import INDEX_HEAD, PEEK, RECORD, chunk_head, load
 from quatprop.containers.mcap.definitions import IDS
 from quatprop.containers.mcap.messages import index_entries, messages_at
 from quatprop.containers.mcap.records import (
@@ -24,7 +25,6 @@ from quatprop.containers.mcap.records import (
     read_metadata,
     read_schema,
 )
-from quatprop.containers.mcap.regions import INDEX_HEAD, PEEK, RECORD, chunk_head, load
 from quatprop.containers.mcap.summary import MAGIC, read_footer
 from quatprop.containers.mcap.walk import walk_records
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError, os_reason
@@ -36,8 +36,8 @@ from quatprop.writers.mcap.contents import McapContents
 
 if TYPE_CHECKING:
     from quatprop.arrays import Records
+    from quatprop.containers.mcap.chunks import Chunk
     from quatprop.containers.mcap.log import McapLog
-    from quatprop.containers.mcap.regions import Region
     from quatprop.stores.compression import Buffer
     from quatprop.stores.file_source import FileSource
     from quatprop.writers.mcap.file import McapFile
@@ -52,7 +52,7 @@ _NAMES = 1 << 16
 """Bytes of an attachment that are read for its name and type."""
 
 _COPIED = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA})
-"""Records of the format that are copied; messages are in regions, and the rest is made anew."""
+"""Records of the format that are copied; messages are in chunks, and the rest is made anew."""
 
 
 class McapCopy:
@@ -83,37 +83,37 @@ class McapCopy:
             {id_: Schema(**record._asdict()) for id_, record in overview.schemas.items()},
             {id_: Channel(**record._asdict()) for id_, record in overview.channels.items()},
         )
-        self._regions = {region.start: region for region in overview.regions}
-        self._starts = sorted(self._regions)
+        self._chunks = {chunk.start: chunk for chunk in overview.chunks}
+        self._starts = sorted(self._chunks)
         self._position = len(MAGIC)
         self.bag_metadata: str | None = None
         data_end = self._source.size if footer is None else footer.data_end
         # The reader may find messages after the data end record.
-        self._end = max([data_end, *(region.end for region in overview.regions)])
+        self._end = max([data_end, *(chunk.end for chunk in overview.chunks)])
 
     def up_to(self, first_ns: int | None, file: McapFile) -> None:
-        """Copy the records before the first region that begins after `first_ns`; with None all."""
+        """Copy the records before the first chunk that begins after `first_ns`; with None all."""
         while self._position < self._end:
-            region = self._regions.get(self._position)
-            if region is None:
+            chunk = self._chunks.get(self._position)
+            if chunk is None:
                 self._position = self._copy_record(file)
                 continue
-            if first_ns is not None and region.first_ns > first_ns:
+            if first_ns is not None and chunk.first_ns > first_ns:
                 return
-            if region.is_chunk:
-                self._copy_chunk(region, file)
+            if chunk.is_chunk:
+                self._copy_chunk(chunk, file)
             else:
                 # Messages outside chunks go into one.
-                data = self._read(region.start, region.length)
+                data = self._read(chunk.start, chunk.length)
                 if indexes := _indexes(data):
                     file.append_chunk(compressed_chunk("none", data, indexes))
-            self._position = region.end
+            self._position = chunk.end
 
-    def _copy_chunk(self, region: Region, file: McapFile) -> None:
+    def _copy_chunk(self, chunk: Chunk, file: McapFile) -> None:
         """Copy a chunk and its message index, or make that."""
-        if region.start + region.length > self._source.size:
+        if chunk.start + chunk.length > self._source.size:
             return  # the reader of its messages reports it
-        head = chunk_head(self._read(region.start, min(PEEK, region.length)), region.length)
+        head = chunk_head(self._read(chunk.start, min(PEEK, chunk.length)), chunk.length)
         if head is None:
             return
         file.append_chunk(
@@ -123,25 +123,23 @@ class McapCopy:
                 last=head.last_ns,
                 size=head.size,
                 crc=head.crc,
-                data=self._read(
-                    region.start + head.begin, min(head.end, region.length) - head.begin
-                ),
-                indexes=self._indexes_of(region),
+                data=self._read(chunk.start + head.begin, min(head.end, chunk.length) - head.begin),
+                indexes=self._indexes_of(chunk),
             )
         )
 
-    def _indexes_of(self, region: Region) -> Indexes:
+    def _indexes_of(self, chunk: Chunk) -> Indexes:
         """Return the message index of a chunk, made from its messages where it is damaged."""
-        index = self._read(region.start + region.length, region.index_length)
+        index = self._read(chunk.start + chunk.length, chunk.index_length)
         indexes = {
             id_: entries.view(INDEX_ENTRY).reshape(-1)
-            for id_, place in (region.holds or {}).items()
-            if (entries := index_entries(index, region, place, id_)) is not None
+            for id_, place in (chunk.message_index_offsets or {}).items()
+            if (entries := index_entries(index, chunk, place, id_)) is not None
         }
         if 0 < len(index) == sum(INDEX_HEAD.size + each.nbytes for each in indexes.values()):
             return indexes
         try:
-            return _indexes(load(self._source, region, self._budget).data)
+            return _indexes(load(self._source, chunk, self._budget).data)
         except UnreadableDataError:
             return {}  # copied as it is; the reader of its messages reports it
 

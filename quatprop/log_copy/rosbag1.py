@@ -82,7 +82,7 @@ class BagCopy:
     def __init__(self, log: Rosbag1Log) -> None:
         log.check_index(log.index.chunks)
         self._path, index = log.path, log.index
-        if any(chunk.first_conn for chunk in index.chunks):
+        if any(chunk.id_offset for chunk in index.chunks):
             raise UnsupportedLogError(
                 log.path,
                 "several bags are joined in it, and nothing can be added to them; write the "

@@ -160,4 +160,4 @@ def _first_ns(file: Path) -> int:
     if file.suffix != ".mcap":
         return sqlite.first_ns(file)
     with McapLog(file) as log:
-        return min((region.first_ns for region in log.index.regions), default=0)
+        return min((chunk.first_ns for chunk in log.index.chunks), default=0)

@@ -60,7 +60,7 @@ def read_rates(match: Match, within: Within = None) -> Iterator[RowBatch]:
             without_absent(rate, beside[0])
         if match.factor != 1.0:
             np.multiply(rate, match.factor, out=rate)
-        return RowBatch(rows.log_ns, values, rows.not_before_ns)
+        return RowBatch(rows.log_ns, values, rows.watermark_ns)
 
     return match.table.read(match.stamp, groups, convert, within)
 
@@ -95,7 +95,7 @@ def _read_bursts(match: Match, burst: Burst, within: Within) -> Iterator[RowBatc
         # Rounded last: the spacing need not be a whole number of nanoseconds.
         before = np.rint((counts[message] - 1 - position) * spacing_ns[message]).astype(np.int64)
         values = (stamp_ns[message] - before, rate)
-        return RowBatch(rows.log_ns[message], values, rows.not_before_ns)
+        return RowBatch(rows.log_ns[message], values, rows.watermark_ns)
 
     return table.read(match.stamp, groups, convert, within)
 
@@ -150,7 +150,7 @@ def read_attitudes(match: Match, beside: Sequence[Group] = ()) -> Iterator[RowBa
             # What is not finite is reported later, row by row.
             with np.errstate(invalid="ignore", over="ignore"):
                 stored = REPRESENTATIONS[form].attitudes(stored)
-        return RowBatch(rows.log_ns, (t_ns, stored, *others), rows.not_before_ns)
+        return RowBatch(rows.log_ns, (t_ns, stored, *others), rows.watermark_ns)
 
     return match.table.read(match.stamp, (*match.found.sets, *marks, *beside), convert)
 
@@ -168,7 +168,7 @@ def read_vectors(match: Match) -> Iterator[tuple[Int64, Float64]]:
                 without_absent(vectors, mark)
         if match.factor != 1.0:
             vectors = vectors * match.factor
-        return RowBatch(rows.log_ns, (t_ns, vectors), rows.not_before_ns)
+        return RowBatch(rows.log_ns, (t_ns, vectors), rows.watermark_ns)
 
     for rows in match.table.read(match.stamp, groups, convert):
         t_ns, vectors = rows.values

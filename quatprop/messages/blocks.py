@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from quatprop.stores.byte_ranges import ranges_of
@@ -46,11 +47,16 @@ class Channel:
 
     def __post_init__(self) -> None:
         """Keep the definition as it is compared."""
-        definition = self.schema
-        if self.schema_encoding in {"ros1msg", "ros2msg"}:
-            lines = (line.partition(b"#")[0].split() for line in definition.splitlines())
-            definition = b"\n".join(b" ".join(line) for line in lines if line)
+        is_lines = self.schema_encoding in {"ros1msg", "ros2msg"}
+        definition = _without_comments(self.schema) if is_lines else self.schema
         object.__setattr__(self, "_definition", definition)
+
+
+@lru_cache(maxsize=256)
+def _without_comments(definition: bytes) -> bytes:
+    """Return the lines of a definition without comments and needless blanks."""
+    lines = (line.partition(b"#")[0].split() for line in definition.splitlines())
+    return b"\n".join(b" ".join(line) for line in lines if line)
 
 
 def by_topic(channels: Iterable[Channel]) -> list[Channel]:
@@ -69,7 +75,7 @@ class MessageBlock:
     `log_ns`, `publish_ns`: when each was recorded and published, shape ``(N,)``, int64 ns.
         Containers without publish times repeat the log times. Publish times are negative after the
         year 2262; they may be a view of `data`
-    `not_before_ns`: No later block of this iteration holds a message with an earlier log time
+    `watermark_ns`: No later block of this iteration holds a message with an earlier log time
     `stride`: bytes from each message to the next where all have one length and the same distance; 0
         where that is not known
     """
@@ -79,7 +85,7 @@ class MessageBlock:
     ends: NDArray[np.int64]
     log_ns: NDArray[np.int64]
     publish_ns: NDArray[np.int64]
-    not_before_ns: int = NO_BOUND
+    watermark_ns: int = NO_BOUND
     stride: int = 0
 
     def __len__(self) -> int:
@@ -89,7 +95,7 @@ class MessageBlock:
         """Return some of the messages, by their positions or a mask."""
         starts, ends = self.starts[chosen], self.ends[chosen]
         log_ns, publish_ns = self.log_ns[chosen], self.publish_ns[chosen]
-        return MessageBlock(self.data, starts, ends, log_ns, publish_ns, self.not_before_ns)
+        return MessageBlock(self.data, starts, ends, log_ns, publish_ns, self.watermark_ns)
 
     def compacted(self) -> MessageBlock:
         """Return a copy without the bytes between the messages."""

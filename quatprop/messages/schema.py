@@ -135,6 +135,7 @@ def steps(field_path: str) -> Steps | None:
     return tuple(names) if names and end == len(field_path) else None
 
 
+@lru_cache(maxsize=1024)
 def find(root: Struct, field_path: str) -> Type | None:
     """Return the type that a dotted path leads to, or None where it leads nowhere."""
     here: Type | None = root
@@ -153,13 +154,10 @@ def at(root: Struct, field_path: str, path: Path | str) -> tuple[Steps, Type]:
         raise SchemaError(
             path, f"{quoted(field_path)} is not a field path; write it as a.b.c or a[0].b"
         )
-    here: Type = root
-    for step in way:
-        below = _below(here, step)
-        if below is None:
-            raise SchemaError(path, _dead_end(root, here, field_path, step))
-        here = below
-    return way, here
+    kind = find(root, field_path)
+    if kind is None:
+        raise SchemaError(path, _dead_end(root, field_path, way))
+    return way, kind
 
 
 @lru_cache(maxsize=1024)
@@ -205,7 +203,14 @@ def _below(kind: Type, step: str | int) -> Type | None:
     return None
 
 
-def _dead_end(root: Struct, here: Type, field_path: str, step: str | int) -> str:
+def _dead_end(root: Struct, field_path: str, way: Steps) -> str:
+    """Return where a dotted path leads nowhere, and what is there instead."""
+    here: Type = root
+    for step in way:
+        below = _below(here, step)
+        if below is None:
+            break
+        here = below
     no_field = f"{quoted(root.name)} has no field {quoted(field_path)}"
     if isinstance(here, Struct):
         names = [name for name, _ in here.fields]

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.conditioning.time_range import Ends, EndsFinder, PartOfLog
-from quatprop.tables.time_range import TimeRange
+from quatprop.tables.model import TimeRange
 from quatprop.timeline.outliers import LOOK_AHEAD, marked
 from quatprop.times import LATEST, NS_PER_S
 

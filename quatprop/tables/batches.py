@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     """First log time, stream and arrival of a batch that is held back: its place in the output."""
 
 NO_BOUND = int(np.iinfo(np.int64).min)
-"""`not_before_ns` of a batch that says nothing about the batches after it."""
+"""`watermark_ns` of a batch that says nothing about the batches after it."""
 
 _NEVER = int(np.iinfo(np.int64).max) + 1
 """The bound of a stream that has ended: later than any log time."""
@@ -34,12 +34,12 @@ class RowBatch:
 
     `log_ns`: when each row was recorded, shape ``(N,)``, int64 ns
     `values`: columns of N rows each, shapes ``(N, ...)``
-    `not_before_ns`: No later batch of this stream holds a row with an earlier log time
+    `watermark_ns`: No later batch of this stream holds a row with an earlier log time
     """
 
     log_ns: NDArray[np.int64]
     values: tuple[NDArray[Any], ...]
-    not_before_ns: int = NO_BOUND
+    watermark_ns: int = NO_BOUND
 
     def __len__(self) -> int:
         return len(self.log_ns)
@@ -56,7 +56,7 @@ def joined_rows(batches: Sequence[RowBatch]) -> RowBatch:
     columns = zip(*(batch.values for batch in batches), strict=True)
     values = tuple(np.concatenate(column) for column in columns)
     log_ns = np.concatenate([batch.log_ns for batch in batches])
-    return RowBatch(log_ns, values, batches[-1].not_before_ns)
+    return RowBatch(log_ns, values, batches[-1].watermark_ns)
 
 
 def merge_by_time(streams: Sequence[Iterable[RowBatch]]) -> Iterator[RowBatch]:
@@ -71,8 +71,8 @@ def merge_by_time(streams: Sequence[Iterable[RowBatch]]) -> Iterator[RowBatch]:
 
     Examples
     --------
-    >>> even = RowBatch(np.array([0, 2]), (np.array([10, 12]),), not_before_ns=4)
-    >>> odd = RowBatch(np.array([1, 3]), (np.array([11, 13]),), not_before_ns=5)
+    >>> even = RowBatch(np.array([0, 2]), (np.array([10, 12]),), watermark_ns=4)
+    >>> odd = RowBatch(np.array([1, 3]), (np.array([11, 13]),), watermark_ns=5)
     >>> [batch.values[0].tolist() for batch in merge_by_time([[even], [odd]])]
     [[10, 11, 12, 13]]
     """
@@ -88,11 +88,11 @@ def merge_by_time(streams: Sequence[Iterable[RowBatch]]) -> Iterator[RowBatch]:
         if batch is None:
             bounds[stream] = _NEVER
         elif len(batch) == 0:
-            bounds[stream] = max(bound, batch.not_before_ns)
+            bounds[stream] = max(bound, batch.watermark_ns)
         else:
             batch = _sorted(batch)
-            is_bounded = batch.not_before_ns != NO_BOUND
-            later_ns = batch.not_before_ns if is_bounded else int(batch.log_ns[-1])
+            is_bounded = batch.watermark_ns != NO_BOUND
+            later_ns = batch.watermark_ns if is_bounded else int(batch.log_ns[-1])
             bounds[stream] = max(bound, later_ns)
             heappush(waiting, (int(batch.log_ns[0]), stream, arrival, batch))
         if ready := _ready(waiting, bounds):
@@ -124,7 +124,7 @@ def _sorted(batch: RowBatch) -> RowBatch:
     if (batch.log_ns[1:] >= batch.log_ns[:-1]).all():
         return batch
     rows = batch.rows(np.argsort(batch.log_ns, kind="stable"))
-    return RowBatch(rows.log_ns, rows.values, batch.not_before_ns)
+    return RowBatch(rows.log_ns, rows.values, batch.watermark_ns)
 
 
 def _merged(waiting: list[_Waiting]) -> RowBatch:

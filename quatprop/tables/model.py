@@ -20,11 +20,10 @@ if TYPE_CHECKING:
     from quatprop.arrays import AnyArray, Float64, Int64
     from quatprop.provenance import JsonObject
     from quatprop.tables.batches import RowBatch
-    from quatprop.tables.time_range import TimeRange
 
     Convert = Callable[[RowBatch], RowBatch]
     Series = tuple[tuple[int, str], ...]
-    Within = TimeRange | frozenset[int] | None
+    Within: TypeAlias = "TimeRange | frozenset[int] | None"
 
 Group: TypeAlias = tuple[int, ...]
 """RowBatch that are read together: rows ``(N, k)`` of float64; of one column ``(N,)`` as stored."""
@@ -107,6 +106,25 @@ class Span(NamedTuple):
     first_ns: int
     last_ns: int
     rows: int
+
+
+class TimeRange(NamedTuple):
+    """A range of time, ends included.
+
+    `first_ns`, `last_ns`: its ends, ns
+    """
+
+    first_ns: int
+    last_ns: int
+
+    @property
+    def length_ns(self) -> int:
+        """Its length, ns."""
+        return self.last_ns - self.first_ns
+
+    def overlaps(self, first_ns: int, last_ns: int) -> bool:
+        """Return whether it has a moment in common with another range, given by its ends."""
+        return first_ns <= self.last_ns and self.first_ns <= last_ns
 
 
 class Table(ABC):

@@ -1,7 +1,7 @@
 """Schemas and channels of an MCAP file, whose ids may be defined anew in the middle of it.
 
 Files that were put one behind another have ids of their own, each counted from 1. So the ids of an
-index are those of the records plus :attr:`Region.first_id`, which differs from part to part.
+index are those of the records plus :attr:`Chunk.id_offset`, which differs from part to part.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
+from quatprop.containers.mcap.chunks import CHANNEL, SCHEMA, Chunk, ChunkHead, load
 from quatprop.containers.mcap.messages import messages_at
 from quatprop.containers.mcap.records import MALFORMED, read_channel, read_schema
-from quatprop.containers.mcap.regions import CHANNEL, SCHEMA, ChunkHead, Region, load
 from quatprop.containers.mcap.summary import McapIndex
 from quatprop.containers.mcap.walk import walk_records
 from quatprop.messages.blocks import Channel
@@ -37,18 +37,18 @@ _NOT_DEFINITIONS = frozenset(range(256)) - {SCHEMA, CHANNEL}
 class Definitions:
     """Schema and channel records in order of the file.
 
-    `first_id`: what is added to the ids of the current part
-    `records`: Opcode, content, place and `first_id` of each record
+    `id_offset`: what is added to the ids of the current part
+    `records`: Opcode, content, place and `id_offset` of each record
     """
 
     def __init__(self) -> None:
-        self.first_id = 0
+        self.id_offset = 0
         self.records: list[tuple[int, Buffer, str, int]] = []
         self._current: dict[tuple[int, bytes], tuple[Buffer, str]] = {}
 
     def begin_file(self) -> None:
         """Begin another file that follows in the same file; no id keeps its meaning."""
-        self.first_id += IDS
+        self.id_offset += IDS
         self._current.clear()
 
     def redefines(self, opcode: int, content: Buffer) -> bool:
@@ -63,13 +63,13 @@ class Definitions:
         """Add a record; one that redefines an id begins another part."""
         key = opcode, bytes(content[:2])
         if self.redefines(opcode, content):
-            self.first_id += IDS
+            self.id_offset += IDS
             self._current[key] = content, place
             for (kind, _), (earlier, where) in self._current.items():
-                self.records.append((kind, earlier, where, self.first_id))
+                self.records.append((kind, earlier, where, self.id_offset))
         elif key not in self._current:
             self._current[key] = content, place
-            self.records.append((opcode, content, place, self.first_id))
+            self.records.append((opcode, content, place, self.id_offset))
 
 
 def _identity(opcode: int, content: Buffer) -> tuple[str, str, int | bytes] | None:
@@ -81,11 +81,11 @@ def _identity(opcode: int, content: Buffer) -> tuple[str, str, int | bytes] | No
 
 
 def leading_definitions(
-    source: FileSource, start: int, chunk: ChunkHead
+    source: FileSource, start: int, head: ChunkHead
 ) -> list[tuple[int, Buffer]]:
     """Return opcode and content of the definitions at the beginning of a chunk."""
-    front = source.read(start + chunk.begin, min(chunk.end - chunk.begin, _LEADING))
-    data = bytes(decompress_prefix(front, chunk.compression, min(chunk.size, 4 * _LEADING)))
+    front = source.read(start + head.begin, min(head.end - head.begin, _LEADING))
+    data = bytes(decompress_prefix(front, head.compression, min(head.size, 4 * _LEADING)))
     walked = walk_records(data, stop_at=_NOT_DEFINITIONS)
     return [(opcode, data[begin:end]) for opcode, begin, end in walked.definitions]
 
@@ -96,42 +96,42 @@ def read_definitions(
     """Read the chunks that may hold channels and schemas not yet defined."""
     suspect = []
     define = partial(_define_from, source, index, DecompressionBudget(source.size))
-    for region in index.regions:
-        if region.holds is None or (region is index.regions[-1] and not is_closed):
+    for chunk in index.chunks:
+        if chunk.message_index_offsets is None or (chunk is index.chunks[-1] and not is_closed):
             needed = not is_complete or not all(map(index.is_defined, index.channels))
         else:
-            needed = not all(map(index.is_defined, region.ids))
-        if needed and not define(region, check=True):
-            suspect.append(region)  # noted as a loss when its messages are read
+            needed = not all(map(index.is_defined, chunk.ids))
+        if needed and not define(chunk, check=True):
+            suspect.append(chunk)  # noted as a loss when its messages are read
     # Definitions in a chunk with a wrong checksum are better than none.
-    for region in suspect:
+    for chunk in suspect:
         if not (is_complete and all(map(index.is_defined, index.channels))):
-            define(region, check=False)
+            define(chunk, check=False)
 
 
 def _define_from(
     source: FileSource,
     index: McapIndex,
     budget: DecompressionBudget,
-    region: Region,
+    chunk: Chunk,
     *,
     check: bool,
 ) -> bool:
-    """Add the definitions in a region; return whether it can be read."""
+    """Add the definitions in a chunk; return whether it can be read."""
     try:
-        loaded = load(source, region, budget, check=check)
+        loaded = load(source, chunk, budget, check=check)
     except UnreadableDataError:
         return False
     data = loaded.data
     walked = walk_records(data)
     for opcode, begin, stop in walked.definitions:
         content = memoryview(data)[begin:stop]
-        index.define(opcode, content, f"in the {region.place}", region.first_id)
+        index.define(opcode, content, f"in the {chunk.place}", chunk.id_offset)
     if walked.end == len(data) and not loaded.damage:
         # They count for more than an index, which may be damaged.
         messages = messages_at(data, walked.offsets)
-        region.counts = messages.counts() if messages else {}
-        region.holds = dict.fromkeys(region.counts, 0)
+        chunk.counts = messages.counts() if messages else {}
+        chunk.message_index_offsets = dict.fromkeys(chunk.counts, 0)
     return True
 
 
@@ -151,24 +151,24 @@ class DefinitionCheck:
         self,
         data: Buffer,
         definitions: Sequence[tuple[int, int, int]],
-        region: Region,
+        chunk: Chunk,
         ids: Sequence[int],
     ) -> None:
-        """Compare the definitions of a region: opcode, and begin and end of each in `data`."""
+        """Compare the definitions of a chunk: opcode, and begin and end of each in `data`."""
         for opcode, begin, end in definitions:
-            record = region.first_id, opcode, bytes(data[begin:end])
+            record = chunk.id_offset, opcode, bytes(data[begin:end])
             if record not in self._found:
                 self._found[record] = self._redefined(*record)
             channels, what, change = self._found[record]
-            if not set(ids).isdisjoint(region.own(channels)):
+            if not set(ids).isdisjoint(chunk.local_ids(channels)):
                 raise UnreadableDataError(
                     f"it redefines {what} ({change}), so it is not certain whose messages these are"
                 )
 
-    def _redefined(self, first_id: int, opcode: int, content: bytes) -> tuple[list[int], str, str]:
+    def _redefined(self, id_offset: int, opcode: int, content: bytes) -> tuple[list[int], str, str]:
         """Return which channels a record redefines, its id, and how it differs."""
         index, here = self.index, McapIndex()
-        here.define(opcode, content, "", first_id)
+        here.define(opcode, content, "", id_offset)
         for kind, earlier, later in (
             ("channel", index.channels, here.channels),
             ("schema", index.schemas, here.schemas),

@@ -1,4 +1,4 @@
-"""Read the messages of a channel in the regions of an MCAP file, and note what is lost."""
+"""Read the messages of a channel in the chunks of an MCAP file, and note what is lost."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.chunks import ChunkReader
+from quatprop.containers.mcap.chunks import MESSAGE, PEEK, RECORD, Chunk, Loaded, head_of, load
 from quatprop.containers.mcap.messages import (
     heads_at,
     index_of,
@@ -15,7 +16,6 @@ from quatprop.containers.mcap.messages import (
     messages_at,
     messages_past_damage,
 )
-from quatprop.containers.mcap.regions import MESSAGE, PEEK, RECORD, Loaded, Region, head_of, load
 from quatprop.containers.mcap.walk import MESSAGE_HEAD, walk_records
 from quatprop.errors import UnsupportedLogError
 from quatprop.stores.byte_ranges import LARGE, ranges_worth_reading
@@ -35,7 +35,7 @@ UNDEFINED = "no record defines it"
 """Why the messages of a channel are lost."""
 
 
-class McapReader(ChunkReader[Region, Loaded]):
+class McapReader(ChunkReader[Chunk, Loaded]):
     """Reads the messages of one channel.
 
     `definitions`: Compares definitions inside chunks with those of the index, to which losses are
@@ -59,48 +59,48 @@ class McapReader(ChunkReader[Region, Loaded]):
         self.lost = 0
         self.unchecked = unchecked
 
-    def expected(self, chunk: Region) -> list[tuple[int, int]]:
-        """Return the bytes of a region, or head and index of a chunk that is read in part."""
+    def expected(self, chunk: Chunk) -> list[tuple[int, int]]:
+        """Return the bytes of a chunk, or head and index of a chunk that is read in part."""
         head_end = chunk.start + PEEK
         if self._is_read_in_part(chunk):
             return [(chunk.start, head_end), (chunk.start + chunk.length, chunk.end)]
         return [(chunk.start, max(chunk.end, head_end))]
 
-    def size_of(self, chunk: Region) -> int:
-        """Return the bytes of the records of a region by the index."""
+    def size_of(self, chunk: Chunk) -> int:
+        """Return the bytes of the records of a chunk by the index."""
         return chunk.size
 
-    def is_mixed(self, chunk: Region) -> bool:
-        """Return whether a region is known to hold other channels."""
+    def is_mixed(self, chunk: Chunk) -> bool:
+        """Return whether a chunk is known to hold other channels."""
         return not set(chunk.ids) <= set(self.ids)
 
-    def _is_read_in_part(self, chunk: Region) -> bool:
-        """Return whether a region is a large chunk with others whose messages are indexed."""
+    def _is_read_in_part(self, chunk: Chunk) -> bool:
+        """Return whether a chunk is a large chunk with others whose messages are indexed."""
         is_large = chunk.is_uncompressed and chunk.length >= LARGE
         return is_large and chunk.index_length > 0 and self.is_mixed(chunk)
 
-    def load(self, chunk: Region) -> Loaded:
-        """Return the records of a region, or only the wanted messages of a large chunk."""
+    def load(self, chunk: Chunk) -> Loaded:
+        """Return the records of a chunk, or only the wanted messages of a large chunk."""
         if self._is_read_in_part(chunk):
             with suppress(UnreadableDataError, OSError):
-                selected = self._selected(chunk)
+                selected = self._load_messages(chunk)
                 if selected is not None:
                     return selected
-        return self._whole(chunk)
+        return self._load_chunk(chunk)
 
-    def _whole(self, chunk: Region) -> Loaded:
+    def _load_chunk(self, chunk: Chunk) -> Loaded:
         try:
             return load(self.source, chunk, self.budget)
         except UnreadableDataError as error:
             return Loaded(damage=error.reason, is_readable=False)
 
-    def _selected(self, chunk: Region) -> Loaded | None:
+    def _load_messages(self, chunk: Chunk) -> Loaded | None:
         """Return the wanted messages of a chunk; None where it is better read whole.
 
         What precedes the first message is read, too, and the heads of all records, which show that
         nothing is hidden between them. The checksum is that of the whole chunk.
         """
-        own, index = chunk.own(self.ids), index_of(self.source, chunk)
+        own, index = chunk.local_ids(self.ids), index_of(self.source, chunk)
         wanted, every = indexed_offsets(index, chunk, own), indexed_offsets(index, chunk)
         head = head_of(self.source, chunk)
         is_right = head is not None and head.is_uncompressed and head.size == chunk.size
@@ -126,9 +126,9 @@ class McapReader(ChunkReader[Region, Loaded]):
         self.definitions.check(data, walked.definitions, chunk, own)
         return Loaded(data, offsets=begins[is_wanted])
 
-    def indexed(self, content: Loaded, chunk: Region) -> MessageBlock | None:
-        """Return the messages of a region by its index; None where its records say otherwise."""
-        ids, data = chunk.own(self.ids), content.data
+    def indexed(self, content: Loaded, chunk: Chunk) -> MessageBlock | None:
+        """Return the messages of a chunk by its index; None where its records say otherwise."""
+        ids, data = chunk.local_ids(self.ids), content.data
         if content.offsets is not None:
             selected = messages_at(data, content.offsets)
             if selected is None or not chunk.may_have_logged(selected.block.log_ns):
@@ -153,10 +153,10 @@ class McapReader(ChunkReader[Region, Loaded]):
             return None  # it is raised again when the records are read
         return messages.block
 
-    def messages(self, content: Loaded, chunk: Region) -> MessageBlock | None:
-        """Return the messages of a region by its records, and note what is lost of them."""
+    def messages(self, content: Loaded, chunk: Chunk) -> MessageBlock | None:
+        """Return the messages of a chunk by its records, and note what is lost of them."""
         if content.offsets is not None:
-            content = self._whole(chunk)
+            content = self._load_chunk(chunk)
         reason = content.damage
         if content.is_readable:
             try:
@@ -172,26 +172,26 @@ class McapReader(ChunkReader[Region, Loaded]):
         self.lost += lost or 0
         return None
 
-    def _walked(self, loaded: Loaded, region: Region) -> LocatedMessages | None:
-        """Locate the messages of a region by its records; the index says what is lost."""
-        data, damage, ids = loaded.data, loaded.damage, region.own(self.ids)
-        index = index_of(self.source, region)
-        listed, every = indexed_offsets(index, region, ids), indexed_offsets(index, region)
+    def _walked(self, loaded: Loaded, chunk: Chunk) -> LocatedMessages | None:
+        """Locate the messages of a chunk by its records; the index says what is lost."""
+        data, damage, ids = loaded.data, loaded.damage, chunk.local_ids(self.ids)
+        index = index_of(self.source, chunk)
+        listed, every = indexed_offsets(index, chunk, ids), indexed_offsets(index, chunk)
         walked = walk_records(data)
-        self.definitions.check(data, walked.definitions, region, ids)
+        self.definitions.check(data, walked.definitions, chunk, ids)
         if walked.malformed:
-            self.losses.note(region.place, "too short to be messages", walked.malformed)
+            self.losses.note(chunk.place, "too short to be messages", walked.malformed)
         if walked.end < len(data) and every is not None:
             messages = messages_past_damage(data, walked.offsets, every)
         else:
             messages = messages_at(data, walked.offsets)
         if messages:
-            _check_times(loaded, region, messages)
+            _check_times(loaded, chunk, messages)
         wanted = messages.of(ids) if messages else None
         found = len(wanted) if wanted else 0
         lost = 0 if listed is None else max(0, len(listed) - found - walked.malformed)
         if messages and not lost:
-            self._note_undefined(region, messages)
+            self._note_undefined(chunk, messages)
         if walked.end < len(data):
             damage = (
                 damage or f"its records cannot be followed beyond byte {walked.end} of {len(data)}"
@@ -199,29 +199,29 @@ class McapReader(ChunkReader[Region, Loaded]):
         elif lost:
             damage = damage or "its message index lists messages that are not among its records"
         if damage:
-            self.losses.note(region.place, damage, lost or None, self.topic)
+            self.losses.note(chunk.place, damage, lost or None, self.topic)
         self.lost += lost
         return wanted
 
-    def _refuse_redefined(self, loaded: Loaded, region: Region, error: UnreadableDataError) -> None:
+    def _refuse_redefined(self, loaded: Loaded, chunk: Chunk, error: UnreadableDataError) -> None:
         """Refuse a chunk that its checksum shows to be as it was written, not damaged."""
         if loaded.has_checksum:
             raise UnsupportedLogError(
                 self.source.path,
-                f"{region.place}: {error.reason}; MCAP forbids that; copy the messages with an "
+                f"{chunk.place}: {error.reason}; MCAP forbids that; copy the messages with an "
                 "MCAP library into a file in which each definition has its own id",
             ) from error
 
-    def _note_undefined(self, region: Region, messages: LocatedMessages) -> None:
+    def _note_undefined(self, chunk: Chunk, messages: LocatedMessages) -> None:
         """Note the messages of channels that no record defines."""
         for id_, count in messages.counts().items():
-            if region.first_id + id_ not in self.index.channels:
-                self.losses.note(f"channel {id_}", UNDEFINED, count, region.start)
+            if chunk.id_offset + id_ not in self.index.channels:
+                self.losses.note(f"channel {id_}", UNDEFINED, count, chunk.start)
 
 
-def _check_times(loaded: Loaded, region: Region, messages: LocatedMessages) -> None:
+def _check_times(loaded: Loaded, chunk: Chunk, messages: LocatedMessages) -> None:
     """Refuse a chunk that no checksum shows to be whole, and whose times are not as stated."""
-    if loaded.has_checksum or region.may_have_logged(messages.block.log_ns):
+    if loaded.has_checksum or chunk.may_have_logged(messages.block.log_ns):
         return
     if checksums_matter():
         raise UnreadableDataError(
@@ -230,7 +230,7 @@ def _check_times(loaded: Loaded, region: Region, messages: LocatedMessages) -> N
         )
 
 
-def message_count(regions: Sequence[Region], ids: Sequence[int]) -> int | None:
-    """Return how many messages of some channels the regions hold; None if that is unknown."""
-    counts = [region.count(id_) for region in regions for id_ in region.own(ids)]
+def message_count(chunks: Sequence[Chunk], ids: Sequence[int]) -> int | None:
+    """Return how many messages of some channels the chunks hold; None if that is unknown."""
+    counts = [chunk.count(id_) for chunk in chunks for id_ in chunk.local_ids(ids)]
     return None if None in counts else sum(count for count in counts if count is not None)

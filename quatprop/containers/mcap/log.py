@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.compressed_messages import decompressed
+from quatprop.containers.mcap.chunks import Chunk, head_of
 from quatprop.containers.mcap.definitions import DefinitionCheck, ids_by_channel, read_definitions
 from quatprop.containers.mcap.loading import UNDEFINED, McapReader
-from quatprop.containers.mcap.regions import Region, head_of
 from quatprop.containers.mcap.scan import Scan
 from quatprop.containers.mcap.summary import (
     MAGIC,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from quatprop.stores.file_source import FileSource
 
 
-class McapLog(ChunkedLog[Region]):
+class McapLog(ChunkedLog[Chunk]):
     """An MCAP file; see :class:`quatprop.containers.base.MessageLog`.
 
     `is_zstd`: whether messages are known to be compressed one by one; those in CDR are recognised
@@ -53,13 +53,13 @@ class McapLog(ChunkedLog[Region]):
         if magic != MAGIC:
             self._refuse(magic)
         self.index = index = build_index(self.source)
-        self._regions = index.regions
+        self._chunks = index.chunks
         self._ids = ids_by_channel(index)
         self._definitions = DefinitionCheck(index)
         self._unchecked: set[int] = set()
         self._stated = index.counts
         self.losses = index.losses
-        if self.losses and not (self._ids or self._regions):
+        if self.losses and not (self._ids or self._chunks):
             first = self.losses[0]
             raise DamagedLogError(
                 self.path, f"nothing of it can be read; {first.place}: {first.reason}"
@@ -91,18 +91,18 @@ class McapLog(ChunkedLog[Region]):
         return None if self._stated is None else sum(self._stated.get(id_, 0) for id_ in ids)
 
     def _listed_of(self, ids: Sequence[int]) -> int | None:
-        """Return how many messages of some channels the indexes of all regions list."""
+        """Return how many messages of some channels the indexes of all chunks list."""
         return None if self._listed is None else sum(self._listed[id_] for id_ in ids)
 
     @cached_property
     def _listed(self) -> Counter[int] | None:
         total: Counter[int] = Counter()
-        for region in self._regions:
-            listed = region.listed()
+        for chunk in self._chunks:
+            listed = chunk.listed()
             if listed is None:
                 return None
             for id_, count in listed.items():
-                total[region.first_id + id_] += count
+                total[chunk.id_offset + id_] += count
         return total
 
     def _are_accounted_for(self, ids: Sequence[int]) -> bool:
@@ -113,22 +113,20 @@ class McapLog(ChunkedLog[Region]):
         stated = self._stated_of(ids)
         return stated is not None and stated == self._listed_of(ids)
 
-    def chunks_of(self, channel: Channel) -> list[Region]:
-        """Return the regions that may hold a channel, in order of time."""
-        ids, regions = self._ids.get(channel, []), self._regions
+    def chunks_of(self, channel: Channel) -> list[Chunk]:
+        """Return the chunks that may hold a channel, in order of time."""
+        ids, chunks = self._ids.get(channel, []), self._chunks
         if self._are_accounted_for(ids):
-            regions = [region for region in regions if not set(ids).isdisjoint(region.ids)]
-        return sorted(regions, key=lambda region: (region.first_ns, region.start))
+            chunks = [chunk for chunk in chunks if not set(ids).isdisjoint(chunk.ids)]
+        return sorted(chunks, key=lambda chunk: (chunk.first_ns, chunk.start))
 
     def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, and compare their number with the file's."""
         count = yield from self.read(channel, self.chunks_of(channel))
         self._check_count(channel.topic, self._ids.get(channel, []), count)
 
-    def read(
-        self, channel: Channel, chunks: Sequence[Region]
-    ) -> Generator[MessageBlock, None, int]:
-        """Yield the messages of one channel in some regions; return how many are there or lost."""
+    def read(self, channel: Channel, chunks: Sequence[Chunk]) -> Generator[MessageBlock, None, int]:
+        """Yield the messages of one channel in some chunks; return how many are there or lost."""
         ids = self._ids.get(channel, [])
         reader = McapReader(self.source, self._definitions, channel.topic, ids, self._unchecked)
         count = 0
@@ -195,13 +193,13 @@ def build_index(source: FileSource) -> McapIndex:
         # Bytes are missing, or too many, before the summary: it is not where the footer says.
         summary = read_summary(source, footer._replace(summary_start=scan.summary_start))
     index = summary.index
-    index.regions, index.losses = scan.regions, scan.losses
-    for opcode, content, place, first_id in scan.definitions.records:
-        index.define(opcode, content, place, first_id)
+    index.chunks, index.losses = scan.chunks, scan.losses
+    for opcode, content, place, id_offset in scan.definitions.records:
+        index.define(opcode, content, place, id_offset)
     read_definitions(source, index, is_complete=summary.is_complete, is_closed=footer is not None)
-    for region in index.regions:
-        for id_ in region.own([id_ for id_ in region.ids if id_ not in index.channels]):
-            index.losses.note(f"channel {id_}", UNDEFINED, region.count(id_), region.start)
+    for chunk in index.chunks:
+        for id_ in chunk.local_ids([id_ for id_ in chunk.ids if id_ not in index.channels]):
+            index.losses.note(f"channel {id_}", UNDEFINED, chunk.count(id_), chunk.start)
     return index
 
 
@@ -219,7 +217,7 @@ def _scanned(source: FileSource, end: int, summary: Summary, *, is_closed: bool)
     return scan
 
 
-def _usable_chunks(source: FileSource, summary: Summary) -> dict[int, Region]:
+def _usable_chunks(source: FileSource, summary: Summary) -> dict[int, Chunk]:
     """Return the chunks of the summary; none if bytes are missing or inserted before the last one.
 
     The definitions of the summary are used all the same.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.mcap.regions import INDEX_ENTRY, INDEX_HEAD, MESSAGE, MESSAGE_INDEX, RECORD
+from quatprop.containers.mcap.chunks import INDEX_ENTRY, INDEX_HEAD, MESSAGE, MESSAGE_INDEX, RECORD
 from quatprop.containers.mcap.walk import MESSAGE_HEAD
 from quatprop.messages.blocks import MessageBlock
 from quatprop.times import LATEST
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.mcap.regions import Region
+    from quatprop.containers.mcap.chunks import Chunk
     from quatprop.stores.compression import Buffer
     from quatprop.stores.file_source import FileSource
 
@@ -173,28 +173,28 @@ def _block(
     return MessageBlock(buffer, starts, ends, log_ns, head["publish"], stride=stride)
 
 
-def index_of(source: FileSource, region: Region) -> bytes:
-    """Return the message indexes that follow a region; empty where they cannot be read."""
+def index_of(source: FileSource, chunk: Chunk) -> bytes:
+    """Return the message indexes that follow a chunk; empty where they cannot be read."""
     try:
-        return source.read(region.start + region.length, region.index_length)
+        return source.read(chunk.start + chunk.length, chunk.index_length)
     except OSError:
         return b""
 
 
 def indexed_offsets(
-    index: Buffer, region: Region, ids: Sequence[int] | None = None
+    index: Buffer, chunk: Chunk, ids: Sequence[int] | None = None
 ) -> NDArray[np.int64] | None:
     """Return the offsets that the message indexes of some channels list, or those of all.
 
     `ids`: the channels; None for all
     `Returns`: Shape ``(N,)``, int64, ascending; None where there is no index or it is damaged
     """
-    if not region.index_length or region.holds is None:
+    if not chunk.index_length or chunk.message_index_offsets is None:
         return None
     parts = []
-    for channel in region.holds:
+    for channel in chunk.message_index_offsets:
         if ids is None or channel in ids:
-            entries = index_entries(index, region, region.holds[channel], channel)
+            entries = index_entries(index, chunk, chunk.message_index_offsets[channel], channel)
             if entries is None:
                 return None
             parts.append(entries[:, 1])
@@ -204,13 +204,13 @@ def indexed_offsets(
 
 
 def index_entries(
-    index: Buffer, region: Region, place: int, channel: int
+    index: Buffer, chunk: Chunk, place: int, channel: int
 ) -> NDArray[np.int64] | None:
     """Return the log times and offsets in the message index of a channel.
 
     `Returns`: Shape ``(N, 2)``, int64; None where it is damaged
     """
-    at = place - region.start - region.length
+    at = place - chunk.start - chunk.length
     if at < 0 or at + INDEX_HEAD.size > len(index):
         return None
     opcode, length, of_channel, size = INDEX_HEAD.unpack_from(index, at)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.containers.mcap.regions import (
+from quatprop.containers.mcap.chunks import (
     ATTACHMENT,
     CHANNEL,
     CHUNK,

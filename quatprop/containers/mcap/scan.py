@@ -10,9 +10,7 @@ from bisect import bisect_right
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from quatprop.containers.mcap.definitions import Definitions, leading_definitions
-from quatprop.containers.mcap.messages import messages_at
-from quatprop.containers.mcap.regions import (
+from quatprop.containers.mcap.chunks import (
     ATTACHMENT,
     CHANNEL,
     CHUNK,
@@ -24,9 +22,11 @@ from quatprop.containers.mcap.regions import (
     RECORD,
     SCHEMA,
     TORN,
-    Region,
+    Chunk,
     chunk_head,
 )
+from quatprop.containers.mcap.definitions import Definitions, leading_definitions
+from quatprop.containers.mcap.messages import messages_at
 from quatprop.containers.mcap.resync import (
     CHUNKS,
     FIRST_PRIVATE_OPCODE,
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from quatprop.stores.file_source import FileSource
 
 _LOOSE_SIZE = 1 << 22
-"""Bytes of messages outside chunks that are one region."""
+"""Bytes of messages outside chunks that are taken for one chunk."""
 _NOT_MESSAGES = frozenset(range(256)) - {SCHEMA, CHANNEL, MESSAGE}
 
 
@@ -67,12 +67,12 @@ class Scan:
     """
 
     def __init__(
-        self, source: FileSource, end: int, indexed: dict[int, Region], attachments: dict[int, int]
+        self, source: FileSource, end: int, indexed: dict[int, Chunk], attachments: dict[int, int]
     ) -> None:
         self.source, self.end = source, end
         self.indexed, self.attachments = indexed, attachments
         self.starts = sorted(indexed)
-        self.regions: list[Region] = []
+        self.chunks: list[Chunk] = []
         self.definitions = Definitions()
         self.losses = Losses()
         self.summary_start = 0
@@ -82,10 +82,10 @@ class Scan:
         """Scan the data section; `is_closed` says whether the file has a footer."""
         position = len(MAGIC)
         while position < self.end:
-            region = self.indexed.pop(position, None)
-            if region is not None:
-                self.regions.append(region)
-                position = region.end
+            chunk = self.indexed.pop(position, None)
+            if chunk is not None:
+                self.chunks.append(chunk)
+                position = chunk.end
                 continue
             begin = position
             opcode, position = self._step(position)
@@ -100,13 +100,13 @@ class Scan:
                 f"byte {self.end}", "the file ends without a footer; it was not closed"
             )
 
-    def add_lost(self, chunks: Iterable[Region]) -> None:
+    def add_lost(self, chunks: Iterable[Chunk]) -> None:
         """Add chunks that are not where the summary has them, so that what is lost is counted."""
-        starts = {region.start for region in self.regions}
+        starts = {chunk.start for chunk in self.chunks}
         for chunk in [chunk for chunk in chunks if chunk.start not in starts]:
-            if all(chunk.end <= each.start or each.end <= chunk.start for each in self.regions):
-                self.regions.append(chunk)
-        self.regions.sort(key=lambda region: region.start)
+            if all(chunk.end <= each.start or each.end <= chunk.start for each in self.chunks):
+                self.chunks.append(chunk)
+        self.chunks.sort(key=lambda chunk: chunk.start)
 
     def _step(self, position: int) -> tuple[int, int]:
         """Process the record at `position`; return its opcode and where the next one begins."""
@@ -122,7 +122,7 @@ class Scan:
         if opcode == CHUNK and self._chunk(position, length, head):
             return opcode, min(end, self.end)
         if opcode == CHUNK and self._is_followed(end):
-            self.regions.append(Region(position, length, True, 0))
+            self.chunks.append(Chunk(position, length, True, 0))
             return opcode, end
         if opcode == ATTACHMENT and end > self.end:
             # What follows may be records of a file that is attached.
@@ -189,13 +189,13 @@ class Scan:
     def _damaged(self, position: int, opcode: int) -> int:
         """Note that no record can be read at `position`; return where to go on."""
         limit = self._next_indexed(position)
-        last = self.regions[-1] if self.regions else None
+        last = self.chunks[-1] if self.chunks else None
         resumed_at = None
         if last is not None and last.is_chunk and last.end == position:
             # The length of the chunk before may be wrong.
             resumed_at = next_record(self.source, last.start + 1, position, self.end, CHUNKS)
             # The damage may have hit the message index of another channel of that chunk.
-            self.regions[-1] = replace(last, holds=None, index_length=0)
+            self.chunks[-1] = replace(last, message_index_offsets=None, index_length=0)
         if resumed_at is None:
             resumed_at = next_record(self.source, position + 1, limit, self.end, RECORDS)
             for begin, length in self.attachments.items():
@@ -225,7 +225,7 @@ class Scan:
         """
         record = self.source.read(end, RECORD.size + 4)
         crc = int.from_bytes(record[RECORD.size :], "little")
-        if not crc or any(region.is_chunk for region in self.regions) or not checksums_matter():
+        if not crc or any(chunk.is_chunk for chunk in self.chunks) or not checksums_matter():
             return
         actual = 0
         for start in range(0, end, _LOOSE_SIZE):
@@ -238,26 +238,26 @@ class Scan:
 
     def _chunk(self, position: int, length: int, head: bytes) -> bool:
         """Add a chunk; False where none begins there, or where it does not end in the file."""
-        chunk = chunk_head(head, length)
-        if chunk is None or (position + length > self.end and not self._is_torn(position)):
+        stated = chunk_head(head, length)
+        if stated is None or (position + length > self.end and not self._is_torn(position)):
             return False
-        first, last = min(chunk.first_ns, LATEST), min(chunk.last_ns, LATEST)
-        region = Region(position, length, True, first, size=chunk.size, head_last_ns=last)
-        for opcode, content in leading_definitions(self.source, position, chunk):
-            self.definitions.add(opcode, content, f"in the {region.place}")
-        region.first_id = self.definitions.first_id
-        self.regions.append(region)
+        first, last = min(stated.first_ns, LATEST), min(stated.last_ns, LATEST)
+        chunk = Chunk(position, length, True, first, size=stated.size, head_last_ns=last)
+        for opcode, content in leading_definitions(self.source, position, stated):
+            self.definitions.add(opcode, content, f"in the {chunk.place}")
+        chunk.id_offset = self.definitions.id_offset
+        self.chunks.append(chunk)
         return True
 
     def _message_index(self, position: int, length: int, head: bytes) -> None:
-        region = self.regions[-1] if self.regions else None
-        if region is None or region.end != position or len(head) < INDEX_HEAD.size:
+        chunk = self.chunks[-1] if self.chunks else None
+        if chunk is None or chunk.end != position or len(head) < INDEX_HEAD.size:
             return
         _, _, channel, _ = INDEX_HEAD.unpack_from(head)
-        if region.holds is None:
-            region.holds = {}
-        region.holds[channel] = position
-        region.index_length += length
+        if chunk.message_index_offsets is None:
+            chunk.message_index_offsets = {}
+        chunk.message_index_offsets[channel] = position
+        chunk.index_length += length
 
     def _messages(self, position: int, end: int) -> int:
         """Add the messages outside chunks from `position` on; return where they end."""
@@ -273,7 +273,7 @@ class Scan:
         end = walked.end
         for opcode, begin, stop in walked.definitions:
             if self.definitions.redefines(opcode, data[begin:stop]):
-                end = begin - RECORD.size  # what follows is another region
+                end = begin - RECORD.size  # what follows is another chunk
                 break
             place = f"at byte {position + begin - RECORD.size}"
             self.definitions.add(opcode, data[begin:stop], place)
@@ -281,8 +281,10 @@ class Scan:
         if messages:
             counts = messages.counts()
             first = int(messages.block.log_ns.min())
-            holds = dict.fromkeys(counts, 0)
-            region = Region(position, end, False, first, holds=holds, counts=counts, size=end)
-            region.first_id = self.definitions.first_id
-            self.regions.append(region)
+            offsets = dict.fromkeys(counts, 0)
+            chunk = Chunk(
+                position, end, False, first, message_index_offsets=offsets, counts=counts, size=end
+            )
+            chunk.id_offset = self.definitions.id_offset
+            self.chunks.append(chunk)
         return position + end

@@ -6,6 +6,7 @@ import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
+from quatprop.containers.mcap.chunks import CHANNEL, DATA_END, METADATA, RECORD, SCHEMA, Chunk
 from quatprop.containers.mcap.records import (
     MALFORMED,
     prefixed,
@@ -13,7 +14,6 @@ from quatprop.containers.mcap.records import (
     read_metadata,
     read_schema,
 )
-from quatprop.containers.mcap.regions import CHANNEL, DATA_END, METADATA, RECORD, SCHEMA, Region
 from quatprop.provenance import METADATA_KEY
 from quatprop.stores.checksum import crc32
 from quatprop.stores.compression import MAX_SIZE
@@ -44,31 +44,31 @@ _PLACE = struct.Struct("<QQ")
 class McapIndex:
     """The index of a file: what it holds and where.
 
-    `regions`: where its messages are, in order of the file
+    `chunks`: where its messages are, in order of the file
     `channels`, `schemas`: the records by their ids
     `counts`: number of messages of each channel id, where the file states them
     `metadata`: where the metadata records with provenance begin, by the summary
     `losses`: what could not be read
     """
 
-    regions: list[Region] = field(default_factory=list)
+    chunks: list[Chunk] = field(default_factory=list)
     channels: dict[int, ChannelRecord] = field(default_factory=dict)
     schemas: dict[int, SchemaRecord] = field(default_factory=dict)
     counts: dict[int, int] | None = None
     metadata: list[int] = field(default_factory=list)
     losses: Losses = field(default_factory=Losses)
 
-    def define(self, opcode: int, content: Buffer, place: str, first_id: int = 0) -> None:
+    def define(self, opcode: int, content: Buffer, place: str, id_offset: int = 0) -> None:
         """Add a schema or channel record; the first with an id counts."""
         try:
             if opcode == SCHEMA:
                 schema = read_schema(content)
-                id_ = schema.id + first_id
+                id_ = schema.id + id_offset
                 self.schemas.setdefault(id_, schema._replace(id=id_))
             else:
                 channel = read_channel(content)
-                id_, schema_id = channel.id + first_id, channel.schema_id
-                schema_id += first_id if schema_id else 0
+                id_, schema_id = channel.id + id_offset, channel.schema_id
+                schema_id += id_offset if schema_id else 0
                 self.channels.setdefault(id_, channel._replace(id=id_, schema_id=schema_id))
         except MALFORMED:
             what = "schema" if opcode == SCHEMA else "channel"
@@ -110,7 +110,7 @@ def _ends_data(source: FileSource, place: int) -> bool:
     # Later versions of the format may add fields to it.
     return any(
         RECORD.unpack_from(tail, at) == (DATA_END, len(tail) - at - RECORD.size)
-        for at in range(len(tail) - RECORD.size - 3)
+        for at in reversed(range(len(tail) - RECORD.size - 3))
     )
 
 
@@ -126,7 +126,7 @@ class Summary:
     """
 
     index: McapIndex = field(default_factory=McapIndex)
-    chunks: dict[int, Region] = field(default_factory=dict)
+    chunks: dict[int, Chunk] = field(default_factory=dict)
     attachments: dict[int, int] = field(default_factory=dict)
     channel_count: int | None = None
     is_complete: bool = False
@@ -139,9 +139,9 @@ class Summary:
         if opcode in {SCHEMA, CHANNEL}:
             self.index.define(opcode, content, "in the summary")
         elif opcode == _CHUNK_INDEX:
-            region = _indexed_chunk(content, is_checked=footer.crc != 0)
-            if len(MAGIC) <= region.start and region.end <= footer.data_end:
-                self.chunks[region.start] = region
+            chunk = _indexed_chunk(content, is_checked=footer.crc != 0)
+            if len(MAGIC) <= chunk.start and chunk.end <= footer.data_end:
+                self.chunks[chunk.start] = chunk
         elif opcode == _ATTACHMENT_INDEX:
             offset, length = _PLACE.unpack_from(content)
             self.attachments[offset] = length
@@ -190,20 +190,20 @@ def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
         position += length
 
 
-def _indexed_chunk(content: memoryview, *, is_checked: bool) -> Region:
+def _indexed_chunk(content: memoryview, *, is_checked: bool) -> Chunk:
     """Return the chunk that a chunk index record describes.
 
     Only times that a checksum shows to be right are a reason to leave it unread.
     """
     first, last, start, length, map_size = _CHUNK_INDEX_HEAD.unpack_from(content)
     begin = _CHUNK_INDEX_HEAD.size
-    holds = dict(struct.iter_unpack("<HQ", content[begin : begin + map_size]))
+    offsets = dict(struct.iter_unpack("<HQ", content[begin : begin + map_size]))
     index_length, name_length = struct.unpack_from("<QI", content, begin + map_size)
     _, size = struct.unpack_from("<QQ", content, begin + map_size + 12 + name_length)
     if length < RECORD.size:
         raise ValueError
-    return Region(
-        *(start, length, True, min(first, LATEST), index_length, holds or None),
+    return Chunk(
+        *(start, length, True, min(first, LATEST), index_length, offsets or None),
         last_ns=min(last, LATEST) if is_checked else None,
         head_last_ns=min(last, LATEST),
         size=size,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.mcap.regions import CHANNEL, MESSAGE, RECORD, SCHEMA
+from quatprop.containers.mcap.chunks import CHANNEL, MESSAGE, RECORD, SCHEMA
 
 if TYPE_CHECKING:
     from collections.abc import Container

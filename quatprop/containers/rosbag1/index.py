@@ -49,7 +49,7 @@ class BagChunk:
     `first_ns`: Log time of its earliest message
     `counts`: number of messages of each connection
     `is_unchunked`: whether it is a run of messages outside any chunk
-    `first_conn`: what is added to the numbers of its connections: bags that were put one behind
+    `id_offset`: what is added to the numbers of its connections: bags that were put one behind
         another have numbers of their own, each counted from 0
     `last_ns`: Log time of its latest message; None if it is unknown
     `record`: its record, once it was read
@@ -64,7 +64,7 @@ class BagChunk:
     first_ns: int = 0
     counts: dict[int, int] = field(default_factory=dict)
     is_unchunked: bool = False
-    first_conn: int = 0
+    id_offset: int = 0
     last_ns: int | None = None
     record: Record | None = None
     is_checked: bool = False
@@ -76,9 +76,9 @@ class BagChunk:
         """Where it is, for a sentence."""
         return f"{'messages' if self.is_unchunked else 'chunk'} at byte {self.start}"
 
-    def inside(self, connections: AbstractSet[int]) -> set[int]:
+    def local_ids(self, connections: AbstractSet[int]) -> set[int]:
         """Return the numbers that some connections of the file have inside the chunk."""
-        return {conn - self.first_conn for conn in connections}
+        return {conn - self.id_offset for conn in connections}
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,7 @@ class BagIndex:
     `chunks`: every chunk
     `losses`: what could not be read
     `end`: where it ends
-    `first_conn`: what is added to the numbers of connections in the current bag of joined ones
+    `id_offset`: what is added to the numbers of connections in the current bag of joined ones
     `origin`: where the current bag begins, from which its own index counts
     `infos`: what chunk infos say that were met among the records
     """
@@ -140,13 +140,13 @@ class BagIndex:
     chunks: list[BagChunk] = field(default_factory=list)
     losses: Losses = field(default_factory=Losses)
     end: int = 0
-    first_conn: int = 0
+    id_offset: int = 0
     origin: int = 0
     infos: list[BagChunk] = field(default_factory=list)
 
     def begin_bag(self, origin: int) -> None:
         """Begin another bag that follows in the same file; no number keeps its meaning."""
-        self.first_conn += _NUMBERS
+        self.id_offset += _NUMBERS
         self.origin = origin
 
     def add_connection(self, record: Record, data: bytes) -> None:
@@ -156,7 +156,7 @@ class BagIndex:
         except UnreadableDataError:
             described = {}
         # Both have a topic; messages were recorded under the one in the header.
-        number = record.number(b"conn") + self.first_conn
+        number = record.number(b"conn") + self.id_offset
         self.connections.setdefault(number, described | record.fields)
 
 

@@ -76,18 +76,20 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
 
     def is_mixed(self, chunk: BagChunk) -> bool:
         """Return whether a chunk holds other connections."""
-        return not chunk.is_unchunked and not chunk.counts.keys() <= chunk.inside(self.connections)
+        return not chunk.is_unchunked and not chunk.counts.keys() <= chunk.local_ids(
+            self.connections
+        )
 
     def load(self, chunk: BagChunk) -> ChunkRecords:
         """Return the records of a chunk, or only the wanted messages of a large one."""
         is_large = chunk.end - chunk.start >= LARGE
         if is_large and self.is_mixed(chunk) and self._is_indexed(chunk, chunk.counts):
-            selected = self._selected(chunk)
+            selected = self._load_messages(chunk)
             if selected is not None:
                 return selected
-        return self._whole(chunk)
+        return self._load_chunk(chunk)
 
-    def _whole(self, chunk: BagChunk) -> ChunkRecords:
+    def _load_chunk(self, chunk: BagChunk) -> ChunkRecords:
         if chunk.is_missing:
             return ChunkRecords(damage="a part of it is missing")
         try:
@@ -98,7 +100,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         self.budget.spend(0 if chunk.is_unchunked else len(loaded.data))
         return loaded
 
-    def _selected(self, chunk: BagChunk) -> ChunkRecords | None:
+    def _load_messages(self, chunk: BagChunk) -> ChunkRecords | None:
         """Return the wanted messages of a chunk; None where it is better read whole.
 
         That is, if it is compressed or mostly wanted, or its index data is not what the bag says.
@@ -112,7 +114,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         is_double = (indexed[1:] == indexed[:-1]).any()
         if is_double or {conn: len(rows) for conn, rows in entries.items()} != chunk.counts:
             return None
-        begins = offsets_of(entries, chunk.inside(self.connections))
+        begins = offsets_of(entries, chunk.local_ids(self.connections))
         nexts = np.append(indexed, size)[np.searchsorted(indexed, begins, "right")]
         ranges = ranges_worth_reading(begins, nexts, size)
         if ranges is None:
@@ -123,7 +125,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
 
     def indexed(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
         """Return the messages of a chunk by its index data; None where they are others."""
-        inside = chunk.inside(self.connections)
+        inside = chunk.local_ids(self.connections)
         if content.offsets is not None:
             return indexed_messages(content.data, content.offsets, inside)
         counts = {conn: len(rows) for conn, rows in content.entries.items() if conn in inside}
@@ -135,8 +137,8 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
     def messages(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
         """Return the messages of a chunk by its records, and note what is lost of them."""
         if content.offsets is not None:
-            content = self._whole(chunk)
-        inside = chunk.inside(self.connections)
+            content = self._load_chunk(chunk)
+        inside = chunk.local_ids(self.connections)
         messages, damage = _scanned(content, inside)
         missing = sum(chunk.counts.get(conn, 0) for conn in inside) - len(messages)
         if damage or missing > 0:
@@ -149,7 +151,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
 
         Without chunk infos, a connection may have messages under the number of another one.
         """
-        return chunk.is_proved is not False or chunk.inside(self.connections) <= {*indexed}
+        return chunk.is_proved is not False or chunk.local_ids(self.connections) <= {*indexed}
 
 
 def _is_plain(record: Record | None) -> bool:

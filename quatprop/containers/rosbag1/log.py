@@ -146,7 +146,7 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
     def chunks_of(self, channel: Channel) -> list[BagChunk]:
         """Return the chunks that hold a channel, or that may as nothing proves what they hold."""
         wanted = self._connections_of(channel)
-        others = [each for each in self._chunks if not each.inside(wanted) & each.counts.keys()]
+        others = [each for each in self._chunks if not each.local_ids(wanted) & each.counts.keys()]
         prove(self._file, [chunk for chunk in others if chunk.is_proved is None])
         left_out = {chunk.start for chunk in others if chunk.is_proved}
         return [chunk for chunk in self._chunks if chunk.start not in left_out]
@@ -184,5 +184,5 @@ def _totals(chunks: Sequence[BagChunk]) -> Counter[int]:
     """Return how many messages each connection has."""
     totals: Counter[int] = Counter()
     for chunk in chunks:
-        totals.update({conn + chunk.first_conn: n for conn, n in chunk.counts.items()})
+        totals.update({conn + chunk.id_offset: n for conn, n in chunk.counts.items()})
     return totals

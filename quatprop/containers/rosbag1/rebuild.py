@@ -49,12 +49,12 @@ def rebuild_index(file: RecordFile, index: BagIndex) -> None:
         if (
             (info is not None and not chunk.is_proved)
             or after is None
-            or after.first_conn != chunk.first_conn
+            or after.id_offset != chunk.id_offset
             or chunk.is_unchunked
             or not chunk.counts
-            or not chunk.counts.keys() <= chunk.inside(index.connections.keys())
+            or not chunk.counts.keys() <= chunk.local_ids(index.connections.keys())
         ):
-            index.first_conn = chunk.first_conn
+            index.id_offset = chunk.id_offset
             _read_inside(file, index, chunk, Counter(chunk.counts if info is None else info.counts))
     _add_missing(index, chunks, sorted(infos.values(), key=lambda info: info.start))
 
@@ -115,7 +115,7 @@ def _add(file: RecordFile, index: BagIndex, record: Record) -> None:
         if _is_damaged_chunk(file, record):
             raise UnreadableDataError("its chunk is damaged")
         end = min(record.end, file.size)
-        index.chunks.append(BagChunk(record.start, end, first_conn=index.first_conn))
+        index.chunks.append(BagChunk(record.start, end, id_offset=index.id_offset))
     elif record.op == OP_MESSAGE:
         last = index.chunks[-1] if index.chunks else None
         if (
@@ -127,7 +127,7 @@ def _add(file: RecordFile, index: BagIndex, record: Record) -> None:
             last.end = min(record.end, file.size)
         else:
             end = min(record.end, file.size)
-            chunk = BagChunk(record.start, end, is_unchunked=True, first_conn=index.first_conn)
+            chunk = BagChunk(record.start, end, is_unchunked=True, id_offset=index.id_offset)
             index.chunks.append(chunk)
     elif record.op == OP_BAG_HEADER:
         index.begin_bag(record.start - len(MAGIC))
@@ -140,7 +140,7 @@ def _add(file: RecordFile, index: BagIndex, record: Record) -> None:
     elif record.op == OP_CHUNK_INFO:
         info = chunk_of_info(record, file.at(record.data, record.end - record.data))
         info.start += index.origin
-        info.end, info.first_conn = info.start, index.first_conn
+        info.end, info.id_offset = info.start, index.id_offset
         index.infos.append(info)
     elif record.op == OP_INDEX_DATA and index.chunks:
         _add_times(index.chunks[-1], file.at(record.start, record.end - record.start))

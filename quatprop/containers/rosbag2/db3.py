@@ -23,7 +23,7 @@ from quatprop.errors import DamagedLogError
 from quatprop.messages.blocks import Channel, MessageBlock, by_topic
 from quatprop.provenance import of_all_topics
 from quatprop.stores.file_source import FileSource
-from quatprop.tables.time_range import TimeRange
+from quatprop.tables.model import TimeRange
 from quatprop.text import quoted
 from quatprop.times import LATEST
 

@@ -24,7 +24,7 @@ from quatprop.stores.compression import UnreadableDataError
 from quatprop.stores.file_source import FileSource
 from quatprop.tables.batches import NO_BOUND
 from quatprop.tables.log import Loss
-from quatprop.tables.time_range import TimeRange
+from quatprop.tables.model import TimeRange
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
@@ -201,10 +201,10 @@ class Rosbag2Log(TopicLog):
                 continue
             running[k] = stream
             # Not after the block's end, so that a part that has ended is closed at once.
-            not_before_ns = min(block.not_before_ns, int(block.log_ns.max()))
-            heapq.heappush(waiting, (not_before_ns, k))
+            watermark_ns = min(block.watermark_ns, int(block.log_ns.max()))
+            heapq.heappush(waiting, (watermark_ns, k))
             count += len(block)
-            yield replace(block, not_before_ns=waiting[0][0])
+            yield replace(block, watermark_ns=waiting[0][0])
         if within is None:
             self._check_count(channel, count)
 
@@ -231,7 +231,7 @@ class Rosbag2Log(TopicLog):
             with closing(self._stream(*stream)) as blocks:
                 first = next(blocks, None)
             if first is not None:
-                starts.append((min(first.not_before_ns, int(first.log_ns.min())), k))
+                starts.append((min(first.watermark_ns, int(first.log_ns.min())), k))
         return starts
 
     def _stream(

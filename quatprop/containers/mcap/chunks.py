@@ -1,4 +1,4 @@
-"""Regions of an MCAP file that hold messages: chunks, and runs of messages outside chunks.
+"""The chunks of an MCAP file; a run of messages outside chunks is taken for one.
 
 References
 ----------
@@ -49,7 +49,7 @@ INDEX_ENTRY = 16
 
 
 @dataclass(slots=True)
-class Region:
+class Chunk:
     """A chunk, or a run of messages outside chunks.
 
     `start`, `length`: the chunk record, or the messages, in the file, bytes
@@ -57,10 +57,10 @@ class Region:
     `first_ns`, `last_ns`: its earliest and latest log time, ns; the latest is None where no index
         states it
     `index_length`: bytes of message index that follow it
-    `holds`: where in the file the message index of each channel is, by channel id; 0 where it has
-        none. None if it is unknown which channels the region holds
+    `message_index_offsets`: where in the file the message index of each channel is, by channel id;
+        0 where it has none. None if it is unknown which channels the chunk has
     `counts`: number of messages of each channel, by channel id, where they were counted
-    `first_id`: what is added to its channel ids to tell them from those defined elsewhere in the
+    `id_offset`: what is added to its channel ids to tell them from those defined elsewhere in the
         file
     `size`: bytes of its decompressed records by the index
     `head_last_ns`: its latest log time by its head, ns, where no index states it; 0 if unknown. The
@@ -72,9 +72,9 @@ class Region:
     is_chunk: bool
     first_ns: int
     index_length: int = 0
-    holds: dict[int, int] | None = None
+    message_index_offsets: dict[int, int] | None = None
     counts: dict[int, int] | None = None
-    first_id: int = 0
+    id_offset: int = 0
     last_ns: int | None = None
     size: int = 0
     head_last_ns: int = 0
@@ -97,7 +97,7 @@ class Region:
     @property
     def ids(self) -> list[int]:
         """Ids in the index of the channels that it holds, where that is known."""
-        return [self.first_id + id_ for id_ in self.holds or ()]
+        return [self.id_offset + id_ for id_ in self.message_index_offsets or ()]
 
     def may_have_logged(self, log_ns: NDArray[np.int64]) -> bool:
         """Return whether log times are in the range that it states; True if it states none."""
@@ -106,16 +106,16 @@ class Region:
             return True
         return bool(self.first_ns <= log_ns.min() and log_ns.max() <= last_ns)
 
-    def own(self, ids: Sequence[int]) -> list[int]:
+    def local_ids(self, ids: Sequence[int]) -> list[int]:
         """Return the ids in its own records of channels of the index."""
-        own = (id_ - self.first_id for id_ in ids)
+        own = (id_ - self.id_offset for id_ in ids)
         return [id_ for id_ in own if 0 <= id_ < 1 << 16]
 
     def listed(self) -> dict[int, int] | None:
         """Return how many messages of each channel it holds; None if that is unknown."""
-        if self.counts is not None or self.holds is None:
+        if self.counts is not None or self.message_index_offsets is None:
             return self.counts
-        order = sorted(self.holds.items(), key=itemgetter(1))
+        order = sorted(self.message_index_offsets.items(), key=itemgetter(1))
         # Where the next index begins shows how many entries one has.
         ends = [*(place for _, place in order[1:]), self.end]
         return {
@@ -130,7 +130,7 @@ class Region:
 
 
 class Loaded(NamedTuple):
-    """A region that was read.
+    """A chunk that was read.
 
     `data`: its decompressed records, as far as they could be read
     `damage`: why they end early, or ``""``
@@ -152,43 +152,41 @@ TORN = "the file ends inside it"
 
 
 def load(
-    source: FileSource, region: Region, budget: DecompressionBudget, *, check: bool = True
+    source: FileSource, chunk: Chunk, budget: DecompressionBudget, *, check: bool = True
 ) -> Loaded:
-    """Read a region and decompress it; `check` refuses a chunk whose checksum is wrong."""
+    """Read a chunk and decompress it; `check` refuses a chunk whose checksum is wrong."""
     try:
-        return _load(source, region, budget, check=check)
+        return _load(source, chunk, budget, check=check)
     except OSError as error:
         raise UnreadableDataError(os_reason(error)) from error
 
 
-def _load(
-    source: FileSource, region: Region, budget: DecompressionBudget, *, check: bool
-) -> Loaded:
-    if not region.is_chunk:
-        loose = source.read(region.start, region.length)
-        return Loaded(loose, TORN if len(loose) < region.length else "")
-    at_once = region.length <= _AT_ONCE
-    front = memoryview(source.read(region.start, region.length if at_once else PEEK))
-    chunk = chunk_head(front, region.length)
-    if chunk is None:
+def _load(source: FileSource, chunk: Chunk, budget: DecompressionBudget, *, check: bool) -> Loaded:
+    if not chunk.is_chunk:
+        loose = source.read(chunk.start, chunk.length)
+        return Loaded(loose, TORN if len(loose) < chunk.length else "")
+    at_once = chunk.length <= _AT_ONCE
+    front = memoryview(source.read(chunk.start, chunk.length if at_once else PEEK))
+    head = chunk_head(front, chunk.length)
+    if head is None:
         raise UnreadableDataError("no chunk of the indexed length begins there")
     budget.check()
-    begin, size = region.start + chunk.begin, min(chunk.end, region.length) - chunk.begin
-    content = front[chunk.begin :][:size] if at_once else source.read(begin, size)
-    is_torn = len(content) < size or region.start + region.length > source.size
+    begin, size = chunk.start + head.begin, min(head.end, chunk.length) - head.begin
+    content = front[head.begin :][:size] if at_once else source.read(begin, size)
+    is_torn = len(content) < size or chunk.start + chunk.length > source.size
     if is_torn:
-        data = decompress_prefix(content, chunk.compression, chunk.size)[: chunk.size]
-        if len(data) < chunk.size or not chunk.crc:
+        data = decompress_prefix(content, head.compression, head.size)[: head.size]
+        if len(data) < head.size or not head.crc:
             return Loaded(data, TORN)
     else:
-        data = decompress(content, chunk.compression, chunk.size or None)
-    budget.spend(len(data) if chunk.compression else 0)
-    if check and chunk.crc and crc32(data) != chunk.crc and checksums_matter():
+        data = decompress(content, head.compression, head.size or None)
+    budget.spend(len(data) if head.compression else 0)
+    if check and head.crc and crc32(data) != head.crc and checksums_matter():
         raise UnreadableDataError(
             f"its checksum is wrong, so it is not what was recorded; with {CHECKSUMS}=ignore "
             "it is read all the same"
         )
-    return Loaded(data, has_checksum=chunk.crc != 0)
+    return Loaded(data, has_checksum=head.crc != 0)
 
 
 class ChunkHead(NamedTuple):
@@ -215,9 +213,9 @@ class ChunkHead(NamedTuple):
         return not self.compression and self.size == self.end - self.begin
 
 
-def head_of(source: FileSource, region: Region) -> ChunkHead | None:
+def head_of(source: FileSource, chunk: Chunk) -> ChunkHead | None:
     """Return the head of a chunk; None where none of its length begins."""
-    return chunk_head(source.read(region.start, PEEK), region.length)
+    return chunk_head(source.read(chunk.start, PEEK), chunk.length)
 
 
 def chunk_head(record: Buffer, length: int) -> ChunkHead | None:
@@ -240,11 +238,11 @@ def chunk_head(record: Buffer, length: int) -> ChunkHead | None:
 
 def plausible_chunk(head: bytes, length: int) -> bool:
     """Tell whether a chunk's content has consistent lengths, in all `length`; it may be torn."""
-    chunk = chunk_head(head, RECORD.size + length)
+    stated = chunk_head(head, RECORD.size + length)
     return (
-        chunk is not None
-        and chunk.end == RECORD.size + length
-        and chunk.compression in _COMPRESSIONS
-        and chunk.size <= MAX_SIZE
-        and (chunk.compression != "" or chunk.size == chunk.end - chunk.begin)
+        stated is not None
+        and stated.end == RECORD.size + length
+        and stated.compression in _COMPRESSIONS
+        and stated.size <= MAX_SIZE
+        and (stated.compression != "" or stated.size == stated.end - stated.begin)
     )
