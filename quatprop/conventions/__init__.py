@@ -32,6 +32,7 @@ import numpy as np
 from quatprop.conventions.representations import REPRESENTATIONS, Representation
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate
+from quatprop.settings import CONVENTIONS, DIRECTIONS, SIGNS
 from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
@@ -48,10 +49,6 @@ __all__ = [
     "Representation",
     "Signs",
 ]
-
-CONVENTIONS = ("hamilton", "jpl")
-DIRECTIONS = ("body-to-ref", "ref-to-body")
-SIGNS = ("keep", "continuous", "positive")
 
 
 @dataclass(frozen=True, slots=True)
