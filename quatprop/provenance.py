@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.errors import DamagedLogError, UnreadableLogError, os_reason
 from quatprop.settings.guarded_text import ContentError, read_json
-from quatprop.text import in_python
+from quatprop.text import MARK, in_python
 
 JsonObject: TypeAlias = dict[str, Any]
 """An object of JSON, as it is read or about to be written."""
@@ -54,7 +54,7 @@ def as_json(value: object, spell: Callable[[str], str] = in_python) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         value = None  # JSON has no infinities.
     if value is None or isinstance(value, _PLAIN):
-        return spell(value) if isinstance(value, str) else value
+        return spell(value) if isinstance(value, str) and MARK in value else value
     if isinstance(value, Digest):
         return value.as_json()
     names = getattr(value, "_fields", None)
@@ -71,7 +71,7 @@ def as_json(value: object, spell: Callable[[str], str] = in_python) -> Any:
         return [as_json(item, spell) for item in value]
     # NumPy's arrays and scalars, without importing NumPy.
     convert = getattr(value, "tolist", None)
-    return spell(str(value)) if convert is None else convert()
+    return str(value) if convert is None else convert()
 
 
 def provenance_in(text: bytes | str | None, path: Path | str) -> JsonObject:

@@ -25,6 +25,9 @@ MAX_LISTED = 12
 MAX_SHOWN = 60
 """Characters of a value that are shown as they are."""
 
+MARK = "\ue000"
+"""How the mark of a setting begins."""
+
 _MARK = re.compile("\ue000([^\ue000-\ue002]*)\ue002([^\ue000-\ue002]*)\ue002(\\w*)\ue001")
 """A setting in a sentence: :func:`quoted` and :func:`plain` let no such characters pass."""
 

@@ -20,8 +20,7 @@ from quatprop.batch.cluster import on_a_cluster, propagate_on_worker
 from quatprop.batch.entries import ManifestEntry
 from quatprop.batch.logs import LogSearch
 from quatprop.batch.manifest import Manifest, write_table
-from quatprop.batch.outputs import output_paths, shard
-from quatprop.batch.run import propagate_log
+from quatprop.batch.run import output_paths, propagate_log, shard
 from quatprop.batch.tasks import BatchSettings, BatchTask
 from quatprop.cli.batch import command
 from quatprop.cli.commands import cli

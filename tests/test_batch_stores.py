@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 import quatprop
 from quatprop.batch.logs import FoundLog, LogSearch
-from quatprop.batch.outputs import shard
+from quatprop.batch.run import shard
 from quatprop.batch.store_manifest import manifest_in
 from quatprop.cli.commands import cli
 from quatprop.stores.objects import list_objects

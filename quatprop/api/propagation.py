@@ -85,31 +85,48 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
     >>> propagate(rates).as_quat(scalar_first=True)[-1].round(12).tolist()
     [0.0, 0.0, 0.0, 1.0]
     """
+    from quatprop.pipeline.settings import propagation_settings
+
+    settings = propagation_settings(options)
+    if isinstance(log, GyroSeries):
+        path = "series"
+        _refuse_log_settings(options)
+        series = _propagated_in_memory(log, settings)
+    else:
+        path = path_text("log", log, "make a GyroSeries of arrays")
+        series = _propagated_log(path, settings)
+    report = series.report
+    warn(path, report.losses, report.remarks, dropped=report.counts.dropped)
+    return series
+
+
+def _propagated_log(path: str, settings: PropagationSettings) -> PropagatedSeries:
     from quatprop.concurrency.threads import use_threads
     from quatprop.containers.kept_blocks import beginnings_kept
     from quatprop.logs.open_log import open_log
     from quatprop.pipeline.attitude_stream import AttitudeStream
-    from quatprop.pipeline.settings import propagation_settings
-    from quatprop.signals.rates import choose_rates, signal_of_series
+    from quatprop.signals.rates import choose_rates
 
-    settings = propagation_settings(options)
-    if isinstance(log, GyroSeries):
-        _refuse_log_settings(options)
-        if not len(log):
-            raise SeriesError("Expected a series with samples, got an empty one")
-        try:
-            stream = AttitudeStream("series", signal_of_series(log), settings, None)
-            return _propagated("series", stream, settings, None)
-        except QuatpropError as error:
-            error.reason = _in_memory(error.reason)
-            raise
-    path = path_text("log", log, "make a GyroSeries of arrays")
     kind, msg_path = settings.kind, settings.selection.msg_path
-    with use_threads(settings.threads), open_log(path, kind, msg_path=msg_path) as opened:
-        with beginnings_kept(opened):
-            signal = choose_rates(opened, settings.selection)
-            stream = AttitudeStream(path, signal, settings, opened)
-        return _propagated(path, stream, settings, opened)
+    with use_threads(settings.threads), open_log(path, kind, msg_path=msg_path) as log:
+        with beginnings_kept(log):
+            rates = choose_rates(log, settings.selection)
+            stream = AttitudeStream(path, rates, settings, log)
+        return _propagated(stream, settings, log)
+
+
+def _propagated_in_memory(rates: GyroSeries, settings: PropagationSettings) -> PropagatedSeries:
+    from quatprop.pipeline.attitude_stream import AttitudeStream
+    from quatprop.signals.rates import signal_of_series
+
+    if not len(rates):
+        raise SeriesError("Expected a series with samples, got an empty one")
+    try:
+        stream = AttitudeStream("series", signal_of_series(rates), settings, None)
+        return _propagated(stream, settings, None)
+    except QuatpropError as error:
+        error.reason = _in_memory(error.reason)
+        raise
 
 
 _IN_MEMORY = {
@@ -141,7 +158,7 @@ def _refuse_log_settings(options: Mapping[str, object]) -> None:
 
 
 def _propagated(
-    path: str, stream: AttitudeStream, settings: PropagationSettings, log: Log | None
+    stream: AttitudeStream, settings: PropagationSettings, log: Log | None
 ) -> PropagatedSeries:
     from quatprop.pipeline.report import digests_of_inputs
 
@@ -149,5 +166,4 @@ def _propagated(
     report = replace(stream.report(), files=digests_of_inputs(settings.inputs, log))
     spell = _in_memory if log is None else in_python
     report = replace(report, remarks=tuple(map(spell, report.remarks)))
-    warn(path, report.losses, report.remarks, dropped=report.counts.dropped, depth=4)
     return PropagatedSeries(series.t_ns, series.wxyz, covariance=series.covariance, report=report)

@@ -136,14 +136,13 @@ def warn(
     remarks: Iterable[str],
     *,
     dropped: int = 0,
-    depth: int = 3,
 ) -> None:
-    """Warn of losses and remarks at the line of the user's call, `depth` calls up."""
+    """Warn of losses and remarks at the line where the user calls the function that calls this."""
     for loss in losses:
         message = f"{path}: lost: {loss.place}: {spelled(loss.reason)}"
-        warnings.warn(DataLossWarning(message, loss.messages), stacklevel=depth)
+        warnings.warn(DataLossWarning(message, loss.messages), stacklevel=3)
     if dropped:
         message = f"{path}: {dropped} rows were dropped"
-        warnings.warn(DataLossWarning(message, dropped), stacklevel=depth)
+        warnings.warn(DataLossWarning(message, dropped), stacklevel=3)
     for remark in remarks:
-        warnings.warn(f"{path}: {spelled(remark)}", RemarkWarning, stacklevel=depth)
+        warnings.warn(f"{path}: {spelled(remark)}", RemarkWarning, stacklevel=3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -10,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from quatprop.batch.entries import COMPLETE, ManifestEntry
 from quatprop.batch.manifest import log_name
-from quatprop.batch.outputs import OTHER_OUTPUT, output_paths
 from quatprop.batch.tasks import BatchResult, BatchSettings, BatchTask, failed
 from quatprop.concurrency.processes import KILLED, map_processes
 from quatprop.concurrency.threads import available_cores
@@ -26,10 +26,10 @@ from quatprop.errors.third_party import as_user_error
 from quatprop.pipeline.job import Job, run
 from quatprop.provenance import digest_of
 from quatprop.settings.spelling import in_options
-from quatprop.stores.objects import is_address
+from quatprop.stores.objects import below, is_address, without_secret
 from quatprop.stores.temp_files import temp_folder
 from quatprop.stores.transfers import upload
-from quatprop.text import plain, quoted, spelled, spelling
+from quatprop.text import Setting, plain, quoted, spelled, spelling
 from quatprop.writers.targets import refuse_outside, refuse_overlap
 
 if TYPE_CHECKING:
@@ -40,6 +40,43 @@ if TYPE_CHECKING:
 
 REQUESTS = 32
 """Logs in an object store about which it is asked at a time."""
+
+
+OTHER_OUTPUT = (
+    f"keep their folders in the names with {Setting('root', 'DIR')}, a folder above both, or "
+    "write to another folder"
+)
+"""The way out where two logs have the same output."""
+
+
+def output_paths(logs: Iterable[FoundLog], folder: str, suffix: str) -> list[str]:
+    """Return the path of the output of each log."""
+    paths: list[str] = []
+    owners: dict[str, FoundLog] = {}
+    for log in logs:
+        name = log.name + suffix
+        paths.append(below(folder, name) if is_address(folder) else os.path.join(folder, name))  # noqa: PTH118
+        owner = owners.setdefault(log.name.lower(), log)
+        if owner is not log:
+            one, other, both = (
+                quoted(without_secret(path)) for path in (owner.path, log.path, paths[-1])
+            )
+            folders = {os.path.dirname(path) for path in (owner.path, log.path)}  # noqa: PTH120
+            way_out = OTHER_OUTPUT if len(folders) > 1 else "rename one of them"
+            raise UsageError(f"{one} and {other} would both be written to {both}; {way_out}")
+    return paths
+
+
+def shard(logs: Iterable[FoundLog], text: str) -> list[FoundLog]:
+    """Return one part of N of the logs: that of one machine of many, as in an array job.
+
+    `text`: ``"I/N"``, the I-th part, from 1 to N
+    """
+    match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
+    part, parts = map(int, match.groups()) if match else (0, 0)
+    if not 1 <= part <= parts:
+        raise UsageError(f"{quoted(text)} is not I/N, from 1/N to N/N, for {Setting('shard')}")
+    return sorted(logs, key=lambda log: log.name)[part - 1 :: parts]
 
 
 def plan(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from contextlib import closing
-from fnmatch import fnmatchcase
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -24,23 +23,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     PinnedCase = tuple[Case | CaseNotRun, Pin | None]
-
-
-def select_cases(
-    cases: Sequence[Case | CaseNotRun], patterns: Sequence[str]
-) -> list[Case | CaseNotRun]:
-    """Return the cases whose names match one of the patterns; all where there are none.
-
-    `patterns`: parts of names, or with ``*``, ``?`` or ``[...]`` patterns of whole names
-    """
-
-    def matches(name: str) -> bool:
-        return not patterns or any(
-            fnmatchcase(name, pattern) if set(pattern) & set("*?[") else pattern in name
-            for pattern in patterns
-        )
-
-    return [case for case in cases if matches(case.name)]
 
 
 @spelling(in_keys)

@@ -148,7 +148,7 @@ command.params += SHARED
 def _search(names: Iterable[str], folder: str, chosen: Mapping[str, Any]) -> LogSearch:
     """Return the logs of all names, or of one part of them."""
     from quatprop.batch.logs import LogSearch
-    from quatprop.batch.outputs import shard
+    from quatprop.batch.run import shard
     from quatprop.stores.objects import without_secret
 
     given = list(names)

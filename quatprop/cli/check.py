@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from contextlib import closing, contextmanager, nullcontext
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -103,18 +104,13 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
     from quatprop.check.cases import load_cases
     from quatprop.check.judge import explain
     from quatprop.check.lock import read_lock
-    from quatprop.check.runner import select_cases
     from quatprop.writers.targets import refuse_outside
 
     if options["init"] != bool(logs):
         raise click.UsageError("--init needs a LOG for each case, and nothing else takes one")
     with _new_suite(suite, logs) if options["init"] else nullcontext():
         loaded, all_cases = load_cases(suite)
-        cases = select_cases(all_cases, options["patterns"])
-        if not cases:
-            raise click.UsageError(
-                f"no case of {suite} matches -k {' -k '.join(options['patterns'])}"
-            )
+        cases = _selected(all_cases, options["patterns"], suite)
         locked = read_lock(loaded.lock)
         pins = {case.name: locked[case.name] for case in all_cases if case.name in locked}
         deleted = {name: pin for name, pin in locked.items() if name not in pins}
@@ -137,6 +133,20 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
     if deleted:
         _report_deleted(all_cases, deleted, updating=lock is not None)
     return code
+
+
+def _selected(
+    cases: Sequence[Case | CaseNotRun], patterns: Sequence[str], suite: str
+) -> Sequence[Case | CaseNotRun]:
+    """Return the cases whose names contain a pattern or match it; all where there are none."""
+
+    def matches(name: str, pattern: str) -> bool:
+        return fnmatchcase(name, pattern) if set(pattern) & set("*?[") else pattern in name
+
+    found = [case for case in cases if any(matches(case.name, one) for one in patterns or [""])]
+    if not found:
+        raise click.UsageError(f"no case of {suite} matches -k {' -k '.join(patterns)}")
+    return found
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from quatprop.cli.help import Command
 from quatprop.cli.options import QUIET, REPORT, input_of, options_of, with_options
 from quatprop.cli.output_options import EULER, INTO, OUTPUT_OPTIONS, output_settings, with_unit
 from quatprop.cli.types import PATH
-from quatprop.settings import CONVENTIONS, DIRECTIONS, READ_ATTITUDES
+from quatprop.settings import CONVENTIONS, DIRECTIONS, READ_ATTITUDES, SIGNS
 from quatprop.settings.keyword import Keyword
 from quatprop.settings.parsers import Choice
 from quatprop.text import plain, spelled
@@ -35,7 +35,7 @@ OPTIONS = {
     "--direction": Keyword(
         Choice(*DIRECTIONS), "Which coordinates OUT turns into which.", "body-to-ref",
         group="Output", common=True, preset=True),
-    "--sign": Keyword(Choice("keep", "continuous", "positive"),
+    "--sign": Keyword(Choice(*SIGNS),
         "Of q and -q, which are the same attitude: the one that is there, the one nearer "
         "to the row before, or the one with w >= 0 (of half turns, w = 0, the one whose "
         "first component that is not zero is positive).", "keep", group="Output", common=True,

@@ -31,14 +31,23 @@ import numpy as np
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate
+from quatprop.settings import CONVENTIONS, DIRECTIONS, SIGNS
 from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
 
-CONVENTIONS = ("hamilton", "jpl")
-DIRECTIONS = ("body-to-ref", "ref-to-body")
-SIGNS = ("keep", "continuous", "positive")
+
+__all__ = [
+    "CONVENTIONS",
+    "DIRECTIONS",
+    "HAMILTON",
+    "REPRESENTATIONS",
+    "SIGNS",
+    "Meaning",
+    "Representation",
+    "Signs",
+]
 
 
 @dataclass(frozen=True, slots=True)

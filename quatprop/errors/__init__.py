@@ -86,11 +86,10 @@ class QuatpropError(Exception):
 
     @property
     def text(self) -> str:
-        """The sentence, in which settings are marks."""
+        """The sentence, in which settings are marks; ``str`` spells them."""
         return self.reason
 
     def __str__(self) -> str:
-        """Return the sentence as the interface spells it that runs."""
         return spelled(self.text, self.side)
 
     def __repr__(self) -> str:
@@ -260,17 +259,11 @@ class UndeclaredError(LogError):
     """Something that only the user can know is not said anywhere.
 
     `unknown`: what is not declared, such as "the unit of the rates in columns 'gx', 'gy', 'gz'"
-    `way_out`, `several`: what declares it, such as ``Setting("rate_unit", "rad/s|deg/s")``; whether
-        it is several
+    `way_out`: what declares it, such as ``Setting("rate_unit", "rad/s|deg/s")``
     """
 
     def __init__(
-        self,
-        path: Path | str,
-        unknown: str,
-        way_out: str,
-        *,
-        several: bool = False,
+        self, path: Path | str, unknown: str, way_out: str, *, several: bool = False
     ) -> None:
         reason = "are not declared; say them" if several else "is not declared; say it"
         super().__init__(path, f"{unknown} {reason} with {way_out}")

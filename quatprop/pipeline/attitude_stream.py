@@ -176,16 +176,6 @@ class AttitudeStream:
         method_rad, sampling_rad = (
             (None, None) if sensitivity is None else sensitivity.angles(self._segments.final)
         )
-        findings: list[str] = [
-            *source.remarks,
-            *source.method_remarks(settings.method),
-            *remarks(counts, settings.policy),
-            *clipping_remarks(settings.conditioning, self._conditioned),
-            *self._conditioned.all_remarks,
-            *self._checks.remarks(counts),
-            *filter(str, [self._times_left_out()]),
-            *self._log_remarks,
-        ]
         return RunReport(
             source=SourceReport(
                 path=without_secret(self._path),
@@ -210,7 +200,7 @@ class AttitudeStream:
             counts=counts,
             losses=() if log is None else tuple(log.losses),
             unchecked_chunks=0 if log is None else log.unchecked_chunks,
-            remarks=(*findings, *(() if log is None else log.remarks)),
+            remarks=tuple(self._remarks()),
             conditioning=self._conditioned,
             settings=settings.given,
             uncertainty=self._uncertainty(),
@@ -229,6 +219,18 @@ class AttitudeStream:
                 path_angle_rad=counts.path_angle_rad,
             ),
         )
+
+    def _remarks(self) -> Iterator[str]:
+        settings, counts = self._settings, self._timeline.counts
+        yield from self._source.remarks
+        yield from self._source.method_remarks(settings.method)
+        yield from remarks(counts, settings.policy)
+        yield from clipping_remarks(settings.conditioning, self._conditioned)
+        yield from self._conditioned.all_remarks
+        yield from self._checks.remarks(counts)
+        yield from filter(None, [self._times_left_out()])
+        yield from self._log_remarks
+        yield from () if self._log is None else self._log.remarks
 
     def _times_left_out(self) -> str:
         """Say how many of the times asked for have no attitude, and why; nothing if all have."""

@@ -44,6 +44,7 @@ TIME_UNITS = ("s", "ms", "us", "ns")
 CLOCKS = ("header", "log", "publish")
 METHODS = ("start", "end", "mean", "coning", "cubic")
 FRAMES = ("body", "inertial")
+"""Where rates may be resolved: body rates multiply on the right, inertial rates on the left."""
 EULER_SEQUENCES = (
     *("zyx", "xyz", "xzy", "yxz", "yzx", "zxy"),
     *("zxz", "zyz", "xyx", "xzx", "yxy", "yzy"),
@@ -52,6 +53,7 @@ EULER_SEQUENCES = (
 SIGMA_AXES = ("body", "reference")
 CONVENTIONS = ("hamilton", "jpl")
 DIRECTIONS = ("body-to-ref", "ref-to-body")
+SIGNS = ("keep", "continuous", "positive")
 OPTION_NAMES = {"kind": "from", "representation": "as", "beside": "with"}
 """Settings whose name as an option or a key of a suite is a word of Python -> that name."""
 
