@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, cast
 from quatprop.errors import OutputError, UsageError
 from quatprop.logs.kinds import COMPRESSION_SUFFIXES
 from quatprop.text import Setting, listed, plain, quoted
-from quatprop.writers import refuse_columns
+from quatprop.writers import refuse_columns, refuse_comment
 from quatprop.writers.attitudes import AttitudeWriter, attitude_messages
 from quatprop.writers.formats import WRITERS, kind_of, layout_of
 from quatprop.writers.messages.kinds import Message
@@ -81,8 +81,7 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
     """
     kind = copy_kind(log, target)
     layout_of(kind, layout)
-    if comment:
-        raise UsageError(f"{kind} has no comments; leave {Setting('header_comment')} out")
+    refuse_comment(kind, comment=comment)
     refuse_columns(kind, message, sigma, beside)
     message = message or Message()
     channels = cast("MessageLog", log).channels()

@@ -13,11 +13,8 @@ from quatprop.rendering import file_names, instant_text, loss_lines, source_text
 from quatprop.text import spelled
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from quatprop.pipeline.job import Job
     from quatprop.pipeline.report import RunReport
-    from quatprop.series import AttitudeSeries, GyroSeries
 
 
 class PropagationPicture(PictureFile):
@@ -33,16 +30,9 @@ class PropagationPicture(PictureFile):
         super().__init__(target, inputs, [output.path, output.report], command=command)
         self._rates = RateAccumulator("rad/s")
         self._attitudes = AttitudeAccumulator(has_sigmas=settings.errors.sigma)
+        self.rates, self.attitudes = self._rates.passing, self._attitudes.passing
         # Attitudes at other times than those of the samples have other intervals.
         self._resampled = settings.rate is not None or settings.at is not None
-
-    def rates(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield the rates as they are, having accumulated them."""
-        return self._rates.passing(batches)
-
-    def attitudes(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
-        """Yield the attitudes as they are, having accumulated them."""
-        return self._attitudes.passing(batches)
 
     def draw(self, report: RunReport) -> None:
         """Draw the picture and put it in its place."""

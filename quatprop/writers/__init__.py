@@ -65,7 +65,7 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
         table = _open_columns(target, kind, sum(columns, ()), comment=comment)
         return attitude_table(table, order, sigma, form)
 
-    _refuse_comment(kind, comment=comment)
+    refuse_comment(kind, comment=comment)
     _refuse_stdout(target, kind)
     encoder = attitude_encoder(message or Message(), chosen.encodings)
     return attitude_messages(open_messages(target, kind, encoder.topic), encoder, target)
@@ -143,7 +143,7 @@ def _open_columns(
     target: Path | str, kind: str, names: Sequence[str], *, comment: bool
 ) -> TableWriter:
     _refuse_stdout(target, kind)
-    _refuse_comment(kind, comment=comment)
+    refuse_comment(kind, comment=comment)
     options = {"comment": True} if comment else {}
     table: TableWriter = WRITERS[kind].load()(target, names, **options)
     return table
@@ -158,6 +158,7 @@ def _refuse_stdout(target: Path | str, kind: str) -> None:
         raise OutputError(target, f"a terminal cannot show {kind}; send it to a file or a program")
 
 
-def _refuse_comment(kind: str, *, comment: bool) -> None:
+def refuse_comment(kind: str, *, comment: bool) -> None:
+    """Refuse a comment where a format has none."""
     if comment and not WRITERS[kind].comments:
         raise UsageError(f"{kind} has no comments; leave {Setting('header_comment')} out")

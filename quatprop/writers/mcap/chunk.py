@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from quatprop.arrays import Records
+    from quatprop.stores.compression import Buffer
 
 
 CHUNK_BYTES = 1 << 20
@@ -34,7 +35,7 @@ _RECORD_HEAD_BYTES = 9
 _ZSTD_LEVEL = -3
 """Attitudes are mostly noise to a compressor: level 1 would save 3 % for half again the time."""
 
-COMPRESSIONS: Mapping[str, Callable[[bytes], bytes]] = {
+COMPRESSIONS: Mapping[str, Callable[[Buffer], Buffer]] = {
     "none": lambda data: data,
     "lz4": lz4.frame.compress,
     "zstd": lambda data: zstandard.ZstdCompressor(_ZSTD_LEVEL).compress(data),
@@ -58,11 +59,13 @@ class McapChunk:
     last: int
     size: int
     crc: int
-    data: bytes
+    data: Buffer
     indexes: Mapping[int, Records]
 
 
-def compressed_chunk(compression: str, records: bytes, indexes: Mapping[int, Records]) -> McapChunk:
+def compressed_chunk(
+    compression: str, records: Buffer, indexes: Mapping[int, Records]
+) -> McapChunk:
     """Return a chunk of records."""
     return McapChunk(
         compression=compression,
@@ -80,7 +83,8 @@ def chunk_of_messages(compression: str, messages: Records) -> McapChunk:
     index = np.empty(len(messages), INDEX_ENTRY)
     index["log"] = messages["log"]
     index["offset"] = np.arange(len(messages)) * messages.itemsize
-    return compressed_chunk(compression, messages.tobytes(), {int(messages["channel"][0]): index})
+    records = messages.view(np.uint8).data
+    return compressed_chunk(compression, records, {int(messages["channel"][0]): index})
 
 
 def empty_messages(channel: int, chunk_bytes: int, size: int) -> Records:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from mcap.records import McapRecord
 
     from quatprop.arrays import Int64, Records
+    from quatprop.stores.compression import Buffer
 
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -179,7 +180,7 @@ class McapFile:
             self.contents.counts[id_] += len(index)
         return offsets
 
-    def append(self, data: bytes) -> None:
+    def append(self, data: Buffer) -> None:
         """Write whole records as they are."""
         self._stream.write(data)
         self._crc = crc32(data, self._crc)
