@@ -7,10 +7,12 @@ or where there are many of them and all have more.
 
 from __future__ import annotations
 
+import csv
+import io
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.tables.csv.headers import split_cells
+from quatprop.tables.csv.row_parser import squeeze_blanks
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -41,14 +43,13 @@ def is_truncated(
     before: bytes, last: bytes, layout: CsvLayout, used: Collection[int]
 ) -> bool | None:
     """Return whether a last line without a line end was cut off."""
-    cells = split_cells(last.decode(errors="replace"), layout.delimiter)
+    cells = _cells(last, layout)
     column = len(layout.names) - 1
     if len(cells) != len(layout.names) or column not in used:
         return False
     if last.count(b'"') % 2:
         return True
-    lines = before.decode(errors="replace").splitlines()
-    rows = (split_cells(line, layout.delimiter) for line in lines)
+    rows = (_cells(line, layout) for line in before.splitlines())
     earlier = [_digits(row[column]) for row in rows if len(row) == len(layout.names)]
     digits = _digits(cells[column])
     if not earlier:
@@ -73,6 +74,16 @@ def _is_shorter(number: _Digits, earlier: list[_Digits]) -> bool | None:
     if uniform and len(earlier) >= _FEW and number.exponent == earlier[0].exponent:
         return False
     return None
+
+
+def _cells(line: bytes, layout: CsvLayout) -> list[str]:
+    if layout.delimiter == " ":
+        line = squeeze_blanks(line)
+    text = io.StringIO(line.decode(errors="replace"), newline="")
+    try:
+        return next(csv.reader(text, delimiter=layout.delimiter), [])
+    except csv.Error:
+        return []
 
 
 def _digits(cell: str) -> _Digits:
