@@ -1,5 +1,6 @@
 """What HDF5 stores elsewhere, packed, in part or not at all; its attributes of every form."""
 
+import zlib
 from itertools import product
 
 import numpy as np
@@ -314,3 +315,20 @@ def test_a_fill_value_of_records_loses_no_rows(path):
     rate_cols = [f"imu.{name}" for name in ("wx", "wy", "wz")]
     t_ns, rate, losses = read(path, rate_cols=rate_cols, time_col="imu.t")
     assert (t_ns.tolist(), rate.tolist(), list(losses)) == (STAMPS.tolist(), RATES.tolist(), [])
+
+
+@pytest.mark.parametrize("is_checked", [False, True])
+def test_a_chunk_that_decompresses_to_more_than_it_may_is_lost_alone(path, is_checked):
+    """HDF5 takes memory for whatever a deflate stream holds: 5 MB of it held 1.1 GB."""
+    packer = zlib.compressobj(1)
+    data = b"".join(packer.compress(bytes(1 << 20)) for _ in range(1100)) + packer.flush()
+    how = {"chunks": (10, 3), "compression": "gzip", "fletcher32": is_checked}
+    with written(path) as file:
+        gyr = file.create_dataset("gyr", data=RATES, **how)
+        gyr.id.write_direct_chunk((10, 0), data)
+    t_ns, rate, losses = read(path)
+    kept = [*range(10), *range(20, COUNT)]
+    assert t_ns.tolist() == STAMPS[kept].tolist()
+    assert rate.tolist() == RATES[kept].tolist()
+    reason = "a chunk of them decompresses to more than 240 bytes"
+    assert losses == [("rows 11 to 20", reason, 10)]

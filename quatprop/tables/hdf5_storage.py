@@ -7,6 +7,8 @@ what is stored in the file itself is read, and only where it is stored.
 from __future__ import annotations
 
 import math
+import zlib
+from contextlib import suppress
 from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
     from quatprop.tables.npy_format import ArrayColumn
 
 _CACHE_BYTES = 1 << 26
+_DEFLATE_RATIO = 1032
+"""How often at most deflate makes a byte larger."""
 _LEAST_SLOTS, _SLOTS_A_CHUNK = 521, 10
 
 ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError)
@@ -146,7 +150,8 @@ class StoredRows:
             width = chunk[1 - self._axis]
             first, last = self._width.start // width, (self._width.stop - 1) // width
         self._chunks_across = last - first + 1
-        size = math.prod(chunk) * dataset.dtype.itemsize * self._chunks_across
+        chunk_bytes = math.prod(chunk) * dataset.dtype.itemsize
+        size = chunk_bytes * self._chunks_across
         if size > MAX_SIZE:
             raise HeaderError(f"the chunks of a row have {size} bytes, over the limit {MAX_SIZE}")
         access = h5py.h5p.create(h5py.h5p.DATASET_ACCESS)
@@ -155,8 +160,18 @@ class StoredRows:
         name = dataset.name.encode()
         self._dataset = h5py.Dataset(h5py.h5d.open(dataset.file.id, name, access))
         places: list[tuple[int, ...]] = []
+        large: list[tuple[int, ...]] = []
+
+        def note(info: Any) -> None:
+            is_large = dataset.compression == "gzip" and info.size * _DEFLATE_RATIO > MAX_SIZE
+            (large if is_large else places).append(info.chunk_offset)
+
         try:
-            self._dataset.id.chunk_iter(lambda info: places.append(info.chunk_offset))
+            self._dataset.id.chunk_iter(note)
+            bounded = [place for place in large if self._is_bounded(place, chunk_bytes)]
+            if len(bounded) < len(large):
+                self.why_missing = f"a chunk of them decompresses to more than {chunk_bytes} bytes"
+            places += bounded
         except ERRORS as error:
             self.why_missing = f"the index of their chunks is damaged: {plain(error)}"
         found = np.unique(np.array(places, np.int64).reshape(-1, len(chunk)), axis=0)
@@ -167,6 +182,13 @@ class StoredRows:
         order = np.argsort(rows, kind="stable")
         self._places = found[order]
         return np.sort(rows)
+
+    def _is_bounded(self, place: tuple[int, ...], size: int) -> bool:
+        """Whether a chunk decompresses to its size at most, however much memory HDF5 would take."""
+        _, data = self._dataset.id.read_direct_chunk(place)
+        with suppress(zlib.error):  # HDF5 will find the same
+            return len(zlib.decompressobj().decompress(data, size + 1)) <= size
+        return True
 
     def written(self, begin: int, end: int) -> float:
         """Return how much of some rows is stored, from 0 to 1."""

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from quatprop.errors import UnsupportedLogError
 from quatprop.series.arrow_arrays import to_arrow, to_numpy
@@ -242,30 +241,46 @@ def batch_rows(
 ) -> BatchRows:
     """Return stamps and numbers of a batch, whose first row of the series has a number."""
     total = batch.num_rows
-    for k, label in columns.series:
-        texts = pc.utf8_trim_whitespace(values_of(batch, leaves[k]).cast(pa.string()))
-        batch = batch.filter(pc.equal(texts, label))
+    if columns.series:
+        batch = _of_series(batch, leaves, columns)
     count = batch.num_rows
     numbers = np.empty((count, len(columns.numbers)))
     for axis, k in enumerate(columns.numbers):
         values = values_of(batch, leaves[k])
         if pa.types.is_decimal128(values.type):
             values = values.cast(pa.string())  # the nearest double, which Arrow's own is not
-        numbers[:, axis] = to_numpy(values.cast(pa.float64(), safe=False))
+        is_float64 = pa.types.is_float64(values.type)
+        numbers[:, axis] = to_numpy(values if is_float64 else values.cast(pa.float64(), safe=False))
     if not columns.time:
         t_ns = timestamps.row_stamps(first, count, columns.sample_rate or 1.0)
         return BatchRows(t_ns, numbers, count, total - count)
     times = [values_of(batch, leaves[k]) for k in columns.time]
-    timed = np.logical_and.reduce([_has_value(values) for values in times])
-    if not timed.all():
+    if any(values.null_count or pa.types.is_floating(values.type) for values in times):
+        timed = np.logical_and.reduce([_has_value(values) for values in times])
         times, numbers = [values.filter(to_arrow(timed)) for values in times], numbers[timed]
     t_ns = timestamps.sum_parts(map(timestamps.nanoseconds, times, columns.units))
     return BatchRows(t_ns, numbers, count, total - count)
 
 
+def _of_series(
+    batch: pa.RecordBatch | pa.Table,
+    leaves: Sequence[Leaf] | Mapping[int, Leaf],
+    columns: TimedColumns,
+) -> pa.RecordBatch | pa.Table:
+    """Return the rows of the series that is read."""
+    import pyarrow.compute as pc
+
+    for k, label in columns.series:
+        texts = pc.utf8_trim_whitespace(values_of(batch, leaves[k]).cast(pa.string()))
+        batch = batch.filter(pc.equal(texts, label))
+    return batch
+
+
 def values_of(batch: pa.RecordBatch | pa.Table, leaf: Leaf) -> pa.Array | pa.ChunkedArray:
     """Return the values of a column; null where a list is too short."""
     column = batch.column(leaf.path[0])
+    if leaf.path[1:] or leaf.element is not None:
+        import pyarrow.compute as pc  # costs half as much again as pyarrow, and is not of CSV
     if leaf.path[1:]:
         column = pc.struct_field(column, list(leaf.path[1:]))
     if leaf.element is not None:
@@ -290,6 +305,8 @@ def _is_whole(kind: pa.DataType) -> bool:
 
 def _has_value(column: pa.Array | pa.ChunkedArray) -> Bool:
     """Return which values are neither null nor NaN nor infinite, shape ``(N,)``."""
+    import pyarrow.compute as pc
+
     valid = column.is_valid()
     if pa.types.is_floating(column.type):
         valid = pc.and_kleene(valid, pc.is_finite(column))

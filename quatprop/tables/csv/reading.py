@@ -98,16 +98,26 @@ class CsvRows(TextRows):
         self, piece: TextBlock, rejected: list[tuple[int, str]]
     ) -> tuple[Int64, Float64]:
         """Return the rows of a piece that fit, and list the others."""
-        rows = self._row_parser.parse(bytes(piece.data), piece.line)
         first = self.rejected.count
-        self.rejected.count += rows.total
-        self.log.other_rows += rows.others
-        rejected += rows.rejected
-        t_ns = np.array(rows.stamps, np.int64)
+        stamps: list[int] = []
+        numbers: list[list[float]] = []
+        kept: list[int] = []
+        for line, row in self._row_parser.rows(bytes(piece.data), piece.line):
+            if row is None:
+                self.log.other_rows += 1
+                continue
+            if isinstance(row, str):
+                rejected.append((line, row))
+            else:
+                stamps.append(row[0])
+                numbers.append(row[1])
+                kept.append(self.rejected.count - first)
+            self.rejected.count += 1
+        t_ns = np.array(stamps, np.int64)
         if not self.columns.time:
             rate = self.columns.sample_rate or 1.0
-            t_ns = timestamps.row_stamps(first, rows.total, rate)[rows.kept]
-        return t_ns, np.array(rows.numbers, np.float64).reshape(-1, len(self.columns.numbers))
+            t_ns = timestamps.row_stamps(first, self.rejected.count - first, rate)[kept]
+        return t_ns, np.array(numbers, np.float64).reshape(-1, len(self.columns.numbers))
 
 
 @lru_cache(maxsize=1)

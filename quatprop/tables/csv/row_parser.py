@@ -10,7 +10,7 @@ import io
 import re
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -35,25 +35,6 @@ _NOT_A_NUMBER = {
 }
 
 
-class ParsedRows(NamedTuple):
-    """Rows of a piece.
-
-    `stamps`: ns, of the rows that fit; not to be used for a table without time
-    `numbers`: as stored, of the rows that fit; NaN where a cell is empty
-    `kept`: which of the rows they are
-    `total`: how many rows there were, those that do not fit among them
-    `rejected`: line number and reason of each row that does not fit
-    `others`: how many rows of other series there were besides
-    """
-
-    stamps: list[int]
-    numbers: list[list[float]]
-    kept: list[int]
-    total: int
-    rejected: list[tuple[int, str]]
-    others: int
-
-
 def date_type(layout: CsvLayout, k: int) -> pa.DataType | None:
     """Return the type of a column of dates; None for one of numbers."""
     return pa.timestamp("ns", layout.dates[k]) if k in layout.dates else None
@@ -71,29 +52,27 @@ class RowParser:
     layout: CsvLayout
     columns: TimedColumns
 
-    def parse(self, data: bytes, line: int) -> ParsedRows:
-        """Return the rows that fit."""
-        rows = ParsedRows([], [], [], 0, [], 0)
-        total = others = 0
+    def rows(
+        self, data: bytes, line: int
+    ) -> Iterator[tuple[int, tuple[int, list[float]] | str | None]]:
+        """Yield stamp and numbers of each row with its line, or why it does not fit.
+
+        Of a row of another series it is None. Without a time the stamp is not to be used.
+        """
         for place, cells in self._records(data, line):
             if isinstance(cells, str):
-                rows.rejected.append((place, cells))
+                yield place, cells
             elif self._is_no_row([cell.strip() for cell in cells], place):
                 continue
             elif self._is_of_another_series(cells):
-                others += 1
-                continue
+                yield place, None
             else:
                 try:
-                    stamp, row = self._row(cells)
+                    row = self._row(cells)
                 except ValueError as error:
-                    rows.rejected.append((place, str(error)))
+                    yield place, str(error)
                 else:
-                    rows.stamps.append(stamp)
-                    rows.numbers.append(row)
-                    rows.kept.append(total)
-            total += 1
-        return rows._replace(total=total, others=others)
+                    yield place, row
 
     def has_line_breaks_in_cells(self, data: bytes | memoryview) -> bool:
         """Return whether cells of whole records have line breaks."""
