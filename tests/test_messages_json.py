@@ -129,7 +129,7 @@ def test_the_demo_gives_what_an_independent_oracle_gives(shared_logs):
 def test_stamps_are_told_by_their_form(stamp):
     """Seconds and nanoseconds under any of their names, and RFC 3339."""
     (found,) = found_in(channel_of(imu(stamp=stamp)))
-    decode = found.table.decoder(stamps_of(found)[0], ())
+    decode = found.table.decoder([stamps_of(found)[0]], ())
     (t_ns,) = decode(encoded([imu(stamp=stamp)])).values
     assert t_ns.tolist() == [1_700_000_000_000_000_005]
 
@@ -413,5 +413,5 @@ def test_an_orientation_in_JSON_is_read_by_the_names_of_its_parts():
     """The same tree serves both tables."""
     (found,) = found_in(channel_of(imu()), "quat")
     message = imu() | {"orientation": {"x": 0.1, "w": 0.9, "z": 0.3, "y": 0.2}}
-    decode = found.table.decoder(stamps_of(found)[0], found.sets)
+    decode = found.table.decoder([stamps_of(found)[0]], found.sets)
     assert decode(encoded([message])).values[1].tolist() == [[0.9, 0.1, 0.2, 0.3]]

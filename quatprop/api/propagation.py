@@ -86,7 +86,6 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
     [0.0, 0.0, 0.0, 1.0]
     """
     from quatprop.concurrency.threads import use_threads
-    from quatprop.containers.kept_blocks import beginnings_kept
     from quatprop.logs.open_log import open_log
     from quatprop.pipeline.attitude_stream import AttitudeStream
     from quatprop.pipeline.settings import propagation_settings
@@ -107,9 +106,8 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
     path = path_text("log", log, "make a GyroSeries of arrays")
     kind, msg_path = settings.kind, settings.selection.msg_path
     with use_threads(settings.threads), open_log(path, kind, msg_path=msg_path) as opened:
-        with beginnings_kept(opened):
-            signal = choose_rates(opened, settings.selection)
-            stream = AttitudeStream(path, signal, settings, opened)
+        signal = choose_rates(opened, settings.selection)
+        stream = AttitudeStream(path, signal, settings, opened)
         return _propagated(path, stream, settings, opened)
 
 

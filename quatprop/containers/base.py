@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.containers.kept_blocks import KeptBlocks
     from quatprop.containers.time_range import TimeRange
     from quatprop.containers.topic_table import TopicTable
 
@@ -162,14 +161,12 @@ class Log(ABC):
     `definition_files`: files beside the log that message definitions were taken from
     `unchecked_chunks`: chunks that were read in part and so not compared with their checksum; grows
         likewise
-    `kept`: blocks of messages that are read again soon; None where none are kept
     """
 
     kind: str
     remarks: Sequence[str] = ()
     definition_files: Sequence[Path] = ()
     unchecked_chunks: int = 0
-    kept: KeptBlocks | None = None
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -196,11 +193,24 @@ class MessageLog(Log):
     has_log_time = True
     has_publish_time = False
 
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._tables: dict[Channel, TopicTable] = {}
+
+    def __exit__(self, *_error: object) -> None:
+        for table in self._tables.values():
+            table.release()
+        self.close()
+
     def tables(self, topic: str | None = None) -> Sequence[TopicTable]:
         """Return the topics that have messages; only those of a name, or all of them."""
-        from quatprop.containers.topics import topics
+        from quatprop.containers.topics import channels_of, table_of
 
-        return topics(self, topic)
+        chosen = channels_of(self, topic)
+        for channel in chosen:
+            if channel not in self._tables:
+                self._tables[channel] = table_of(self, channel)
+        return [self._tables[channel] for channel in chosen]
 
     @abstractmethod
     def channels(self) -> list[Channel]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from quatprop.containers.base import LATEST
 from quatprop.containers.coalesce import coalesce_blocks
-from quatprop.containers.kept_blocks import blocks_of
+from quatprop.containers.first_blocks import FirstBlocks
 from quatprop.containers.merge import Columns, in_larger_batches, merge_by_time
 from quatprop.containers.time_range import TimeRange
 from quatprop.errors import MessageError, UsageError
@@ -56,6 +56,7 @@ class TopicTable(Table):
     def __init__(self, log: MessageLog, channel: Channel) -> None:
         self.log = log
         self.channel = channel
+        self.blocks = FirstBlocks(log, channel)
         self.path = log.path
         self.name = channel.topic
         self.type = channel.type_name
@@ -147,26 +148,16 @@ class TopicTable(Table):
             )
         return self
 
-    def _blocks(self) -> Iterator[MessageBlock]:
-        """Yield all blocks with messages; the first one without reading it again."""
-        if self._first is not None:
-            yield self._first
-            yield from islice(filter(len, blocks_of(self.log, self.channel)), 1, None)
-
     def texts(self, name: str) -> list[str]:
         """Return what a text is in the first messages; nothing where it cannot be read."""
         if self.channel.encoding not in TEXT_ENCODINGS:
             return []
-        if self._first is None or not isinstance(find(self.root, name), String):
+        block = next(filter(len, self.blocks), None)
+        if block is None or not isinstance(find(self.root, name), String):
             return []
-        return first_names(self.channel, self._first, self.root, name, self.path)
+        return first_names(self.channel, block, self.root, name, self.path)
 
     # Rows.
-
-    @cached_property
-    def _first(self) -> MessageBlock | None:
-        """The first block with messages, at which several checks look."""
-        return next((block for block in blocks_of(self.log, self.channel) if len(block)), None)
 
     def read(
         self,
@@ -176,55 +167,60 @@ class TopicTable(Table):
         within: Within = None,
     ) -> Iterator[Columns]:
         """Yield batches in the order of the log times, if these are recorded."""
-        decode = self.decoder(stamp, groups)
+        # It holds on to what follows the rows that were looked at.
+        self.first = None
+        decode = self.decoder([stamp], groups)
         if isinstance(within, TimeRange):
             blocks = metered(coalesce_blocks(self.log.blocks_within(self.channel, within)), None)
         else:
-            blocks = metered(coalesce_blocks(blocks_of(self.log, self.channel)), self.channel.count)
+            blocks = metered(coalesce_blocks(self.blocks), self.channel.count)
         batches = (self._readable(lambda rows: convert(decode(rows)), block) for block in blocks)
-        return (
-            merge_by_time([in_larger_batches(batches)])
-            if self.log.has_log_time
-            else filter(len, batches)
-        )
+        return self.in_order(batches)
+
+    def in_order(self, batches: Iterable[Columns]) -> Iterator[Columns]:
+        """Return rows in the order of the log times, if these are recorded."""
+        if self.log.has_log_time:
+            return merge_by_time([in_larger_batches(batches)])
+        return filter(len, batches)
 
     def recorded_span(self) -> TimeRange | None:
         """Return when the topic was recorded by the index of the log, if it has one."""
         return self.log.recorded_span(self.channel)
 
-    def glance(self, groups: Sequence[Group]) -> Iterator[tuple[AnyArray, ...]]:
-        """Yield groups of columns of all messages."""
-        return (values[1:] for values in self._quietly(self.decoder(Stamp(clock="log"), groups)))
-
-    def times(self, stamp: Stamp) -> Iterator[Int64]:
-        """Yield the times of all messages, ns."""
-        return (t_ns for (t_ns,) in self._quietly(self.decoder(stamp, ())))
-
-    def _quietly(self, decode: Decode) -> Iterator[tuple[AnyArray, ...]]:
-        """Yield what is decoded; messages that do not fit are noted when they are read for good."""
-        for block in self._blocks():
+    def peek(
+        self, stamps: Sequence[Stamp], groups: Sequence[Group], *, is_strict: bool = False
+    ) -> Iterator[Columns]:
+        """Yield times and groups of columns of all messages; nothing is noted."""
+        decode = self.decoder(stamps, groups)
+        for block in coalesce_blocks(self.blocks):
             try:
-                yield decode(block).values
+                yield decode(block)
             except MessageError as error:
-                if not error.positions:
+                if is_strict or not error.positions:
                     raise
-                yield decode(_without(block, error.positions)).values
+                yield decode(_without(block, error.positions))
 
-    def decoder(self, stamp: Stamp, groups: Sequence[Group]) -> Decode:
-        """Return what decodes the time and some groups of columns of a block."""
-        times = [self.columns[k].text for k in stamp.columns]
+    def release(self) -> None:
+        """Hold nothing of what was read."""
+        self.first = None
+        self.blocks.release()
+
+    def decoder(self, stamps: Sequence[Stamp], groups: Sequence[Group]) -> Decode:
+        """Return what decodes times and some groups of columns of a block."""
+        times = [self.columns[k].text for stamp in stamps for k in stamp.columns]
         wanted = [self.fields_of(group) for group in groups]
         fields = [*times, *(name for names, _ in wanted for name in names)]
         decoder = decoder_of(self.channel, fields, self.path)
 
         def decode(block: MessageBlock) -> Columns:
             arrays = iter(decoder.columns(block))
-            t_ns = self.ns(stamp, [*islice(arrays, len(times))], block)
-            values = []
+            values: list[AnyArray] = [
+                self.ns(stamp, [*islice(arrays, len(stamp.columns))], block) for stamp in stamps
+            ]
             for group, (names, places) in zip(groups, wanted, strict=True):
                 own = [*islice(arrays, len(names))]
                 values.append(own[0] if len(group) == 1 else as_rows(own, places))
-            return Columns(block.log_ns, (t_ns, *values), block.not_before_ns)
+            return Columns(block.log_ns, tuple(values), block.not_before_ns)
 
         return decode
 

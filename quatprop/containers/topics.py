@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 from typing import TYPE_CHECKING
 
-from quatprop.containers.kept_blocks import blocks_of
 from quatprop.containers.topic_table import TopicTable
 from quatprop.messages.values import raw_messages
 
@@ -16,8 +16,8 @@ TRANSFORM_LISTS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 """Types that consist of one list of ``geometry_msgs/TransformStamped``."""
 
 
-def topics(log: MessageLog, topic: str | None = None) -> list[TopicTable]:
-    """Return the topics of a log that have messages.
+def channels_of(log: MessageLog, topic: str | None = None) -> list[Channel]:
+    """Return the channels of a log that have messages.
 
     `topic`: only those of this name; None for all. A ULog topic with one instance may be named
         without it: ``sensor_combined`` for ``sensor_combined/0``
@@ -31,19 +31,20 @@ def topics(log: MessageLog, topic: str | None = None) -> list[TopicTable]:
             if channel.encoding == "ulog" and channel.topic.rpartition("/")[0] == topic
         ]
         channels = named or (instances if len(instances) == 1 else [])
-    return [_table_of(log, channel) for channel in channels]
+    return channels
 
 
-def _table_of(log: MessageLog, channel: Channel) -> TopicTable:
+def table_of(log: MessageLog, channel: Channel) -> TopicTable:
+    """Return a topic as a table."""
     if channel.type_name in TRANSFORM_LISTS:
         from quatprop.containers.transform_lists import TransformTable
 
         return TransformTable(log, channel)
+    table = TopicTable(log, channel)
     if channel.encoding == "json":
         from quatprop.messages.json import sample_of
 
         # The first messages are all the definition there is.
-        block = next((block for block in blocks_of(log, channel) if len(block)), None)
-        if block is not None:
-            channel = replace(channel, sample=sample_of(raw_messages(block)))
-    return TopicTable(log, channel)
+        for block in islice(filter(len, table.blocks), 1):
+            table.channel = replace(channel, sample=sample_of(raw_messages(block)))
+    return table

@@ -9,6 +9,7 @@ import numpy as np
 from quatprop.containers.merge import Columns
 from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import MessageError, TimelineError
+from quatprop.logs.first_batch import first_batches, first_rows
 from quatprop.logs.matching import column_beside
 from quatprop.logs.stamps import are_all
 from quatprop.messages.times import to_ns
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import AnyArray, Float64, Int64
     from quatprop.logs.matching import Match
     from quatprop.logs.rows import Burst
-    from quatprop.tables.model import Group, Within
+    from quatprop.tables.model import Convert, Group, Within
 
 ABSENT = -1.0
 """What the first number of a covariance is where the value beside it is not measured."""
@@ -31,14 +32,15 @@ MAX_SPACING_NS = NS_PER_S
 """Samples of a burst are not further apart than this, unless the message is damaged."""
 
 
-def read_rates(match: Match, within: Within = None) -> Iterator[Columns]:
+def read_rates(match: Match, within: Within = None, *, at_first: bool = False) -> Iterator[Columns]:
     """Yield batches of stamps, ns, rates, rad/s, ``(N, 3)``, and integration times of increments.
 
-    Only the parts of the log that have a range of log times by its index; None is all.
+    `within`: only the parts of the log that have a range of log times by its index; None is all
+    `at_first`: see :func:`_read`
     """
     row, sets = match.row, match.found.sets
     if row.burst is not None:
-        return _read_bursts(match, row.burst, within)
+        return _read_bursts(match, row.burst, within, at_first=at_first)
     groups: tuple[Group, ...] = (sets[0],)
     if row.span:
         groups += (column_beside(match.table, match.found.part, row.span),)
@@ -62,10 +64,29 @@ def read_rates(match: Match, within: Within = None) -> Iterator[Columns]:
             np.multiply(rate, match.factor, out=rate)
         return Columns(rows.log_ns, values, rows.not_before_ns)
 
+    return _read(match, groups, convert, within, at_first=at_first)
+
+
+def _read(
+    match: Match,
+    groups: Sequence[Group],
+    convert: Convert,
+    within: Within = None,
+    *,
+    at_first: bool = False,
+) -> Iterator[Columns]:
+    """Yield batches of what was matched.
+
+    `at_first`: to look at the beginning alone: what is decoded of it is shared, nothing is noted
+    """
+    if at_first:
+        return first_batches(match.table, match.stamp, groups, convert)
     return match.table.read(match.stamp, groups, convert, within)
 
 
-def _read_bursts(match: Match, burst: Burst, within: Within) -> Iterator[Columns]:
+def _read_bursts(
+    match: Match, burst: Burst, within: Within, *, at_first: bool
+) -> Iterator[Columns]:
     """Read many samples a message, evenly spaced up to the stamp; one row a sample."""
     table, part = match.table, match.found.part
     axes = [tuple(axis) for axis in zip(*match.found.sets, strict=True)]
@@ -97,7 +118,7 @@ def _read_bursts(match: Match, burst: Burst, within: Within) -> Iterator[Columns
         values = (stamp_ns[message] - before, rate)
         return Columns(rows.log_ns[message], values, rows.not_before_ns)
 
-    return table.read(match.stamp, groups, convert, within)
+    return _read(match, groups, convert, within, at_first=at_first)
 
 
 def refuse_marked(match: Match) -> None:
@@ -108,8 +129,10 @@ def refuse_marked(match: Match) -> None:
     if match.is_named or not match.marks:
         return
     table, (columns, *_) = match.table, match.found.sets
-    rows = table.glance((columns, match.marks))
-    marked = ((mark == ABSENT) & np.isfinite(rate).all(axis=1) for rate, mark in rows)
+    pairs = (
+        rows.values for rows in first_rows(table, [match.stamp]).read((), (columns, match.marks))
+    )
+    marked = ((mark == ABSENT) & np.isfinite(rate).all(axis=1) for rate, mark in pairs)
     if are_all(marked, value=True):
         setting = Setting("rate_field", match.found.field)
         if not table.is_typed:
@@ -137,7 +160,9 @@ def _place_of_marks(match: Match) -> str:
     return f"column {quoted(match.table.columns[match.marks[0]].text)}"
 
 
-def read_attitudes(match: Match, beside: Sequence[Group] = ()) -> Iterator[Columns]:
+def read_attitudes(
+    match: Match, beside: Sequence[Group] = (), *, at_first: bool = False
+) -> Iterator[Columns]:
     """Yield stamps, ns, quaternions wxyz, ``(N, 4)``, and other groups beside them."""
     marks, form = [match.marks] if match.marks else [], match.representation
 
@@ -152,7 +177,8 @@ def read_attitudes(match: Match, beside: Sequence[Group] = ()) -> Iterator[Colum
                 stored = REPRESENTATIONS[form].attitudes(stored)
         return Columns(rows.log_ns, (t_ns, stored, *others), rows.not_before_ns)
 
-    return match.table.read(match.stamp, (*match.found.sets, *marks, *beside), convert)
+    groups = (*match.found.sets, *marks, *beside)
+    return _read(match, groups, convert, at_first=at_first)
 
 
 def read_vectors(match: Match) -> Iterator[tuple[Int64, Float64]]:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from quatprop.containers.kept_blocks import beginnings_kept
 from quatprop.errors import QuatpropError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
@@ -20,6 +19,7 @@ from quatprop.settings.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.signals.sensor_frames import sensor_frames
+from quatprop.signals.signal import series_of
 from quatprop.text import Setting, Text, listed
 from quatprop.times import utc_text
 
@@ -51,20 +51,17 @@ OFF_SCALE = 20.0
 OTHER_CLOCK_NS = 3_600_000_000_000
 """Stamps further from the time of recording are of another clock, not delayed."""
 
-_NONE = np.empty(0, dtype=np.int64)
-
 
 def log_remarks(log: AnyLog, source: RateSignal, rates: str = "body") -> list[str | Text]:
     """Return remarks on the stamps and the orientation beside the rates.
 
     `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
     """
-    with beginnings_kept(log):
-        return [
-            *stamp_remarks(source),
-            *frame_remarks(source),
-            *orientation_remarks(log, source, rates),
-        ]
+    return [
+        *stamp_remarks(source),
+        *frame_remarks(source),
+        *orientation_remarks(log, source, rates),
+    ]
 
 
 def frame_remarks(source: RateSignal) -> list[str]:
@@ -86,7 +83,10 @@ def stamp_remarks(source: RateSignal) -> list[Text]:
     """Return remarks on header stamps, compared with the times of recording."""
     if source.clock != "header":
         return []
-    stamped, logged = next(source.stamps(), (_NONE, _NONE))
+    first = next(source.first(), None)
+    if first is None:
+        return []
+    stamped, logged = first.values[0], first.log_ns
     zeros = int(np.count_nonzero(stamped == 0))
     way_out = Text(f"; for the time of recording choose {Setting('clock', 'log')}")
     if zeros:
@@ -108,8 +108,8 @@ def orientation_remarks(log: AnyLog, source: RateSignal, rates: str = "body") ->
     try:
         own = choose_attitudes(log, AttitudeSelection(topic=topic))
         check = QuaternionCheck(log.path, drop=True)
-        rows = check.apply(_beginning(own.rows(), check.counts))
-        remark = against_orientation(source.batches(), rows, rates)
+        rows = check.apply(_beginning(own.first(), check.counts))
+        remark = against_orientation(series_of(source.first()), rows, rates)
     except QuatpropError:
         # Without an orientation, or with one that cannot be read, there is nothing to compare.
         return []

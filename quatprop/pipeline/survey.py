@@ -13,7 +13,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from quatprop.concurrency.threads import thread_count, use_threads
-from quatprop.containers.kept_blocks import beginnings_kept
 from quatprop.errors import (
     LogError,
     NoAttitudesError,
@@ -74,7 +73,6 @@ def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
     with (
         use_threads(threads + 1 if threads > 1 else 1),
         open_log(path, kind, msg_path=selection.msg_path) as log,
-        beginnings_kept(log),
     ):
         # A binary log on stdin was copied; text was not.
         read_once = str(log.path) == "-"
@@ -137,11 +135,10 @@ def _rates(
         beside = None
         if seen is not None and candidate.found.table.is_typed:
             beside = _reading_beside(log, selection, signal, seen)
+        # First, while the beginning is held.
+        more = [READ_ONCE] if read_once else [] if missing else log_remarks(log, signal)
         surveyed = _survey_rates(signal, log, beside)
-        remarks: tuple[str, ...] = ()
-        if missing is None:
-            more = (READ_ONCE,) if read_once else log_remarks(log, signal)
-            remarks = (*surveyed.remarks, *more, *log.remarks)
+        remarks = (*surveyed.remarks, *more, *log.remarks) if missing is None else ()
         facts = {**dict.fromkeys(unknown), "missing": missing, "remarks": remarks}
         yield replace(surveyed, **facts)  # type: ignore[arg-type]  # unknown ones are optional
 

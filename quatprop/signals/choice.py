@@ -21,7 +21,7 @@ from quatprop.errors import (
 )
 from quatprop.logs.matching import Found, find
 from quatprop.logs.vocabulary import GENERIC
-from quatprop.signals.signal import RateSignal, Signal, no_parts, series_of, stamps_of
+from quatprop.signals.signal import RateSignal, Signal, no_parts, series_of
 from quatprop.text import Setting, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -145,7 +145,7 @@ def _joined(log: AnyLog, signals: list[SignalT]) -> SignalT:
     )
     return replace(
         first,
-        stamps=lambda: stamps_of(merged()),
+        first=lambda: merge_by_time([s.first() for s in signals if isinstance(s, RateSignal)]),
         batches=lambda: series_of(merged(), averages=first.method == "end"),
         rows=merged,
         part_reader=no_parts,

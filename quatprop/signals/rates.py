@@ -80,7 +80,7 @@ def _signal(found: Found, selection: RateSelection) -> RateSignal:
         field=match.found.field,
         clock=stamp.clock,
         remarks=(*_sample_remarks(row), *match.remarks),
-        stamps=lambda: stamps_of(read_rates(match)),
+        first=lambda: read_rates(match, at_first=True),
         batches=batches,
         rows=lambda: read_rates(match),
         unit=match.unit,

@@ -45,7 +45,7 @@ def stamps_of(rows: Iterable[Columns]) -> Iterator[tuple[Int64, Int64]]:
 
 
 def series_of(
-    rows: Iterable[Columns], *, averages: bool, logged: bool = False
+    rows: Iterable[Columns], *, averages: bool = False, logged: bool = False
 ) -> Iterator[GyroSeries]:
     """Yield rates, rad/s, of rows whose values are their stamps, the rates, and their spans.
 
@@ -61,10 +61,6 @@ def no_parts() -> None:
     """Return nothing: only the whole log can be read."""
 
 
-def _no_stamps() -> Iterator[tuple[Int64, Int64]]:
-    return iter(())
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Signal:
     """One series of samples in a log.
@@ -74,8 +70,6 @@ class Signal:
     `field`: the message field, the columns, or the frames
     `clock`: time base: ``"header"``, ``"log"``, ``"publish"``, or the name of a column
     `remarks`: what was inferred
-    `stamps`: reads the stamps of messages and their log times, shape ``(N,)`` each, int64 ns, in
-        the order of the samples; nothing for a table
     """
 
     name: str
@@ -83,7 +77,6 @@ class Signal:
     field: str
     clock: str
     remarks: tuple[str | Text, ...] = ()
-    stamps: Callable[[], Iterator[tuple[Int64, Int64]]] = _no_stamps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -97,6 +90,7 @@ class RateSignal(Signal):
     `increments`: whether samples are increments, which the sensor has integrated
     `rows`: reads the samples of messages with their log times: their values are the arguments of
         :class:`quatprop.series.GyroSeries`; nothing for a table
+    `first`: reads them for who looks at the beginning alone, which is decoded once for all of them
     `matches`: where they are in messages: one, or one for each definition that the topic was
         recorded with
     """
@@ -107,6 +101,7 @@ class RateSignal(Signal):
     increments: bool = False
     part_reader: Callable[[], PartReader | None] = no_parts
     rows: Callable[[], Iterator[Columns]] = lambda: iter(())
+    first: Callable[[], Iterator[Columns]] = lambda: iter(())
     matches: tuple[Match, ...] = ()
 
     def with_log_times(self) -> RateSignal:
@@ -167,6 +162,7 @@ class AttitudeSignal(Signal):
         :class:`quatprop.signals.quaternion_check.QuaternionCheck`. Beside them positions of the
         body in the reference frame, shape ``(N, 3)``, m, and covariances about body axes, shape
         ``(N, 3, 3)``, rad^2; None where they are not wanted or not there
+    `first`: reads stamps and quaternions for who looks at the beginning alone
     `layout`: how they are stored, ``"scalar-first"`` or ``"scalar-last"``; ``"by name"`` where the
         components have names and no such order; ``""`` for other representations
     `meaning`: what the stored numbers mean
@@ -181,6 +177,7 @@ class AttitudeSignal(Signal):
     """
 
     read: ReadRows
+    first: Callable[[], Iterator[tuple[Int64, Float64]]]
     layout: str
     meaning: Meaning
     provenance: JsonObject

@@ -18,11 +18,12 @@ if TYPE_CHECKING:
     from fractions import Fraction
     from pathlib import Path
 
-    from quatprop.arrays import AnyArray, Float64, Int64
+    from quatprop.arrays import Float64
     from quatprop.containers.merge import Columns
     from quatprop.containers.time_range import TimeRange
     from quatprop.provenance import JsonObject
     from quatprop.tables.base import Span
+    from quatprop.tables.first_rows import FirstRows
     from quatprop.text import Setting
 
     Convert = Callable[[Columns], Columns]
@@ -92,12 +93,14 @@ class Table(ABC):
     `is_typed`: whether its columns are of message types; else their names are all that there is
     `is_secondary`: whether it has the rows of another, main table
     `matches`: the columns whose names fit a pattern, once somebody has asked for them
+    `first`: the first rows, once somebody has looked at them
     """
 
     name: str
     type: str
     path: Path
     matches: dict[object, list[tuple[int, re.Match[str]]]]
+    first: FirstRows | None = None
     kind = ""
     notes = TableNotes()
     log_clocks: tuple[str, ...] = ()
@@ -180,12 +183,17 @@ class Table(ABC):
         return None
 
     @abstractmethod
-    def glance(self, groups: Sequence[Group]) -> Iterator[tuple[AnyArray, ...]]:
-        """Yield groups of columns of all rows, the first ones first; nothing is noted."""
+    def peek(
+        self, stamps: Sequence[Stamp], groups: Sequence[Group], *, is_strict: bool = False
+    ) -> Iterator[Columns]:
+        """Yield times, ns, and groups of columns, the first rows first; nothing is noted.
 
-    def times(self, stamp: Stamp) -> Iterator[Int64]:  # noqa: ARG002  # of some tables
-        """Yield the stamps of all messages, ns, in no order; nothing is noted."""
-        return iter(())
+        Rows that do not fit are left out, or refused where it `is_strict`.
+        """
+
+    def in_order(self, batches: Iterable[Columns]) -> Iterator[Columns]:
+        """Return rows in the order in which they are read."""
+        return iter(batches)
 
     @abstractmethod
     def provenance(self) -> JsonObject:
