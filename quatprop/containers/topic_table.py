@@ -57,6 +57,8 @@ class TopicTable(Table):
         self.log = log
         self.channel = channel
         self.blocks = FirstBlocks(log, channel)
+        self._fields: dict[str, Group | None] = {}
+        self._groups: dict[Group, tuple[list[str], list[int]]] = {}
         self.path = log.path
         self.name = channel.topic
         self.type = channel.type_name
@@ -102,6 +104,11 @@ class TopicTable(Table):
 
     def columns_of(self, name: str) -> Group | None:
         """Return the columns that a field consists of; nothing where it is not a few numbers."""
+        if name not in self._fields:
+            self._fields[name] = self._columns_below(name)
+        return self._fields[name]
+
+    def _columns_below(self, name: str) -> Group | None:
         kind = find(self.root, name)
         if kind is None:
             return None
@@ -129,6 +136,11 @@ class TopicTable(Table):
 
         A vector is one field; where the numbers are in its order, no places are given.
         """
+        if group not in self._groups:
+            self._groups[group] = self._fields_below(group)
+        return self._groups[group]
+
+    def _fields_below(self, group: Group) -> tuple[list[str], list[int]]:
         names = [self.columns[k].text for k in group]
         parent = names[0][: max(names[0].rfind("."), names[0].rfind("["), 0)]
         shape = numbers(find(self.root, parent)) if parent and len(group) > 1 else None
