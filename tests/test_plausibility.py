@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quatprop.containers.merge import Columns
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, rotate
 from quatprop.logs.open_log import open_log
@@ -231,7 +230,7 @@ def test_only_the_beginning_is_searched_for_an_orientation(monkeypatch):
 
     absent = SimpleNamespace(first=rows)
     monkeypatch.setattr("quatprop.pipeline.plausibility.choose_attitudes", lambda *_: absent)
-    rates = Columns(np.arange(10), (np.arange(10), np.ones((10, 3))))
-    source = SimpleNamespace(name="/imu", matches=(), first=lambda: iter([rates]))
+    rates = GyroSeries(np.arange(10), np.ones((10, 3)))
+    source = SimpleNamespace(name="/imu", matches=(), batches=lambda **_: iter([rates]))
     assert orientation_remarks(SimpleNamespace(path="log.bag"), source) == []
     assert len(read) == 2

@@ -17,7 +17,7 @@ from quatprop.check.spelling import sentence
 from quatprop.comparison.settings import Sigmas
 from quatprop.errors import LogError, QuatpropError
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
+from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:

@@ -21,8 +21,8 @@ from quatprop.text import Setting, Text
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from quatprop.logs.attitude_input import AttitudeInput
     from quatprop.settings.keyword import Keyword
-    from quatprop.signals.attitude_input import AttitudeInput
 
     Command = TypeVar("Command", bound=Callable[..., Any])
     Option = Callable[[Any], Any]
@@ -142,8 +142,8 @@ def input_of(
     path: str, chosen: Mapping[str, Any], *, side: str = "", drop: bool = False
 ) -> AttitudeInput:
     """Return which attitudes to read, from the options of a command."""
+    from quatprop.logs.attitude_input import attitude_input
     from quatprop.settings import READ_ATTITUDES
-    from quatprop.signals.attitude_input import attitude_input
 
     keys = {name: f"{name}_{side}" if f"{name}_{side}" in chosen else name
             for name in READ_ATTITUDES}  # fmt: skip

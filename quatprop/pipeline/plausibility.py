@@ -14,12 +14,11 @@ import numpy as np
 from quatprop.errors import QuatpropError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.logs.quaternion_check import QuaternionCheck, QuaternionCounts
+from quatprop.logs.sensor_frames import sensor_frames
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.settings.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.quaternion_check import QuaternionCheck, QuaternionCounts
-from quatprop.signals.sensor_frames import sensor_frames
-from quatprop.signals.signal import series_of
 from quatprop.text import Setting, Text, listed
 from quatprop.times import utc_text
 
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.signals.signal import RateSignal
+    from quatprop.logs.signal import RateSignal
     from quatprop.tables.base import AnyLog
 
 
@@ -83,7 +82,7 @@ def stamp_remarks(source: RateSignal) -> list[Text]:
     """Return remarks on header stamps, compared with the times of recording."""
     if source.clock != "header":
         return []
-    first = next(source.first(), None)
+    first = next(source.rows(at_first=True), None)
     if first is None:
         return []
     stamped, logged = first.values[0], first.log_ns
@@ -109,7 +108,7 @@ def orientation_remarks(log: AnyLog, source: RateSignal, rates: str = "body") ->
         own = choose_attitudes(log, AttitudeSelection(topic=topic))
         check = QuaternionCheck(log.path, drop=True)
         rows = check.apply(_beginning(own.first(), check.counts))
-        remark = against_orientation(series_of(source.first()), rows, rates)
+        remark = against_orientation(source.batches(at_first=True), rows, rates)
     except QuatpropError:
         # Without an orientation, or with one that cannot be read, there is nothing to compare.
         return []

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
     from quatprop.comparison.meter import ComparedSample
     from quatprop.comparison.result import Comparison
+    from quatprop.logs.attitude_input import ReadAttitudes
     from quatprop.rendering import Spell
-    from quatprop.signals.attitude_input import ReadAttitudes
 
 DIGITS = 4
 """Of the angles in a picture."""

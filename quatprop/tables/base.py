@@ -104,7 +104,6 @@ class TableLog(Log):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._losses_at_opening: int | None = None
-        self._table: FileTable | None = None
         self.other_rows = 0
 
     def _forget_earlier_reading(self) -> None:
@@ -118,11 +117,7 @@ class TableLog(Log):
         """Return the file as the only table; no topic has a name here."""
         from quatprop.tables.file_table import FileTable
 
-        if topic is not None:
-            return []
-        if self._table is None:
-            self._table = FileTable(self)
-        return [self._table]
+        return [] if topic is not None else [FileTable(self)]
 
     @property
     @abstractmethod

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from quatprop.containers.time_range import TimeRange
     from quatprop.provenance import JsonObject
     from quatprop.tables.base import Span
-    from quatprop.tables.first_rows import FirstRows
     from quatprop.text import Setting
 
     Convert = Callable[[Columns], Columns]
@@ -93,14 +92,14 @@ class Table(ABC):
     `is_typed`: whether its columns are of message types; else their names are all that there is
     `is_secondary`: whether it has the rows of another, main table
     `matches`: the columns whose names fit a pattern, once somebody has asked for them
-    `first`: the first rows, once somebody has looked at them
+    `first`: the first rows, held by :mod:`quatprop.logs.first_batch` until rows are read for good
     """
 
     name: str
     type: str
     path: Path
     matches: dict[object, list[tuple[int, re.Match[str]]]]
-    first: FirstRows | None = None
+    first: object = None
     kind = ""
     notes = TableNotes()
     log_clocks: tuple[str, ...] = ()

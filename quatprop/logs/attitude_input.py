@@ -10,12 +10,12 @@ import numpy as np
 
 from quatprop.errors import NoSamplesError, QuatpropError
 from quatprop.logs.open_log import open_log
+from quatprop.logs.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.series import AttitudeSeries
 from quatprop.settings import READ_ATTITUDES
 from quatprop.settings.selection import AttitudeSelection
 from quatprop.settings.values import parse_all
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.stores.objects import without_secret
 from quatprop.text import Setting, Text
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from quatprop.containers.base import Loss
+    from quatprop.logs.signal import AttitudeSignal
     from quatprop.provenance import JsonObject
-    from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import AnyLog
 
 
