@@ -18,6 +18,7 @@ from quatprop.errors import (
     MessageError,
     NoRatesError,
     SchemaError,
+    TimelineError,
     UndeclaredError,
     UnsupportedLogError,
 )
@@ -321,6 +322,27 @@ def test_the_first_message_may_lack_what_later_ones_have(tmp_path, first):
     assert series.t_ns.tolist() == [0] * is_whole + [10**9 + k for k in range(1, 9)]
     assert np.isnan(series.rate[: int(is_whole)]).all()
     assert series.rate[int(is_whole) :].tolist() == [[k, 1, 2] for k in range(1, 9)]
+
+
+def test_messages_that_do_not_fit_for_several_reasons_are_all_lost(tmp_path):
+    """One is no JSON, another has a stamp beyond 64 bits: both are left out of what is checked."""
+    stamps = [{"sec": 1 + k, "nanosec": 0} for k in range(8)]
+    stamps[3]["sec"] = 10**11
+    messages = [imu(k, 1, 2, stamp) for k, stamp in enumerate(stamps)]
+    messages[5] = b"{"
+    series, losses = read(write(tmp_path / "log.mcap", {"/imu": ("sensor_msgs/Imu", messages)}))
+    assert series.rate[:, 0].tolist() == [0, 1, 2, 4, 6, 7]
+    assert sum(loss.messages for loss in losses) == 2
+
+
+def test_stamps_are_looked_at_where_an_orientation_is_missing(tmp_path):
+    """Messages without an orientation count, too, where stamps of zero are looked for."""
+    messages = [imu(k, 1, 2, {"sec": 0, "nanosec": 0}) for k in range(8)]
+    for message in messages[1:]:
+        del message["orientation"]
+    path = write(tmp_path / "log.mcap", {"/imu": ("sensor_msgs/Imu", messages)})
+    with pytest.raises(TimelineError, match="all header stamps of topic '/imu' are zero"):
+        read(path)
 
 
 def test_a_covariance_that_one_message_has_counts_there(tmp_path):

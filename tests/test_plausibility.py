@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from quatprop.containers import topic_table
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, rotate
 from quatprop.logs.open_log import open_log
@@ -213,8 +214,13 @@ def test_the_beginning_of_a_log_is_read_once(tmp_path, monkeypatch):
     with open_log(path) as log:
         called = []
         monkeypatch.setattr(log, "blocks", lambda c, f=log.blocks: called.append(c) or f(c))
+        decoders, made = [], topic_table.decoder_of
+        monkeypatch.setattr(
+            topic_table, "decoder_of", lambda *args: decoders.append(args[1]) or made(*args)
+        )
         source = choose_rates(log, RateSelection())
         assert log_remarks(log, source) == []
+        assert len(decoders) == 1
         assert sum(map(len, source.batches())) == 3000
         assert [channel.topic for channel in called] == ["/imu"]
 

@@ -204,13 +204,16 @@ class TopicTable(Table):
     ) -> Iterator[Columns]:
         """Yield times and groups of columns of all messages; nothing is noted."""
         decode = self.decoder(stamps, groups)
-        for block in coalesce_blocks(self.blocks):
+
+        def fitting(block: MessageBlock) -> Columns:
             try:
-                yield decode(block)
+                return decode(block)
             except MessageError as error:
                 if is_strict or not error.positions:
                     raise
-                yield decode(_without(block, error.positions))
+                return fitting(_without(block, error.positions))
+
+        yield from map(fitting, coalesce_blocks(self.blocks))
 
     def release(self) -> None:
         """Hold nothing of what was read."""
