@@ -76,8 +76,6 @@ class TopicTable(Table):
         """Tell by the text of the definition, cheaply, whether one of some types may be inside."""
         return any(name.rpartition("/")[2].encode() in self.channel.schema for name in types)
 
-    # Columns.
-
     @cached_property
     def root(self) -> Struct:
         """The type of the messages; SchemaError where the definition cannot be read."""
@@ -169,8 +167,6 @@ class TopicTable(Table):
             return []
         return first_names(self.channel, block, self.root, name, self.path)
 
-    # Rows.
-
     def read(
         self,
         stamp: Stamp,
@@ -202,7 +198,7 @@ class TopicTable(Table):
     def peek(
         self, stamps: Sequence[Stamp], groups: Sequence[Group], *, is_strict: bool = False
     ) -> Iterator[Columns]:
-        """Yield times and groups of columns of all messages; nothing is noted."""
+        """Yield times and groups of columns of all messages, the first block by itself."""
         decode = self.decoder(stamps, groups)
 
         def fitting(block: MessageBlock) -> Columns:
@@ -213,7 +209,9 @@ class TopicTable(Table):
                     raise
                 return fitting(_without(block, error.positions))
 
-        yield from map(fitting, coalesce_blocks(self.blocks))
+        blocks = iter(self.blocks)
+        yield from map(fitting, islice(blocks, 1))
+        yield from map(fitting, coalesce_blocks(blocks))
 
     def release(self) -> None:
         """Hold nothing of what was read."""
@@ -272,8 +270,6 @@ class TopicTable(Table):
                 f"{duration_text(CLOCK_STEP_NS)}, as where the recorder's clock was set back; "
                 "samples are taken in the order of their log times"
             )
-
-    # The log.
 
     def provenance(self) -> JsonObject:
         """Return how the messages were made, if this package made them."""
