@@ -183,13 +183,11 @@ class TopicTable(Table):
         else:
             blocks = metered(coalesce_blocks(self.blocks), self.channel.count)
         batches = (self._readable(lambda rows: convert(decode(rows)), block) for block in blocks)
-        return self.in_order(batches)
+        return self.in_order(in_larger_batches(batches) if self.log.has_log_time else batches)
 
     def in_order(self, batches: Iterable[Columns]) -> Iterator[Columns]:
         """Return rows in the order of the log times, if these are recorded."""
-        if self.log.has_log_time:
-            return merge_by_time([in_larger_batches(batches)])
-        return filter(len, batches)
+        return merge_by_time([batches]) if self.log.has_log_time else filter(len, batches)
 
     def recorded_span(self) -> TimeRange | None:
         """Return when the topic was recorded by the index of the log, if it has one."""
