@@ -9,10 +9,10 @@ from mcap.reader import make_reader
 
 from quatprop.errors import LogError, UsageError
 from quatprop.logs.open_log import open_log
+from quatprop.logs.signal import AttitudeSignal
 from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import choose_rates
-from quatprop.signals.signal import AttitudeSignal
 
 LENIENT = 2
 """Place of the propagation with lenient settings among the commands of a log."""

@@ -13,7 +13,7 @@ from quatprop.comparison import files
 from quatprop.comparison.compare import compare
 from quatprop.comparison.settings import comparison_settings
 from quatprop.errors import ComparisonError, NotRotationsError
-from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
+from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
 
 BATCH = 16
 """Rows of a batch in these tests."""

@@ -16,9 +16,9 @@ from mcap.writer import CompressionType, Writer
 from pyarrow import parquet as pq
 
 from quatprop.cli.commands import cli
-from quatprop.containers import kept_blocks, topic_table
+from quatprop.containers import first_blocks, topic_table
 from quatprop.containers.chunks import ChunkedLog
-from quatprop.containers.kept_blocks import beginnings_kept, blocks_of
+from quatprop.containers.first_blocks import FirstBlocks
 from quatprop.containers.mcap.log import McapLog
 from quatprop.errors import DamagedLogError
 from quatprop.messages import protobuf
@@ -282,7 +282,7 @@ def test_a_binary_log_on_stdin_is_listed_whole():
 def test_rates_and_attitudes_of_a_topic_are_read_together(tmp_path, monkeypatch, room, apart_whole):
     """A log is read once, and what is said of it is what reading each by itself shows."""
     monkeypatch.setattr(plausibility, "COMPARED_SAMPLES", 10)
-    monkeypatch.setattr(kept_blocks, "ROOM", room)
+    monkeypatch.setattr(first_blocks, "ROOM", room)
     monkeypatch.setattr(topic_table, "ENOUGH_MESSAGES", 2000)
     log = tmp_path / "log.mcap"
     with log.open("wb") as file, (SAMPLES / "coning.mcap").open("rb") as stream:
@@ -329,21 +329,18 @@ def test_a_log_is_unpacked_once_for_each_topic(shared_logs, monkeypatch):
 
 def test_a_long_topic_is_not_kept(monkeypatch):
     """Once there is no room for a topic, nothing of it is held, by whoever reads on either."""
-    monkeypatch.setattr(kept_blocks, "ROOM", 1000)
+    monkeypatch.setattr(first_blocks, "ROOM", 1000)
     freed = []
 
     class Long:
-        kept = None
-
         def blocks(self, _channel):
             for _ in range(100):
                 data = np.zeros(100, np.uint8)
                 weakref.finalize(data, freed.append, None)
                 yield MessageBlock(data, *(np.zeros(0, np.int64) for _ in range(4)))
 
-    log = Long()
-    with beginnings_kept(log):
-        held = [number - len(freed) for number, _ in enumerate(blocks_of(log, "topic"))]
+    blocks = FirstBlocks(Long(), "topic")
+    held = [number - len(freed) for number, _ in enumerate(blocks)]
     assert max(held) < 15  # ten have room
 
 
@@ -351,26 +348,21 @@ def test_an_error_is_not_taken_for_the_end_of_a_topic():
     """Who begins to read a topic after another met an error in it meets the error too."""
 
     class Broken:
-        kept = None
-
         def blocks(self, _channel):
             yield MessageBlock(*(np.zeros(0, np.int64) for _ in range(5)))
             raise DamagedLogError("log", "broken")
 
-    log = Broken()
-    with beginnings_kept(log):
-        for _ in range(2):
-            with pytest.raises(DamagedLogError, match=r"^log: broken"):
-                list(blocks_of(log, "topic"))
+    blocks = FirstBlocks(Broken(), "topic")
+    for _ in range(2):
+        with pytest.raises(DamagedLogError, match=r"^log: broken"):
+            list(blocks)
 
 
-def test_beginnings_are_kept_only_in_the_block():
-    """Who begins in the block and goes on after it reads nothing twice, and keeps nothing."""
+def test_what_was_held_is_read_on_after_its_release():
+    """Who began before and goes on after it reads nothing twice, and holds nothing."""
     read = []
 
     class Long:
-        kept = None
-
         def blocks(self, _channel):
             for begin in range(50):
                 data = np.zeros(1000, np.uint8)
@@ -378,10 +370,10 @@ def test_beginnings_are_kept_only_in_the_block():
                 stamps = np.array([begin])
                 yield MessageBlock(data, np.array([0]), np.array([1000]), stamps, stamps)
 
-    log = Long()
-    with beginnings_kept(log):
-        next(blocks_of(log, "topic"))
-        blocks = blocks_of(log, "topic")
+    first = FirstBlocks(Long(), "topic")
+    next(iter(first))
+    blocks = iter(first)
+    first.release()
     assert [int(block.log_ns[0]) for block in blocks] == list(range(50))
     assert len(read) == 50
     assert sum(data() is not None for data in read) <= 2
@@ -392,8 +384,6 @@ def test_a_reading_that_nobody_goes_on_with_ends_at_once():
     closed = []
 
     class Long:
-        kept = None
-
         def blocks(self, _channel):
             try:
                 for _ in range(50):
@@ -401,11 +391,11 @@ def test_a_reading_that_nobody_goes_on_with_ends_at_once():
             finally:
                 closed.append(None)
 
-    log = Long()
     gc.disable()
     try:
-        with beginnings_kept(log):
-            next(blocks_of(log, "topic"))
+        blocks = FirstBlocks(Long(), "topic")
+        next(iter(blocks))
+        blocks.release()
         assert closed
     finally:
         gc.enable()

@@ -24,9 +24,9 @@ from scipy.spatial.transform import Rotation
 from quatprop.conversion.convert import convert
 from quatprop.conversion.job import Conversion
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.logs.attitude_input import AttitudeInput
 from quatprop.pipeline.settings import OutputSettings
 from quatprop.series import AttitudeSeries
-from quatprop.signals.attitude_input import AttitudeInput
 from quatprop.writers import open_writer
 
 ROWS = 2_000

@@ -262,8 +262,8 @@ def test_logs_that_become_shorter_while_they_are_read_end_early(logs, tmp_path):
     for name, line in zip(CHANGING, result.stdout.splitlines(), strict=True):
         count, lost = line.split()
         assert (lost == "True") == (int(count) < samples_of(logs / name)), name
-        # SQLite may hold all pages of a small database by then.
-        assert lost == "True" or name == "small.db3", name
+        # Of messages without chunks the first ones are held by then: all of them here.
+        assert lost == "True" or name in {"small.db3", "mcap-unchunked.mcap", "gyro.ulg"}, name
 
 
 @pytest.mark.parametrize("name", CHANGING)

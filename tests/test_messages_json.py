@@ -17,6 +17,7 @@ from quatprop.errors import (
     MessageError,
     NoRatesError,
     SchemaError,
+    TimelineError,
     UndeclaredError,
     UnsupportedLogError,
 )
@@ -129,7 +130,7 @@ def test_the_demo_gives_what_an_independent_oracle_gives(shared_logs):
 def test_stamps_are_told_by_their_form(stamp):
     """Seconds and nanoseconds under any of their names, and RFC 3339."""
     (found,) = found_in(channel_of(imu(stamp=stamp)))
-    decode = found.table.decoder(stamps_of(found)[0], ())
+    decode = found.table.decoder([stamps_of(found)[0]], ())
     (t_ns,) = decode([encoded([imu(stamp=stamp)])]).values
     assert t_ns.tolist() == [1_700_000_000_000_000_005]
 
@@ -323,6 +324,27 @@ def test_the_first_message_may_lack_what_later_ones_have(tmp_path, first):
     assert series.rate[int(is_whole) :].tolist() == [[k, 1, 2] for k in range(1, 9)]
 
 
+def test_messages_that_do_not_fit_for_several_reasons_are_all_lost(tmp_path):
+    """One is no JSON, another has a stamp beyond 64 bits: both are left out of what is checked."""
+    stamps = [{"sec": 1 + k, "nanosec": 0} for k in range(8)]
+    stamps[3]["sec"] = 10**11
+    messages = [imu(k, 1, 2, stamp) for k, stamp in enumerate(stamps)]
+    messages[5] = b"{"
+    series, losses = read(write(tmp_path / "log.mcap", {"/imu": ("sensor_msgs/Imu", messages)}))
+    assert series.rate[:, 0].tolist() == [0, 1, 2, 4, 6, 7]
+    assert sum(loss.messages for loss in losses) == 2
+
+
+def test_stamps_are_looked_at_where_an_orientation_is_missing(tmp_path):
+    """Messages without an orientation count, too, where stamps of zero are looked for."""
+    messages = [imu(k, 1, 2, {"sec": 0, "nanosec": 0}) for k in range(8)]
+    for message in messages[1:]:
+        del message["orientation"]
+    path = write(tmp_path / "log.mcap", {"/imu": ("sensor_msgs/Imu", messages)})
+    with pytest.raises(TimelineError, match="all header stamps of topic '/imu' are zero"):
+        read(path)
+
+
 def test_a_covariance_that_one_message_has_counts_there(tmp_path):
     """-1 says that its rate is absent."""
     messages = [imu(k, 1, 2, {"sec": 1, "nanosec": k}) for k in range(9)]
@@ -413,5 +435,5 @@ def test_an_orientation_in_JSON_is_read_by_the_names_of_its_parts():
     """The same tree serves both tables."""
     (found,) = found_in(channel_of(imu()), "quat")
     message = imu() | {"orientation": {"x": 0.1, "w": 0.9, "z": 0.3, "y": 0.2}}
-    decode = found.table.decoder(stamps_of(found)[0], found.sets)
+    decode = found.table.decoder([stamps_of(found)[0]], found.sets)
     assert decode([encoded([message])]).values[1].tolist() == [[0.9, 0.1, 0.2, 0.3]]

@@ -269,7 +269,7 @@ def test_real_recordings_give_what_the_library_decodes(shared_logs, name):
             raw = [bytes(message) for _, _, message in reader.messages([connection])][:300]
             for found in found_in(channel) if raw else ():
                 stamp = stamps_of(found)[0]
-                t_ns, rate = found.table.decoder(stamp, found.sets)([_block(raw)]).values
+                t_ns, rate = found.table.decoder([stamp], found.sets)([_block(raw)]).values
                 for position, message in enumerate(raw):
                     decoded = reader.deserialize(message, connection.msgtype)
                     vector = _attribute(decoded, found.field)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from quatprop.containers import topic_table
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, rotate
 from quatprop.logs.open_log import open_log
@@ -207,14 +208,20 @@ def test_a_unit_shows_after_a_rest():
 
 
 def test_the_beginning_of_a_log_is_read_once(tmp_path, monkeypatch):
-    """Stamps and orientation are checked in what was read for the first of these checks."""
+    """Stamps and orientation are checked in what was read for the choice of the clock."""
     path = tmp_path / "imu.mcap"
     simulate(path, "tumbling", Shape(), Gyroscope(200, 3000), truth=None)
     with open_log(path) as log:
-        source = choose_rates(log, RateSelection())
         called = []
         monkeypatch.setattr(log, "blocks", lambda c, f=log.blocks: called.append(c) or f(c))
+        decoders, made = [], topic_table.decoder_of
+        monkeypatch.setattr(
+            topic_table, "decoder_of", lambda *args: decoders.append(args[1]) or made(*args)
+        )
+        source = choose_rates(log, RateSelection())
         assert log_remarks(log, source) == []
+        assert len(decoders) == 1
+        assert sum(map(len, source.batches())) == 3000
         assert [channel.topic for channel in called] == ["/imu"]
 
 
@@ -227,9 +234,9 @@ def test_only_the_beginning_is_searched_for_an_orientation(monkeypatch):
             read.append(start)
             yield np.arange(start, start + 1000), np.full((1000, 4), np.nan)
 
-    absent = SimpleNamespace(rows=rows)
+    absent = SimpleNamespace(first=rows)
     monkeypatch.setattr("quatprop.pipeline.plausibility.choose_attitudes", lambda *_: absent)
     rates = GyroSeries(np.arange(10), np.ones((10, 3)))
-    source = SimpleNamespace(name="/imu", matches=(), batches=lambda: iter([rates]))
+    source = SimpleNamespace(name="/imu", matches=(), batches=lambda **_: iter([rates]))
     assert orientation_remarks(SimpleNamespace(path="log.bag"), source) == []
     assert len(read) == 2

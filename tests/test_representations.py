@@ -14,11 +14,11 @@ from quatprop.cli.commands import cli
 from quatprop.conventions.representations import REPRESENTATIONS, from_euler, from_matrices
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.logs.interpolation import stamps_in
 from quatprop.logs.open_log import open_log
 from quatprop.settings import EULER_SEQUENCES
 from quatprop.settings.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.interpolation import stamps_in
 from quatprop.tables.base import TimedColumns
 from quatprop.writers import open_table
 from quatprop.writers.formats import WRITERS

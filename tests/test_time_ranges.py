@@ -18,13 +18,13 @@ from quatprop.conditioning.time_range import clipped
 from quatprop.containers.mcap import loading
 from quatprop.containers.rosbag1 import loading as rosbag1
 from quatprop.errors import NoSamplesError, TimelineError, UsageError
+from quatprop.logs import range_readers
 from quatprop.logs.open_log import open_log
 from quatprop.pipeline import plausibility
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.series import GyroSeries
 from quatprop.settings.selection import RateSelection
-from quatprop.signals import time_ranges
 from quatprop.signals.rates import choose_rates
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
@@ -52,7 +52,7 @@ RANGES = (
 def _narrow(monkeypatch):
     """Use a margin that suits short logs, and compare fewer samples with the orientation."""
     monkeypatch.setattr(plausibility, "COMPARED_SAMPLES", 100)
-    monkeypatch.setattr(time_ranges, "MARGIN_NS", MARGIN_S * NS_PER_S)
+    monkeypatch.setattr(range_readers, "MARGIN_NS", MARGIN_S * NS_PER_S)
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +111,7 @@ def attitudes(log, folder, start, end, **settings):
 def whole(log, folder, start, end):
     """Return the same as :func:`attitudes`, with the whole log read."""
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(time_ranges, "SHARE", 10**6)
+        patched.setattr(range_readers, "SHARE", 10**6)
         report, table = attitudes(log, folder, start, end)
     assert report.conditioning.part is None
     return report, table

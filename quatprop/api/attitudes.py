@@ -178,8 +178,8 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     from quatprop.conventions import Meaning
     from quatprop.conversion.convert import convert as convert_file
     from quatprop.conversion.job import Conversion
+    from quatprop.logs.attitude_input import attitude_input
     from quatprop.pipeline.settings import OutputSettings
-    from quatprop.signals.attitude_input import attitude_input
 
     own = ("to", "layout", "beside", "convention", "direction", "sign", "representation")
     refuse_unknown(options, (*own, *READ_ATTITUDES))
@@ -218,7 +218,7 @@ def _side(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:
 
 def _valid(name: str, series: AttitudeSeries) -> AttitudeSeries:
     """Return a series of attitudes; refuse others, as where they are read from a file."""
-    from quatprop.signals.quaternion_check import QuaternionCheck
+    from quatprop.logs.quaternion_check import QuaternionCheck
 
     check = QuaternionCheck(name)
     for _ in check.apply([(series.t_ns, series.wxyz)]):

@@ -102,16 +102,14 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
 
 def _propagated_log(path: str, settings: PropagationSettings) -> PropagatedSeries:
     from quatprop.concurrency.threads import use_threads
-    from quatprop.containers.kept_blocks import beginnings_kept
     from quatprop.logs.open_log import open_log
     from quatprop.pipeline.attitude_stream import AttitudeStream
     from quatprop.signals.rates import choose_rates
 
     kind, msg_path = settings.kind, settings.selection.msg_path
     with use_threads(settings.threads), open_log(path, kind, msg_path=msg_path) as log:
-        with beginnings_kept(log):
-            rates = choose_rates(log, settings.selection)
-            stream = AttitudeStream(path, rates, settings, log)
+        rates = choose_rates(log, settings.selection)
+        stream = AttitudeStream(path, rates, settings, log)
         return _propagated(stream, settings, log)
 
 

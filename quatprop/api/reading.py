@@ -113,7 +113,7 @@ def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> Attitude
     RemarkWarning
         Something was inferred.
     """
-    from quatprop.signals.attitude_input import attitude_input, load_attitudes
+    from quatprop.logs.attitude_input import attitude_input, load_attitudes
 
     path = path_text("log", log)
     loaded = load_attitudes(replace(attitude_input(path, options), positions=True))

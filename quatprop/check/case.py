@@ -10,8 +10,8 @@ if TYPE_CHECKING:
 
     from quatprop.check.lock import Pin
     from quatprop.comparison.settings import ComparisonSettings
+    from quatprop.logs.attitude_input import AttitudeInput
     from quatprop.pipeline.settings import PropagationSettings
-    from quatprop.signals.attitude_input import AttitudeInput
 
 Verdict = Literal["pass", "fail", "error", "skip", "xfail", "xpass"]
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from quatprop.comparison.compare import compare
 from quatprop.comparison.summary import criterion_text, with_names
 from quatprop.errors import ComparisonError
+from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings
-from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:

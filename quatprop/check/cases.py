@@ -15,11 +15,11 @@ from quatprop.check.case import Case, CaseNotRun
 from quatprop.check.suite import CaseTable, Suite, read_suite
 from quatprop.comparison.settings import COMPARE, comparison_settings
 from quatprop.errors import QuatpropError, SuiteError, UsageError
+from quatprop.logs.attitude_input import attitude_input
 from quatprop.pipeline.settings import propagation_settings
 from quatprop.settings import PROPAGATE, READ_ATTITUDES
 from quatprop.settings.parsers import file_beside
 from quatprop.settings.spelling import in_keys, suite_key
-from quatprop.signals.attitude_input import attitude_input
 from quatprop.text import did_you_mean, quoted, spelling
 
 if TYPE_CHECKING:

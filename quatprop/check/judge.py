@@ -16,8 +16,8 @@ from quatprop.check.reference import DEFAULT, describe_provenance, read_referenc
 from quatprop.comparison.settings import Sigmas
 from quatprop.errors import LogError, QuatpropError
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
 from quatprop.settings.spelling import in_keys
-from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
 from quatprop.text import Setting, listed, plain, quoted, spelling
 
 if TYPE_CHECKING:

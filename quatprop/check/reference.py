@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 from quatprop.check.case import Case, CaseNotRun
 from quatprop.check.lock import DIGITS, Pin
 from quatprop.errors import OutputError, QuatpropError
+from quatprop.logs.attitude_input import AttitudeInput, LoadedAttitudes, load_attitudes
 from quatprop.pipeline.report import CONVENTION
 from quatprop.provenance import digest_of
-from quatprop.signals.attitude_input import AttitudeInput, LoadedAttitudes, load_attitudes
 from quatprop.text import Setting, plain, quoted
 from quatprop.writers import open_writer
 

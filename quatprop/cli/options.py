@@ -21,7 +21,7 @@ from quatprop.text import plain
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from quatprop.signals.attitude_input import AttitudeInput
+    from quatprop.logs.attitude_input import AttitudeInput
 
     Command = TypeVar("Command", bound=Callable[..., Any])
     Option = Callable[[Any], Any]
@@ -128,8 +128,8 @@ def input_of(
     path: str, chosen: Mapping[str, Any], *, side: str = "", drop: bool = False
 ) -> AttitudeInput:
     """Return which attitudes to read, from the options of a command."""
+    from quatprop.logs.attitude_input import attitude_input
     from quatprop.settings import READ_ATTITUDES
-    from quatprop.signals.attitude_input import attitude_input
 
     keys = {name: f"{name}_{side}" if f"{name}_{side}" in chosen else name
             for name in READ_ATTITUDES}  # fmt: skip

@@ -21,15 +21,15 @@ from quatprop.comparison.result import AppliedOffset, Comparison, Coverage
 from quatprop.comparison.windows import MAX_SAMPLES
 from quatprop.concurrency.threads import in_background
 from quatprop.kinematics.quaternion import IDENTITY
+from quatprop.logs.attitude_input import open_attitudes
 from quatprop.series import AttitudeSeries
-from quatprop.signals.attitude_input import open_attitudes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.arrays import Float64, Int64
     from quatprop.comparison.settings import ComparisonSettings
-    from quatprop.signals.attitude_input import AttitudeFile, AttitudeInput, ReadAttitudes
+    from quatprop.logs.attitude_input import AttitudeFile, AttitudeInput, ReadAttitudes
 
 
 SHORT = 1 << 17

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.result import Comparison, Criterion
     from quatprop.comparison.statistics import SigmaStatistics, WindowStatistics
+    from quatprop.logs.attitude_input import ReadAttitudes
     from quatprop.rendering import Row
-    from quatprop.signals.attitude_input import ReadAttitudes
 
 STATISTICS = {"rms": "RMS", "p95": "95 %"}
 """Statistics whose label is not their name."""

@@ -132,7 +132,7 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
     unit: float,
     inputs: ConditioningInputs,
     *,
-    part_reader: Callable[[], PartReader | None] = lambda: None,
+    part_reader: Callable[[], PartReader | None] | None = None,
 ) -> tuple[Iterator[GyroSeries], ConditioningReport]:
     """Return the conditioned samples, and what is done to them.
 
@@ -143,7 +143,7 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
     mount = inputs.mounting.matrix if inputs.mounting else mount
     matrix, bias, remarks = _calibration_of(settings, inputs)
     clips = settings.start is not None or settings.end is not None
-    parts = part_reader() if clips else None
+    parts = part_reader() if clips and part_reader is not None else None
     ends, rest = _look_ahead(read, timeline, settings, inputs, parts)
     start_ns, end_ns = absolute_range(settings, ends)
     remarks = (*remarks, *pause_remarks(settings, ends))

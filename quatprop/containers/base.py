@@ -15,7 +15,6 @@ from quatprop.tables.log import Log
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from quatprop.containers.kept_blocks import KeptBlocks
     from quatprop.messages.blocks import Channel, MessageBlock
     from quatprop.tables.model import TimeRange
 
@@ -26,12 +25,10 @@ class MessageLog(Log):
     `has_log_time`: whether it records when a message was logged; if not, the time in a message
         stands for it, and the order of the file is that of the recording
     `has_publish_time`: whether it records when a message was published, besides when it was logged
-    `kept`: blocks of messages that are read again soon; None where none are kept
     """
 
     has_log_time = True
     has_publish_time = False
-    kept: KeptBlocks | None = None
 
     @abstractmethod
     def channels(self) -> list[Channel]:

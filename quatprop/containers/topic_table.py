@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.kept_blocks import blocks_of
+from quatprop.containers.first_blocks import FirstBlocks
 from quatprop.errors import MessageError, UsageError
 from quatprop.messages.columns import take_messages
 from quatprop.messages.cursor import first_names
@@ -61,6 +61,9 @@ class TopicTable(Table):
     def __init__(self, log: MessageLog, channel: Channel) -> None:
         self.log = log
         self.channel = channel
+        self.blocks = FirstBlocks(log, channel)
+        self._fields: dict[str, Group | None] = {}
+        self._groups: dict[Group, tuple[list[str], list[int]]] = {}
         self.path = log.path
         self.name = channel.topic
         self.type = channel.type_name
@@ -77,8 +80,6 @@ class TopicTable(Table):
     def may_contain(self, types: Iterable[str]) -> bool:
         """Tell by the text of the definition, cheaply, whether one of some types may be inside."""
         return any(name.rpartition("/")[2].encode() in self.channel.schema for name in types)
-
-    # RowBatch.
 
     @cached_property
     def root(self) -> Struct:
@@ -106,6 +107,11 @@ class TopicTable(Table):
 
     def columns_of(self, name: str) -> Group | None:
         """Return the columns that a field consists of; nothing where it is not a few numbers."""
+        if name not in self._fields:
+            self._fields[name] = self._columns_below(name)
+        return self._fields[name]
+
+    def _columns_below(self, name: str) -> Group | None:
         kind = find(self.root, name)
         if kind is None:
             return None
@@ -133,6 +139,11 @@ class TopicTable(Table):
 
         A vector is one field; where the numbers are in its order, no places are given.
         """
+        if group not in self._groups:
+            self._groups[group] = self._fields_below(group)
+        return self._groups[group]
+
+    def _fields_below(self, group: Group) -> tuple[list[str], list[int]]:
         names = [self.columns[k].text for k in group]
         parent = names[0][: max(names[0].rfind("."), names[0].rfind("["), 0)]
         shape = numbers(find(self.root, parent)) if parent and len(group) > 1 else None
@@ -152,26 +163,14 @@ class TopicTable(Table):
             )
         return self
 
-    def _blocks(self) -> Iterator[MessageBlock]:
-        """Yield all blocks with messages; the first one without reading it again."""
-        if self._first is not None:
-            yield self._first
-            yield from islice(filter(len, blocks_of(self.log, self.channel)), 1, None)
-
     def texts(self, name: str) -> list[str]:
         """Return what a text is in the first messages; nothing where it cannot be read."""
         if self.channel.encoding not in TEXT_ENCODINGS:
             return []
-        if self._first is None or not isinstance(find(self.root, name), String):
+        block = next(filter(len, self.blocks), None)
+        if block is None or not isinstance(find(self.root, name), String):
             return []
-        return first_names(self.channel, self._first, self.root, name, self.path)
-
-    # Rows.
-
-    @cached_property
-    def _first(self) -> MessageBlock | None:
-        """The first block with messages, at which several checks look."""
-        return next((block for block in blocks_of(self.log, self.channel) if len(block)), None)
+        return first_names(self.channel, block, self.root, name, self.path)
 
     def read(
         self,
@@ -181,52 +180,62 @@ class TopicTable(Table):
         within: Within = None,
     ) -> Iterator[RowBatch]:
         """Yield batches in the order of the log times, if these are recorded."""
-        decode = self.decoder(stamp, groups)
+        # It holds on to what follows the rows that were looked at.
+        self.first = None
+        decode = self.decoder([stamp], groups)
         if isinstance(within, TimeRange):
             blocks = metered(self.log.blocks_within(self.channel, within), None)
         else:
-            blocks = metered(blocks_of(self.log, self.channel), self.channel.count)
+            blocks = metered(iter(self.blocks), self.channel.count)
         together = decoded_together(blocks)
         batches = (self._readable(lambda own: convert(decode(own)), own) for own in together)
+        return self.in_order(batches)
+
+    def in_order(self, batches: Iterable[RowBatch]) -> Iterator[RowBatch]:
+        """Return rows in the order of the log times, if these are recorded."""
         return merge_by_time([batches]) if self.log.has_log_time else filter(len, batches)
 
     def recorded_span(self) -> TimeRange | None:
         """Return when the topic was recorded by the index of the log, if it has one."""
         return self.log.recorded_span(self.channel)
 
-    def glance(self, groups: Sequence[Group]) -> Iterator[tuple[AnyArray, ...]]:
-        """Yield groups of columns of all messages."""
-        return (values[1:] for values in self._quietly(self.decoder(Stamp(clock="log"), groups)))
+    def peek(
+        self, stamps: Sequence[Stamp], groups: Sequence[Group], *, is_strict: bool = False
+    ) -> Iterator[RowBatch]:
+        """Yield times and groups of columns of all messages, the first block by itself."""
+        decode = self.decoder(stamps, groups)
 
-    def times(self, stamp: Stamp) -> Iterator[Int64]:
-        """Yield the times of all messages, ns."""
-        return (t_ns for (t_ns,) in self._quietly(self.decoder(stamp, ())))
-
-    def _quietly(self, decode: Decode) -> Iterator[tuple[AnyArray, ...]]:
-        """Yield what is decoded; messages that do not fit are noted when they are read for good."""
-        for block in self._blocks():
+        def fitting(blocks: Sequence[MessageBlock]) -> RowBatch:
             try:
-                yield decode([block]).values
+                return decode(blocks)
             except MessageError as error:
-                if not error.positions:
+                if is_strict or not error.positions:
                     raise
-                yield decode(_without([block], error.positions)).values
+                return fitting(_without(blocks, error.positions))
 
-    def decoder(self, stamp: Stamp, groups: Sequence[Group]) -> Decode:
-        """Return what decodes the time and some groups of columns of blocks."""
-        times = [self.columns[k].text for k in stamp.columns]
+        yield from map(fitting, decoded_together(self.blocks))
+
+    def release(self) -> None:
+        """Hold nothing of what was read."""
+        self.first = None
+        self.blocks.release()
+
+    def decoder(self, stamps: Sequence[Stamp], groups: Sequence[Group]) -> Decode:
+        """Return what decodes times and some groups of columns of blocks."""
+        times = [self.columns[k].text for stamp in stamps for k in stamp.columns]
         wanted = [self.fields_of(group) for group in groups]
         fields = [*times, *(name for names, _ in wanted for name in names)]
         decoder = decoder_of(self.channel, fields, self.path)
 
         def decode(blocks: Sequence[MessageBlock]) -> RowBatch:
             arrays = iter(decoder.columns(*blocks))
-            t_ns = self.ns(stamp, [*islice(arrays, len(times))], blocks)
-            values = []
+            values: list[AnyArray] = [
+                self.ns(stamp, [*islice(arrays, len(stamp.columns))], blocks) for stamp in stamps
+            ]
             for group, (names, places) in zip(groups, wanted, strict=True):
                 own = [*islice(arrays, len(names))]
                 values.append(own[0] if len(group) == 1 else as_rows(own, places))
-            return RowBatch(log_ns_of(blocks), (t_ns, *values), blocks[-1].watermark_ns)
+            return RowBatch(log_ns_of(blocks), tuple(values), blocks[-1].watermark_ns)
 
         return decode
 
@@ -263,8 +272,6 @@ class TopicTable(Table):
                 f"{duration_text(CLOCK_STEP_NS)}, as where the recorder's clock was set back; "
                 "samples are taken in the order of their log times"
             )
-
-    # The log.
 
     def provenance(self) -> JsonObject:
         """Return how the messages were made, if this package made them."""

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from quatprop.containers.base import MessageLog
-from quatprop.containers.kept_blocks import blocks_of
 from quatprop.containers.topic_table import TopicTable
 from quatprop.messages.values import raw_messages
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from quatprop.messages.blocks import Channel
 
 TRANSFORM_LISTS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -18,7 +20,16 @@ TRANSFORM_LISTS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
 class TopicLog(MessageLog):
-    """A container whose tables are its topics."""
+    """A container whose tables are its topics, which live as long as it is open."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._tables: dict[Channel, TopicTable] = {}
+
+    def __exit__(self, *_error: object) -> None:
+        for table in self._tables.values():
+            table.release()
+        self.close()
 
     def tables(self, topic: str | None = None) -> list[TopicTable]:
         """Return the topics that have messages.
@@ -35,7 +46,10 @@ class TopicLog(MessageLog):
                 if channel.encoding == "ulog" and channel.topic.rpartition("/")[0] == topic
             ]
             channels = named or (instances if len(instances) == 1 else [])
-        return [_table_of(self, channel) for channel in channels]
+        for channel in channels:
+            if channel not in self._tables:
+                self._tables[channel] = _table_of(self, channel)
+        return [self._tables[channel] for channel in channels]
 
 
 def _table_of(log: MessageLog, channel: Channel) -> TopicTable:
@@ -43,11 +57,11 @@ def _table_of(log: MessageLog, channel: Channel) -> TopicTable:
         from quatprop.containers.transform_lists import TransformTable
 
         return TransformTable(log, channel)
+    table = TopicTable(log, channel)
     if channel.encoding == "json":
         from quatprop.messages.json import sample_of
 
         # The first messages are all the definition there is.
-        block = next((block for block in blocks_of(log, channel) if len(block)), None)
-        if block is not None:
-            channel = replace(channel, sample=sample_of(raw_messages(block)))
-    return TopicTable(log, channel)
+        for block in islice(filter(len, table.blocks), 1):
+            table.channel = replace(channel, sample=sample_of(raw_messages(block)))
+    return table

@@ -80,7 +80,7 @@ class TransformTable(TopicTable):
                 f"{Setting('frame', 'PARENT:CHILD')}"
             )
         chosen = TransformTable(self.log, self.channel)
-        chosen.frames = fits[0]
+        chosen.frames, chosen.blocks = fits[0], self.blocks
         return chosen
 
     def transforms(self, way_out: str) -> Iterator[tuple[Frames, Float64]]:
@@ -96,7 +96,7 @@ class TransformTable(TopicTable):
             for number, wxyz in zip(found.frames.tolist(), found.wxyz, strict=True):
                 yield decoder.frames[number], wxyz
 
-    def decoder(self, stamp: Stamp, groups: Sequence[Group]) -> Decode:
+    def decoder(self, stamps: Sequence[Stamp], groups: Sequence[Group]) -> Decode:
         """Return what decodes the elements between the two frames."""
         transforms = TransformDecoder(self.channel, self.path)
         if self.frames is not None:
@@ -109,13 +109,15 @@ class TransformTable(TopicTable):
             found = transforms.transforms(block)
             ours = found.frames == 0
             message = found.message[ours]
-            if stamp.clock == "header":
-                t_ns = found.t_ns[ours]
-            else:
-                t_ns = self.ns(stamp, (), [block])[message]
+            times = [
+                found.t_ns[ours]
+                if stamp.clock == "header"
+                else self.ns(stamp, (), [block])[message]
+                for stamp in stamps
+            ]
             # In the order of the columns: x, y, z, w, and the position.
             numbers = np.column_stack((found.wxyz[ours][:, [1, 2, 3, 0]], found.position[ours]))
             values = (numbers[:, [k - 1 for k in group]] for group in groups)
-            return RowBatch(block.log_ns[message], (t_ns, *values), block.watermark_ns)
+            return RowBatch(block.log_ns[message], (*times, *values), block.watermark_ns)
 
         return decode

@@ -14,11 +14,11 @@ from quatprop.conversion.job import Conversion, ConversionReport
 from quatprop.conversion.rates import RATES, rate_batches
 from quatprop.errors import NoSamplesError, UsageError
 from quatprop.logs.open_log import open_log
+from quatprop.logs.quaternion_check import QuaternionCheck
 from quatprop.pipeline.job import with_format
 from quatprop.pipeline.report import ReportFile
 from quatprop.provenance import digest_ahead
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.stores.objects import without_secret
 from quatprop.text import Setting, listed, quoted
 from quatprop.writers.targets import refuse_overlap
@@ -26,8 +26,8 @@ from quatprop.writers.targets import refuse_overlap
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
+    from quatprop.logs.signal import AttitudeSignal
     from quatprop.series import AttitudeSeries, GyroSeries
-    from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import AnyLog
     from quatprop.writers.attitudes import AttitudeWriter
 

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from quatprop.conventions.layout import Layout
+    from quatprop.logs.attitude_input import AttitudeInput
+    from quatprop.logs.quaternion_check import QuaternionCounts
+    from quatprop.logs.signal import AttitudeSignal
     from quatprop.pipeline.settings import OutputSettings
-    from quatprop.signals.attitude_input import AttitudeInput
-    from quatprop.signals.quaternion_check import QuaternionCounts
-    from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.log import Loss
 
 

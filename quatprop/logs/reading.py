@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import MessageError, TimelineError
+from quatprop.logs.first_batch import first_batch
 from quatprop.logs.matching import column_beside
 from quatprop.logs.stamps import are_all
 from quatprop.messages.times import to_ns
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import AnyArray, Float64, Int64
     from quatprop.logs.matching import Match
     from quatprop.logs.rows import Burst
-    from quatprop.tables.model import Group, Within
+    from quatprop.tables.model import Convert, Group, Within
 
 ABSENT = -1.0
 """What the first number of a covariance is where the value beside it is not measured."""
@@ -31,14 +32,38 @@ MAX_SPACING_NS = NS_PER_S
 """Samples of a burst are not further apart than this, unless the message is damaged."""
 
 
-def read_rates(match: Match, within: Within = None) -> Iterator[RowBatch]:
-    """Yield batches of stamps, ns, rates, rad/s, ``(N, 3)``, and integration times of increments.
+class Reading(NamedTuple):
+    """What to read of a match: groups of columns, and what becomes of them and of their stamps."""
 
-    Only the parts of the log that have a range of log times by its index; None is all.
-    """
+    match: Match
+    groups: Sequence[Group]
+    convert: Convert
+
+    def rows(self, within: Within = None) -> Iterator[RowBatch]:
+        """Yield all rows, or those in some parts of the log; see :meth:`Table.read`."""
+        table, stamp = self.match.table, self.match.stamp
+        return table.read(stamp, self.groups, self.convert, within)
+
+    def first(self) -> Iterator[RowBatch]:
+        """Yield rows to look at: what is decoded of the first ones is shared, nothing is noted."""
+        table, stamp = self.match.table, self.match.stamp
+        rows = first_batch(table, [stamp]).read([stamp], self.groups)
+        return table.in_order(map(self._converted, rows))
+
+    def _converted(self, rows: RowBatch) -> RowBatch:
+        try:
+            return self.convert(rows)
+        except MessageError as error:
+            if not error.positions:
+                raise
+            return self._converted(rows.rows(np.delete(np.arange(len(rows)), error.positions)))
+
+
+def rates_of(match: Match) -> Reading:
+    """Return what reads stamps, ns, rates, rad/s, ``(N, 3)``, and integration times, ns."""
     row, sets = match.row, match.found.sets
     if row.burst is not None:
-        return _read_bursts(match, row.burst, within)
+        return _bursts_of(match, row.burst)
     groups: tuple[Group, ...] = (sets[0],)
     if row.span:
         groups += (column_beside(match.table, match.found.part, row.span),)
@@ -62,10 +87,10 @@ def read_rates(match: Match, within: Within = None) -> Iterator[RowBatch]:
             np.multiply(rate, match.factor, out=rate)
         return RowBatch(rows.log_ns, values, rows.watermark_ns)
 
-    return match.table.read(match.stamp, groups, convert, within)
+    return Reading(match, groups, convert)
 
 
-def _read_bursts(match: Match, burst: Burst, within: Within) -> Iterator[RowBatch]:
+def _bursts_of(match: Match, burst: Burst) -> Reading:
     """Read many samples a message, evenly spaced up to the stamp; one row a sample."""
     table, part = match.table, match.found.part
     axes = [tuple(axis) for axis in zip(*match.found.sets, strict=True)]
@@ -97,7 +122,7 @@ def _read_bursts(match: Match, burst: Burst, within: Within) -> Iterator[RowBatc
         values = (stamp_ns[message] - before, rate)
         return RowBatch(rows.log_ns[message], values, rows.watermark_ns)
 
-    return table.read(match.stamp, groups, convert, within)
+    return Reading(match, groups, convert)
 
 
 def refuse_marked(match: Match) -> None:
@@ -108,8 +133,10 @@ def refuse_marked(match: Match) -> None:
     if match.is_named or not match.marks:
         return
     table, (columns, *_) = match.table, match.found.sets
-    rows = table.glance((columns, match.marks))
-    marked = ((mark == ABSENT) & np.isfinite(rate).all(axis=1) for rate, mark in rows)
+    pairs = (
+        rows.values for rows in first_batch(table, [match.stamp]).read((), (columns, match.marks))
+    )
+    marked = ((mark == ABSENT) & np.isfinite(rate).all(axis=1) for rate, mark in pairs)
     if are_all(marked, value=True):
         setting = Setting("rate_field", match.found.field)
         if not table.is_typed:
@@ -137,8 +164,8 @@ def _place_of_marks(match: Match) -> str:
     return f"column {quoted(match.table.columns[match.marks[0]].text)}"
 
 
-def read_attitudes(match: Match, beside: Sequence[Group] = ()) -> Iterator[RowBatch]:
-    """Yield stamps, ns, quaternions wxyz, ``(N, 4)``, and other groups beside them."""
+def attitudes_of(match: Match, beside: Sequence[Group] = ()) -> Reading:
+    """Return what reads stamps, ns, quaternions wxyz, ``(N, 4)``, and other groups beside them."""
     marks, form = [match.marks] if match.marks else [], match.representation
 
     def convert(rows: RowBatch) -> RowBatch:
@@ -152,7 +179,7 @@ def read_attitudes(match: Match, beside: Sequence[Group] = ()) -> Iterator[RowBa
                 stored = REPRESENTATIONS[form].attitudes(stored)
         return RowBatch(rows.log_ns, (t_ns, stored, *others), rows.watermark_ns)
 
-    return match.table.read(match.stamp, (*match.found.sets, *marks, *beside), convert)
+    return Reading(match, (*match.found.sets, *marks, *beside), convert)
 
 
 def read_vectors(match: Match) -> Iterator[tuple[Int64, Float64]]:
@@ -170,7 +197,7 @@ def read_vectors(match: Match) -> Iterator[tuple[Int64, Float64]]:
             vectors = vectors * match.factor
         return RowBatch(rows.log_ns, (t_ns, vectors), rows.watermark_ns)
 
-    for rows in match.table.read(match.stamp, groups, convert):
+    for rows in Reading(match, groups, convert).rows():
         t_ns, vectors = rows.values
         yield t_ns, vectors
 

@@ -6,6 +6,7 @@ import re
 from typing import TYPE_CHECKING
 
 from quatprop.errors import SchemaError, TimelineError, UndeclaredError, UsageError
+from quatprop.logs.first_batch import first_batch
 from quatprop.logs.rows import STAMPS
 from quatprop.messages.times import NANOSECONDS, SECONDS
 from quatprop.tables.model import Stamp
@@ -77,8 +78,9 @@ def choose_stamp(found: Found, selection: SignalSelection) -> tuple[Stamp, tuple
         return Stamp(clock=clock), ()
     if selection.time_field is not None:
         stamps = [_named_stamp(table, selection.time_field, selection.time_unit)]
+    first = first_batch(table, stamps)
     for stamp in stamps:
-        if not are_all(table.times(stamp), 0):
+        if not are_all((row.values[0] for row in first.read([stamp], ())), 0):
             remark = (
                 f"the stamps in {quoted(place_of(table, stamps[0]))} are all zero; those in "
                 f"{quoted(place_of(table, stamp))} are used"

@@ -10,6 +10,7 @@ from quatprop.conditioning.time_range import clipping_remarks
 from quatprop.errors import NoSamplesError, SeriesError, TimelineError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.resample import Listed, Steady, Times, every
+from quatprop.logs.beside_rates import conditioning_inputs
 from quatprop.pipeline.gyro_errors import UncertaintyReport, known_errors, uncertainty_report
 from quatprop.pipeline.initial_attitude import Recording, first_attitude
 from quatprop.pipeline.plausibility import log_remarks
@@ -18,8 +19,6 @@ from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, 
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
 from quatprop.settings.quantities import RATES
-from quatprop.signals.beside_rates import conditioning_inputs
-from quatprop.signals.signal import RateSignal, no_parts
 from quatprop.stores.objects import without_secret
 from quatprop.tables.base import TableLog
 from quatprop.text import Setting
@@ -29,6 +28,7 @@ from quatprop.timeline.counts import remarks
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    from quatprop.logs.signal import RateSignal
     from quatprop.pipeline.settings import PropagationSettings
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.tables.base import AnyLog
@@ -86,7 +86,7 @@ class AttitudeStream:
             RATES[source.unit],
             conditioning_inputs(log, source, settings.selection, settings.conditioning),
             # Sorted, samples may belong to the range wherever they are in the log.
-            part_reader=no_parts if settings.policy.on_backwards == "sort" else source.part_reader,
+            part_reader=None if settings.policy.on_backwards == "sort" else source.part_reader,
         )
         self._method, self._method_from = source.method_used(settings.method)
         self._errors = known_errors(settings.errors, self._conditioned.rest)
@@ -258,7 +258,7 @@ class AttitudeStream:
 def _times(settings: PropagationSettings) -> Times | None:
     """Return when attitudes are wanted; None is at the samples."""
     if settings.at is not None:
-        from quatprop.signals.interpolation import stamps_in
+        from quatprop.logs.interpolation import stamps_in
 
         return Listed(stamps_in(settings.at))
     return None if settings.rate is None else Steady(settings.rate)

@@ -15,9 +15,9 @@ from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
+    from quatprop.logs.signal import RateSignal
     from quatprop.series import GyroSeries
     from quatprop.settings.selection import RateSelection
-    from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import AnyLog
 
 
@@ -90,7 +90,7 @@ def first_attitude(wanted: InitialAttitude, recording: Recording, first: GyroSer
     """
     if not wanted.source:
         return unit_q0(wanted.wxyz)
-    from quatprop.signals.interpolation import attitude_at, first_orientation
+    from quatprop.logs.interpolation import attitude_at, first_orientation
 
     log, mount = recording.log, recording.mount
     first_ns = int(first.t_ns[0])
@@ -141,7 +141,7 @@ def _refuse_motion(first: GyroSeries, log: AnyLog) -> None:
 
 def _force(log: AnyLog, recording: Recording, first_ns: int) -> Float64:
     """Return the mean specific force over the first second from a stamp on, shape ``(3,)``."""
-    from quatprop.signals.beside_rates import specific_forces
+    from quatprop.logs.beside_rates import specific_forces
 
     rows = specific_forces(recording.source)
     if rows is None:

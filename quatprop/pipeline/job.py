@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.concurrency.threads import in_background, use_threads
-from quatprop.containers.kept_blocks import beginnings_kept
 from quatprop.errors import UsageError
 from quatprop.logs.open_log import is_stream, open_log
 from quatprop.pipeline.attitude_stream import AttitudeStream
@@ -65,19 +64,18 @@ def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> 
     ):
         output = with_format(job.output, log)
         job = job._replace(output=output)
-        with beginnings_kept(log):
-            source = choose_rates(log, settings.selection)
-            if output.into:
-                source = source.with_log_times()
-            stream = AttitudeStream(
-                job.log,
-                source,
-                settings,
-                log,
-                observer=observer,
-                sensitivity=summary or output.keeps_report,
-                rate=output.message is not None and "rate" in output.message.definition.parts,
-            )
+        source = choose_rates(log, settings.selection)
+        if output.into:
+            source = source.with_log_times()
+        stream = AttitudeStream(
+            job.log,
+            source,
+            settings,
+            log,
+            observer=observer,
+            sensitivity=summary or output.keeps_report,
+            rate=output.message is not None and "rate" in output.message.definition.parts,
+        )
         with (
             ReportFile(output.report) as report_file,
             open_output(output, log, settings.errors.columns_axes) as writer,

@@ -11,15 +11,14 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from quatprop.containers.kept_blocks import beginnings_kept
 from quatprop.errors import QuatpropError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.logs.quaternion_check import QuaternionCheck, QuaternionCounts
+from quatprop.logs.sensor_frames import sensor_frames
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.settings.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.quaternion_check import QuaternionCheck, QuaternionCounts
-from quatprop.signals.sensor_frames import sensor_frames
 from quatprop.text import Setting, listed
 from quatprop.times import utc_text
 
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.signals.signal import RateSignal
+    from quatprop.logs.signal import RateSignal
     from quatprop.tables.base import AnyLog
 
 
@@ -51,20 +50,17 @@ OFF_SCALE = 20.0
 OTHER_CLOCK_NS = 3_600_000_000_000
 """Stamps further from the time of recording are of another clock, not delayed."""
 
-_NONE = np.empty(0, dtype=np.int64)
-
 
 def log_remarks(log: AnyLog, source: RateSignal, rates: str = "body") -> list[str]:
     """Return remarks on the stamps and the orientation beside the rates.
 
     `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
     """
-    with beginnings_kept(log):
-        return [
-            *stamp_remarks(source),
-            *frame_remarks(source),
-            *orientation_remarks(log, source, rates),
-        ]
+    return [
+        *stamp_remarks(source),
+        *frame_remarks(source),
+        *orientation_remarks(log, source, rates),
+    ]
 
 
 def frame_remarks(source: RateSignal) -> list[str]:
@@ -86,7 +82,10 @@ def stamp_remarks(source: RateSignal) -> list[str]:
     """Return remarks on header stamps, compared with the times of recording."""
     if source.clock != "header":
         return []
-    stamped, logged = next(source.stamps(), (_NONE, _NONE))
+    first = next(source.rows(at_first=True), None)
+    if first is None:
+        return []
+    stamped, logged = first.values[0], first.log_ns
     zeros = int(np.count_nonzero(stamped == 0))
     way_out = f"for the time of recording choose {Setting('clock', 'log')}"
     if zeros:
@@ -105,8 +104,8 @@ def orientation_remarks(log: AnyLog, source: RateSignal, rates: str = "body") ->
     try:
         own = choose_attitudes(log, AttitudeSelection(topic=topic))
         check = QuaternionCheck(log.path, drop=True)
-        rows = check.apply(_beginning(own.rows(), check.counts))
-        remark = against_orientation(source.batches(), rows, rates)
+        rows = check.apply(_beginning(own.first(), check.counts))
+        remark = against_orientation(source.batches(at_first=True), rows, rates)
     except QuatpropError:
         # Without an orientation, or with one that cannot be read, there is nothing to compare.
         return []

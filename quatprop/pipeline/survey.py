@@ -13,7 +13,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from quatprop.concurrency.threads import thread_count, use_threads
-from quatprop.containers.kept_blocks import beginnings_kept
 from quatprop.errors import (
     LogError,
     NoAttitudesError,
@@ -24,13 +23,13 @@ from quatprop.errors import (
     UsageError,
 )
 from quatprop.logs.open_log import open_log
+from quatprop.logs.quaternion_check import QuaternionCheck
 from quatprop.pipeline.log_survey import AttitudeSurvey, LogSurvey, RateSurvey, making, timing
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitude_convention import meaning_of, recorded_convention
 from quatprop.signals.attitudes import attitude_candidates
-from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import rate_candidates
 from quatprop.stores.objects import without_secret
 from quatprop.text import plain
@@ -43,9 +42,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from quatprop.arrays import Int64
+    from quatprop.logs.signal import AttitudeSignal, RateSignal
     from quatprop.series import GyroSeries
     from quatprop.signals.choice import Candidate, SelectionT, SignalT
-    from quatprop.signals.signal import AttitudeSignal, RateSignal
     from quatprop.tables.base import AnyLog
     from quatprop.tables.model import Table
 
@@ -74,7 +73,6 @@ def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
     with (
         use_threads(threads + 1 if threads > 1 else 1),
         open_log(path, kind, msg_path=selection.msg_path) as log,
-        beginnings_kept(log),
     ):
         # A binary log on stdin was copied; text was not.
         read_once = str(log.path) == "-"
@@ -137,11 +135,10 @@ def _rates(
         beside = None
         if seen is not None and candidate.found.table.is_typed:
             beside = _reading_beside(log, selection, signal, seen)
+        # First, while the beginning is held.
+        more = [READ_ONCE] if read_once else [] if missing else log_remarks(log, signal)
         surveyed = _survey_rates(signal, log, beside)
-        remarks: tuple[str, ...] = ()
-        if missing is None:
-            more = (READ_ONCE,) if read_once else log_remarks(log, signal)
-            remarks = (*surveyed.remarks, *more, *log.remarks)
+        remarks = (*surveyed.remarks, *more, *log.remarks) if missing is None else ()
         facts = {**dict.fromkeys(unknown), "missing": missing, "remarks": remarks}
         yield replace(surveyed, **facts)  # type: ignore[arg-type]  # unknown ones are optional
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
     from quatprop.comparison.accumulator import ComparedSample
     from quatprop.comparison.result import Comparison
-    from quatprop.signals.attitude_input import ReadAttitudes
+    from quatprop.logs.attitude_input import ReadAttitudes
 
 DIGITS = 4
 """Of the angles in a picture."""

@@ -23,6 +23,7 @@ from quatprop.errors import (
     UndeclaredError,
 )
 from quatprop.logs.open_log import open_log
+from quatprop.logs.signal import AttitudeSignal, RateSignal
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.plot.accumulators import SIGMA_BAND, Accumulator, AttitudeAccumulator, RateAccumulator
@@ -34,7 +35,6 @@ from quatprop.settings.quantities import RATES
 from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.rates import choose_rates
-from quatprop.signals.signal import AttitudeSignal, RateSignal
 from quatprop.stores.objects import without_secret
 from quatprop.text import plain
 from quatprop.timeline import Timeline

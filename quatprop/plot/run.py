@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from quatprop.comparison.compare import compare
+from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
 from quatprop.plot.errors import ComparedFile, error_page
 from quatprop.plot.figure import STYLE, Style
 from quatprop.plot.files import FileView, View, view_file
@@ -12,7 +13,6 @@ from quatprop.plot.page import Page
 from quatprop.plot.picture import picture
 from quatprop.plot.target import PictureFile
 from quatprop.rendering import file_names, loss_lines
-from quatprop.signals.attitude_input import AttitudeInput, load_attitudes
 from quatprop.text import spelled
 
 if TYPE_CHECKING:

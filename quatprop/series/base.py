@@ -11,7 +11,7 @@ from quatprop.errors import UsageError
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     import pyarrow as pa
 
@@ -43,7 +43,18 @@ class Series:
             values = getattr(self, name)
             return values[chosen] if isinstance(values, np.ndarray) else values
 
-        return type(self)(*map(column, self.__match_args__))
+        columns = map(column, self.__match_args__)
+        return self._of(columns) if isinstance(chosen, slice) else type(self)(*columns)
+
+    @classmethod
+    def _of(cls, columns: Iterable[Any]) -> Self:
+        """Return a series of columns that are known to fit each other."""
+        series = object.__new__(cls)
+        for name, values in zip(cls.__match_args__, columns, strict=True):
+            if isinstance(values, np.ndarray):
+                values.setflags(write=False)
+            object.__setattr__(series, name, values)
+        return series
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
@@ -55,7 +66,7 @@ class Series:
             values = [getattr(part, name) for part in parts]
             return np.concatenate(values) if isinstance(values[0], np.ndarray) else values[0]
 
-        return cls(*map(column, cls.__match_args__))
+        return cls._of(map(column, cls.__match_args__))
 
     def __repr__(self) -> str:
         name, t_ns = type(self).__name__, self.t_ns

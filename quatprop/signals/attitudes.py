@@ -16,7 +16,8 @@ from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.quaternion import IDENTITY
 from quatprop.logs.matching import Match, beside, marks_of
-from quatprop.logs.reading import read_attitudes
+from quatprop.logs.reading import attitudes_of
+from quatprop.logs.signal import AttitudeSignal
 from quatprop.logs.stamps import are_all, choose_stamp
 from quatprop.signals.attitude_convention import (
     BY_NAME,
@@ -27,13 +28,15 @@ from quatprop.signals.attitude_convention import (
 )
 from quatprop.signals.attitude_covariance import CONSTANT_MESSAGES, covariance_beside
 from quatprop.signals.choice import ATTITUDES, Candidate, candidates, choose
-from quatprop.signals.signal import AttitudeSignal, stamps_of
 from quatprop.text import plain
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from quatprop.arrays import Float64, Int64
     from quatprop.logs.matching import Found
+    from quatprop.logs.signal import Rows
     from quatprop.settings.selection import AttitudeSelection
-    from quatprop.signals.signal import Rows
     from quatprop.tables.base import AnyLog
     from quatprop.tables.model import Table
 
@@ -52,7 +55,7 @@ def _is_placeholder(candidate: Candidate[AttitudeSignal]) -> bool:
         return False
     try:
         signal = candidate.signal()
-        present = (np.isfinite(wxyz) for _, wxyz, *_ in signal.read())
+        present = (np.isfinite(wxyz) for _, wxyz in signal.first())
         return signal.placeholder or are_all(present, value=False)
     except (LogError, UsageError):
         return False
@@ -86,9 +89,13 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
     positions = beside(match, "position")
     position = positions[0].sets if len(positions) == 1 else ()
 
+    def first() -> Iterator[tuple[Int64, Float64]]:
+        for rows in attitudes_of(match).first():
+            yield rows.values[0], meaning.converted(rows.values[1])
+
     def read(*, positions: bool = False, covariances: bool = False, logged: bool = False) -> Rows:
         wanted = (*(position if positions else ()), *covariance.columns[: int(covariances)])
-        batches = ((batch.log_ns, *batch.values) for batch in read_attitudes(match, wanted))
+        batches = ((batch.log_ns, *batch.values) for batch in attitudes_of(match, wanted).rows())
         rows = ((t_ns, meaning.converted(q), log_ns, *rest) for log_ns, t_ns, q, *rest in batches)
         for t_ns, wxyz, log_ns, *others in covariance.in_body_axes(rows) if covariances else rows:
             of_position = others[0] if positions else None
@@ -99,7 +106,7 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
         table.is_typed
         and row.rate != ""
         and bool(beside(match, "rate"))
-        and are_all((np.abs(wxyz) for _, wxyz, *_ in read()), IDENTITY, CONSTANT_MESSAGES)
+        and are_all((np.abs(wxyz) for _, wxyz in first()), IDENTITY, CONSTANT_MESSAGES)
     )
     remarks = match.remarks
     if placeholder:
@@ -115,8 +122,8 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
         clock=match.stamp.clock,
         remarks=remarks,
         provenance=provenance,
+        first=first,
         read=read,
-        stamps=lambda: stamps_of(read_attitudes(match)),
         representation=form,
         has_positions=bool(position),
         may_have_covariances=bool(covariance.columns) and meaning == HAMILTON,

@@ -19,13 +19,12 @@ from quatprop.errors import (
     UsageError,
 )
 from quatprop.logs.matching import Found, find
+from quatprop.logs.signal import RateSignal, Signal
 from quatprop.logs.vocabulary import GENERIC
-from quatprop.signals.signal import RateSignal, Signal, no_parts, series_of, stamps_of
-from quatprop.tables.batches import RowBatch, merge_by_time
 from quatprop.text import Setting, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from quatprop.settings.selection import SignalSelection
     from quatprop.tables.base import AnyLog
@@ -136,19 +135,12 @@ def _joined(log: AnyLog, signals: list[SignalT]) -> SignalT:
             f"definitions, and some have no header stamp; choose {Setting('clock', 'log')}",
         )
 
-    def merged() -> Iterator[RowBatch]:
-        return merge_by_time([s.rows() for s in signals if isinstance(s, RateSignal)])
-
     remark = (
         f"topic {quoted(first.name)} was recorded with {len(signals)} different message "
         "definitions, each of which was read by its own"
     )
     return replace(
         first,
-        stamps=lambda: stamps_of(merged()),
-        batches=lambda: series_of(merged(), averages=first.method == "end"),
-        rows=merged,
-        part_reader=no_parts,
         matches=tuple(m for s in signals if isinstance(s, RateSignal) for m in s.matches),
         remarks=(*first.remarks, remark),
     )

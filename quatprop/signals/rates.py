@@ -7,24 +7,20 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import UndeclaredError
 from quatprop.logs.matching import Match, marks_of
-from quatprop.logs.reading import read_rates, refuse_marked
+from quatprop.logs.reading import refuse_marked
+from quatprop.logs.signal import RateSignal
 from quatprop.logs.stamps import choose_stamp
 from quatprop.settings import quantities
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.signals.choice import RATES, Candidate, candidates, choose
-from quatprop.signals.signal import RateSignal, series_of, stamps_of
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from quatprop.conditioning.time_range import PartReader
     from quatprop.logs.matching import Found
     from quatprop.logs.rows import Row
     from quatprop.series import GyroSeries
     from quatprop.settings.selection import RateSelection
     from quatprop.tables.base import AnyLog
-    from quatprop.tables.model import Within
 
 
 def choose_rates(log: AnyLog, selection: RateSelection) -> RateSignal:
@@ -39,7 +35,7 @@ def signal_of_series(series: GyroSeries) -> RateSignal:
         type_name="",
         field="rate",
         clock="",
-        batches=lambda: iter([series]),
+        series=series,
         unit="rad/s",
         method="end" if series.averages else None,
         increments=series.span_ns is not None,
@@ -59,34 +55,16 @@ def _signal(found: Found, selection: RateSelection) -> RateSignal:
     is_named = selection.rate_field is not None or selection.rate_cols is not None
     match = _match(found, selection)._replace(is_named=is_named)
     refuse_marked(match)
-    table, row, stamp = match.table, match.row, match.stamp
-    averages = row.method == "end"
-
-    def batches(within: Within = None) -> Iterator[GyroSeries]:
-        return series_of(read_rates(match, within), averages=averages)
-
-    def part_reader() -> PartReader | None:
-        from quatprop.signals.time_ranges import RangeReader, TableRangeReader
-
-        if spans := table.spans(stamp):
-            return TableRangeReader(spans, batches)
-        if (span := table.recorded_span()) is None:
-            return None
-        return RangeReader(span, lambda within: stamps_of(read_rates(match, within)), batches)
-
+    table, row = match.table, match.row
     return RateSignal(
         name=table.name or match.found.field,
         type_name=table.type or row.name,
         field=match.found.field,
-        clock=stamp.clock,
+        clock=match.stamp.clock,
         remarks=(*_sample_remarks(row), *match.remarks),
-        stamps=lambda: stamps_of(read_rates(match)),
-        batches=batches,
-        rows=lambda: read_rates(match),
         unit=match.unit,
         method=row.method,
         increments=row.span != "",
-        part_reader=part_reader,
         matches=(match,),
     )
 

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from quatprop.tables.model import Column, Convert, Group, Series, Span, Within
 
 
+_COUNTED = Stamp(sample_rate=1)
+"""Times where nobody asks for them."""
+
+
 class FileTable(Table):
     """A file of rows as a table.
 
@@ -94,15 +98,21 @@ class FileTable(Table):
             keep = np.delete(np.arange(len(rows)), error.positions)
             return self._converted(rows.rows(keep), convert)
 
-    def glance(self, groups: Sequence[Group]) -> Iterator[tuple[AnyArray, ...]]:
-        """Yield groups of columns of the first rows, and then, but of stdin, of all rows."""
-        first = self.head([k for group in groups for k in group])
-        if first:
-            yield _split(np.array([[*map(_number, row)] for row in first]), groups)
+    def peek(
+        self,
+        stamps: Sequence[Stamp],
+        groups: Sequence[Group],
+        *,
+        is_strict: bool = False,  # noqa: ARG002  # it is the reader that leaves rows out
+    ) -> Iterator[RowBatch]:
+        """Yield the first rows, and then, but of stdin, all; with times all at once."""
+        if not stamps and (first := self.head([k for group in groups for k in group])):
+            cells = np.array([[*map(_number, row)] for row in first])
+            yield RowBatch(np.arange(len(first)), _split(cells, groups))
         # Text on stdin is read only once.
         if str(self.path) != "-":
-            for _, cells in self._log.rows(self._timed(Stamp(sample_rate=1), groups)):
-                yield _split(cells, groups)
+            for t_ns, cells in self._log.rows(self._timed((*stamps, _COUNTED)[0], groups)):
+                yield RowBatch(t_ns, (*(t_ns for _ in stamps), *_split(cells, groups)))
 
     def spans(self, stamp: Stamp) -> list[Span] | None:
         """Return which stamps each part of the file has."""

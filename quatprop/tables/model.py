@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fractions import Fraction
     from pathlib import Path
 
-    from quatprop.arrays import AnyArray, Float64, Int64
+    from quatprop.arrays import Float64
     from quatprop.provenance import JsonObject
     from quatprop.tables.batches import RowBatch
 
@@ -139,12 +139,14 @@ class Table(ABC):
     `is_typed`: whether its columns are of message types; else their names are all that there is
     `is_secondary`: whether it has the rows of another, main table
     `matches`: the columns whose names fit a pattern, once somebody has asked for them
+    `first`: the first rows, held by :mod:`quatprop.logs.first_batch` until rows are read for good
     """
 
     name: str
     type: str
     path: Path
     matches: dict[object, list[tuple[int, re.Match[str]]]]
+    first: object = None
     kind = ""
     notes = TableNotes()
     log_clocks: tuple[str, ...] = ()
@@ -227,12 +229,17 @@ class Table(ABC):
         return None
 
     @abstractmethod
-    def glance(self, groups: Sequence[Group]) -> Iterator[tuple[AnyArray, ...]]:
-        """Yield groups of columns of all rows, the first ones first; nothing is noted."""
+    def peek(
+        self, stamps: Sequence[Stamp], groups: Sequence[Group], *, is_strict: bool = False
+    ) -> Iterator[RowBatch]:
+        """Yield times, ns, and groups of columns, the first rows first; nothing is noted.
 
-    def times(self, stamp: Stamp) -> Iterator[Int64]:  # noqa: ARG002  # of some tables
-        """Yield the stamps of all messages, ns, in no order; nothing is noted."""
-        return iter(())
+        Rows that do not fit are left out, or refused where it `is_strict`.
+        """
+
+    def in_order(self, batches: Iterable[RowBatch]) -> Iterator[RowBatch]:
+        """Return rows in the order in which they are read."""
+        return iter(batches)
 
     @abstractmethod
     def provenance(self) -> JsonObject:

@@ -20,12 +20,12 @@ from quatprop.errors import (
     UsageError,
 )
 from quatprop.kinematics.quaternion import normalize, slerp
+from quatprop.logs.attitude_input import errors_of
+from quatprop.logs.beside_rates import own_orientation
 from quatprop.logs.open_log import open_log
+from quatprop.logs.quaternion_check import QuaternionCheck
 from quatprop.settings.selection import AttitudeSelection, RateSelection, SignalSelection
-from quatprop.signals.attitude_input import errors_of
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.beside_rates import own_orientation
-from quatprop.signals.quaternion_check import QuaternionCheck
 from quatprop.signals.rates import choose_rates
 from quatprop.text import Setting, plain, quoted
 from quatprop.times import NS_PER_UNIT, duration_text
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from quatprop.arrays import Float64, Int64
+    from quatprop.logs.signal import RateSignal
     from quatprop.series import AttitudeSeries
-    from quatprop.signals.signal import RateSignal
     from quatprop.tables.base import AnyLog
 
     Row = tuple[int, Float64]

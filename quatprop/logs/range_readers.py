@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Int64
     from quatprop.series import GyroSeries
+    from quatprop.tables.batches import RowBatch
     from quatprop.tables.model import Span
 
 
@@ -117,12 +118,11 @@ class RangeReader:
     """Reads ranges of stamps of a signal.
 
     `span`: when it was recorded, by the index
-    `stamps`: reads stamps and log times, shape ``(N,)`` each, int64 ns, of a range of log times
-    `batches`: reads the samples of a range of log times
+    `rows`, `batches`: read the samples of a range of log times
     """
 
     span: TimeRange
-    stamps: Callable[[TimeRange], Iterator[tuple[Int64, Int64]]]
+    rows: Callable[[TimeRange], Iterator[RowBatch]]
     batches: Callable[[TimeRange], Iterator[GyroSeries]]
 
     def ends(self) -> Ends | None:
@@ -184,7 +184,8 @@ class RangeReader:
         """
         extremes: list[tuple[int, int, int, int]] = []
         is_wanted = wanted is None
-        for t_ns, log_ns in self.stamps(within):
+        for rows in self.rows(within):
+            t_ns, log_ns = rows.values[0], rows.log_ns
             if not len(t_ns):
                 continue
             if note is not None:

@@ -10,20 +10,20 @@ import numpy as np
 
 from quatprop.errors import NoSamplesError, QuatpropError
 from quatprop.logs.open_log import open_log
+from quatprop.logs.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.series import AttitudeSeries
 from quatprop.settings import READ_ATTITUDES
 from quatprop.settings.selection import AttitudeSelection
 from quatprop.settings.values import parse_all
 from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.stores.objects import without_secret
 from quatprop.text import Setting
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from quatprop.logs.signal import AttitudeSignal
     from quatprop.provenance import JsonObject
-    from quatprop.signals.signal import AttitudeSignal
     from quatprop.tables.base import AnyLog
     from quatprop.tables.log import Loss
 

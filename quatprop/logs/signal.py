@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from quatprop.errors import LogError
+from quatprop.logs.reading import rates_of
 from quatprop.series import GyroSeries
+from quatprop.tables.batches import merge_by_time
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from quatprop.arrays import Float64, Int64
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from quatprop.logs.matching import Match
     from quatprop.provenance import JsonObject
     from quatprop.tables.batches import RowBatch
+    from quatprop.tables.model import Within
 
     Rows: TypeAlias = Iterator[
         tuple[Int64, Float64, Float64 | None, Float64 | None, *tuple[Any, ...]]
@@ -38,33 +40,6 @@ if TYPE_CHECKING:
             """
 
 
-def stamps_of(rows: Iterable[RowBatch]) -> Iterator[tuple[Int64, Int64]]:
-    """Yield the stamps of rows and their log times, shapes ``(N,)``, int64 ns."""
-    for columns in rows:
-        yield columns.values[0], columns.log_ns
-
-
-def series_of(
-    rows: Iterable[RowBatch], *, averages: bool, logged: bool = False
-) -> Iterator[GyroSeries]:
-    """Yield rates, rad/s, of rows whose values are their stamps, the rates, and their spans.
-
-    With their log times, if those are asked for.
-    """
-    for columns in rows:
-        t_ns, rate, *spans = columns.values
-        log_ns = columns.log_ns if logged else None
-        yield GyroSeries(t_ns, rate, spans[0] if spans else None, averages, log_ns)
-
-
-def no_parts() -> None:
-    """Return nothing: only the whole log can be read."""
-
-
-def _no_stamps() -> Iterator[tuple[Int64, Int64]]:
-    return iter(())
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Signal:
     """One series of samples in a log.
@@ -74,8 +49,6 @@ class Signal:
     `field`: the message field, the columns, or the frames
     `clock`: time base: ``"header"``, ``"log"``, ``"publish"``, or the name of a column
     `remarks`: what was inferred
-    `stamps`: reads the stamps of messages and their log times, shape ``(N,)`` each, int64 ns, in
-        the order of the samples; nothing for a table
     """
 
     name: str
@@ -83,41 +56,63 @@ class Signal:
     field: str
     clock: str
     remarks: tuple[str, ...] = ()
-    stamps: Callable[[], Iterator[tuple[Int64, Int64]]] = _no_stamps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RateSignal(Signal):
     """Body rates of a log; takes the parameters of :class:`Signal` too.
 
-    `batches`: reads the samples, rad/s and ns, in batches in the order of the log
     `unit`: unit in which they are stored, ``"rad/s"`` or ``"deg/s"``
     `method`: the integration rule that fits the sensor, where the definition of its messages says
         it
     `increments`: whether samples are increments, which the sensor has integrated
-    `rows`: reads the samples of messages with their log times: their values are the arguments of
-        :class:`quatprop.series.GyroSeries`; nothing for a table
-    `matches`: where they are in messages: one, or one for each definition that the topic was
-        recorded with
+    `matches`: where they are in the log: one, or one for each definition that a topic was recorded
+        with; none in memory
+    `series`: the rates in memory
+    `is_logged`: whether they are read as a whole, with the log times of their messages
     """
 
-    batches: Callable[[], Iterator[GyroSeries]]
     unit: str
     method: str | None = None
     increments: bool = False
-    part_reader: Callable[[], PartReader | None] = no_parts
-    rows: Callable[[], Iterator[RowBatch]] = lambda: iter(())
     matches: tuple[Match, ...] = ()
+    series: GyroSeries | None = None
+    is_logged: bool = False
+
+    def rows(self, within: Within = None, *, at_first: bool = False) -> Iterator[RowBatch]:
+        """Read the samples: values are the first arguments of :class:`quatprop.series.GyroSeries`.
+
+        `within`: some parts of the log; None is all
+        `at_first`: to look at the beginning, of which what is decoded is shared
+        """
+        readings = map(rates_of, self.matches)
+        streams = [one.first() if at_first else one.rows(within) for one in readings]
+        return streams[0] if len(streams) == 1 else merge_by_time(streams)
+
+    def batches(self, within: Within = None, *, at_first: bool = False) -> Iterator[GyroSeries]:
+        """Read the samples, rad/s and ns, in batches in the order of the log."""
+        if self.series is not None:
+            yield self.series
+        for rows in self.rows(within, at_first=at_first):
+            t_ns, rate, *spans = rows.values
+            log_ns = rows.log_ns if self.is_logged else None
+            yield GyroSeries(t_ns, rate, spans[0] if spans else None, self.method == "end", log_ns)
+
+    def part_reader(self) -> PartReader | None:
+        """Return what reads parts of the log; None where it can only be read as a whole."""
+        if self.is_logged or len(self.matches) != 1:
+            return None
+        from quatprop.logs.range_readers import RangeReader, TableRangeReader
+
+        table = self.matches[0].table
+        if spans := table.spans(self.matches[0].stamp):
+            return TableRangeReader(spans, self.batches)
+        span = table.recorded_span()
+        return None if span is None else RangeReader(span, self.rows, self.batches)
 
     def with_log_times(self) -> RateSignal:
-        """Return the same rates with the log times of their messages, read as a whole."""
-        if not any(match.table.is_typed for match in self.matches):
-            return self
-        batches = partial(self._logged_batches, self.rows)
-        return replace(self, batches=batches, part_reader=no_parts)
-
-    def _logged_batches(self, rows: Callable[[], Iterator[RowBatch]]) -> Iterator[GyroSeries]:
-        return series_of(rows(), averages=self.method == "end", logged=True)
+        """Return the same rates with the log times of their messages."""
+        return replace(self, is_logged=any(match.table.is_typed for match in self.matches))
 
     @property
     def samples(self) -> str:
@@ -164,9 +159,10 @@ class AttitudeSignal(Signal):
 
     `read`: reads stamps in ns and quaternions ``(N, 4)``, scalar first, Hamilton, body ->
         reference, batch after batch in the order of the log. They are not checked: see
-        :class:`quatprop.signals.quaternion_check.QuaternionCheck`. Beside them positions of the
+        :class:`quatprop.logs.quaternion_check.QuaternionCheck`. Beside them positions of the
         body in the reference frame, shape ``(N, 3)``, m, and covariances about body axes, shape
         ``(N, 3, 3)``, rad^2; None where they are not wanted or not there
+    `first`: reads stamps and quaternions for who looks at the beginning alone
     `layout`: how they are stored, ``"scalar-first"`` or ``"scalar-last"``; ``"by name"`` where the
         components have names and no such order; ``""`` for other representations
     `meaning`: what the stored numbers mean
@@ -181,6 +177,7 @@ class AttitudeSignal(Signal):
     """
 
     read: ReadRows
+    first: Callable[[], Iterator[tuple[Int64, Float64]]]
     layout: str
     meaning: Meaning
     provenance: JsonObject

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 from quatprop.conditioning import FROM_TRANSFORMS, Conditioning, ConditioningInputs
 from quatprop.errors import LogError, UsageError
 from quatprop.logs.matching import Match, beside, marks_of
+from quatprop.logs.quaternion_check import QuaternionCheck
 from quatprop.logs.reading import read_vectors
 from quatprop.settings.selection import AttitudeSelection, RateSelection
-from quatprop.signals.quaternion_check import QuaternionCheck
 
 if TYPE_CHECKING:
     from quatprop.conditioning.cells import Rows
-    from quatprop.signals.signal import AttitudeSignal, RateSignal
+    from quatprop.logs.signal import AttitudeSignal, RateSignal
     from quatprop.tables.base import AnyLog
 
 
@@ -30,11 +30,11 @@ def conditioning_inputs(
     """
     biases = mounting = None
     if wanted.bias_from is not None:
-        from quatprop.signals.biases import read_biases
+        from quatprop.logs.biases import read_biases
 
         biases = read_biases(wanted.bias_from, log, selection)
     if wanted.mount is not None and wanted.mount.startswith(FROM_TRANSFORMS):
-        from quatprop.signals.static_transforms import frame_mounting
+        from quatprop.logs.sensor_frames import frame_mounting
 
         mounting = frame_mounting(log, source, wanted.mount.removeprefix(FROM_TRANSFORMS))
     if log is None:

@@ -1,4 +1,4 @@
-"""The mounting of a sensor from the static transforms of its own log."""
+"""The frames of a sensor: in its messages, and its mounting by the transforms of its own log."""
 
 from __future__ import annotations
 
@@ -16,12 +16,11 @@ from quatprop.kinematics.quaternion import (
     normalize,
     rotation_matrix,
 )
-from quatprop.signals.sensor_frames import bare_frame, sensor_frames
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
-    from quatprop.signals.signal import RateSignal
+    from quatprop.logs.signal import RateSignal
     from quatprop.tables.base import AnyLog
 
     Steps = dict[str, dict[str, Float64]]
@@ -32,6 +31,25 @@ STATIC_TOPIC = "tf_static"
 
 GIVEN = Setting("mount", "W,X,Y,Z|x,-y,-z")
 """A mounting that the log need not know."""
+
+
+def sensor_frames(source: RateSignal) -> list[str]:
+    """Return the frames of the first messages with rates, in the innermost header.
+
+    There are none where messages do not name it.
+    """
+    levels = source.field.split(",")[0].split(".")[:-1]
+    for match in source.matches:
+        for count in range(len(levels), -1, -1):
+            frames = match.table.texts(".".join((*levels[:count], "header", "frame_id")))
+            if any(frames):
+                return list(map(bare_frame, frames))
+    return []
+
+
+def bare_frame(frame: str) -> str:
+    """Return the name of a frame as tf2 has it: tf began them with a slash."""
+    return frame.removeprefix("/")
 
 
 def frame_mounting(log: AnyLog | None, source: RateSignal, frame: str) -> FrameMounting:
