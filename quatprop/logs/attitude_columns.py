@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import NoAttitudesError, UndeclaredError, UsageError
-from quatprop.logs.columns import TableColumns
 from quatprop.logs.matcher import ColumnMatcher
 from quatprop.logs.matching import Found, Match, marks_of
 from quatprop.logs.names import COMPONENT, ROTATIONS
 from quatprop.logs.rows import QUATERNION_PARTS
+from quatprop.logs.time_columns import choose_time
 from quatprop.logs.vocabulary import GENERIC
 from quatprop.tables.column_names import ANGLE_UNITS, EULER, EULER_NUMBERED
 from quatprop.text import Setting, listed, plain
@@ -77,12 +77,12 @@ def match_quaternion(
         matcher.spelled(sorted(wxyz)),
     )
     marks = marks_of(found)
-    stamp, rows = matcher.stamp((*wxyz, *marks), row)
+    stamp, rows = choose_time(matcher, (*wxyz, *marks), row)
     return Match(
         found._replace(table=rows),
         stamp,
         marks=marks,
-        remarks=tuple(matcher.overruled),
+        remarks=tuple(matcher.remarks),
         layout=_layout(sorted(wxyz), wxyz),
     )
 
@@ -174,9 +174,9 @@ def match_rotation(table: Table, selection: AttitudeSelection) -> Match | None:
     row = matcher.row("angles") if representation == "euler-zyx" and named is None else GENERIC
     unit = _angle_unit(matcher, representation, columns, selection.from_angle_unit, row.angle_unit)
     found = Found(table, row, table.parts[0], (columns,), matcher.spelled(sorted(columns)))
-    stamp, rows = matcher.stamp(columns, row)
+    stamp, rows = choose_time(matcher, columns, row)
     remarks = (
-        *matcher.overruled,
+        *matcher.remarks,
         "which of q and -q is meant is not stored: signs are those of each row by itself",
     )
     if representation.startswith("euler-"):
@@ -196,10 +196,7 @@ def _matches(
 ) -> list[tuple[str, ColumnMatcher, tuple[int, ...]]]:
     """Return each complete set of columns that one of some rotations has."""
     matches = []
-    columns = TableColumns(table, selection)
     for representation, pattern, parts in rotations:
-        if len(columns.matching(pattern)) < len(parts):
-            continue
         matcher = ColumnMatcher(table, selection, "quat_cols", parts)
         matches += [(representation, matcher, columns) for columns in matcher.sets(pattern)]
     return matches
@@ -250,7 +247,6 @@ def _angle_unit(
             f"names {names} are in {declared}; leave the option out",
         )
     if not (chosen or declared):
-        matcher.undeclared(
-            f"the unit of the angles {names}", Setting("from_angle_unit", "|".join(ANGLE_UNITS))
-        )
+        setting = Setting("from_angle_unit", "|".join(ANGLE_UNITS))
+        matcher.unknown.append((f"the unit of the angles {names}", setting))
     return chosen or declared

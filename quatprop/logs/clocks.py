@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from quatprop.tables.base import OTHER_DATES
 from quatprop.times import NS_PER_S, NS_PER_UNIT, duration_text
 
 if TYPE_CHECKING:
@@ -104,6 +105,16 @@ class Clock(NamedTuple):
     units: tuple[str, ...]
     zoned: bool = False
     offset_ns: int = 0
+
+    @property
+    def is_readable(self) -> bool:
+        """Whether it is not one of dates that can be read in several ways."""
+        return OTHER_DATES not in self.units
+
+    @property
+    def goodness(self) -> tuple[int, int]:
+        """What is lowest of the best clock."""
+        return self.rank, self.place
 
 
 def named_clock(key: str, keys: Iterable[str]) -> tuple[int, str, int] | None:

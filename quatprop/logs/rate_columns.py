@@ -14,6 +14,7 @@ from quatprop.logs.matcher import ColumnMatcher
 from quatprop.logs.matching import Found, Match, marks_of
 from quatprop.logs.names import BARE_RATES, BESIDE_BARE_RATES, WITH_RATE_UNIT
 from quatprop.logs.rows import RATE_PARTS
+from quatprop.logs.time_columns import choose_time
 from quatprop.logs.vocabulary import GENERIC, ROWS
 from quatprop.settings.quantities import RATES, SCALED_RATE_UNITS
 from quatprop.settings.selection import RateSelection
@@ -51,7 +52,7 @@ def match_rates(table: Table, selection: RateSelection) -> Match:
     samples = (rate,) if own.burst is None else tuple(by_row)
     found = Found(table, own, table.parts[0], samples, matcher.spelled(rate))
     marks = marks_of(found)
-    stamp, rows = matcher.stamp((*rate, *marks), row)
+    stamp, rows = choose_time(matcher, (*rate, *marks), row)
     return Match(
         found._replace(table=rows),
         stamp,
@@ -86,8 +87,7 @@ def _bare_sets(matcher: ColumnMatcher) -> list[Group]:
 
 def match_bias(table: Table) -> Match:
     """Return which columns hold time and the biases of a gyroscope, and their units."""
-    matcher = ColumnMatcher(table, RateSelection(), "rate_cols", RATE_PARTS)
-    matcher.may_choose_series = False
+    matcher = ColumnMatcher(table, RateSelection(), "bias", RATE_PARTS)
     row = matcher.row("bias")
     sets = matcher.sets(row.bias)
     if not sets:
@@ -104,12 +104,12 @@ def match_bias(table: Table) -> Match:
             "declared; name it in the header, such as gyro_bias_x [rad/s]"
         )
     found = Found(table, row, table.parts[0], (bias,), matcher.spelled(bias))
-    stamp, rows = matcher.stamp(bias, row)
+    stamp, rows = choose_time(matcher, bias, row)
     return Match(found._replace(table=rows), stamp, RATES[unit], unit=unit)
 
 
 def _remarks(matcher: ColumnMatcher, row: Row, unit: str) -> Iterator[str | Text]:
-    yield from matcher.overruled
+    yield from matcher.remarks
     estimates = [one.rate for one in ROWS if one.name == row.name and not one.measured]
     if ignored := matcher.sets(*estimates) if row.measured else []:
         yield f"ignored estimated body rates: {listed(map(matcher.spelled, ignored))}"
@@ -118,10 +118,6 @@ def _remarks(matcher: ColumnMatcher, row: Row, unit: str) -> Iterator[str | Text
         yield f"the rates are in {unit}, which is read as {scale:.4g} {read_as}"
     if matcher.notes.mount:
         yield _mount_remark(matcher.notes.mount)
-    if unused := matcher.unused_stamps(row):
-        sample_rate = Setting("sample_rate", f"{float(matcher.selection.sample_rate or 0):g}")
-        names = matcher.names(unused)
-        yield Text(f"{sample_rate} counts {matcher.counted}; the stamps in {names} are not used")
 
 
 def _mount_remark(mount: str) -> Text:
