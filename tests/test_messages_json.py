@@ -173,7 +173,7 @@ def test_a_field_whose_name_ends_in_a_unit_declares_it(tmp_path, field, name, un
     with open_log(path) as log:
         signal = choose_rates(log, RateSelection(rate_field=field, clock="log", rate_unit=other))
     assert (signal.unit, len(signal.remarks)) == (other, 1)
-    assert f"by definition; they are read as {other}, as asked for" in signal.remarks[0]
+    assert f"read in {other}, as asked for" in signal.remarks[0]
     table = tmp_path / "rates.jsonl"
     table.write_bytes(b"".join(line.replace(b'"t"', b'"t_ns"') + b"\n" for line in raw))
     with open_log(table) as log:

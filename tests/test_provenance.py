@@ -119,7 +119,7 @@ def test_metadata_that_contradict_a_definition_are_refused(tmp_path, kind):
     """A ROS quaternion is scalar-last; metadata that say otherwise are settled by the user."""
     path = written(tmp_path / "log", kind, {"convention": {"layout": "scalar-first"}})
     sentence = (
-        "the metadata of topic '/attitude' say scalar-first, but 'quaternion' of "
+        "the metadata say scalar-first, but 'quaternion' of "
         "'geometry_msgs/msg/QuaternionStamped' is scalar-last by definition; settle it with "
         "from_layout='scalar-last'"
     )

@@ -110,8 +110,8 @@ def test_a_unit_against_the_definition_is_said(tmp_path):
     assert remarks(path, tmp_path, rate_unit="rad/s") == []
     (said,) = remarks(path, tmp_path, rate_unit="deg/s")
     assert said == (
-        "sensor_msgs/msg/Imu has its rates in rad/s, by definition; they are read as deg/s, as "
-        "asked for"
+        "rate_unit says deg/s, but by definition 'angular_velocity.x', 'angular_velocity.y', "
+        "'angular_velocity.z' are in rad/s; read in deg/s, as asked for"
     )
 
 

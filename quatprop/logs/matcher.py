@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.logs import clocks, vocabulary
-from quatprop.logs.matching import matching, sets_of
+from quatprop.logs.matching import Found, matching, sets_of
+from quatprop.logs.rows import PARTS
 from quatprop.logs.vocabulary import GENERIC
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.tables.column_names import as_option, parse_name
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
     from quatprop.logs.rows import Row
     from quatprop.settings.selection import SignalSelection
-    from quatprop.tables.model import Group, Table
+    from quatprop.tables.model import Group
 
 
 class ColumnMatcher:
@@ -30,33 +31,24 @@ class ColumnMatcher:
 
     `selection`: what the user chose
     `setting`: the setting that names the columns of the quantity, such as ``"rate_cols"``
-    `components`: for each component, how patterns spell it, with ``|`` between spellings
     `remarks`: what the user should know of what was chosen
     `unknown`: what is not declared, and the setting that settles it; all of it is refused together
     """
 
-    def __init__(
-        self, table: Table, selection: SignalSelection, setting: str, components: Sequence[str]
-    ) -> None:
-        self.table = table
-        self.path = table.path
-        self.notes = table.notes
-        self.columns = table.columns
+    def __init__(self, found: Found, selection: SignalSelection, setting: str) -> None:
+        self.table = found.table
+        self.part = found.part
+        self.path = found.table.path
+        self.notes = found.table.notes
+        self.columns = found.table.columns
         self.selection = selection
         self.setting = setting
-        self._components = components
         self.remarks: list[Text] = []
         self.unknown: list[tuple[str, Setting]] = []
-        for name in ("topic", "rate_field", "time_field", "quat_field", "frame"):
-            if getattr(selection, name, None) is not None:
-                raise UsageError(
-                    f"{plain(self.path)}: {Setting(name)} is for logs of messages and this is a "
-                    f"table; choose columns with {Setting(setting)} and {Setting('time_col')}",
-                )
 
     def matching(self, pattern: str) -> list[int]:
         """Return the columns whose names match a pattern."""
-        return [k for k, _ in matching(self.table, self.table.parts[0], pattern)]
+        return [k for k, _ in matching(self.table, self.part, pattern)]
 
     def has(self, name: str) -> bool:
         """Return whether a column is called that, as spelled."""
@@ -119,7 +111,8 @@ class ColumnMatcher:
         for unit in found:
             these = [k for k in positions if stated[k] == unit]
             facts.append(f"{self.names(these)} {'is' if len(these) == 1 else 'are'} in {unit}")
-        by_header = f"by header or convention {' and '.join(facts)}"
+        source = "definition" if self.table.is_typed else "header or convention"
+        by_header = f"by {source} {' and '.join(facts)}"
         if chosen is not None:
             # Who gives a unit knows better than the header.
             if {*found} - {chosen}:
@@ -163,13 +156,13 @@ class ColumnMatcher:
 
     # Sets of columns.
 
-    def sets(self, *patterns: str) -> list[Group]:
-        """Return each complete set of columns whose names differ in the component alone.
+    def found(self, row: Row, sets: tuple[Group, ...]) -> Found:
+        """Return what columns of the table are, by their names alone."""
+        return Found(self.table, row, self.part, sets)
 
-        Where a name comes up twice there are two sets.
-        """
-        (part,) = self.table.parts
-        every = (sets_of(self.table, part, self._components, pattern) for pattern in patterns)
+    def sets(self, components: Sequence[str], *patterns: str) -> list[Group]:
+        """Return each complete set of columns whose names differ in the component alone."""
+        every = (sets_of(self.table, self.part, components, pattern) for pattern in patterns)
         return [one for sets in every for one in sets]
 
     def row(self, quantity: str) -> Row:
@@ -183,7 +176,7 @@ class ColumnMatcher:
                 row.name
                 and names.issuperset(row.needs)
                 and re.search(row.file, self.path.name)
-                and self.sets(getattr(row, quantity))
+                and self.sets(PARTS[quantity], getattr(row, quantity))
                 and (not row.stamps or any(map(self.matching, row.stamps)))
             ):
                 return row
@@ -200,7 +193,7 @@ class ColumnMatcher:
                 reason = f"their {component} columns are {listed(names)}"
             way: Setting | str = "a table that holds one of them"
             if self.setting != "bias":
-                way = Setting(self.setting, "A,B,C,D" if "w|0" in self._components else "X,Y,Z")
+                way = Setting(self.setting, "A,B,C,D" if sets[0][3:] else "X,Y,Z")
             raise UndeclaredError(self.path, f"which {quantity} to use ({reason})", way)
         return sets[0]
 

@@ -9,14 +9,14 @@ from quatprop.errors import SchemaError, TimelineError, UndeclaredError, UsageEr
 from quatprop.logs.rows import STAMPS
 from quatprop.messages.times import NANOSECONDS, SECONDS
 from quatprop.tables.model import Stamp
-from quatprop.text import Setting, quoted
+from quatprop.text import Setting, Text, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from quatprop.arrays import AnyArray
+    from quatprop.logs.matcher import ColumnMatcher
     from quatprop.logs.matching import Found
-    from quatprop.settings.selection import SignalSelection
     from quatprop.tables.model import Table
 
 
@@ -53,12 +53,12 @@ def stamps_of(found: Found) -> list[Stamp]:
     return [*dict.fromkeys(filter(None, stamps))]
 
 
-def choose_stamp(found: Found, selection: SignalSelection) -> tuple[Stamp, tuple[str, ...]]:
-    """Return the time to read, and remarks: as selected, else a stamp, else the log time.
+def message_stamp(matcher: ColumnMatcher, found: Found) -> Stamp:
+    """Return the time of messages: as selected, else a stamp, else the log time.
 
     Of several stamps it is the best that was set: one that is zero in all rows was not.
     """
-    table = found.table
+    table, selection = found.table, matcher.selection
     stamps = stamps_of(found)
     has_stamp = bool(stamps) or selection.time_field is not None
     if selection.clock == "header" and not has_stamp:
@@ -74,16 +74,16 @@ def choose_stamp(found: Found, selection: SignalSelection) -> tuple[Stamp, tuple
         )
     clock = selection.clock or ("header" if has_stamp else "log")
     if clock != "header":
-        return Stamp(clock=clock), ()
+        return Stamp(clock=clock)
     if selection.time_field is not None:
         stamps = [_named_stamp(table, selection.time_field, selection.time_unit)]
     for stamp in stamps:
         if not are_all(table.times(stamp), 0):
-            remark = (
-                f"the stamps in {quoted(place_of(table, stamps[0]))} are all zero; those in "
-                f"{quoted(place_of(table, stamp))} are used"
-            )
-            return stamp, () if stamp is stamps[0] else (remark,)
+            if stamp is not stamps[0]:
+                first, used = (quoted(place_of(table, one)) for one in (stamps[0], stamp))
+                remark = f"the stamps in {first} are all zero; those in {used} are used"
+                matcher.remarks.append(Text(remark))
+            return stamp
     raise TimelineError(
         table.path,
         f"all header stamps of topic {quoted(table.name)} are zero; for the time of recording "

@@ -23,6 +23,7 @@ from quatprop.logs.clock_choice import (
     with_fraction,
 )
 from quatprop.logs.series import SeriesChoice
+from quatprop.logs.stamps import message_stamp
 from quatprop.tables.base import OTHER_DATES
 from quatprop.tables.column_names import TIME_UNITS
 from quatprop.tables.counters import counting
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
     from quatprop.logs.clocks import Clock
     from quatprop.logs.matcher import ColumnMatcher
+    from quatprop.logs.matching import Found
     from quatprop.logs.rows import Row
     from quatprop.tables.counters import Counting
     from quatprop.tables.model import Group, Table
@@ -44,8 +46,19 @@ _INSTANT = r"(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|d
 _NO_COLUMN = "none"
 
 
-def choose_time(matcher: ColumnMatcher, numbers: Group, row: Row) -> tuple[Stamp, Table]:
-    """Return the time of some columns, which may be a sample rate, and the rows to read."""
+def choose_time(
+    matcher: ColumnMatcher, found: Found, marks: Group, row: Row
+) -> tuple[Stamp, Table]:
+    """Return the time of what was found, which may be a sample rate, and the rows to read.
+
+    `row`: what the table is; names that the user gives may be none of its
+    """
+    if found.table.log_clocks:
+        matcher.refuse_undeclared()
+        chosen = [getattr(matcher.selection, name, None) for name in ("frame", "series")]
+        table = found.table.of_series([*filter(None, chosen)])
+        return message_stamp(matcher, found._replace(table=table)), table
+    numbers = (*found.sets[0], *marks)
     stamp = _source(matcher, row, numbers)
     time, steady = stamp.columns, stamp.sample_rate
     series = SeriesChoice(matcher, numbers, time).chosen()
@@ -73,7 +86,8 @@ def choose_time(matcher: ColumnMatcher, numbers: Group, row: Row) -> tuple[Stamp
     clock = " at ".join(filter(None, (matcher.spelled(time), rate)))
     offset_ns = sum(utc_offset_ns(matcher, k) for k in time)
     stamp = Stamp(time, units, clock, steady, offset_ns)
-    return stamp, matcher.table.of_series(series)
+    labels = [label for _, label in series]
+    return stamp, found.table.of_series(labels, tuple(k for k, _ in series))
 
 
 def _holds_text(matcher: ColumnMatcher, time: Group) -> bool:

@@ -15,16 +15,11 @@ from quatprop.conventions import HAMILTON
 from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.quaternion import IDENTITY
-from quatprop.logs.matching import Match, beside, marks_of
+from quatprop.logs.attitude_columns import match_attitudes
+from quatprop.logs.matching import beside
 from quatprop.logs.reading import read_attitudes
-from quatprop.logs.stamps import are_all, choose_stamp
-from quatprop.signals.attitude_convention import (
-    BY_NAME,
-    in_order,
-    meaning_of,
-    message_layout,
-    recorded_convention,
-)
+from quatprop.logs.stamps import are_all
+from quatprop.signals.attitude_convention import BY_NAME, meaning_of, recorded_convention
 from quatprop.signals.attitude_covariance import CONSTANT_MESSAGES, covariance_beside
 from quatprop.signals.choice import ATTITUDES, Candidate, candidates, choose
 from quatprop.signals.signal import AttitudeSignal, stamps_of
@@ -72,7 +67,7 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
     """Return attitudes with their meaning and their time."""
     provenance = found.table.provenance()
     recorded = recorded_convention(provenance)
-    match = _match(found, selection, recorded.get("layout"))
+    match = match_attitudes(found, selection, recorded.get("layout"))
     table, row, form = match.table, match.row, match.representation
     if match.unit == "deg" and f"{form}-deg" in REPRESENTATIONS:
         form += "-deg"
@@ -124,20 +119,6 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
         sigma_axes=covariance.axes if covariance.are_sigmas else None,
         rotation_columns=_rotation_columns(table, form),
     )
-
-
-def _match(found: Found, selection: AttitudeSelection, recorded: str | None) -> Match:
-    """Return attitudes with their layout and their time, by their type or by names of columns."""
-    if not found.table.is_typed:
-        from quatprop.logs.attitude_columns import match_attitudes
-
-        return match_attitudes(found.table, selection, recorded)
-    layout = message_layout(found, selection.from_layout, recorded)
-    table = found.table.of_frames(selection.frame)
-    wxyz = in_order(found, layout)
-    found = found._replace(table=table, sets=(wxyz,), field=table.field_of(found.sets[0]))
-    stamp, remarks = choose_stamp(found, selection)
-    return Match(found, stamp, marks=marks_of(found), remarks=remarks, layout=layout)
 
 
 def _rotation_columns(table: Table, representation: str) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import AnyArray, Float64
     from quatprop.provenance import JsonObject
     from quatprop.tables.base import Span, TableLog
-    from quatprop.tables.model import Column, Convert, Group, Series, Within
+    from quatprop.tables.model import Column, Convert, Group, Within
 
 
 class FileTable(Table):
@@ -30,7 +30,7 @@ class FileTable(Table):
 
     name = type = ""
 
-    def __init__(self, log: TableLog, series: Series = ()) -> None:
+    def __init__(self, log: TableLog, series: tuple[tuple[int, str], ...] = ()) -> None:
         self._log = log
         self._series = series
         self.path = log.path
@@ -56,8 +56,9 @@ class FileTable(Table):
         found = next(spelled, next(by_key, None))
         return None if found is None else (found,)
 
-    def of_series(self, series: Series) -> FileTable:
+    def of_series(self, labels: Sequence[str], columns: Group = ()) -> FileTable:
         """Return the rows that have some labels in some columns."""
+        series = tuple(zip(columns, labels, strict=True))
         return FileTable(self._log, series) if series else self
 
     def label_columns(self) -> Mapping[int, bool]:
