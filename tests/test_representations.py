@@ -20,6 +20,7 @@ from quatprop.settings.selection import AttitudeSelection
 from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.interpolation import stamps_in
 from quatprop.tables.base import TimedColumns
+from quatprop.tables.model import Stamp
 from quatprop.writers import open_table
 from quatprop.writers.formats import WRITERS
 
@@ -346,7 +347,7 @@ def columns_in(path, names):
     """Return columns of a table, shape (N, k)."""
     with open_log(path) as log:
         places = tuple(log.columns().index(name) for name in names)
-        rows = log.metered_rows(TimedColumns(places, (0,), "ns", None))
+        rows = log.metered_rows(TimedColumns(places, Stamp((0,), ("ns",))))
         return np.concatenate([numbers for _, numbers in rows])
 
 

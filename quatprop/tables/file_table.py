@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -78,8 +78,7 @@ class FileTable(Table):
     ) -> Iterator[Columns]:
         """Yield batches in the order of the file, whose stamps stand for the log times."""
         parts = within if isinstance(within, frozenset) else None
-        timed = self._timed(stamp, groups)._replace(parts=parts)
-        for t_ns, cells in self._log.metered_rows(timed):
+        for t_ns, cells in self._log.metered_rows(self._timed(stamp, groups, parts)):
             values = (t_ns, *_split(cells, groups))
             yield self._converted(Columns(t_ns, values), convert)
 
@@ -109,17 +108,10 @@ class FileTable(Table):
         """Return which stamps each part of the file has."""
         return self._log.spans(self._timed(stamp, ()))
 
-    def _timed(self, stamp: Stamp, groups: Sequence[Group]) -> TimedColumns:
-        units = (*stamp.units, "ns", "ns")
-        return TimedColumns(
-            tuple(k for group in groups for k in group),
-            stamp.columns,
-            units[0],
-            stamp.sample_rate,
-            fraction_unit=units[1] if len(stamp.units) > 1 else "ns",
-            utc_offset_ns=stamp.utc_offset_ns,
-            series=self._series,
-        )
+    def _timed(
+        self, stamp: Stamp, groups: Sequence[Group], parts: frozenset[int] | None = None
+    ) -> TimedColumns:
+        return TimedColumns(tuple(chain.from_iterable(groups)), stamp, parts, self._series)
 
     def provenance(self) -> JsonObject:
         """Return how the file was made, if this package made it."""

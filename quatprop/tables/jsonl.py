@@ -87,7 +87,7 @@ class JsonLinesLog(TypedTable):
 
     def _refuse_text(self, columns: TimedColumns) -> None:
         super()._refuse_text(columns)
-        if any(self._leaves[k].element is not None for k in columns.time):
+        if any(self._leaves[k].element is not None for k in columns.stamp.columns):
             raise UnsupportedLogError(
                 self.path, "a time in a list is not read; name another column"
             )
@@ -105,7 +105,10 @@ class JsonLinesLog(TypedTable):
         parser = LineParser(
             RejectedRows(self.path, self.losses),
             [self._leaves[k] for k in (*columns.numbers, *(k for k, _ in columns.series))],
-            [(self._leaves[k], unit) for k, unit in zip(columns.time, columns.units, strict=True)],
+            [
+                (self._leaves[k], unit)
+                for k, unit in zip(columns.stamp.columns, columns.stamp.units, strict=True)
+            ],
         )
         with closing(open_text(self.path)) as text:
             for block in record_blocks(text, 1):

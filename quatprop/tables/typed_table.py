@@ -17,6 +17,7 @@ from quatprop.errors import UnsupportedLogError
 from quatprop.series.arrow_arrays import to_arrow, to_numpy
 from quatprop.tables import timestamps
 from quatprop.tables.base import TableLog, TableNotes, TimedColumns
+from quatprop.tables.model import Stamp
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -164,7 +165,7 @@ class TypedTable(TableLog):
     def _first_values(self, columns: Sequence[int]) -> list[pa.Array]:
         """Return columns of the first rows; none where they cannot be read."""
         with suppress(*DAMAGE, StopIteration, UnsupportedLogError):
-            group = next(self._row_groups(TimedColumns(tuple(columns), ())))
+            group = next(self._row_groups(TimedColumns(tuple(columns), Stamp())))
             batch = next(batch for batch in group.batches if isinstance(batch, pa.RecordBatch))
             return [values_of(batch, self._leaves[k]) for k in columns]
         return []
@@ -197,14 +198,14 @@ class TypedTable(TableLog):
     def _refuse_text(self, columns: TimedColumns) -> None:
         declared = self.notes.units
         names = self.columns()
-        for k in (*columns.numbers, *columns.time):
+        for k in (*columns.numbers, *columns.stamp.columns):
             leaf = self._leaves[k]
             if names.count(leaf.name) > 1:
                 raise UnsupportedLogError(
                     self.path,
                     f"several columns are named {quoted(leaf.name)}; rename all but one of them",
                 )
-            is_stamp = k in columns.time and k in declared
+            is_stamp = k in columns.stamp.columns and k in declared
             if not is_stamp and not _is_number(leaf.type):
                 held = "lists" if pa.types.is_list(leaf.type) else leaf.type
                 raise UnsupportedLogError(
@@ -221,11 +222,11 @@ class TypedTable(TableLog):
             if pa.types.is_decimal128(values.type):
                 values = values.cast(pa.string())  # the nearest double, which Arrow's own is not
             numbers[:, axis] = to_numpy(values.cast(pa.float64(), safe=False))
-        if not columns.time:
-            t_ns = timestamps.row_stamps(first, batch.num_rows, columns.sample_rate or 1.0)
+        if not columns.stamp.columns:
+            t_ns = timestamps.row_stamps(first, batch.num_rows, columns.stamp.sample_rate or 1.0)
             return t_ns, numbers
         timed = np.ones(batch.num_rows, np.bool_)
-        for k in columns.time:
+        for k in columns.stamp.columns:
             timed &= _has_value(values_of(batch, self._leaves[k]))
         if not timed.all():
             untimed = int(np.count_nonzero(~timed))
@@ -238,14 +239,14 @@ class TypedTable(TableLog):
         try:
             return timestamps.sum_parts(
                 timestamps.nanoseconds(values_of(batch, self._leaves[k]), unit)
-                for k, unit in zip(columns.time, columns.units, strict=True)
+                for k, unit in zip(columns.stamp.columns, columns.stamp.units, strict=True)
             )
         except timestamps.TimestampRangeError:
-            names = listed(self._leaves[k].name for k in columns.time)
+            names = listed(self._leaves[k].name for k in columns.stamp.columns)
             raise UnsupportedLogError(
                 self.path,
                 f"times of column {names} do not fit in int64 ns when they are "
-                f"{columns.time_unit}; check {Setting('time_unit')}",
+                f"{columns.stamp.units[0]}; check {Setting('time_unit')}",
             ) from None
 
 

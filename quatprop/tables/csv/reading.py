@@ -53,7 +53,7 @@ class BlockReader:
         self._row_parser = RowParser(path, layout, columns)
         self.other_rows = 0
         # Stamps finer than ns are tried for once; without stamps there is nothing to try.
-        self._spare = 0 if columns.time else timestamps.SPARE_PLACES
+        self._spare = 0 if columns.stamp.columns else timestamps.SPARE_PLACES
 
     def read(self, block: TextBlock) -> tuple[Int64, Float64]:
         """Return stamps, shape ``(N,)``, ns, and numbers, ``(N, k)``, of the rows that fit."""
@@ -81,10 +81,10 @@ class BlockReader:
     def _parse_all(
         self, data: bytes | memoryview, line_breaks: bool, task: int, spare: int
     ) -> ParsedRows:
-        if self._columns.time:
+        if self._columns.stamp.columns:
             timestamps.refuse_tiny_numbers(data)
         types = {str(k): pa.float64() for k in self._columns.numbers}
-        for k, unit in zip(self._columns.time, self._columns.units, strict=True):
+        for k, unit in zip(self._columns.stamp.columns, self._columns.stamp.units, strict=True):
             types[str(k)] = date_type(self._layout, k) or timestamps.decimal_type(unit, spare)
         types |= {str(k): _LABELS for k, _ in self._columns.series}
         read = partial(
@@ -116,12 +116,12 @@ class BlockReader:
         return ParsedRows(self._times(table), numbers, table.num_rows, others=others)
 
     def _times(self, table: pa.Table) -> Int64 | None:
-        if not self._columns.time:
+        if not self._columns.stamp.columns:
             return None
-        columns = [table.column(str(k)) for k in self._columns.time]
+        columns = [table.column(str(k)) for k in self._columns.stamp.columns]
         if any(column.null_count for column in columns):
             raise pa.ArrowInvalid("a row without a time")
-        return timestamps.sum_parts(map(timestamps.nanoseconds, columns, self._columns.units))
+        return timestamps.sum_parts(map(timestamps.nanoseconds, columns, self._columns.stamp.units))
 
     def _piecewise(self, block: TextBlock) -> Iterator[ParsedRows]:
         """Read a block in which something does not fit, piece by piece."""
@@ -145,7 +145,7 @@ class BlockReader:
         t_ns = rows.t_ns
         if t_ns is None:
             t_ns = timestamps.row_stamps(
-                self._rejected.count, rows.total, self._columns.sample_rate or 1.0
+                self._rejected.count, rows.total, self._columns.stamp.sample_rate or 1.0
             )
             t_ns = t_ns if rows.kept is None else t_ns[rows.kept]
         self._rejected.count += rows.total
