@@ -99,6 +99,16 @@ def test_xsens_tables_carry_attitudes_beside_their_rates(shared_logs):
     assert wxyz[0].tolist() == [0.567189, 0.769786, 0.003829, 0.292765]
 
 
+def test_stamps_that_a_sample_rate_replaces_are_named(tmp_path):
+    """Rows are counted as asked, of attitudes as of rates, and it is said what is not used."""
+    path = table(tmp_path, "t_ns,qw,qx,qy,qz\n5,1,0,0,0\n6,1,0,0,0\n")
+    t_ns, _, source, _ = read(path, sample_rate=100)
+    assert t_ns.tolist() == [0, 10_000_000]
+    assert source.remarks == (
+        "sample_rate='100' counts the rows; the stamps in 't_ns' are not used",
+    )
+
+
 def by_library(path, topic, quaternion):
     """Return header stamps and wxyz of a topic, message by message with rosbags."""
     t_ns, wxyz = [], []
@@ -481,6 +491,10 @@ def test_transforms_are_found_wherever_they_stand_in_their_lists(tmp_path):
     assert source.field == "base <- b"
     assert len(expected) > 5
     assert list(zip(t_ns.tolist(), wxyz.tolist(), strict=True)) == expected
+    assert read(log, series="base:b")[1].tolist() == wxyz.tolist()
+    assert read(log, series="base:b", frame="base:b")[1].tolist() == wxyz.tolist()
+    with pytest.raises(UsageError, match="frame and series choose different transforms; give one"):
+        read(log, series="base:b", frame="a")
 
 
 VEHICLE_ATTITUDE = """uint64 timestamp

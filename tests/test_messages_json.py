@@ -149,6 +149,22 @@ def test_a_stamp_that_is_a_number_needs_a_unit_and_stays_exact(tmp_path):
     np.testing.assert_allclose(np.degrees(series.rate), [[1, 2, k] for k in range(1, 4)])
 
 
+def test_a_field_matches_as_spelled_and_then_as_a_key(tmp_path):
+    """As columns of files do: two fields of one key are told apart by their spelling."""
+    first, second = ({"x": k, "y": 0, "z": 0} for k in (1, 2))
+    raw = [
+        json.dumps({"imu": {"bodyRate": first, "body_rate": second, "turnRate": first}}).encode()
+    ]
+    path = write(tmp_path / "log.mcap", {"/gyro": ("", raw * 2)})
+    for field, rate in {"imu.bodyRate": 1, "imu.body_rate": 2, "Imu.turn_rate": 1}.items():
+        series, _ = read(path, rate_field=field, rate_unit="rad/s", clock="log")
+        assert series.rate[0].tolist() == [rate, 0, 0]
+    fields = ",".join(f"imu.Turn_Rate.{axis}" for axis in "xyz")
+    assert read(path, rate_field=fields, rate_unit="rad/s", clock="log")[0].rate[0, 0] == 1
+    with pytest.raises(SchemaError, match=r"imu\.Body_Rate"):
+        read(path, rate_field="imu.Body_Rate", rate_unit="rad/s", clock="log")
+
+
 @pytest.mark.parametrize(
     ("field", "name", "unit", "factor"),
     [
