@@ -148,7 +148,7 @@ UNUSED = {
     *("pyarrow.dataset", "pyarrow.compute", "quatprop.log_copy", "quatprop.comparison.settings"),
     *("quatprop.conditioning.calibration", "quatprop.conditioning.static_detection"),
     *("quatprop.signals.biases", "quatprop.signals.interpolation", "quatprop.signals.time_ranges"),
-    *("mcap", "numpy.ma", "rosbags", "quatprop.messages.transforms", "quatprop.logs.matcher"),
+    *("mcap", "numpy.ma", "rosbags", "quatprop.messages.transforms", "quatprop.logs.clocks"),
 }
 """What a plain run has no use for, and takes long to import or is easily imported by mistake."""
 

@@ -10,7 +10,7 @@ from quatprop.logs.matcher import ColumnMatcher
 from quatprop.logs.matching import Found, Match, marks_of
 from quatprop.logs.names import COMPONENT, ROTATIONS
 from quatprop.logs.rows import QUATERNION_PARTS
-from quatprop.logs.time_columns import choose_time
+from quatprop.logs.stamps import choose_time
 from quatprop.logs.vocabulary import GENERIC
 from quatprop.tables.column_names import ANGLE_UNITS, EULER, EULER_NUMBERED
 from quatprop.text import Setting, listed, plain, quoted

@@ -11,7 +11,6 @@ from functools import reduce
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import pyarrow as pa
 
 from quatprop.tables.base import OTHER_DATES
 from quatprop.times import NS_PER_S, NS_PER_UNIT, duration_text
@@ -24,9 +23,6 @@ if TYPE_CHECKING:
 CONVENTION, SENSOR, EPOCH, TEXT, LOCAL, ARRIVAL = range(6)
 """Ranks: the stamp of a known convention; the sensor's sampling time; a number since some epoch;
 text with its offset from UTC; local text; when something arrived or was written down."""
-
-FIRST_ROWS = 1000
-"""Rows over which clocks are compared."""
 
 _QUARTER_NS = 900 * NS_PER_S
 _LARGEST_OFFSET_NS = 14 * 3600 * NS_PER_S
@@ -178,6 +174,8 @@ def numbers_of(cells: Sequence[object]) -> Float64:
 
 
 def _dates(cells: Sequence[object], *, zoned: bool) -> Float64:
+    import pyarrow as pa
+
     times = np.full(len(cells), np.nan)
     for k, cell in enumerate(cells):
         try:

@@ -10,7 +10,7 @@ import re
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
-from quatprop.logs import clocks, vocabulary
+from quatprop.logs import vocabulary
 from quatprop.logs.matching import Found, matching, sets_of
 from quatprop.logs.rows import PARTS
 from quatprop.logs.vocabulary import GENERIC
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from quatprop.logs.rows import Row
     from quatprop.settings.selection import SignalSelection
     from quatprop.tables.model import Group
+
+FIRST_ROWS = 1000
+"""Rows over which clocks are compared."""
 
 
 class ColumnMatcher:
@@ -81,7 +84,7 @@ class ColumnMatcher:
 
     def first_rows(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return the cells of the rows over which clocks are compared."""
-        return self.table.head(columns)[: clocks.FIRST_ROWS]
+        return self.table.head(columns)[:FIRST_ROWS]
 
     def as_option(self, k: int) -> str:
         """Return how an option names a column."""

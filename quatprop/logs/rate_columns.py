@@ -14,7 +14,7 @@ from quatprop.logs.matcher import ColumnMatcher
 from quatprop.logs.matching import Found, Match, marks_of
 from quatprop.logs.names import BARE_RATES, BESIDE_BARE_RATES, WITH_RATE_UNIT
 from quatprop.logs.rows import RATE_PARTS
-from quatprop.logs.time_columns import choose_time
+from quatprop.logs.stamps import choose_time
 from quatprop.logs.vocabulary import GENERIC, ROWS
 from quatprop.settings.quantities import RATES, SCALED_RATE_UNITS
 from quatprop.tables.column_names import AXIS_FIRST, RATE_UNITS
@@ -113,7 +113,7 @@ def match_bias(found: Found, selection: SignalSelection) -> Match:
             f"{matcher.names(found.sets[0])} is not declared; name it in the header, such as "
             "gyro_bias_x [rad/s]"
         )
-    stamp, table = choose_time(matcher, found, (), found.row)
+    stamp, table = choose_time(matcher, found)
     return Match(found._replace(table=table), stamp, RATES[unit], unit=unit)
 
 

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from quatprop.arrays import AnyArray
     from quatprop.logs.matcher import ColumnMatcher
     from quatprop.logs.matching import Found
-    from quatprop.tables.model import Table
+    from quatprop.logs.rows import Row
+    from quatprop.tables.model import Group, Table
 
 
 def stamp_at(table: Table, place: str, unit: str | None = None) -> Stamp | None:
@@ -51,6 +52,23 @@ def stamps_of(found: Found) -> list[Stamp]:
         around = (stamp_at(table, prefix + place) for place in STAMPS)
         stamps.append(next(filter(None, around), None))
     return [*dict.fromkeys(filter(None, stamps))]
+
+
+def choose_time(
+    matcher: ColumnMatcher, found: Found, marks: Group = (), row: Row | None = None
+) -> tuple[Stamp, Table]:
+    """Return the time of what was found, which may be a sample rate, and the rows to read.
+
+    `row`: what the table is; columns that the user names may be none of its
+    """
+    if not found.table.log_clocks:
+        from quatprop.logs.time_columns import time_in_file
+
+        return time_in_file(matcher, found, marks, row or found.row)
+    matcher.refuse_undeclared()
+    chosen = [getattr(matcher.selection, name, None) for name in ("frame", "series")]
+    table = found.table.of_series([*filter(None, chosen)])
+    return message_stamp(matcher, found._replace(table=table)), table
 
 
 def message_stamp(matcher: ColumnMatcher, found: Found) -> Stamp:

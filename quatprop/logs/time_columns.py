@@ -1,4 +1,4 @@
-"""The time of a table: the best of its clocks, a counter of samples, or a sample rate."""
+"""The time of a file of rows: the best of its clocks, a counter of samples, or a sample rate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from quatprop.logs.clock_choice import (
     with_fraction,
 )
 from quatprop.logs.series import SeriesChoice
-from quatprop.logs.stamps import message_stamp
 from quatprop.tables.base import OTHER_DATES
 from quatprop.tables.column_names import TIME_UNITS
 from quatprop.tables.counters import counting
@@ -46,18 +45,10 @@ _INSTANT = r"(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|d
 _NO_COLUMN = "none"
 
 
-def choose_time(
+def time_in_file(
     matcher: ColumnMatcher, found: Found, marks: Group, row: Row
 ) -> tuple[Stamp, Table]:
-    """Return the time of what was found, which may be a sample rate, and the rows to read.
-
-    `row`: what the table is; names that the user gives may be none of its
-    """
-    if found.table.log_clocks:
-        matcher.refuse_undeclared()
-        chosen = [getattr(matcher.selection, name, None) for name in ("frame", "series")]
-        table = found.table.of_series([*filter(None, chosen)])
-        return message_stamp(matcher, found._replace(table=table)), table
+    """Return the time of columns of a file; see :func:`quatprop.logs.stamps.choose_time`."""
     numbers = (*found.sets[0], *marks)
     stamp = _source(matcher, row, numbers)
     time, steady = stamp.columns, stamp.sample_rate
