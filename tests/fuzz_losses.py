@@ -8,10 +8,10 @@ from functools import cache
 from mcap.reader import make_reader
 
 from quatprop.errors import LogError, UsageError
+from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates
 from quatprop.settings.selection import AttitudeSelection, RateSelection
-from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.rates import choose_rates
 from quatprop.signals.signal import AttitudeSignal
 
 LENIENT = 2

@@ -24,12 +24,12 @@ from quatprop.errors import (
     UsageError,
 )
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates
 from quatprop.settings.selection import AttitudeSelection, RateSelection
-from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.interpolation import attitude_at, first_orientation
 from quatprop.signals.quaternion_check import QuaternionCheck
-from quatprop.signals.rates import choose_rates
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 HALF = 2.0**-0.5

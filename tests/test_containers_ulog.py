@@ -21,9 +21,9 @@ from quatprop.errors import (
 )
 from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates, rate_candidates
 from quatprop.series import GyroSeries
 from quatprop.settings.selection import RateSelection
-from quatprop.signals.rates import choose_rates, rate_candidates
 
 NUMBERS = {
     "uint64": ("uint64_t", "Q"), "uint32": ("uint32_t", "I"), "int32": ("int32_t", "i"),

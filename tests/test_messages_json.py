@@ -22,13 +22,13 @@ from quatprop.errors import (
     UnsupportedLogError,
 )
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates
 from quatprop.logs.stamps import stamps_of
 from quatprop.messages.json import JsonDecoder
 from quatprop.messages.times import to_ns
 from quatprop.messages.values import ValueDecoder
 from quatprop.series import GyroSeries
 from quatprop.settings.selection import RateSelection
-from quatprop.signals.rates import choose_rates
 
 
 def imu(x=0.0, y=0.0, z=0.0, stamp=None):

@@ -9,11 +9,11 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from quatprop import DataLossWarning, RemarkWarning, propagate, read_rates
 from quatprop.errors import LogError, TimelineError, UsageError
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.pipeline.survey import survey
 from quatprop.settings.selection import RateSelection
-from quatprop.signals.rates import choose_rates
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
 IMU = "sensor_msgs/msg/Imu"

@@ -88,9 +88,9 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
     from quatprop.concurrency.threads import use_threads
     from quatprop.containers.kept_blocks import beginnings_kept
     from quatprop.logs.open_log import open_log
+    from quatprop.logs.rates import choose_rates, signal_of_series
     from quatprop.pipeline.attitude_stream import AttitudeStream
     from quatprop.pipeline.settings import propagation_settings
-    from quatprop.signals.rates import choose_rates, signal_of_series
 
     settings = propagation_settings(options)
     if isinstance(log, GyroSeries):

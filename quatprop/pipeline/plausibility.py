@@ -15,9 +15,9 @@ from quatprop.containers.kept_blocks import beginnings_kept
 from quatprop.errors import QuatpropError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.logs.attitudes import choose_attitudes
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.settings.selection import AttitudeSelection
-from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.signals.sensor_frames import sensor_frames
 from quatprop.text import Setting, Text, listed

@@ -23,15 +23,14 @@ from quatprop.errors import (
     UndeclaredError,
     UsageError,
 )
+from quatprop.logs.attitudes import attitude_candidates, meaning_of, recorded_convention
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import rate_candidates
 from quatprop.pipeline.log_survey import AttitudeSurvey, LogSurvey, RateSurvey, making, timing
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.settings.selection import AttitudeSelection, RateSelection
-from quatprop.signals.attitude_convention import meaning_of, recorded_convention
-from quatprop.signals.attitudes import attitude_candidates
 from quatprop.signals.quaternion_check import QuaternionCheck
-from quatprop.signals.rates import rate_candidates
 from quatprop.stores.objects import without_secret
 from quatprop.text import Text, plain
 from quatprop.timeline import Timeline
@@ -43,8 +42,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from quatprop.arrays import Int64
+    from quatprop.logs.choice import Candidate, SelectionT, SignalT
     from quatprop.series import GyroSeries
-    from quatprop.signals.choice import Candidate, SelectionT, SignalT
     from quatprop.signals.signal import AttitudeSignal, RateSignal
     from quatprop.tables.base import AnyLog
     from quatprop.tables.model import Table

@@ -22,7 +22,9 @@ from quatprop.errors import (
     NothingToDrawError,
     UndeclaredError,
 )
+from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.plot.accumulators import SIGMA_BAND, Accumulator, AttitudeAccumulator, RateAccumulator
@@ -32,8 +34,6 @@ from quatprop.rendering import Row, count_text, instant_text, samples_text, sour
 from quatprop.series import AttitudeSeries
 from quatprop.settings.quantities import RATES
 from quatprop.settings.selection import AttitudeSelection, RateSelection
-from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.rates import choose_rates
 from quatprop.signals.signal import AttitudeSignal, RateSignal
 from quatprop.stores.objects import without_secret
 from quatprop.text import Text, plain

@@ -20,13 +20,13 @@ from quatprop.errors import (
     UsageError,
 )
 from quatprop.kinematics.quaternion import normalize, slerp
+from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates
 from quatprop.settings.selection import AttitudeSelection, RateSelection, SignalSelection
 from quatprop.signals.attitude_input import errors_of
-from quatprop.signals.attitudes import choose_attitudes
 from quatprop.signals.beside_rates import own_orientation
 from quatprop.signals.quaternion_check import QuaternionCheck
-from quatprop.signals.rates import choose_rates
 from quatprop.text import Setting, Text, plain, quoted
 from quatprop.times import NS_PER_UNIT, duration_text
 

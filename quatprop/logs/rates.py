@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
+from quatprop.logs.choice import RATES, Candidate, candidates, choose
 from quatprop.logs.rate_columns import match_rates
 from quatprop.logs.reading import read_rates, refuse_marked
-from quatprop.signals.choice import RATES, Candidate, candidates, choose
 from quatprop.signals.signal import RateSignal, series_of, stamps_of
 
 if TYPE_CHECKING:

@@ -11,26 +11,34 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conventions import HAMILTON
+from quatprop.conventions import HAMILTON, Meaning
+from quatprop.conventions.layout import LAYOUTS, layout_named
 from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.quaternion import IDENTITY
 from quatprop.logs.attitude_columns import match_attitudes
+from quatprop.logs.attitude_covariance import CONSTANT_MESSAGES, covariance_beside
+from quatprop.logs.choice import ATTITUDES, Candidate, candidates, choose
 from quatprop.logs.matching import beside
 from quatprop.logs.reading import read_attitudes
 from quatprop.logs.stamps import are_all
-from quatprop.signals.attitude_convention import BY_NAME, meaning_of, recorded_convention
-from quatprop.signals.attitude_covariance import CONSTANT_MESSAGES, covariance_beside
-from quatprop.signals.choice import ATTITUDES, Candidate, candidates, choose
+from quatprop.provenance import entry_of
 from quatprop.signals.signal import AttitudeSignal, stamps_of
-from quatprop.text import plain
+from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+    from typing import Any
+
     from quatprop.logs.matching import Found
     from quatprop.settings.selection import AttitudeSelection
     from quatprop.signals.signal import Rows
     from quatprop.tables.base import AnyLog
     from quatprop.tables.model import Table
+
+BY_NAME = "by name"
+"""The layout of components that have names and stand in neither order."""
 
 
 def choose_attitudes(log: AnyLog, selection: AttitudeSelection) -> AttitudeSignal:
@@ -131,3 +139,39 @@ def _rotation_columns(table: Table, representation: str) -> tuple[str, ...]:
         for column in form.columns
     }
     return tuple(name for name in names if name in others)
+
+
+def recorded_convention(provenance: Mapping[str, Any]) -> dict[str, str]:
+    """Return what a file says about its numbers, as far as it is understood."""
+    convention = entry_of(provenance, "convention", dict)
+    layout = entry_of(convention, "layout", str)
+    recorded = {
+        name: convention[name]
+        for name in ("convention", "direction", "representation")
+        if isinstance(convention.get(name), str)
+    }
+    if layout in LAYOUTS:
+        recorded["layout"] = layout_named(layout).name
+    return recorded
+
+
+def meaning_of(
+    path: Path | str, selection: AttitudeSelection, recorded: Mapping[str, str]
+) -> Meaning:
+    """Return what numbers mean: as user or metadata say, else Hamilton, body to reference."""
+    return Meaning(
+        _agreed(path, "convention", selection.from_convention, recorded) or "hamilton",
+        _agreed(path, "direction", selection.from_direction, recorded) or "body-to-ref",
+    )
+
+
+def _agreed(
+    path: Path | str, what: str, given: str | None, recorded: Mapping[str, str]
+) -> str | None:
+    stored = recorded.get(what)
+    if given is not None and stored is not None and given != stored:
+        raise UsageError(
+            f"{plain(path)}: {Setting(f'from_{what}')} says {given}, but the metadata of the file "
+            f"says {plain(stored)}; leave it out"
+        )
+    return given or stored
