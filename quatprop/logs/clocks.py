@@ -196,12 +196,10 @@ class Difference(NamedTuple):
 
     `constant_ns`: by how much it is ahead, usually
     `largest_ns`: how far it is off that at most
-    `is_offset`: whether the constant is that of local time from UTC
     """
 
     constant_ns: int
     largest_ns: int
-    is_offset: bool
 
 
 def difference(used: Float64, other: Float64) -> Difference | None:
@@ -218,15 +216,11 @@ def difference(used: Float64, other: Float64) -> Difference | None:
     largest = float(np.abs(apart - constant).max())
     tolerance = max(_usual_step(used, np.median), _usual_step(other, np.min))
     nearest = round(constant / _QUARTER_NS) * _QUARTER_NS
+    if largest > tolerance:
+        return Difference(round(constant), round(largest))
     is_absolute = min(np.nanmin(used), np.nanmin(other)) > _FROM_2000_NS
-    is_offset = bool(
-        is_absolute
-        and 0 < abs(nearest) <= _LARGEST_OFFSET_NS
-        and abs(constant - nearest) <= _ROUNDING_NS
-    )
-    if largest <= tolerance:
-        return Difference(nearest, 0, is_offset=True) if is_offset else None
-    return Difference(round(constant), round(largest), is_offset)
+    is_of_zone = 0 < abs(nearest) <= _LARGEST_OFFSET_NS and abs(constant - nearest) <= _ROUNDING_NS
+    return Difference(nearest, 0) if is_absolute and is_of_zone else None
 
 
 def _usual_step(times: Float64, which: object) -> float:
