@@ -32,6 +32,7 @@ import numpy as np
 from quatprop.conventions.representations import REPRESENTATIONS, Representation
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate
+from quatprop.settings import CONVENTIONS, DIRECTIONS
 from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
@@ -39,8 +40,6 @@ if TYPE_CHECKING:
 
 
 __all__ = [
-    "CONVENTIONS",
-    "DIRECTIONS",
     "HAMILTON",
     "REPRESENTATIONS",
     "SIGNS",
@@ -49,8 +48,6 @@ __all__ = [
     "Signs",
 ]
 
-CONVENTIONS = ("hamilton", "jpl")
-DIRECTIONS = ("body-to-ref", "ref-to-body")
 SIGNS = ("keep", "continuous", "positive")
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.cubic import cross, curvature, curvature_of_averages
+from quatprop.settings import FRAMES
 from quatprop.text import listed, quoted
 from quatprop.times import NS_PER_S
 
@@ -66,14 +67,10 @@ rad/s, and their lengths, ``(M,)``, s, and return rotation vectors, ``(3, M)``, 
 ``cubic``, :mod:`quatprop.kinematics.cubic` adds what the neighbouring samples say."""
 
 
-FRAMES: Final = ("body", "inertial")
-"""Where rates may be resolved: body rates multiply on the right, inertial rates on the left."""
-
-
 def is_inertial(rates: str) -> bool:
     """Tell whether rates are resolved in the inertial frame.
 
-    `rates`: one of :data:`FRAMES`
+    `rates`: one of :data:`quatprop.settings.FRAMES`
     """
     if rates not in FRAMES:
         raise UsageError(f"there is no frame {quoted(rates)}; choose one of {listed(FRAMES)}")

@@ -44,6 +44,7 @@ TIME_UNITS = ("s", "ms", "us", "ns")
 CLOCKS = ("header", "log", "publish")
 METHODS = ("start", "end", "mean", "coning", "cubic")
 FRAMES = ("body", "inertial")
+"""Where rates may be resolved: body rates multiply on the right, inertial rates on the left."""
 EULER_SEQUENCES = (
     *("zyx", "xyz", "xzy", "yxz", "yzx", "zxy"),
     *("zxz", "zyz", "xyx", "xzx", "yxy", "yzy"),
