@@ -66,8 +66,8 @@ def choose_time(
 
         return time_in_file(matcher, found, marks, row or found.row)
     matcher.refuse_undeclared()
-    chosen = [getattr(matcher.selection, name, None) for name in ("frame", "series")]
-    table = found.table.of_series([*filter(None, chosen)])
+    chosen = (getattr(matcher.selection, name, None) for name in ("frame", "series"))
+    table = found.table.of_series([label for label in chosen if label is not None])
     return message_stamp(matcher, found._replace(table=table)), table
 
 
