@@ -8,11 +8,11 @@ from functools import cache
 from mcap.reader import make_reader
 
 from quatprop.errors import LogError, UsageError
+from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates
 from quatprop.logs.signal import AttitudeSignal
 from quatprop.settings.selection import AttitudeSelection, RateSelection
-from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.rates import choose_rates
 
 LENIENT = 2
 """Place of the propagation with lenient settings among the commands of a log."""

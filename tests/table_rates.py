@@ -1,7 +1,7 @@
 """Rates of an open table."""
 
+from quatprop.logs.rates import choose_rates
 from quatprop.settings.selection import RateSelection
-from quatprop.signals.rates import choose_rates
 
 
 def rate_batches(log, **options):

@@ -24,12 +24,12 @@ from quatprop.errors import (
     UsageError,
 )
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.interpolation import attitude_at, first_orientation
 from quatprop.logs.open_log import open_log
 from quatprop.logs.quaternion_check import QuaternionCheck
+from quatprop.logs.rates import choose_rates
 from quatprop.settings.selection import AttitudeSelection, RateSelection
-from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.rates import choose_rates
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 HALF = 2.0**-0.5
@@ -97,6 +97,16 @@ def test_xsens_tables_carry_attitudes_beside_their_rates(shared_logs):
     t_ns, wxyz, source, _ = read(shared_logs / "csv" / "data_xsens.txt")
     assert (t_ns[0], t_ns[1], source.clock) == (0, 20_000_000, "Counter at 50 Hz")
     assert wxyz[0].tolist() == [0.567189, 0.769786, 0.003829, 0.292765]
+
+
+def test_stamps_that_a_sample_rate_replaces_are_named(tmp_path):
+    """Rows are counted as asked, of attitudes as of rates, and it is said what is not used."""
+    path = table(tmp_path, "t_ns,qw,qx,qy,qz\n5,1,0,0,0\n6,1,0,0,0\n")
+    t_ns, _, source, _ = read(path, sample_rate=100)
+    assert t_ns.tolist() == [0, 10_000_000]
+    assert source.remarks == (
+        "sample_rate='100' counts the rows; the stamps in 't_ns' are not used",
+    )
 
 
 def by_library(path, topic, quaternion):
@@ -318,13 +328,12 @@ def test_an_option_that_contradicts_the_names_is_refused(tmp_path):
     path = table(tmp_path, "t_ns,qw,qx,qy,qz\n1,1,0,0,0\n2,1,0,0,0\n")
     with pytest.raises(
         UsageError,
-        match=r"the columns 'qw', 'qx', 'qy', 'qz' are scalar-first, and from_layout says "
-        r"scalar-last; settle it by naming them as stored, with quat_cols='A,B,C,D' and without "
-        r"from_layout$",
+        match=r"from_layout says scalar-last, but the columns 'qw', 'qx', 'qy', 'qz' are "
+        r"scalar-first by name; leave it out$",
     ):
         read(path, from_layout="xyzw")
     with pytest.raises(
-        UsageError, match=r"are scalar-first, and from_layout says scalar-last; settle it by naming"
+        UsageError, match=r"from_layout says scalar-last, but .* are scalar-first by name; leave"
     ):
         read(path, quat_cols=("qw", "qx", "qy", "qz"), from_layout="xyzw")
 
@@ -482,6 +491,10 @@ def test_transforms_are_found_wherever_they_stand_in_their_lists(tmp_path):
     assert source.field == "base <- b"
     assert len(expected) > 5
     assert list(zip(t_ns.tolist(), wxyz.tolist(), strict=True)) == expected
+    assert read(log, series="base:b")[1].tolist() == wxyz.tolist()
+    assert read(log, series="base:b", frame="base:b")[1].tolist() == wxyz.tolist()
+    with pytest.raises(UsageError, match="frame and series choose different transforms; give one"):
+        read(log, series="base:b", frame="a")
 
 
 VEHICLE_ATTITUDE = """uint64 timestamp
@@ -538,7 +551,7 @@ def test_a_field_of_an_unknown_type_can_be_named(tmp_path):
     with pytest.raises(NoAttitudesError, match=r"no attitudes found; its topics are '/pose \(my_m"):
         read(log)
     assert read(log, quat_field="o")[1].tolist() == [[0.8, 0.6, 0, 0]]
-    with pytest.raises(UndeclaredError, match=r"which of the four numbers in 'q' is the scalar"):
+    with pytest.raises(UndeclaredError, match=r"which of the columns 'q\[0\]', .* is the scalar"):
         read(log, quat_field="q")
     assert read(log, quat_field="q", from_layout="scalar-last")[1].tolist() == [[0.8, 0, 0.6, 0]]
 

@@ -218,3 +218,14 @@ def test_the_true_bias_of_a_recording(shared_logs):
     assert without[-1] > 100
     assert with_bias.max() < 0.65
     assert with_bias[-1] < 0.5
+
+
+def test_several_biases_in_a_file_are_refused_with_a_way_out(tmp_path):
+    """No option chooses among the columns of a file beside the log."""
+    names = ",".join(f"{gyro}_gyro_bias_{axis} [rad/s]" for gyro in "ab" for axis in "xyz")
+    path = biases_csv(tmp_path / "bias.csv", f"t_ns,{names}")
+    path.write_text(path.read_text().splitlines()[0] + "\n0,0,0,0,0,0,0\n1,0,0,0,0,0,0\n")
+    with pytest.raises(
+        LogError, match=r"which set of biases .*; say it with a table that holds one"
+    ):
+        propagate(GyroSeries(STAMPS, RAW), bias=str(path))

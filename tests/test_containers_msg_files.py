@@ -13,8 +13,8 @@ import quatprop
 from quatprop.cli.commands import cli
 from quatprop.errors import SchemaError, UsageError
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates
 from quatprop.settings.selection import RateSelection
-from quatprop.signals.rates import choose_rates
 
 GYRO = "builtin_interfaces/Time stamp\nTriple[1] angular\nfloat64 temperature\n"
 TRIPLE = "float64 x  # rad/s\nfloat64 y\nfloat64 z\n"

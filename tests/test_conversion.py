@@ -131,9 +131,11 @@ def test_metadata_that_contradicts_the_columns_is_refused(tmp_path, attitudes):
     pyarrow.parquet.write_table(found.replace_schema_metadata(said), bad)
     sentence = refused(bad, tmp_path / "out.csv")
     assert (
-        "the columns 'qx', 'qy', 'qz', 'qw' are scalar-last, and the metadata of the file says "
-        "scalar-first; settle it by naming them as stored, with --quat-cols A,B,C,D" in sentence
+        "the metadata say scalar-first, but the columns 'qx', 'qy', 'qz', 'qw' are scalar-last by "
+        "name; settle it with --from-layout scalar-last" in sentence
     )
+    run(bad, tmp_path / "out.csv", "--from-layout", "scalar-last")
+    assert (series(tmp_path / "out.csv")[1] == series(attitudes)[1]).all()
     run(bad, tmp_path / "out.csv", "--quat-cols", "qx,qy,qz,qw")
     assert (series(tmp_path / "out.csv")[1] == series(attitudes)[1]).all()
 

@@ -12,8 +12,8 @@ from odd_messages import MESSAGE_LOGS
 from odd_tables import TABLE_LOGS
 
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates
 from quatprop.settings.selection import RateSelection
-from quatprop.signals.rates import choose_rates
 
 COUNTS = {"mcap": 90, "bag": 40, "rosbag2": 50, "csv": 90, "arrow": 70, "numpy": 40, "jsonl": 50}
 GENERATORS = {**MESSAGE_LOGS, **TABLE_LOGS}

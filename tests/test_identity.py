@@ -21,10 +21,10 @@ from quatprop.containers.mcap import scan as mcap_scan
 from quatprop.containers.rosbag1 import rebuild as rosbag1_rebuild
 from quatprop.containers.rosbag2 import fetches
 from quatprop.logs.open_log import open_log as opened
+from quatprop.logs.rates import choose_rates
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.settings.selection import RateSelection
-from quatprop.signals.rates import choose_rates
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
 from quatprop.simulate.run import simulate

@@ -22,6 +22,7 @@ from quatprop.errors import (
     UnsupportedLogError,
 )
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates
 from quatprop.logs.stamps import stamps_of
 from quatprop.messages.blocks import Channel
 from quatprop.messages.json import JsonDecoder
@@ -29,7 +30,6 @@ from quatprop.messages.times import to_ns
 from quatprop.messages.values import ValueDecoder
 from quatprop.series import GyroSeries
 from quatprop.settings.selection import RateSelection
-from quatprop.signals.rates import choose_rates
 
 
 def imu(x=0.0, y=0.0, z=0.0, stamp=None):
@@ -150,6 +150,22 @@ def test_a_stamp_that_is_a_number_needs_a_unit_and_stays_exact(tmp_path):
     np.testing.assert_allclose(np.degrees(series.rate), [[1, 2, k] for k in range(1, 4)])
 
 
+def test_a_field_matches_as_spelled_and_then_as_a_key(tmp_path):
+    """As columns of files do: two fields of one key are told apart by their spelling."""
+    first, second = ({"x": k, "y": 0, "z": 0} for k in (1, 2))
+    raw = [
+        json.dumps({"imu": {"bodyRate": first, "body_rate": second, "turnRate": first}}).encode()
+    ]
+    path = write(tmp_path / "log.mcap", {"/gyro": ("", raw * 2)})
+    for field, rate in {"imu.bodyRate": 1, "imu.body_rate": 2, "Imu.turn_rate": 1}.items():
+        series, _ = read(path, rate_field=field, rate_unit="rad/s", clock="log")
+        assert series.rate[0].tolist() == [rate, 0, 0]
+    fields = ",".join(f"imu.Turn_Rate.{axis}" for axis in "xyz")
+    assert read(path, rate_field=fields, rate_unit="rad/s", clock="log")[0].rate[0, 0] == 1
+    with pytest.raises(SchemaError, match=r"imu\.Body_Rate"):
+        read(path, rate_field="imu.Body_Rate", rate_unit="rad/s", clock="log")
+
+
 @pytest.mark.parametrize(
     ("field", "name", "unit", "factor"),
     [
@@ -174,7 +190,7 @@ def test_a_field_whose_name_ends_in_a_unit_declares_it(tmp_path, field, name, un
     with open_log(path) as log:
         signal = choose_rates(log, RateSelection(rate_field=field, clock="log", rate_unit=other))
     assert (signal.unit, len(signal.remarks)) == (other, 1)
-    assert f"by definition; they are read as {other}, as asked for" in signal.remarks[0]
+    assert f"read in {other}, as asked for" in signal.remarks[0]
     table = tmp_path / "rates.jsonl"
     table.write_bytes(b"".join(line.replace(b'"t"', b'"t_ns"') + b"\n" for line in raw))
     with open_log(table) as log:

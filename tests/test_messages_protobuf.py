@@ -10,11 +10,11 @@ from topics import found_in
 
 from quatprop.errors import SchemaError
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates
 from quatprop.logs.stamps import place_of, stamps_of
 from quatprop.messages.blocks import Channel
 from quatprop.series import GyroSeries
 from quatprop.settings.selection import RateSelection
-from quatprop.signals.rates import choose_rates
 
 FIELD = descriptor_pb2.FieldDescriptorProto
 DOUBLE, FLOAT, STRING, MESSAGE, UINT64 = (

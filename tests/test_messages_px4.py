@@ -9,11 +9,11 @@ from quatprop.errors import SchemaError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates, rate_candidates
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings
 from quatprop.series import GyroSeries
 from quatprop.settings.selection import RateSelection
-from quatprop.signals.rates import choose_rates, rate_candidates
 
 COUNT = 50
 

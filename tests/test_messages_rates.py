@@ -10,8 +10,9 @@ from topics import found_in, mark, names, stamps
 
 from quatprop.containers.topic_table import TopicTable
 from quatprop.errors import MessageError, SchemaError, UndeclaredError
+from quatprop.logs.matcher import ColumnMatcher
 from quatprop.logs.rows import Row
-from quatprop.logs.stamps import choose_stamp, place_of, stamps_of
+from quatprop.logs.stamps import message_stamp, place_of, stamps_of
 from quatprop.logs.vocabulary import ROWS, TYPES
 from quatprop.messages.blocks import Channel, MessageBlock
 from quatprop.messages.times import to_ns
@@ -195,8 +196,9 @@ def test_time_fields_are_times_or_numbers_with_a_unit():
     found = found._replace(table=TopicTable(log, channel))
 
     def chosen(**named):
-        stamp, remarks = choose_stamp(found, RateSelection(**named))
-        assert remarks == ()
+        matcher = ColumnMatcher(found, RateSelection(**named), "rate_field")
+        stamp = message_stamp(matcher, found)
+        assert matcher.remarks == []
         return names(found, stamp.columns), stamp.units
 
     assert chosen(time_field="t") == (["t.sec", "t.nanosec"], ("s", "ns"))

@@ -150,7 +150,7 @@ UNUSED = {
     *("pyarrow.dataset", "pyarrow.compute", "quatprop.log_copy", "quatprop.comparison.settings"),
     *("quatprop.conditioning.calibration", "quatprop.conditioning.static_detection"),
     *("quatprop.logs.biases", "quatprop.logs.interpolation", "quatprop.logs.range_readers"),
-    *("mcap", "numpy.ma", "rosbags", "quatprop.messages.transforms", "quatprop.logs.columns"),
+    *("mcap", "numpy.ma", "rosbags", "quatprop.messages.transforms", "quatprop.logs.clocks"),
 }
 """What a plain run has no use for, and takes long to import or is easily imported by mistake."""
 

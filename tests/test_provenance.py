@@ -15,11 +15,11 @@ from mcap.writer import Writer as McapWriter
 from quatprop import GyroSeries, propagate
 from quatprop.cli.commands import cli
 from quatprop.errors import DamagedLogError, UsageError
+from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
 from quatprop.provenance import Digest, as_json, digest_ahead, digest_of
 from quatprop.series import AttitudeSeries
 from quatprop.settings.selection import AttitudeSelection
-from quatprop.signals.attitudes import choose_attitudes
 from quatprop.text import Setting
 from quatprop.times import Instant
 from quatprop.writers import open_writer
@@ -119,7 +119,7 @@ def test_metadata_that_contradict_a_definition_are_refused(tmp_path, kind):
     """A ROS quaternion is scalar-last; metadata that say otherwise are settled by the user."""
     path = written(tmp_path / "log", kind, {"convention": {"layout": "scalar-first"}})
     sentence = (
-        "the metadata of topic '/attitude' say scalar-first, but 'quaternion' of "
+        "the metadata say scalar-first, but 'quaternion' of "
         "'geometry_msgs/msg/QuaternionStamped' is scalar-last by definition; settle it with "
         "from_layout='scalar-last'"
     )

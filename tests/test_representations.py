@@ -14,12 +14,13 @@ from quatprop.cli.commands import cli
 from quatprop.conventions.representations import REPRESENTATIONS, from_euler, from_matrices
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.interpolation import stamps_in
 from quatprop.logs.open_log import open_log
 from quatprop.settings import EULER_SEQUENCES
 from quatprop.settings.selection import AttitudeSelection
-from quatprop.signals.attitudes import choose_attitudes
 from quatprop.tables.base import TimedColumns
+from quatprop.tables.model import Stamp
 from quatprop.writers import open_table
 from quatprop.writers.formats import WRITERS
 
@@ -346,7 +347,7 @@ def columns_in(path, names):
     """Return columns of a table, shape (N, k)."""
     with open_log(path) as log:
         places = tuple(log.columns().index(name) for name in names)
-        rows = log.metered_rows(TimedColumns(places, (0,), "ns", None))
+        rows = log.metered_rows(TimedColumns(places, Stamp((0,), ("ns",))))
         return np.concatenate([numbers for _, numbers in rows])
 
 

@@ -19,8 +19,8 @@ from quatprop.errors import (
     UnreadableLogError,
     UnsupportedLogError,
 )
+from quatprop.logs.rates import choose_rates
 from quatprop.settings.selection import RateSelection
-from quatprop.signals.rates import choose_rates
 from quatprop.tables.arrow import FeatherLog, ParquetLog
 
 RATES = {"wx": [1.0, 4.0], "wy": [2.0, 5.0], "wz": [3.0, 6.0]}

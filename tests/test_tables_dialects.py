@@ -8,6 +8,7 @@ import pytest
 
 from quatprop import read_rates
 from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError, UsageError
+from quatprop.logs.matching import find
 from quatprop.logs.rate_columns import match_rates
 from quatprop.settings.quantities import RATES
 from quatprop.settings.selection import RateSelection
@@ -108,7 +109,8 @@ FILES = {"xyz[0]": "a_vehicle_angular_velocity_0.csv", ",device_id,": "a_sensor_
 def chosen(header, name="log.csv", notes=None, **options):
     """Choose the columns of a header line."""
     names = header.split(";" if ";" in header else ",")
-    return match_rates(table_of(names, name, notes), RateSelection(**options))
+    (found,) = find(table_of(names, name, notes), "rate")
+    return match_rates(found, RateSelection(**options))
 
 
 def table_of(names, name="log.csv", notes=None):
@@ -477,10 +479,12 @@ def test_a_clock_that_a_table_does_not_have_is_refused():
         chosen("t_ns,wx,wy,wz", clock="publish")
 
 
-def test_a_topic_is_refused():
+def test_a_topic_is_refused(tmp_path):
     """A table has no topics; saying one is a mistake worth telling."""
+    path = tmp_path / "log.csv"
+    path.write_text("t_ns,wx,wy,wz\n0,0,0,0\n1,0,0,0\n")
     with pytest.raises(UsageError, match="topic is for logs of messages and this is a table"):
-        chosen("t_ns,wx,wy,wz", topic="/imu")
+        read_rates(path, topic="/imu")
 
 
 @pytest.mark.parametrize(

@@ -20,12 +20,12 @@ from quatprop.containers.rosbag1 import loading as rosbag1
 from quatprop.errors import NoSamplesError, TimelineError, UsageError
 from quatprop.logs import range_readers
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates
 from quatprop.pipeline import plausibility
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.series import GyroSeries
 from quatprop.settings.selection import RateSelection
-from quatprop.signals.rates import choose_rates
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
 from quatprop.simulate.run import simulate

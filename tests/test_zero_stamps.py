@@ -10,10 +10,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop.cli.commands import cli
 from quatprop.errors import TimelineError
+from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates
 from quatprop.settings.selection import AttitudeSelection, RateSelection
-from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.rates import choose_rates
 
 STORE = get_typestore(Stores.LATEST)
 NAME = "pkg/msg/Motion"

@@ -103,8 +103,8 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
 def _propagated_log(path: str, settings: PropagationSettings) -> PropagatedSeries:
     from quatprop.concurrency.threads import use_threads
     from quatprop.logs.open_log import open_log
+    from quatprop.logs.rates import choose_rates
     from quatprop.pipeline.attitude_stream import AttitudeStream
-    from quatprop.signals.rates import choose_rates
 
     kind, msg_path = settings.kind, settings.selection.msg_path
     with use_threads(settings.threads), open_log(path, kind, msg_path=msg_path) as log:
@@ -114,8 +114,8 @@ def _propagated_log(path: str, settings: PropagationSettings) -> PropagatedSerie
 
 
 def _propagated_in_memory(rates: GyroSeries, settings: PropagationSettings) -> PropagatedSeries:
+    from quatprop.logs.rates import signal_of_series
     from quatprop.pipeline.attitude_stream import AttitudeStream
-    from quatprop.signals.rates import signal_of_series
 
     if not len(rates):
         raise SeriesError("Expected a series with samples, got an empty one")

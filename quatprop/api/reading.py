@@ -73,8 +73,8 @@ def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
         Something was inferred, or looks wrong.
     """
     from quatprop.logs.open_log import open_log
+    from quatprop.logs.rates import choose_rates
     from quatprop.settings.selection import RateSelection
-    from quatprop.signals.rates import choose_rates
 
     path, values = path_text("log", log), parse_all(options, READ_RATES)
     with open_log(path, values.get("kind"), msg_path=values.get("msg_path")) as opened:

@@ -15,7 +15,7 @@ from quatprop.settings.parsers import FILE_SETTINGS
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
-    from quatprop.signals.choice import Candidate
+    from quatprop.logs.choice import Candidate
     from quatprop.tables.base import AnyLog
 
 NAMED = {"topic", "rate_field", "quat_field", "rate_cols", "quat_cols", "time_col"}
@@ -108,9 +108,9 @@ def _names_in(path: str, setting: str, ctx: click.Context) -> list[str]:
 def _in_messages(log: AnyLog, setting: str, ctx: click.Context) -> Iterator[str]:
     """Yield topics, or fields, of what the command reads."""
     from quatprop.errors import LogError
+    from quatprop.logs.attitudes import attitude_candidates
+    from quatprop.logs.rates import rate_candidates
     from quatprop.settings.selection import AttitudeSelection, RateSelection
-    from quatprop.signals.attitudes import attitude_candidates
-    from quatprop.signals.rates import rate_candidates
 
     options = {str(option.name) for option in ctx.command.params}
     kinds: Mapping[str, tuple[Callable[..., Iterable[Candidate[Any]]], Any]] = {

@@ -154,12 +154,13 @@ class TopicTable(Table):
             return names, []
         return [parent], [] if below == group else [below.index(k) for k in group]
 
-    def of_frames(self, wanted: str | None) -> TopicTable:
-        """Return the rows between two frames; refused where messages are no transforms."""
-        if wanted is not None:
+    def of_series(self, labels: Sequence[str], columns: Group = ()) -> TopicTable:  # noqa: ARG002
+        """Return all rows; refused where one of several series is asked for."""
+        for label in labels:
             raise UsageError(
-                f"{plain(self.path)}: {Setting('frame')} chooses from a list of transforms, and "
-                f"messages of topic {quoted(self.name)} have one attitude each; leave it out"
+                f"{plain(self.path)}: the messages of topic {quoted(self.name)} are one series, so "
+                f"{quoted(label)} cannot be chosen; leave {Setting('series')} or "
+                f"{Setting('frame')} out"
             )
         return self
 

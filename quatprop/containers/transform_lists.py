@@ -54,11 +54,8 @@ class TransformTable(TopicTable):
         frames = self.frames
         return "transforms" if frames is None else f"{frames.parent} <- {frames.child}"
 
-    def of_frames(self, wanted: str | None) -> TransformTable:
-        """Return the transforms of the only pair of frames, after looking through the topic.
-
-        `wanted`: ``"child"`` or ``"parent:child"``; None for the only pair there is
-        """
+    def of_series(self, labels: Sequence[str], columns: Group = ()) -> TransformTable:  # noqa: ARG002
+        """Return the transforms of the only pair of frames, after looking through the topic."""
         decoder = TransformDecoder(self.channel, self.path)
         for block in self.log.blocks(self.channel):
             try:
@@ -68,6 +65,10 @@ class TransformTable(TopicTable):
                     raise
         if not decoder.frames:
             raise NoSamplesError(self.path, self.name)
+        if len({*labels}) > 1:
+            both = f"{Setting('frame')} and {Setting('series')}"
+            raise UsageError(f"{plain(self.path)}: {both} choose different transforms; give one")
+        wanted = labels[0] if labels else None
         parent, _, child = (wanted or "").rpartition(":")
         fits = [f for f in decoder.frames if child in ("", f.child) and parent in ("", f.parent)]
         if len(fits) != 1:

@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 
 
 __all__ = [
-    "CONVENTIONS",
-    "DIRECTIONS",
     "HAMILTON",
     "REPRESENTATIONS",
     "SIGNS",

@@ -13,12 +13,12 @@ from quatprop.conversion.destination import kept_sigma, open_destination, remark
 from quatprop.conversion.job import Conversion, ConversionReport
 from quatprop.conversion.rates import RATES, rate_batches
 from quatprop.errors import NoSamplesError, UsageError
+from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
 from quatprop.logs.quaternion_check import QuaternionCheck
 from quatprop.pipeline.job import with_format
 from quatprop.pipeline.report import ReportFile
 from quatprop.provenance import digest_ahead
-from quatprop.signals.attitudes import choose_attitudes
 from quatprop.stores.objects import without_secret
 from quatprop.text import Setting, listed, quoted
 from quatprop.writers.targets import refuse_overlap

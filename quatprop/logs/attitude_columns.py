@@ -1,4 +1,4 @@
-"""The columns of attitudes in a file of rows: quaternions, or other representations."""
+"""Attitudes of a table: quaternions, or in files other representations, with layout and time."""
 
 from __future__ import annotations
 
@@ -6,96 +6,82 @@ from typing import TYPE_CHECKING
 
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import NoAttitudesError, UndeclaredError, UsageError
-from quatprop.logs.columns import TableColumns
 from quatprop.logs.matcher import ColumnMatcher
 from quatprop.logs.matching import Found, Match, marks_of
 from quatprop.logs.names import COMPONENT, ROTATIONS
 from quatprop.logs.rows import QUATERNION_PARTS
+from quatprop.logs.stamps import choose_time
 from quatprop.logs.vocabulary import GENERIC
 from quatprop.tables.column_names import ANGLE_UNITS, EULER, EULER_NUMBERED
-from quatprop.text import Setting, listed, plain
+from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from quatprop.logs.rows import Row
     from quatprop.settings.selection import AttitudeSelection
-    from quatprop.tables.model import Table
+    from quatprop.tables.model import Group
+
+    Rotation = tuple[str, str, Sequence[str]]
 
 
-def match_attitudes(table: Table, selection: AttitudeSelection, recorded: str | None) -> Match:
-    """Return the columns of the attitude, a quaternion before any other rotation.
+def match_attitudes(found: Found, selection: AttitudeSelection, recorded: str | None) -> Match:
+    """Return attitudes with their layout or unit and their time.
 
-    `recorded`: the layout, where the metadata of the file declare it
+    `recorded`: the layout, where the metadata of the log declare it
     """
-    try:
-        match = match_quaternion(table, selection, recorded)
-    except NoAttitudesError:
-        rotation = match_rotation(table, selection)
-        if rotation is None:
-            raise
-        for name in ("from_layout", "from_convention"):
-            if getattr(selection, name) is not None:
-                raise UsageError(
-                    f"{plain(table.path)}: {Setting(name)} is about quaternions, and this table "
-                    f"has {rotation.representation}; leave it out"
-                ) from None
-        return rotation
-    if selection.from_angle_unit is not None:
-        raise UsageError(
-            f"{plain(table.path)}: {Setting('from_angle_unit')} is about angles, and this table "
-            "has a quaternion; leave it out"
-        )
-    return match
-
-
-def match_quaternion(
-    table: Table, selection: AttitudeSelection, recorded: str | None = None
-) -> Match:
-    """Return which columns hold the time and the quaternion.
-
-    The layout comes from the names of the columns, from the metadata of the file, or from the
-    user; where two of these contradict each other nothing is read.
-    """
-    layout = selection.from_layout and layout_named(selection.from_layout).name
-    matcher = ColumnMatcher(table, selection, "quat_cols", QUATERNION_PARTS)
-    row = matcher.row("quat")
-    sets = matcher.sets(row.quat)
-    if selection.from_euler is not None or (selection.quat_cols is None and not sets):
-        raise NoAttitudesError(table.path, [column.text for column in table.columns], "columns")
-    if selection.quat_cols is not None:
-        # Who names the columns knows better than the metadata, but need not repeat it.
-        wxyz = _named_quaternion(matcher, row, selection.quat_cols, layout, recorded)
+    matcher = ColumnMatcher(found, selection, "quat_cols")
+    form, row = "quaternion", found.row
+    stored = tuple(sorted(found.sets[0])) if found.sets else ()
+    if not found.sets:
+        row = matcher.row("quat")
+        form, found, stored = _in_file(matcher, selection)
+    field = found.sets[0] if found.field else tuple(sorted(stored))
+    unit = layout = ""
+    remarks: tuple[str, ...] = ()
+    if form == "quaternion":
+        wxyz = _in_order(matcher, selection, found, stored, recorded)
+        found = found._replace(sets=(wxyz,))
+        layout = _layout(sorted(wxyz), wxyz)
     else:
-        wxyz = matcher.only_set(sets, "quaternion", "scalar")
-        _refuse_contradiction(matcher, sorted(wxyz), wxyz, layout, recorded)
-    found = Found(
-        table,
-        row if wxyz in sets else GENERIC,
-        table.parts[0],
-        (wxyz,),
-        matcher.spelled(sorted(wxyz)),
-    )
+        row = found.row
+        unit = _angle_unit(matcher, selection.from_angle_unit, form, stored, row.angle_unit)
+        remarks = (
+            "which of q and -q is meant is not stored: signs are those of each row by itself",
+        )
+        if form.startswith("euler-"):
+            first, second, third = tuple(form.removeprefix("euler-"))
+            remarks += (f"the angles turn about {first}, the new {second}, and the newest {third}",)
     marks = marks_of(found)
-    stamp, rows = matcher.stamp((*wxyz, *marks), row)
+    stamp, table = choose_time(matcher, found, marks, row)
     return Match(
-        found._replace(table=rows),
+        found._replace(table=table, field=table.field_of(field)),
         stamp,
         marks=marks,
-        remarks=tuple(matcher.overruled),
-        layout=_layout(sorted(wxyz), wxyz),
+        remarks=(*matcher.remarks, *remarks),
+        unit=unit,
+        representation=form,
+        layout=layout,
     )
 
 
-def _named_quaternion(
-    matcher: ColumnMatcher,
-    row: Row,
-    quat_cols: Sequence[str],
-    layout: str | None,
-    recorded: str | None,
-) -> tuple[int, ...]:
-    """Return the columns that the user names, in the order w, x, y, z."""
-    stored = matcher.named(quat_cols)
+def _in_file(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str, Found, Group]:
+    """Return what names say of the attitude in a file, a quaternion before any other rotation.
+
+    With its columns as they are stored; where names do not say which is the scalar it has no set.
+    """
+    row, named = matcher.row("quat"), selection.quat_cols
+    sets = matcher.sets(QUATERNION_PARTS, row.quat)
+    if selection.from_euler is not None or not (sets or named):
+        return _rotation(matcher, selection)
+    if selection.from_angle_unit is not None:
+        raise UsageError(
+            f"{plain(matcher.path)}: {Setting('from_angle_unit')} is about angles, and this table "
+            "has a quaternion; leave it out"
+        )
+    if named is None:
+        wxyz = matcher.only_set(sets, "quaternion", "scalar")
+        return "quaternion", matcher.found(row, (wxyz,)), tuple(sorted(wxyz))
+    stored = matcher.named(named)
     if len(stored) < len(QUATERNION_PARTS):
         raise UndeclaredError(
             matcher.path,
@@ -103,121 +89,131 @@ def _named_quaternion(
             "quaternion has four columns),",
             Setting("from_euler", "xyz"),
         )
-    for wxyz in matcher.sets(row.quat, GENERIC.quat, COMPONENT):
-        if set(wxyz) == set(stored):
-            _refuse_contradiction(matcher, stored, wxyz, layout)
-            return wxyz
-    layout = layout or recorded
-    if layout is None:
+    known = (*sets, *matcher.sets(QUATERNION_PARTS, GENERIC.quat, COMPONENT))
+    by_name = tuple(wxyz for wxyz in known if {*wxyz} == {*stored})[:1]
+    own = row if {*by_name} & {*sets} else GENERIC
+    return "quaternion", matcher.found(own, by_name), stored
+
+
+# Quaternions.
+
+
+def _in_order(
+    matcher: ColumnMatcher,
+    selection: AttitudeSelection,
+    found: Found,
+    stored: Group,
+    recorded: str | None,
+) -> Group:
+    """Return the columns of w, x, y, z: by names or definition, else as user or metadata say."""
+    given = selection.from_layout and layout_named(selection.from_layout).name
+    wxyz = _defined(found)
+    if wxyz is None:
+        if layout := given or recorded:
+            return _ordered(stored, layout)
         raise UndeclaredError(
             matcher.path,
             f"which of the columns {matcher.names(stored)} is the scalar",
             Setting("from_layout", "scalar-first|scalar-last"),
         )
+    own = _layout(stored, wxyz)
+    if selection.quat_cols is not None:
+        recorded = None  # who names the columns knows better, but need not repeat it
+    if (given or recorded) not in {None, own}:
+        is_by_definition = found.table.type != ""
+        what = f"the columns {matcher.names(stored)} are {own or 'in no layout'} by name"
+        if is_by_definition:
+            what = f"{quoted(found.field)} of {quoted(found.table.type)} is {own} by definition"
+        source, way = f"{Setting('from_layout')} says {given}", "leave it out"
+        if given is None:
+            source = f"the metadata say {recorded}"
+            settled = Setting("from_layout", own) if own else Setting("quat_cols", "A,B,C,D")
+            way = f"settle it with {settled}"
+        raise UsageError(f"{plain(matcher.path)}: {source}, but {what}; {way}")
+    return wxyz
+
+
+def _defined(found: Found) -> Group | None:
+    """Return the columns of w, x, y, z, where names, the type or the program say which is which."""
+    for group in found.sets:
+        w, x = (found.table.columns[k].key for k in group[:2])
+        is_numbered = any(a == "0" and b == "1" for a, b in zip(w, x, strict=False))
+        if not is_numbered:
+            return group
+        if layout := found.row.layout or (SCALAR_LAST.name if found.row.types else ""):
+            return _ordered(group, layout)
+    return None
+
+
+def _ordered(stored: Group, layout: str) -> Group:
     order = layout_named(layout).order
     return tuple(stored[order.index(component)] for component in range(4))
 
 
-def _refuse_contradiction(
-    matcher: ColumnMatcher,
-    stored: Sequence[int],
-    wxyz: tuple[int, ...],
-    layout: str | None,
-    recorded: str | None = None,
-) -> None:
-    """Refuse a layout, of the user or recorded, that is not the one of the names."""
-    given = _layout(stored, wxyz)
-    setting = f"{Setting('from_layout')}"
-    for source, declared in ((setting, layout), ("the metadata of the file", recorded)):
-        if declared not in (None, given):
-            raise UsageError(
-                f"{plain(matcher.path)}: the columns {matcher.names(stored)} are "
-                f"{given or 'in no layout, but named'}, and {source} says {declared}; settle it by "
-                f"naming them as stored, with {Setting('quat_cols', 'A,B,C,D')} and without "
-                f"{setting}"
-            )
-
-
-def _layout(stored: Sequence[int], wxyz: tuple[int, ...]) -> str:
+def _layout(stored: Sequence[int], wxyz: Group) -> str:
     """Return the layout of columns in their order of storage; ``""`` where it is neither."""
-    order = tuple(wxyz.index(position) for position in stored)
+    order = tuple(wxyz.index(k) for k in stored)
     return next((known.name for known in (SCALAR_FIRST, SCALAR_LAST) if known.order == order), "")
 
 
-def match_rotation(table: Table, selection: AttitudeSelection) -> Match | None:
-    """Return which columns hold the time and a rotation that is no quaternion.
+# Other representations.
 
-    None where no columns look like one.
-    """
-    chosen, named = selection.from_euler, selection.quat_cols
-    matches = _matches(table, selection, _rotations(chosen))
-    if chosen is not None and named is not None:
-        if len(named) != len(chosen):
+
+def _rotation(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str, Found, Group]:
+    """Return the only rotation that is no quaternion."""
+    sequence, named = selection.from_euler, selection.quat_cols
+    rotations = _matches(matcher, _rotations(sequence))
+    if sequence is not None and named is not None:
+        if len(named) != len(sequence):
             raise UsageError(
                 f"{Setting('from_euler')} is about three angles, and {Setting('quat_cols')} names "
                 f"{len(named)} columns"
             )
-        matcher = ColumnMatcher(table, selection, "quat_cols", chosen)
-        matches = [(f"euler-{chosen}", matcher, matcher.named(named))]
-    if not matches:
-        if chosen is not None:
-            _refuse_other_sequence(table, selection, chosen)
-        return None
-    if len(matches) > 1:
-        names = listed(matcher.columns[columns[0]].text for _, matcher, columns in matches)
+        rotations = [(f"euler-{sequence}", matcher.named(named))]
+    if not rotations:
+        if sequence is not None:
+            _refuse_other_sequence(matcher, sequence)
+        raise NoAttitudesError(matcher.path, [column.text for column in matcher.columns], "columns")
+    form, columns = rotations[0]
+    for name in ("from_layout", "from_convention"):
+        if getattr(selection, name) is not None:
+            raise UsageError(
+                f"{plain(matcher.path)}: {Setting(name)} is about quaternions, and this table has "
+                f"{form}; leave it out"
+            )
+    if rotations[1:]:
+        names = listed(matcher.columns[first].text for _, (first, *_) in rotations)
         raise UndeclaredError(
-            table.path,
+            matcher.path,
             f"which rotation to use (their first columns are {names})",
             "a table that holds one of them",
         )
-    representation, matcher, columns = matches[0]
-    row = matcher.row("angles") if representation == "euler-zyx" and named is None else GENERIC
-    unit = _angle_unit(matcher, representation, columns, selection.from_angle_unit, row.angle_unit)
-    found = Found(table, row, table.parts[0], (columns,), matcher.spelled(sorted(columns)))
-    stamp, rows = matcher.stamp(columns, row)
-    remarks = (
-        *matcher.overruled,
-        "which of q and -q is meant is not stored: signs are those of each row by itself",
-    )
-    if representation.startswith("euler-"):
-        first, second, third = tuple(representation.removeprefix("euler-"))
-        remarks += (f"the angles turn about {first}, the new {second}, and the newest {third}",)
-    return Match(
-        found._replace(table=rows),
-        stamp,
-        remarks=remarks,
-        unit=unit,
-        representation=representation,
-    )
+    row = matcher.row("angles") if form == "euler-zyx" and named is None else GENERIC
+    return form, matcher.found(row, (columns,)), columns
 
 
-def _matches(
-    table: Table, selection: AttitudeSelection, rotations: Iterable[tuple[str, str, Sequence[str]]]
-) -> list[tuple[str, ColumnMatcher, tuple[int, ...]]]:
+def _matches(matcher: ColumnMatcher, rotations: Iterable[Rotation]) -> list[tuple[str, Group]]:
     """Return each complete set of columns that one of some rotations has."""
-    matches = []
-    columns = TableColumns(table, selection)
-    for representation, pattern, parts in rotations:
-        if len(columns.matching(pattern)) < len(parts):
-            continue
-        matcher = ColumnMatcher(table, selection, "quat_cols", parts)
-        matches += [(representation, matcher, columns) for columns in matcher.sets(pattern)]
-    return matches
+    return [
+        (form, columns)
+        for form, pattern, parts in rotations
+        for columns in matcher.sets(parts, pattern)
+    ]
 
 
-def _refuse_other_sequence(table: Table, selection: AttitudeSelection, chosen: str) -> None:
+def _refuse_other_sequence(matcher: ColumnMatcher, chosen: str) -> None:
     """Refuse a sequence of angles where columns are by their names those of another one."""
-    for representation, matcher, columns in _matches(table, selection, ROTATIONS):
-        if representation.startswith("euler-"):
-            axes = ", ".join(representation.removeprefix("euler-"))
+    for form, columns in _matches(matcher, ROTATIONS):
+        if form.startswith("euler-"):
+            axes = ", ".join(form.removeprefix("euler-"))
             raise UsageError(
-                f"{plain(table.path)}: {Setting('from_euler', chosen)} contradicts the columns "
+                f"{plain(matcher.path)}: {Setting('from_euler', chosen)} contradicts the columns "
                 f"{matcher.names(columns)}, which by their names are angles about {axes}; if it "
                 f"is right, name the columns too, with {Setting('quat_cols', 'A,B,C')}",
             )
 
 
-def _rotations(sequence: str | None) -> Iterable[tuple[str, str, Sequence[str]]]:
+def _rotations(sequence: str | None) -> Iterable[Rotation]:
     """Return the rows of :data:`ROTATIONS`, or those of angles in a sequence that is known."""
     if sequence is None:
         return ROTATIONS
@@ -228,14 +224,10 @@ def _rotations(sequence: str | None) -> Iterable[tuple[str, str, Sequence[str]]]
 
 
 def _angle_unit(
-    matcher: ColumnMatcher,
-    representation: str,
-    columns: tuple[int, ...],
-    chosen: str | None,
-    by_row: str,
+    matcher: ColumnMatcher, chosen: str | None, form: str, columns: Group, by_row: str
 ) -> str:
     names = matcher.names(columns)
-    if representation == "matrix":
+    if form == "matrix":
         if chosen is not None:
             raise UsageError(
                 f"{plain(matcher.path)}: {Setting('from_angle_unit')} is about angles, and "
@@ -250,7 +242,6 @@ def _angle_unit(
             f"names {names} are in {declared}; leave the option out",
         )
     if not (chosen or declared):
-        matcher.undeclared(
-            f"the unit of the angles {names}", Setting("from_angle_unit", "|".join(ANGLE_UNITS))
-        )
+        setting = Setting("from_angle_unit", "|".join(ANGLE_UNITS))
+        matcher.unknown.append((f"the unit of the angles {names}", setting))
     return chosen or declared

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from quatprop.errors import NoSamplesError, QuatpropError
+from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
 from quatprop.logs.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.series import AttitudeSeries
 from quatprop.settings import READ_ATTITUDES
 from quatprop.settings.selection import AttitudeSelection
 from quatprop.settings.values import parse_all
-from quatprop.signals.attitudes import choose_attitudes
 from quatprop.stores.objects import without_secret
 from quatprop.text import Setting
 

@@ -80,7 +80,7 @@ def specific_forces(source: RateSignal) -> Rows | None:
 
 def own_orientation(log: AnyLog, source: RateSignal, selection: RateSelection) -> AttitudeSignal:
     """Return the orientation that is in the same messages or rows as the rates, on their clock."""
-    from quatprop.signals.attitudes import choose_attitudes
+    from quatprop.logs.attitudes import choose_attitudes
 
     wanted = AttitudeSelection.like(selection)
     for match in source.matches:

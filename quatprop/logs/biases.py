@@ -9,11 +9,11 @@ import numpy as np
 
 from quatprop.conditioning.calibration import BiasSeries
 from quatprop.errors import LogError, UsageError
-from quatprop.logs.matching import Found, Match, column_beside, find
+from quatprop.logs.matching import column_beside, find
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rate_columns import match_bias
 from quatprop.logs.reading import read_vectors
-from quatprop.logs.stamps import choose_stamp
-from quatprop.logs.vocabulary import GENERIC, TYPES
+from quatprop.logs.vocabulary import TYPES
 from quatprop.settings.selection import RateSelection, SignalSelection
 from quatprop.text import Setting, listed, plain, quoted
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from quatprop.arrays import Float64, Int64
+    from quatprop.logs.matching import Match
     from quatprop.tables.base import AnyLog
-    from quatprop.tables.model import Table
 
 
 def read_biases(source: str, log: AnyLog | None, selection: SignalSelection) -> BiasSeries:
@@ -33,18 +33,18 @@ def read_biases(source: str, log: AnyLog | None, selection: SignalSelection) -> 
     """
     if Path(source).exists():
         with open_log(source) as opened:
-            known = [one for table in opened.tables() for one in _biases_in(table)]
+            known = [one for table in opened.tables() for one in find(table, "bias")]
             if len(known) != 1:
                 names = listed(one.table.name for one in known)
                 there = f"several topics with biases: {names}" if known else "no topic with biases"
                 raise UsageError(f"{Setting('bias')} {plain(source)}: it has {there}")
-            return _of_match(source, _match(known[0], RateSelection()))
+            return _of_match(source, match_bias(known[0], RateSelection()))
     if log is None or not (tables := log.tables(source)):
         raise UsageError(
             f"{Setting('bias')} {plain(source)} is neither three numbers X,Y,Z nor static[:DUR], "
             "no such file is there, and the log has no such topic"
         )
-    known = [one for table in tables for one in _biases_in(table)]
+    known = [one for table in tables for one in find(table, "bias")]
     if len(known) != 1:
         types = listed(name for name, row in TYPES.items() if row.bias)
         raise LogError(
@@ -52,22 +52,7 @@ def read_biases(source: str, log: AnyLog | None, selection: SignalSelection) -> 
             f"messages of topic {quoted(source)} are of type {quoted(tables[0].type)}, of "
             f"which no bias is known; types with one are {types}",
         )
-    return _of_match(source, _match(known[0], RateSelection(clock=selection.clock)))
-
-
-def _biases_in(table: Table) -> list[Found]:
-    """Return the biases of a topic; of a file it is found out later which columns they are."""
-    if table.is_typed:
-        return find(table, "bias")
-    return [Found(table, GENERIC, table.parts[0], (), "")]
-
-
-def _match(found: Found, selection: SignalSelection) -> Match:
-    if not found.table.is_typed:
-        from quatprop.logs.rate_columns import match_bias
-
-        return match_bias(found.table)
-    return Match(found, choose_stamp(found, selection)[0])
+    return _of_match(source, match_bias(known[0], RateSelection(clock=selection.clock)))
 
 
 def _of_match(source: str, match: Match) -> BiasSeries:

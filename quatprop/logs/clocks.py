@@ -11,8 +11,8 @@ from functools import reduce
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import pyarrow as pa
 
+from quatprop.tables.base import OTHER_DATES
 from quatprop.times import NS_PER_S, NS_PER_UNIT, duration_text
 
 if TYPE_CHECKING:
@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 CONVENTION, SENSOR, EPOCH, TEXT, LOCAL, ARRIVAL = range(6)
 """Ranks: the stamp of a known convention; the sensor's sampling time; a number since some epoch;
 text with its offset from UTC; local text; when something arrived or was written down."""
-
-FIRST_ROWS = 1000
-"""Rows over which clocks are compared."""
 
 _QUARTER_NS = 900 * NS_PER_S
 _LARGEST_OFFSET_NS = 14 * 3600 * NS_PER_S
@@ -105,6 +102,16 @@ class Clock(NamedTuple):
     zoned: bool = False
     offset_ns: int = 0
 
+    @property
+    def is_readable(self) -> bool:
+        """Whether it is not one of dates that can be read in several ways."""
+        return OTHER_DATES not in self.units
+
+    @property
+    def goodness(self) -> tuple[int, int]:
+        """What is lowest of the best clock."""
+        return self.rank, self.place
+
 
 def named_clock(key: str, keys: Iterable[str]) -> tuple[int, str, int] | None:
     """Return rank, implied unit and place of a column by its key; None where it is no clock.
@@ -167,6 +174,8 @@ def numbers_of(cells: Sequence[object]) -> Float64:
 
 
 def _dates(cells: Sequence[object], *, zoned: bool) -> Float64:
+    import pyarrow as pa
+
     times = np.full(len(cells), np.nan)
     for k, cell in enumerate(cells):
         try:
@@ -187,12 +196,10 @@ class Difference(NamedTuple):
 
     `constant_ns`: by how much it is ahead, usually
     `largest_ns`: how far it is off that at most
-    `is_offset`: whether the constant is that of local time from UTC
     """
 
     constant_ns: int
     largest_ns: int
-    is_offset: bool
 
 
 def difference(used: Float64, other: Float64) -> Difference | None:
@@ -209,15 +216,11 @@ def difference(used: Float64, other: Float64) -> Difference | None:
     largest = float(np.abs(apart - constant).max())
     tolerance = max(_usual_step(used, np.median), _usual_step(other, np.min))
     nearest = round(constant / _QUARTER_NS) * _QUARTER_NS
+    if largest > tolerance:
+        return Difference(round(constant), round(largest))
     is_absolute = min(np.nanmin(used), np.nanmin(other)) > _FROM_2000_NS
-    is_offset = bool(
-        is_absolute
-        and 0 < abs(nearest) <= _LARGEST_OFFSET_NS
-        and abs(constant - nearest) <= _ROUNDING_NS
-    )
-    if largest <= tolerance:
-        return Difference(nearest, 0, is_offset=True) if is_offset else None
-    return Difference(round(constant), round(largest), is_offset)
+    is_of_zone = 0 < abs(nearest) <= _LARGEST_OFFSET_NS and abs(constant - nearest) <= _ROUNDING_NS
+    return Difference(nearest, 0) if is_absolute and is_of_zone else None
 
 
 def _usual_step(times: Float64, which: object) -> float:

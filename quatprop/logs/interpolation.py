@@ -21,12 +21,12 @@ from quatprop.errors import (
 )
 from quatprop.kinematics.quaternion import normalize, slerp
 from quatprop.logs.attitude_input import errors_of
+from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.beside_rates import own_orientation
 from quatprop.logs.open_log import open_log
 from quatprop.logs.quaternion_check import QuaternionCheck
+from quatprop.logs.rates import choose_rates
 from quatprop.settings.selection import AttitudeSelection, RateSelection, SignalSelection
-from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.rates import choose_rates
 from quatprop.text import Setting, plain, quoted
 from quatprop.times import NS_PER_UNIT, duration_text
 

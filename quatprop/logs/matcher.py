@@ -1,4 +1,4 @@
-"""Matching the columns of a table: sets of them, the time, and what the user named.
+"""Matching the columns of a table: sets of them, those that the user names, and their units.
 
 Nothing is guessed: what neither header, convention nor user declares is refused, with the setting
 that settles it.
@@ -9,52 +9,161 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from quatprop.errors import UndeclaredError, UsageError
+from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.logs import vocabulary
-from quatprop.logs.matching import sets_of
-from quatprop.logs.time_columns import TimeMatcher
+from quatprop.logs.matching import Found, matching, sets_of
+from quatprop.logs.rows import PARTS
 from quatprop.logs.vocabulary import GENERIC
-from quatprop.text import Setting, listed, plain
+from quatprop.settings.quantities import SCALED_RATE_UNITS
+from quatprop.tables.column_names import as_option, parse_name
+from quatprop.text import Setting, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from quatprop.logs.rows import Row
     from quatprop.settings.selection import SignalSelection
-    from quatprop.tables.model import Table
+    from quatprop.tables.model import Group
 
-    Positions = tuple[int, ...]
+FIRST_ROWS = 1000
+"""Rows over which clocks are compared."""
 
 
-class ColumnMatcher(TimeMatcher):
+class ColumnMatcher:
     """Finds the columns of one quantity in a table.
 
     `selection`: what the user chose
     `setting`: the setting that names the columns of the quantity, such as ``"rate_cols"``
-    `parts`: for each component, how patterns spell it, with ``|`` between spellings
+    `remarks`: what the user should know of what was chosen
+    `unknown`: what is not declared, and the setting that settles it; all of it is refused together
     """
 
-    def __init__(
-        self, table: Table, selection: SignalSelection, setting: str, parts: Sequence[str]
-    ) -> None:
-        super().__init__(table, selection, setting)
-        self._components = parts
-        for name in ("topic", "rate_field", "time_field", "quat_field", "frame"):
-            if getattr(selection, name, None) is not None:
-                raise UsageError(
-                    f"{plain(self.path)}: {Setting(name)} is for logs of messages and this is a "
-                    f"table; choose columns with {Setting(setting)} and {Setting('time_col')}",
-                )
+    def __init__(self, found: Found, selection: SignalSelection, setting: str) -> None:
+        self.table = found.table
+        self.part = found.part
+        self.path = found.table.path
+        self.notes = found.table.notes
+        self.columns = found.table.columns
+        self.selection = selection
+        self.setting = setting
+        self.remarks: list[str] = []
+        self.unknown: list[tuple[str, str]] = []
+
+    def matching(self, pattern: str) -> list[int]:
+        """Return the columns whose names match a pattern."""
+        return [k for k, _ in matching(self.table, self.part, pattern)]
+
+    def has(self, name: str) -> bool:
+        """Return whether a column is called that, as spelled."""
+        return any(column.text.strip() == name for column in self.columns)
+
+    def position(self, name: str, setting: str) -> int:
+        """Return the column of a name: as spelled, by key, or by number from 0."""
+        name, key = name.strip(), parse_name(name).key
+        texts = [column.text.strip() for column in self.columns]
+        positions = [k for k, text in enumerate(texts) if text == name] or [
+            k
+            for k, column in enumerate(self.columns)
+            if column.key == key or texts[k].lower() == name.lower()
+        ]
+        if len(positions) > 1:
+            raise UsageError(
+                f"{plain(self.path)}: {len(positions)} columns are called {quoted(name)}; "
+                f"say which with its number from 0, {Setting(setting)} taking {positions[0]}, "
+                f"{positions[1]}..."
+            )
+        if positions:
+            return positions[0]
+        if name.isdecimal() and int(name) < len(self.columns):
+            return int(name)
+        names = [column.text for column in self.columns]
+        raise UsageError(
+            f"{plain(self.path)}: {Setting(setting)} asks for column {quoted(name)}; the "
+            f"columns are {listed(names)}{did_you_mean(name, names)}"
+        )
+
+    def first_rows(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
+        """Return the cells of the rows over which clocks are compared."""
+        return self.table.head(columns)[:FIRST_ROWS]
+
+    def as_option(self, k: int) -> str:
+        """Return how an option names a column."""
+        return as_option([column.text for column in self.columns], k)
+
+    def spelled(self, positions: Collection[int]) -> str:
+        """Return the names of columns as settings take them."""
+        return ",".join(self.columns[k].text for k in positions)
+
+    def names(self, positions: Collection[int]) -> str:
+        """Return the names of columns, quoted."""
+        return listed(self.columns[k].text.strip() for k in positions)
+
+    def unit(
+        self, quantity: str, positions: Group, units: Collection[str], convention: str = ""
+    ) -> str:
+        """Return the unit of columns from user, header or convention.
+
+        `quantity`: ``"rate"`` or ``"time"``
+        `units`: the units that there are
+        `convention`: the unit by convention, ``""`` where there is none
+        """
+        chosen: str | None = getattr(self.selection, f"{quantity}_unit")
+        stated = {k: self.declared((k,)) or convention for k in positions}
+        found = [unit for unit in dict.fromkeys(stated.values()) if unit in units]
+        facts = []
+        for unit in found:
+            these = [k for k in positions if stated[k] == unit]
+            facts.append(f"{self.names(these)} {'is' if len(these) == 1 else 'are'} in {unit}")
+        source = "definition" if self.table.is_typed else "header or convention"
+        by_header = f"by {source} {' and '.join(facts)}"
+        if chosen is not None:
+            # Who gives a unit knows better than the header.
+            if {*found} - {chosen}:
+                given = f"{Setting(f'{quantity}_unit')} says {chosen}"
+                self.remarks.append(f"{given}, but {by_header}; read in {chosen}, as asked for")
+            return chosen
+        if facts[1:]:
+            raise UsageError(f"{plain(self.path)}: {by_header}; convert them to one unit")
+        declared = self.declared(positions) or convention
+        self.refuse_unknown(positions, declared, units)
+        if not declared:
+            what = f"{'rates' if quantity == 'rate' else quantity} {self.names(positions)}"
+            setting = Setting(f"{quantity}_unit", "|".join(_choices(units)))
+            self.unknown.append((f"the unit of the {what}", setting))
+        return declared
+
+    def declared(self, positions: Group) -> str:
+        """Return the unit that the header declares of columns; ``""`` where it does not."""
+        units = {self.notes.units.get(k, self.columns[k].unit) for k in positions}
+        return units.pop() if len(units) == 1 else ""
+
+    def refuse_undeclared(self) -> None:
+        """Refuse all together what nothing declares."""
+        if self.unknown:
+            unknown, ways = (
+                " and ".join(f"{part}" for part in parts)
+                for parts in zip(*self.unknown, strict=True)
+            )
+            raise UndeclaredError(self.path, unknown, ways, several=len(self.unknown) > 1)
+
+    def refuse_unknown(self, positions: Group, unit: str, units: Collection[str]) -> None:
+        """Refuse a declared unit that is not one of those that are read."""
+        if unit and unit not in units:
+            raise UnsupportedLogError(
+                self.path,
+                f"{self.names(positions)} are declared in {quoted(unit)}; "
+                f"convert them to {' or '.join(_choices(units))}",
+            )
 
     # Sets of columns.
 
-    def sets(self, *patterns: str) -> list[Positions]:
-        """Return each complete set of columns whose names differ in the component alone.
+    def found(self, row: Row, sets: tuple[Group, ...]) -> Found:
+        """Return what columns of the table are, by their names alone."""
+        return Found(self.table, row, self.part, sets)
 
-        Where a name comes up twice there are two sets.
-        """
-        (part,) = self.table.parts
-        every = (sets_of(self.table, part, self._components, pattern) for pattern in patterns)
+    def sets(self, components: Sequence[str], *patterns: str) -> list[Group]:
+        """Return each complete set of columns whose names differ in the component alone."""
+        every = (sets_of(self.table, self.part, components, pattern) for pattern in patterns)
         return [one for sets in every for one in sets]
 
     def row(self, quantity: str) -> Row:
@@ -68,13 +177,13 @@ class ColumnMatcher(TimeMatcher):
                 row.name
                 and names.issuperset(row.needs)
                 and re.search(row.file, self.path.name)
-                and self.sets(getattr(row, quantity))
+                and self.sets(PARTS[quantity], getattr(row, quantity))
                 and (not row.stamps or any(map(self.matching, row.stamps)))
             ):
                 return row
         return GENERIC
 
-    def only_set(self, sets: Sequence[Positions], quantity: str, component: str) -> Positions:
+    def only_set(self, sets: Sequence[Group], quantity: str, component: str) -> Group:
         """Return the only set; refuse several."""
         if len(sets) > 1:
             names = [self.columns[positions[0]].text for positions in sets]
@@ -83,18 +192,22 @@ class ColumnMatcher(TimeMatcher):
                 reason = f"several columns have the same name; by numbers from 0: {numbers}"
             else:
                 reason = f"their {component} columns are {listed(names)}"
-            raise UndeclaredError(
-                self.path,
-                f"which {quantity} to use ({reason})",
-                Setting(self.setting, "A,B,C,D" if len(self._components) > 3 else "X,Y,Z"),  # noqa: PLR2004
-            )
+            way = "a table that holds one of them"
+            if self.setting != "bias":
+                way = Setting(self.setting, "A,B,C,D" if sets[0][3:] else "X,Y,Z")
+            raise UndeclaredError(self.path, f"which {quantity} to use ({reason})", way)
         return sets[0]
 
     # Columns that the user names.
 
-    def named(self, names: Sequence[str]) -> Positions:
+    def named(self, names: Sequence[str]) -> Group:
         """Return the columns that the user names."""
         positions = tuple(self.position(name, self.setting) for name in names)
         if len(set(positions)) != len(positions):
             raise UsageError(f"{plain(self.path)}: {Setting(self.setting)} names a column twice")
         return positions
+
+
+def _choices(units: Collection[str]) -> list[str]:
+    """Return the units that a user may name."""
+    return [unit for unit in units if unit not in SCALED_RATE_UNITS]

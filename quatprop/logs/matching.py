@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from quatprop.errors import SchemaError
 from quatprop.logs.rows import PARTS, Row
 from quatprop.logs.vocabulary import GENERIC, TYPES, row_of_type
-from quatprop.tables.column_names import rate_unit_of
+from quatprop.tables.column_names import rate_unit_of, whole_key
 from quatprop.tables.model import TablePart
 from quatprop.text import quoted
 
@@ -30,8 +30,8 @@ class Found(NamedTuple):
     table: Table
     row: Row
     part: TablePart
-    sets: tuple[Group, ...]
-    field: str
+    sets: tuple[Group, ...] = ()
+    field: str = ""
 
 
 class Match(NamedTuple):
@@ -124,13 +124,20 @@ def sets_of(
     )
 
 
-def find(table: Table, quantity: str, field: str | None = None) -> list[Found]:
+def find(
+    table: Table, quantity: str, field: str | None = None, *, by_key: bool = False
+) -> list[Found]:
     """Return what a table has of a quantity: by its types, or at a field that is named.
 
+    Without types the names of the columns are all there is: which they are, is matched later.
+
     `quantity`: ``"rate"``, ``"quat"``, ``"bias"`` or ``"force"``
+    `by_key`: whether the field may be spelled in other ways
     """
+    if not table.is_typed:
+        return [Found(table, GENERIC, table.parts[0])]
     if field is not None:
-        return _named(table, quantity, field)
+        return _named(table, quantity, field, by_key=by_key)
     own = row_of_type(table.type)
     is_wanted = own is not None and getattr(own, quantity) != ""
     if not table.is_decodable or not (is_wanted or table.may_contain(TYPES)):
@@ -181,12 +188,15 @@ def beside(match: Match, quantity: str) -> list[Found]:
     return [Found(table, row, part, (one,), table.field_of(one)) for one in sets]
 
 
-def _named(table: Table, quantity: str, field: str) -> list[Found]:
+def _named(table: Table, quantity: str, field: str, *, by_key: bool) -> list[Found]:
     """Return the quantity at a field; nothing where the table has no such field."""
     names = [name.strip() for name in field.split(",")] if quantity == "rate" else [field]
     if not table.is_decodable:
         return []
     try:
+        if by_key:
+            names = [_as_spelled(table, name) for name in names]
+            field = ",".join(names)
         known = [one for one in _recognised(table, quantity) if one.field == ",".join(names)]
         columns = [table.columns_of(name) for name in names]
     except SchemaError:
@@ -209,6 +219,15 @@ def _named(table: Table, quantity: str, field: str) -> list[Found]:
     row = Row(unit=rate_unit_of(names) or "", stamps=())
     part = TablePart("", "", 0, len(table.columns))
     return [Found(table, row, part, (group,), ",".join(names))]
+
+
+def _as_spelled(table: Table, name: str) -> str:
+    """Return the only field that a name spells in another way, else the name as it is."""
+    texts = [column.text for column in table.columns]
+    ends = ((text, [*re.finditer(r"[.\[]|$", text)]) for text in texts)
+    fields = {text[: end.start()] for text, every in ends for end in every}
+    found = [field for field in fields if whole_key(field) == whole_key(name)]
+    return found[0] if len(found) == 1 else name
 
 
 def _quaternion(table: Table, field: str, group: Group) -> Group:

@@ -1,7 +1,7 @@
-"""The columns of rates and of biases in a file of rows: by rows, by clear names, or named.
+"""Rates and biases of a table, with their unit and their time.
 
-Nothing is guessed: what neither header, row nor user declares is refused, with the setting that
-settles it.
+In files they are found by rows, by clear names, or named. Nothing is guessed: what neither header,
+row nor user declares is refused, with the setting that settles it.
 """
 
 from __future__ import annotations
@@ -14,52 +14,70 @@ from quatprop.logs.matcher import ColumnMatcher
 from quatprop.logs.matching import Found, Match, marks_of
 from quatprop.logs.names import BARE_RATES, BESIDE_BARE_RATES, WITH_RATE_UNIT
 from quatprop.logs.rows import RATE_PARTS
+from quatprop.logs.stamps import choose_time
 from quatprop.logs.vocabulary import GENERIC, ROWS
 from quatprop.settings.quantities import RATES, SCALED_RATE_UNITS
-from quatprop.settings.selection import RateSelection
 from quatprop.tables.column_names import AXIS_FIRST, RATE_UNITS
 from quatprop.text import Setting, listed, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Sequence
 
     from quatprop.logs.rows import Row
-    from quatprop.tables.model import Group, Table
+    from quatprop.settings.selection import RateSelection, SignalSelection
 
 
-def match_rates(table: Table, selection: RateSelection) -> Match:
-    """Return which columns hold time and rates, and their units."""
-    matcher = ColumnMatcher(table, selection, "rate_cols", RATE_PARTS)
-    row = matcher.row("rate")
-    by_row = matcher.sets(row.rate)
+def match_rates(found: Found, selection: RateSelection) -> Match:
+    """Return rates with their unit and their time."""
+    matcher = ColumnMatcher(found, selection, "rate_cols")
+    row = found.row
+    if not found.sets:
+        row = matcher.row("rate")
+        found = _in_file(matcher, row, selection.rate_cols)
+    notes, rate = matcher.notes, found.sets[0]
+    declared = matcher.unit("rate", rate, {**RATE_UNITS, **SCALED_RATE_UNITS}, found.row.unit)
+    unit, scale = SCALED_RATE_UNITS.get(declared, (declared, 1.0))
+    marks = marks_of(found)
+    stamp, table = choose_time(matcher, found, marks, row)
+    if scale != 1.0:
+        remark = f"the rates are in {declared}, which is read as {scale:.4g} {unit}"
+        matcher.remarks.append(remark)
+    if notes.mount:
+        matcher.remarks.append(_mount_remark(notes.mount))
+    factor = scale * notes.rate_scale * RATES[unit]
+    is_named = selection.rate_field is not None or selection.rate_cols is not None
+    found = found._replace(table=table)
+    return Match(found, stamp, factor, marks, tuple(matcher.remarks), unit, is_named=is_named)
+
+
+def _in_file(matcher: ColumnMatcher, row: Row, named: Sequence[str] | None) -> Found:
+    """Return what names say of the rates in a file."""
+    by_row = matcher.sets(RATE_PARTS, row.rate)
     # Axes whose unit says that they are rates are no less a gyroscope than those that are named so.
-    units = {**RATE_UNITS, **SCALED_RATE_UNITS}
-    by_unit = (k for k in matcher.sets(*WITH_RATE_UNIT) if matcher.declared(k) in units)
-    sets = [*dict.fromkeys((*by_row, *matcher.sets(AXIS_FIRST), *by_unit))]
-    sets = sets or _bare_sets(matcher)
-    if selection.rate_cols is not None:
-        rate = matcher.named(selection.rate_cols)
+    units = {*RATE_UNITS, *SCALED_RATE_UNITS}
+    with_unit = matcher.sets(RATE_PARTS, *WITH_RATE_UNIT)
+    by_unit = (columns for columns in with_unit if matcher.declared(columns) in units)
+    sets = [*dict.fromkeys((*by_row, *matcher.sets(RATE_PARTS, AXIS_FIRST), *by_unit))]
+    # gx or p and the like are rates unless the table has axes of something else: beside those, gx
+    # may be gravity. The user has to declare their unit.
+    others = {k for columns in with_unit for k in columns} - {*matcher.matching(BESIDE_BARE_RATES)}
+    bare = (columns for columns in matcher.sets(RATE_PARTS, *BARE_RATES) if others == {*columns})
+    sets = sets or [*bare]
+    if named is not None:
+        rate = matcher.named(named)
     elif not sets:
         raise _no_rates(matcher)
     elif by_row and row.burst is not None:
         rate = by_row[0]
     else:
         rate = matcher.only_set(sets, "set of rates", "x")
+    estimates = [one.rate for one in ROWS if one.name == row.name and not one.measured]
+    if ignored := matcher.sets(RATE_PARTS, *estimates) if row.measured else []:
+        names = listed(map(matcher.spelled, ignored))
+        matcher.remarks.append(f"ignored estimated body rates: {names}")
     own = row if rate in by_row else GENERIC
-    declared = matcher.unit("rate", rate, units, own.unit)
-    unit, scale = SCALED_RATE_UNITS.get(declared, (declared, 1.0))
     samples = (rate,) if own.burst is None else tuple(by_row)
-    found = Found(table, own, table.parts[0], samples, matcher.spelled(rate))
-    marks = marks_of(found)
-    stamp, rows = matcher.stamp((*rate, *marks), row)
-    return Match(
-        found._replace(table=rows),
-        stamp,
-        scale * table.notes.rate_scale * RATES[unit],
-        marks,
-        tuple(_remarks(matcher, row, declared)),
-        unit,
-    )
+    return matcher.found(own, samples)._replace(field=matcher.spelled(rate))
 
 
 def _no_rates(matcher: ColumnMatcher) -> LogError:
@@ -74,54 +92,29 @@ def _no_rates(matcher: ColumnMatcher) -> LogError:
     return NoRatesError(matcher.path, [column.text for column in matcher.columns], "columns")
 
 
-def _bare_sets(matcher: ColumnMatcher) -> list[Group]:
-    """Return gx or p and the like, whose unit the user has to declare.
-
-    They are rates unless the table has axes of something else: beside those, gx may be gravity.
-    """
-    sets = matcher.sets(*WITH_RATE_UNIT)
-    others = {k for columns in sets for k in columns} - {*matcher.matching(BESIDE_BARE_RATES)}
-    return [columns for columns in matcher.sets(*BARE_RATES) if others == {*columns}]
-
-
-def match_bias(table: Table) -> Match:
-    """Return which columns hold time and the biases of a gyroscope, and their units."""
-    matcher = ColumnMatcher(table, RateSelection(), "rate_cols", RATE_PARTS)
-    matcher.may_choose_series = False
-    row = matcher.row("bias")
-    sets = matcher.sets(row.bias)
-    if not sets:
-        names = listed(column.text for column in table.columns)
-        raise UsageError(
-            f"{Setting('bias')} {plain(table.path)}: no columns are named as biases of a "
-            f"gyroscope, such as b_w_RS_S_x or gyro_bias_x; there are {names}"
-        )
-    bias = matcher.only_set(sets, "set of biases", "x")
-    unit = matcher.unit("rate", bias, RATE_UNITS, row.unit)
+def match_bias(found: Found, selection: SignalSelection) -> Match:
+    """Return the biases of a gyroscope, with their unit and their time."""
+    matcher = ColumnMatcher(found, selection, "bias")
+    if not found.sets:
+        row = matcher.row("bias")
+        sets = matcher.sets(RATE_PARTS, row.bias)
+        if not sets:
+            names = listed(column.text for column in matcher.columns)
+            raise UsageError(
+                f"{Setting('bias')} {plain(matcher.path)}: no columns are named as biases of a "
+                f"gyroscope, such as b_w_RS_S_x or gyro_bias_x; there are {names}"
+            )
+        bias = matcher.only_set(sets, "set of biases", "x")
+        found = matcher.found(row, (bias,))._replace(field=matcher.spelled(bias))
+    unit = matcher.unit("rate", found.sets[0], RATE_UNITS, found.row.unit)
     if not unit:
         raise UsageError(
-            f"{Setting('bias')} {plain(table.path)}: the unit of {matcher.names(bias)} is not "
-            "declared; name it in the header, such as gyro_bias_x [rad/s]"
+            f"{Setting('bias')} {plain(matcher.path)}: the unit of "
+            f"{matcher.names(found.sets[0])} is not declared; name it in the header, such as "
+            "gyro_bias_x [rad/s]"
         )
-    found = Found(table, row, table.parts[0], (bias,), matcher.spelled(bias))
-    stamp, rows = matcher.stamp(bias, row)
-    return Match(found._replace(table=rows), stamp, RATES[unit], unit=unit)
-
-
-def _remarks(matcher: ColumnMatcher, row: Row, unit: str) -> Iterator[str]:
-    yield from matcher.overruled
-    estimates = [one.rate for one in ROWS if one.name == row.name and not one.measured]
-    if ignored := matcher.sets(*estimates) if row.measured else []:
-        yield f"ignored estimated body rates: {listed(map(matcher.spelled, ignored))}"
-    if unit in SCALED_RATE_UNITS:
-        read_as, scale = SCALED_RATE_UNITS[unit]
-        yield f"the rates are in {unit}, which is read as {scale:.4g} {read_as}"
-    if matcher.notes.mount:
-        yield _mount_remark(matcher.notes.mount)
-    if unused := matcher.unused_stamps(row):
-        sample_rate = Setting("sample_rate", f"{float(matcher.selection.sample_rate or 0):g}")
-        names = matcher.names(unused)
-        yield f"{sample_rate} counts {matcher.counted}; the stamps in {names} are not used"
+    stamp, table = choose_time(matcher, found)
+    return Match(found._replace(table=table), stamp, RATES[unit], unit=unit)
 
 
 def _mount_remark(mount: str) -> str:

@@ -18,7 +18,7 @@ from quatprop.text import Setting, listed, plain, quoted
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
-    from quatprop.logs.columns import TableColumns
+    from quatprop.logs.matcher import ColumnMatcher
 
     Series = tuple[tuple[int, str], ...]
 
@@ -99,7 +99,7 @@ class SeriesChoice:
     """
 
     def __init__(
-        self, table: TableColumns, numbers: Collection[int], other: Collection[int]
+        self, table: ColumnMatcher, numbers: Collection[int], other: Collection[int]
     ) -> None:
         self._table = table
         self._numbers = tuple(numbers)
@@ -134,7 +134,7 @@ class SeriesChoice:
 
     def _read_labels(self, columns: Sequence[int]) -> dict[int, Labels]:
         """Return the labels of columns in the first rows that have the numbers that are read."""
-        rows = self._table.head((*columns, *self._numbers))
+        rows = self._table.table.head((*columns, *self._numbers))
         count = len(columns)
         whole = [
             row
@@ -218,7 +218,7 @@ class SeriesChoice:
     def _undeclared(self, turning: Mapping[int, tuple[str, ...]]) -> Exception:
         k, labels = next(iter(turning.items()))
         name = self._table.names((k,))
-        if not self._table.may_choose_series:
+        if self._table.setting == "bias":
             return UnsupportedLogError(
                 self._table.path,
                 f"the rows of several series, {listed(labels)} in column {name}, take turns; write "
@@ -239,4 +239,4 @@ class SeriesChoice:
         for k, labels in turning.items():
             name = self._table.names((k,))
             sentence = f"the rows of {listed(labels)} in column {name} take turns, and are read as "
-            self._table.overruled.append(f"{sentence}those of one series, as asked for")
+            self._table.remarks.append(f"{sentence}those of one series, as asked for")

@@ -16,9 +16,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from quatprop.arrays import AnyArray
+    from quatprop.logs.matcher import ColumnMatcher
     from quatprop.logs.matching import Found
-    from quatprop.settings.selection import SignalSelection
-    from quatprop.tables.model import Table
+    from quatprop.logs.rows import Row
+    from quatprop.tables.model import Group, Table
 
 
 def stamp_at(table: Table, place: str, unit: str | None = None) -> Stamp | None:
@@ -54,12 +55,29 @@ def stamps_of(found: Found) -> list[Stamp]:
     return [*dict.fromkeys(filter(None, stamps))]
 
 
-def choose_stamp(found: Found, selection: SignalSelection) -> tuple[Stamp, tuple[str, ...]]:
-    """Return the time to read, and remarks: as selected, else a stamp, else the log time.
+def choose_time(
+    matcher: ColumnMatcher, found: Found, marks: Group = (), row: Row | None = None
+) -> tuple[Stamp, Table]:
+    """Return the time of what was found, which may be a sample rate, and the rows to read.
+
+    `row`: what the table is; columns that the user names may be none of its
+    """
+    if not found.table.log_clocks:
+        from quatprop.logs.time_columns import time_in_file
+
+        return time_in_file(matcher, found, marks, row or found.row)
+    matcher.refuse_undeclared()
+    chosen = (getattr(matcher.selection, name, None) for name in ("frame", "series"))
+    table = found.table.of_series([label for label in chosen if label is not None])
+    return message_stamp(matcher, found._replace(table=table)), table
+
+
+def message_stamp(matcher: ColumnMatcher, found: Found) -> Stamp:
+    """Return the time of messages: as selected, else a stamp, else the log time.
 
     Of several stamps it is the best that was set: one that is zero in all rows was not.
     """
-    table = found.table
+    table, selection = found.table, matcher.selection
     stamps = stamps_of(found)
     has_stamp = bool(stamps) or selection.time_field is not None
     if selection.clock == "header" and not has_stamp:
@@ -75,17 +93,17 @@ def choose_stamp(found: Found, selection: SignalSelection) -> tuple[Stamp, tuple
         )
     clock = selection.clock or ("header" if has_stamp else "log")
     if clock != "header":
-        return Stamp(clock=clock), ()
+        return Stamp(clock=clock)
     if selection.time_field is not None:
         stamps = [_named_stamp(table, selection.time_field, selection.time_unit)]
     first = first_batch(table, stamps)
     for stamp in stamps:
         if not are_all((row.values[0] for row in first.read([stamp], ())), 0):
-            remark = (
-                f"the stamps in {quoted(place_of(table, stamps[0]))} are all zero; those in "
-                f"{quoted(place_of(table, stamp))} are used"
-            )
-            return stamp, () if stamp is stamps[0] else (remark,)
+            if stamp is not stamps[0]:
+                zero, used = (quoted(place_of(table, one)) for one in (stamps[0], stamp))
+                remark = f"the stamps in {zero} are all zero; those in {used} are used"
+                matcher.remarks.append(remark)
+            return stamp
     raise TimelineError(
         table.path,
         f"all header stamps of topic {quoted(table.name)} are zero; for the time of recording "

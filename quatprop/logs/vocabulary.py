@@ -241,7 +241,7 @@ _OF_FILES = (
         stamps=("tracking_timestamp",),
         time_unit="us",
     ),
-    Row("Xsens", quat="quat_q(?P<part>[0123])", stamps=()),
+    Row("Xsens", quat="quat_q(?P<part>[0123])", layout="scalar-first", stamps=()),
 )
 
 ROWS = (*_OF_MESSAGES, *_OF_FILES)

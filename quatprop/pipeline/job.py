@@ -14,12 +14,12 @@ import numpy as np
 from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.errors import UsageError
 from quatprop.logs.open_log import is_stream, open_log
+from quatprop.logs.rates import choose_rates
 from quatprop.pipeline.attitude_stream import AttitudeStream
 from quatprop.pipeline.report import ReportFile, RunReport, digests_of_inputs
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.provenance import digest_ahead
 from quatprop.series import AttitudeSeries
-from quatprop.signals.rates import choose_rates
 from quatprop.stores.objects import digest_of_object, is_address
 from quatprop.text import Setting
 from quatprop.writers import open_writer

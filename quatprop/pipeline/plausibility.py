@@ -14,11 +14,11 @@ import numpy as np
 from quatprop.errors import QuatpropError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.logs.sensor_frames import sensor_frames
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.settings.selection import AttitudeSelection
-from quatprop.signals.attitudes import choose_attitudes
 from quatprop.text import Setting, listed
 from quatprop.times import utc_text
 

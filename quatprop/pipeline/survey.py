@@ -22,15 +22,14 @@ from quatprop.errors import (
     UndeclaredError,
     UsageError,
 )
+from quatprop.logs.attitudes import attitude_candidates, meaning_of, recorded_convention
 from quatprop.logs.open_log import open_log
 from quatprop.logs.quaternion_check import QuaternionCheck
+from quatprop.logs.rates import rate_candidates
 from quatprop.pipeline.log_survey import AttitudeSurvey, LogSurvey, RateSurvey, making, timing
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.settings.selection import AttitudeSelection, RateSelection
-from quatprop.signals.attitude_convention import meaning_of, recorded_convention
-from quatprop.signals.attitudes import attitude_candidates
-from quatprop.signals.rates import rate_candidates
 from quatprop.stores.objects import without_secret
 from quatprop.text import plain
 from quatprop.timeline import Timeline
@@ -42,9 +41,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from quatprop.arrays import Int64
+    from quatprop.logs.choice import Candidate, SelectionT, SignalT
     from quatprop.logs.signal import AttitudeSignal, RateSignal
     from quatprop.series import GyroSeries
-    from quatprop.signals.choice import Candidate, SelectionT, SignalT
     from quatprop.tables.base import AnyLog
     from quatprop.tables.model import Table
 

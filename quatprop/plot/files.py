@@ -22,7 +22,9 @@ from quatprop.errors import (
     NothingToDrawError,
     UndeclaredError,
 )
+from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates
 from quatprop.logs.signal import AttitudeSignal, RateSignal
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
@@ -33,8 +35,6 @@ from quatprop.rendering import Row, count_text, instant_text, samples_text, sour
 from quatprop.series import AttitudeSeries
 from quatprop.settings.quantities import RATES
 from quatprop.settings.selection import AttitudeSelection, RateSelection
-from quatprop.signals.attitudes import choose_attitudes
-from quatprop.signals.rates import choose_rates
 from quatprop.stores.objects import without_secret
 from quatprop.text import plain
 from quatprop.timeline import Timeline

@@ -156,12 +156,12 @@ class ParquetLog(_ArrowLog):
 
     def spans(self, columns: TimedColumns) -> list[Span] | None:
         """Return the stamps of each row group, by the statistics of the time column."""
-        if len(columns.time) != 1 or columns.sample_rate is not None:
+        if len(columns.stamp.columns) != 1 or columns.stamp.sample_rate is not None:
             return None
-        if columns.utc_offset_ns or columns.series:
+        if columns.stamp.utc_offset_ns or columns.series:
             return None
-        leaf = self._leaves[columns.time[0]]
-        return stamp_spans(self._parquet.metadata, leaf, columns.time_unit)
+        leaf = self._leaves[columns.stamp.columns[0]]
+        return stamp_spans(self._parquet.metadata, leaf, columns.stamp.units[0])
 
 
 class FeatherLog(_ArrowLog):

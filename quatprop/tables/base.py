@@ -13,13 +13,12 @@ from quatprop.text import Setting, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
-    from fractions import Fraction
     from pathlib import Path
 
     from quatprop.arrays import Float64, Int64
     from quatprop.provenance import JsonObject
     from quatprop.tables.file_table import FileTable
-    from quatprop.tables.model import Span, TableNotes
+    from quatprop.tables.model import Span, Stamp, TableNotes
 
     Batches = Iterator[tuple[Int64, Float64]]
 
@@ -32,35 +31,20 @@ class TimedColumns(NamedTuple):
     """Which columns of a table to read as numbers, and which as the time.
 
     `numbers`: positions of the columns of numbers
-    `time`: positions of the time column; of seconds and their fraction where they are two; empty
-        where rows are counted at `sample_rate`
-    `time_unit`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; of the first column where they are two
-    `sample_rate`: rows a second, Hz, where there is no time column; what it counts a second where
-        the time column is a counter
+    `stamp`: the time
     `parts`: which of the parts of :meth:`TableLog.spans` to read; None for all
-    `fraction_unit`: the unit of the second of two time columns
-    `utc_offset_ns`: by how much the time column is ahead of UTC, ns, where the header says so
     `series`: columns and the labels that the rows to read have in them
     """
 
     numbers: tuple[int, ...]
-    time: tuple[int, ...]
-    time_unit: str = "ns"
-    sample_rate: Fraction | float | None = None
+    stamp: Stamp
     parts: frozenset[int] | None = None
-    fraction_unit: str = "ns"
-    utc_offset_ns: int = 0
     series: tuple[tuple[int, str], ...] = ()
 
     @property
     def used(self) -> set[int]:
         """All columns that are needed."""
-        return {*self.time, *self.numbers, *(k for k, _ in self.series)}
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """The unit of each time column."""
-        return (self.time_unit, self.fraction_unit)[: len(self.time)]
+        return {*self.stamp.columns, *self.numbers, *(k for k, _ in self.series)}
 
 
 class TableLog(Log):
@@ -128,16 +112,17 @@ class TableLog(Log):
         batches = self._stored_rows(columns)
         if columns.series:
             batches = self._of_series(batches, columns.series)
-        if columns.time and columns.sample_rate is not None:
+        stamp = columns.stamp
+        if stamp.columns and stamp.sample_rate is not None:
             return self._counted(batches, columns)
-        if columns.utc_offset_ns:
-            return ((t_ns - columns.utc_offset_ns, numbers) for t_ns, numbers in batches)
+        if stamp.utc_offset_ns:
+            return ((t_ns - stamp.utc_offset_ns, numbers) for t_ns, numbers in batches)
         return batches
 
     def _counted(self, batches: Batches, columns: TimedColumns) -> Batches:
         """Yield rows at the times of their counter."""
-        rate = columns.sample_rate or 1.0
-        name = quoted(self.columns()[columns.time[0]])
+        rate = columns.stamp.sample_rate or 1.0
+        name = quoted(self.columns()[columns.stamp.columns[0]])
 
         def note_lost(count: int) -> None:
             remark = f"{count} sample{'s' * (count > 1)} lost by the counter {name}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import AnyArray, Float64
     from quatprop.provenance import JsonObject
     from quatprop.tables.base import TableLog
-    from quatprop.tables.model import Column, Convert, Group, Series, Span, Within
+    from quatprop.tables.model import Column, Convert, Group, Span, Within
 
 
 _COUNTED = Stamp(sample_rate=1)
@@ -34,7 +34,7 @@ class FileTable(Table):
 
     name = type = ""
 
-    def __init__(self, log: TableLog, series: Series = ()) -> None:
+    def __init__(self, log: TableLog, series: tuple[tuple[int, str], ...] = ()) -> None:
         self._log = log
         self._series = series
         self.path = log.path
@@ -60,8 +60,9 @@ class FileTable(Table):
         found = next(spelled, next(by_key, None))
         return None if found is None else (found,)
 
-    def of_series(self, series: Series) -> FileTable:
+    def of_series(self, labels: Sequence[str], columns: Group = ()) -> FileTable:
         """Return the rows that have some labels in some columns."""
+        series = tuple(zip(columns, labels, strict=True))
         return FileTable(self._log, series) if series else self
 
     def label_columns(self) -> Mapping[int, bool]:
@@ -81,8 +82,7 @@ class FileTable(Table):
     ) -> Iterator[RowBatch]:
         """Yield batches in the order of the file, whose stamps stand for the log times."""
         parts = within if isinstance(within, frozenset) else None
-        timed = self._timed(stamp, groups)._replace(parts=parts)
-        for t_ns, cells in self._log.metered_rows(timed):
+        for t_ns, cells in self._log.metered_rows(self._timed(stamp, groups, parts)):
             values = (t_ns, *_split(cells, groups))
             yield self._converted(RowBatch(t_ns, values), convert)
 
@@ -118,17 +118,10 @@ class FileTable(Table):
         """Return which stamps each part of the file has."""
         return self._log.spans(self._timed(stamp, ()))
 
-    def _timed(self, stamp: Stamp, groups: Sequence[Group]) -> TimedColumns:
-        units = (*stamp.units, "ns", "ns")
-        return TimedColumns(
-            tuple(k for group in groups for k in group),
-            stamp.columns,
-            units[0],
-            stamp.sample_rate,
-            fraction_unit=units[1] if len(stamp.units) > 1 else "ns",
-            utc_offset_ns=stamp.utc_offset_ns,
-            series=self._series,
-        )
+    def _timed(
+        self, stamp: Stamp, groups: Sequence[Group], parts: frozenset[int] | None = None
+    ) -> TimedColumns:
+        return TimedColumns(tuple(chain.from_iterable(groups)), stamp, parts, self._series)
 
     def provenance(self) -> JsonObject:
         """Return how the file was made, if this package made it."""

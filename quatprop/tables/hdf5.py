@@ -127,7 +127,7 @@ class Hdf5Log(NumpyTable):
             self._add_column(name + dot + inner + unit, path, column)
 
     def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
-        for k in (*columns.time, *columns.numbers):
+        for k in (*columns.stamp.columns, *columns.numbers):
             if reason := self._refused.get(self._members[k][0]):
                 raise UnsupportedLogError(self.path, reason)
         yield from super()._row_groups(columns)

@@ -88,7 +88,7 @@ class JsonLinesLog(TypedTable):
 
     def _refuse_text(self, columns: TimedColumns) -> None:
         super()._refuse_text(columns)
-        if any(self._leaves[k].element is not None for k in columns.time):
+        if any(self._leaves[k].element is not None for k in columns.stamp.columns):
             raise UnsupportedLogError(
                 self.path, "a time in a list is not read; name another column"
             )

@@ -34,7 +34,7 @@ class JsonRows(TextRows):
             leaf.path: leaf.type if leaf.element is None else pa.list_(leaf.type)
             for leaf in self.leaves.values()
         }
-        for k, unit in zip(self.columns.time, self.columns.units, strict=True):
+        for k, unit in zip(self.columns.stamp.columns, self.columns.stamp.units, strict=True):
             leaf = self.leaves[k]
             is_date = pa.types.is_timestamp(leaf.type)
             fields[leaf.path] = leaf.type if is_date else timestamps.decimal_type(unit, spare)
@@ -71,7 +71,7 @@ class JsonRows(TextRows):
                 row = json.loads(line, parse_int=str, parse_float=str)
             except (ValueError, RecursionError):
                 continue
-            for k in self.columns.time:
+            for k in self.columns.stamp.columns:
                 value = row
                 for name in self.leaves[k].path:
                     value = value.get(name) if isinstance(value, dict) else None

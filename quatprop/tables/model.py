@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from quatprop.tables.batches import RowBatch
 
     Convert = Callable[[RowBatch], RowBatch]
-    Series = tuple[tuple[int, str], ...]
     Within: TypeAlias = "TimeRange | frozenset[int] | None"
 
 Group: TypeAlias = tuple[int, ...]
@@ -179,17 +178,16 @@ class Table(ABC):
         """Tell cheaply whether one of some types may be among its parts."""
         return True
 
-    def of_frames(self, wanted: str | None) -> Table:  # noqa: ARG002  # of some tables
-        """Return the rows between two frames, of a table of transforms."""
-        return self
-
     def transforms(self, way_out: str) -> Iterator[tuple[tuple[str, str], Float64]]:  # noqa: ARG002
         """Yield parent and child frame and the rotation of each transform, of a table of them."""
         return iter(())
 
-    def of_series(self, series: Series) -> Table:  # noqa: ARG002  # of some tables
-        """Return the rows that have some labels in some columns."""
-        return self
+    @abstractmethod
+    def of_series(self, labels: Sequence[str], columns: Group = ()) -> Table:
+        """Return the rows of one series: with labels in some columns, or between two frames.
+
+        `labels`: of transforms ``"child"`` or ``"parent:child"``; none for the only series
+        """
 
     def label_columns(self) -> Mapping[int, bool]:
         """Return the columns that begin with text or a whole number, and whether it is a number."""

@@ -52,7 +52,7 @@ class TextRows(ABC):
         self.leaves = leaves
         self.rejected = RejectedRows(log.path, log.losses)
         # Stamps finer than ns are tried for once; without stamps there is nothing to try.
-        self._spare = 0 if columns.time else timestamps.SPARE_PLACES
+        self._spare = 0 if columns.stamp.columns else timestamps.SPARE_PLACES
 
     @abstractmethod
     def parse(self, block: TextBlock, task_bytes: int, spare: int) -> pa.Table:

@@ -16,7 +16,7 @@ from quatprop.errors import UnsupportedLogError
 from quatprop.series.arrow_arrays import to_arrow, to_numpy
 from quatprop.tables import timestamps
 from quatprop.tables.base import TableLog, TimedColumns
-from quatprop.tables.model import TableNotes
+from quatprop.tables.model import Stamp, TableNotes
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -135,11 +135,11 @@ class TypedTable(TableLog):
                 try:
                     rows = batch_rows(batch, self._leaves, columns, first + count)
                 except timestamps.TimestampRangeError:
-                    names = listed(self._leaves[k].name for k in columns.time)
+                    names = listed(self._leaves[k].name for k in columns.stamp.columns)
                     raise UnsupportedLogError(
                         self.path,
                         f"times of column {names} do not fit in int64 ns when they are "
-                        f"{columns.time_unit}; check {Setting('time_unit')}",
+                        f"{columns.stamp.units[0]}; check {Setting('time_unit')}",
                     ) from None
                 rows.note(self, first + count)
                 if len(rows.t_ns):
@@ -172,7 +172,7 @@ class TypedTable(TableLog):
     def _first_values(self, columns: Sequence[int]) -> list[pa.Array]:
         """Return columns of the first rows; none where they cannot be read."""
         with suppress(*DAMAGE, StopIteration, UnsupportedLogError):
-            group = next(self._row_groups(TimedColumns(tuple(columns), ())))
+            group = next(self._row_groups(TimedColumns(tuple(columns), Stamp())))
             batch = next(batch for batch in group.batches if isinstance(batch, pa.RecordBatch))
             return [values_of(batch, self._leaves[k]) for k in columns]
         return []
@@ -195,14 +195,14 @@ class TypedTable(TableLog):
     def _refuse_text(self, columns: TimedColumns) -> None:
         declared = self.notes.units
         names = self.columns()
-        for k in (*columns.numbers, *columns.time):
+        for k in (*columns.numbers, *columns.stamp.columns):
             leaf = self._leaves[k]
             if names.count(leaf.name) > 1:
                 raise UnsupportedLogError(
                     self.path,
                     f"several columns are named {quoted(leaf.name)}; rename all but one of them",
                 )
-            is_stamp = k in columns.time and k in declared
+            is_stamp = k in columns.stamp.columns and k in declared
             if not is_stamp and not _is_number(leaf.type):
                 held = "lists" if pa.types.is_list(leaf.type) else leaf.type
                 raise UnsupportedLogError(
@@ -251,14 +251,14 @@ def batch_rows(
             values = values.cast(pa.string())  # the nearest double, which Arrow's own is not
         is_float64 = pa.types.is_float64(values.type)
         numbers[:, axis] = to_numpy(values if is_float64 else values.cast(pa.float64(), safe=False))
-    if not columns.time:
-        t_ns = timestamps.row_stamps(first, count, columns.sample_rate or 1.0)
+    if not columns.stamp.columns:
+        t_ns = timestamps.row_stamps(first, count, columns.stamp.sample_rate or 1.0)
         return BatchRows(t_ns, numbers, count, total - count)
-    times = [values_of(batch, leaves[k]) for k in columns.time]
+    times = [values_of(batch, leaves[k]) for k in columns.stamp.columns]
     if any(values.null_count or pa.types.is_floating(values.type) for values in times):
         timed = np.logical_and.reduce([_has_value(values) for values in times])
         times, numbers = [values.filter(to_arrow(timed)) for values in times], numbers[timed]
-    t_ns = timestamps.sum_parts(map(timestamps.nanoseconds, times, columns.units))
+    t_ns = timestamps.sum_parts(map(timestamps.nanoseconds, times, columns.stamp.units))
     return BatchRows(t_ns, numbers, count, total - count)
 
 

@@ -11,8 +11,8 @@ from rosbags.highlevel import AnyReader
 from table import Table, best_of
 
 from quatprop.logs.open_log import open_log
+from quatprop.logs.rates import choose_rates
 from quatprop.settings.selection import RateSelection
-from quatprop.signals.rates import choose_rates
 
 CHUNK_HEAD = 9 + 8 + 8 + 8 + 4 + 4 + 8
 """Bytes of a chunk record before its data, but for the name of the compression."""

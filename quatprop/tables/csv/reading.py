@@ -48,11 +48,11 @@ class CsvRows(TextRows):
         line_breaks = block.quoted and self._row_parser.has_line_breaks_in_cells(data)
         if self._layout.delimiter == " ":
             data = squeeze_blanks(data)
-        if self.columns.time:
+        if self.columns.stamp.columns:
             timestamps.refuse_tiny_numbers(data)
-        times = list(map(str, self.columns.time))
+        times = list(map(str, self.columns.stamp.columns))
         types = {str(k): pa.float64() for k in self.columns.numbers}
-        for k, unit in zip(self.columns.time, self.columns.units, strict=True):
+        for k, unit in zip(self.columns.stamp.columns, self.columns.stamp.units, strict=True):
             types[str(k)] = date_type(self._layout, k) or timestamps.decimal_type(unit, spare)
         types |= {str(k): pa.string() for k, _ in self.columns.series}
         read = partial(
@@ -114,8 +114,8 @@ class CsvRows(TextRows):
                 kept.append(self.rejected.count - first)
             self.rejected.count += 1
         t_ns = np.array(stamps, np.int64)
-        if not self.columns.time:
-            rate = self.columns.sample_rate or 1.0
+        if not self.columns.stamp.columns:
+            rate = self.columns.stamp.sample_rate or 1.0
             t_ns = timestamps.row_stamps(first, self.rejected.count - first, rate)[kept]
         return t_ns, np.array(numbers, np.float64).reshape(-1, len(self.columns.numbers))
 

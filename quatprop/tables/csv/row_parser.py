@@ -93,7 +93,10 @@ class RowParser:
         cells = line.split(None if self.layout.delimiter == " " else self.layout.delimiter.encode())
         if len(cells) < len(self.layout.names):
             return False
-        if cells[0].count(b'"') % 2 and 0 not in (*self.columns.time, *self.columns.numbers):
+        if cells[0].count(b'"') % 2 and 0 not in (
+            *self.columns.stamp.columns,
+            *self.columns.numbers,
+        ):
             return False  # the end of a text with a line break
         texts = [cell.strip(b' \r\n"').decode(errors="replace") for cell in cells]
         try:
@@ -168,7 +171,7 @@ class RowParser:
         if len(cells) != len(names):
             raise ValueError(f"it has {len(cells)} columns instead of {len(names)}")
         row = [self._number(cells[k], names[k]) for k in self.columns.numbers]
-        parts = zip(self.columns.time, self.columns.units, strict=True)
+        parts = zip(self.columns.stamp.columns, self.columns.stamp.units, strict=True)
         stamp = sum(self._stamp(cells[k], unit, k) for k, unit in parts)
         if abs(stamp) > _LARGEST:
             raise ValueError(f"its time of {stamp} ns does not fit in int64 ns")

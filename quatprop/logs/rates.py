@@ -5,15 +5,10 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from quatprop.errors import UndeclaredError
-from quatprop.logs.matching import Match, marks_of
+from quatprop.logs.choice import RATES, Candidate, candidates, choose
+from quatprop.logs.rate_columns import match_rates
 from quatprop.logs.reading import refuse_marked
 from quatprop.logs.signal import RateSignal
-from quatprop.logs.stamps import choose_stamp
-from quatprop.settings import quantities
-from quatprop.settings.quantities import SCALED_RATE_UNITS
-from quatprop.signals.choice import RATES, Candidate, candidates, choose
-from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
     from quatprop.logs.matching import Found
@@ -52,8 +47,7 @@ def rate_candidates(log: AnyLog, selection: RateSelection) -> list[Candidate[Rat
 
 def _signal(found: Found, selection: RateSelection) -> RateSignal:
     """Return rates with their unit and their time."""
-    is_named = selection.rate_field is not None or selection.rate_cols is not None
-    match = _match(found, selection)._replace(is_named=is_named)
+    match = match_rates(found, selection)
     refuse_marked(match)
     table, row = match.table, match.row
     return RateSignal(
@@ -67,29 +61,6 @@ def _signal(found: Found, selection: RateSelection) -> RateSignal:
         increments=row.span != "",
         matches=(match,),
     )
-
-
-def _match(found: Found, selection: RateSelection) -> Match:
-    """Return rates with their unit and their time, by their type or by the names of columns."""
-    table, row = found.table, found.row
-    if not table.is_typed:
-        from quatprop.logs.rate_columns import match_rates
-
-        return match_rates(table, selection)
-    unit, scale = SCALED_RATE_UNITS.get(row.unit, (row.unit, 1.0))
-    if selection.rate_unit is not None:
-        unit, scale = selection.rate_unit, 1.0
-    if not unit:
-        raise UndeclaredError(
-            table.path,
-            f"the unit of field {quoted(found.field)} in topic {quoted(table.name)}",
-            Setting("rate_unit", "rad/s|deg/s"),
-        )
-    stamp, remarks = choose_stamp(found, selection)
-    if selection.rate_unit and row.unit not in ("", unit):
-        by_type = f"{table.type} has its rates in {row.unit}, by definition"
-        remarks = (f"{by_type}; they are read as {unit}, as asked for", *remarks)
-    return Match(found, stamp, scale * quantities.RATES[unit], marks_of(found), remarks, unit)
 
 
 def _sample_remarks(row: Row) -> tuple[str, ...]:

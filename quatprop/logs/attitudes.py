@@ -11,27 +11,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conventions import HAMILTON
+from quatprop.conventions import HAMILTON, Meaning
+from quatprop.conventions.layout import LAYOUTS, layout_named
 from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.quaternion import IDENTITY
-from quatprop.logs.matching import Match, beside, marks_of
+from quatprop.logs.attitude_columns import match_attitudes
+from quatprop.logs.attitude_covariance import CONSTANT_MESSAGES, covariance_beside
+from quatprop.logs.choice import ATTITUDES, Candidate, candidates, choose
+from quatprop.logs.matching import beside
 from quatprop.logs.reading import attitudes_of
 from quatprop.logs.signal import AttitudeSignal
-from quatprop.logs.stamps import are_all, choose_stamp
-from quatprop.signals.attitude_convention import (
-    BY_NAME,
-    in_order,
-    meaning_of,
-    message_layout,
-    recorded_convention,
-)
-from quatprop.signals.attitude_covariance import CONSTANT_MESSAGES, covariance_beside
-from quatprop.signals.choice import ATTITUDES, Candidate, candidates, choose
-from quatprop.text import plain
+from quatprop.logs.stamps import are_all
+from quatprop.provenance import entry_of
+from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+    from typing import Any
 
     from quatprop.arrays import Float64, Int64
     from quatprop.logs.matching import Found
@@ -39,6 +37,9 @@ if TYPE_CHECKING:
     from quatprop.settings.selection import AttitudeSelection
     from quatprop.tables.base import AnyLog
     from quatprop.tables.model import Table
+
+BY_NAME = "by name"
+"""The layout of components that have names and stand in neither order."""
 
 
 def choose_attitudes(log: AnyLog, selection: AttitudeSelection) -> AttitudeSignal:
@@ -75,7 +76,7 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
     """Return attitudes with their meaning and their time."""
     provenance = found.table.provenance()
     recorded = recorded_convention(provenance)
-    match = _match(found, selection, recorded.get("layout"))
+    match = match_attitudes(found, selection, recorded.get("layout"))
     table, row, form = match.table, match.row, match.representation
     if match.unit == "deg" and f"{form}-deg" in REPRESENTATIONS:
         form += "-deg"
@@ -133,20 +134,6 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
     )
 
 
-def _match(found: Found, selection: AttitudeSelection, recorded: str | None) -> Match:
-    """Return attitudes with their layout and their time, by their type or by names of columns."""
-    if not found.table.is_typed:
-        from quatprop.logs.attitude_columns import match_attitudes
-
-        return match_attitudes(found.table, selection, recorded)
-    layout = message_layout(found, selection.from_layout, recorded)
-    table = found.table.of_frames(selection.frame)
-    wxyz = in_order(found, layout)
-    found = found._replace(table=table, sets=(wxyz,), field=table.field_of(found.sets[0]))
-    stamp, remarks = choose_stamp(found, selection)
-    return Match(found, stamp, marks=marks_of(found), remarks=remarks, layout=layout)
-
-
 def _rotation_columns(table: Table, representation: str) -> tuple[str, ...]:
     """Return the columns of rotations in other representations than the one that is read."""
     names = [column.text for column in table.columns]
@@ -157,3 +144,39 @@ def _rotation_columns(table: Table, representation: str) -> tuple[str, ...]:
         for column in form.columns
     }
     return tuple(name for name in names if name in others)
+
+
+def recorded_convention(provenance: Mapping[str, Any]) -> dict[str, str]:
+    """Return what a file says about its numbers, as far as it is understood."""
+    convention = entry_of(provenance, "convention", dict)
+    layout = entry_of(convention, "layout", str)
+    recorded = {
+        name: convention[name]
+        for name in ("convention", "direction", "representation")
+        if isinstance(convention.get(name), str)
+    }
+    if layout in LAYOUTS:
+        recorded["layout"] = layout_named(layout).name
+    return recorded
+
+
+def meaning_of(
+    path: Path | str, selection: AttitudeSelection, recorded: Mapping[str, str]
+) -> Meaning:
+    """Return what numbers mean: as user or metadata say, else Hamilton, body to reference."""
+    return Meaning(
+        _agreed(path, "convention", selection.from_convention, recorded) or "hamilton",
+        _agreed(path, "direction", selection.from_direction, recorded) or "body-to-ref",
+    )
+
+
+def _agreed(
+    path: Path | str, what: str, given: str | None, recorded: Mapping[str, str]
+) -> str | None:
+    stored = recorded.get(what)
+    if given is not None and stored is not None and given != stored:
+        raise UsageError(
+            f"{plain(path)}: {Setting(f'from_{what}')} says {given}, but the metadata of the file "
+            f"says {plain(stored)}; leave it out"
+        )
+    return given or stored

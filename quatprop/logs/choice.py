@@ -1,6 +1,6 @@
 """The choice of a signal among those that a log seems to hold.
 
-:mod:`quatprop.signals.rates` and :mod:`quatprop.signals.attitudes` list the signals of a log as
+:mod:`quatprop.logs.rates` and :mod:`quatprop.logs.attitudes` list the signals of a log as
 candidates; :func:`choose` takes the only one. Nothing is guessed silently: what was inferred is in
 the remarks of the signal, what is ambiguous is refused with the setting that settles it.
 """
@@ -8,6 +8,7 @@ the remarks of the signal, what is ambiguous is refused with the setting that se
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import chain
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from quatprop.errors import (
@@ -20,7 +21,6 @@ from quatprop.errors import (
 )
 from quatprop.logs.matching import Found, find
 from quatprop.logs.signal import RateSignal, Signal
-from quatprop.logs.vocabulary import GENERIC
 from quatprop.text import Setting, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -34,11 +34,13 @@ TABLE_SETTINGS = (
     "quat_cols",
     "time_col",
     "sample_rate",
-    "series",
     "from_angle_unit",
     "from_euler",
 )
-"""Settings that only tables have."""
+"""Settings that only files of rows have."""
+
+MESSAGE_SETTINGS = ("topic", "rate_field", "time_field", "quat_field", "frame")
+"""Settings that only logs of messages have."""
 
 SignalT = TypeVar("SignalT", bound=Signal)
 SelectionT = TypeVar("SelectionT", bound="SignalSelection")
@@ -152,16 +154,20 @@ def candidates(log: AnyLog, selection: SignalSelection, kind: SignalKind) -> lis
     Which columns of a file it is, is found when its signal is asked for.
     """
     tables = log.tables(selection.topic)
-    if files := [table for table in tables or log.tables() if not table.is_typed]:
-        return [Found(table, GENERIC, table.parts[0], (), "") for table in files]
-    for name in TABLE_SETTINGS:
-        if getattr(selection, name, None) is not None:
-            raise UsageError(
-                f"{Setting(name)} is for tables, and {quoted(log.path)} holds messages"
-            )
     field = getattr(selection, kind.field)
-    if found := [one for table in tables for one in find(table, kind.quantity, field)]:
-        return found
+    is_file = any(not table.is_typed for table in tables or log.tables())
+    why = "is for tables, and this log holds messages"
+    if is_file:
+        columns = Setting(f"{kind.quantity}_cols")
+        why = "is for logs of messages and this is a table; choose columns with "
+        why += f"{columns} and {Setting('time_col')}"
+    for name in MESSAGE_SETTINGS if is_file else TABLE_SETTINGS:
+        if getattr(selection, name, None) is not None:
+            raise UsageError(f"{plain(log.path)}: {Setting(name)} {why}")
+    for by_key in (False, True):
+        found = (find(table, kind.quantity, field, by_key=by_key) for table in tables)
+        if every := [*chain.from_iterable(found)]:
+            return every
     if tables and field is not None:
         known = [
             f"{one.field} ({table.name})" for table in tables for one in find(table, kind.quantity)
@@ -174,10 +180,10 @@ def candidates(log: AnyLog, selection: SignalSelection, kind: SignalKind) -> lis
                     tables[0].refuse_unknown(part.strip())
             there = f"the topics are {listed(map(str, tables))}"
         raise UsageError(f"{plain(log.path)}: no message has a field {quoted(field)}; {there}")
-    every = log.tables()
-    carrying = [table.name for table in every if find(table, kind.quantity)]
+    every_table = log.tables()
+    carrying = [table.name for table in every_table if find(table, kind.quantity)]
     if selection.topic is None or not carrying:
-        raise kind.none(log.path, map(str, every))
+        raise kind.none(log.path, map(str, every_table))
     choices = f"choose one of {listed(carrying)}"
     choices += did_you_mean(selection.topic, carrying) if len(carrying) > 1 else ""
     raise NoSuchTopicError(
