@@ -30,6 +30,7 @@ from quatprop.logs.open_log import open_log
 from quatprop.logs.quaternion_check import QuaternionCheck
 from quatprop.logs.rates import choose_rates
 from quatprop.settings.selection import AttitudeSelection, RateSelection
+from quatprop.text import in_python
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 HALF = 2.0**-0.5
@@ -104,7 +105,7 @@ def test_stamps_that_a_sample_rate_replaces_are_named(tmp_path):
     path = table(tmp_path, "t_ns,qw,qx,qy,qz\n5,1,0,0,0\n6,1,0,0,0\n")
     t_ns, _, source, _ = read(path, sample_rate=100)
     assert t_ns.tolist() == [0, 10_000_000]
-    assert source.remarks == (
+    assert tuple(map(in_python, source.remarks)) == (
         "sample_rate='100' counts the rows; the stamps in 't_ns' are not used",
     )
 

@@ -12,6 +12,7 @@ from quatprop.comparison.settings import ComparisonSettings, angle_rad, comparis
 from quatprop.errors import ComparisonError, UsageError
 from quatprop.series import AttitudeSeries
 from quatprop.series.blocks import BLOCK
+from quatprop.text import in_python
 
 SAMPLES = 2000
 STEP_NS = 10_000_000
@@ -209,7 +210,8 @@ def test_an_unknown_time_shift_is_named():
     assert found.likely_cause.name == "time offset"
     assert found.likely_cause.sentence == "B is 50 ms late"
     assert (
-        str(found.likely_cause.advice) == "B is 50 ms late; time_offset='auto' takes the offset out"
+        in_python(found.likely_cause.advice)
+        == "B is 50 ms late; time_offset='auto' takes the offset out"
     )
 
 

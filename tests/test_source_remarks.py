@@ -14,6 +14,7 @@ from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.pipeline.survey import survey
 from quatprop.settings.selection import RateSelection
+from quatprop.text import in_python
 
 STORE = get_typestore(Stores.ROS1_NOETIC)
 IMU = "sensor_msgs/msg/Imu"
@@ -68,7 +69,7 @@ def test_stamps_since_start_up_are_remarked_on(tmp_path):
     )
     assert remarks(path, tmp_path, clock="log") == []
     (source,) = survey(str(path), None, RateSelection()).sources
-    assert list(map(str, source.remarks)) == [said]
+    assert list(map(in_python, source.remarks)) == [said]
 
 
 @pytest.mark.parametrize(("back_ms", "is_said"), [(105, False), (115, True), (3_600_000, True)])
@@ -205,7 +206,7 @@ def test_measured_rates_that_are_all_marked_as_absent_are_named(tmp_path):
         remarks(path, tmp_path)
     assert str(caught.value) == f"{path}: {sentence}"
     (source,) = survey(str(path), None, RateSelection()).sources
-    assert str(source.missing) == sentence
+    assert in_python(source.missing) == sentence
     (said,) = remarks(path, tmp_path, rate_field="angular_velocity")
     assert said == (
         "rates that a covariance of -1 in topic '/imu' marks as absent are read all the same, as "

@@ -22,6 +22,7 @@ from quatprop.errors import (
 from quatprop.logs.rates import choose_rates
 from quatprop.settings.selection import RateSelection
 from quatprop.tables.arrow import FeatherLog, ParquetLog
+from quatprop.text import in_python
 
 RATES = {"wx": [1.0, 4.0], "wy": [2.0, 5.0], "wz": [3.0, 6.0]}
 EPOCH = datetime(2026, 1, 1, tzinfo=UTC)
@@ -104,7 +105,7 @@ def test_a_time_unit_against_the_type_applies(open_table):
         (batch,) = source.batches()
     assert batch.t_ns.tolist() == [1_000_000_000, 2_000_000_000]
     (remark,) = source.remarks
-    assert "time_unit says s, but by header or convention 'time' is in ns" in str(remark)
+    assert "time_unit says s, but by header or convention 'time' is in ns" in in_python(remark)
 
 
 def test_units_in_column_names_are_declared(open_table):

@@ -12,6 +12,7 @@ from options_reference import outliers
 from quatprop.conditioning.time_range import EndsFinder
 from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries
+from quatprop.text import in_python
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Counts, remarks
 from quatprop.timeline.outliers import LOOK_AHEAD, marked
@@ -63,7 +64,7 @@ def test_duplicates_are_kept_and_counted_across_batches():
     assert (counts.duplicates.count, counts.duplicates.first_index) == (2, 2)
     assert counts.duplicates.first_ns == 10 * MS
     (remark,) = remarks(counts, Policy())
-    assert str(remark) == (
+    assert in_python(remark) == (
         "2 repeated timestamps (kept: a zero-length step leaves the attitude unchanged), "
         "first at sample 2, t = 10000000 ns"
     )
@@ -101,7 +102,7 @@ def test_what_the_stamps_show_is_named_where_time_steps_back(stamps, cause, cut)
     for choice in ("drop", "sort", "keep"):
         policy = Policy(on_backwards=choice)
         _, _, counts = applied(policy, *batches)
-        said = next(text for text in map(str, remarks(counts, policy)) if "non-mono" in text)
+        said = next(text for text in map(in_python, remarks(counts, policy)) if "non-mono" in text)
         assert f" ns {cause}" in said
         assert "on_backwards" not in said
 
@@ -273,7 +274,7 @@ def test_a_step_after_a_long_interval_is_that_of_no_counter():
 def test_no_sample_rate_is_remarked_on_where_time_goes_back():
     """Inspection keeps stamps as they are, and a log may end before it begins."""
     _, _, counts = applied(OBSERVE, gyro([*range(10_000, 10_400, 10), *range(0, 400, 10)]))
-    assert [text for text in map(str, remarks(counts, OBSERVE)) if "gyroscope" in text] == []
+    assert [text for text in map(in_python, remarks(counts, OBSERVE)) if "gyroscope" in text] == []
 
 
 def test_drop_waits_until_the_clock_has_caught_up():
@@ -369,7 +370,7 @@ def test_gaps_are_intervals_over_ten_medians():
     _, _, counts = applied(Policy(), gyro([0, 10, 20, 30, 130, 231, 241, 251, 261]))
     assert (counts.gap_limit_ns, counts.gaps.count, counts.gaps.first_index) == (100 * MS, 1, 5)
     (remark,) = remarks(counts, Policy())
-    assert str(remark) == (
+    assert in_python(remark) == (
         "1 interval longer than 100 ms (propagated across), first at sample 5, t = 231000000 ns"
         ", 101 ms after 130000000 ns"
     )
@@ -447,7 +448,7 @@ def test_remarks_say_how_events_were_handled(policy, backwards, nonfinite):
     rate = np.ones((5, 3))
     rate[4] = np.nan
     _, _, counts = applied(policy, gyro([0, 10, 5, 20, 30], rate))
-    assert list(map(str, remarks(counts, policy))) == [
+    assert list(map(in_python, remarks(counts, policy))) == [
         f"1 non-monotonic timestamp ({backwards}), first at sample 2, t = 5000000 ns",
         f"1 non-finite rate ({nonfinite}), first at sample 4, t = 30000000 ns",
     ]
@@ -466,7 +467,7 @@ def test_remarks_say_how_gaps_were_handled(on_gap, handled):
     policy = Policy(on_gap=on_gap, max_gap_ns=50 * MS)
     _, _, counts = applied(policy, gyro([0, 10, 70, 80, 200]))
     (remark,) = remarks(counts, policy)
-    assert str(remark) == (
+    assert in_python(remark) == (
         f"2 intervals longer than 50 ms ({handled}), first at sample 2, t = 70000000 ns; the "
         "longest, of 120 ms after 80000000 ns"
     )
@@ -486,7 +487,7 @@ def test_whole_seconds_of_several_samples_are_remarked(first, interval, repeats,
     """More than half of the stamps repeat the one before, and all are whole seconds."""
     stamps = [first + interval * (k // repeats) for k in range(30)]
     _, _, counts = applied(Policy(), gyro(stamps))
-    found = [text for text in map(str, remarks(counts, Policy())) if "whole seconds" in text]
+    found = [text for text in map(in_python, remarks(counts, Policy())) if "whole seconds" in text]
     assert len(found) == is_said
 
 
@@ -498,7 +499,7 @@ def test_time_that_does_not_pass_is_remarked(stamps):
         "all timestamps are 0 ns; is there another clock or time column, or are they in another "
         "time_unit?"
     )
-    found = [text for text in map(str, remarks(counts, Policy())) if text.startswith("all")]
+    found = [text for text in map(in_python, remarks(counts, Policy())) if text.startswith("all")]
     assert found == ([expected] if len(stamps) > 1 else [])
 
 
@@ -518,7 +519,7 @@ def test_a_sample_rate_of_no_gyroscope_is_remarked(interval, samples, said):
     """Seconds read as milliseconds, or the other way round; 0.5 Hz to 50 kHz are no reason."""
     series = GyroSeries(interval * np.arange(samples), np.ones((samples, 3)))
     _, _, counts = applied(Policy(), series)
-    found = [text for text in map(str, remarks(counts, Policy())) if "gyroscope" in text]
+    found = [text for text in map(in_python, remarks(counts, Policy())) if "gyroscope" in text]
     expected = (
         f"{said} gyroscope; if the timestamps are in another unit, use "
         "time_unit='s' or 'ms' or 'us' or 'ns'"
@@ -538,7 +539,7 @@ def test_a_sample_rate_of_no_gyroscope_is_remarked(interval, samples, said):
 def test_increments_that_miss_a_thousandth_of_the_time_are_remarked(integrated_ns, end):
     """Up to a thousandth too little or too much is what clocks differ by."""
     counts = Counts(read=9, used=9, first_ns=5, last_ns=1_000_005, integrated_ns=integrated_ns)
-    found = list(map(str, remarks(counts, Policy())))
+    found = list(map(in_python, remarks(counts, Policy())))
     if end is None:
         assert found == []
     else:
@@ -551,7 +552,9 @@ def test_increments_that_miss_a_thousandth_of_the_time_are_remarked(integrated_n
 def test_a_nanosecond_that_increments_miss_is_no_rotation():
     """However short the log is."""
     counts = Counts(read=9, used=9, first_ns=0, last_ns=100, integrated_ns=99)
-    assert str(next(remarks(counts, Policy()))).endswith(": no rotation is assumed for the rest")
+    assert in_python(next(remarks(counts, Policy()))).endswith(
+        ": no rotation is assumed for the rest"
+    )
 
 
 @pytest.mark.parametrize("on_gap", ["zero", "split"])
