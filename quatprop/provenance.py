@@ -44,12 +44,6 @@ def as_json(value: object, spell: Callable[[str], str] = in_python) -> Any:
     them) but for what ``repr`` leaves out, arrays and other sequences become lists, paths and
     strings; settings in sentences are spelled as in Python, or by `spell`. Numbers that are not
     finite become null.
-
-    Examples
-    --------
-    >>> from quatprop.text import Setting
-    >>> as_json({"path": Path("a.bag"), "remarks": (f"see {Setting('clock', 'log')}",)})
-    {'path': 'a.bag', 'remarks': ["see clock='log'"]}
     """
     if isinstance(value, float) and not math.isfinite(value):
         value = None  # JSON has no infinities.
@@ -78,11 +72,6 @@ def provenance_in(text: bytes | str | None, path: Path | str) -> JsonObject:
     """Return the provenance that a file keeps; empty where there is none.
 
     `text`: the JSON; None where there is none
-
-    Examples
-    --------
-    >>> provenance_in('{"quatprop": "1.0"}', "attitude.parquet")
-    {'quatprop': '1.0'}
     """
     if text is None:
         return {}
@@ -98,13 +87,7 @@ def provenance_in(text: bytes | str | None, path: Path | str) -> JsonObject:
 
 
 def entry_of(provenance: Mapping[str, Any], name: str, kind: type[Entry]) -> Entry:
-    """Return an entry of a provenance, empty where it has not the type that this package writes.
-
-    Examples
-    --------
-    >>> entry_of({"method": 5}, "method", str), entry_of({"method": "mean"}, "method", str)
-    ('', 'mean')
-    """
+    """Return an entry of a provenance, empty where it has not the type that this package writes."""
     entry = provenance.get(name)
     return entry if isinstance(entry, kind) else kind()
 

@@ -30,70 +30,32 @@ GPS_EPOCH_NS = 315_964_800_000_000_000
 
 
 def lines_of(rows: Iterable[Row], width: int = 9) -> list[str]:
-    """Return rows as lines, their values aligned.
-
-    Examples
-    --------
-    >>> lines_of([("final", "1 deg"), ("", "at the end")])
-    ['final     1 deg', '          at the end']
-    """
+    """Return rows as lines, their values aligned."""
     return [f"{label:<{width}} {value}".rstrip() for label, value in rows]
 
 
 def degrees_text(angle: float, digits: int = 6) -> str:
-    """Return an angle, given in rad, in degrees.
-
-    Examples
-    --------
-    >>> degrees_text(0.1)
-    '5.72958 deg'
-    """
+    """Return an angle, given in rad, in degrees."""
     return f"{math.degrees(angle):.{digits}g} deg"
 
 
 def angle_text(angle: float) -> str:
-    """Return an angle, given in rad, in both units.
-
-    Examples
-    --------
-    >>> angle_text(0.1)
-    '0.1 rad (5.72958 deg)'
-    """
+    """Return an angle, given in rad, in both units."""
     return f"{angle:.6g} rad ({degrees_text(angle)})"
 
 
 def quaternion_text(wxyz: Iterable[float]) -> str:
-    """Return a quaternion, its components named.
-
-    Examples
-    --------
-    >>> quaternion_text([1, 0, 0, 0])
-    'w +1.000000000  x +0.000000000  y +0.000000000  z +0.000000000'
-    """
+    """Return a quaternion, its components named."""
     return "w {:+.9f}  x {:+.9f}  y {:+.9f}  z {:+.9f}".format(*wxyz)
 
 
 def count_text(count: int, noun: str) -> str:
-    """Return a count with its noun.
-
-    Examples
-    --------
-    >>> count_text(1, "sample"), count_text(1200, "sample")
-    ('1 sample', '1,200 samples')
-    """
+    """Return a count with its noun."""
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
 def instant_text(t_ns: int) -> str:
-    """Return a stamp as UTC, or in seconds where its clock does not count from 1970.
-
-    Examples
-    --------
-    >>> instant_text(1_700_000_000_250_000_000)
-    '2023-11-14 22:13:20.25 UTC'
-    >>> instant_text(112_500_000_000)
-    '112.5 s of its clock'
-    """
+    """Return a stamp as UTC, or in seconds where its clock does not count from 1970."""
     seconds, rest = divmod(abs(t_ns), NS_PER_UNIT["s"])
     fraction = f".{rest:09d}".rstrip("0").rstrip(".")
     if t_ns < GPS_EPOCH_NS:
@@ -103,15 +65,7 @@ def instant_text(t_ns: int) -> str:
 
 
 def rate_text(samples: int, span_ns: int, median_dt_ns: int | None = None) -> str:
-    """Return the sample rate; where pauses make it another one than is usual, both.
-
-    Examples
-    --------
-    >>> rate_text(1000, 9_990_000_000, 10_000_000)
-    '100 Hz'
-    >>> rate_text(1000, 1_009_990_000_000, 10_000_000)
-    '0.989119 Hz on average, mostly 100 Hz'
-    """
+    """Return the sample rate; where pauses make it another one than is usual, both."""
     rate_hz = (samples - 1) / (span_ns * 1e-9)
     usual_hz = 1e9 / median_dt_ns if median_dt_ns else rate_hz
     text = f"{rate_hz:.6g} Hz"
@@ -120,13 +74,7 @@ def rate_text(samples: int, span_ns: int, median_dt_ns: int | None = None) -> st
 
 
 def samples_text(samples: int, span_ns: int, median_dt_ns: int | None = None) -> str:
-    """Return how many samples there are, over which time and at which rate.
-
-    Examples
-    --------
-    >>> samples_text(1000, 9_990_000_000)
-    '1,000 samples over 9.99 s, 100 Hz'
-    """
+    """Return how many samples there are, over which time and at which rate."""
     text = count_text(samples, "sample")
     if span_ns <= 0:
         return text
@@ -139,13 +87,7 @@ def source_text(name: str, type_name: str) -> str:
 
 
 def file_names(paths: Iterable[str]) -> list[str]:
-    """Return the names of files, or their paths where the names are the same.
-
-    Examples
-    --------
-    >>> file_names(["runs/a.csv", "b.csv"]), file_names(["1/a.csv", "2/a.csv"])
-    (['a.csv', 'b.csv'], ['1/a.csv', '2/a.csv'])
-    """
+    """Return the names of files, or their paths where the names are the same."""
     paths = list(paths)
     names = ["stdin" if path == "-" else Path(path).name for path in paths]
     return [

@@ -44,24 +44,12 @@ def Setting(name: str, value: str = "", side: str = "") -> str:  # noqa: N802  #
 
 
 def with_settings(text: str, spell: Callable[[str, str, str], str]) -> str:
-    """Return a sentence whose marks a function has replaced by name, value and side.
-
-    Examples
-    --------
-    >>> with_settings(f"choose {Setting('clock', 'log')}", lambda name, value, _: name + value)
-    'choose clocklog'
-    """
+    """Return a sentence whose marks a function has replaced by name, value and side."""
     return _MARK.sub(lambda mark: spell(*mark.groups()), text)
 
 
 def in_python(text: str, _side: str = "") -> str:
-    """Return a sentence as the library spells settings.
-
-    Examples
-    --------
-    >>> in_python(f"choose {Setting('clock', 'log|publish')}")
-    "choose clock='log' or 'publish'"
-    """
+    """Return a sentence as the library spells settings."""
     return with_settings(text, _keyword)
 
 
@@ -88,13 +76,7 @@ def spelled(text: str, side: str = "") -> str:
 
 
 def quoted(text: object) -> str:
-    """Return `text` in quotes, with everything unprintable escaped.
-
-    Examples
-    --------
-    >>> quoted("/imu")
-    "'/imu'"
-    """
+    """Return `text` in quotes, with everything unprintable escaped."""
     return "'" + plain(text) + "'"
 
 
@@ -107,13 +89,7 @@ def plain(text: object) -> str:
 
 
 def shown(value: object) -> str:
-    """Return a value that was given, quoted; of what is large or unusual, its type alone.
-
-    Examples
-    --------
-    >>> shown("fast"), shown((1, 0)), shown((0,) * 5000)
-    ("'fast'", "'1,0'", 'a value of type tuple')
-    """
+    """Return a value that was given, quoted; of what is large or unusual, its type alone."""
     if isinstance(value, list | tuple) and len(value) <= MAX_LISTED:
         return quoted(",".join(map(str, value)))
     if value is None or isinstance(value, str | bytes | int | float):
@@ -124,13 +100,7 @@ def shown(value: object) -> str:
 
 
 def nearest(name: str, names: Iterable[str]) -> str | None:
-    """Return the name that was probably meant, whatever its case; None where none is like it.
-
-    Examples
-    --------
-    >>> nearest("imu", ["/gps", "/imu/data"]), nearest("--metod", ["--mode", "--method"])
-    ('/imu/data', '--method')
-    """
+    """Return the name that was probably meant, whatever its case; None where none is like it."""
     from difflib import get_close_matches
 
     lower = {other.lower().strip("-"): other for other in names}
@@ -142,13 +112,7 @@ def nearest(name: str, names: Iterable[str]) -> str | None:
 
 
 def did_you_mean(name: str, names: Iterable[str], otherwise: str = "") -> str:
-    """Return the end of a sentence: which name was probably meant, or `otherwise`.
-
-    Examples
-    --------
-    >>> "no method 'conning'" + did_you_mean("conning", ["start", "coning"])
-    "no method 'conning'; did you mean 'coning'?"
-    """
+    """Return the end of a sentence: which name was probably meant, or `otherwise`."""
     near = nearest(name, names)
     way_out = otherwise if near is None else f"did you mean {quoted(near)}?"
     return f"; {way_out}" if way_out else ""

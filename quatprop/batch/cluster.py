@@ -48,7 +48,7 @@ def on_a_cluster(
 ) -> Generator[tuple[int, BatchResult]]:
     """Yield the index and the result of each log, propagated by the workers of a Dask cluster.
 
-    `scheduler`: Address of the cluster's scheduler, such as ``"tcp://10.0.0.5:8786"``
+    `scheduler`: address of the cluster's scheduler, such as ``"tcp://10.0.0.5:8786"``
     """
     try:
         from distributed import as_completed

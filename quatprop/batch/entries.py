@@ -21,13 +21,10 @@ class ManifestEntry(NamedTuple):
 
     `state`: ``"done"``; ``"data lost"``: done, but some data of the log were lost or left out;
         ``"no rates"``: a table found in a folder, without body rates; ``"failed"``
-    `log`: Absolute path or address
-    `output`: path of the output in the folder of the manifest
+    `log`: absolute path or address
     `error`: why there is no output
-    `seconds`: Duration, s
-    `log_bytes`, `log_sha256`, `log_etag`, `output_bytes`, `output_sha256`: Sizes and digests; None
+    `log_bytes`, `log_sha256`, `log_etag`, `output_bytes`, `output_sha256`: sizes and digests; None
         where there are none. A log in an object store has the ETag that the store gives it
-    `quatprop`: the version
     `options`: digest of all settings but the paths
     `origin`: digest of the version, the settings, and names, sizes and times of all files that are
         read, and of their ETags in an object store; None where they cannot be found out

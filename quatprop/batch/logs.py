@@ -36,7 +36,6 @@ REFUSED = "its key has an empty part, '.', '..' or '?', which no address can hav
 class FoundLog(NamedTuple):
     """A log of a batch.
 
-    `path`: path or address, as it was given or found
     `name`: name of its output without the suffix: its path below the root, without its own suffixes
     `maybe`: whether it is a table that was found in a folder: one without body rates is no log
     `refused`: why it cannot be read, nor its output be written; empty where it can

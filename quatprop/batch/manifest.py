@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 class Manifest:
     """The manifest in the folder of a batch's outputs.
 
-    `files`: the manifest and its table
-    `place`: the manifest as it may be shown
     `unused`: numbers of the lines that were no entries when they were last read
     """
 

@@ -36,7 +36,7 @@ REQUESTS = 16
 class StoreManifest(Manifest):
     """The manifest of a batch whose outputs are in an object store.
 
-    `folder`: Address of the prefix of all outputs
+    `folder`: address of the prefix of all outputs
     """
 
     def __init__(self, folder: str) -> None:
@@ -109,12 +109,6 @@ def manifest_in(folder: str) -> Manifest:
 
 
 def without_file_scheme(folder: str) -> str:
-    """Return an address of this machine, ``file://``, as a path; others as they are.
-
-    Examples
-    --------
-    >>> without_file_scheme("file:///data/attitudes"), without_file_scheme("s3://data/attitudes")
-    ('/data/attitudes', 's3://data/attitudes')
-    """
+    """Return an address of this machine, ``file://``, as a path; others as they are."""
     parts = urlsplit(folder)
     return url2pathname(parts.path) if parts.scheme == "file" else folder

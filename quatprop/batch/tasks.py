@@ -39,7 +39,6 @@ class BatchSettings(NamedTuple):
     """What all logs of a batch share.
 
     `job`: how logs are propagated; its paths are ignored
-    `options`: digest of its settings
     `reports`: whether results have the reports of the runs
     """
 
@@ -68,7 +67,6 @@ class BatchSettings(NamedTuple):
 class BatchResult(NamedTuple):
     """The result of one log.
 
-    `entry`: what the manifest records
     `report`: the report of the run, as JSON; None if it is not wanted, or where there are no
         attitudes
     """

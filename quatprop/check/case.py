@@ -19,9 +19,6 @@ Verdict = Literal["pass", "fail", "error", "skip", "xfail", "xpass"]
 class Case(NamedTuple):
     """A log, how it is propagated, and what the attitudes are compared with.
 
-    `name`: name in the suite
-    `log`: path of the log
-    `propagation`: how the log is propagated
     `comparison`: how the attitudes are compared, with the tolerance
     `reference`: path of the stored reference, which an update writes; None where there is
         `external`
@@ -73,7 +70,6 @@ class CaseNotRun(NamedTuple):
 class CaseResult(NamedTuple):
     """The result of a case.
 
-    `name`, `line`: Those of the case
     `verdict`: ``"pass"``; ``"fail"``: above the tolerance, or not the samples that were pinned;
         ``"error"``: there is no result, because an input is missing or something has changed;
         ``"skip"``: it was not run; ``"xfail"``: it failed, as it is known to do; ``"xpass"``: it
@@ -81,12 +77,9 @@ class CaseResult(NamedTuple):
     `reason`: why it did not pass; empty for a pass
     `summary`: the worst error, the tolerance and where, or what an update wrote; may be empty
     `error_rad`: the worst error, rad; None where nothing was compared
-    `notes`: Remarks that do not change the verdict
-    `changes`: what an update has changed
+    `notes`: remarks that do not change the verdict
     `updated`: ``"new"``, ``"updated"`` or ``"kept"``; None if this was no update
     `comparison`: the report of the comparison, JSON-ready; None where nothing was compared
-    `pin`: what an update pins
-    `seconds`: Duration, s
     """
 
     name: str

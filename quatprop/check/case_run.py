@@ -27,11 +27,7 @@ if TYPE_CHECKING:
 
 
 class CaseRun(NamedTuple):
-    """The attitudes of a case.
-
-    `series`: the attitudes, as they were written
-    `report`: the report of the run
-    """
+    """The attitudes of a case."""
 
     series: AttitudeSeries
     report: RunReport
@@ -51,7 +47,6 @@ class CaseComparison(NamedTuple):
         how much of the reference was compared; empty where they cannot be compared
     `failure`: why the error is not accepted; empty where it is
     `cause`: the likely cause of the error; empty where none is known
-    `report`: the report of the comparison, JSON-ready; None where there is none
     """
 
     error_rad: float | None

@@ -35,7 +35,6 @@ class Pin(NamedTuple):
     `quatprop`: the version that did the update
     `inputs`: key of the suite -> SHA-256 of the file that it names; of a folder, of each of its
         files that is read, by key and name
-    `samples`: number of samples that were propagated
     `every`: the reference holds every N-th attitude; None where the case itself chooses them
     `reference`: SHA-256 of the stored reference; None where there is none
     `final_wxyz`: the attitude at the last sample, which the reference may lack

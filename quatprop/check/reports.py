@@ -60,15 +60,7 @@ def _details(result: CaseResult) -> list[str]:
 
 
 def note_lines(results: Sequence[CaseResult]) -> Iterator[str]:
-    """Yield each note once, with the number of its cases; those of a failure are in its reason.
-
-    Examples
-    --------
-    >>> from quatprop.check.case import CaseResult
-    >>> cases = [CaseResult(name, "pass", notes=("it is old",)) for name in "ab"]
-    >>> list(note_lines(cases)), list(note_lines(cases[:1]))
-    (['note on 2 cases: it is old'], ['note on a: it is old'])
-    """
+    """Yield each note once, with the number of its cases; those of a failure are in its reason."""
     names: dict[str, list[str]] = {}
     for result in results:
         for note in () if result.verdict in {"fail", "error"} else result.notes:
@@ -86,14 +78,7 @@ def worst_first(results: Iterable[CaseResult]) -> list[CaseResult]:
 
 
 def totals(results: Sequence[CaseResult]) -> str:
-    """Return how many cases passed, failed, and had errors.
-
-    Examples
-    --------
-    >>> from quatprop.check.case import CaseResult
-    >>> totals([CaseResult("a", "pass"), CaseResult("b", "fail"), CaseResult("c", "pass")])
-    '3 cases: 2 passed, 1 failed'
-    """
+    """Return how many cases passed, failed, and had errors."""
     verdicts = [result.verdict for result in results]
     texts = [
         f"{count} {text.removesuffix('s') if count == 1 else text}"

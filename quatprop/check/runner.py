@@ -78,7 +78,7 @@ def run_cases(
 ) -> Generator[CaseResult]:
     """Yield the result of each case, in their order, as soon as those before are done.
 
-    `lock`: Update: write references anew, and at the end the lock, with the pins of all other
+    `lock`: update: write references anew, and at the end the lock, with the pins of all other
         cases; None judges
     """
     new_pins = dict(pins)

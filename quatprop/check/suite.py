@@ -23,7 +23,6 @@ SHAPE = "a suite has a table [defaults] and one table [case.NAME] for each case"
 class CaseTable(NamedTuple):
     """A case as it is written.
 
-    `name`: name of the case
     `values`: key -> value, as TOML has them, with the defaults
     `line`: line of the suite where its table begins, from 1
     """

@@ -45,7 +45,6 @@ _PIECE = re.compile(
 class _Word(NamedTuple):
     """A word of a line.
 
-    `text`: what it stands for
     `quote`: the quote that is open at its end; empty for none
     `expands`: whether bash would expand a part of it, or it has operators
     """
@@ -56,13 +55,7 @@ class _Word(NamedTuple):
 
 
 def words_of(line: str) -> list[_Word]:
-    r"""Return the words of a line up to the cursor; the last may be empty, or not yet complete.
-
-    Examples
-    --------
-    >>> [word.text for word in words_of(r"quatprop info a\ b.bag -t '/im")]
-    ['quatprop', 'info', 'a b.bag', '-t', '/im']
-    """
+    r"""Return the words of a line up to the cursor; the last may be empty, or not yet complete."""
     words = [_Word()]
     for piece in _PIECE.finditer(line):
         kind, quote = str(piece.lastgroup), ""
@@ -83,13 +76,7 @@ def words_of(line: str) -> list[_Word]:
 
 
 def quoted_in(quote: str, text: str) -> str:
-    r"""Return the rest of a word as bash has to read it, after a quote that is open or not.
-
-    Examples
-    --------
-    >>> print(quoted_in("", "$(id)!"), quoted_in("'", "it's"), quoted_in('"', "$(id)!"))
-    \$\(id\)\! it'\''s' \$(id)"\!""
-    """
+    r"""Return the rest of a word as bash has to read it, after a quote that is open or not."""
     if not quote:
         return re.sub(r"([^\w@%+=:,./-])", r"\\\1", text)
     if quote == "'":

@@ -43,15 +43,7 @@ class GroupedOption(click.Option):
 
 
 def brief(names: str, text: str) -> tuple[str, str]:
-    """Return the record of an option with the first clause of its help, and its default.
-
-    Examples
-    --------
-    >>> brief("--to KIND", "Format; it is. Long.  [default: by the suffix; else csv]")
-    ('--to KIND', 'Format  [default: by the suffix]')
-    >>> brief("--components", "Draw four.  [default: yaw, pitch and roll]")[1]
-    'Draw four  [default: yaw, pitch and roll]'
-    """
+    """Return the record of an option with the first clause of its help, and its default."""
     said, bracket, default = text.partition("  [")
     said = re.split(r"[.:;] ", said + " ")[0].rstrip(" .")
     default = re.sub("(;|, (but|else|required|without)) [^]]*", "", default)
@@ -61,7 +53,7 @@ def brief(names: str, text: str) -> tuple[str, str]:
 class Command(click.Command):
     """A command whose help has groups of options, and examples.
 
-    `examples`: Command lines that run in a clone of the project, one after the other
+    `examples`: command lines that run in a clone of the project, one after the other
     `grouped`: whether there are so many options that help puts them into groups
     """
 

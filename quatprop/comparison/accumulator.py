@@ -87,12 +87,10 @@ class ErrorAccumulator:
     What it finds does not depend on where blocks end.
 
     `at`: the series at whose stamps the pairs are: ``"A"`` or ``"B"``
-    `alignment`: how B is rotated
     `limit`: the largest error that passes, rad
-    `opposite`: Pairs whose quaternions have a negative dot product
+    `opposite`: pairs whose quaternions have a negative dot product
     `worst`, `first_exceeding`: the pair with the largest error, and the first with an error above
         the limit
-    `covered`: the stamps of the pairs
     """
 
     def __init__(self, at: str, alignment: Alignment, limit: float) -> None:

@@ -57,7 +57,7 @@ class MountingFit(NamedTuple):
 
     `motions`: number of relative rotations
     `turn_rad`: their RMS angle, rad
-    `singular_values`: Roots of the singular values of the fit: RMS sin(angle/2) about the three
+    `singular_values`: roots of the singular values of the fit: RMS sin(angle/2) about the three
         principal axes common to A and B, largest first. Two have to be well above zero
     `std_rad`: standard deviation of the mounting about its least certain axis, rad, from the
         residual

@@ -32,10 +32,10 @@ FAR = np.iinfo(np.int64).max
 class Pairs:
     """Attitudes of A and B at the same times.
 
-    `t_ns`: When, shape ``(N,)``, int64 ns, in A's clock
+    `t_ns`: when, shape ``(N,)``, int64 ns, in A's clock
     `a`, `b`: attitudes body -> reference, wxyz, shape ``(N, 4)``
     `index`: which samples of the series at whose stamps the pairs are, shape ``(N,)``, int64
-    `at`: That series: ``"A"`` or ``"B"``
+    `at`: that series: ``"A"`` or ``"B"``
     `match`: one of :data:`quatprop.comparison.settings.MATCHES`
     `max_dt_ns`: how far a sample was allowed to be from its partner, ns; 0 for equal stamps
     `candidates`: how many could have been matched at best: samples in the time that both series
@@ -58,7 +58,6 @@ class Pairs:
 class Matching(NamedTuple):
     """How the attitudes were matched in time.
 
-    `matched`: how many pairs there are
     `first_ns`, `last_ns`: times of the first and the last pair, ns; 0 where there is none
     """
 
@@ -126,8 +125,8 @@ def interval_ns(series: AttitudeSeries) -> int:
 def interpolate(series: AttitudeSeries, t_ns: Int64) -> Float64:
     """Return the attitudes of a series at times within it: a constant rate between samples.
 
-    `t_ns`: Times, shape ``(N,)``, int64 ns; outside the series the nearest interval is continued
-    `Returns`: Unit quaternions wxyz, shape ``(N, 4)``; at a stamp exactly the sample's
+    `t_ns`: times, shape ``(N,)``, int64 ns; outside the series the nearest interval is continued
+    `Returns`: unit quaternions wxyz, shape ``(N, 4)``; at a stamp exactly the sample's
     """
     before = np.clip(np.searchsorted(series.t_ns, t_ns, side="right") - 1, 0, len(series) - 2)
     start, stop = series.t_ns[before], series.t_ns[before + 1]

@@ -66,7 +66,7 @@ def described(
 ) -> tuple[str, str, str | None]:
     """Return the name of a cause, a sentence, and the remedy.
 
-    `intervals`: Median intervals of A and B, s
+    `intervals`: median intervals of A and B, s
     """
     sentence, remedy = _sentence_and_remedy(trial, intervals)
     if alternatives:

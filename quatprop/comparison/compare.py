@@ -37,10 +37,7 @@ SMALL_ERROR = 0.5
 def compare(
     a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings | None = None
 ) -> Comparison:
-    """Measure the geodesic error between two attitude series, which are sorted and normalised.
-
-    `settings`: how to compare; None: all defaults
-    """
+    """Measure the geodesic error between two attitude series, which are sorted and normalised."""
     settings = settings or ComparisonSettings()
     remarks: list[str] = []
     (a, lost_of_a), (b, lost_of_b) = _sorted(a, "A", remarks), _sorted(b, "B", remarks)

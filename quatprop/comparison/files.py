@@ -90,9 +90,7 @@ class _Ordered:
     """A series that is read batch by batch, in order of time.
 
     `held`: samples that were read and not yet taken; empty at the end
-    `head`: Those in which causes are looked for, and some more on either side
-    `samples`: how many were read
-    `covered`: their stamps
+    `head`: those in which causes are looked for, and some more on either side
     `start_ns`: where the time begins that both series cover
     `common`: how many samples were taken from there on
     """

@@ -54,7 +54,6 @@ class Cause(NamedTuple):
     """What explains most of an error.
 
     `name`: a short name, stable for scripts
-    `sentence`: what it means
     `rms_before`, `rms_after`: RMS error without and with the explanation, rad
     `remedy`: the setting that takes the error out of the comparison, or with which to read or
         propagate

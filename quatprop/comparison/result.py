@@ -44,7 +44,6 @@ class Criterion(NamedTuple):
     """A limit and whether it was kept.
 
     `setting`: the setting that gives the limit, such as ``"rms_tol"``
-    `label`: what is limited
     `value`, `limit`: what was measured and what is allowed, in `unit`
     `unit`: ``"rad"``, ``"deg/h"``, ``"%"`` or ``"sigma"``
     `passed`: whether the value is within the limit: not above it, or for a coverage not below it

@@ -38,21 +38,21 @@ class Sigmas:
 class ComparisonSettings:
     """How to compare two attitude series A and B.
 
-    `tol`, `rms_tol`, `final_tol`, `p95_tol`: Largest worst, RMS, final and 95th percentile geodesic
+    `tol`, `rms_tol`, `final_tol`, `p95_tol`: largest worst, RMS, final and 95th percentile geodesic
         error that passes, rad or in standard deviations; None: every error passes
     `window_tol`, `window_rms_tol`: the same for the worst and the RMS error of the rotations over
         windows, rad
-    `drift_tol`: Largest drift in either direction that passes, deg/h; not with an alignment by all
+    `drift_tol`: largest drift in either direction that passes, deg/h; not with an alignment by all
         pairs
-    `min_coverage`: Least percentage of the reference, B, that must be compared: of its time and its
+    `min_coverage`: least percentage of the reference, B, that must be compared: of its time and its
         samples
-    `max_sigma`: Largest error that passes, in standard deviations, where `tol` is in rad
+    `max_sigma`: largest error that passes, in standard deviations, where `tol` is in rad
     `align`: one of :data:`ALIGNMENTS`
-    `time_offset`: Added to B's stamps, ns, or ``"auto"``: estimated from the angular speeds
+    `time_offset`: added to B's stamps, ns, or ``"auto"``: estimated from the angular speeds
     `match`: one of :data:`MATCHES`; None: chosen as
         :func:`quatprop.comparison.association.associate` describes
     `max_dt`: how far a sample may be from its partner, ns; None: depends on the median interval
-    `min_matched`: Percentage of the samples in the common time that must be matched, 0 to 100
+    `min_matched`: percentage of the samples in the common time that must be matched, 0 to 100
     `window`: also compare the rotations over windows of this length, ns; None: no windows
     """
 
@@ -95,13 +95,7 @@ angle_rad = quantity_of(RAD_PER_UNIT, "an angle", "1e-9rad or 0.1deg")
 
 
 def error_limit(value: object) -> float | Sigmas:
-    """Return a limit on an error: an angle as of :data:`angle_rad`, or text such as ``"3sigma"``.
-
-    Examples
-    --------
-    >>> error_limit("2.5 sigma"), error_limit("90deg")
-    (Sigmas(count=2.5), 1.5707963267948966)
-    """
+    """Return a limit on an error: an angle, rad or with its unit, or text such as ``"3sigma"``."""
     if isinstance(value, Sigmas):
         return value
     if isinstance(value, str) and value.rstrip().endswith("sigma"):
@@ -110,13 +104,7 @@ def error_limit(value: object) -> float | Sigmas:
 
 
 def time_offset_ns(value: object) -> int | Literal["auto"]:
-    """Return a signed duration in ns: whole ns, text such as ``"-12ms"``, or ``"auto"``.
-
-    Examples
-    --------
-    >>> time_offset_ns("-12ms"), time_offset_ns("auto")
-    (-12000000, 'auto')
-    """
+    """Return a signed duration in ns: whole ns, text such as ``"-12ms"``, or ``"auto"``."""
     if value == "auto":
         return "auto"
     if isinstance(value, str) and value.startswith("-"):
@@ -202,11 +190,5 @@ COMPARE = keywords_of(CompareOptions)
 
 
 def comparison_settings(**options: Unpack[CompareOptions]) -> ComparisonSettings:
-    """Return settings from numbers (rad, ns) or texts with units.
-
-    Examples
-    --------
-    >>> comparison_settings(tol="90deg", time_offset="-12ms").time_offset
-    -12000000
-    """
+    """Return settings from numbers (rad, ns) or texts with units."""
     return ComparisonSettings(**parse_all(options, COMPARE))

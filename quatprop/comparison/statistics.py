@@ -36,8 +36,7 @@ ROUNDING_RAD = 1e-9
 class ErrorStatistics(NamedTuple):
     """Size of an error, rad.
 
-    `max`, `rms`, `mean`, `median`, `p95`: Over all pairs; p95 is the 95th percentile
-    `final`: of the last pair
+    `max`, `rms`, `mean`, `median`, `p95`: over all pairs; p95 is the 95th percentile
     """
 
     max: float
@@ -53,7 +52,6 @@ class WindowStatistics:
     """Errors of the rotations over windows of one length, which frames and drift do not affect.
 
     `window_ns`: the length asked for, ns
-    `count`: how many windows
     `max_rad`, `rms_rad`: size of their errors, rad
     `worst_ns`: where the worst begins, ns
     `begins_ns`, `errors`: where each window begins, ns, and its error, rad, shape ``(count,)``
@@ -81,7 +79,7 @@ def window_statistics(pairs: Pairs, alignment: Alignment, window_ns: int) -> Win
     median interval too late, there is a gap, and no window.
 
     `alignment`: how B is rotated; that of the reference frame does not matter
-    `window_ns`: Length of the windows, ns
+    `window_ns`: length of the windows, ns
     """
     t_ns = pairs.t_ns
     stop = np.searchsorted(t_ns, t_ns + window_ns)
@@ -116,10 +114,9 @@ class SigmaStatistics:
     An error of n standard deviations about one principal axis of P is n. Where P is right, the RMS
     is near sqrt(3): an error has three independent parts.
 
-    `max`, `rms`, `p95`: Over the pairs whose standard deviations are not 0; p95 is the least that
+    `max`, `rms`, `p95`: over the pairs whose standard deviations are not 0; p95 is the least that
         95 % of the errors do not exceed. Infinite where an error is beyond rounding and its
         standard deviation is 0
-    `final`: of the last of them
     `max_ns`: time of the largest, ns
     `one_sigma_rad`: the angle of an error of one standard deviation in the direction of each error,
         shape ``(N,)``, rad

@@ -76,24 +76,12 @@ def criterion_text(criterion: Criterion, comparison: Comparison) -> str:
 
 
 def sigma_text(count: float) -> str:
-    """Return an error in standard deviations.
-
-    Examples
-    --------
-    >>> sigma_text(2.5), sigma_text(math.inf)
-    ('2.5 sigma', 'infinitely many sigma (sigma is 0)')
-    """
+    """Return an error in standard deviations."""
     return f"{count:.3g} sigma" if math.isfinite(count) else "infinitely many sigma (sigma is 0)"
 
 
 def with_names(sentence: str, a: str, b: str) -> str:
-    """Return a sentence about A and B with their names, where a reader knows no A and B.
-
-    Examples
-    --------
-    >>> with_names("B is 5 ms late: see A's clock", "new.csv", "the reference")
-    "the reference is 5 ms late: see new.csv's clock"
-    """
+    """Return a sentence about A and B with their names, where a reader knows no A and B."""
 
     def named(found: re.Match[str]) -> str:
         name = a if found[1] == "A" else b

@@ -61,7 +61,7 @@ class ClockError(NamedTuple):
         overlap were independent: by this, the length of windows is chosen, since choosing by `std`
         would favour low ones
     `middle`: the middle of the time over which it was found, s
-    `span`: Length of that time, s
+    `span`: length of that time, s
     """
 
     seconds: float
@@ -88,7 +88,7 @@ class Trial(NamedTuple):
     """What remains of the differences between A and B over windows when a mistake is undone.
 
     `name`: the mistake; empty where nothing was undone
-    `remaining`: Remaining differences, shape ``(M, 3)``, rad
+    `remaining`: remaining differences, shape ``(M, 3)``, rad
     `side`: in which series it was undone, ``"a"`` or ``"b"``, where that is known
     `value`: what was estimated: what a clock is off by, a ratio, a matrix of axes or an angle, rad;
         or the integration rules of A and B

@@ -67,7 +67,7 @@ class BodyAngle(NamedTuple):
     """The integral of a body rate.
 
     `seconds`: times from a common beginning, shape ``(N,)``, s
-    `angle`: Integral up to there, shape ``(N, 3)``, rad, resolved in the body frame
+    `angle`: integral up to there, shape ``(N, 3)``, rad, resolved in the body frame
     """
 
     seconds: Float64
@@ -100,7 +100,7 @@ def common_beginning(a: AttitudeSeries, b: AttitudeSeries) -> tuple[AttitudeSeri
 def window_grids(a: Float64, b: Float64) -> Iterator[tuple[float, Float64]]:
     """Yield lengths of windows, s, and the times at which windows of that length begin, s.
 
-    `a`, `b`: Rising times of two series, s
+    `a`, `b`: rising times of two series, s
     """
     interval = max(float(np.median(np.diff(times))) for times in (a, b))
     begin, end = max(a[0], b[0]), min(a[-1], b[-1])
@@ -139,7 +139,6 @@ class Angles(NamedTuple):
 
     `name`: the misreading; empty where nothing was undone
     `side`: which series it was undone in: ``"a"``, ``"b"`` or neither
-    `a`, `b`: the angles
     """
 
     name: str

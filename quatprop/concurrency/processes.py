@@ -130,8 +130,7 @@ def in_order(results: Iterable[tuple[int, Result]]) -> Iterator[Result]:
 class _Worker(Generic[Item, Result]):
     """A process that works on one item at a time.
 
-    `connection`: Readable when a result is there, or the process has died
-    `index`: the item that it works on
+    `connection`: readable when a result is there, or the process has died
     """
 
     def __init__(self, work: Callable[[Item], Result]) -> None:

@@ -50,14 +50,7 @@ def thread_count() -> int:
 
 @contextmanager
 def use_threads(count: int | None) -> Iterator[None]:
-    """Set the number of threads in this block; None leaves it as it is.
-
-    Examples
-    --------
-    >>> with use_threads(3):
-    ...     thread_count()
-    3
-    """
+    """Set the number of threads in this block; None leaves it as it is."""
     token = _wanted.set(count or _wanted.get())
     try:
         yield
@@ -80,11 +73,6 @@ def prefetch(
     """Yield ``function(item)`` for each item, in order, computed a few items ahead.
 
     Close the iterator to stop early: calls that have begun are waited for, others are dropped.
-
-    Examples
-    --------
-    >>> list(prefetch(abs, [3, -1, -2, 0]))
-    [3, 1, 2, 0]
     """
     workers = min(MOST, thread_count() - 1)
     rest = iter(items)
@@ -117,11 +105,6 @@ def in_background(items: Iterable[Item], ahead: int | None = AHEAD) -> Generator
     Close the iterator to stop early; `items` are closed in the thread that computed them.
 
     `ahead`: how many are computed before they are asked for; None: all of them
-
-    Examples
-    --------
-    >>> list(in_background(range(3)))
-    [0, 1, 2]
     """
     if thread_count() == 1:
         yield from items
@@ -181,7 +164,6 @@ def signals_blocked(signals: Iterable[int], *, block: bool = True) -> Iterator[N
 class OrderedThreadPool(Generic[Result]):
     """Threads whose results are written in the order in which the work was submitted.
 
-    `work`: what the threads do
     `write`: takes the results, one after the other, in the caller's thread
     """
 

@@ -39,13 +39,13 @@ if TYPE_CHECKING:
 class Conditioning(NamedTuple):
     """What to do to the rates; None is nothing.
 
-    `bias`: Subtracted from every rate, x, y, z, in the unit of the source
-    `static_ns`: Take the mean over the log's rest as the bias; shorter than this, ns, is no rest
-    `bias_from`: Take the bias from a series of them: a file, or a topic of the log
+    `bias`: subtracted from every rate, x, y, z, in the unit of the source
+    `static_ns`: take the mean over the log's rest as the bias; shorter than this, ns, is no rest
+    `bias_from`: take the bias from a series of them: a file, or a topic of the log
     `calibration`: path of a calibration, as
         :func:`quatprop.conditioning.calibration.read_calibration` reads it. A bias given beside it
         takes the place of its own
-    `mount`: Sensor axes to body axes, as :func:`mounting` reads it, or ``"tf:FRAME"``
+    `mount`: sensor axes to body axes, as :func:`mounting` reads it, or ``"tf:FRAME"``
     `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved. Those in the
         reference frame are not turned by the mounting
     `start`, `end`: the part of the log to use, ends included
@@ -77,9 +77,7 @@ class ConditioningInputs(NamedTuple):
     `force`: reads stamps and specific forces, shape ``(N, 3)``, any unit, sensor axes
     `orientation`: reads stamps and the log's own orientation, wxyz body -> reference, shape ``(N,
         4)``
-    `biases`: the series of biases
-    `mounting`: That from the transforms of the log
-    `topic`: That of the rates
+    `mounting`: that from the transforms of the log
     """
 
     force: Callable[[], Rows] | None = None
@@ -92,11 +90,10 @@ class ConditioningInputs(NamedTuple):
 class ConditioningReport(NamedTuple):
     """What was done to the rates; None is nothing.
 
-    `bias_rad_s`: Subtracted from every rate, sensor axes, shape ``(3,)``, rad/s
-    `rest`: the rest from which the bias was taken
+    `bias_rad_s`: subtracted from every rate, sensor axes, shape ``(3,)``, rad/s
     `bias_series`: the series from which it was taken, interpolated in time
     `calibration`: what the rates are multiplied by after the bias is subtracted, shape ``(3, 3)``
-    `mount`: Matrix from sensor to body axes, shape ``(3, 3)``
+    `mount`: matrix from sensor to body axes, shape ``(3, 3)``
     `mount_frames`: where the mounting is from the log's transforms: the frames from the sensor's to
         the body's
     `start_ns`, `end_ns`: the part of the log that was used, ends included, ns
@@ -137,7 +134,7 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
     """Return the conditioned samples, and what is done to them.
 
     `unit`: rad/s in the unit of the bias
-    `Returns`: The samples, rad/s, body axes
+    `Returns`: the samples, rad/s, body axes
     """
     mount = None if settings.mount is None or inputs.mounting else mounting(settings.mount)
     mount = inputs.mounting.matrix if inputs.mounting else mount
@@ -222,8 +219,8 @@ def conditioned(
 ) -> Iterator[GyroSeries]:
     """Yield rates without their bias, in body axes.
 
-    `batches`: Raw rates in sensor axes, rad/s
-    `bias`: Subtracted from every rate, shape ``(3,)``, rad/s, sensor axes; or biases over time
+    `batches`: raw rates in sensor axes, rad/s
+    `bias`: subtracted from every rate, shape ``(3,)``, rad/s, sensor axes; or biases over time
     `matrix`: what the rates are multiplied by then, shape ``(3, 3)``: calibration and mounting
     """
     if bias is None and matrix is None:

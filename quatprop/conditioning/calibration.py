@@ -38,7 +38,6 @@ class Calibration(NamedTuple):
         None for the identity
     `bias_rad_s`: b, in the axes of the raw rates, shape ``(3,)``, rad/s; None where the file has
         none
-    `remarks`: what of the file is not applied
     """
 
     matrix: Float64 | None = None
@@ -130,7 +129,6 @@ class BiasSeriesReport:
 
     `source`: the file, or the topic of the log
     `field`: the message field or the columns
-    `values`: how many biases there are
     `first_ns`, `last_ns`: their first and last stamps, ns
     `outside`: samples before the first and after the last, so far: they take the nearest
     """

@@ -22,7 +22,7 @@ def window_sums(
 ) -> WindowSums:
     """Return the sums of every window, in the order of time; only finite rows are counted.
 
-    `rows`: Stamps, ns, and values, shape ``(N, width)``
+    `rows`: stamps, ns, and values, shape ``(N, width)``
     `window_ns`: the length of a window, ns
     `origin_ns`: where the first window begins, ns; None for the first stamp
     """

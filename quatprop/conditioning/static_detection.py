@@ -61,9 +61,8 @@ class Rest(NamedTuple):
     """The period of a log in which the sensor was at rest.
 
     `first_ns`, `last_ns`: its first and last stamps, ns
-    `samples`: how many samples it holds
     `mean_rad_s`: the mean rate, shape ``(3,)``: the bias
-    `scatter_rad_s`: Root mean square deviation of the rates from the mean, over all three axes
+    `scatter_rad_s`: root mean square deviation of the rates from the mean, over all three axes
     `steady`: which signals were found steady: ``"rate"``, ``"accelerometer"``, ``"orientation"``
     `searched_first_ns`, `searched_last_ns`: the part of the log that was searched, ns: all of it,
         whatever part is propagated

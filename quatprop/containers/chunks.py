@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 class TimedPart(Protocol):
     """A part of a log, such as a chunk.
 
-    `first_ns`, `last_ns`: Log times of its earliest and latest message, ns; the latest is None
+    `first_ns`, `last_ns`: log times of its earliest and latest message, ns; the latest is None
         where it is unknown
     """
 
@@ -51,10 +51,7 @@ LARGE = 1 << 26
 
 
 class ChunkedLog(TopicLog, Generic[Chunk]):
-    """A file whose messages are in chunks.
-
-    `source`: the open file
-    """
+    """A file whose messages are in chunks."""
 
     def __init__(self, log: Path | FileSource) -> None:
         self.source = source_of(log)
@@ -221,11 +218,6 @@ def in_groups(sized: Iterable[tuple[Item, int]]) -> Iterator[tuple[list[Item], b
     """Yield chunks in groups, and whether each is so large that it is loaded when it is its turn.
 
     Handing over each chunk by itself would cost as much as decompressing it.
-
-    Examples
-    --------
-    >>> [chunks for chunks, _ in in_groups([("a", 5), ("b", 70_000), ("c", 0), ("d", 3)])]
-    [['a'], ['b'], ['c', 'd']]
     """
     chunks: list[Item] = []
     room, limit = 0, min(FIRST, GROUP)

@@ -21,7 +21,7 @@ _RULE = "=" * 80
 class MsgFiles:
     """Finds definitions of message types by the names of files.
 
-    `places`: Folders in which the file of ``package/msg/Name`` may be ``package/msg/Name.msg``,
+    `places`: folders in which the file of ``package/msg/Name`` may be ``package/msg/Name.msg``,
         ``msg/Name.msg`` or ``Name.msg``, or such files themselves
     `is_given`: whether the user named the places, so that folders inside them are searched, too
     `used`: the files that definitions were taken from

@@ -50,11 +50,7 @@ TEXT_ENCODINGS = ("cdr", "ros1")
 
 
 class TopicTable(Table):
-    """A topic as a table.
-
-    `log`: the container
-    `channel`: one of its channels
-    """
+    """A topic as a table."""
 
     is_typed = True
 

@@ -83,13 +83,8 @@ class Meaning:
 
         Conjugation is its own inverse, so one function goes both ways, without rounding.
 
-        `wxyz`: Quaternions, shape ``(..., 4)``, scalar first
-        `Returns`: Shape ``(..., 4)``
-
-        Examples
-        --------
-        >>> Meaning("jpl", "ref-to-body").converted(np.array([0.6, 0.8, 0.0, 0.0])).tolist()
-        [0.6, 0.8, 0.0, 0.0]
+        `wxyz`: quaternions, shape ``(..., 4)``, scalar first
+        `Returns`: shape ``(..., 4)``
         """
         return conjugate(wxyz) if self.is_conjugate else wxyz
 

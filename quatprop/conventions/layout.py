@@ -25,13 +25,7 @@ class Layout(NamedTuple):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the stored columns, in order.
-
-        Examples
-        --------
-        >>> layout_named("scalar-last").columns
-        ('qx', 'qy', 'qz', 'qw')
-        """
+        """Names of the stored columns, in order."""
         return tuple(("qw", "qx", "qy", "qz")[component] for component in self.order)
 
 
@@ -48,13 +42,7 @@ LAYOUTS = {
 
 
 def layout_named(name: str) -> Layout:
-    """Return the layout of that name.
-
-    Examples
-    --------
-    >>> layout_named("xyzw").name
-    'scalar-last'
-    """
+    """Return the layout of that name."""
     if name not in LAYOUTS:
         raise UsageError(f"no layout {quoted(name)}; choose one of {listed(LAYOUTS)}")
     return LAYOUTS[name]

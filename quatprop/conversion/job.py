@@ -28,9 +28,7 @@ if TYPE_CHECKING:
 class Conversion:
     """How to convert one attitude series.
 
-    `source`: which attitudes
     `output`: where they go, in which format and layout
-    `meaning`: what the written numbers mean
     `sign`: ``"keep"``, ``"continuous"`` or ``"positive"``. Rotation vectors of ``"keep"`` are the
         short ones, up to half a turn
     `representation`: ``"quaternion"``, a key of :data:`REPRESENTATIONS`, or of
@@ -71,12 +69,10 @@ class Conversion:
 class ConversionReport:
     """What a conversion read and wrote.
 
-    `job`: what was to be done
     `path`, `kind`, `digest`: the file that was read, its size and SHA-256
     `signal`: which attitudes of it, how they were stored there, and how they were made
     `columns`: the names of what is written beside timestamps
-    `counts`: Valid and invalid rows
-    `losses`: what could not be read
+    `counts`: valid and invalid rows
     `remarks`: what a reader should know
     """
 

@@ -42,7 +42,7 @@ class Curvature(NamedTuple):
 
     `a`: shape ``(3, M)``, rad/s^3
     `b`: shape ``(3, M)``, rad/s^4
-    `h`: Lengths of the intervals, shape ``(M,)``, s
+    `h`: lengths of the intervals, shape ``(M,)``, s
     """
 
     a: Float64
@@ -60,7 +60,7 @@ class Curvature(NamedTuple):
         """Return what the method ``coning``, with the rate after the time s, leaves out.
 
         `s`: time since the start of the interval, shape ``(M,)``, s
-        `Returns`: To be added to the rotation vector, shape ``(3, M)``, rad. For a whole interval
+        `Returns`: to be added to the rotation vector, shape ``(3, M)``, rad. For a whole interval
             it is -h^3/6 (a + b h/2)
         """
         weight = s**2 * s / -6
@@ -69,9 +69,9 @@ class Curvature(NamedTuple):
     def rotation_of_averages(self, average: Float64, s: Float64) -> Float64:
         """Return what the average rate, multiplied by the time s, leaves out.
 
-        `average`: Average rates over the intervals, shape ``(3, M)``, rad/s
+        `average`: average rates over the intervals, shape ``(3, M)``, rad/s
         `s`: time since the start of the interval, shape ``(M,)``, s
-        `Returns`: To be added to the rotation vector, shape ``(3, M)``, rad. For a whole interval
+        `Returns`: to be added to the rotation vector, shape ``(3, M)``, rad. For a whole interval
             it is the coning term h^3/6 v x (a + b h/2), with v the average
         """
         deviation = self.rate(s)
@@ -114,7 +114,7 @@ def curvature_of_averages(
     """Return the curvature of the integral of the rate in the intervals between samples.
 
     `t_ns`: time stamps, shape ``(N,)``, int64, ns; N is at least 2
-    `rate`: Average rates over the intervals that end at the stamps, shape ``(3, N)``, rad/s; that
+    `rate`: average rates over the intervals that end at the stamps, shape ``(3, N)``, rad/s; that
         of the first sample, whose interval begins earlier, does not count
     `span_ns`: for increments: the time over which each was integrated, shape ``(N,)``, int64, ns
     """
@@ -139,8 +139,8 @@ def _no_gaps(steps: Int64, gap_ns: int | None) -> Bool:
 def _of_slopes(slope: Float64, h: Float64, valid: Bool, *, causal: bool = False) -> Curvature:
     """Return the curvature of values whose slopes over the intervals are known.
 
-    `slope`: Differences of neighbouring values over the lengths of the intervals, ``(3, M)``
-    `h`: Lengths of the intervals, ``(M,)``, s
+    `slope`: differences of neighbouring values over the lengths of the intervals, ``(3, M)``
+    `h`: lengths of the intervals, ``(M,)``, s
     `valid`: whether a parabola may pass through each sample between two intervals, ``(M - 1,)``
     """
     before, after = h[:-1], h[1:]

@@ -41,7 +41,7 @@ def half_angle(square: Float64) -> tuple[Float64, Float64]:
     Both are power series in a squared, smooth through zero; beyond their reach, of what quarter
     turns leave of the angle. Each result depends on its own angle only, to the bit.
 
-    `square`: Squares of angles, rad^2, any shape
+    `square`: squares of angles, rad^2, any shape
     `Returns`: cos(a/2) and sin(a/2)/a, the latter 1/2 at zero; 1/rad
     """
     square = np.asarray(square)

@@ -113,16 +113,11 @@ def rotation_vectors(
         adds theta_k-1 x theta_k / 12, which makes it of third order; ``"cubic"`` (theta_k-1 x
         theta_k + theta_k x theta_k+1) / 24, of fourth order. The weights are those of equal
         intervals; see :func:`quatprop.kinematics.cubic.curvature_of_averages`
-    `Returns`: Rotation vectors, shape ``(N - 1, 3)``, rad; each of the three columns is contiguous
+    `Returns`: rotation vectors, shape ``(N - 1, 3)``, rad; each of the three columns is contiguous
 
     References
     ----------
     Eq. 7; a constant rate over the interval as in eqs. 32 to 36.
-
-    Examples
-    --------
-    >>> rotation_vectors(np.array([0, 500_000_000]), np.array([[0, 0, 1.0], [0, 0, 3.0]]), "mean")
-    array([[0., 0., 1.]])
     """
     rule = integration_rule(method)
     if span_ns is not None or (averages and method not in {"start", "mean"}):

@@ -50,20 +50,11 @@ def attitudes(
 
     `t_ns`: time stamps, shape ``(N,)``, int64, ns
     `rate`: angular rates, shape ``(N, 3)``, rad/s
-    `Returns`: Unit quaternions wxyz body -> reference, shape ``(N, 4)``; the first is q0
+    `Returns`: unit quaternions wxyz body -> reference, shape ``(N, 4)``; the first is q0
 
     References
     ----------
     Body rates eqs. 32, 35 and 36; inertial rates eq. 33.
-
-    Examples
-    --------
-    A quarter of a turn about z in half a second:
-
-    >>> t_ns = np.array([0, 500_000_000])
-    >>> attitudes(t_ns, np.array([[0, 0, np.pi], [0, 0, np.pi]])).round(6)
-    array([[1.      , 0.      , 0.      , 0.      ],
-           [0.707107, 0.      , 0.      , 0.707107]])
     """
     return Propagation(q0, method, rates).advance(GyroSeries(t_ns, rate))
 
@@ -117,7 +108,7 @@ class _Composition:
 class Propagation(_Composition):
     """Propagates a stream of rates to attitudes.
 
-    `q0`: Attitude body -> reference at the first sample, wxyz, shape ``(4,)``; it is normalised
+    `q0`: attitude body -> reference at the first sample, wxyz, shape ``(4,)``; it is normalised
     `method`: integration rule: a key of :data:`quatprop.kinematics.increments.METHODS`
     `rates`: the frame in which the rates are resolved: ``"body"`` multiplies on the right, q[k+1] =
         q[k] dq[k]; ``"inertial"`` multiplies on the left, q[k+1] = dq[k] q[k]

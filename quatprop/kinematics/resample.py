@@ -98,7 +98,7 @@ class Steady:
 class Listed:
     """Times that are given.
 
-    `t_ns`: Stamps, shape ``(N,)``, int64 ns, in order
+    `t_ns`: stamps, shape ``(N,)``, int64 ns, in order
     """
 
     def __init__(self, t_ns: Int64) -> None:

@@ -58,9 +58,9 @@ class SensorErrors(NamedTuple):
 
     `noise_density`: angle random walk N, the density of white noise, rad/s/sqrt(Hz), which is
         rad/sqrt(s)
-    `bias_sigma`: Constant bias, rad/s
-    `random_walk`: Rate random walk K of the bias, rad/s^2/sqrt(Hz), which is rad/s/sqrt(s)
-    `scale_sigma`: Scale factors, a ratio
+    `bias_sigma`: constant bias, rad/s
+    `random_walk`: rate random walk K of the bias, rad/s^2/sqrt(Hz), which is rad/s/sqrt(s)
+    `scale_sigma`: scale factors, a ratio
     """
 
     noise_density: float = 0.0
@@ -72,10 +72,9 @@ class SensorErrors(NamedTuple):
 class ErrorGrowth:
     """The covariance of the attitude, sample by sample.
 
-    `errors`: of the gyroscope
     `rates`: ``"body"`` or ``"inertial"``: the axes in which rates and their errors are resolved
     `method`: the integration rule: which samples a scale factor acts on in an interval
-    `mount`: Sensor axes to body axes, shape ``(3, 3)``, for scale factors; None where they are the
+    `mount`: sensor axes to body axes, shape ``(3, 3)``, for scale factors; None where they are the
         same
     `final`: the covariance at the last sample so far, shape ``(3, 3)``, rad^2
     `variances`: what each error, by its name in :class:`SensorErrors`, adds to its trace, rad^2
@@ -116,7 +115,7 @@ class ErrorGrowth:
         """Return the covariance of the next attitudes.
 
         `wxyz`: their attitudes, body -> reference, shape ``(N, 4)``
-        `Returns`: Covariances of small rotations about body axes, shape ``(N, 3, 3)`` or ``(1, 3,
+        `Returns`: covariances of small rotations about body axes, shape ``(N, 3, 3)`` or ``(1, 3,
             3)``, rad^2
         """
         self._rows = slice(-1, None) if to_end else slice(None)

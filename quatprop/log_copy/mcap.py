@@ -29,9 +29,7 @@ class McapPart:
 
     `log`: the file to copy; it stays open until the part is finished
     `place`: where the copy goes: a path where nothing is, or a stream
-    `message`: the message to add
-    `encoder`: Encodes attitudes as the messages of this file
-    `added`: the messages added so far
+    `encoder`: encodes attitudes as the messages of this file
     """
 
     def __init__(self, log: McapLog, place: Path | BinaryIO, message: Message) -> None:
@@ -79,12 +77,7 @@ class McapPart:
 
 
 class McapCopyWriter(MessageWriter):
-    """Copy an MCAP file and add attitudes to it.
-
-    `log`: the log to copy
-    `target`: where the copy goes
-    `message`: the message to write the attitudes as
-    """
+    """Copy an MCAP file and add attitudes to it."""
 
     _output: OutputFile
 

@@ -59,7 +59,6 @@ class McapCopy:
     """Copies a file step by step, up to a given time.
 
     `log`: the file, which stays open until the copy is finished
-    `header`: its first record
     `contents`: its schemas and channels, and everything copied so far
     `bag_metadata`: the metadata of a ROS 2 bag, if it holds them. They are not copied, since they
         change

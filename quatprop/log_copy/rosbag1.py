@@ -46,12 +46,7 @@ _PIECE = 1 << 20
 
 
 class BagCopyWriter(BagWriter):
-    """Copy a ROS 1 bag and add attitudes to it.
-
-    `log`: the log to copy
-    `target`: where the copy goes
-    `message`: the message to write the attitudes as
-    """
+    """Copy a ROS 1 bag and add attitudes to it."""
 
     def __init__(self, log: Rosbag1Log, target: Path | str, message: Message) -> None:
         self.encoder = attitude_encoder(message, ("ros1",))
@@ -75,7 +70,6 @@ class BagCopy:
     """Copies a bag step by step, up to a given time.
 
     `log`: the bag, which stays open until the copy is finished
-    `connections`: the fields of each connection, by number
     `free_id`: a number that no connection has
     """
 

@@ -33,12 +33,7 @@ _LATEST = int(np.iinfo(np.int64).max)
 
 
 class Rosbag2CopyWriter(MessageWriter):
-    """Copy a ROS 2 bag and add attitudes to it, each to the part of its time.
-
-    `log`: the log to copy: a folder, or a database
-    `target`: where the copy goes; nothing is there
-    `message`: the message to write the attitudes as
-    """
+    """Copy a ROS 2 bag and add attitudes to it, each to the part of its time."""
 
     _output: OutputPath
 

@@ -33,7 +33,6 @@ _WITH_CUSTOM_DATA = 6
 class Added:
     """The messages added to a part.
 
-    `count`: how many
     `first`, `last`: their first and last log time, ns; the other way around where there are none
     """
 

@@ -46,8 +46,6 @@ class SqlitePart:
 
     `source`: the database to copy, with its write-ahead log
     `place`: where the copy goes; nothing is there
-    `topic`: the topic to add
-    `added`: the messages added so far
     """
 
     def __init__(self, source: Path, place: Path, topic: Topic) -> None:

@@ -34,7 +34,6 @@ SIZES = (9, 36)
 class CovarianceColumns(NamedTuple):
     """The columns that say how certain attitudes are.
 
-    `table`: where they are
     `columns`: one group; none where there are no such columns
     `axes`: ``"reference"`` or ``"body"``: whose axes the errors are about
     `are_sigmas`: whether they are standard deviations, rad, and not a covariance, rad^2

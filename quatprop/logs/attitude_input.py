@@ -35,9 +35,8 @@ class AttitudeInput:
     `path`: any log or table with attitudes, or ``"-"``
     `kind`: a key of :data:`quatprop.logs.kinds.READERS`; None for the kind that content and suffix
         show
-    `selection`: which attitudes
-    `normalize`: Scale quaternions of any length but zero to unit length
-    `drop`: Leave out invalid quaternions instead of refusing the series
+    `normalize`: scale quaternions of any length but zero to unit length
+    `drop`: leave out invalid quaternions instead of refusing the series
     `side`: which side of a comparison it is, ``"a"`` or ``"b"``, for errors
     `positions`: read positions beside the attitudes too, where there are any
     """
@@ -55,13 +54,8 @@ class AttitudeInput:
 class ReadAttitudes:
     """What is known of an attitude series once it was read.
 
-    `input`: what was asked for
-    `kind`: the kind of the log
-    `signal`: the attitudes that were chosen
-    `samples`: how many attitudes it has
     `first_ns`, `last_ns`: the earliest and the latest stamp, ns
-    `counts`: Valid and invalid rows
-    `losses`: what could not be read
+    `counts`: valid and invalid rows
     """
 
     input: AttitudeInput
@@ -100,10 +94,7 @@ class ReadAttitudes:
 
 @dataclass(frozen=True, slots=True)
 class LoadedAttitudes(ReadAttitudes):
-    """An attitude series in memory, and where it is from; see :class:`ReadAttitudes`.
-
-    `series`: its values
-    """
+    """An attitude series in memory, and where it is from; see :class:`ReadAttitudes`."""
 
     series: AttitudeSeries
 
@@ -139,12 +130,7 @@ def open_attitudes(wanted: AttitudeInput) -> AttitudeFile:
 
 
 class AttitudeFile:
-    """An attitude series of an open log, which is closed when its ``with`` block ends.
-
-    `wanted`: what was asked for
-    `signal`: the attitudes that were chosen
-    `opened`: Closes the log
-    """
+    """An attitude series of an open log, which is closed when its ``with`` block ends."""
 
     def __init__(
         self,

@@ -49,7 +49,6 @@ SelectionT = TypeVar("SelectionT", bound="SignalSelection")
 class Candidate(NamedTuple, Generic[SignalT]):
     """A signal that a log seems to hold.
 
-    `found`: where it is
     `signal`: returns it; raises a LogError or UsageError where something about it is not declared
     `preferred`: whether it comes before others: rates that a sensor measured before estimated or
         commanded ones, the attitude of a vehicle before those of its several estimators

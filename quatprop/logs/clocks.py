@@ -35,7 +35,7 @@ TIME = r"(?:t|ts|time|timestamp|time_?stamp|stamp)"
 class ClockName(NamedTuple):
     """How sources name a clock.
 
-    `pattern`: Regular expression for whole keys of columns. A group ``of`` is the beginning of the
+    `pattern`: regular expression for whole keys of columns. A group ``of`` is the beginning of the
         name of what was sampled: of other sensors, the clock is not that of the rates
     `rank`: one of the ranks above
     `unit`: the unit that the name implies where nothing declares one
@@ -88,7 +88,6 @@ INDEX = r"(?:.*[._])?(?:frame|index|idx|count|samples?|n|no|num|number)"
 class Clock(NamedTuple):
     """A column that may be the time, or those of its seconds and their fraction.
 
-    `columns`: where they are
     `rank`, `place`: how good it is, and which of those of its rank
     `units`: the unit of each column; ``""`` where nothing declares it
     `zoned`: whether its text has offsets from UTC
@@ -114,13 +113,7 @@ class Clock(NamedTuple):
 
 
 def named_clock(key: str, keys: Iterable[str]) -> tuple[int, str, int] | None:
-    """Return rank, implied unit and place of a column by its key; None where it is no clock.
-
-    Examples
-    --------
-    >>> named_clock("server_time", []), named_clock("gps_time", ["gyro_x"])
-    ((5, '', 0), None)
-    """
+    """Return rank, implied unit and place of a column by its key; None where it is no clock."""
     for place, row in enumerate(CLOCKS):
         match = re.fullmatch(row.pattern, key)
         if match and all(
@@ -131,13 +124,7 @@ def named_clock(key: str, keys: Iterable[str]) -> tuple[int, str, int] | None:
 
 
 def stated_offset_ns(unit: str) -> int:
-    """Return the offset of local time from UTC that stands in the place of a unit, ns.
-
-    Examples
-    --------
-    >>> stated_offset_ns("01:00") // 10**9, stated_offset_ns("-0330") // 10**9
-    (3600, -12600)
-    """
+    """Return the offset of local time from UTC that stands in the place of a unit, ns."""
     match = re.fullmatch(r"(?:utc|gmt)?([+-]?)(\d\d?):?([0-5]\d)", unit)
     if not match:
         return 0
@@ -230,13 +217,7 @@ def _usual_step(times: Float64, which: object) -> float:
 
 
 def offset_text(ns: int) -> str:
-    """Return an offset from UTC as dates have it.
-
-    Examples
-    --------
-    >>> offset_text(-12_600 * 10**9)
-    '-03:30'
-    """
+    """Return an offset from UTC as dates have it."""
     minutes = abs(ns) // NS_PER_S // 60
     return f"{'-' if ns < 0 else '+'}{minutes // 60:02d}:{minutes % 60:02d}"
 

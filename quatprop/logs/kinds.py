@@ -29,7 +29,7 @@ class Reader(NamedTuple):
 
     `load`: ``"module:Class"``, imported when a log of this kind is opened
     `magic`: what its content may begin with; empty where only the suffix tells
-    `suffixes`: Suffixes by which it is recognised where the content does not tell
+    `suffixes`: suffixes by which it is recognised where the content does not tell
     `reads_source`: whether it reads from an open
         :class:`~quatprop.stores.file_source.FileSource`; otherwise it opens the path itself
     """

@@ -32,7 +32,6 @@ FIRST_ROWS = 1000
 class ColumnMatcher:
     """Finds the columns of one quantity in a table.
 
-    `selection`: what the user chose
     `setting`: the setting that names the columns of the quantity, such as ``"rate_cols"``
     `remarks`: what the user should know of what was chosen
     `unknown`: what is not declared, and the setting that settles it; all of it is refused together
@@ -104,7 +103,6 @@ class ColumnMatcher:
         """Return the unit of columns from user, header or convention.
 
         `quantity`: ``"rate"`` or ``"time"``
-        `units`: the units that there are
         `convention`: the unit by convention, ``""`` where there is none
         """
         chosen: str | None = getattr(self.selection, f"{quantity}_unit")

@@ -22,7 +22,6 @@ class Found(NamedTuple):
     """A quantity that a table seems to have; nothing was read of it yet.
 
     `table`, `row`: where it is, and what its columns are by the vocabulary
-    `part`: the part of the table
     `sets`: its components in order; several where a message has many samples, the oldest first
     `field`: its name, as the settings ``rate_field`` and ``quat_field`` take it
     """
@@ -37,8 +36,6 @@ class Found(NamedTuple):
 class Match(NamedTuple):
     """A quantity of a table with all that is needed to read it.
 
-    `found`: where it is
-    `stamp`: its time
     `factor`: what stored numbers are multiplied by
     `marks`: the column that is -1, or of a bias false, where the quantity is absent; empty if there
         is none

@@ -34,9 +34,9 @@ class QuaternionCounts:
     """Valid and invalid rows of a series.
 
     `read`, `used`: rows read, and rows that passed
-    `zero`, `not_unit`, `not_finite`: Invalid rows, by reason
+    `zero`, `not_unit`, `not_finite`: invalid rows, by reason
     `normalized`: rows that were scaled to unit length
-    `worst`: Largest difference of a length from 1 among the rows that are neither zero nor NaN
+    `worst`: largest difference of a length from 1 among the rows that are neither zero nor NaN
     `first`: number of the first invalid row, from 0; None while there is none
     `first_ns`: its stamp, ns
     """
@@ -74,9 +74,9 @@ class QuaternionCounts:
 class QuaternionCheck:
     """Lets unit quaternions pass, and refuses or drops the others.
 
-    `normalize`: Scale rows of any length but zero to unit length; zeros and NaN stay invalid
-    `drop`: Leave out invalid rows instead of refusing the series
-    `counts`: Valid and invalid rows so far
+    `normalize`: scale rows of any length but zero to unit length; zeros and NaN stay invalid
+    `drop`: leave out invalid rows instead of refusing the series
+    `counts`: valid and invalid rows so far
     """
 
     def __init__(self, path: Path | str, *, normalize: bool = False, drop: bool = False) -> None:
@@ -90,7 +90,7 @@ class QuaternionCheck:
     ) -> Iterator[AttitudeSeries]:
         """Yield the valid rows.
 
-        `batches`: Stamps, shape ``(N,)``, int64 ns, and quaternions, shape ``(N, 4)``; perhaps more
+        `batches`: stamps, shape ``(N,)``, int64 ns, and quaternions, shape ``(N, 4)``; perhaps more
             of the arguments of :class:`quatprop.series.AttitudeSeries`
         """
         for t_ns, wxyz, *beside in batches:

@@ -26,7 +26,7 @@ class Row(NamedTuple):
 
     `name`: what summaries call it; ``""`` where files have other names than messages, as of ROS
     `types`: the message types, as ROS spells them
-    `rate`, `quat`, `bias`, `force`: Patterns of the components of a rate, a quaternion, a
+    `rate`, `quat`, `bias`, `force`: patterns of the components of a rate, a quaternion, a
         gyroscope's bias, a specific force
     `stamps`: its time, the best first: times, or numbers in the `time_unit`. In a file a column
         ``sec`` or ``secs`` has its nanoseconds in a column beside it
@@ -34,8 +34,8 @@ class Row(NamedTuple):
     `time_unit`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; ``""`` where times say it themselves
     `absent`: what follows the name of a quantity in that of a column that is -1 where it is absent
     `valid`: the column that is false where a bias is not valid
-    `position`: Pattern of the components of the position that belongs to the quaternion, m
-    `covariance`: Pattern of the 9 or 36 numbers of the quaternion's covariance about the axes of
+    `position`: pattern of the components of the position that belongs to the quaternion, m
+    `covariance`: pattern of the 9 or 36 numbers of the quaternion's covariance about the axes of
         the reference frame, rad^2; of 36 the last block counts
     `layout`: ``"scalar-first"`` or ``"scalar-last"`` of a quaternion whose components have no names
     `frames`: which frames the quaternion relates, where the type fixes them
@@ -47,9 +47,9 @@ class Row(NamedTuple):
         rad, over the interval that ends at the stamp
     `burst`: where a message has many samples; the pattern of the rate is that of all their
         components
-    `angles`, `angle_unit`: Pattern of Euler angles, and their unit where names do not declare it
+    `angles`, `angle_unit`: pattern of Euler angles, and their unit where names do not declare it
     `needs`: further columns, or the first line, by which a file is recognised
-    `file`: Pattern found in the name of a file, where columns alone are not enough
+    `file`: pattern found in the name of a file, where columns alone are not enough
     `log_time`: the column of the time of recording, if a file has one beside the message's own
         stamp
     """

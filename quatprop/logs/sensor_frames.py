@@ -57,7 +57,7 @@ def frame_mounting(log: AnyLog | None, source: RateSignal, frame: str) -> FrameM
 
     `log`, `source`: the log and its rates; the sensor's frame is that in the header of its first
         message
-    `frame`: Whose axes are the body's
+    `frame`: whose axes are the body's
     """
     if log is None or not any(match.table.is_typed for match in source.matches):
         mount = Setting("mount", f"tf:{frame}")

@@ -63,13 +63,7 @@ def labels_of(cells: Sequence[object]) -> Labels:
 
 
 def take_turns(key: str, cells: Sequence[str]) -> tuple[str, ...]:
-    """Return the labels of a column that come back again and again; none where rows are of one.
-
-    Examples
-    --------
-    >>> take_turns("0", ["acc", "gyro"] * 9), take_turns("temp_imu", ["25", "26"] * 9)
-    (('acc', 'gyro'), ())
-    """
+    """Return the labels of a column that come back again and again; none where rows are of one."""
     runs = [label for label, _ in groupby(cells) if label.lower() not in _ABSENT]
     # Counters and blocks of rows do not come back, nor does a damaged cell.
     turns = tuple(sorted(label for label, times in Counter(runs).items() if times > 1))

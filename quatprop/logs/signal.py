@@ -48,7 +48,6 @@ class Signal:
     `type_name`: the message type, or the dialect of a table; ``""`` where there is none
     `field`: the message field, the columns, or the frames
     `clock`: time base: ``"header"``, ``"log"``, ``"publish"``, or the name of a column
-    `remarks`: what was inferred
     """
 
     name: str
@@ -169,8 +168,6 @@ class AttitudeSignal(Signal):
     `provenance`: how the attitudes were made, as their file says
     `representation`: ``"quaternion"`` or a key of
         :data:`quatprop.conventions.representations.REPRESENTATIONS`
-    `has_positions`: whether there are positions
-    `may_have_covariances`: whether there is a place for covariances
     `placeholder`: whether it is the identity in every message of a sensor: never set
     `sigma_axes`: the axes of standard deviations beside them; None where a table has none
     `rotation_columns`: columns of a table that hold the same attitudes in other representations

@@ -131,8 +131,8 @@ def _named_stamp(table: Table, place: str, unit: str | None) -> Stamp:
 def are_all(batches: Iterable[AnyArray], value: object, limit: int | None = None) -> bool:
     """Tell whether several rows all have one value; reads up to the first other one.
 
-    `batches`: Rows, shape ``(N, ...)``
-    `limit`: So many rows are enough; None is all
+    `batches`: rows, shape ``(N, ...)``
+    `limit`: so many rows are enough; None is all
     """
     count = 0
     for rows in batches:

@@ -53,8 +53,8 @@ def _identifiers(blocks: Sequence[MessageBlock]) -> Int64:
 class BinaryDecoder:
     """Takes the same fields out of every message of a channel.
 
-    `channel`: Whose messages, with their definition
-    `field_paths`: Dotted paths of the wanted fields; a struct or fixed array of equal numbers is
+    `channel`: whose messages, with their definition
+    `field_paths`: dotted paths of the wanted fields; a struct or fixed array of equal numbers is
         one column of rows
     """
 
@@ -76,7 +76,7 @@ class BinaryDecoder:
     def columns(self, *blocks: MessageBlock) -> list[AnyArray]:
         """Return the wanted fields of all messages of blocks.
 
-        `Returns`: One for each path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`, of
+        `Returns`: one for each path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`, of
             the field's own type in native byte order. They may be strided, never views of a block
         """
         try:

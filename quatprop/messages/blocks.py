@@ -24,7 +24,6 @@ _GAP = 256
 class Channel:
     """A topic with one message type, in however many connections or files it was recorded.
 
-    `topic`: name of the topic
     `type_name`: message type as the log spells it, ROS names normalised to ``package/msg/Name``
     `encoding`: how the messages are encoded: ``"cdr"``, ``"ros1"``, ``"json"``, ``"protobuf"``
     `schema_encoding`: language of the definition: ``"ros1msg"``, ``"ros2msg"``, ``"ros2idl"``,
@@ -75,7 +74,7 @@ class MessageBlock:
     `log_ns`, `publish_ns`: when each was recorded and published, shape ``(N,)``, int64 ns.
         Containers without publish times repeat the log times. Publish times are negative after the
         year 2262; they may be a view of `data`
-    `watermark_ns`: No later block of this iteration holds a message with an earlier log time
+    `watermark_ns`: no later block of this iteration holds a message with an earlier log time
     `stride`: bytes from each message to the next where all have one length and the same distance; 0
         where that is not known
     """

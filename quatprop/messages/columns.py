@@ -46,7 +46,7 @@ class MessageBytes:
     """Encoded messages of one byte order, in one buffer or several.
 
     `blocks`: the messages of each buffer, at least one
-    `order`: Byte order, ``"<"`` or ``">"``
+    `order`: byte order, ``"<"`` or ``">"``
     `origin`: where in each message alignment is counted from
     `shortest`: bytes of the shortest message
     `strides`: of each block the bytes from one message to the next where that is always the same,
@@ -133,7 +133,7 @@ def take_messages(blocks: Sequence[MessageBlock], positions: Intp) -> list[Messa
 def follow(plan: Plan, messages: MessageBytes, width: int) -> Columns:
     """Return the columns that a plan takes.
 
-    `Returns`: Shape ``(N,)`` or ``(N, count)``, native byte order; views of memory of their own
+    `Returns`: shape ``(N,)`` or ``(N, count)``, native byte order; views of memory of their own
     """
     columns: Columns = [np.empty(0)] * width
     _walk(plan, messages, 0, columns)

@@ -49,11 +49,7 @@ class Names(NamedTuple):
 
 
 class Cursor:
-    """A position in each of several messages, moved together; it differs after names.
-
-    `block`, `messages`: which messages of a block
-    `placement`, `order`: how they are encoded, and in which byte order
-    """
+    """A position in each of several messages, moved together; it differs after names."""
 
     def __init__(
         self, block: MessageBlock, messages: Int64, placement: Placement, order: str
@@ -141,7 +137,7 @@ def first_names(
 ) -> list[str]:
     """Return what a string is in the first messages of a block; nothing if it cannot be reached.
 
-    `field_path`: Dotted path of the string, such as ``"imu.header.frame_id"``; through structs only
+    `field_path`: dotted path of the string, such as ``"imu.header.frame_id"``; through structs only
     """
     try:
         cursor = cursors_of(channel, block.at(np.arange(min(len(block), _FIRST))), path)[0]

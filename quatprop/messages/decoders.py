@@ -31,7 +31,7 @@ class FieldDecoder(Protocol):
     def columns(self, *blocks: MessageBlock) -> list[AnyArray]:
         """Return the wanted fields of all messages of blocks.
 
-        `Returns`: One for each path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`
+        `Returns`: one for each path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`
         """
 
 

@@ -57,11 +57,6 @@ def definition_md5(type_name: str, definition: str) -> str | None:
     """Return the MD5 sum of a type and of all types inside it; None where one is not defined.
 
     `type_name`: ``package/Name``
-
-    Examples
-    --------
-    >>> definition_md5("std_msgs/String", "string data  # of any length")
-    '992ce8a1687cec8c8bd883ec73ca41d1'
     """
     first, *others = _RULE.split(definition.replace("\r\n", "\n"))
     texts = {type_name: first}

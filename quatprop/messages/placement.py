@@ -21,7 +21,7 @@ class Placement(NamedTuple):
     """How an encoding places its values.
 
     `header`: bytes before the origin of alignment
-    `alignment`: Largest alignment, bytes; 1 is packed
+    `alignment`: largest alignment, bytes; 1 is packed
     `delimited`: whether collections of strings or structs are preceded by their size in bytes, in
         which writers differ
     """
@@ -37,10 +37,7 @@ XCDR2 = Placement(4, 4, delimited=True)
 
 
 class Extents:
-    """Alignments and sizes of the parts of a definition, each computed once.
-
-    `placement`: the encoding
-    """
+    """Alignments and sizes of the parts of a definition, each computed once."""
 
     def __init__(self, placement: Placement) -> None:
         self.placement = placement

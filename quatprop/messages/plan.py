@@ -23,9 +23,7 @@ ENCAPSULATION = -2
 class Piece(NamedTuple):
     """Numbers within a window.
 
-    `column`: number of the column
     `offset`: where in the window, bytes
-    `number`: their type
     `length`: how many, or None for a single number (which is not a row of one)
     """
 
@@ -44,8 +42,7 @@ class Window(NamedTuple):
     """Bytes fetched at once.
 
     `offset`: where it begins, bytes from the beginning of the segment
-    `size`: Bytes
-    `pieces`: what is in it
+    `size`: bytes
     """
 
     offset: int
@@ -68,7 +65,6 @@ class Skip(NamedTuple):
 class Repeat(NamedTuple):
     """Move over elements of varying size, one after another in all messages at once.
 
-    `element`: the plan of one element
     `length`: how many there are; None where the message counts them
     """
 
@@ -80,7 +76,6 @@ class Segment(NamedTuple):
     """A run of fixed size, and how to reach the next segment.
 
     `alignment`: the segment begins at the next multiple of this
-    `windows`: what to fetch
     `reach`: bytes that every message must have from the beginning of the segment on
     `size`: bytes to move on before `ending`
     `ending`: how to move on from there

@@ -60,10 +60,7 @@ class String:
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """A type without a definition; an error only where a wanted field lies behind it.
-
-    `name`: as the definition has it
-    """
+    """A type without a definition; an error only where a wanted field lies behind it."""
 
     name: str
 
@@ -72,7 +69,7 @@ class Unknown:
 class Struct:
     """A message or a part of one; compared by identity, to be cheap as a dictionary key.
 
-    `name`: Type name, ``package/msg/Name``
+    `name`: type name, ``package/msg/Name``
     `fields`: names and types, in the order of the bytes
     """
 
@@ -104,26 +101,14 @@ Steps: TypeAlias = tuple[str | int, ...]
 
 
 def ros_name(type_name: str) -> str:
-    """Return the name of a type in ROS; of other spellings, package and name count.
-
-    Examples
-    --------
-    >>> ros_name("ros.sensor_msgs.Imu")
-    'sensor_msgs/msg/Imu'
-    """
+    """Return the name of a type in ROS; of other spellings, package and name count."""
     parts = [part for part in _NAME_PART.split(type_name) if part != "msg"]
     return "/msg/".join(parts[-2:])
 
 
 @lru_cache(maxsize=1024)
 def steps(field_path: str) -> Steps | None:
-    """Return the names and indices of a dotted path, or None for another text.
-
-    Examples
-    --------
-    >>> steps("imus[1].angular_velocity.x")
-    ('imus', 1, 'angular_velocity', 'x')
-    """
+    """Return the names and indices of a dotted path, or None for another text."""
     names: list[str | int] = []
     end = 0
     for match in _STEP.finditer(field_path):

@@ -29,12 +29,6 @@ def to_ns(
 
     `columns`: shape ``(N,)`` each: integers, float64, or objects that are integers and decimals
     `units`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"`` of each; ``"ns"`` of the second
-    `names`: their names, for errors
-
-    Examples
-    --------
-    >>> to_ns([np.array([2]), np.array([5])], ["s", "ns"], ["sec", "nsec"], "log")
-    array([2000000005])
     """
     first, scale = columns[0], NS_PER_UNIT[units[0]]
     limit = np.iinfo(np.int64).max // scale

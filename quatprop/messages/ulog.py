@@ -51,15 +51,7 @@ _FIELD = r"(?a)([\w/-]+)(?:\[(\d+)\])? ([\w\[\]]+)"
 
 
 def px4_name(name: str) -> str:
-    """Return the ROS 2 type of a topic's messages.
-
-    Examples
-    --------
-    >>> px4_name("sensor_gyro_fifo")
-    'px4_msgs/msg/SensorGyroFifo'
-    >>> px4_name("estimator_attitude")
-    'px4_msgs/msg/VehicleAttitude'
-    """
+    """Return the ROS 2 type of a topic's messages."""
     message = MESSAGE_OF_TOPIC.get(name, name)
     return "px4_msgs/msg/" + "".join(part.capitalize() for part in message.split("_"))
 
@@ -82,11 +74,6 @@ def message_sizes(name: str, formats: Mapping[str, str]) -> tuple[int, int] | No
     """Return the bytes of a message without the padding at its end, and with it.
 
     None where its format does not say that, or is of no message.
-
-    Examples
-    --------
-    >>> message_sizes("a", {"a": "uint64_t t;b[2] pair;uint8_t[3] _padding0;", "b": "float x;"})
-    (16, 19)
     """
     sizes = {kind: NUMBERS[number].size for kind, number in _NUMBERS.items()}
     try:

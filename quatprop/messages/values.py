@@ -27,7 +27,6 @@ class WantedColumn:
     """One column.
 
     `ways`: where its numbers are: one, or those of a row
-    `number`: their type
     `single`: whether it is a number and not a row of one
     """
 
@@ -39,8 +38,8 @@ class WantedColumn:
 class ValueDecoder(ABC):
     """Takes fields out of messages, one message after the other.
 
-    `channel`: Whose messages, with their definition
-    `field_paths`: Dotted paths of the wanted fields
+    `channel`: whose messages, with their definition
+    `field_paths`: dotted paths of the wanted fields
     """
 
     def __init__(self, channel: Channel, field_paths: Sequence[str], path: Path | str) -> None:

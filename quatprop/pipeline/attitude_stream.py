@@ -50,12 +50,9 @@ class AttitudeStream:
     """Propagates one source of rates.
 
     `path`: the log, for errors and the report
-    `source`: its rates
-    `settings`: how to propagate them
     `log`: the open log, which can be read again; None for rates in memory
-    `observer`: Looks at rates and attitudes as they pass
+    `observer`: looks at rates and attitudes as they pass
     `sensitivity`: whether to compute how far the final attitude can be trusted
-    `rate`: whether the attitudes are to have their rate
     """
 
     def __init__(  # noqa: PLR0913  # a log, what to do with it, and who looks on

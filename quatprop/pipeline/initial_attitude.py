@@ -67,9 +67,8 @@ class InitialAttitude:
 class Recording(NamedTuple):
     """The log that is propagated, and how.
 
-    `log`: Open, and able to be read again; None for rates in memory
-    `source`, `selection`: its rates, and how they were chosen
-    `mount`: Sensor axes to body axes, shape ``(3, 3)``, for accelerometer and orientation too; None
+    `log`: open, and able to be read again; None for rates in memory
+    `mount`: sensor axes to body axes, shape ``(3, 3)``, for accelerometer and orientation too; None
         for the same
     `in_order`: whether samples are used in the order of the log, not sorted
     """
@@ -86,7 +85,7 @@ def first_attitude(wanted: InitialAttitude, recording: Recording, first: GyroSer
 
     `first`: the first samples that are propagated, in body axes: those that the timestamp handling
         leaves, so that the attitude is that of the first one
-    `Returns`: Unit quaternion body -> reference, shape ``(4,)``
+    `Returns`: unit quaternion body -> reference, shape ``(4,)``
     """
     if not wanted.source:
         return unit_q0(wanted.wxyz)
@@ -110,15 +109,10 @@ def first_attitude(wanted: InitialAttitude, recording: Recording, first: GyroSer
 def level(force: Float64, heading: float = 0.0, *, down: bool = False) -> Float64:
     """Return the attitude of a body at rest from the specific force it feels.
 
-    `force`: Specific force in body axes, shape ``(3,)``, any unit; at rest it points up
+    `force`: specific force in body axes, shape ``(3,)``, any unit; at rest it points up
     `heading`: rotation about the reference's z axis, rad, applied last
     `Returns`: wxyz, body -> reference, shape ``(4,)``: the shortest turn that brings the force
         upright in roll and pitch, then the heading
-
-    Examples
-    --------
-    >>> level(np.array([0.0, 0.0, 9.81]))
-    array([1., 0., 0., 0.])
     """
     x, y, z = -force if down else force
     roll, pitch = math.atan2(y, z), math.atan2(-x, math.hypot(y, z))

@@ -42,8 +42,6 @@ class Job(NamedTuple):
     """What to do with one log.
 
     `log`: path of the log, or ``"-"`` for CSV on stdin
-    `output`: where its attitudes go
-    `settings`: how it is propagated
     """
 
     log: str

@@ -17,11 +17,9 @@ class SignalSurvey:
     """One signal of a log; None where something is unknown.
 
     `source`, `type`: topic and message type, or columns and dialect
-    `clock`: the timestamp source
-    `samples`: number of samples
-    `rate_hz`, `span_s`: Mean sample rate, Hz, and time from the first sample to the last, s
+    `rate_hz`, `span_s`: mean sample rate, Hz, and time from the first sample to the last, s
     `first_ns`, `last_ns`: first and last stamp, ns
-    `median_dt_ns`, `min_dt_ns`, `max_dt_ns`: Intervals, ns
+    `median_dt_ns`, `min_dt_ns`, `max_dt_ns`: intervals, ns
     `gaps`, `duplicates`, `backwards`: intervals longer than 10 median ones, repeated timestamps,
         and those that go backwards or are outliers
     `missing`: what is not declared, and the settings that declare it; None where nothing is missing
@@ -52,7 +50,7 @@ class RateSurvey(SignalSurvey):
 
     `rate`, `rate_unit`: the field or the columns, and their unit
     `nonfinite`: samples that are NaN or infinite
-    `max_rate_rad_s`, `max_rate_deg_s`: Largest magnitude of the angular rate
+    `max_rate_rad_s`, `max_rate_deg_s`: largest magnitude of the angular rate
     """
 
     rate: str | None = None
@@ -67,7 +65,6 @@ class AttitudeSurvey(SignalSurvey):
     """One signal of attitudes; takes the parameters of :class:`SignalSurvey` too.
 
     `attitude`: the field or the columns
-    `layout`, `convention`, `direction`: what the numbers mean
     `invalid`: rows that are no unit quaternions
     `method`, `made_from`, `q0_wxyz`: how they were made, as the metadata of their file say: the
         integration rule, the log of the rates, and the first attitude (Hamilton, body -> reference,
@@ -89,8 +86,6 @@ class LogSurvey:
     """What a log holds.
 
     `sources`: its signals of body rates
-    `attitudes`: its signals of attitudes
-    `losses`: what could not be read
     """
 
     path: str

@@ -36,10 +36,8 @@ CONVENTION = {
 class SourceReport(NamedTuple):
     """Where the samples came from.
 
-    `digest`: its size and SHA-256
     `name`, `type`: topic and message type, or rate columns and dialect
     `rate`, `rate_unit`: the field or the columns that are the rate, and their unit
-    `clock`: the timestamp source
     """
 
     path: str
@@ -55,7 +53,7 @@ class SourceReport(NamedTuple):
 def digests_of_inputs(inputs: Mapping[str, str], log: Log | None) -> dict[str, Digest]:
     """Return what the files held that were read beside a log, by path.
 
-    `log`: Says where it has message definitions from; None for rates in memory
+    `log`: says where it has message definitions from; None for rates in memory
     """
     definitions = () if log is None else map(str, log.definition_files)
     paths = sorted((*inputs.values(), *definitions))
@@ -77,7 +75,7 @@ class ConventionReport(NamedTuple):
     `samples`: what the samples are: ``"rates"`` at their stamps, ``"averages"`` or ``"increments"``
         over the intervals that end at them
     `layout`: order of the columns written; None where nothing was written
-    `q0_wxyz`: Attitude at the first sample, scalar first
+    `q0_wxyz`: attitude at the first sample, scalar first
     `q0_from`: ``"given"``, ``"level"``, ``"log"`` or a file
     """
 
@@ -103,19 +101,17 @@ class ConventionReport(NamedTuple):
 class ResultReport(NamedTuple):
     """What came out.
 
-    `samples`: samples that were propagated
     `first_ns`, `last_ns`: their first and last stamp, ns
     `span_s`: time between them, s
-    `sample_rate_hz`: Mean rate of the samples, Hz; None where they span no time
-    `rows`: attitudes that were written
-    `final_wxyz`: Attitude at the last sample, scalar first
+    `sample_rate_hz`: mean rate of the samples, Hz; None where they span no time
+    `final_wxyz`: attitude at the last sample, scalar first
     `net_rotation_rad`: angle from the first to the last attitude, rad
-    `method_sensitivity_rad`: Method sensitivity: the angle between the final attitudes of this and
+    `method_sensitivity_rad`: method sensitivity: the angle between the final attitudes of this and
         the next better method, rad; None where it was not computed
-    `next_method`: That method: for ``"cubic"`` the next lower one
+    `next_method`: that method: for ``"cubic"`` the next lower one
     `sampling_sensitivity_rad`: angle between the final attitudes from all samples and from every
         second one, rad
-    `path_angle_rad`: Total angle traversed, rad
+    `path_angle_rad`: total angle traversed, rad
     """
 
     samples: int

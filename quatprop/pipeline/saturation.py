@@ -108,7 +108,7 @@ class Saturation:
         """Yield a sentence for each end of an axis that is saturated.
 
         `moving`: which axes do not have one rate throughout
-        `interval`: Between rows, s
+        `interval`: between rows, s
         """
         runs = self._runs[int(hold > 1)]
         for side, sign in enumerate("+-"):

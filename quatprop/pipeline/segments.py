@@ -29,10 +29,9 @@ if TYPE_CHECKING:
 class Segments:
     """Propagates a log segment by segment.
 
-    `timeline`: Cuts the samples into segments; its policy says how one continues from another
-    `q0`: Attitude at the first sample, wxyz, unit length
+    `timeline`: cuts the samples into segments; its policy says how one continues from another
+    `q0`: attitude at the first sample, wxyz, unit length
     `times`: when attitudes are wanted; None is at every sample
-    `errors`: of the gyroscope; None where they are not known
     `mount`: its axes to those of the body, where the rates were turned, as for
         :class:`quatprop.kinematics.uncertainty.ErrorGrowth`
     `final`: the attitude at the last sample so far, wxyz

@@ -37,14 +37,13 @@ class PropagationSettings:
 
     `kind`: a key of :data:`quatprop.logs.kinds.READERS`; None: told by its content,
         then by its suffix
-    `selection`: which samples
     `policy`: how irregular timestamps are handled
     `method`: integration rule: a key of :data:`quatprop.kinematics.increments.METHODS`; None: what
         the log says of its samples, or else ``"start"``
     `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved
-    `q0`: Attitude body -> reference at the first sample, or where to take it from
-    `conditioning`: Bias, mounting and the part of the log to use
-    `every`: Keep every N-th attitude; None is all
+    `q0`: attitude body -> reference at the first sample, or where to take it from
+    `conditioning`: bias, mounting and the part of the log to use
+    `every`: keep every N-th attitude; None is all
     `rate`: attitudes at this rate, Hz, exact at those times; None is at the samples
     `at`: attitudes at the stamps of this series, exact at those times; None is at the samples
     `threads`: how many threads compute at a time; None is as many as there are cores. The result is
@@ -113,13 +112,13 @@ class OutputSettings(NamedTuple):
 
     `path`: path of the attitude series, or ``"-"`` for CSV on stdout
     `into`: the output is a copy of the log with the attitudes added as messages
-    `to`: Format, a key of :data:`quatprop.writers.formats.WRITERS`; None: told by the suffix
+    `to`: format, a key of :data:`quatprop.writers.formats.WRITERS`; None: told by the suffix
     `layout`: ``"scalar-first"`` or ``"scalar-last"``: the order of the columns written; None is
         what the format prescribes, or scalar-first where it leaves the choice
     `message`: what to write the attitudes as, where they are written as messages
     `beside`: what else to write of each attitude: a key of
         :data:`quatprop.conventions.representations.REPRESENTATIONS`; None for nothing
-    `comment`: Write the report in a comment at the beginning of the output
+    `comment`: write the report in a comment at the beginning of the output
     `report`: where the report goes as JSON, ``"-"`` for stdout; None is nowhere
     """
 

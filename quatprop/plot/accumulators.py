@@ -33,10 +33,9 @@ class Quantity(NamedTuple):
     `axis`: its colour in a picture of one file: ``"x"``, ``"y"``, ``"z"``, ``"w"``, or ``""``
     `wraps`: whether it is an angle, in deg, that wraps at half a turn
     `least`: a series that varies by less is drawn as a constant
-    `scale`: Range of its axis in either direction where the series is zero
+    `scale`: range of its axis in either direction where the series is zero
     `is_error`: whether it should be zero: its standard deviation is drawn about zero
-    `height`: height of its panel, in those of others
-    `shown_above`: It has no panel unless it is larger than this somewhere; None: it always has one
+    `shown_above`: it has no panel unless it is larger than this somewhere; None: it always has one
     """
 
     name: str
@@ -88,7 +87,6 @@ ERROR = (
 class Group(NamedTuple):
     """Quantities that share their stamps.
 
-    `quantities`: what is drawn, one panel each
     `reduced`: their reduced samples, and then their standard deviations, where those are known
     `gap_limit_ns`: intervals longer than this are gaps, ns; None: there are none
     """
@@ -101,7 +99,6 @@ class Group(NamedTuple):
 class Accumulator:
     """Quantities of a picture, reduced while samples pass.
 
-    `quantities`: what is kept of each sample
     `has_sigmas`: whether standard deviations are kept too
     """
 
@@ -120,10 +117,7 @@ class Accumulator:
 
 
 class RateAccumulator(Accumulator):
-    """Angular rates.
-
-    `unit`: unit in which they are drawn
-    """
+    """Angular rates."""
 
     def __init__(self, unit: str) -> None:
         super().__init__(tuple(Quantity(f"rate {axis}", unit, axis) for axis in "xyz"))
@@ -141,13 +135,12 @@ class RateAccumulator(Accumulator):
 class AttitudeAccumulator(Accumulator):
     """Attitudes, as angles or as components, and their norm error.
 
-    `components`: Draw the components of the quaternion, of q and -q the one nearer to the one
+    `components`: draw the components of the quaternion, of q and -q the one nearer to the one
         before, instead of yaw, pitch and roll
-    `unwrap`: Draw yaw and roll beyond half a turn, instead of cut there
-    `has_sigmas`: whether the attitudes have covariances
-    `invalid`: Invalid quaternions: zero, or not finite
+    `unwrap`: draw yaw and roll beyond half a turn, instead of cut there
+    `invalid`: invalid quaternions: zero, or not finite
     `knows_sigmas`: whether a standard deviation above zero was among them
-    `norm_error`: Largest difference from unit length
+    `norm_error`: largest difference from unit length
     """
 
     def __init__(

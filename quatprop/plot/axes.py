@@ -126,13 +126,7 @@ def _set_value_axis(axes: Axes, panel: Panel) -> None:
 
 
 def _tick_label(value: float, _position: float = 0) -> str:
-    """Return a short tick label.
-
-    Examples
-    --------
-    >>> _tick_label(0.000125), _tick_label(20.0), _tick_label(0.0)
-    ('1.25e-4', '20', '0')
-    """
+    """Return a short tick label."""
     text = f"{value:g}"
     if value and not SMALLEST <= abs(value) < LARGEST:
         digits, exponent = f"{value:.2e}".split("e")

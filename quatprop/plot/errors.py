@@ -37,12 +37,7 @@ MATCHES = {
 
 
 class ComparedFile(NamedTuple):
-    """A series and its error against a reference.
-
-    `name`: name of the file
-    `operand`: the series
-    `comparison`: its comparison with the reference
-    """
+    """A series and its error against a reference."""
 
     name: str
     operand: ReadAttitudes

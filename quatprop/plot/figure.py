@@ -70,8 +70,8 @@ MAX_NOTES = 3
 class Style(NamedTuple):
     """How large a picture and its letters are.
 
-    `width`, `height`: Inches; no height is that which the panels need
-    `dpi`: Dots an inch of a PNG
+    `width`, `height`: inches; no height is that which the panels need
+    `dpi`: dots an inch of a PNG
     `font`: size of the letters, points
     `title`: whether title, facts and notes stand around the panels
     """
@@ -188,13 +188,7 @@ def _write_legend(
 
 
 def notes_of(warnings: Sequence[str]) -> tuple[str, ...]:
-    """Return the warnings that stand below a picture; a page has all of them.
-
-    Examples
-    --------
-    >>> notes_of(("one", "two", "three", "four"))
-    ('one', 'two', 'and 2 more warnings')
-    """
+    """Return the warnings that stand below a picture; a page has all of them."""
     if len(warnings) <= MAX_NOTES:
         return tuple(warnings)
     shown = warnings[: MAX_NOTES - 1]
@@ -202,13 +196,7 @@ def notes_of(warnings: Sequence[str]) -> tuple[str, ...]:
 
 
 def shortened(text: str, longest: int) -> str:
-    """Return a text with its middle left out where it is too long.
-
-    Examples
-    --------
-    >>> shortened("a very long name", 9)
-    'a ve…name'
-    """
+    """Return a text with its middle left out where it is too long."""
     text = plain(text)
     if len(text) <= longest:
         return text

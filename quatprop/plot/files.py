@@ -54,11 +54,10 @@ class View(NamedTuple):
     """What to draw of files.
 
     `kind`: a key of :data:`quatprop.logs.kinds.READERS`; None: by content and suffix
-    `show`: None: the rates of a file that has some, else its attitudes
-    `rates`, `attitudes`: which samples
-    `components`: Draw quaternions as they are instead of as angles
-    `unwrap`: Draw angles beyond half a turn
-    `part`: Start and end of the part to draw, ends included
+    `show`: none: the rates of a file that has some, else its attitudes
+    `components`: draw quaternions as they are instead of as angles
+    `unwrap`: draw angles beyond half a turn
+    `part`: start and end of the part to draw, ends included
     """
 
     kind: str | None = None
@@ -75,10 +74,7 @@ class FileView(NamedTuple):
 
     `plotted`: what is drawn of it, labelled with its path
     `meaning`: unit and clock of its numbers, or convention and method
-    `samples`: how many, over which time
-    `facts`: rows of its table
     `remarks`: what a reader should know
-    `losses`: what could not be read
     """
 
     plotted: PlottedFile

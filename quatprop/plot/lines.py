@@ -34,8 +34,6 @@ class Unwrap:
 
     Whole turns are added so that every angle is within half a turn of the one before it. The turns
     are counted in integers: no rounding accumulates.
-
-    `traces`: how many angles each sample has
     """
 
     def __init__(self, traces: int) -> None:
@@ -90,14 +88,7 @@ def line(reduced: Reduced, trace: int, start_ns: int, limit_ns: int | None = Non
 
 
 def folded(continuous: Line) -> Line:
-    """Return a line of angles, deg, within half a turn of zero, cut where it leaves that range.
-
-    Examples
-    --------
-    >>> line = Line(np.array([0.0, 2.0]), np.array([170.0, 190.0]))
-    >>> folded(line).values.tolist()
-    [170.0, 180.0, nan, -180.0, -170.0]
-    """
+    """Return a line of angles, deg, within half a turn of zero, cut where it leaves that range."""
     seconds, values = continuous
     turns = np.floor((values + TURN / 2) / TURN)
     inside = values - TURN * turns

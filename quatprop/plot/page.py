@@ -32,12 +32,10 @@ REDUCED = " Only extremes of short times are drawn of it: draw a part of it to z
 class Page(NamedTuple):
     """A picture, and the text around it.
 
-    `title`: what it is of, in one line
     `facts`: lines below the title of a picture: convention, method, counts
     `lead`: the same on a page: the result, in a line or two
-    `picture`: the picture
     `warnings`: what a reader should know
-    `tables`: Details: headings, and rows of labels and texts
+    `tables`: details: headings, and rows of labels and texts
     """
 
     title: str

@@ -37,8 +37,6 @@ class Curve(NamedTuple):
 class Mark(NamedTuple):
     """A point with a label.
 
-    `seconds`, `value`: where it is
-    `label`: its text
     `sign`: ``"first"`` or ``"worst"``
     """
 
@@ -51,10 +49,7 @@ class Mark(NamedTuple):
 class Panel(NamedTuple):
     """One pair of axes.
 
-    `quantity`: what it shows
-    `curves`: its lines
     `level`: a horizontal line and what it is, such as a tolerance
-    `marks`: Marked points
     """
 
     quantity: Quantity
@@ -66,7 +61,6 @@ class Panel(NamedTuple):
 class PlottedFile(NamedTuple):
     """What is drawn of one file.
 
-    `label`: name of the file
     `groups`: what is drawn of it; the gaps are those of the first
     `detail`: what else stands in the legend
     """
@@ -101,8 +95,6 @@ class PlottedFile(NamedTuple):
 class Picture(NamedTuple):
     """The content of a picture.
 
-    `time`: label of the time axis
-    `panels`: from top to bottom
     `gaps`: for each file: first and last second of each gap, shape ``(G, 2)``
     `starts`: for each file: the stamp at which its seconds begin, ns
     `bin_s`: the time that was reduced to its extremes, mostly; 0 where samples are drawn as they

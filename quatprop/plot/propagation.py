@@ -18,11 +18,7 @@ if TYPE_CHECKING:
 
 
 class PropagationPicture(PictureFile):
-    """Accumulates a run as it passes, and draws it when it is done.
-
-    `target`: where the picture goes
-    `job`: what is run
-    """
+    """Accumulates a run as it passes, and draws it when it is done."""
 
     def __init__(self, target: str, job: Job, *, command: str = "") -> None:
         settings, output = job.settings, job.output

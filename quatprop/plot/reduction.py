@@ -71,15 +71,7 @@ class Reduced:
 class Reduction:
     """Reduces a series, batch after batch.
 
-    `traces`: how many values each sample has
     `bins`: most bins to keep, at least 2: stamps on both sides of zero never share one
-
-    Examples
-    --------
-    >>> reduction = Reduction(1, bins=4)
-    >>> reduction.add(np.arange(8), [np.array([0.0, 1, 0, 0, 0, 9, 0, 0])])
-    >>> reduction.result().high.tolist()
-    [[1.0, 0.0, 9.0, 0.0]]
     """
 
     def __init__(self, traces: int, bins: int = BINS) -> None:
@@ -95,7 +87,7 @@ class Reduction:
     def add(self, t_ns: Int64, values: Sequence[Float64] | Float64) -> None:
         """Add the next samples.
 
-        `t_ns`: Stamps, shape ``(N,)``, int64 ns, in any order
+        `t_ns`: stamps, shape ``(N,)``, int64 ns, in any order
         `values`: of each trace, shape ``(traces, N)``; NaN, infinite or huge where there is none
         """
         if not len(t_ns):

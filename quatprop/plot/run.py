@@ -33,8 +33,8 @@ def plot(  # noqa: PLR0913  # what the command line gives
 ) -> tuple[list[str], Sequence[str], bool]:
     """Draw files into a picture.
 
-    `files`: Paths, at least one; ``"-"`` is CSV on stdin
-    `reference`: Draw the error of each file against this series instead; None: what is in the files
+    `files`: paths, at least one; ``"-"`` is CSV on stdin
+    `reference`: draw the error of each file against this series instead; None: what is in the files
     """
     inputs = [*files, None if reference is None else reference.path]
     with PictureFile(output, inputs, style=style, command=command) as target:

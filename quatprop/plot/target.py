@@ -76,13 +76,7 @@ def _contents(path: str) -> Row:
 
 
 def kind_of(target: str) -> str:
-    """Return the kind of a picture by the suffix of its name.
-
-    Examples
-    --------
-    >>> kind_of("rates.PNG")
-    'png'
-    """
+    """Return the kind of a picture by the suffix of its name."""
     if is_stdout(target) or is_stream(target):
         raise OutputError(target, "a picture goes to a file; name one that ends in .png")
     kind = KINDS.get(Path(target).suffix.lower())

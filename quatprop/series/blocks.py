@@ -50,11 +50,6 @@ def with_next(items: Iterable[Item], *, look_ahead: bool) -> Iterator[tuple[Item
     """Yield each item with the next one, which is None after the last.
 
     `look_ahead`: whether to wait for the next one; otherwise it is always None
-
-    Examples
-    --------
-    >>> list(with_next("abc", look_ahead=True))
-    [('a', 'b'), ('b', 'c'), ('c', None)]
     """
     if not look_ahead:
         yield from zip(items, repeat(None), strict=False)

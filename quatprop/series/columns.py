@@ -23,9 +23,9 @@ INT64 = np.iinfo(np.int64)
 def stamps_of(name: str, values: object) -> NDArray[np.int64]:
     """Return time stamps in ns.
 
-    `values`: Integers in ns, or dates of any resolution, shape ``(N,)``; dates without a zone are
+    `values`: integers in ns, or dates of any resolution, shape ``(N,)``; dates without a zone are
         UTC
-    `Returns`: Shape ``(N,)``, int64, ns; the same array where it is one already
+    `Returns`: shape ``(N,)``, int64, ns; the same array where it is one already
     """
     array = _as_array(name, values)
     if array.ndim != 1:
@@ -68,7 +68,7 @@ def times_beside(t_ns: NDArray[np.int64], name: str, values: object) -> NDArray[
 def seconds_in_ns(t_s: object) -> NDArray[np.int64]:
     """Return time stamps in ns from seconds as floats, rounded to the nearest ns.
 
-    `t_s`: Seconds, shape ``(N,)``. At an epoch of 1.7e9 s, floats are 238 ns apart
+    `t_s`: seconds, shape ``(N,)``. At an epoch of 1.7e9 s, floats are 238 ns apart
     """
     array = _as_array("t_s", t_s)
     if array.ndim != 1 or array.dtype.kind not in "iuf":

@@ -24,12 +24,9 @@ PYTHON_TYPES = {
 class Keyword:
     """A keyword of the library, which is an option and a key of a suite too.
 
-    `parse`: reads its value
     `says`: one or more sentences; settings in them are marks (:class:`quatprop.text.Setting`),
         ``{log}`` is what the interface calls the input, ``{signal}`` what is read of it
-    `default`: what holds where it is not given
     `takes`: what help calls the value; of a choice it lists the names
-    `group`: the heading in help
     `common`: whether help shows it without being asked for all
     `preset`: whether the default is a value, which is read like one that was given
     """

@@ -42,7 +42,7 @@ MIN_FREQUENCY = Decimal("1e-9")
 class StaticBias(NamedTuple):
     """Take the mean rate at rest as the bias.
 
-    `window_ns`: Rest is looked for in windows of this length, ns
+    `window_ns`: rest is looked for in windows of this length, ns
     """
 
     window_ns: int = 1_000_000_000

@@ -104,13 +104,7 @@ def quantity_of(units: Mapping[str, float], noun: str, examples: str) -> Parser:
 
 
 def picture_size(value: object) -> tuple[float, float | None]:
-    """Return the width and height of a picture in inches; the height None where it is not given.
-
-    Examples
-    --------
-    >>> picture_size("254x127mm"), picture_size("3.5in")
-    ((10.0, 5.0), (3.5, None))
-    """
+    """Return the width and height of a picture in inches; the height None where it is not given."""
     number = r"(\d+\.?\d*)"
     found = re.fullmatch(rf"{number}(?:x{number})?(mm|cm|in)", str(value), re.ASCII)
     if found is not None:

@@ -14,11 +14,10 @@ if TYPE_CHECKING:
 class SignalSelection:
     """Which topic to read, and which time base; None means "not given".
 
-    `topic`: topic of a log of messages
     `msg_path`: message definitions for a log that carries none: a ``.msg`` file, or a folder of
         them
     `clock`: ``"header"``, ``"log"`` or ``"publish"``
-    `time_field`: Dotted path of the message field that is the time
+    `time_field`: dotted path of the message field that is the time
     `time_col`: time column of a table, by name or number from 0
     `time_unit`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``
     `sample_rate`: rows a second, Hz, of a table without a time column
@@ -47,7 +46,7 @@ class RateSelection(SignalSelection):
 
     Takes the parameters of :class:`SignalSelection` too.
 
-    `rate_field`: Dotted path of the message field, such as ``"imu.angular_velocity"``
+    `rate_field`: dotted path of the message field, such as ``"imu.angular_velocity"``
     `rate_cols`: the x, y and z columns of a table, by name or number from 0
     `rate_unit`: ``"rad/s"`` or ``"deg/s"``
     """
@@ -63,7 +62,7 @@ class AttitudeSelection(SignalSelection):
 
     Takes the parameters of :class:`SignalSelection` too.
 
-    `quat_field`: Dotted path of the quaternion in a message
+    `quat_field`: dotted path of the quaternion in a message
     `quat_cols`: the four columns of a table as stored, by name or number from 0; with `from_euler`
         the three angles in the order of its letters
     `frame`: of a list of transforms, ``"child"`` or ``"parent:child"``
@@ -71,7 +70,7 @@ class AttitudeSelection(SignalSelection):
     `from_convention`: ``"hamilton"`` or ``"jpl"``
     `from_direction`: ``"body-to-ref"`` or ``"ref-to-body"``
     `from_angle_unit`: ``"rad"`` or ``"deg"``, of Euler angles and rotation vectors
-    `from_euler`: Sequence of Euler angles, one of :data:`quatprop.settings.EULER_SEQUENCES`
+    `from_euler`: sequence of Euler angles, one of :data:`quatprop.settings.EULER_SEQUENCES`
     """
 
     quat_field: str | None = None

@@ -47,13 +47,7 @@ def refuse_unknown(options: Iterable[str], names: Collection[str]) -> None:
 
 
 def as_text(name: str, value: object, parsed: object) -> str | bool:
-    """Return the value of a setting as a configuration has it.
-
-    Examples
-    --------
-    >>> as_text("max_gap", 200_000_000, 200_000_000), as_text("bias", [0.1, 0, 0], (0.1, 0.0, 0.0))
-    ('200000000ns', '0.1,0.0,0.0')
-    """
+    """Return the value of a setting as a configuration has it."""
     if isinstance(value, str | bool):
         return value
     if type(parsed) is tuple:

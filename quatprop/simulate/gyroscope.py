@@ -37,12 +37,10 @@ class Gyroscope:
 
     `sample_rate`: samples a second, Hz. Sample k is taken at the whole ns at or before ``k /
         sample_rate``, and its stamp is true
-    `samples`: number of samples
     `start_ns`: first stamp, ns
     `noise`: angular random walk, rad/s/sqrt(Hz): each sample of each axis gets white noise of
         standard deviation ``noise * sqrt(sample_rate)``
-    `bias`: Added to the rate, rad/s
-    `seed`: of the noise
+    `bias`: added to the rate, rad/s
     """
 
     sample_rate: Fraction
@@ -74,7 +72,7 @@ def record(
 ) -> Iterator[AttitudeSeries]:
     """Yield the true attitudes with the measured rates, batch after batch.
 
-    `q0`: True attitude at the first sample, body -> reference, wxyz; made unit length
+    `q0`: true attitude at the first sample, body -> reference, wxyz; made unit length
     """
     if not 0 < np.linalg.norm(q0) < np.inf:
         raise UsageError("q0 must be four finite numbers W,X,Y,Z, not all zero")
@@ -93,14 +91,7 @@ def record(
 
 
 def samples_in(duration_ns: int, sample_rate: Fraction) -> int:
-    """Return the number of samples in a duration, at least one.
-
-    Examples
-    --------
-    >>> from fractions import Fraction
-    >>> samples_in(20_000_000_000, Fraction(100))
-    2000
-    """
+    """Return the number of samples in a duration, at least one."""
     return max(1, math.ceil(duration_ns * sample_rate / NS_PER_S))
 
 

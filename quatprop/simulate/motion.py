@@ -35,13 +35,12 @@ if TYPE_CHECKING:
 class Shape:
     """The parameters of the motions; each uses its own.
 
-    `frequency`: Turns a second, Hz: of the spin, of the coning, of the precession of a tumbling
+    `frequency`: turns a second, Hz: of the spin, of the coning, of the precession of a tumbling
         body
     `axis`: axis of the spin in the body, any length but zero
-    `angle`: Degrees: half-angle of the cone, or nutation angle of a tumbling body
-    `spin_frequency`: Turns a second of a tumbling body about its own axis
-    `walk`: Strength of the random walk of the rate, rad/s/sqrt(s)
-    `seed`: of the random walk
+    `angle`: degrees: half-angle of the cone, or nutation angle of a tumbling body
+    `spin_frequency`: turns a second of a tumbling body about its own axis
+    `walk`: strength of the random walk of the rate, rad/s/sqrt(s)
     """
 
     frequency: Fraction = Fraction(1, 2)
@@ -136,7 +135,7 @@ def random_walk(walk: float, seed: int) -> Motion:
     The attitude is the product of the exact steps (source article, equation 36) in extended
     precision where the machine has it.
 
-    `walk`: Strength, rad/s/sqrt(s): the rate's standard deviation after one second, on each axis
+    `walk`: strength, rad/s/sqrt(s): the rate's standard deviation after one second, on each axis
     """
     random = np.random.default_rng(seed)
     last = np.int64(0), np.zeros(3), np.array([1, 0, 0, 0], np.longdouble)
@@ -170,11 +169,6 @@ def hamilton(left: AnyArray, right: AnyArray) -> AnyArray:
     """Return ``left right``, wxyz, ij = k; shapes ``(..., 4)`` broadcast.
 
     Written out, because linear algebra libraries round sums differently on different processors.
-
-    Examples
-    --------
-    >>> hamilton(np.array([0.0, 1, 0, 0]), np.array([0.0, 0, 1, 0]))
-    array([0., 0., 0., 1.])
     """
     a, b, c, d = np.moveaxis(left, -1, 0)
     w, x, y, z = np.moveaxis(right, -1, 0)

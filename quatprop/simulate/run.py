@@ -38,11 +38,6 @@ def truth_beside(target: Path | str, kind: str | None = None) -> str | None:
     """Return where the truth of a log goes by default: the log's name with ``.truth.csv``.
 
     Beside a Parquet log it is Parquet as well; beside stdout there is none.
-
-    Examples
-    --------
-    >>> truth_beside("logs/spin.mcap")
-    'logs/spin.truth.csv'
     """
     if is_stdout(target):
         return None

@@ -48,12 +48,6 @@ def ranges_of(starts: Int64, ends: Int64, gap: int) -> ByteRanges:
 
     `starts`, `ends`: where each message begins and ends, shape ``(N,)``, int64, at least one;
         messages that are not in ascending order begin ranges of their own
-
-    Examples
-    --------
-    >>> ranges = ranges_of(np.array([10, 20, 90]), np.array([18, 28, 95]), gap=4)
-    >>> ranges.begins.tolist(), ranges.ends.tolist(), ranges.moved.tolist()
-    ([10, 90], [28, 95], [10, 10, 72])
     """
     between = starts[1:] - ends[:-1]
     first = np.concatenate([[0], np.flatnonzero((between < 0) | (between > gap)) + 1])

@@ -48,12 +48,6 @@ def decompress(data: Buffer, compression: str, size: int | None = None) -> Buffe
 
     `compression`: ``""`` or ``"none"``, ``"lz4"`` (frame format), ``"zstd"`` or ``"bz2"``
     `size`: the decompressed size in bytes as the log declares it; None if it declares none
-
-    Examples
-    --------
-    >>> import bz2
-    >>> decompress(bz2.compress(b"0.1 rad/s"), "bz2", 9)
-    b'0.1 rad/s'
     """
     decompressor = _DECOMPRESSORS.get(compression)
     if decompressor is None:

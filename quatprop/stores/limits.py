@@ -55,11 +55,6 @@ def decompressed_limit(size: int) -> int:
 
     That is 2 GiB, or 200 times its size if that is more, unless the environment variable says
     otherwise: no recording compresses as well as a file that was made to fill a disk.
-
-    Examples
-    --------
-    >>> decompressed_limit(1000) == 2 << 30
-    True
     """
     value = os.environ.get(MAX_UNPACKED, "").strip()
     if not value:

@@ -63,15 +63,7 @@ def is_address(path: Path | str) -> bool:
 
 
 def without_secret(path: Path | str) -> str:
-    """Return a path or an address as it may be recorded: without credentials in it.
-
-    Examples
-    --------
-    >>> without_secret("s3://key:secret@bucket/log.mcap")
-    's3://bucket/log.mcap'
-    >>> without_secret("abfs://container:secret@account.dfs.core.windows.net/log.mcap")
-    'abfs://container@account.dfs.core.windows.net/log.mcap'
-    """
+    """Return a path or an address as it may be recorded: without credentials in it."""
     text = str(path)
     if text.startswith(("abfs://", "abfss://")):
         return re.sub(r"(?<=://)([^/?#:@]*):[^/?#]*@", r"\1@", text)
@@ -79,13 +71,7 @@ def without_secret(path: Path | str) -> str:
 
 
 def below(address: str, name: str) -> str:
-    """Return the address of an object below another one, with the same parameters.
-
-    Examples
-    --------
-    >>> below("s3://bucket/logs/?region=eu-west-1", "a.mcap")
-    's3://bucket/logs/a.mcap?region=eu-west-1'
-    """
+    """Return the address of an object below another one, with the same parameters."""
     base, mark, parameters = address.partition("?")
     return f"{base.rstrip('/')}/{name}{mark}{parameters}"
 
@@ -212,7 +198,7 @@ class StoredObject(NamedTuple):
     """By what an object is recognised.
 
     `name`: its path below the prefix that was asked for; empty for the object itself
-    `size`: Bytes
+    `size`: bytes
     `mtime_ns`: when it was written, ns; None if its store does not say
     `etag`: by what its store recognises its content; None if it does not say
     """

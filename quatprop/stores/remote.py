@@ -51,7 +51,6 @@ SINGLE_READS = 64
 class RemoteSource(FileSource):
     """An object of a store, read in ranges by several threads; errors are exceptions of the log.
 
-    `address`: the object
     `path`: what errors and readers take for its path
     `etag`: by what the store recognises its content; None if it does not say
     """
@@ -181,13 +180,7 @@ class _Stream(io.RawIOBase):
 
 
 def _requests(begins: Sequence[int], ends: Sequence[int]) -> list[tuple[int, int]]:
-    """Return the ranges of the requests for some ranges: close ones together.
-
-    Examples
-    --------
-    >>> _requests([0, 200_000, 9_000_000, 150_000], [150_000, 300_000, 9_000_001, 200_000])
-    [(0, 300000), (9000000, 9000001)]
-    """
+    """Return the ranges of the requests for some ranges: close ones together."""
     together: list[tuple[int, int]] = []
     for begin, end in sorted(zip(begins, ends, strict=True)):
         if together and begin <= together[-1][1] + GAP_BYTES:

@@ -39,10 +39,8 @@ _LISTINGS: dict[Path, tuple[float, list[str]]] = {}
 class LockedTemp(Generic[T]):
     """A new file or folder beside a place, on the same disk, locked until it is removed or moved.
 
-    `place`: where it will be in the end
     `make`: makes the file or folder; fails where there is one
     `path`: where it is; the name is short, however long the target's is
-    `made`: what `make` returned
     """
 
     def __init__(self, place: Path, make: Callable[[Path], T]) -> None:

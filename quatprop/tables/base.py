@@ -30,8 +30,6 @@ OTHER_DATES = "dates that are not of ISO 8601"
 class TimedColumns(NamedTuple):
     """Which columns of a table to read as numbers, and which as the time.
 
-    `numbers`: positions of the columns of numbers
-    `stamp`: the time
     `parts`: which of the parts of :meth:`TableLog.spans` to read; None for all
     `series`: columns and the labels that the rows to read have in them
     """

@@ -34,7 +34,7 @@ class RowBatch:
 
     `log_ns`: when each row was recorded, shape ``(N,)``, int64 ns
     `values`: columns of N rows each, shapes ``(N, ...)``
-    `watermark_ns`: No later batch of this stream holds a row with an earlier log time
+    `watermark_ns`: no later batch of this stream holds a row with an earlier log time
     """
 
     log_ns: NDArray[np.int64]
@@ -68,13 +68,6 @@ def merge_by_time(streams: Sequence[Iterable[RowBatch]]) -> Iterator[RowBatch]:
     A batch without a bound (:data:`~quatprop.tables.batches.NO_BOUND`) is taken to end before
     the next one of its stream begins; its stream need not be held in memory. Rows that come
     before their bound are not lost: they are yielded as soon as they are read, out of order.
-
-    Examples
-    --------
-    >>> even = RowBatch(np.array([0, 2]), (np.array([10, 12]),), watermark_ns=4)
-    >>> odd = RowBatch(np.array([1, 3]), (np.array([11, 13]),), watermark_ns=5)
-    >>> [batch.values[0].tolist() for batch in merge_by_time([[even], [odd]])]
-    [[10, 11, 12, 13]]
     """
     iterators = [iter(stream) for stream in streams]
     bounds = [NO_BOUND] * len(iterators)

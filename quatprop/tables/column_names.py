@@ -91,15 +91,7 @@ _MAY_HAVE_SUFFIX = (
 
 @lru_cache(maxsize=1024)
 def parse_name(text: str) -> Column:
-    """Take a column name apart.
-
-    Examples
-    --------
-    >>> parse_name("w_RS_S_x [rad s^-1]").unit
-    'rad/s'
-    >>> parse_name("gyro_rad[0]").key
-    'gyro_rad[0]'
-    """
+    """Take a column name apart."""
     name = text.strip("\ufeff \t\"'").lstrip("#%/ \t").strip()
     bracketed = _BRACKETS.fullmatch(name)
     if bracketed and not bracketed[2].strip().isdecimal():
@@ -117,39 +109,21 @@ def parse_name(text: str) -> Column:
 
 
 def whole_key(text: str) -> str:
-    """Return the key of a name with the unit that it ends in, but for one in brackets.
-
-    Examples
-    --------
-    >>> whole_key("TS_mSec"), parse_name("ts_msec").key
-    ('ts_msec', 'ts')
-    """
+    """Return the key of a name with the unit that it ends in, but for one in brackets."""
     name = text.strip("\ufeff \t\"'").lstrip("#%/ \t").strip()
     # No new word begins in the units mSec and uSec.
     return _key(re.sub(r"(?i)([munµμ])sec", lambda unit: unit[0].lower(), name))
 
 
 def as_option(names: Sequence[str], k: int) -> str:
-    """Return how an option names a column: by its name, or by its number where that needs quotes.
-
-    Examples
-    --------
-    >>> as_option(["t_ns", "server time (s)"], 0), as_option(["t_ns", "server time (s)"], 1)
-    ('t_ns', '1')
-    """
+    """Return how an option names a column: by its name, or its number where that needs quotes."""
     name = names[k].strip()
     is_plain = re.fullmatch(r"[\w.+-]*[^\W\d][\w.+-]*", name, re.ASCII) and names.count(name) == 1
     return name if is_plain else str(k)
 
 
 def rate_unit_of(fields: Sequence[str]) -> str | None:
-    """Return the unit of rates that names declare, three of an axis or one of a vector.
-
-    Examples
-    --------
-    >>> rate_unit_of(["imu.gyro_dps"]), rate_unit_of(["gx_dps", "gy_dps", "gz_dps"])
-    ('deg/s', 'deg/s')
-    """
+    """Return the unit of rates that names declare, three of an axis or one of a vector."""
     names = fields if len(fields) > 1 else [f"{fields[0]}[0]"]
     unit, *others = {parse_name(name).unit for name in names}
     return None if others or unit not in {*RATE_UNITS, *SCALED_RATE_UNITS} else unit

@@ -96,11 +96,7 @@ def refusal(dataset: Any, file_size: int) -> str:
 class StoredRows:
     """Columns of a dataset, which are read by rows.
 
-    `dataset`: the dataset, with one dimension or two
-    `columns`: Some of its columns and how they are named
     `step`: bytes of what is read of a row
-    `unit`: how many rows are stored together
-    `why_missing`: why rows may be missing
     """
 
     def __init__(self, dataset: Any, columns: Sequence[tuple[str, ArrayColumn]]) -> None:

@@ -26,16 +26,7 @@ class Loss(NamedTuple):
 
 
 class Losses(list[Loss]):
-    """Losses, each of which is noted once, however often the log is read.
-
-    Examples
-    --------
-    >>> losses = Losses()
-    >>> for _ in range(2):
-    ...     losses.note("line 17", "it has 3 columns instead of 4", 1)
-    >>> len(losses)
-    1
-    """
+    """Losses, each of which is noted once, however often the log is read."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -64,7 +55,6 @@ class Log(ABC):
     """A log of any kind, open for reading; closed when its ``with`` block ends.
 
     `kind`: the key in :data:`quatprop.logs.kinds.READERS`
-    `path`: the file or folder
     `losses`: what could not be read; grows while the log is read
     `remarks`: what may be wrong with the log, though not for certain; grows while the log is read
     `definition_files`: files beside the log that message definitions were taken from

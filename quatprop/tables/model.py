@@ -99,7 +99,6 @@ class Span(NamedTuple):
     """The stamps of a part of a table.
 
     `first_ns`, `last_ns`: the earliest and the latest, ns
-    `rows`: how many rows it has
     """
 
     first_ns: int
@@ -131,7 +130,6 @@ class Table(ABC):
 
     `name`: the topic; ``""`` of a file
     `type`: the message type; ``""`` of a file
-    `kind`: the kind of the log
     `notes`: what a file declares besides the names of its columns
     `log_clocks`: the times that the log itself has of each row: ``"log"``, ``"publish"``
     `is_decodable`: whether its rows can be read

@@ -37,8 +37,6 @@ class HeaderError(ValueError):
 class ArrayHeader(NamedTuple):
     """What stands before the numbers of an array.
 
-    `dtype`: of one element
-    `shape`: of the array
     `is_fortran`: whether columns follow one another rather than rows
     """
 
@@ -51,11 +49,9 @@ class ArrayColumn(NamedTuple):
     """A column of numbers within an array.
 
     `name`: ``""`` for the elements of a plain array of one dimension
-    `dtype`: of one value
     `start`: bytes before its first row, counted from the end of the header
     `step`: bytes of a row
     `offset`: where in a row the value stands
-    `rows`: how many rows
     """
 
     name: str

@@ -102,7 +102,6 @@ def use_threads(data: bytes | memoryview, task_bytes: int) -> bool:
 class RejectedRows:
     """Rows of a text table that do not fit: noted as losses; if most do not, the table is refused.
 
-    `losses`: where to note them
     `count`: how many rows were read so far, those that do not fit among them
     """
 

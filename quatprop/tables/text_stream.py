@@ -29,7 +29,6 @@ _LONGEST_RECORD = 1 << 26
 class TextBlock(NamedTuple):
     """Whole records of a text.
 
-    `line`: number of its first line
     `data`: the records; valid until the next block is asked for
     `quoted`: whether there are quotes in it, between which a line break may be part of a cell
     """

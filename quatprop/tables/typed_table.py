@@ -45,7 +45,6 @@ class Leaf(NamedTuple):
     """A column that holds values.
 
     `path`: its name; below it the names of the fields that lead to the values, where it is a struct
-    `type`: their type
     `element`: which element of a list they are, from 0; None where they are no lists
     """
 
@@ -217,7 +216,6 @@ class BatchRows(NamedTuple):
     `t_ns`: stamps, shape ``(N,)``, int64, ns
     `numbers`: as stored, shape ``(N, k)``, float64; NaN where there are none
     `total`: how many rows of the series there were, with a time or without
-    `others`: how many rows of other series
     """
 
     t_ns: Int64

@@ -34,8 +34,7 @@ MIN_SAMPLES = 20
 class Event:
     """How often something happened, and where first.
 
-    `count`: Occurrences
-    `first_index`: Index of the first sample concerned, counted from 0: of rates that are not
+    `first_index`: index of the first sample concerned, counted from 0: of rates that are not
         finite, outliers and stamps that go backwards as read, of repeated stamps and gaps among the
         samples used
     `first_ns`: its time stamp, ns
@@ -66,20 +65,19 @@ class Counts:
     `read`, `used`: samples read, but for those outside of the range that is asked for, and samples
         used
     `first_ns`, `last_ns`: stamps of the first and last sample used
-    `median_dt_ns`: Median of the first :data:`quatprop.timeline.stamps.MEDIAN_WINDOW` positive
+    `median_dt_ns`: median of the first :data:`quatprop.timeline.stamps.MEDIAN_WINDOW` positive
         intervals, ns
-    `min_dt_ns`, `max_dt_ns`: Extreme intervals between samples used, ns
+    `min_dt_ns`, `max_dt_ns`: extreme intervals between samples used, ns
     `gap_limit_ns`: intervals longer than this were counted as gaps
     `duplicates`, `backwards`, `outliers`, `gaps`: stamps equal to the one before; earlier than one
         before; ahead of those after them; long intervals. A gap is located by the sample after it
     `longest_gap`: the stamps before and after the longest, ns
     `gap_list`: the first :data:`LISTED_GAPS` gaps: the stamps before and after each, ns
-    `max_rate`: Largest finite magnitude of the angular rate, rad/s
-    `path_angle_rad`: Total angle traversed, rad: the sum of abs(w) dt with the rate at each
+    `max_rate`: largest finite magnitude of the angular rate, rad/s
+    `path_angle_rad`: total angle traversed, rad: the sum of abs(w) dt with the rate at each
         interval's start, or of the increments
     `integrated_ns`: for increments: the time over which the sensor integrated them, ns, in all
         intervals
-    `nonfinite`: rates that are not finite
     """
 
     read: int = 0

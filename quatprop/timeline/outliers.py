@@ -125,7 +125,7 @@ def _in_order(t_ns: Int64) -> bool:
 def _outliers(t_ns: Int64, own: slice, *, from_the_first: bool) -> tuple[Bool, int]:
     """Return which of some stamps are outliers, and by how much the first is ahead, ns.
 
-    `t_ns`: Neighbouring stamps, ns
+    `t_ns`: neighbouring stamps, ns
     `from_the_first`: whether they begin with the first of the log, which has none before it to jump
         from
     """

@@ -70,9 +70,8 @@ OBSERVE = Policy(on_backwards="keep", on_nonfinite="keep")
 class Examined(NamedTuple, Generic[Batch]):
     """A batch, and what is irregular about its stamps.
 
-    `batch`: the samples
     `rows`: which of the samples that were read they are, shape ``(N,)``
-    `outliers`, `back`: Masks of outliers, and of stamps that are earlier than one before
+    `outliers`, `back`: masks of outliers, and of stamps that are earlier than one before
     """
 
     batch: Batch
@@ -84,7 +83,6 @@ class Examined(NamedTuple, Generic[Batch]):
 class StampChecks:
     """Checks time stamps batch by batch, and counts what it finds.
 
-    `policy`: how irregular stamps are handled
     `chosen_by`: the setting that chooses other stamps: ``"clock"``, or of a table ``"time_col"``
     """
 
@@ -221,7 +219,7 @@ class StampChecks:
         """Count the stamps as used and return the intervals that end at them.
 
         `t_ns`: the next stamps, shape ``(N,)``, at least one, int64 ns
-        `Returns`: Shape ``(N,)``, int64 ns; ``(N - 1,)`` for the first batch
+        `Returns`: shape ``(N,)``, int64 ns; ``(N - 1,)`` for the first batch
         """
         counts = self.counts
         first_ns = int(t_ns[0]) if counts.first_ns is None else counts.first_ns
@@ -272,7 +270,7 @@ class StampChecks:
 def _cause_of_step(t_ns: Int64, first: int) -> str:
     """Return the likely cause of a step back in time, if the stamps show one.
 
-    `t_ns`: Stamps, ns
+    `t_ns`: stamps, ns
     """
     if first < 2:  # noqa: PLR2004  # it and two before
         return ""

@@ -42,7 +42,7 @@ class OutputFile:
 
     `target`: the file's path; ``"-"`` is stdout. Of a symbolic link, the file it points to is
         replaced and the link stays
-    `stream`: Binary stream. Buffered, since an unbuffered one may write only a part of what it is
+    `stream`: binary stream. Buffered, since an unbuffered one may write only a part of what it is
         given
     """
 

@@ -20,13 +20,7 @@ if TYPE_CHECKING:
 
 
 def provenance_json(provenance: Mapping[str, object]) -> str:
-    """Return a provenance as it is kept in files: JSON on one line, plain ASCII.
-
-    Examples
-    --------
-    >>> provenance_json({"source": "a.bag", "samples": 1})
-    '{"samples": 1, "source": "a.bag"}'
-    """
+    """Return a provenance as it is kept in files: JSON on one line, plain ASCII."""
     return json.dumps(provenance, sort_keys=True, default=as_json)
 
 
@@ -34,11 +28,6 @@ def block_slices(rows: int, filled: int, size: int) -> Iterator[tuple[slice, sli
     """Yield how a batch of rows is distributed to blocks that all have one size.
 
     Blocks end at fixed rows, wherever a batch ends: the bytes do not depend on batches.
-
-    Examples
-    --------
-    >>> list(block_slices(3, 3, 4))
-    [(slice(0, 1, None), slice(3, 4, None)), (slice(1, 3, None), slice(0, 2, None))]
     """
     done = 0
     while done < rows:
@@ -121,10 +110,7 @@ class Transaction(ABC):
 
 
 class FileWriter(Transaction):
-    """Writes a file or folder; errors of the system become errors that name it.
-
-    `output`: what is written
-    """
+    """Writes a file or folder; errors of the system become errors that name it."""
 
     _output: OutputFile | OutputPath
     _other_errors: tuple[type[Exception], ...] = ()

@@ -23,9 +23,8 @@ class Format(NamedTuple):
     `opener`: ``module:class`` of the writer, imported when it is needed. It is called with the
         target and, for columns, their names; for messages, a topic and a compression
     `columns`: whether it is a table of any columns
-    `encodings`: Encodings of the messages that it holds; empty where it holds none
+    `encodings`: encodings of the messages that it holds; empty where it holds none
     `layout`: the layout that the format's own definition prescribes; None where there is a choice
-    `has_stamps`: whether it has a place for timestamps
     `is_text`: whether it may go to stdout
     `comments`: whether it has comments, in which the provenance can be kept
     `keeps_provenance`: whether it has a place of its own for the provenance, besides comments
@@ -108,11 +107,6 @@ def layout_of(kind: str, layout: str | None = None) -> Layout:
     """Return the layout in which a kind of file is written.
 
     `layout`: the layout asked for; None where none was
-
-    Examples
-    --------
-    >>> layout_of("csv").name, layout_of("tum").name
-    ('scalar-first', 'scalar-last')
     """
     from quatprop.conventions.layout import layout_named
 
@@ -132,11 +126,6 @@ def kind_of(target: Path | str, kind: str | None = None, choices: Collection[str
     """Return the kind of file to write: the given one, or that of the target's suffix.
 
     `target`, `kind`: where to write, and the kind; None for that of the suffix
-
-    Examples
-    --------
-    >>> kind_of("attitude.parquet")
-    'parquet'
     """
     if kind is not None:
         if kind not in WRITERS:
@@ -157,13 +146,7 @@ def kind_of(target: Path | str, kind: str | None = None, choices: Collection[str
 
 
 def format_remarks(target: Path | str, kind: str | None = None) -> tuple[str, ...]:
-    """Return what a file has no place for, though every attitude has it.
-
-    Examples
-    --------
-    >>> format_remarks("attitude.csv"), format_remarks("attitude.kitti")
-    ((), ('the timestamps are not kept: kitti has no place for them',))
-    """
+    """Return what a file has no place for, though every attitude has it."""
     kind = kind_of(target, kind)
     if WRITERS[kind].has_stamps:
         return ()
@@ -171,11 +154,5 @@ def format_remarks(target: Path | str, kind: str | None = None) -> tuple[str, ..
 
 
 def keeps_provenance(target: Path | str, kind: str | None = None, *, comment: bool = False) -> bool:
-    """Return whether a file keeps its provenance, in a comment or in a place of its own.
-
-    Examples
-    --------
-    >>> keeps_provenance("attitude.csv"), keeps_provenance("attitude.parquet")
-    (False, True)
-    """
+    """Return whether a file keeps its provenance, in a comment or in a place of its own."""
     return comment or WRITERS[kind_of(target, kind)].keeps_provenance

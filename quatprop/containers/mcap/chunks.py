@@ -53,7 +53,6 @@ class Chunk:
     """A chunk, or a run of messages outside chunks.
 
     `start`, `length`: the chunk record, or the messages, in the file, bytes
-    `is_chunk`: whether it is a chunk
     `first_ns`, `last_ns`: its earliest and latest log time, ns; the latest is None where no index
         states it
     `index_length`: bytes of message index that follow it
@@ -194,8 +193,7 @@ class ChunkHead(NamedTuple):
 
     `first_ns`, `last_ns`: earliest and latest log time, ns, without sign
     `size`: bytes of the decompressed data
-    `crc`: Checksum of the decompressed data; 0 if there is none
-    `compression`: how the data is compressed
+    `crc`: checksum of the decompressed data; 0 if there is none
     `begin`, `end`: where the compressed data is, from the beginning of the record
     """
 

@@ -38,7 +38,7 @@ class Definitions:
     """Schema and channel records in order of the file.
 
     `id_offset`: what is added to the ids of the current part
-    `records`: Opcode, content, place and `id_offset` of each record
+    `records`: opcode, content, place and `id_offset` of each record
     """
 
     def __init__(self) -> None:

@@ -38,11 +38,9 @@ UNDEFINED = "no record defines it"
 class McapReader(ChunkReader[Chunk, Loaded]):
     """Reads the messages of one channel.
 
-    `definitions`: Compares definitions inside chunks with those of the index, to which losses are
+    `definitions`: compares definitions inside chunks with those of the index, to which losses are
         added
-    `topic`, `ids`: the channel, and its ids in the index
     `unchecked`: where chunks begin of which only selected messages were read; grows
-    `lost`: messages that are known to be lost
     """
 
     def __init__(

@@ -37,7 +37,6 @@ class McapLog(ChunkedLog[Chunk]):
     """An MCAP file; see :class:`quatprop.containers.base.MessageLog`.
 
     `is_zstd`: whether messages are known to be compressed one by one; those in CDR are recognised
-    `index`: what it holds and where
     """
 
     kind = "mcap"

@@ -58,7 +58,6 @@ _NOT_MESSAGES = frozenset(range(256)) - {SCHEMA, CHANNEL, MESSAGE}
 class Scan:
     """A scan of the data section, from record to record.
 
-    `end`: where the data section ends
     `indexed`: chunks of the summary, which are not scanned, by where they begin. Those that the
         scan comes by are removed
     `attachments`: how long the attachments of the summary are, by where they begin

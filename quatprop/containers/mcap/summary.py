@@ -48,7 +48,6 @@ class McapIndex:
     `channels`, `schemas`: the records by their ids
     `counts`: number of messages of each channel id, where the file states them
     `metadata`: where the metadata records with provenance begin, by the summary
-    `losses`: what could not be read
     """
 
     chunks: list[Chunk] = field(default_factory=list)
@@ -118,11 +117,9 @@ def _ends_data(source: FileSource, place: int) -> bool:
 class Summary:
     """The content of the summary section.
 
-    `index`: Channels, schemas, counts and metadata records
-    `chunks`: the chunks, by where they begin
+    `index`: channels, schemas, counts and metadata records
     `attachments`: how long each attachment is, by where it begins
     `channel_count`: how many channels the statistics state; None if there are none
-    `is_complete`: whether it has all channels of the file
     """
 
     index: McapIndex = field(default_factory=McapIndex)

@@ -33,7 +33,7 @@ class WalkedRecords:
     """The result of walking over records.
 
     `offsets`: where each message record begins, shape ``(N,)``, int64
-    `definitions`: Opcode, and begin and end of the content, of each schema and channel
+    `definitions`: opcode, and begin and end of the content, of each schema and channel
     `end`: where the walk ended: after the last whole record, or before one to stop at
     `malformed`: message records too short to be messages
     """

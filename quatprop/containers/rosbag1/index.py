@@ -46,13 +46,12 @@ class BagChunk:
 
     `start`: where its record begins
     `end`: where its index data ends at the latest
-    `first_ns`: Log time of its earliest message
+    `first_ns`: log time of its earliest message
     `counts`: number of messages of each connection
     `is_unchunked`: whether it is a run of messages outside any chunk
     `id_offset`: what is added to the numbers of its connections: bags that were put one behind
         another have numbers of their own, each counted from 0
-    `last_ns`: Log time of its latest message; None if it is unknown
-    `record`: its record, once it was read
+    `last_ns`: log time of its latest message; None if it is unknown
     `is_checked`: whether it ends where the next chunk begins, or whatever is between them was read
     `is_missing`: whether `counts` are what is missing of a chunk whose rest was found elsewhere
     `is_proved`: whether `counts` are certain, so that it holds no other connection; None if that
@@ -127,10 +126,7 @@ def offsets_of(
 class BagIndex:
     """The connections and chunks of a bag.
 
-    `connections`: Header and data fields of the connection records, by number
-    `chunks`: every chunk
-    `losses`: what could not be read
-    `end`: where it ends
+    `connections`: header and data fields of the connection records, by number
     `id_offset`: what is added to the numbers of connections in the current bag of joined ones
     `origin`: where the current bag begins, from which its own index counts
     `infos`: what chunk infos say that were met among the records

@@ -45,8 +45,6 @@ _INDEX_HEAD = 55
 class BagReader(ChunkReader[BagChunk, ChunkRecords]):
     """Reads the messages of one channel.
 
-    `file`: the bag
-    `losses`: what is lost of it; grows
     `topic`, `connections`: the channel, and the numbers of its connections
     """
 

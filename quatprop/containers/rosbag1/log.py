@@ -34,10 +34,7 @@ _PLACE = 8
 
 
 class Rosbag1Log(ChunkedLog[BagChunk]):
-    """A ROS 1 bag.
-
-    `index`: what it holds
-    """
+    """A ROS 1 bag."""
 
     kind = "bag"
 

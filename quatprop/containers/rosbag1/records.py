@@ -56,7 +56,6 @@ class Record:
     """A record: its place in the file, and the fields of its header.
 
     `start`, `data`, `end`: where the record begins, where its data begin, and where it ends
-    `fields`: the values of its header
     """
 
     start: int
@@ -85,8 +84,6 @@ class Record:
 class RecordFile:
     """Reads records from a bag, and checks every length against the end of the file.
 
-    `source`: the open bag
-    `source`: the open bag
     `size`: its length, bytes
     """
 

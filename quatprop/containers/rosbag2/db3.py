@@ -41,7 +41,6 @@ EVERY_TIME = TimeRange(-LATEST, LATEST)
 class Db3Log(TopicLog):
     """A ROS 2 bag in an SQLite database.
 
-    `path`: the database
     `is_zstd`: whether each message is known to be compressed with zstd; in CDR that is recognised
     """
 

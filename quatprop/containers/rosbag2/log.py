@@ -41,7 +41,7 @@ MAX_OPEN = 16
 class Rosbag2Log(TopicLog):
     """A ROS 2 bag folder.
 
-    `source_of_part`: Opens a part that is not compressed
+    `source_of_part`: opens a part that is not compressed
     """
 
     kind = "rosbag2"

@@ -51,10 +51,9 @@ class Folder:
     """The content of a bag folder.
 
     `parts`: the files to read, in the order of the metadata or of their numbers
-    `message_compression`: how messages are compressed one by one, or None
     `counts`: number of messages by topic and type, from the metadata
     `losses`: parts that are missing or not read
-    `custom`: Custom data in the metadata, by name
+    `custom`: custom data in the metadata, by name
     """
 
     parts: list[Path] = field(default_factory=list)
@@ -227,9 +226,7 @@ def _count(value: object) -> int | None:
 class Part:
     """A file of the bag.
 
-    `path`: the file in the folder
     `copy`: its decompressed copy, if it is compressed
-    `channels`: its channels, each with the channel of the bag that it belongs to
     `log`: the part, as long as it is kept open
     """
 

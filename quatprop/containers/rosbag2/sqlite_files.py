@@ -100,7 +100,7 @@ class WalPages(NamedTuple):
     """What a write-ahead log holds.
 
     `offsets`: where in the log the newest committed content of each page is, by page number
-    `unfinished`: Pages of a transaction that was not finished, or that is damaged; of a log whose
+    `unfinished`: pages of a transaction that was not finished, or that is damaged; of a log whose
         head is damaged, about how many it has
     """
 

@@ -34,7 +34,6 @@ class Cell(NamedTuple):
     """A row of a table, of which the last column read is a blob.
 
     `log_ns`: the time column
-    `rowid`: its key in the table
     `group`: the column by which rows are selected
     `place`: where its record begins in the file
     `local`: bytes of the record that are there
@@ -65,9 +64,8 @@ def open_pages(path: Path, columns: tuple[int, int, int]) -> Iterator[TablePages
 class TablePages:
     """The leaf pages of a table, whether the tables and indexes above them are intact or not.
 
-    `source`: the database
     `columns`: positions of the columns ``topic_id``, ``timestamp`` and ``data``
-    `overlay`: Pages by number that a write-ahead log has newer: where they are in `wal`
+    `overlay`: pages by number that a write-ahead log has newer: where they are in `wal`
     `wal`: the write-ahead log; None where there is none
     """
 

@@ -42,11 +42,7 @@ def date_type(layout: CsvLayout, k: int) -> pa.DataType | None:
 
 @dataclass(frozen=True, slots=True)
 class RowParser:
-    """Reads rows one by one, and says which do not fit.
-
-    `layout`: how it is laid out
-    `columns`: which columns to read
-    """
+    """Reads rows one by one, and says which do not fit."""
 
     path: Path
     layout: CsvLayout

@@ -50,7 +50,6 @@ class McapChunk:
     `compression`: a key of :data:`COMPRESSIONS`
     `first`, `last`: its earliest and latest log time, ns
     `size`, `crc`: bytes and checksum of the records before compression
-    `data`: the compressed records
     `indexes`: the message index of each channel, by id
     """
 

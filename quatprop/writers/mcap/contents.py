@@ -31,12 +31,7 @@ _CRC_BYTES = 4
 
 @dataclass(slots=True)
 class McapContents:
-    """What the summary of a file lists.
-
-    `schemas`, `channels`: the records by their ids
-    `chunks`, `attachments`, `metadata`: their index records
-    `counts`: messages of each channel
-    """
+    """What the summary of a file lists."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)

@@ -47,11 +47,11 @@ class McapFile:
     `stream`: where the file goes, from its first byte; it need not be seekable
     `header`: what the file begins with; or only its profile, ``"ros2"`` or nothing
     `compression`: a key of :data:`COMPRESSIONS`
-    `contents`: Schemas and channels that the caller writes with :meth:`append`, so that the ids of
+    `contents`: schemas and channels that the caller writes with :meth:`append`, so that the ids of
         those that are added here do not clash
     `before`: called with the first log time of a chunk, ns, before it is written, so that the
         caller can append earlier messages
-    `chunk_bytes`: About how large a chunk is before it is compressed
+    `chunk_bytes`: about how large a chunk is before it is compressed
     `contents`: what the file contains so far
     `size`: bytes written so far
     """
@@ -203,8 +203,6 @@ JSON, and ``topic``."""
 class McapWriter(MessageWriter):
     """Write messages to an MCAP file.
 
-    `target`: a path
-    `topic`: the topic and its definition
     `compression`: of the chunks: ``"zstd"``, ``"lz4"`` or ``"none"``
     """
 

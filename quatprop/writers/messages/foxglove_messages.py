@@ -63,13 +63,7 @@ _DEFINITIONS: Mapping[str, Mapping[str, str]] = {
 
 
 def varint(number: int) -> bytes:
-    """Return a number that is not negative, seven bits a byte, the lowest first.
-
-    Examples
-    --------
-    >>> varint(300).hex()
-    'ac02'
-    """
+    """Return a number that is not negative, seven bits a byte, the lowest first."""
     parts = []
     while number > 0x7F:  # noqa: PLR2004  # what fits seven bits
         parts.append(number & 0x7F | 0x80)
@@ -83,13 +77,7 @@ def tag(number: int, wire: int) -> bytes:
 
 
 def delimited(number: int, content: bytes | str) -> bytes:
-    """Return a field of bytes, text, or a message in a message.
-
-    Examples
-    --------
-    >>> delimited(2, "map").hex()
-    '12036d6170'
-    """
+    """Return a field of bytes, text, or a message in a message."""
     data = content.encode() if isinstance(content, str) else content
     return tag(number, LENGTH) + varint(len(data)) + data
 
@@ -144,11 +132,7 @@ _VARINT_BYTES = 5
 
 
 class FoxgloveEncoder:
-    """Encodes attitudes as one of Foxglove's own messages; see :class:`.ros_messages.RosEncoder`.
-
-    `message`: what to encode
-    `topic`: the topic and its definition
-    """
+    """Encodes attitudes as one of Foxglove's own messages, as :class:`.RosEncoder` does ROS's."""
 
     holds_positions = False
 

@@ -45,7 +45,6 @@ _FORMATS = {
 class RosEncoder:
     """Encodes attitudes as a ROS message.
 
-    `message`: what to encode
     `ros1`: whether as in ROS 1 rather than in CDR, little-endian, as in ROS 2
     `constants`: what parts are in every message; others are zero where they are not written
     """

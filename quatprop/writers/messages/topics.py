@@ -20,13 +20,12 @@ PROFILES = {"cdr": "ros2", "ros1": "ros1"}
 class Topic:
     """A topic to be written.
 
-    `name`: what it is published under
     `type_name`: message type, as the release names it: ``package/msg/Name`` in ROS 2,
         ``package/Name`` in ROS 1
     `encoding`: how the messages are encoded: ``"cdr"``, ``"ros1"`` or ``"protobuf"``
     `schema_encoding`, `schema`: the definition: ``"ros2msg"``, ``"ros1msg"`` or ``"protobuf"``, and
         its text or bytes
-    `digest`: Hash of the definition: MD5 in ROS 1, RIHS01 in ROS 2, otherwise empty
+    `digest`: hash of the definition: MD5 in ROS 1, RIHS01 in ROS 2, otherwise empty
     """
 
     name: str

@@ -47,12 +47,10 @@ class BagFile:
     """A ROS 1 bag being written, with one topic whose messages all have one size.
 
     `stream`: where the bag goes; seekable, since the place of the index stands at its beginning
-    `topic`: the topic and its definition
     `compression`: a key of :data:`COMPRESSIONS`
-    `connection`: the number of its connection
     `before`: called with the first log time of a chunk, ns, before it is written, so that the
         caller can append earlier messages
-    `chunk_bytes`: About how large a chunk is before it is compressed
+    `chunk_bytes`: about how large a chunk is before it is compressed
     """
 
     def __init__(  # noqa: PLR0913  # a new bag needs the first three only
@@ -180,9 +178,7 @@ class BagWriter(MessageWriter):
     """Write messages to a ROS 1 bag.
 
     `target`: a path; a bag begins with the place of its index, so it cannot be a pipe
-    `topic`: the topic and its definition
     `compression`: of the chunks: ``"none"``, ``"lz4"`` or ``"bz2"``
-    `options`: those of :class:`BagFile`
     """
 
     _output: OutputFile

@@ -62,7 +62,6 @@ def index_data(id_: int, entries: Records) -> bytes:
 class ChunkInfo:
     """The index record of a chunk.
 
-    `place`: where the chunk is
     `start_ns`, `end_ns`: its earliest and latest log time, ns
     `counts`: messages of each connection, by number
     """

@@ -133,8 +133,6 @@ class BulkWriter(Writer):
 class SqliteBagWriter(MessageWriter):
     """Write messages to a ROS 2 bag that stores them in SQLite.
 
-    `target`: a path where nothing is yet
-    `topic`: the topic and its definition
     `compression`: of the chunks of an MCAP file: ``"zstd"`` or ``"none"``
     """
 

@@ -36,7 +36,6 @@ def metadata(provenance: Mapping[str, object]) -> dict[bytes, bytes]:
 class ArrowTable(TableWriter):
     """Collect rows and write them a group at a time.
 
-    `target`: a path
     `names`: names of the float64 columns that follow ``t_ns``
     """
 
@@ -76,7 +75,6 @@ class FeatherTable(ArrowTable):
     It begins with its metadata, which is complete only at the end: the rows are kept in a
     temporary file until then.
 
-    `target`: a path
     `names`: names of the float64 columns that follow ``t_ns``
     """
 

@@ -60,7 +60,6 @@ class NpyTable(TableWriter):
 class NpzTable(TableWriter):
     """Write columns as an archive of arrays; each is kept in a temporary file until the commit.
 
-    `target`: a path
     `names`: names of the float64 columns that follow ``t_ns``
     """
 

@@ -30,7 +30,6 @@ PAGE = 1 << 16
 class ParquetTable(ArrowTable):
     """Write columns as Parquet.
 
-    `target`: a path
     `names`: names of the float64 columns that follow ``t_ns``
     """
 

@@ -37,7 +37,7 @@ class TextTable(TableWriter):
     `header`: what precedes the rows, such as a line of names. It is written with the first of them,
         so that a run that fails earlier writes nothing to a pipe
     `formatter`: returns the lines of some rows, given their stamps and columns
-    `comment`: Begin with the provenance, in a comment. It is complete only at the end, so the rows
+    `comment`: begin with the provenance, in a comment. It is complete only at the end, so the rows
         are kept in a temporary file until then
     """
 
@@ -104,7 +104,6 @@ class CsvTable(TextTable):
 
     `target`: a path, or ``"-"`` for stdout
     `names`: names of the float64 columns that follow ``t_ns``
-    `comment`: Begin with the provenance, in a comment
     """
 
     separator = ","
