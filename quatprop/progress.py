@@ -20,7 +20,7 @@ Show: TypeAlias = Callable[[Iterator[Any], int | None, Size], Iterator[Any]]
 SHOW: ContextVar[Show | None] = ContextVar("SHOW", default=None)
 
 
-def metered(batches: Iterator[Batch], total: int | None, size: Size = len) -> Iterator[Batch]:
+def with_progress(batches: Iterator[Batch], total: int | None, size: Size = len) -> Iterator[Batch]:
     """Return the batches, whose progress is shown where an interface does so.
 
     `total`: how many samples there are, at least roughly; None where that is not known

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
-from quatprop.simulate.run import simulate
+from quatprop.simulate.simulate import simulate
 
 HERE = Path(__file__).parent
 

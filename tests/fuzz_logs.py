@@ -28,7 +28,7 @@ from scipy.io import savemat
 from quatprop import propagate, write
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
-from quatprop.simulate.run import simulate
+from quatprop.simulate.simulate import simulate
 
 SAMPLE_LOGS = Path(__file__).parents[1] / "sample_logs"
 SAMPLES = 200

@@ -36,8 +36,10 @@ def integrated(t_ns, kind):
     rate = np.diff(rotor_integral(t_ns / 1e9), axis=0) / (steps / 1e9)[:, None]
     # The first sample is about time before the log; whatever it is, no result may depend on it.
     rate = np.vstack([[9.0, -9.0, 9.0], rate])
-    span_ns = np.concatenate([steps[:1], steps])
-    return GyroSeries(t_ns, rate, span_ns if kind == "increments" else None, kind == "averages")
+    integration_time_ns = np.concatenate([steps[:1], steps])
+    return GyroSeries(
+        t_ns, rate, integration_time_ns if kind == "increments" else None, kind == "averages"
+    )
 
 
 def propagated(series, q0=IDENTITY, method="end", rates="body"):
@@ -86,7 +88,7 @@ def test_even_intervals_have_the_weights_of_the_textbook(kind):
     t_ns = np.arange(5) * SECOND
     spans = np.full(5, SECOND) if kind == "increments" else None
     coning, cubic = (
-        rotation_vectors(t_ns, theta, method, spans, averages=kind == "averages")
+        rotation_vectors(t_ns, theta, method, spans, is_interval_average=kind == "averages")
         for method in ("coning", "cubic")
     )
     term = np.cross(theta[1:-1], theta[2:]) / 12
@@ -107,7 +109,7 @@ def test_no_term_reaches_across_repeated_stamps_and_lost_messages(kind, method):
     for steps in ([SECOND, 0, SECOND], [lost, SECOND, lost]):
         t_ns = np.concatenate([[0], np.cumsum(steps)])
         spans = np.full(4, SECOND) if kind == "increments" else None
-        options = {"span_ns": spans, "averages": kind == "averages"}
+        options = {"integration_time_ns": spans, "is_interval_average": kind == "averages"}
         plain, found = (rotation_vectors(t_ns, theta, m, **options) for m in ("end", method))
         alike = (plain == found).all(axis=1).tolist()
         if steps[1] or kind == "averages":
@@ -221,5 +223,5 @@ def test_series_in_memory_have_the_default_that_fits(kind, method, used, method_
 
 def test_a_mean_rate_over_half_a_turn():
     """Averages about one axis are exact, however the rate varied: 20 ms at pi rad/s are 3.6 deg."""
-    series = GyroSeries([0, SECOND // 50], [[0, 0, 7.0], [0, 0, np.pi]], averages=True)
+    series = GyroSeries([0, SECOND // 50], [[0, 0, 7.0], [0, 0, np.pi]], is_interval_average=True)
     assert geodesic_angle(propagate(series).wxyz[-1], exp([0, 0, np.pi / 50])) < 1e-15

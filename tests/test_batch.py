@@ -15,12 +15,12 @@ import pytest
 from click.testing import CliRunner
 
 from quatprop import __version__
-from quatprop.batch import run as batch
+from quatprop.batch import execution as batch
 from quatprop.batch.cluster import on_a_cluster, propagate_on_worker
 from quatprop.batch.entries import ManifestEntry
+from quatprop.batch.execution import output_paths, propagate_log, shard
 from quatprop.batch.logs import LogSearch
 from quatprop.batch.manifest import Manifest, write_table
-from quatprop.batch.run import output_paths, propagate_log, shard
 from quatprop.batch.tasks import BatchSettings, BatchTask
 from quatprop.cli.batch import command
 from quatprop.cli.commands import cli
@@ -284,7 +284,7 @@ def test_a_batch_takes_the_cores_that_it_may_use(tmp_path, monkeypatch):
         counts.append(processes)
         yield from ()
 
-    monkeypatch.setattr("quatprop.batch.run.on_this_machine", noted)
+    monkeypatch.setattr("quatprop.batch.execution.on_this_machine", noted)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _process: {1, 4, 6}, raising=False)
     source = log(tmp_path / "a.csv")
     run(source, "-o", tmp_path / "out", "-q")
@@ -683,7 +683,7 @@ def test_an_option_means_what_it_means_to_propagate(option, tmp_path, monkeypatc
         raise LogError(job.log, "that is all")
 
     monkeypatch.setattr("quatprop.pipeline.job.run", record)
-    monkeypatch.setattr("quatprop.batch.run.run", record)
+    monkeypatch.setattr("quatprop.batch.execution.run", record)
     value, beside = EVERY_LOG[option], WITH.get(option, ())
     said = [option] if value is None else [option, value]
     out = tmp_path / "a.parquet"

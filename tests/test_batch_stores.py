@@ -13,8 +13,8 @@ import pytest
 from click.testing import CliRunner
 
 import quatprop
+from quatprop.batch.execution import shard
 from quatprop.batch.logs import FoundLog, LogSearch
-from quatprop.batch.run import shard
 from quatprop.batch.store_manifest import manifest_in
 from quatprop.cli.commands import cli
 from quatprop.stores.objects import list_objects

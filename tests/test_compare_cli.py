@@ -385,7 +385,7 @@ def test_an_option_of_a_side_arrives_there_alone(side, option, monkeypatch, tmp_
         return nullcontext()
 
     monkeypatch.setattr("quatprop.comparison.files.open_attitudes", read)
-    monkeypatch.setattr("quatprop.plot.run.load_attitudes", read)
+    monkeypatch.setattr("quatprop.plot.plot.load_attitudes", read)
     monkeypatch.chdir(tmp_path)
     (command, suffix, place), (given, where, expected) = side, OF_A_SIDE[option]
     result = run(*command, option + suffix, given)

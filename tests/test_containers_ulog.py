@@ -169,9 +169,9 @@ def test_a_message_is_the_same_in_a_ULog_and_in_a_ROS_2_bag(tmp_path, topic):
     assert len(found) >= 8
     assert (found.t_ns == expected.t_ns).all()
     assert (found.rate == expected.rate).all()
-    assert (found.span_ns is None) == (topic != "vehicle_imu")
-    if found.span_ns is not None:
-        assert (found.span_ns == expected.span_ns).all()
+    assert (found.integration_time_ns is None) == (topic != "vehicle_imu")
+    if found.integration_time_ns is not None:
+        assert (found.integration_time_ns == expected.integration_time_ns).all()
 
 
 def test_increments_lead_to_the_angle_they_add_up_to(tmp_path):

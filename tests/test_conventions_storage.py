@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from quatprop.cli.commands import cli
-from quatprop.conventions import Meaning, Signs
+from quatprop.conventions import AttitudeConvention, Signs
 from quatprop.conventions.representations import REPRESENTATIONS, euler_angles, from_euler
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import geodesic_angle
@@ -243,9 +243,9 @@ def test_a_positive_sign_has_no_negative_scalar(rows):
 def test_unknown_words_are_refused():
     """The error lists what there is."""
     with pytest.raises(UsageError, match=r"no convention 'shuster'; choose one of 'hamilton', 'jp"):
-        Meaning("shuster")
+        AttitudeConvention("shuster")
     with pytest.raises(UsageError, match=r"no direction 'up'; choose one of 'body-to-ref', 'ref-t"):
-        Meaning(direction="up")
+        AttitudeConvention(direction="up")
     with pytest.raises(UsageError, match=r"no sign 'any'; choose one of 'keep', 'continuous', 'po"):
         Signs("any")
 

@@ -179,9 +179,9 @@ def test_an_interval_as_long_as_the_limit_is_no_gap():
 def test_beside_a_lost_increment_there_is_no_cubic(stamp_ms, is_there):
     """Stamps more than half an integration too far apart mean that a rotation is missing."""
     t_ns = np.array([0, 10, 20, stamp_ms]) * 1_000_000
-    span_ns = np.full(4, 10_000_000)
+    integration_time_ns = np.full(4, 10_000_000)
     rate = np.array([[9.0, 1, 2, 4]] * 3)
-    found = curvature_of_averages(t_ns, rate, span_ns)
+    found = curvature_of_averages(t_ns, rate, integration_time_ns)
     # The second divided difference of the angles, 1 and 2 rad/s over 10 ms each, is 50 rad/s^2.
     assert found.a[0, 0] == pytest.approx(50.0)
     assert (found.a[0, 2] != 0) == is_there
@@ -190,10 +190,11 @@ def test_beside_a_lost_increment_there_is_no_cubic(stamp_ms, is_there):
 def test_increments_have_gaps_and_lost_messages():
     """No parabola passes through either: a long integration is a gap, and no message is lost."""
     t_ns = np.array([0, 10, 20, 40, 50, 60]) * 1_000_000
-    span_ns = np.array([10, 10, 10, 20, 10, 10]) * 1_000_000
+    integration_time_ns = np.array([10, 10, 10, 20, 10, 10]) * 1_000_000
     rate = np.random.default_rng(5).normal(size=(3, 6))
     free, limited = (
-        curvature_of_averages(t_ns, rate, span_ns, gap_ns=gap_ns) for gap_ns in (None, 15_000_000)
+        curvature_of_averages(t_ns, rate, integration_time_ns, gap_ns=gap_ns)
+        for gap_ns in (None, 15_000_000)
     )
     assert free.a[:, 2].all()
     # Only the ends, each with a parabola on its own side, are left.

@@ -15,7 +15,7 @@ from pyarrow import feather, parquet
 from test_containers_ulog import added, gyro, write
 
 from quatprop.concurrency import threads
-from quatprop.conditioning import Conditioning
+from quatprop.conditioning import GyroCorrection
 from quatprop.containers import topic_table, ulog
 from quatprop.containers.mcap import scan as mcap_scan
 from quatprop.containers.rosbag1 import rebuild as rosbag1_rebuild
@@ -27,7 +27,7 @@ from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.settings.selection import RateSelection
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
-from quatprop.simulate.run import simulate
+from quatprop.simulate.simulate import simulate
 from quatprop.tables import arrow, jsonl, numpy_table, text_stream
 from quatprop.tables.csv import log as csv
 
@@ -64,7 +64,7 @@ def logs(tmp_path_factory):
 
 def result(log, target):
     """Return the bytes of the attitudes of a log."""
-    tilted = Conditioning(bias=(1e-3, -2e-3, 3e-3), mount="0.8,0.36,-0.48,0")
+    tilted = GyroCorrection(bias=(1e-3, -2e-3, 3e-3), mount="0.8,0.36,-0.48,0")
     settings = PropagationSettings(method="coning", conditioning=tilted)
     run(Job(str(log), OutputSettings(str(target)), settings))
     content = target.read_bytes()

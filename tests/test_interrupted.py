@@ -21,7 +21,7 @@ from quatprop.logs.rates import choose_rates
 from quatprop.settings.selection import RateSelection
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
-from quatprop.simulate.run import simulate
+from quatprop.simulate.simulate import simulate
 
 QUATPROP = Path(sys.executable).with_name("quatprop")
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and devices of POSIX")

@@ -23,7 +23,15 @@ from quatprop.containers.topic_table import as_rows
 from quatprop.errors import MessageError
 from quatprop.messages.binary import BinaryDecoder
 from quatprop.messages.columns import take_messages
-from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct, numbers, steps
+from quatprop.messages.schema import (
+    Array,
+    Primitive,
+    Sequence,
+    String,
+    Struct,
+    numeric_layout,
+    steps,
+)
 from quatprop.messages.values import raw_messages
 
 ENCODINGS = [("ros1", "<", 1), ("cdr", "<", 8), ("cdr", ">", 8)]
@@ -46,7 +54,7 @@ def types(draw, depth=3):
 
 def paths(kind, place=""):
     """Return every path to equal numbers outside sequences."""
-    found = [place] if place and numbers(kind) else []
+    found = [place] if place and numeric_layout(kind) else []
     if isinstance(kind, Struct):
         for name, part in kind.fields:
             found += paths(part, f"{place}.{name}" if place else name)

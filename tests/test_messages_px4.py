@@ -36,7 +36,7 @@ def test_an_average_over_the_interval_before_its_stamp_wants_the_method_end(tmp_
     source, series = read(path)
     assert series.t_ns.tolist() == [5_000_000 * k for k in range(COUNT)]
     assert series.rate[:, 2].tolist() == list(range(COUNT))
-    assert series.span_ns is None
+    assert series.integration_time_ns is None
     assert source.method_remarks("end") == []
     assert source.method_remarks("start") == [
         (
@@ -44,7 +44,7 @@ def test_an_average_over_the_interval_before_its_stamp_wants_the_method_end(tmp_
             "method end assumes; method start was used"
         )
     ]
-    assert series.averages
+    assert series.is_interval_average
     assert source.method_used("start") == ("start", "given")
     assert source.method_used(None) == ("end", "log")
     whole = 0.005 * sum(range(1, COUNT))
@@ -72,7 +72,7 @@ def test_increments_are_not_integrated_again(tmp_path):
     assert source.samples == "increments"
     assert source.method_used(None) == ("end", "log")
     assert source.method_remarks(None) == []
-    assert series.span_ns.tolist() == (spans * 1000).tolist()
+    assert series.integration_time_ns.tolist() == (spans * 1000).tolist()
     *_, last = propagated([series])
     whole = np.cumsum(angle[1:].astype(np.float64))
     truth = exp(np.stack([0 * whole, whole, 0 * whole], axis=1))

@@ -18,9 +18,9 @@ from quatprop.messages.schema import (
     String,
     Struct,
     Unknown,
-    at,
+    field_at,
     find,
-    numbers,
+    numeric_layout,
     steps,
 )
 
@@ -286,15 +286,15 @@ def test_elements_of_sequences_are_no_columns():
     """An element need not be there in every message."""
     root = parsed("float64[] x\n")
     with pytest.raises(SchemaError, match=r"a sequence may be empty; name a field outside it$"):
-        at(root, "x[0]", "log")
+        field_at(root, "x[0]", "log")
 
 
 def test_structs_and_arrays_of_equal_numbers_are_rows():
     """A matrix of vectors is a row like any other; a mixture is not."""
     vector = Struct("V", (("x", Primitive("f8")), ("y", Primitive("f8"))))
-    assert numbers(Array(vector, 3)) == (Primitive("f8"), 6)
-    assert numbers(Struct("M", (("a", vector), ("b", Primitive("f4"))))) is None
-    assert numbers(Struct("E", ())) is None
+    assert numeric_layout(Array(vector, 3)) == (Primitive("f8"), 6)
+    assert numeric_layout(Struct("M", (("a", vector), ("b", Primitive("f4"))))) is None
+    assert numeric_layout(Struct("E", ())) is None
 
 
 def test_the_structs_of_a_message_come_outermost_first():

@@ -96,7 +96,7 @@ def test_increments_of_PX4_are_read_from_its_tables(tmp_path):
     with pytest.warns(RemarkWarning, match="the samples are angle increments"):
         rates = read_rates(path)
     np.testing.assert_allclose(rates.rate, angles / 0.005, rtol=1e-15)
-    assert rates.span_ns.tolist() == [5_000_000] * 20
+    assert rates.integration_time_ns.tolist() == [5_000_000] * 20
 
 
 def test_bursts_of_PX4_are_read_from_its_tables(tmp_path):

@@ -17,7 +17,7 @@ from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.settings.selection import RateSelection
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
-from quatprop.simulate.run import simulate
+from quatprop.simulate.simulate import simulate
 from quatprop.text import in_python
 from quatprop.timeline.counts import Counts
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from quatprop.cli import progress as shown
-from quatprop.progress import metered
+from quatprop.progress import with_progress
 
 pexpect = pytest.importorskip("pexpect")
 ROOT = Path(__file__).parent.parent
@@ -78,7 +78,7 @@ def test_nothing_is_shown_where_stderr_is_no_terminal(monkeypatch, capsys):
     monkeypatch.setattr(shown, "DELAY_S", -1.0)
     batches = iter(["ab", "c"])
     with shown.progress():
-        assert metered(batches, 3) is batches
+        assert with_progress(batches, 3) is batches
     assert capsys.readouterr().err == ""
 
 

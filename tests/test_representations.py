@@ -339,7 +339,7 @@ def test_angles_stand_beside_the_quaternion(tmp_path, kind):
         angles = columns_in(target[-1], names)
         expected = Rotation.from_euler("XYZ", angles, degrees=True).as_quat(scalar_first=True)
         assert geodesic_angle(wxyz, expected).max() < 1e-14
-    write(read_attitudes(out), tmp_path / f"c.{kind}", beside="euler-xyz-deg")
+    write(read_attitudes(out), tmp_path / f"c.{kind}", extra_columns="euler-xyz-deg")
     np.testing.assert_array_equal(columns_in(tmp_path / f"c.{kind}", names), angles)
 
 
@@ -378,8 +378,10 @@ def test_angles_that_have_no_place_are_refused(tmp_path, output, options, senten
     out = tmp_path / output
     assert sentence in run(source, out, "--with", "euler-zyx", *options, code=2).stderr
     assert not out.exists()
-    with pytest.raises(UsageError, match="beside: there is no 'euler'; did you mean 'euler-zyx'"):
-        write(read_attitudes(source), out, to="csv", beside="euler")
+    with pytest.raises(
+        UsageError, match="extra_columns: there is no 'euler'; did you mean 'euler-zyx'"
+    ):
+        write(read_attitudes(source), out, to="csv", extra_columns="euler")
     assert (
         "--euler-unit goes with euler-zyx and other sequences"
         in run(source, out, "--with", "rotvec", "--euler-unit", "deg", code=2).stderr

@@ -118,7 +118,8 @@ def test_no_settings_are_the_defaults():
 def test_every_interface_has_the_same_names():
     """The options of the command, the parsers and the keywords of the library are one list."""
     output = {"log", "output", "into", "to", "layout", "comment", "message", "out_topic", "frames",
-              "beside", "euler_unit", "report", "plot", "config", "quiet", "verbose"}  # fmt: skip
+              "extra_columns", "euler_unit",
+              "report", "plot", "config", "quiet", "verbose"}  # fmt: skip
     assert {option.name for option in command.params} - output == set(PROPAGATE)
 
 

@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from quatprop import propagate, read_rates
-from quatprop.conditioning import Conditioning
+from quatprop.conditioning import GyroCorrection
 from quatprop.conditioning.time_range import clipped
 from quatprop.containers.mcap import loading
 from quatprop.containers.rosbag1 import loading as rosbag1
@@ -28,7 +28,7 @@ from quatprop.series import GyroSeries
 from quatprop.settings.selection import RateSelection
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
-from quatprop.simulate.run import simulate
+from quatprop.simulate.simulate import simulate
 from quatprop.timeline.stamps import Policy
 from quatprop.times import NS_PER_S, instant
 from quatprop.writers.rosbag1 import file as rosbag1_file
@@ -96,7 +96,7 @@ def rewrite(source, target, logged=lambda log_ns: log_ns, keep=lambda _: True):
 
 def attitudes(log, folder, start, end, **settings):
     """Return the report of a run over a range, and its attitudes."""
-    part = Conditioning(start=start and instant(start), end=end and instant(end))
+    part = GyroCorrection(start=start and instant(start), end=end and instant(end))
     target = folder / "out.parquet"
     report = run(
         Job(
@@ -287,7 +287,7 @@ def test_row_groups_are_chosen_by_their_statistics(kind, ordered, tmp_path):
             low, high = first_ns or 0, 10**18 if last_ns is None else last_ns
             inside = everything[(everything.t_ns >= low) & (everything.t_ns <= high)]
             numbered = ((batch, batch.t_ns) for batch in batches)
-            inside_of = clipped(numbered, Conditioning(), first_ns, last_ns, [0, 0])
+            inside_of = clipped(numbered, GyroCorrection(), first_ns, last_ns, [0, 0])
             joined = GyroSeries.joined([everything[:0], *(batch for batch, _ in inside_of)])
             assert joined.t_ns.tolist() == inside.t_ns.tolist()
             assert joined.rate.tolist() == inside.rate.tolist()

@@ -53,8 +53,8 @@ def tumbling(name, frame):
     if "gap" in name:
         t_ns = t_ns + 3 * 10**9 * (np.arange(len(t_ns)) > 40)
     # An increment may have been integrated over another time than there is between stamps.
-    span_ns = np.full(len(t_ns), 24_000_000) if name == "increments" else None
-    return GyroSeries(t_ns, rate, span_ns, averages=name == "averages")
+    integration_time_ns = np.full(len(t_ns), 24_000_000) if name == "increments" else None
+    return GyroSeries(t_ns, rate, integration_time_ns, is_interval_average=name == "averages")
 
 
 def differences(series, error, **options):

@@ -69,7 +69,7 @@ def write(
     *,
     to: str | None = None,
     layout: str | None = None,
-    beside: str | None = None,
+    extra_columns: str | None = None,
     **unknown: object,
 ) -> None:
     """Write an attitude series to a file.
@@ -86,7 +86,7 @@ def write(
     layout
         ``"scalar-first"`` or ``"scalar-last"``; by default what the format prescribes, or
         scalar-first where it leaves the choice.
-    beside
+    extra_columns
         What else to write of each attitude into columns of a table, such as ``"euler-zyx-deg"``;
         a representation of :func:`convert`.
 
@@ -105,7 +105,7 @@ def write(
     from quatprop.writers import open_writer
     from quatprop.writers.formats import WRITERS, kind_of, layout_of
 
-    refuse_unknown(unknown, ("to", "layout", "beside"))
+    refuse_unknown(unknown, ("to", "layout", "extra_columns"))
     if not isinstance(series, AttitudeSeries):
         raise SeriesError(f"Expected an AttitudeSeries, got {type(series).__name__}")
     _valid("series", series)
@@ -121,7 +121,7 @@ def write(
             sigma = report.uncertainty.columns_axes or sigma
     else:
         provenance = convention_of(order)
-    with open_writer(place, to, layout=order, sigma=sigma, beside=beside) as writer:
+    with open_writer(place, to, layout=order, sigma=sigma, extra_columns=extra_columns) as writer:
         writer.write(series)
         writer.commit(provenance)
 
@@ -132,7 +132,7 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     *,
     to: str | None = None,
     layout: str | None = None,
-    beside: str | None = None,
+    extra_columns: str | None = None,
     convention: str = "hamilton",
     direction: str = "body-to-ref",
     sign: str = "keep",
@@ -175,20 +175,22 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     DataLossWarning
         A part of the source could not be read, or rows were dropped.
     """
-    from quatprop.conventions import Meaning
+    from quatprop.conventions import AttitudeConvention
     from quatprop.conversion.convert import convert as convert_file
     from quatprop.conversion.job import Conversion
     from quatprop.logs.attitude_input import attitude_input
     from quatprop.pipeline.settings import OutputSettings
 
-    own = ("to", "layout", "beside", "convention", "direction", "sign", "representation")
+    own = ("to", "layout", "extra_columns", "convention", "direction", "sign", "representation")
     refuse_unknown(options, (*own, *READ_ATTITUDES))
     wanted = attitude_input(path_text("source", source, "write() takes a series"), options)
     report = convert_file(
         Conversion(
             source=wanted,
-            output=OutputSettings(path_text("output", output), to=to, layout=layout, beside=beside),
-            meaning=Meaning(convention, direction),
+            output=OutputSettings(
+                path_text("output", output), to=to, layout=layout, extra_columns=extra_columns
+            ),
+            meaning=AttitudeConvention(convention, direction),
             sign=sign,
             representation=str(representation).lower(),
         )

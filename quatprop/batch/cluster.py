@@ -10,7 +10,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from quatprop import __version__
-from quatprop.batch.run import propagate_log
+from quatprop.batch.execution import propagate_log
 from quatprop.batch.tasks import BatchResult, BatchSettings, BatchTask, failed
 from quatprop.errors import QuatpropError, UsageError
 from quatprop.stores.objects import is_address

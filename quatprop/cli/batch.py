@@ -101,7 +101,7 @@ def command(
     DIR/manifest.jsonl lists them. A log that cannot be used does not stop the others (exit code
     2; 3: data was lost).
     """
-    from quatprop.batch.run import outdated, plan, with_data_lost
+    from quatprop.batch.execution import outdated, plan, with_data_lost
     from quatprop.batch.store_manifest import manifest_in, without_file_scheme
     from quatprop.batch.tasks import BatchSettings
     from quatprop.cli.progress import bar, on_terminal
@@ -147,8 +147,8 @@ command.params += SHARED
 
 def _search(names: Iterable[str], folder: str, chosen: Mapping[str, Any]) -> LogSearch:
     """Return the logs of all names, or of one part of them."""
+    from quatprop.batch.execution import shard
     from quatprop.batch.logs import LogSearch
-    from quatprop.batch.run import shard
     from quatprop.stores.objects import without_secret
 
     given = list(names)
@@ -184,7 +184,7 @@ def _results(
     tasks: list[BatchTask], settings: BatchSettings, chosen: Mapping[str, Any], manifest: Manifest
 ) -> Generator[tuple[int, BatchResult]]:
     from quatprop.batch.cluster import on_a_cluster
-    from quatprop.batch.run import on_this_machine
+    from quatprop.batch.execution import on_this_machine
 
     if chosen["dask"] is not None:
         return on_a_cluster(tasks, settings, chosen["dask"], manifest, chosen["retries"])

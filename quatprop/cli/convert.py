@@ -70,14 +70,14 @@ def command(*, quiet: bool, **chosen: Any) -> int:
     """
     from quatprop.cli.progress import progress
     from quatprop.cli.summary import show
-    from quatprop.conventions import Meaning
+    from quatprop.conventions import AttitudeConvention
     from quatprop.conversion.convert import convert
     from quatprop.conversion.job import Conversion
 
     job = Conversion(
         source=input_of(chosen["log"], chosen),
         output=output_settings(chosen, "OUT"),
-        meaning=Meaning(chosen["convention"], chosen["direction"]),
+        meaning=AttitudeConvention(chosen["convention"], chosen["direction"]),
         sign=chosen["sign"],
         representation=with_unit(chosen["representation"], chosen["euler_unit"]),
     )

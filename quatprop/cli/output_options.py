@@ -36,7 +36,7 @@ OUTPUT_OPTIONS = {
         Choice(*LAYOUTS), "Order of the quaternion: a matter of storage only.",
         "scalar-first, but what the format prescribes for tum, euroc and ROS messages",
         group="Output", common=True),
-    "--with beside": Keyword(Choice("rotvec", *EULER, "matrix"),
+    "--with extra_columns": Keyword(Choice("rotvec", *EULER, "matrix"),
         "Also write angles, a rotation vector or a matrix; in further columns of a "
         "table: euler-zyx is yaw, pitch and roll, euler-xyz and so on another sequence; "
         "rotvec; matrix.", takes="euler-zyx|...", group="Output", common=True),
@@ -65,7 +65,8 @@ def output_settings(chosen: Mapping[str, Any], own: str = "-o OUT") -> OutputSet
     if (output is None) == (into is None):
         both = "" if output is None else ", not both"
         raise click.UsageError(f"say where the attitudes go: {own}, or --into COPY{both}")
-    if chosen["euler_unit"] and not {chosen["beside"], chosen.get("representation")} & {*EULER}:
+    written = {chosen["extra_columns"], chosen.get("representation")}
+    if chosen["euler_unit"] and not written & {*EULER}:
         raise click.UsageError("--euler-unit goes with euler-zyx and other sequences of angles")
     return OutputSettings(
         path=into or output,
@@ -73,7 +74,8 @@ def output_settings(chosen: Mapping[str, Any], own: str = "-o OUT") -> OutputSet
         to=chosen["to"],
         layout=layout and layout_named(layout).name,
         message=_message(chosen["message"], chosen["out_topic"], chosen["frames"]),
-        beside=chosen["beside"] and with_unit(chosen["beside"], chosen["euler_unit"]),
+        extra_columns=chosen["extra_columns"]
+        and with_unit(chosen["extra_columns"], chosen["euler_unit"]),
         comment=chosen["comment"],
         report=chosen["report"],
     )

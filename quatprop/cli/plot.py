@@ -96,9 +96,9 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     """
     from quatprop.cli.progress import progress
     from quatprop.cli.summary import command_line
-    from quatprop.conditioning import Conditioning
+    from quatprop.conditioning import GyroCorrection
     from quatprop.plot.files import View
-    from quatprop.plot.run import plot
+    from quatprop.plot.plot import plot
     from quatprop.settings.selection import RateSelection
 
     reference = chosen["reference"]
@@ -114,7 +114,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
         attitudes=input_of("", chosen).selection,
         components=chosen["components"],
         unwrap=chosen["unwrap"],
-        part=Conditioning(start=chosen["start"], end=chosen["end"]),
+        part=GyroCorrection(start=chosen["start"], end=chosen["end"]),
     )
     with progress(quiet=quiet):
         lines, warnings, data_lost = plot(

@@ -12,7 +12,7 @@ from quatprop.cli.options import with_options
 from quatprop.cli.types import PATH
 from quatprop.errors import UsageError
 from quatprop.settings.keyword import Keyword
-from quatprop.settings.parsers import Choice, count, flag, frequency, length, numbers
+from quatprop.settings.parsers import Choice, count, flag, frequency, length, number_list
 from quatprop.writers.formats import GENERAL_KINDS
 
 if TYPE_CHECKING:
@@ -80,14 +80,15 @@ OPTIONS = {
         click.IntRange(min=0), "Of noise and random walk: the same seed gives the same log.", "0",
         "N"),
     "--noise": Keyword(click.FloatRange(min=0), "Angular random walk, rad/s/sqrt(Hz).", "0", "X"),
-    "--bias": Keyword(numbers("X,Y,Z"), "Constant error of the rates, rad/s.", "0,0,0", "X,Y,Z"),
+    "--bias": Keyword(
+        number_list("X,Y,Z"), "Constant error of the rates, rad/s.", "0,0,0", "X,Y,Z"),
     "--q0": Keyword(
-        numbers("W,X,Y,Z"), "True attitude at the first sample, body to reference, scalar first.",
-        "1,0,0,0", "W,X,Y,Z", preset=True),
+        number_list("W,X,Y,Z"), "True attitude at the first sample, body to reference, scalar "
+        "first.", "1,0,0,0", "W,X,Y,Z", preset=True),
     "--frequency": Keyword(
         _exact, "Turns a second: of a spin, of coning, of the precession of tumbling.", "0.5",
         "HZ"),
-    "--axis": Keyword(numbers("X,Y,Z"), "Axis of a spin in the body.", "0,0,1", "X,Y,Z"),
+    "--axis": Keyword(number_list("X,Y,Z"), "Axis of a spin in the body.", "0,0,1", "X,Y,Z"),
     "--angle": Keyword(
         _exact, "Half-angle of the cone, or nutation angle of tumbling.", "10", "DEG"),
     "--spin-frequency": Keyword(
@@ -116,7 +117,7 @@ def command(out: str, **options: Any) -> None:
     from quatprop.rendering import count_text
     from quatprop.simulate.gyroscope import Gyroscope, samples_in
     from quatprop.simulate.motion import Shape
-    from quatprop.simulate.run import simulate, truth_beside
+    from quatprop.simulate.simulate import simulate, truth_beside
 
     motion = options["motion"]
     _refuse_unused(motion, options)

@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64
     from quatprop.conditioning.calibration import BiasSeries, BiasSeriesReport
-    from quatprop.conditioning.cells import Rows
-    from quatprop.conditioning.static_detection import Rest
+    from quatprop.conditioning.static_detection import StaticPeriod
+    from quatprop.conditioning.window_sums import Rows
     from quatprop.series import GyroSeries
     from quatprop.timeline import Timeline
     from quatprop.times import Instant
 
 
-class Conditioning(NamedTuple):
+class GyroCorrection(NamedTuple):
     """What to do to the rates; None is nothing.
 
     `bias`: subtracted from every rate, x, y, z, in the unit of the source
@@ -71,7 +71,7 @@ FROM_TRANSFORMS = "tf:"
 """Begins a mounting that is taken from the transforms of the log."""
 
 
-class ConditioningInputs(NamedTuple):
+class GyroCorrectionInputs(NamedTuple):
     """What is known of a log besides its rates; None where it is not there or not asked for.
 
     `force`: reads stamps and specific forces, shape ``(N, 3)``, any unit, sensor axes
@@ -87,7 +87,7 @@ class ConditioningInputs(NamedTuple):
     topic: str = ""
 
 
-class ConditioningReport(NamedTuple):
+class GyroCorrectionReport(NamedTuple):
     """What was done to the rates; None is nothing.
 
     `bias_rad_s`: subtracted from every rate, sensor axes, shape ``(3,)``, rad/s
@@ -104,7 +104,7 @@ class ConditioningReport(NamedTuple):
     """
 
     bias_rad_s: Float64 | None
-    rest: Rest | None
+    rest: StaticPeriod | None
     bias_series: BiasSeriesReport | None
     calibration: Float64 | None
     mount: Float64 | None
@@ -125,12 +125,12 @@ class ConditioningReport(NamedTuple):
 def condition(  # noqa: PLR0913  # samples, what to do, and what is known
     read: Callable[[], Iterable[GyroSeries]],
     timeline: Timeline,
-    settings: Conditioning,
+    settings: GyroCorrection,
     unit: float,
-    inputs: ConditioningInputs,
+    inputs: GyroCorrectionInputs,
     *,
     part_reader: Callable[[], PartReader | None] | None = None,
-) -> tuple[Iterator[GyroSeries], ConditioningReport]:
+) -> tuple[Iterator[GyroSeries], GyroCorrectionReport]:
     """Return the conditioned samples, and what is done to them.
 
     `unit`: rad/s in the unit of the bias
@@ -149,7 +149,7 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
     if settings.bias is not None:
         bias = np.array(settings.bias) * unit
     part, batches = (parts and parts.read(start_ns, end_ns)) or (None, iter(read()))
-    report = ConditioningReport(
+    report = GyroCorrectionReport(
         bias_rad_s=bias if inputs.biases is None else None,
         rest=rest,
         bias_series=None if inputs.biases is None else inputs.biases.report,
@@ -175,7 +175,7 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
 
 
 def _calibration_of(
-    settings: Conditioning, inputs: ConditioningInputs
+    settings: GyroCorrection, inputs: GyroCorrectionInputs
 ) -> tuple[Float64 | None, Float64 | None, tuple[str, ...]]:
     """Return the matrix and the bias of a calibration, and remarks about it."""
     if settings.calibration is None:
@@ -189,10 +189,10 @@ def _calibration_of(
 def _look_ahead(
     read: Callable[[], Iterable[GyroSeries]],
     timeline: Timeline,
-    settings: Conditioning,
-    inputs: ConditioningInputs,
+    settings: GyroCorrection,
+    inputs: GyroCorrectionInputs,
     parts: PartReader | None,
-) -> tuple[Ends, Rest | None]:
+) -> tuple[Ends, StaticPeriod | None]:
     """Return the first and the last sample, and the rest, where they matter."""
     if not settings.looks_ahead:
         return Ends(0, 0), None
@@ -203,11 +203,11 @@ def _look_ahead(
     if settings.static_ns is None:
         deque(samples, maxlen=0)
         return finder.ends(), None
-    from quatprop.conditioning.cells import window_sums
-    from quatprop.conditioning.static_detection import find_rest
+    from quatprop.conditioning.static_detection import find_static_period
+    from quatprop.conditioning.window_sums import window_sums
 
     sums = window_sums(((each.t_ns, each.rate) for each in samples), settings.static_ns // 2 or 1)
-    rest = find_rest(sums, inputs, settings.static_ns, settings.rates)
+    rest = find_static_period(sums, inputs, settings.static_ns, settings.rates)
     return finder.ends(), rest
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.conditioning.cells import (
+from quatprop.conditioning.window_sums import (
     aligned_window_sums,
     mean_of,
     merged,
@@ -26,8 +26,8 @@ from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from quatprop.arrays import Bool, Float64, Intp
-    from quatprop.conditioning import ConditioningInputs
-    from quatprop.conditioning.cells import WindowSums
+    from quatprop.conditioning import GyroCorrectionInputs
+    from quatprop.conditioning.window_sums import WindowSums
 
 
 AT_REST = 0.05
@@ -57,7 +57,7 @@ TURNING = 5e-3
 """rad/s: an orientation that turns slower than this stands still."""
 
 
-class Rest(NamedTuple):
+class StaticPeriod(NamedTuple):
     """The period of a log in which the sensor was at rest.
 
     `first_ns`, `last_ns`: its first and last stamps, ns
@@ -90,9 +90,9 @@ class Rest(NamedTuple):
         return (remark,)
 
 
-def find_rest(
-    rates: WindowSums, inputs: ConditioningInputs, shortest_ns: int, frame: str = "body"
-) -> Rest:
+def find_static_period(
+    rates: WindowSums, inputs: GyroCorrectionInputs, shortest_ns: int, frame: str = "body"
+) -> StaticPeriod:
     """Return the rest of a log from which the bias is taken.
 
     Of periods whose means do not agree the slowest shows the bias: a body that turns steadily is
@@ -123,7 +123,7 @@ def find_rest(
     agrees = np.abs(mean - slowest).max(axis=1) <= AGREEMENT
     longest = int(np.argmax(np.where(agrees, rests["last_ns"] - rests["first_ns"], -1)))
     rest = rests[longest]
-    return Rest(
+    return StaticPeriod(
         first_ns=int(rest["first_ns"]),
         last_ns=int(rest["last_ns"]),
         samples=int(rest["count"]),

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.arrays import Int64
-    from quatprop.conditioning import Conditioning, ConditioningReport
+    from quatprop.conditioning import GyroCorrection, GyroCorrectionReport
     from quatprop.series import AttitudeSeries, GyroSeries
 
 Series = TypeVar("Series", "GyroSeries", "AttitudeSeries")
@@ -119,7 +119,7 @@ def _longest_pause(t_ns: Int64, around: Int64) -> tuple[int, int] | None:
     return (before, after) if is_gap else None
 
 
-def absolute_range(settings: Conditioning, ends: Ends) -> tuple[int | None, int | None]:
+def absolute_range(settings: GyroCorrection, ends: Ends) -> tuple[int | None, int | None]:
     """Return the first and the last stamp to use, ns; None is open."""
     origins = {"clock": 0, "first": ends.first_ns, "last": ends.last_ns}
     start_ns, end_ns = (
@@ -136,14 +136,14 @@ def absolute_range(settings: Conditioning, ends: Ends) -> tuple[int | None, int 
     return start_ns, end_ns
 
 
-def length_text(settings: Conditioning, ends: Ends) -> str:
+def length_text(settings: GyroCorrection, ends: Ends) -> str:
     """Return how long the log is; ``""`` where a range may be in other units than was meant."""
     given = [instant for instant in (settings.start, settings.end) if instant is not None]
     is_relative = given and all(instant.origin != "clock" for instant in given)
     return duration_text(ends.last_ns - ends.first_ns) if is_relative else ""
 
 
-def pause_remarks(settings: Conditioning, ends: Ends) -> Iterator[str]:
+def pause_remarks(settings: GyroCorrection, ends: Ends) -> Iterator[str]:
     """Yield a remark for each end of the range that counts from a sample beside a pause."""
     for name, instant in (("start", settings.start), ("end", settings.end)):
         if instant is None or instant.origin == "clock":
@@ -158,7 +158,7 @@ def pause_remarks(settings: Conditioning, ends: Ends) -> Iterator[str]:
             )
 
 
-def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> Iterator[str]:
+def clipping_remarks(settings: GyroCorrection, report: GyroCorrectionReport) -> Iterator[str]:
     """Yield a remark for each absolute end that leaves nothing out, and on what was not read."""
     before, after = report.outside if report.part is None else report.part.leaves_out
     ends = (
@@ -180,7 +180,7 @@ def clipping_remarks(settings: Conditioning, report: ConditioningReport) -> Iter
 
 def clipped(
     numbered: Iterable[tuple[Series, Int64]],
-    settings: Conditioning,
+    settings: GyroCorrection,
     start_ns: int | None,
     end_ns: int | None,
     outside: list[int],
@@ -202,7 +202,7 @@ def clipped(
             yield batch[inside], rows[inside]
 
 
-def _refuse_seconds(settings: Conditioning, first: list[int]) -> None:
+def _refuse_seconds(settings: GyroCorrection, first: list[int]) -> None:
     """Refuse times that cannot be in ns, given the first two stamps of the log."""
     for name, instant in (("start", settings.start), ("end", settings.end)):
         if instant is None or instant.origin != "clock" or instant.ns <= 0:

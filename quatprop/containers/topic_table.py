@@ -15,10 +15,10 @@ from quatprop.messages.cursor import first_names
 from quatprop.messages.decoders import DECODERS, decoder_of
 from quatprop.messages.definitions import message_type
 from quatprop.messages.flattening import MAX_ELEMENTS, flattened, leaves_of
-from quatprop.messages.schema import Primitive, String, Struct, at, find, numbers
+from quatprop.messages.schema import Primitive, String, Struct, field_at, find, numeric_layout
 from quatprop.messages.times import to_ns
 from quatprop.messages.ulog import is_secondary
-from quatprop.progress import metered
+from quatprop.progress import with_progress
 from quatprop.tables.batches import RowBatch, merge_by_time
 from quatprop.tables.model import Column, Stamp, Table, TablePart, TimeRange
 from quatprop.text import Setting, plain, quoted
@@ -128,7 +128,7 @@ class TopicTable(Table):
 
     def refuse_unknown(self, name: str) -> None:
         """Refuse a field that is not there, with what there is."""
-        at(self.root, name, self.path)
+        field_at(self.root, name, self.path)
 
     def fields_of(self, group: Group) -> tuple[list[str], list[int]]:
         """Return the fields to decode for a group, and where its numbers are among theirs.
@@ -142,7 +142,7 @@ class TopicTable(Table):
     def _fields_below(self, group: Group) -> tuple[list[str], list[int]]:
         names = [self.columns[k].text for k in group]
         parent = names[0][: max(names[0].rfind("."), names[0].rfind("["), 0)]
-        shape = numbers(find(self.root, parent)) if parent and len(group) > 1 else None
+        shape = numeric_layout(find(self.root, parent)) if parent and len(group) > 1 else None
         if shape is None or shape[1] != len(group):
             return names, []
         below = self.columns_of(parent) or ()
@@ -181,9 +181,9 @@ class TopicTable(Table):
         self.first = None
         decode = self.decoder([stamp], groups)
         if isinstance(within, TimeRange):
-            blocks = metered(self.log.blocks_within(self.channel, within), None)
+            blocks = with_progress(self.log.blocks_within(self.channel, within), None)
         else:
-            blocks = metered(iter(self.blocks), self.channel.count)
+            blocks = with_progress(iter(self.blocks), self.channel.count)
         together = decoded_together(blocks)
         batches = (self._readable(lambda own: convert(decode(own)), own) for own in together)
         return self.in_order(batches)

@@ -49,7 +49,7 @@ __all__ = [
 
 
 @dataclass(frozen=True, slots=True)
-class Meaning:
+class AttitudeConvention:
     """Which rotation four numbers are, whatever their layout.
 
     `convention`: ``"hamilton"`` or ``"jpl"``
@@ -89,7 +89,7 @@ class Meaning:
         return conjugate(wxyz) if self.is_conjugate else wxyz
 
 
-HAMILTON = Meaning()
+HAMILTON = AttitudeConvention()
 """What attitudes mean inside quatprop."""
 
 

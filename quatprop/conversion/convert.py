@@ -163,7 +163,7 @@ def _refuse_contradictions(job: Conversion) -> None:
         ("convention", job.meaning.convention != HAMILTON.convention),
         ("sign", job.sign != "keep" and not signed),
         ("message", job.output.message is not None),
-        ("beside", job.output.beside is not None),
+        ("extra_columns", job.output.extra_columns is not None),
     ):
         if given:
             raise UsageError(

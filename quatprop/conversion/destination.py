@@ -61,9 +61,9 @@ def _refuse_other_conventions(job: Conversion) -> None:
             f"{listed(name for name, known in WRITERS.items() if known.columns)}",
         )
     refuse_message(kind, output.message)
-    if output.beside is not None:
+    if output.extra_columns is not None:
         raise UsageError(
-            f"{Setting('beside')} goes with Hamilton quaternions body to reference; leave "
+            f"{Setting('extra_columns')} goes with Hamilton quaternions body to reference; leave "
             f"{Setting('convention')} and {Setting('direction')} out"
         )
 
@@ -90,7 +90,10 @@ def remarks_on(
             "output with a place for them, and Hamilton quaternions body to reference on both sides"
         )
     if lost_columns:
-        yield f"columns {listed(lost_columns)} are not kept; {Setting('beside')} writes such ones"
+        yield (
+            f"columns {listed(lost_columns)} are not kept; "
+            f"{Setting('extra_columns')} writes such ones"
+        )
     if singular:
         form = REPRESENTATIONS[job.representation]
         first, second, third = (name.rpartition("_")[0] for name in form.columns)

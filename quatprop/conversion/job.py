@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from quatprop import __version__
-from quatprop.conventions import HAMILTON, Meaning
+from quatprop.conventions import HAMILTON, AttitudeConvention
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.rates import RATE_COLUMNS, RATES
 from quatprop.provenance import Digest, as_json, entry_of
@@ -37,7 +37,7 @@ class Conversion:
 
     source: AttitudeInput
     output: OutputSettings
-    meaning: Meaning = HAMILTON
+    meaning: AttitudeConvention = HAMILTON
     sign: str = "keep"
     representation: str = QUATERNION
 
@@ -59,9 +59,9 @@ class Conversion:
             return RATE_COLUMNS[self.representation]
         if self.representation != QUATERNION:
             return REPRESENTATIONS[self.representation].columns
-        columns, beside = self.layout.columns, self.output.beside
-        if beside is not None:
-            columns += REPRESENTATIONS[beside].columns
+        columns, extra_columns = self.layout.columns, self.output.extra_columns
+        if extra_columns is not None:
+            columns += REPRESENTATIONS[extra_columns].columns
         return columns + (SIGMA_COLUMNS if sigma and WRITERS[self.output.kind].columns else ())
 
 

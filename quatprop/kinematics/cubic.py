@@ -106,7 +106,7 @@ def curvature(t_ns: Int64, rate: Float64, gap_ns: int | None = None) -> Curvatur
 def curvature_of_averages(
     t_ns: Int64,
     rate: Float64,
-    span_ns: Int64 | None = None,
+    integration_time_ns: Int64 | None = None,
     *,
     gap_ns: int | None = None,
     causal: bool = False,
@@ -116,16 +116,17 @@ def curvature_of_averages(
     `t_ns`: time stamps, shape ``(N,)``, int64, ns; N is at least 2
     `rate`: average rates over the intervals that end at the stamps, shape ``(3, N)``, rad/s; that
         of the first sample, whose interval begins earlier, does not count
-    `span_ns`: for increments: the time over which each was integrated, shape ``(N,)``, int64, ns
+    `integration_time_ns`: for increments: the time over which each was integrated, shape ``(N,)``,
+        int64, ns
     """
     steps = np.diff(t_ns)
     valid = _no_gaps(steps, gap_ns)
     h = steps / NS_PER_S
-    if span_ns is not None:
-        h = span_ns[1:] / NS_PER_S
+    if integration_time_ns is not None:
+        h = integration_time_ns[1:] / NS_PER_S
         # A repeated message is no interval of its own; where one was lost, a rotation is missing.
         moves = steps > 0
-        follows = (moves & (steps <= MAX_SPAN_RATIO * span_ns[1:]))[1:] & moves[:-1]
+        follows = (moves & (steps <= MAX_SPAN_RATIO * integration_time_ns[1:]))[1:] & moves[:-1]
         valid &= follows
     return _of_slopes(np.ascontiguousarray(rate[:, 1:]), h, valid, causal=causal)
 

@@ -88,9 +88,9 @@ def rotation_vectors(
     t_ns: Int64,
     rate: Float64,
     method: str = "start",
-    span_ns: Int64 | None = None,
+    integration_time_ns: Int64 | None = None,
     *,
-    averages: bool = False,
+    is_interval_average: bool = False,
 ) -> Float64:
     """Return the rotation vectors between neighbouring samples.
 
@@ -103,16 +103,16 @@ def rotation_vectors(
         between the two, mean dt + dt^2/12 w_k x w_k+1: of fourth order where the rate is linear, of
         second order elsewhere; ``"cubic"``, a cubic through the samples k - 1 to k + 2, of fourth
         order, see :func:`quatprop.kinematics.cubic.curvature`
-    `span_ns`: where samples are increments: the time over which the sensor integrated each, shape
-        ``(N,)``, int64, ns, as in :class:`quatprop.series.GyroSeries`. Interval k is then the
-        increment theta_k of sample k + 1, whatever its length; zero where no time passes, because a
-        repeated stamp is a repeated message
-    `averages`: whether rates are averages over the intervals that end at their stamps: theta_k is
-        then the rate of sample k + 1 times the length of the interval. Increments under every
-        method, and averages under ``"end"``, have the rotation vector theta_k. To it ``"coning"``
-        adds theta_k-1 x theta_k / 12, which makes it of third order; ``"cubic"`` (theta_k-1 x
-        theta_k + theta_k x theta_k+1) / 24, of fourth order. The weights are those of equal
-        intervals; see :func:`quatprop.kinematics.cubic.curvature_of_averages`
+    `integration_time_ns`: where samples are increments: the time over which the sensor integrated
+        each, shape ``(N,)``, int64, ns, as in :class:`quatprop.series.GyroSeries`. Interval k is
+        then the increment theta_k of sample k + 1, whatever its length; zero where no time passes,
+        because a repeated stamp is a repeated message
+    `is_interval_average`: whether rates are averages over the intervals that end at their stamps:
+        theta_k is then the rate of sample k + 1 times the length of the interval. Increments under
+        every method, and averages under ``"end"``, have the rotation vector theta_k. To it
+        ``"coning"`` adds theta_k-1 x theta_k / 12, which makes it of third order; ``"cubic"``
+        (theta_k-1 x theta_k + theta_k x theta_k+1) / 24, of fourth order. The weights are those of
+        equal intervals; see :func:`quatprop.kinematics.cubic.curvature_of_averages`
     `Returns`: rotation vectors, shape ``(N - 1, 3)``, rad; each of the three columns is contiguous
 
     References
@@ -120,8 +120,8 @@ def rotation_vectors(
     Eq. 7; a constant rate over the interval as in eqs. 32 to 36.
     """
     rule = integration_rule(method)
-    if span_ns is not None or (averages and method not in {"start", "mean"}):
-        return _integrated(t_ns, rate.T, method, span_ns).T
+    if integration_time_ns is not None or (is_interval_average and method not in {"start", "mean"}):
+        return _integrated(t_ns, rate.T, method, integration_time_ns).T
     dt = (t_ns[1:] - t_ns[:-1]) / NS_PER_S
     rotvec = rule(rate[:-1].T, rate[1:].T, dt)
     if method == "cubic":
@@ -129,16 +129,20 @@ def rotation_vectors(
     return rotvec.T
 
 
-def _integrated(t_ns: Int64, rate: Float64, method: str, span_ns: Int64 | None) -> Float64:
+def _integrated(
+    t_ns: Int64, rate: Float64, method: str, integration_time_ns: Int64 | None
+) -> Float64:
     """Return the rotation vectors where the sensor integrates, ``(3, N - 1)``, rad."""
     average = rate[:, 1:]
     durations = np.diff(t_ns)
-    if span_ns is not None:
-        durations = np.where(durations > 0, span_ns[1:], 0)
+    if integration_time_ns is not None:
+        durations = np.where(durations > 0, integration_time_ns[1:], 0)
     dt = durations / NS_PER_S
     rotvec = _end(rate[:, :-1], average, dt)
     if method in {"coning", "cubic"}:
-        curvature = curvature_of_averages(t_ns, rate, span_ns, causal=method == "coning")
+        curvature = curvature_of_averages(
+            t_ns, rate, integration_time_ns, causal=method == "coning"
+        )
         rotvec += curvature.rotation_of_averages(average, dt)
     return rotvec
 

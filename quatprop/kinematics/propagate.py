@@ -98,7 +98,11 @@ class _Composition:
             samples = GyroSeries.joined(parts)
             rate = 0.0 - samples.rate if self._inertial else samples.rate
             rotvec = rotation_vectors(
-                samples.t_ns, rate, self._method, samples.span_ns, averages=samples.averages
+                samples.t_ns,
+                rate,
+                self._method,
+                samples.integration_time_ns,
+                is_interval_average=samples.is_interval_average,
             )
             yield slice(start, stop), tile_steps(rotvec[first - 1 :][: stop - start])
         last = GyroSeries.joined([previous, series[-2:]])

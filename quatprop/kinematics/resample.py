@@ -212,7 +212,7 @@ def _curvature(gyro: GyroSeries, method: str, gap_limit_ns: int | None) -> Curva
     if gyro.is_integrated(method) and method in {"coning", "cubic"}:
         causal = method == "coning"
         return curvature_of_averages(
-            gyro.t_ns, rate, gyro.span_ns, gap_ns=gap_limit_ns, causal=causal
+            gyro.t_ns, rate, gyro.integration_time_ns, gap_ns=gap_limit_ns, causal=causal
         )
     return curvature(gyro.t_ns, rate, gap_limit_ns) if method == "cubic" else None
 
@@ -230,8 +230,8 @@ def _between(
     curvature = None if curvature is None else curvature.at(before)
     if gyro.is_integrated(method):
         # An increment may have been integrated over more or less time than there is between stamps.
-        if gyro.span_ns is not None:
-            elapsed = fraction * (gyro.span_ns[after] / NS_PER_S)
+        if gyro.integration_time_ns is not None:
+            elapsed = fraction * (gyro.integration_time_ns[after] / NS_PER_S)
         rotvec = METHODS["end"](first, second, elapsed)
         if curvature is not None:
             rotvec += curvature.rotation_of_averages(second, elapsed)

@@ -92,7 +92,7 @@ class Decimator:
 
     def kept(self, block: GyroSeries) -> GyroSeries:
         """Return the samples of the next block that remain."""
-        if block.span_ns is None and not block.averages:
+        if block.integration_time_ns is None and not block.is_interval_average:
             # No sample depends on others, so none is copied.
             sparse = block[self._count % 2 :: 2]
             self._count += len(block)
@@ -113,15 +113,21 @@ class Decimator:
     @staticmethod
     def _joined(samples: GyroSeries, sparse: GyroSeries) -> GyroSeries:
         """Return the sparse samples with the averages over both of their intervals."""
-        lengths = np.diff(samples.t_ns) if samples.span_ns is None else samples.span_ns[1:]
+        lengths = (
+            np.diff(samples.t_ns)
+            if samples.integration_time_ns is None
+            else samples.integration_time_ns[1:]
+        )
         moves = np.diff(samples.t_ns) > 0
         lengths = np.where(moves, lengths, 0)
         both = lengths[0::2] + lengths[1::2]
         weighted = samples.rate[1:] * lengths[:, None]
         total = weighted[0::2] + weighted[1::2]
-        rate, span_ns = sparse.rate.copy(), sparse.span_ns
+        rate, integration_time_ns = sparse.rate.copy(), sparse.integration_time_ns
         count = len(both)
         np.divide(total, both[:, None], out=rate[len(rate) - count :], where=both[:, None] > 0)
-        if span_ns is not None:
-            span_ns = np.concatenate([span_ns[: len(span_ns) - count], both])
-        return GyroSeries(sparse.t_ns, rate, span_ns, sparse.averages)
+        if integration_time_ns is not None:
+            integration_time_ns = np.concatenate(
+                [integration_time_ns[: len(integration_time_ns) - count], both]
+            )
+        return GyroSeries(sparse.t_ns, rate, integration_time_ns, sparse.is_interval_average)

@@ -149,8 +149,8 @@ class ErrorGrowth:
     def _spans_ns(self, gyro: GyroSeries, last_ns: np.int64) -> Int64:
         """Return over how much time the interval that ends at each sample is integrated, ns."""
         spans_ns = np.diff(gyro.t_ns, prepend=last_ns)
-        if gyro.span_ns is not None:
-            spans_ns = np.where(spans_ns > 0, gyro.span_ns, 0)
+        if gyro.integration_time_ns is not None:
+            spans_ns = np.where(spans_ns > 0, gyro.integration_time_ns, 0)
         if self._is_after_gap:
             spans_ns[0], self._is_after_gap = 0, False
         return spans_ns

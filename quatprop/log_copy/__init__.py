@@ -71,7 +71,7 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
     comment: bool = False,
     message: Message | None = None,
     sigma: str | None = None,
-    beside: str | None = None,
+    extra_columns: str | None = None,
 ) -> AttitudeWriter:
     """Open a writer of a copy of a log to which attitudes are added, at their log times.
 
@@ -82,7 +82,7 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
     kind = copy_kind(log, target)
     layout_of(kind, layout)
     refuse_comment(kind, comment=comment)
-    refuse_columns(kind, message, sigma, beside)
+    refuse_columns(kind, message, sigma, extra_columns)
     message = message or Message()
     channels = cast("MessageLog", log).channels()
     if message.topic_name in {channel.topic for channel in channels}:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conventions import HAMILTON, Meaning
+from quatprop.conventions import HAMILTON, AttitudeConvention
 from quatprop.conventions.layout import LAYOUTS, layout_named
 from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import LogError, UsageError
@@ -162,9 +162,9 @@ def recorded_convention(provenance: Mapping[str, Any]) -> dict[str, str]:
 
 def meaning_of(
     path: Path | str, selection: AttitudeSelection, recorded: Mapping[str, str]
-) -> Meaning:
+) -> AttitudeConvention:
     """Return what numbers mean: as user or metadata say, else Hamilton, body to reference."""
-    return Meaning(
+    return AttitudeConvention(
         _agreed(path, "convention", selection.from_convention, recorded) or "hamilton",
         _agreed(path, "direction", selection.from_direction, recorded) or "body-to-ref",
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from quatprop.conditioning import FROM_TRANSFORMS, Conditioning, ConditioningInputs
+from quatprop.conditioning import FROM_TRANSFORMS, GyroCorrection, GyroCorrectionInputs
 from quatprop.errors import LogError, UsageError
 from quatprop.logs.matching import Match, beside, marks_of
 from quatprop.logs.quaternion_check import QuaternionCheck
@@ -13,7 +13,7 @@ from quatprop.logs.reading import read_vectors
 from quatprop.settings.selection import AttitudeSelection, RateSelection
 
 if TYPE_CHECKING:
-    from quatprop.conditioning.cells import Rows
+    from quatprop.conditioning.window_sums import Rows
     from quatprop.logs.signal import AttitudeSignal, RateSignal
     from quatprop.tables.base import AnyLog
 
@@ -22,8 +22,8 @@ def conditioning_inputs(
     log: AnyLog | None,
     source: RateSignal,
     selection: RateSelection,
-    wanted: Conditioning,
-) -> ConditioningInputs:
+    wanted: GyroCorrection,
+) -> GyroCorrectionInputs:
     """Return what is needed besides the rates.
 
     `log`: an open log that can be read again; None for rates in memory
@@ -38,8 +38,8 @@ def conditioning_inputs(
 
         mounting = frame_mounting(log, source, wanted.mount.removeprefix(FROM_TRANSFORMS))
     if log is None:
-        return ConditioningInputs(biases=biases, mounting=mounting)
-    return ConditioningInputs(
+        return GyroCorrectionInputs(biases=biases, mounting=mounting)
+    return GyroCorrectionInputs(
         force=lambda: _force(source),
         orientation=lambda: _orientation(log, source, selection),
         biases=biases,

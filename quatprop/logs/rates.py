@@ -32,8 +32,8 @@ def signal_of_series(series: GyroSeries) -> RateSignal:
         clock="",
         series=series,
         unit="rad/s",
-        method="end" if series.averages else None,
-        increments=series.span_ns is not None,
+        method="end" if series.is_interval_average else None,
+        increments=series.integration_time_ns is not None,
     )
 
 

@@ -74,11 +74,11 @@ def rates_of(match: Match) -> Reading:
         t_ns, rate, *beside = rows.values
         values: tuple[AnyArray, ...] = (t_ns, rate)
         if row.span:
-            span_ns = to_ns(beside, [row.time_unit], quoted(row.span), match.table.path)
+            integration_time_ns = to_ns(beside, [row.time_unit], quoted(row.span), match.table.path)
             # An increment over no time has no rate; it is not finite, and policies deal with that.
             with np.errstate(divide="ignore", invalid="ignore"):
-                rate /= (span_ns / NS_PER_S)[:, None]
-            values = (t_ns, rate, span_ns)
+                rate /= (integration_time_ns / NS_PER_S)[:, None]
+            values = (t_ns, rate, integration_time_ns)
         elif beside and match.is_named:
             _note_marked(match, rate, beside[0])
         elif beside:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from quatprop.logs.signal import RateSignal
     from quatprop.tables.base import AnyLog
 
-    Steps = dict[str, dict[str, Float64]]
+    RotationGraph = dict[str, dict[str, Float64]]
     """Of each frame the rotations from it to its neighbours."""
 
 STATIC_TOPIC = "tf_static"
@@ -68,13 +68,13 @@ def frame_mounting(log: AnyLog | None, source: RateSignal, frame: str) -> FrameM
             f"{plain(log.path)}: messages of topic {quoted(source.name)} do not name the frame of "
             f"their sensor; give {GIVEN}"
         )
-    steps = _static_steps(log)
+    graph = _rotation_graph(log)
     paths: dict[str, tuple[Float64, tuple[str, ...]]] = {sensor: (IDENTITY, (sensor,))}
     waiting = [sensor]
     while waiting and wanted not in paths:
         here = waiting.pop(0)
         wxyz, frames = paths[here]
-        for other, step in steps.get(here, {}).items():
+        for other, step in graph.get(here, {}).items():
             if other not in paths:
                 # v_other = step v_here step*, v_here = wxyz v_sensor wxyz*.
                 paths[other] = multiply(step, wxyz), (*frames, other)
@@ -82,16 +82,16 @@ def frame_mounting(log: AnyLog | None, source: RateSignal, frame: str) -> FrameM
     if wanted not in paths:
         known = f"they lead from it to {listed(sorted(paths.keys() - {sensor}))}"
         if len(paths) == 1:
-            known = f"there are {listed(sorted(steps))}"
+            known = f"there are {listed(sorted(graph))}"
         raise UsageError(
             f"{plain(log.path)}: no static transforms lead from the frame {quoted(sensor)} of the "
-            f"sensor to {quoted(frame)}; {known if steps else 'the log has none'}"
+            f"sensor to {quoted(frame)}; {known if graph else 'the log has none'}"
         )
     wxyz, frames = paths[wanted]
     return FrameMounting(rotation_matrix(normalize(wxyz)), frames)
 
 
-def _static_steps(log: AnyLog) -> Steps:
+def _rotation_graph(log: AnyLog) -> RotationGraph:
     """Return the rotations between neighbouring frames; of several for a frame the last counts."""
     parents: dict[str, tuple[str, Float64]] = {}
     for table in log.tables():
@@ -105,8 +105,8 @@ def _static_steps(log: AnyLog) -> Steps:
                     f"on {quoted(table.name)} is not a rotation"
                 )
             parents[child] = parent, wxyz
-    steps: Steps = {}
+    graph: RotationGraph = {}
     for child, (parent, wxyz) in parents.items():
-        steps.setdefault(child, {})[parent] = wxyz
-        steps.setdefault(parent, {})[child] = conjugate(wxyz)
-    return steps
+        graph.setdefault(child, {})[parent] = wxyz
+        graph.setdefault(parent, {})[child] = conjugate(wxyz)
+    return graph

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64, Int64
     from quatprop.conditioning.time_range import PartReader
-    from quatprop.conventions import Meaning
+    from quatprop.conventions import AttitudeConvention
     from quatprop.logs.matching import Match
     from quatprop.provenance import JsonObject
     from quatprop.tables.batches import RowBatch
@@ -176,7 +176,7 @@ class AttitudeSignal(Signal):
     read: ReadRows
     first: Callable[[], Iterator[tuple[Int64, Float64]]]
     layout: str
-    meaning: Meaning
+    meaning: AttitudeConvention
     provenance: JsonObject
     representation: str = "quaternion"
     has_positions: bool = False

@@ -11,7 +11,7 @@ from quatprop.messages.columns import MessageBytes, MixedError, TooShortError, f
 from quatprop.messages.compiler import NotPlannedError, compile_plan
 from quatprop.messages.definitions import message_type
 from quatprop.messages.placement import ROS1, XCDR1, XCDR2, Placement
-from quatprop.messages.schema import Primitive, numbers_at
+from quatprop.messages.schema import Primitive, numeric_layout_at
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ class BinaryDecoder:
         self._ways = []
         self._empty: list[AnyArray] = []
         for field_path in field_paths:
-            way, kind, number, count = numbers_at(channel, self._root, field_path, path)
+            way, kind, number, count = numeric_layout_at(channel, self._root, field_path, path)
             self._ways.append(way)
             empty_shape = (0,) if isinstance(kind, Primitive) else (0, count)
             self._empty.append(np.empty(empty_shape, number.code))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.messages.placement import Extents, Placement
 from quatprop.messages.plan import COUNT, ENCAPSULATION, Piece, Plan, Repeat, Segment, Skip, Window
-from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct, numbers
+from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct, numeric_layout
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ class _Compiler:
         self.aligned_to = self.alignment = 1
 
     def _take(self, kind: Type, columns: list[int]) -> None:
-        shape = numbers(kind)
+        shape = numeric_layout(kind)
         if shape is None or not self.extents.alignment(kind):
             raise NotPlannedError("the wanted field is not made of equal numbers")
         number, count = shape

@@ -27,7 +27,7 @@ from quatprop.messages.schema import (
     String,
     Struct,
     Unknown,
-    at,
+    field_at,
 )
 from quatprop.messages.times import NANOSECONDS, SECONDS
 from quatprop.messages.values import ValueDecoder, WantedColumn, raw_messages
@@ -142,7 +142,7 @@ class JsonDecoder(ValueDecoder):
         self._schema = _schema(self.wanted)
 
     def _wanted(self, root: Struct, field_path: str) -> WantedColumn:
-        _, kind = at(root, field_path, self.path)
+        _, kind = field_at(root, field_path, self.path)
         if isinstance(kind, Struct) and not {name for name, _ in kind.fields} <= set(AXES):
             raise SchemaError(
                 self.path,

@@ -129,7 +129,7 @@ def find(root: Struct, field_path: str) -> Type | None:
     return here
 
 
-def at(root: Struct, field_path: str, path: Path | str) -> tuple[Steps, Type]:
+def field_at(root: Struct, field_path: str, path: Path | str) -> tuple[Steps, Type]:
     """Return where a dotted path leads.
 
     `field_path`: such as ``"header.stamp.sec"`` or ``"covariance[0]"``
@@ -146,7 +146,7 @@ def at(root: Struct, field_path: str, path: Path | str) -> tuple[Steps, Type]:
 
 
 @lru_cache(maxsize=1024)
-def numbers(kind: Type | None) -> tuple[Primitive, int] | None:
+def numeric_layout(kind: Type | None) -> tuple[Primitive, int] | None:
     """Return the type and count of equal numbers that `kind` is made of, or None if it is not.
 
     A struct such as ``geometry_msgs/Vector3`` is three float64; equal numbers lie without gaps in
@@ -155,22 +155,22 @@ def numbers(kind: Type | None) -> tuple[Primitive, int] | None:
     if isinstance(kind, Primitive):
         return kind, 1
     if isinstance(kind, Array):
-        inner = numbers(kind.element)
+        inner = numeric_layout(kind.element)
         return inner and (inner[0], inner[1] * kind.length)
     if isinstance(kind, Struct):
-        parts = [numbers(part) for _, part in kind.fields]
+        parts = [numeric_layout(part) for _, part in kind.fields]
         present = [part for part in parts if part is not None]
         if len(present) == len(parts) and len({part[0] for part in present}) == 1:
             return present[0][0], sum(count for _, count in present)
     return None
 
 
-def numbers_at(
+def numeric_layout_at(
     channel: Channel, root: Struct, field_path: str, path: Path | str
 ) -> tuple[Steps, Type, Primitive, int]:
     """Return where a dotted path leads, the field there, and the equal numbers it is made of."""
-    way, kind = at(root, field_path, path)
-    shape = numbers(kind)
+    way, kind = field_at(root, field_path, path)
+    shape = numeric_layout(kind)
     if shape is None:
         raise SchemaError(
             path,

@@ -16,7 +16,7 @@ from quatprop.messages.columns import TooShortError
 from quatprop.messages.cursor import Cursor, Names, cursors_of
 from quatprop.messages.definitions import message_type
 from quatprop.messages.placement import ROS1
-from quatprop.messages.schema import Primitive, Sequence, Struct, Type, find, numbers
+from quatprop.messages.schema import Primitive, Sequence, Struct, Type, find, numeric_layout
 from quatprop.text import quoted
 from quatprop.times import NS_PER_S
 
@@ -137,7 +137,7 @@ def _is_list_of_transforms(root: Struct) -> bool:
             return (
                 _names(element) == ["header", "child_frame_id", "transform"]
                 and _names(find(element, "transform.rotation")) == list("xyzw")
-                and numbers(find(element, "transform")) == _TRANSLATION_AND_ROTATION
+                and numeric_layout(find(element, "transform")) == _TRANSLATION_AND_ROTATION
             )
     return False
 

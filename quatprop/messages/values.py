@@ -11,7 +11,7 @@ import numpy as np
 from quatprop.errors import MessageError
 from quatprop.messages.columns import take_messages
 from quatprop.messages.definitions import message_type
-from quatprop.messages.schema import Array, Primitive, Steps, Struct, Type, numbers_at
+from quatprop.messages.schema import Array, Primitive, Steps, Struct, Type, numeric_layout_at
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class ValueDecoder(ABC):
         self.wanted = [self._wanted(root, field_path) for field_path in field_paths]
 
     def _wanted(self, root: Struct, field_path: str) -> WantedColumn:
-        way, kind, number, _ = numbers_at(self.channel, root, field_path, self.path)
+        way, kind, number, _ = numeric_layout_at(self.channel, root, field_path, self.path)
         return WantedColumn(tuple(_leaves(way, kind)), number, isinstance(kind, Primitive))
 
     def columns(self, *blocks: MessageBlock) -> list[AnyArray]:

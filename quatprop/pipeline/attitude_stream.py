@@ -12,7 +12,7 @@ from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.resample import Listed, Steady, Times, every
 from quatprop.logs.beside_rates import conditioning_inputs
 from quatprop.pipeline.gyro_errors import UncertaintyReport, known_errors, uncertainty_report
-from quatprop.pipeline.initial_attitude import Recording, first_attitude
+from quatprop.pipeline.initial_attitude import LogContext, first_attitude
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
@@ -145,14 +145,14 @@ class AttitudeStream:
     def _begin(self, first: GyroSeries) -> Segments:
         """Return the propagation from the first samples used, at their attitude."""
         settings = self._settings
-        recording = Recording(
+        context = LogContext(
             self._log,
             self._source,
             settings.selection,
             self._conditioned.mount,
             in_order=settings.policy.on_backwards != "sort",
         )
-        self._q0 = first_attitude(settings.q0, recording, first)
+        self._q0 = first_attitude(settings.q0, context, first)
         return Segments(
             self._timeline,
             self._q0,

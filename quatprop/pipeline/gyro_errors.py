@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.conditioning.static_detection import Rest
+    from quatprop.conditioning.static_detection import StaticPeriod
 
 IMU_KEYS: Final = {
     "gyroscope_noise_density": "noise_density",
@@ -87,7 +87,7 @@ class UncertaintyReport(NamedTuple):
 
 
 def known_errors(
-    settings: ErrorSettings, rest: Rest | None
+    settings: ErrorSettings, rest: StaticPeriod | None
 ) -> tuple[SensorErrors, dict[str, str]] | None:
     """Return the errors of a gyroscope and where each comes from; None where none is known.
 

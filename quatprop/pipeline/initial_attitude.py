@@ -64,7 +64,7 @@ class InitialAttitude:
             )
 
 
-class Recording(NamedTuple):
+class LogContext(NamedTuple):
     """The log that is propagated, and how.
 
     `log`: open, and able to be read again; None for rates in memory
@@ -80,7 +80,7 @@ class Recording(NamedTuple):
     in_order: bool = True
 
 
-def first_attitude(wanted: InitialAttitude, recording: Recording, first: GyroSeries) -> Float64:
+def first_attitude(wanted: InitialAttitude, context: LogContext, first: GyroSeries) -> Float64:
     """Return the attitude at the first sample that is propagated.
 
     `first`: the first samples that are propagated, in body axes: those that the timestamp handling
@@ -91,18 +91,18 @@ def first_attitude(wanted: InitialAttitude, recording: Recording, first: GyroSer
         return unit_q0(wanted.wxyz)
     from quatprop.logs.interpolation import attitude_at, first_orientation
 
-    log, mount = recording.log, recording.mount
+    log, mount = context.log, context.mount
     first_ns = int(first.t_ns[0])
     if wanted.source not in {"level", "log"}:
-        return unit_q0(attitude_at(wanted.source, first_ns, log, recording.selection))
+        return unit_q0(attitude_at(wanted.source, first_ns, log, context.selection))
     if log is None:
         raise UsageError(f"{Setting('q0', wanted.source)} needs a log, not rates in memory")
     if wanted.source == "log":
-        wxyz = unit_q0(first_orientation(log, recording.source, recording.selection, first_ns))
+        wxyz = unit_q0(first_orientation(log, context.source, context.selection, first_ns))
         # The orientation is that of the sensor: v_ref = q_log v_sensor, v_body = m v_sensor.
         return wxyz if mount is None else multiply(wxyz, conjugate(from_matrix(mount)))
     _refuse_motion(first, log)
-    force = _force(log, recording, first_ns)
+    force = _force(log, context, first_ns)
     return level(force if mount is None else mount @ force, wanted.heading, down=wanted.down)
 
 
@@ -133,11 +133,11 @@ def _refuse_motion(first: GyroSeries, log: AnyLog) -> None:
         )
 
 
-def _force(log: AnyLog, recording: Recording, first_ns: int) -> Float64:
+def _force(log: AnyLog, context: LogContext, first_ns: int) -> Float64:
     """Return the mean specific force over the first second from a stamp on, shape ``(3,)``."""
     from quatprop.logs.beside_rates import specific_forces
 
-    rows = specific_forces(recording.source)
+    rows = specific_forces(context.source)
     if rows is None:
         raise LogError(
             log.path, f"it has no accelerations to take roll and pitch from; give {Setting('q0')}"
@@ -145,7 +145,7 @@ def _force(log: AnyLog, recording: Recording, first_ns: int) -> Float64:
     last_ns = first_ns + LEVEL_NS
     parts = []
     for t_ns, force in rows:
-        if recording.in_order and t_ns[0] > last_ns:
+        if context.in_order and t_ns[0] > last_ns:
             break
         parts.append(force[(t_ns >= first_ns) & (t_ns <= last_ns)])
     forces = np.concatenate(parts) if parts else np.zeros((0, 3))

@@ -152,7 +152,7 @@ def open_output(
         message=output.message,
         comment=output.comment,
         sigma=sigma,
-        beside=output.beside,
+        extra_columns=output.extra_columns,
     )
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.conditioning import ConditioningReport
+    from quatprop.conditioning import GyroCorrectionReport
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.tables.log import Log, Loss
     from quatprop.timeline.counts import Counts
@@ -159,7 +159,7 @@ class RunReport:
     counts: Counts
     losses: tuple[Loss, ...]
     remarks: tuple[str, ...]
-    conditioning: ConditioningReport
+    conditioning: GyroCorrectionReport
     uncertainty: UncertaintyReport | None
     result: ResultReport
     settings: Mapping[str, str | bool]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from quatprop.conditioning import Conditioning
+from quatprop.conditioning import GyroCorrection
 from quatprop.conventions.layout import layout_named
 from quatprop.errors import UsageError
 from quatprop.pipeline.gyro_errors import ErrorSettings
@@ -58,7 +58,7 @@ class PropagationSettings:
     method: str | None = None
     rates: str = "body"
     q0: InitialAttitude = field(default_factory=InitialAttitude)
-    conditioning: Conditioning = field(default_factory=Conditioning)
+    conditioning: GyroCorrection = field(default_factory=GyroCorrection)
     every: int | None = None
     rate: Fraction | None = None
     at: str | None = None
@@ -116,7 +116,7 @@ class OutputSettings(NamedTuple):
     `layout`: ``"scalar-first"`` or ``"scalar-last"``: the order of the columns written; None is
         what the format prescribes, or scalar-first where it leaves the choice
     `message`: what to write the attitudes as, where they are written as messages
-    `beside`: what else to write of each attitude: a key of
+    `extra_columns`: what else to write of each attitude: a key of
         :data:`quatprop.conventions.representations.REPRESENTATIONS`; None for nothing
     `comment`: write the report in a comment at the beginning of the output
     `report`: where the report goes as JSON, ``"-"`` for stdout; None is nowhere
@@ -127,7 +127,7 @@ class OutputSettings(NamedTuple):
     to: str | None = None
     layout: str | None = None
     message: Message | None = None
-    beside: str | None = None
+    extra_columns: str | None = None
     comment: bool = False
     report: str | None = None
 
@@ -156,9 +156,9 @@ class OutputSettings(NamedTuple):
                 "out_topic": self.message.topic,
                 "frames": f"{self.message.frame},{self.message.child}",
             }
-        if self.beside is not None:
-            values["beside"] = self.beside.removesuffix("-deg")
-            values["euler_unit"] = "deg" if self.beside.endswith("-deg") else None
+        if self.extra_columns is not None:
+            values["extra_columns"] = self.extra_columns.removesuffix("-deg")
+            values["euler_unit"] = "deg" if self.extra_columns.endswith("-deg") else None
         values["header_comment"] = self.comment or None
         return {name: value for name, value in values.items() if value is not None}
 
@@ -184,7 +184,7 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
             **_some_of(values, ("on_backwards", "on_nonfinite", "on_gap")),
         ),
         q0=_initial_attitude(values),
-        conditioning=Conditioning(
+        conditioning=GyroCorrection(
             bias=None if isinstance(bias, str | StaticBias) else bias,
             bias_from=bias if isinstance(bias, str) else None,
             static_ns=bias.window_ns if isinstance(bias, StaticBias) else None,

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from quatprop.arrays import Float64
-    from quatprop.conditioning.static_detection import Rest
+    from quatprop.conditioning.static_detection import StaticPeriod
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.pipeline.report import ResultReport, RunReport
 
@@ -88,7 +88,7 @@ def _uncertainty(uncertainty: UncertaintyReport) -> Iterator[Row]:
     yield "", f"from {', '.join(known)}"
 
 
-def _bias(bias_rad_s: Iterable[float], rest: Rest | None) -> str:
+def _bias(bias_rad_s: Iterable[float], rest: StaticPeriod | None) -> str:
     bias = "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s".format(*bias_rad_s)
     if rest is None:
         return bias

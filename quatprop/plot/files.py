@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from quatprop.conditioning import Conditioning, ConditioningInputs, condition
+from quatprop.conditioning import GyroCorrection, GyroCorrectionInputs, condition
 from quatprop.conditioning.time_range import (
     EndsFinder,
     absolute_range,
@@ -66,7 +66,7 @@ class View(NamedTuple):
     attitudes: AttitudeSelection = AttitudeSelection()
     components: bool = False
     unwrap: bool = False
-    part: Conditioning = Conditioning()
+    part: GyroCorrection = GyroCorrection()
 
 
 class FileView(NamedTuple):
@@ -126,7 +126,7 @@ def _choose(log: AnyLog, view: View) -> RateSignal | AttitudeSignal:
 def _view_rates(path: str, log: AnyLog, source: RateSignal, view: View) -> FileView:
     drawn, checks, timeline = RateAccumulator(source.unit), RateChecks(), Timeline(OBSERVE, path)
     unit, counts = RATES[source.unit], timeline.counts
-    batches, done = condition(source.batches, timeline, view.part, unit, ConditioningInputs())
+    batches, done = condition(source.batches, timeline, view.part, unit, GyroCorrectionInputs())
     deque(timeline.measured(drawn.passing(checks.observe(batches))), maxlen=0)
     if not counts.used:
         raise NoSamplesError(path, source.name, done.outside, losses=log.losses, length=done.length)

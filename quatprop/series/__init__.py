@@ -40,11 +40,11 @@ class GyroSeries(Series):
     rate
         Angular rate, shape ``(N, 3)``, rad/s, kept as float64. Resolved in the body frame unless
         the propagation is told ``rates="inertial"``.
-    span_ns
+    integration_time_ns
         For samples that are increments, integrated by the sensor: the time over which each was,
         shape ``(N,)``, int64, ns, ending at its stamp. The increment is the rate times this, and
         is taken as it is, whatever lies between the stamps. None for rates.
-    averages
+    is_interval_average
         Whether each rate is the average over the interval that ends at its stamp, instead of the
         rate at that moment. Then method ``"end"`` is the default, and exact about a fixed axis.
     log_ns
@@ -65,8 +65,8 @@ class GyroSeries(Series):
     _rows: ClassVar = "samples"
 
     rate: Float64
-    span_ns: Int64 | None = None
-    averages: bool = False
+    integration_time_ns: Int64 | None = None
+    is_interval_average: bool = False
     log_ns: Int64 | None = None
 
     if TYPE_CHECKING:  # what is taken, beside what is kept
@@ -75,8 +75,8 @@ class GyroSeries(Series):
             self,
             t_ns: ArrayLike,
             rate: ArrayLike,
-            span_ns: ArrayLike | None = None,
-            averages: bool = False,
+            integration_time_ns: ArrayLike | None = None,
+            is_interval_average: bool = False,
             log_ns: ArrayLike | None = None,
         ) -> None: ...
 
@@ -85,7 +85,7 @@ class GyroSeries(Series):
         self._keep(
             t_ns=t_ns,
             rate=rows_of("rate", self.rate, len(t_ns), 3),
-            span_ns=times_beside(t_ns, "span_ns", self.span_ns),
+            integration_time_ns=times_beside(t_ns, "integration_time_ns", self.integration_time_ns),
             log_ns=times_beside(t_ns, "log_ns", self.log_ns),
         )
 
@@ -99,7 +99,9 @@ class GyroSeries(Series):
         method
             A key of :data:`quatprop.kinematics.increments.METHODS`.
         """
-        return self.span_ns is not None or (self.averages and method not in {"start", "mean"})
+        return self.integration_time_ns is not None or (
+            self.is_interval_average and method not in {"start", "mean"}
+        )
 
     @classmethod
     def from_seconds(cls, t_s: ArrayLike, rate: ArrayLike) -> Self:

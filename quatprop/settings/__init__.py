@@ -17,7 +17,7 @@ from quatprop.settings.keyword import Keyword, keywords_of
 from quatprop.settings.parsers import (
     Choice,
     bias,
-    columns,
+    column_list,
     count,
     flag,
     frequency,
@@ -54,7 +54,7 @@ SIGMA_AXES = ("body", "reference")
 CONVENTIONS = ("hamilton", "jpl")
 DIRECTIONS = ("body-to-ref", "ref-to-body")
 SIGNS = ("keep", "continuous", "positive")
-OPTION_NAMES = {"kind": "from", "representation": "as", "beside": "with"}
+OPTION_NAMES = {"kind": "from", "representation": "as", "extra_columns": "with"}
 """Settings whose name as an option or a key of a suite is a word of Python -> that name."""
 
 
@@ -96,7 +96,7 @@ class RateOptions(SelectOptions, total=False):
     rate_field: Annotated[str | None, Keyword(
         text, "Message field that is the rate.", "known from the message type", "A.B.C")]
     rate_cols: Annotated[str | Sequence[str | int] | None, Keyword(
-        columns("X,Y,Z"), "Rate columns of a table; by name or number from 0.", "by the header",
+        column_list("X,Y,Z"), "Rate columns of a table; by name or number from 0.", "by the header",
         "X,Y,Z", common=True)]
     rate_unit: Annotated[str | None, Keyword(
         Choice(*RATE_UNITS), "Unit of the rates.", "as the log says", common=True)]
@@ -111,8 +111,9 @@ class SeriesOptions(SelectOptions, total=False):
         text, "Message field of {log} that is the quaternion.", "known from the message type",
         "A.B.C")]
     quat_cols: Annotated[str | Sequence[str | int] | None, Keyword(
-        columns("A,B,C[,D]"), f"Columns of the quaternion in {{log}} in the order in which they "
-        f"are stored, by name or number from 0; or of three angles, with {Setting('from_euler')}.",
+        column_list("A,B,C[,D]"), f"Columns of the quaternion in {{log}} in the order in which "
+        f"they are stored, by name or number from 0; or of three angles, with "
+        f"{Setting('from_euler')}.",
         "by the header", "A,B,C[,D]")]
     frame: Annotated[str | None, Keyword(
         text, "Which transform of {log}, where it is a list of them.", "the only one there is",

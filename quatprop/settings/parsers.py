@@ -95,7 +95,7 @@ class Choice:
         raise UsageError(f"{shown(value)} is not one of {listed(self.names)}{hint}")
 
 
-def columns(names: str) -> Callable[[object], tuple[str, ...]]:
+def column_list(names: str) -> Callable[[object], tuple[str, ...]]:
     """Return a parser of as many columns as `names` has, such as ``"X,Y,Z"``.
 
     What stands in brackets may be left out: ``"A,B,C[,D]"``.
@@ -114,7 +114,7 @@ def columns(names: str) -> Callable[[object], tuple[str, ...]]:
     return parse_columns
 
 
-def numbers(names: str) -> Callable[[object], tuple[float, ...]]:
+def number_list(names: str) -> Callable[[object], tuple[float, ...]]:
     """Return a parser of as many numbers as `names` has, such as ``"W,X,Y,Z"``."""
     count = names.count(",") + 1
 
@@ -218,7 +218,7 @@ def initial_attitude(value: object) -> tuple[float, ...] | str:
     if isinstance(value, str) and value in FROM_THE_LOG:
         return value
     if not _is_name(value):
-        return numbers("W,X,Y,Z")(value)
+        return number_list("W,X,Y,Z")(value)
     may_be_a_topic = isinstance(value, str) and "." not in Path(value).name
     if not may_be_a_topic and not Path(value).exists():
         raise UsageError(
@@ -239,7 +239,7 @@ def bias(value: object) -> tuple[float, ...] | StaticBias | str:
     if _is_name(value) and ("," not in str(value) or Path(value).exists()):
         return path(value)
     try:
-        return numbers("X,Y,Z")(value)
+        return number_list("X,Y,Z")(value)
     except UsageError as error:
         raise UsageError(f"{error.text}, nor static[:DUR]") from None
 

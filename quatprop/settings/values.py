@@ -37,7 +37,7 @@ def refuse_unknown(options: Iterable[str], names: Collection[str]) -> None:
         if name in names:
             continue
         keyword = keywords.get(name.rstrip("_"))
-        if name == "euler_unit" and "beside" in names:
+        if name == "euler_unit" and "extra_columns" in names:
             way_out = "; it is part of a representation's name, such as 'euler-zyx-deg'"
         elif keyword in names:
             way_out = f"; did you mean {quoted(keyword)}?"

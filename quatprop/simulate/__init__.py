@@ -4,5 +4,5 @@
 
     motion.py     rest, spin, coning, tumbling, random walk: rate and attitude as functions of time
     gyroscope.py  when samples are taken, and what noise and bias do to them
-    run.py        into any container that quatprop reads; the truth goes beside
+    simulate.py   into any container that quatprop reads; the truth goes beside
 """

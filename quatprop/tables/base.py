@@ -6,7 +6,7 @@ from abc import abstractmethod
 from typing import TYPE_CHECKING, NamedTuple, NoReturn, TypeAlias
 
 from quatprop.errors import UnsupportedLogError, UsageError
-from quatprop.progress import metered
+from quatprop.progress import with_progress
 from quatprop.tables.counters import counted_rows
 from quatprop.tables.log import Log
 from quatprop.text import Setting, plain, quoted
@@ -100,7 +100,7 @@ class TableLog(Log):
 
     def metered_rows(self, columns: TimedColumns) -> Batches:
         """Return :meth:`rows`, whose progress an interface may show."""
-        return metered(self.rows(columns), self.row_count(), lambda batch: len(batch[0]))
+        return with_progress(self.rows(columns), self.row_count(), lambda batch: len(batch[0]))
 
     def rows(self, columns: TimedColumns) -> Batches:
         """Yield stamps in ns, shape ``(N,)``, and numbers as stored, shape ``(N, k)``.

@@ -190,8 +190,8 @@ class Timeline(StampChecks):
             magnitude = np.where(np.isfinite(magnitude), magnitude, 0.0)
         counts.max_rate = max(counts.max_rate, float(magnitude.max()))
         first = len(batch) - len(intervals)
-        if batch.span_ns is not None:
-            rate, duration = magnitude[first:], batch.span_ns[first:]
+        if batch.integration_time_ns is not None:
+            rate, duration = magnitude[first:], batch.integration_time_ns[first:]
             counts.integrated_ns = (counts.integrated_ns or 0) + int(duration.sum())
         else:
             rate, duration = np.append(self._last_magnitude, magnitude[:-1])[first:], intervals

@@ -37,7 +37,7 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
     comment: bool = False,
     message: Message | None = None,
     sigma: str | None = None,
-    beside: str | None = None,
+    extra_columns: str | None = None,
 ) -> AttitudeWriter:
     """Open a writer of attitude series.
 
@@ -58,9 +58,9 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
     chosen = WRITERS[kind]
     refuse_message(kind, message)
     order = layout_of(kind, layout)
-    refuse_columns(kind, message, sigma, beside)
+    refuse_columns(kind, message, sigma, extra_columns)
     if not chosen.encodings:
-        form = REPRESENTATIONS[beside] if beside else None
+        form = REPRESENTATIONS[extra_columns] if extra_columns else None
         columns = (order.columns, form.columns if form else (), SIGMA_COLUMNS if sigma else ())
         table = _open_columns(target, kind, sum(columns, ()), comment=comment)
         return attitude_table(table, order, sigma, form)
@@ -86,20 +86,22 @@ def holds_covariances(kind: str, message: Message | None) -> bool:
 
 
 def refuse_columns(
-    kind: str, message: Message | None, sigma: str | None, beside: str | None
+    kind: str, message: Message | None, sigma: str | None, extra_columns: str | None
 ) -> None:
     """Refuse standard deviations and angles where a format or a message has no place for them."""
-    if beside is None and sigma is None:
+    if extra_columns is None and sigma is None:
         return
     from quatprop.conventions.representations import REPRESENTATIONS
 
     chosen = WRITERS[kind]
     tables = listed(name for name, form in WRITERS.items() if form.columns)
-    if beside is not None and beside not in REPRESENTATIONS:
-        hint = did_you_mean(beside, REPRESENTATIONS, f"choose one of {listed(REPRESENTATIONS)}")
-        raise UsageError(f"{Setting('beside')}: there is no {quoted(beside)}{hint}")
-    if beside is not None and not chosen.columns:
-        raise UsageError(f"{Setting('beside')}: {kind} has its own columns; choose {tables}")
+    if extra_columns is not None and extra_columns not in REPRESENTATIONS:
+        hint = did_you_mean(
+            extra_columns, REPRESENTATIONS, f"choose one of {listed(REPRESENTATIONS)}"
+        )
+        raise UsageError(f"{Setting('extra_columns')}: there is no {quoted(extra_columns)}{hint}")
+    if extra_columns is not None and not chosen.columns:
+        raise UsageError(f"{Setting('extra_columns')}: {kind} has its own columns; choose {tables}")
     if sigma is None or holds_covariances(kind, message):
         return
     if chosen.encodings:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import OutputError, UsageError
-from quatprop.progress import metered
+from quatprop.progress import with_progress
 from quatprop.provenance import as_json
 from quatprop.simulate.gyroscope import Gyroscope, record
 from quatprop.simulate.motion import Shape, motion_named
@@ -70,7 +70,7 @@ def simulate(  # noqa: PLR0913  # a recording in full
         )
         attitudes = [stack.enter_context(open_writer(truth))] if truth is not None else []
         recorded = record(motion_named(motion, shape), gyroscope, q0)
-        for series in metered(recorded, gyroscope.samples, len):
+        for series in with_progress(recorded, gyroscope.samples, len):
             for writer in (log, *attitudes):
                 writer.write(series)
         for writer in attitudes:
