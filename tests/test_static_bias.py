@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from quatprop import propagate
 from quatprop.cli.commands import cli
+from quatprop.conditioning import window_sums
 
 G = 9.80665
 BIAS = np.array([0.01, -0.02, 0.005])
@@ -303,3 +304,19 @@ def test_the_rest_of_recordings(name, shared_logs):
     assert (rest.first_ns - first_ns) / 1e9 == pytest.approx(begin_s, abs=0.6)
     assert (rest.last_ns - first_ns) / 1e9 == pytest.approx(end_s, abs=0.6)
     assert rest.mean_rad_s == pytest.approx(bias, abs=2e-4)
+
+
+@pytest.mark.parametrize("block", [100, 1000, 4096])
+@pytest.mark.parametrize("seed", range(4))
+def test_sums_of_windows_do_not_depend_on_how_rows_arrive(monkeypatch, block, seed):
+    """A window that goes on in the next batch has the same sums to the bit."""
+    monkeypatch.setattr(window_sums, "BLOCK", block)
+    rng = np.random.default_rng(seed)
+    t_ns = np.cumsum(rng.integers(1, 2_000_000, 3000))
+    values = rng.normal(size=(3000, 3))
+    values[rng.random(3000) < 0.01] = np.nan
+    whole = window_sums.window_sums([(t_ns, values)], 50_000_000)
+    for cuts in ([], [1], [999, 1000, 1001], sorted(rng.integers(0, 3000, 40))):
+        rows = zip(np.split(t_ns, cuts), np.split(values, cuts), strict=True)
+        parts = window_sums.window_sums(rows, 50_000_000)
+        assert parts.tobytes() == whole.tobytes()

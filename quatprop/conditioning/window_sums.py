@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from quatprop.series.blocks import BLOCK
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -22,6 +24,8 @@ def window_sums(
 ) -> WindowSums:
     """Return the sums of every window, in the order of time; only finite rows are counted.
 
+    They are the same to the bit however the rows arrived.
+
     `rows`: stamps, ns, and values, shape ``(N, width)``
     `window_ns`: the length of a window, ns
     `origin_ns`: where the first window begins, ns; None for the first stamp
@@ -31,9 +35,7 @@ def window_sums(
         + [("count", np.float64), ("total", np.float64, width), ("squares", np.float64)]
     )
     parts = [np.zeros(0, dtype=kind)]
-    for t_ns, values in rows:
-        if not len(t_ns):
-            continue
+    for t_ns, values in _in_blocks(rows):
         origin_ns = int(t_ns[0]) if origin_ns is None else origin_ns
         finite: Bool = np.logical_and.reduce(np.isfinite(values), axis=1)
         known = np.where(finite[:, None], values, 0.0)
@@ -47,6 +49,29 @@ def window_sums(
         parts.append(_by_index(sums))
     sums = np.concatenate(parts)
     return _by_index(sums[np.argsort(sums["index"], kind="stable")])
+
+
+def _in_blocks(rows: Rows) -> Rows:
+    """Cut rows at fixed positions, wherever their batches ended: sums are of these blocks."""
+    held: list[tuple[Int64, Float64]] = []
+    room = BLOCK
+    for t_ns, values in rows:
+        start = 0
+        while len(t_ns) - start >= room:
+            held.append((t_ns[start : start + room], values[start : start + room]))
+            yield _joined(held)
+            start, room, held = start + room, BLOCK, []
+        if start < len(t_ns):
+            held.append((t_ns[start:], values[start:]))
+            room -= len(t_ns) - start
+    if held:
+        yield _joined(held)
+
+
+def _joined(rows: list[tuple[Int64, Float64]]) -> tuple[Int64, Float64]:
+    if len(rows) == 1:
+        return rows[0]
+    return np.concatenate([t_ns for t_ns, _ in rows]), np.concatenate([each for _, each in rows])
 
 
 def aligned_window_sums(
