@@ -3,16 +3,24 @@
 import re
 import shlex
 import shutil
+import sys
 import tomllib
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from documents import GUIDES, ROOT, Document
 from topics import found_in, mark, stamps
 
+from quatprop import propagate, write
 from quatprop.cli.commands import cli
+from quatprop.cli.help import GROUPS
+from quatprop.logs import vocabulary
 from quatprop.logs.vocabulary import TYPES
 from quatprop.messages.blocks import Channel
+from quatprop.settings.keyword import keywords_of
+from quatprop.writers.formats import WRITERS
 
 README = ROOT / "README.md"
 DOCUMENTS = [README, *sorted(GUIDES.glob("*.md"))]
@@ -67,15 +75,36 @@ def test_the_library_guide_is_true(ran):
     assert (document.folder / "euler.csv").read_text().startswith("t_ns,yaw_deg,pitch_deg,roll_deg")
 
 
-def test_the_development_guide_adds_a_message_type(ran, monkeypatch):
-    """With its row, the rate of such a message is found with unit and time."""
-    row = ran(GUIDES / "development.md").names["row"]
+def test_the_development_guide_adds_devices_formats_and_settings(ran, monkeypatch):
+    """Messages and files are read by its rows, and its format and its setting are as it says."""
+    document = ran(GUIDES / "development.md")
+    row, columns, form, writer, options = map(
+        document.names.get, ("row", "columns", "form", "PipeTable", "PropagateOptions")
+    )
     ((name,),) = [row.types]
     monkeypatch.setitem(TYPES, name, row)
     channel = Channel("/t", name, "cdr", "ros2msg", b"uint64 stamp_us\nfloat64[3] rate\n")
     (found,) = found_in(channel)
     assert (found.field, found.row.unit, mark(found)) == ("rate", "deg/s", None)
     assert stamps(found) == [(["stamp_us"], ("us",))]
+
+    monkeypatch.setattr(vocabulary, "ROWS", (*vocabulary.ROWS, columns))
+    log, out = document.folder / "mine.csv", document.folder / "out.psv"
+    log.write_text("MyTick,TurnX (deg/s),TurnY (deg/s),TurnZ (deg/s)\n0,60,0,0\n100000,0,0,0\n")
+    module, _, writer_name = form.opener.partition(":")
+    monkeypatch.setitem(
+        sys.modules, f"quatprop.writers.{module}", SimpleNamespace(**{writer_name: writer})
+    )
+    monkeypatch.setitem(WRITERS, "psv", form)
+    write(propagate(log), out)
+    header, *rows = out.read_text().splitlines()
+    assert header == "t_ns|qw|qx|qy|qz"
+    assert [row.split("|")[0] for row in rows] == ["0", "100000000"]
+    np.testing.assert_allclose(float(rows[1].split("|")[2]), np.sin(np.deg2rad(3.0)))
+
+    keyword = keywords_of(options)["skip"]
+    assert keyword("3") == 3
+    assert keyword.group in GROUPS
 
 
 def test_a_batch_of_one_machine_is_done(ran, tmp_path):

@@ -1,6 +1,7 @@
 """One row of the vocabulary is all that a new device needs, for its messages and its files."""
 
 import json
+import re
 import struct
 
 import numpy as np
@@ -11,7 +12,9 @@ from rosbags.rosbag1 import Writer as BagWriter
 
 from quatprop import DataLossWarning, RemarkWarning, read_attitudes, read_rates
 from quatprop.logs import vocabulary
-from quatprop.logs.rows import WXYZ, XYZ, Row
+from quatprop.logs.rows import PARTS, WXYZ, XYZ, Row
+from quatprop.messages.schema import ros_name
+from quatprop.settings import LAYOUTS, METHODS, RATE_UNITS, TIME_UNITS
 
 NAME = "my_msgs/msg/Gyro"
 ROW = Row(
@@ -83,6 +86,42 @@ def test_a_row_is_read_from_every_kind_of_log(tmp_path, monkeypatch, kind, suffi
         assert series.t_ns.tolist() == (STAMPS * 1000).tolist()
     np.testing.assert_array_equal(rates.rate, RATES * (np.pi / 180.0))
     np.testing.assert_array_equal(attitudes.wxyz, ATTITUDES)
+
+
+@pytest.mark.parametrize("row", vocabulary.ROWS, ids=lambda row: row.name or row.types[0])
+def test_rows_say_what_can_be_read(row):
+    """A misspelled type, unit or pattern would find nothing, or fail on some log."""
+    assert row.name or row.types
+    assert [ros_name(name) for name in row.types] == [*row.types]
+    assert row.unit in {"", *RATE_UNITS}
+    assert row.time_unit in {"", *TIME_UNITS}
+    assert row.angle_unit in {"", "rad", "deg"}
+    assert row.layout in {"", *LAYOUTS}
+    assert row.method in {None, *METHODS}
+    for quantity in PARTS:
+        pattern = getattr(row, quantity)
+        assert not pattern or "part" in re.compile(pattern).groupindex, quantity
+    assert all(isinstance(names, tuple) for names in (row.types, row.stamps, row.needs))
+    for pattern in (*row.stamps, row.file):
+        re.compile(pattern)
+
+
+def test_a_type_has_one_row():
+    """Of two rows the first would never be read."""
+    types = [name for row in vocabulary.ROWS for name in row.types]
+    assert sorted(types) == sorted(vocabulary.TYPES)
+
+
+@pytest.mark.parametrize("rate", ["P(?P<part>[XYZ])", "p(?P<part>[xyz])"])
+def test_columns_are_named_as_spelled_or_by_key(tmp_path, monkeypatch, rate):
+    """The letters of the axes may be capitals in both."""
+    row = Row("Made up", rate=rate, unit="deg/s", stamps=("MyTick",), time_unit="us")
+    monkeypatch.setattr(vocabulary, "ROWS", (*vocabulary.ROWS, row))
+    path = tmp_path / "log.csv"
+    path.write_text("MyTick,PX,PY,PZ\n" + "".join(f"{k}000,1,2,{k}\n" for k in range(3)))
+    rates = read_rates(path)
+    assert rates.t_ns.tolist() == [0, 1_000_000, 2_000_000]
+    np.testing.assert_allclose(np.rad2deg(rates.rate), [(1, 2, k) for k in range(3)])
 
 
 def test_increments_of_PX4_are_read_from_its_tables(tmp_path):

@@ -366,7 +366,7 @@ def test_angles_and_standard_deviations_are_written_together(tmp_path):
 @pytest.mark.parametrize(
     ("output", "options", "sentence"),
     [
-        ("a.tum", [], "--with: tum has its own columns; choose 'csv', 'tsv', 'jsonl'"),
+        ("a.tum", [], f"--with: tum has its own columns; choose {', '.join(map(repr, TABLES))}"),
         ("a.mcap", [], "--with: mcap has its own columns; choose 'csv'"),
         ("a.csv", ["--as", "rotvec"], "--with is about quaternions and rotvec has none"),
         ("a.csv", ["--direction", "ref-to-body"], "--with goes with Hamilton quaternions body to"),

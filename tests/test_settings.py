@@ -115,6 +115,24 @@ def test_no_settings_are_the_defaults():
     assert propagation_settings(dict.fromkeys(PROPAGATE)) == PropagationSettings()
 
 
+def test_every_setting_of_propagate_is_used(monkeypatch):
+    """One that is accepted and changes nothing would go unnoticed."""
+    used = set()
+
+    class Values(dict):
+        def __contains__(self, name):
+            used.add(name)
+            return super().__contains__(name)
+
+        def get(self, name, default=None):
+            used.add(name)
+            return super().get(name, default)
+
+    monkeypatch.setattr("quatprop.pipeline.settings.parse_all", lambda _options: Values())
+    propagation_settings({})
+    assert set(PROPAGATE) - used == set()
+
+
 def test_every_interface_has_the_same_names():
     """The options of the command, the parsers and the keywords of the library are one list."""
     output = {"log", "output", "into", "to", "layout", "comment", "message", "out_topic", "frames",

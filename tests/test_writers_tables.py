@@ -301,7 +301,7 @@ def test_text_goes_to_stdout(capfdbinary, kind):
 
 def test_other_columns_go_into_tables_only(tmp_path):
     """A trajectory has no room for columns of any name."""
-    words = r": kind 'tum' holds quaternions only; choose 'csv', 'tsv', 'jsonl', 'parquet', "
+    words = f": kind 'tum' holds quaternions only; choose {', '.join(map(repr, TABLES))}"
     with pytest.raises(OutputError, match=words):
         open_table(tmp_path / "a.tum", ["x"])
 

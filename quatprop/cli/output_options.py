@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from quatprop.pipeline.settings import OutputSettings
 
 
+_COMMENTED = [kind for kind, form in WRITERS.items() if form.comments]
 EULER = tuple(f"euler-{sequence}" for sequence in EULER_SEQUENCES)
 """Representations by Euler angles."""
 
@@ -42,7 +43,8 @@ OUTPUT_OPTIONS = {
         "rotvec; matrix.", takes="euler-zyx|...", group="Output", common=True),
     "--euler-unit": Keyword(Choice("rad", "deg"), "Unit of Euler angles.", "rad", group="Output"),
     "--header-comment comment": Keyword(
-        flag, "Begin csv, tsv, tum or euroc with the report in a # comment.", group="Output"),
+        flag, f"Begin {', '.join(_COMMENTED[:-1])} or {_COMMENTED[-1]} with the report in a # "
+        "comment.", group="Output"),
     "--message": Keyword(Choice(*MESSAGES),
         f"What mcap and bags hold: {', '.join(MESSAGES)}. The last two are "
         "Foxglove's own, for mcap only.", "QuaternionStamped", "TYPE", group="Output"),

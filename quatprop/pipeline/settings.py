@@ -7,7 +7,7 @@ library, the command line and suites alike.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -25,7 +25,7 @@ from quatprop.timeline.stamps import Policy
 from quatprop.writers.formats import keeps_provenance, kind_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
     from fractions import Fraction
 
     from quatprop.writers.messages.kinds import Message
@@ -177,29 +177,25 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
     }
     bias = values.get("bias")
     return PropagationSettings(
-        kind=values.get("kind"),
         selection=RateSelection.of(values),
-        policy=Policy(
-            max_gap_ns=values.get("max_gap"),
-            **_some_of(values, ("on_backwards", "on_nonfinite", "on_gap")),
-        ),
-        q0=_initial_attitude(values),
+        policy=Policy(max_gap_ns=values.get("max_gap"), **_named(Policy, values)),
         conditioning=GyroCorrection(
-            bias=None if isinstance(bias, str | StaticBias) else bias,
             bias_from=bias if isinstance(bias, str) else None,
             static_ns=bias.window_ns if isinstance(bias, StaticBias) else None,
-            rates=values.get("rates", "body"),
-            **{name: values.get(name) for name in ("calibration", "mount", "start", "end")},
+            **{
+                **_named(GyroCorrection, values),
+                "bias": None if isinstance(bias, str | StaticBias) else bias,
+            },
         ),
-        errors=ErrorSettings(**_some_of(values, [one.name for one in fields(ErrorSettings)])),
+        errors=ErrorSettings(**_named(ErrorSettings, values)),
         given=given,
-        **_some_of(values, ("method", "rates", "every", "rate", "at", "threads")),
+        **{**_named(PropagationSettings, values), "q0": _initial_attitude(values)},
     )
 
 
-def _some_of(values: Mapping[str, Any], names: Iterable[str]) -> Mapping[str, Any]:
-    """Return those of some values that are given; the others have defaults."""
-    return {name: values[name] for name in names if name in values}
+def _named(record: type, values: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the values that are given of the settings that a record has as fields."""
+    return {name: values[name] for name in record.__annotations__ if name in values}
 
 
 def _initial_attitude(values: Mapping[str, Any]) -> InitialAttitude:
