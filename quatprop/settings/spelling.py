@@ -50,7 +50,7 @@ def in_keys(text: str, side: str = "") -> str:
 
     def spell(name: str, value: str, own: str) -> str:
         about = own or side
-        if about in {"at", "q0"}:
+        if name not in LOOKUPS.get(about, (name,)):
             # Attitudes of a file that is only looked up have no keys of their own.
             return f"{option(name)} {value}".rstrip() + _ELSEWHERE
         if name == "update":  # an option of the command, not a key of a case
@@ -59,4 +59,4 @@ def in_keys(text: str, side: str = "") -> str:
         on = " = true" if name in FLAGS else ""
         return suite_key(name, about) + (f" = {values}" if values else on)
 
-    return with_settings(text, spell)
+    return said_once(with_settings(text, spell), _ELSEWHERE)
