@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from quatprop.text import plain
+
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
@@ -44,6 +46,8 @@ def pytest_configure(config: pytest.Config) -> None:
     paths = [(config.invocation_params.dir / arg.split("::")[0]).resolve() for arg in config.args]
     skipped = config.getini("norecursedirs")
     for suite in _suites(config):
+        if not suite.is_file():
+            raise pytest.UsageError(f"{OPTION}: {plain(suite)}: no such file; check the path")
         for path in paths:
             if suite.resolve().is_relative_to(path):
                 folders = suite.resolve().relative_to(path).parts[:-1]

@@ -48,13 +48,29 @@ def with_settings(text: str, spell: Callable[[str, str, str], str]) -> str:
     return _MARK.sub(lambda mark: spell(*mark.groups()), text)
 
 
-def in_python(text: str, _side: str = "") -> str:
-    """Return a sentence as the library spells settings."""
-    return with_settings(text, _keyword)
+_ELSEWHERE = {"a": " of read_attitudes", "b": " of read_attitudes"} | dict.fromkeys(
+    ("at", "q0"), " of convert"
+)
+"""Functions with the settings of inputs that a function of the library only names."""
 
 
-def _keyword(name: str, value: str, _side: str) -> str:
-    return name + "=" * bool(value) + " or ".join(map(repr, filter(None, value.split("|"))))
+def in_python(text: str, side: str = "") -> str:
+    """Return a sentence as the library spells settings; whose they are is said after the last."""
+    elsewhere = _ELSEWHERE.get(side, "")
+
+    def spell(name: str, value: str, _own: str) -> str:
+        values = " or ".join(map(repr, filter(None, value.split("|"))))
+        return name + "=" * bool(value) + values + elsewhere * (name != "start")
+
+    return said_once(with_settings(text, spell), elsewhere)
+
+
+def said_once(text: str, phrase: str) -> str:
+    """Return a sentence that has a phrase only where it had it last."""
+    if not phrase:
+        return text
+    before, last, after = text.rpartition(phrase)
+    return before.replace(phrase, "") + last + after
 
 
 _SPELLING: ContextVar[Spelling] = ContextVar("SPELLING", default=in_python)

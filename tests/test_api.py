@@ -499,6 +499,8 @@ def test_only_attitudes_are_written(tmp_path):
         (quatprop.read_attitudes, READ_ATTITUDES),
         (quatprop.propagate, PROPAGATE),
         (quatprop.compare, COMPARE),
+        (quatprop.convert, {"to", "layout", "extra_columns", "representation"}),
+        (quatprop.write, {"to", "layout", "extra_columns"}),
     ],
 )
 def test_every_keyword_is_documented(function, settings):
@@ -506,6 +508,29 @@ def test_every_keyword_is_documented(function, settings):
     parameters = function.__doc__.split("Returns\n")[0]
     for name in settings:
         assert re.search(rf"\b{name}\b(?=[\w, \\\n]*( :|\n        ))", parameters), name
+
+
+@pytest.mark.parametrize(
+    ("called", "way_out"),
+    [
+        (lambda path: quatprop.compare(path, path),
+         "name the columns with quat_cols, from_layout and time_col of read_attitudes"),
+        (lambda path: quatprop.propagate(SAMPLES / "spin.csv", at=path),
+         "name the columns with quat_cols, from_layout and time_col of convert"),
+        (lambda path: quatprop.propagate(SAMPLES / "spin.csv", q0=path),
+         "name the columns with quat_cols, from_layout and time_col of convert"),
+        (quatprop.read_attitudes, "name the columns with quat_cols, from_layout and time_col"),
+        (lambda path: quatprop.convert(path, "a.csv"),
+         "name the columns with quat_cols, from_layout and time_col"),
+    ],
+)  # fmt: skip
+def test_a_way_out_names_the_function_that_has_it(tmp_path, called, way_out):
+    """`compare` and `propagate` have no settings of the attitudes that they are given by path."""
+    path = tmp_path / "odd.csv"
+    path.write_text("t_ns,q_1,q_2,q_3,q_4\n1,1,0,0,0\n2,1,0,0,0\n")
+    with pytest.raises(quatprop.QuatpropError) as error:
+        called(path)
+    assert str(error.value).endswith(way_out)
 
 
 def test_the_public_names_are_listed():

@@ -911,6 +911,15 @@ def test_pytest_chooses_cases_beside_other_tests(mixed):
     assert "2 passed, 2 deselected" in result.stdout
 
 
+def test_pytest_refuses_a_suite_that_is_not_there(mixed):
+    """It passed without its cases where other tests were collected."""
+    (mixed.parent / "test_other.py").write_text("def test_other(): pass\n")
+    result = pytest_run(mixed.parent, "--quatprop-suite=siute.toml")
+    assert result.returncode == pytest.ExitCode.USAGE_ERROR
+    name = mixed.parent.resolve() / "siute.toml"
+    assert f"--quatprop-suite: {name}: no such file; check the path" in result.stderr
+
+
 def test_pytest_runs_one_case_by_its_name(mixed):
     """A case that is named is run alone, also where the configuration names the suite."""
     (mixed.parent / "pytest.ini").write_text("[pytest]\naddopts = --quatprop-suite=suite.toml\n")

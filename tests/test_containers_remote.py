@@ -208,6 +208,19 @@ def test_errors_name_the_address(tmp_path):
         pass
 
 
+@pytest.mark.parametrize("name", ["tumbling.bag", "tumbling_ros2", "spin.csv"])
+def test_errors_about_options_name_the_address(tmp_path, name):
+    """They named the copy in the temporary folder."""
+    address = (SAMPLES / name).as_uri()
+    column = name.endswith(".csv")
+    words = ["--rate-cols", "a,b,c"] if column else ["--rate-field", "nope", "-t", "/imu"]
+    out = tmp_path / "a.csv"
+    result = CliRunner().invoke(cli, ["propagate", address, "-o", str(out), *words])
+    reason = "--rate-cols asks for column 'a'" if column else "no message has a field 'nope'"
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"Error: {address}: {reason}")
+
+
 @pytest.mark.parametrize(
     "words",
     [

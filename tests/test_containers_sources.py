@@ -238,6 +238,33 @@ def test_what_reads_a_pipe_twice_is_refused(tmp_path):
     assert result.stderr.startswith("Error: a pipe can be read only once; --bias static, ")
 
 
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["--rate-field", "nope"], "PATH: no message has a field 'nope'"),
+        (["--clock", "publish"], "'PATH': a log of kind bag does not record when"),
+        (["--mount", "tf:base_link"], "PATH: no static transforms lead from"),
+        (["-t", "/none"], "PATH: no topic '/none' that carries body rates"),
+        (["--at", "other.csv"], "other.csv: no attitudes found"),
+        (["--at", "other.csv.gz"], "other.csv.gz: no attitudes found"),
+    ],
+)
+@pytest.mark.parametrize("is_pipe", [False, True])
+def test_errors_name_the_file_that_was_given(tmp_path, monkeypatch, is_pipe, words, reason):
+    """Errors about options named its temporary copy, and those about other files the log."""
+    monkeypatch.chdir(tmp_path)
+    Path("other.csv").write_bytes(b"a,b\n1,2\n")
+    Path("other.csv.gz").write_bytes(gzip.compress(b"a,b\n1,2\n"))
+    assert CliRunner().invoke(cli, ["simulate", "log.bag", "--duration", "1s"]).exit_code == 0
+    data = Path("log.bag").read_bytes()
+    Path("log.bag.gz").write_bytes(gzip.compress(data))
+    with pipe_with(data) as pipe:
+        path = pipe if is_pipe else "log.bag.gz"
+        result = CliRunner().invoke(cli, ["propagate", path, "-o", "a.csv", *words])
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"Error: {reason.replace('PATH', path)}")
+
+
 @pytest.mark.parametrize("log", ["spin.csv", "rest.parquet", "tumbling.bag"])
 def test_definitions_that_are_not_there_are_missed_by_every_kind(tmp_path, log):
     """The option was ignored where a table was read."""

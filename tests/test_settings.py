@@ -2,6 +2,7 @@
 
 import datetime as dt
 import json
+import re
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, TypedDict
@@ -216,6 +217,15 @@ def test_options_of_a_lookup_are_those_of_convert(side):
         options = [option for one in cli.get_command(None, own).params for option in one.opts]
         assert said.split()[1] in options
         assert (" of quatprop convert or so" in said) == (own == "convert")
+
+
+@pytest.mark.parametrize("spell", [in_options, in_keys, in_python])
+def test_whose_settings_of_a_lookup_are_is_said_once(spell):
+    """After the last; what the run has itself, such as its start, is its own."""
+    said = spell(f"give {Setting('quat_cols')} and {Setting('from_layout')} or so", "at")
+    assert re.fullmatch(r"give \S+ and \S+ of (quatprop )?convert or so", said)
+    said = spell(f"begin with {Setting('start', '5')}", "q0")
+    assert said in {"begin with --start 5", 'begin with start = "5"', "begin with start='5'"}
 
 
 def test_keywords_in_sentences_exist():

@@ -145,7 +145,7 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     ----------
     source, **options
         What to read, as for :func:`read_attitudes`.
-    output, to, layout, beside
+    output, to, layout, extra_columns
         Where and how to write, as for :func:`write`.
     convention
         ``"hamilton"`` or ``"jpl"``.
@@ -213,9 +213,13 @@ def _in_python(cause: Cause | None) -> Cause | None:
 
 def _side(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:
     """Return one side of a comparison."""
+    from quatprop.logs.attitude_input import errors_of
+
     if isinstance(source, AttitudeSeries):
         return _valid(name, source)
-    return read_attitudes(path_text(name, source, "make an AttitudeSeries of arrays"))
+    path = path_text(name, source, "make an AttitudeSeries of arrays")
+    with errors_of(name):
+        return read_attitudes(path)
 
 
 def _valid(name: str, series: AttitudeSeries) -> AttitudeSeries:

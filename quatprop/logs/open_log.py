@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections import defaultdict
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -14,6 +15,7 @@ from quatprop.containers.msg_files import MsgFiles
 from quatprop.errors import (
     DamagedLogError,
     LogError,
+    QuatpropError,
     UnreadableLogError,
     UnsupportedLogError,
     UsageError,
@@ -67,7 +69,6 @@ def open_log(
         if is_stream(path):
             yield _open_stream(str(path), kind, msg_path, stack)
         elif is_address(path):
-            stack.enter_context(_renamed_errors(without_secret(path)))
             yield _open_remote(str(path), kind, msg_path, stack, copied=copied)
         else:
             place = Path(path)
@@ -98,14 +99,17 @@ def _open_remote(
     from quatprop.stores.remote import RemoteSource
     from quatprop.stores.transfers import bag_files, local_copy
 
+    name = without_secret(address)
     _, found = find(address)
     if copied or (kind == "rosbag2" and found.is_file):
         copy = stack.enter_context(local_copy(address))
+        stack.enter_context(_renamed_errors(copy, name))
         return stack.enter_context(open_log(copy, kind, msg_path=msg_path))
     if not found.is_file:
         files = bag_files(address)
         indexed = {name for name in files if Path(name).suffix in READERS["mcap"].suffixes}
         copy = stack.enter_context(local_copy(address, set(files) - indexed))
+        stack.enter_context(_renamed_errors(copy, name))
 
         def source_of_part(part: Path) -> FileSource:
             if part.name in indexed:
@@ -114,10 +118,11 @@ def _open_remote(
 
         log = _open_folder(copy, kind, stack, source_of_part=source_of_part)
     else:
-        name = Path(PurePosixPath(found.path).name)
-        source = stack.enter_context(RemoteSource(address, name))
+        file = Path(PurePosixPath(found.path).name)
+        stack.enter_context(_renamed_errors(file, name))
+        source = stack.enter_context(RemoteSource(address, file))
         head = head_of(source)
-        told = kind or ("" if file_compression(head) else kind_of(name, head))
+        told = kind or ("" if file_compression(head) else kind_of(file, head))
         if told not in _INDEXED_KINDS:
             source.close()
             return _open_remote(address, kind, msg_path, stack, copied=True)
@@ -194,12 +199,13 @@ def _open_stream(
     head = stream.peek(_MAGIC_BYTES) if hasattr(stream, "peek") else b""
     named = (name for name, reader in READERS.items() if head.startswith(reader.magic))
     kind = kind or next(named, "csv")
-    stack.enter_context(_renamed_errors(name))
     if kind in TEXT_KINDS:
+        stack.enter_context(_renamed_errors("-", name))
         return _enter(kind, stream, stack)
     folder = temp_folder()
     stack.callback(folder.remove)
     copy = folder.path / "stdin"
+    stack.enter_context(_renamed_errors(copy, name))
     with copy.open("wb") as file:
         import shutil
 
@@ -226,7 +232,7 @@ def _open_file(path: Path, kind: str | None, stack: ExitStack) -> AnyLog:
         copy = stack.enter_context(closing(DecompressedCopy(path)))
     except UnreadableDataError as error:
         raise DamagedLogError(path, f"{error.reason}; decompress it by hand to see more") from error
-    stack.enter_context(_renamed_errors(path))
+    stack.enter_context(_renamed_errors(copy.path, path))
     source = stack.enter_context(FileSource(copy.path))
     log = _open_source(source, kind or kind_of(inside, head_of(source)), stack)
     if copy.damage:
@@ -256,10 +262,16 @@ def _enter(
 
 
 @contextmanager
-def _renamed_errors(path: Path | str) -> Iterator[None]:
-    """Let errors name the file that the user knows, not the temporary copy."""
+def _renamed_errors(copy: Path | str, path: Path | str) -> Iterator[None]:
+    """Let errors about a temporary copy name the file that the user knows.
+
+    Errors about other files, such as the one of the first attitude, keep their names.
+    """
     try:
         yield
-    except LogError as error:
-        error.path = path
+    except QuatpropError as error:
+        if isinstance(error, LogError) and Path(error.path).is_relative_to(copy):
+            error.path = path
+        name = rf"(?<![^\s'(]){re.escape(plain(copy))}(?![\w.-])"
+        error.reason = re.sub(name, lambda _: plain(path), error.reason)
         raise

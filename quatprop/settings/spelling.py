@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from quatprop.settings import ONE_SERIES, OPTION_NAMES, PROPAGATE, READ_ATTITUDES, READ_RATES
 from quatprop.settings.parsers import flag
-from quatprop.text import with_settings
+from quatprop.text import said_once, with_settings
 
 LOOKUPS = {"at": {"start"}, "q0": {"start"}, "info": READ_RATES.keys()}
 """Sides whose attitudes are only looked up, and what the command has itself of their settings;
@@ -42,8 +42,7 @@ def in_options(text: str, side: str = "") -> str:
             return f"{option(name)} {value}".rstrip() + elsewhere
         return f"{option(name, about)} {value}".rstrip()
 
-    sentence, elsewhere, rest = with_settings(text, spell).rpartition(_ELSEWHERE)
-    return sentence.replace(_ELSEWHERE, "") + elsewhere + rest
+    return said_once(with_settings(text, spell), _ELSEWHERE)
 
 
 def in_keys(text: str, side: str = "") -> str:
@@ -51,7 +50,7 @@ def in_keys(text: str, side: str = "") -> str:
 
     def spell(name: str, value: str, own: str) -> str:
         about = own or side
-        if about in {"at", "q0"}:
+        if name not in LOOKUPS.get(about, (name,)):
             # Attitudes of a file that is only looked up have no keys of their own.
             return f"{option(name)} {value}".rstrip() + _ELSEWHERE
         if name == "update":  # an option of the command, not a key of a case
@@ -60,4 +59,4 @@ def in_keys(text: str, side: str = "") -> str:
         on = " = true" if name in FLAGS else ""
         return suite_key(name, about) + (f" = {values}" if values else on)
 
-    return with_settings(text, spell)
+    return said_once(with_settings(text, spell), _ELSEWHERE)
