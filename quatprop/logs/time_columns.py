@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from quatprop.logs.matching import Found
     from quatprop.logs.rows import Row
     from quatprop.tables.counters import Counting
-    from quatprop.tables.model import Group, Table
+    from quatprop.tables.model import Group
 
 _INSTANT = r"(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|delay|dt)).*"
 """Names of columns that may be the time where a unit says that they are one."""
@@ -45,9 +45,7 @@ _INSTANT = r"(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|d
 _NO_COLUMN = "none"
 
 
-def time_in_file(
-    matcher: ColumnMatcher, found: Found, marks: Group, row: Row
-) -> tuple[Stamp, Table]:
+def time_in_file(matcher: ColumnMatcher, found: Found, marks: Group, row: Row) -> Stamp:
     """Return the time of columns of a file; see :func:`quatprop.logs.stamps.choose_time`."""
     numbers = (*found.sets[0], *marks)
     stamp = _source(matcher, row, numbers)
@@ -76,9 +74,7 @@ def time_in_file(
     rate = "" if steady is None else f"{float(steady):g} Hz"
     clock = " at ".join(filter(None, (matcher.spelled(time), rate)))
     offset_ns = sum(utc_offset_ns(matcher, k) for k in time)
-    stamp = Stamp(time, units, clock, steady, offset_ns)
-    labels = [label for _, label in series]
-    return stamp, found.table.of_series(labels, tuple(k for k, _ in series))
+    return Stamp(time, units, clock, steady, offset_ns, series)
 
 
 def _holds_text(matcher: ColumnMatcher, time: Group) -> bool:
