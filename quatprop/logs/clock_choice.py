@@ -33,8 +33,10 @@ def clocks_of(matcher: ColumnMatcher, row: Row, numbers: Group) -> list[Clock]:
     keys = [matcher.columns[k].key for k in numbers]
     found: dict[int, Clock] = {}
     for place, pattern in enumerate(_conventional(matcher, row)):
+        # The time of recording is the stamp of a convention only where a file has no other.
+        rank = clocks.ARRIVAL if found and pattern == row.log_time else clocks.CONVENTION
         for k in matcher.matching(pattern):
-            found.setdefault(k, clock_at(matcher, k, clocks.CONVENTION, row.time_unit, place))
+            found.setdefault(k, clock_at(matcher, k, rank, row.time_unit, place))
     if matcher.selection.clock is None:
         for k, column in enumerate(matcher.columns):
             named = clocks.named_clock(column.key, keys)
@@ -132,6 +134,8 @@ def best_clock(matcher: ColumnMatcher, found: list[Clock]) -> Clock:
             apart = duration_text(differ.largest_ns)
             why = f", which differ by up to {apart} beyond a constant"
             raise ambiguous_time(matcher, [best.columns[0], other.columns[0]], why)
+        if other.rank == clocks.ARRIVAL and 0 < differ.largest_ns <= NS_PER_S:
+            continue  # what takes as long as the network or the disk does
         names = matcher.names(other.columns), matcher.names(best.columns)
         way = Setting("time_col", matcher.as_option(other.columns[0]))
         sentence = clocks.difference_text(*names, differ)
