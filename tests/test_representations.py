@@ -19,7 +19,6 @@ from quatprop.logs.interpolation import stamps_in
 from quatprop.logs.open_log import open_log
 from quatprop.settings import EULER_SEQUENCES
 from quatprop.settings.selection import AttitudeSelection
-from quatprop.tables.base import TimedColumns
 from quatprop.tables.model import Stamp
 from quatprop.writers import open_table
 from quatprop.writers.formats import WRITERS
@@ -334,7 +333,7 @@ def test_angles_stand_beside_the_quaternion(tmp_path, kind):
         result = CliRunner().invoke(cli, [str(argument) for argument in arguments])
         assert result.exit_code == 0, result.output
         with open_log(target[-1]) as table:
-            assert table.columns() == ["t_ns", "qw", "qx", "qy", "qz", *names]
+            assert table.names == ["t_ns", "qw", "qx", "qy", "qz", *names]
         wxyz = read(target[-1])
         angles = columns_in(target[-1], names)
         expected = Rotation.from_euler("XYZ", angles, degrees=True).as_quat(scalar_first=True)
@@ -346,9 +345,9 @@ def test_angles_stand_beside_the_quaternion(tmp_path, kind):
 def columns_in(path, names):
     """Return columns of a table, shape (N, k)."""
     with open_log(path) as log:
-        places = tuple(log.columns().index(name) for name in names)
-        rows = log.metered_rows(TimedColumns(places, Stamp((0,), ("ns",))))
-        return np.concatenate([numbers for _, numbers in rows])
+        places = tuple(log.names.index(name) for name in names)
+        rows = log.read(Stamp((0,), ("ns",)), [places], lambda batch: batch)
+        return np.concatenate([batch.values[1] for batch in rows])
 
 
 def test_angles_and_standard_deviations_are_written_together(tmp_path):

@@ -86,6 +86,26 @@ def test_of_two_clocks_the_better_is_used_wherever_it_stands(tmp_path, recwarn, 
     assert (named.tolist(), remarks) == (alone.tolist(), [])
 
 
+@pytest.mark.parametrize("stamp", ["field.header.stamp", "device_time (ns)"])
+@pytest.mark.parametrize(("jitter", "count"), [(0.5, 0), (4, 1)])
+def test_the_jitter_of_arrival_is_not_remarked_on(tmp_path, recwarn, stamp, jitter, count):
+    """It is that of any network: of 12 ms in what `rostopic echo -p` wrote, and remarked on."""
+    arrival = "%time" if stamp.startswith("field") else "received_at (ns)"
+    late = np.random.default_rng(1).uniform(0, jitter, len(TIMES))
+    columns = {name: ((E0 + t) * 1e9).astype(int) for name, t in ((arrival, TIMES + late),
+                                                               (stamp, TIMES))}  # fmt: skip
+    names = [f"field.angular_velocity.{axis}" for axis in "xyz"]
+    path = table(tmp_path / "log.csv", columns)
+    if stamp.startswith("field"):
+        pd.read_csv(path).rename(columns=dict(zip(RATES, names, strict=True))).to_csv(
+            path, index=False
+        )
+    t_ns, remarks = read(path, recwarn)
+    assert t_ns.tolist() == columns[stamp].tolist()
+    assert len(remarks) == count
+    assert all(f"in '{arrival}' differ from those in '{stamp}'" in one for one in remarks)
+
+
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 @pytest.mark.parametrize("value", [0, -1])
 def test_a_clock_that_stands_still_is_not_the_time(tmp_path, recwarn, value, suffix):

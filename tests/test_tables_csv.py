@@ -238,7 +238,7 @@ def test_points_beside_decimal_commas_are_refused(row, delimiter):
 def test_a_table_without_a_header_has_numbered_columns():
     """Columns are named by number where the file does not name them."""
     text = b"0.5 1.5 2 3\n1.5 4 5 6\n"
-    assert CsvLog(io.BytesIO(text)).columns() == ["0", "1", "2", "3"]
+    assert CsvLog(io.BytesIO(text)).names == ["0", "1", "2", "3"]
     t_ns, rate, _ = read(text, **NUMBERED)
     assert t_ns.tolist() == [500000000, 1500000000]
     assert rate[1].tolist() == [4, 5, 6]

@@ -1,7 +1,6 @@
 """Column names to time, rates and units: known conventions, clear names, options."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,8 +12,8 @@ from quatprop.logs.rate_columns import match_rates
 from quatprop.settings.quantities import RATES
 from quatprop.settings.selection import RateSelection
 from quatprop.settings.spelling import in_options
+from quatprop.tables.base import TableLog
 from quatprop.tables.column_names import parse_name
-from quatprop.tables.file_table import FileTable
 from quatprop.tables.model import Stamp, TableNotes
 
 AXES = ("wx", "wy", "wz")
@@ -115,15 +114,21 @@ def chosen(header, name="log.csv", notes=None, **options):
 
 def table_of(names, name="log.csv", notes=None):
     """Return a file without rows."""
-    log = SimpleNamespace(
-        kind="csv",
-        path=Path(name),
-        notes=notes or TableNotes(),
-        columns=lambda: names,
-        head=lambda _: [],
-        label_columns=dict,
-    )
-    return FileTable(log)
+    return NoRows(Path(name), names, notes or TableNotes())
+
+
+class NoRows(TableLog):
+    """A file of columns without rows."""
+
+    kind = "csv"
+    notes = names = None
+
+    def __init__(self, path, names, notes):
+        super().__init__(path)
+        self.names, self.notes = names, notes
+
+    def _stored_rows(self, _columns):
+        return iter(())
 
 
 def matched(columns):

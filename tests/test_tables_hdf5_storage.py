@@ -174,7 +174,7 @@ def test_a_link_to_another_file_is_remarked_on(path):
         file["soft"] = h5py.SoftLink("/gyr")
         file["g"] = RATES
     with Hdf5Log(path) as log:
-        assert log.columns() == ["g[0]", "g[1]", "g[2]", "t"]
+        assert log.names == ["g[0]", "g[1]", "g[2]", "t"]
         assert list(log.remarks) == [
             "its link 'gyr' leads to another file, 'other.h5', which is not opened"
         ]
@@ -239,7 +239,7 @@ def test_texts_of_every_form_are_read(path, version, options, form):
         named.attrs["columns"] = ["x", "y", "z"]
     assert np.allclose(read_rates(path, rate_cols=[f"gyr[{k}]" for k in range(3)]).rate, RATES)
     with Hdf5Log(path) as log:
-        assert log.columns()[-4:-1] == ["named.x", "named.y", "named.z"]
+        assert log.names[-4:-1] == ["named.x", "named.y", "named.z"]
 
 
 def test_a_damaged_text_neither_hangs_nor_crashes(path):
@@ -255,7 +255,7 @@ def test_a_damaged_text_neither_hangs_nor_crashes(path):
         data[byte] = fill
         path.write_bytes(data)
         with Hdf5Log(path) as log:
-            name = log.columns()[0]
+            name = log.names[0]
         assert name in {"gyr[0]", "gyr[0] [deg/s]"}
         if name == "gyr[0]":
             assert "its attribute 'unit' cannot be read" in refusal(path)

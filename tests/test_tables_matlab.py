@@ -44,7 +44,7 @@ def test_variables_are_columns(path, form, oned_as):
     assert rates.rate.tolist() == RATES.tolist()
     assert rates.t_ns.tolist() == np.round(SECONDS * 1e9).tolist()
     with MatlabLog(path) as log:
-        assert sorted(log.columns()) == ["acc[0]", "acc[1]", "acc[2]", "gyr[0]", "gyr[1]", "gyr[2]",
+        assert sorted(log.names) == ["acc[0]", "acc[1]", "acc[2]", "gyr[0]", "gyr[1]", "gyr[2]",
                                          "t"]  # fmt: skip
 
 
@@ -57,7 +57,7 @@ def test_fields_of_structs_are_columns(path):
     assert rates.rate.tolist() == RATES.astype("f4").tolist()
     assert rates.t_ns.tolist() == stamps.tolist()
     with MatlabLog(path) as log:
-        assert sorted(log.columns()) == [
+        assert sorted(log.names) == [
             *("log.imu.gyr[0]", "log.imu.gyr[1]", "log.imu.gyr[2]", "log.imu.t_ns")
         ]
 
@@ -74,7 +74,7 @@ def test_a_damaged_variable_is_lost_alone(path, form):
         data[byte] ^= 0x55
         path.write_bytes(data)
         with MatlabLog(path) as log:
-            assert {"gyr[0]", "t"} <= set(log.columns())
+            assert {"gyr[0]", "t"} <= set(log.names)
             told = [loss.place for loss in log.losses]
         assert told in ([], [f"byte {begin}"])
         if "do_compression" in form:
@@ -82,7 +82,7 @@ def test_a_damaged_variable_is_lost_alone(path, form):
     for size in (begin, begin + 3, begin + 8, len(good) - 1):
         path.write_bytes(good[:size])
         with MatlabLog(path) as log:
-            assert log.columns() == ["gyr[0]", "gyr[1]", "gyr[2]", "t"]
+            assert log.names == ["gyr[0]", "gyr[1]", "gyr[2]", "t"]
             assert [loss.reason for loss in log.losses] == ["the file ends within a variable"] * (
                 size > begin
             )

@@ -124,7 +124,7 @@ def test_nested_records_and_fields_that_are_arrays_are_opened(tmp_path):
     rows["header"]["t_ns"], rows["gyro"] = [7, 9], [[1, 2, 3], [4, 5, 6]]
     np.save(path, rows)
     with open_log(path) as log:
-        assert log.columns() == ["header.t_ns", *(f"gyro[{k}]" for k in range(3)), "mode"]
+        assert log.names == ["header.t_ns", *(f"gyro[{k}]" for k in range(3)), "mode"]
     t_ns, rate, _ = read(path, rate_unit="rad/s", time_col="header.t_ns")
     assert (t_ns.tolist(), rate.tolist()) == ([7, 9], [[1, 2, 3], [4, 5, 6]])
     with pytest.raises(UnsupportedLogError, match="column 'mode' holds string, not numbers"):

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from quatprop import RemarkWarning, propagate, read_attitudes, read_rates
 from quatprop.cli.commands import cli
-from quatprop.errors import UndeclaredError, UsageError
+from quatprop.errors import TimelineError, UndeclaredError, UsageError
 from quatprop.logs.series import labels_of, take_turns
 
 AXES = ["wx", "wy", "wz"]
@@ -328,3 +328,19 @@ def test_a_bias_of_several_series_is_refused_with_a_way_out(tmp_path):
         f"Error: {bias}: the rows of several series, 'a', 'b' in column 'unit', take turns; write "
         "each to a file of its own\n"
     )
+
+
+def test_rates_of_one_series_that_are_all_marked_as_absent_are_refused(tmp_path):
+    """They became NaN, since the other series has rates."""
+    times = np.arange(ROWS)
+    rates = {f"angular_velocity.{axis}": 1.0 for axis in "xyz"}
+    is_b = times % 2 == 1
+    stamps = {"header.stamp.secs": times, "header.stamp.nsecs": 0}
+    columns = {**stamps, "header.frame_id": np.where(is_b, "b", "a"), **rates}
+    columns["angular_velocity_covariance[0]"] = np.where(is_b, 0.0, -1.0)
+    path = tmp_path / "log.csv"
+    pd.DataFrame(columns).to_csv(path, index=False)
+    with pytest.warns(RemarkWarning, match="rows of other series"):
+        assert np.isfinite(read_rates(path, series="b").rate).all()
+    with pytest.raises(TimelineError, match="all rates are marked as absent"):
+        read_rates(path, series="a")

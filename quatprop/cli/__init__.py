@@ -52,6 +52,9 @@ def run() -> None:
 
     handle_signals()
     from quatprop.cli.commands import cli
+    from quatprop.concurrency import keep_freed_memory
+
+    keep_freed_memory()
 
     if COMPLETE in os.environ:
         import_module("quatprop.cli.bash_completion")  # in place of click's

@@ -19,6 +19,7 @@ from collections import Counter
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+from quatprop.concurrency import keep_freed_memory
 from quatprop.concurrency.threads import signals_blocked
 
 if TYPE_CHECKING:
@@ -186,6 +187,7 @@ class _Worker(Generic[Item, Result]):
 
 def _serve(connection: Connection, work: Callable[[Item], Result]) -> None:
     """Work on items until the other end of the connection is closed."""
+    keep_freed_memory()
     interruption = _Interruption()
     threading.Thread(target=_watch_parent, daemon=True).start()
     ends = contextlib.suppress(KeyboardInterrupt, EOFError, OSError)

@@ -5,10 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from contextlib import closing
 from dataclasses import replace
-from functools import cache
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
-
-import numpy as np
 
 from quatprop.concurrency.threads import Deferred, prefetch
 from quatprop.containers.topics import TopicLog
@@ -140,7 +137,6 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
 
         Chunks are read and decompressed ahead, in threads.
         """
-        keep_freed_memory()
         ranges = [each for chunk in chunks for each in self.expected(chunk)]
         self.source.expect([begin for begin, _ in ranges], [end for _, end in ranges])
         bounds = [*(chunk.first_ns for chunk in chunks[1:]), LATEST]
@@ -180,16 +176,6 @@ def span_of(parts: Sequence[TimedPart]) -> TimeRange | None:
 def parts_within(parts: Sequence[Chunk], within: TimeRange) -> list[Chunk]:
     """Return the parts that overlap a range, or may."""
     return [p for p in parts if p.last_ns is None or within.overlaps(p.first_ns, p.last_ns)]
-
-
-@cache
-def keep_freed_memory() -> None:
-    """Let the C library keep the memory of freed chunks for the next ones, up to 64 MB.
-
-    To give it back, and to have each page cleared again, would cost as much as decompressing them.
-    glibc keeps twice the largest allocation that was ever freed; what is never used costs nothing.
-    """
-    np.empty((1 << 25) - (1 << 13), np.uint8)
 
 
 def load_ahead(

@@ -19,7 +19,7 @@ from quatprop.messages.schema import Primitive, String, Struct, field_at, find, 
 from quatprop.messages.times import to_ns
 from quatprop.messages.ulog import is_secondary
 from quatprop.progress import with_progress
-from quatprop.tables.batches import RowBatch, merge_by_time
+from quatprop.tables.batches import RowBatch, merge_by_time, without_misfits
 from quatprop.tables.model import Column, Stamp, Table, TablePart, TimeRange
 from quatprop.text import Setting, plain, quoted
 from quatprop.times import LATEST, duration_text
@@ -150,7 +150,7 @@ class TopicTable(Table):
             return names, []
         return [parent], [] if below == group else [below.index(k) for k in group]
 
-    def of_series(self, labels: Sequence[str], columns: Group = ()) -> TopicTable:  # noqa: ARG002
+    def of_series(self, labels: Sequence[str]) -> TopicTable:
         """Return all rows; refused where one of several series is asked for."""
         for label in labels:
             raise UsageError(
@@ -201,16 +201,8 @@ class TopicTable(Table):
     ) -> Iterator[RowBatch]:
         """Yield times and groups of columns of all messages, the first block by itself."""
         decode = self.decoder(stamps, groups)
-
-        def fitting(blocks: Sequence[MessageBlock]) -> RowBatch:
-            try:
-                return decode(blocks)
-            except MessageError as error:
-                if is_strict or not error.positions:
-                    raise
-                return fitting(_without(blocks, error.positions))
-
-        yield from map(fitting, decoded_together(self.blocks))
+        for blocks in decoded_together(self.blocks):
+            yield decode(blocks) if is_strict else without_misfits(decode, blocks, _left_out)
 
     def release(self) -> None:
         """Hold nothing of what was read."""
@@ -250,16 +242,15 @@ class TopicTable(Table):
         for log_ns in (block.log_ns for block in blocks if self.log.has_log_time):
             if (log_ns[1:] < log_ns[:-1]).any():
                 self._remark_on_step(log_ns)
-        try:
-            return decode(blocks)
-        except MessageError as error:
-            if not error.positions:
-                raise
-            # Of the same reason in several blocks each counts, however often they are read.
-            for bad in take_messages(blocks, np.array(error.positions)):
-                first_ns, reason = int(bad.log_ns[0]), str(error.reason)
-                self.log.losses.note(f"topic {self.name}", reason, len(bad), part=first_ns)
-            return self._readable(decode, _without(blocks, error.positions))
+        return without_misfits(decode, blocks, self._leave_out)
+
+    def _leave_out(self, blocks: Sequence[MessageBlock], error: MessageError) -> list[MessageBlock]:
+        """Return blocks without the messages that do not fit, which are noted."""
+        # Of the same reason in several blocks each counts, however often they are read.
+        for bad in take_messages(blocks, np.array(error.positions)):
+            first_ns, reason = int(bad.log_ns[0]), str(error.reason)
+            self.log.losses.note(f"topic {self.name}", reason, len(bad), part=first_ns)
+        return _left_out(blocks, error)
 
     def _remark_on_step(self, log_ns: Int64) -> None:
         """Remark on log times, in the order of the log, that step back as after setting a clock."""
@@ -299,10 +290,10 @@ def decoded_together(blocks: Iterable[MessageBlock]) -> Iterator[list[MessageBlo
         yield waiting
 
 
-def _without(blocks: Sequence[MessageBlock], positions: Sequence[int]) -> list[MessageBlock]:
-    """Return blocks without the messages at some positions; at least one block."""
+def _left_out(blocks: Sequence[MessageBlock], error: MessageError) -> list[MessageBlock]:
+    """Return blocks without the messages that do not fit; at least one block."""
     every = np.arange(sum(map(len, blocks)))
-    return take_messages(blocks, np.delete(every, positions)) or [blocks[-1].at(every[:0])]
+    return take_messages(blocks, np.delete(every, error.positions)) or [blocks[-1].at(every[:0])]
 
 
 def log_ns_of(blocks: Sequence[MessageBlock]) -> Int64:

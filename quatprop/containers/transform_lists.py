@@ -54,7 +54,7 @@ class TransformTable(TopicTable):
         frames = self.frames
         return "transforms" if frames is None else f"{frames.parent} <- {frames.child}"
 
-    def of_series(self, labels: Sequence[str], columns: Group = ()) -> TransformTable:  # noqa: ARG002
+    def of_series(self, labels: Sequence[str]) -> TransformTable:
         """Return the transforms of the only pair of frames, after looking through the topic."""
         decoder = TransformDecoder(self.channel, self.path)
         for block in self.log.blocks(self.channel):

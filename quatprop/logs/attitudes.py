@@ -6,12 +6,13 @@ for.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conventions import HAMILTON, AttitudeConvention
+from quatprop.conventions import AttitudeConvention
 from quatprop.conventions.layout import LAYOUTS, layout_named
 from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import LogError, UsageError
@@ -20,20 +21,17 @@ from quatprop.logs.attitude_columns import match_attitudes
 from quatprop.logs.attitude_covariance import CONSTANT_MESSAGES, covariance_beside
 from quatprop.logs.choice import ATTITUDES, Candidate, candidates, choose
 from quatprop.logs.matching import beside
-from quatprop.logs.reading import attitudes_of
 from quatprop.logs.signal import AttitudeSignal
 from quatprop.logs.stamps import are_all
 from quatprop.provenance import entry_of
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
     from typing import Any
 
-    from quatprop.arrays import Float64, Int64
     from quatprop.logs.matching import Found
-    from quatprop.logs.signal import Rows
     from quatprop.settings.selection import AttitudeSelection
     from quatprop.tables.base import AnyLog
     from quatprop.tables.model import Table
@@ -86,52 +84,32 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
             f"{plain(declared)}; write the file again"
         )
     meaning = meaning_of(table.path, selection, recorded)
-    covariance = covariance_beside(match, provenance)
     positions = beside(match, "position")
-    position = positions[0].sets if len(positions) == 1 else ()
-
-    def first() -> Iterator[tuple[Int64, Float64]]:
-        for rows in attitudes_of(match).first():
-            yield rows.values[0], meaning.converted(rows.values[1])
-
-    def read(*, positions: bool = False, covariances: bool = False, logged: bool = False) -> Rows:
-        wanted = (*(position if positions else ()), *covariance.columns[: int(covariances)])
-        batches = ((batch.log_ns, *batch.values) for batch in attitudes_of(match, wanted).rows())
-        rows = ((t_ns, meaning.converted(q), log_ns, *rest) for log_ns, t_ns, q, *rest in batches)
-        for t_ns, wxyz, log_ns, *others in covariance.in_body_axes(rows) if covariances else rows:
-            of_position = others[0] if positions else None
-            row = t_ns, wxyz, of_position, others[-1] if covariances else None
-            yield (*row, None, log_ns) if logged and table.is_typed else row
-
+    signal = AttitudeSignal(
+        name=table.name or match.found.field,
+        type_name=table.type or row.name,
+        field=match.found.field,
+        clock=match.stamp.clock,
+        remarks=match.remarks,
+        match=match,
+        covariance=covariance_beside(match, provenance),
+        position=positions[0].sets if len(positions) == 1 else (),
+        layout=(match.layout or BY_NAME) if form == "quaternion" else "",
+        meaning=meaning,
+        provenance=provenance,
+        representation=form,
+        rotation_columns=_rotation_columns(table, form),
+    )
+    remarks = [f"by its type {row.frames}"] if table.is_typed and row.frames else []
     placeholder = (
         table.is_typed
         and row.rate != ""
         and bool(beside(match, "rate"))
-        and are_all((np.abs(wxyz) for _, wxyz in first()), IDENTITY, CONSTANT_MESSAGES)
+        and are_all((np.abs(wxyz) for _, wxyz in signal.first()), IDENTITY, CONSTANT_MESSAGES)
     )
-    remarks = match.remarks
     if placeholder:
-        remarks = ("it is the identity in every message: a placeholder, not an attitude", *remarks)
-    if table.is_typed and row.frames:
-        remarks = (f"by its type {row.frames}", *remarks)
-    return AttitudeSignal(
-        name=table.name or match.found.field,
-        type_name=table.type or row.name,
-        field=match.found.field,
-        layout=(match.layout or BY_NAME) if form == "quaternion" else "",
-        meaning=meaning,
-        clock=match.stamp.clock,
-        remarks=remarks,
-        provenance=provenance,
-        first=first,
-        read=read,
-        representation=form,
-        has_positions=bool(position),
-        may_have_covariances=bool(covariance.columns) and meaning == HAMILTON,
-        placeholder=placeholder,
-        sigma_axes=covariance.axes if covariance.are_sigmas else None,
-        rotation_columns=_rotation_columns(table, form),
-    )
+        remarks.append("it is the identity in every message: a placeholder, not an attitude")
+    return replace(signal, placeholder=placeholder, remarks=(*remarks, *match.remarks))
 
 
 def _rotation_columns(table: Table, representation: str) -> tuple[str, ...]:

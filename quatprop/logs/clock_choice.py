@@ -33,8 +33,10 @@ def clocks_of(matcher: ColumnMatcher, row: Row, numbers: Group) -> list[Clock]:
     keys = [matcher.columns[k].key for k in numbers]
     found: dict[int, Clock] = {}
     for place, pattern in enumerate(_conventional(matcher, row)):
+        # The time of recording is the stamp of a convention only where a file has no other.
+        rank = clocks.ARRIVAL if found and pattern == row.log_time else clocks.CONVENTION
         for k in matcher.matching(pattern):
-            found.setdefault(k, clock_at(matcher, k, clocks.CONVENTION, row.time_unit, place))
+            found.setdefault(k, clock_at(matcher, k, rank, row.time_unit, place))
     if matcher.selection.clock is None:
         for k, column in enumerate(matcher.columns):
             named = clocks.named_clock(column.key, keys)
@@ -103,28 +105,43 @@ def _nearest(matcher: ColumnMatcher, found: list[Clock], keys: list[str]) -> lis
     return [c for c in found if distance(c) == nearest[c.rank, c.place]]
 
 
-def best_clock(matcher: ColumnMatcher, found: list[Clock]) -> Clock:
-    """Return the best clock that moves, and note what another one says."""
+def best_clock(
+    matcher: ColumnMatcher, found: list[Clock], unnamed: list[Clock], *, has_rate: bool
+) -> Clock | None:
+    """Return the best clock that moves, and note what another one says.
+
+    If none does, it is the only other column that moves in a unit of time, or None where the file
+    `has_rate`, a sample rate.
+    """
     found = [_with_fraction(matcher, clock) for clock in sorted(found, key=lambda c: c.goodness)]
     fractions = {k for clock in found for k in clock.columns[1:]}
     found = [clock for clock in found if clock.columns[0] not in fractions]
-    if len(found) == 1 or not any(clock.is_readable for clock in found):
+    is_only = len(found) == 1 and not unnamed and not has_rate
+    if is_only or not any(clock.is_readable for clock in found):
         return found[0]
-    times = _first_times(matcher, found)
-    moving = [clock for clock in found if not clocks.stands_still(times[clock])] or found
+    times = _first_times(matcher, [*found, *unnamed])
+    moving = [clock for clock in found if not clocks.stands_still(times[clock])]
+    if not moving:
+        moving = [clock for clock in unnamed if not clocks.stands_still(times[clock])]
+        if len(moving) != 1:
+            moving = [] if has_rate else found
+    is_found = moving and moving[0] in found
+    if stopped := found[: found.index(moving[0])] if is_found else found:
+        names = matcher.names([k for clock in stopped for k in clock.columns])
+        instead = "the sample rate is"
+        if moving:
+            instead = f"those in {matcher.names(moving[0].columns)} are"
+        matcher.remarks.append(f"the times in {names} are all the same; {instead} used")
+    if not moving:
+        return None
     best, *others = moving
-    if best is not found[0]:
-        matcher.remarks.append(
-            f"the times in {matcher.names(found[0].columns)} are all the same; those in "
-            f"{matcher.names(best.columns)} are used"
-        )  # fmt: skip
     for other in others:
-        used, theirs = times[best], times[other]
-        if used is None or theirs is None:
+        ours, theirs = times[best], times[other]
+        if ours is None or theirs is None:
             if best.goodness == other.goodness:
                 raise ambiguous_time(matcher, [best.columns[0], other.columns[0]])
             continue
-        differ = clocks.difference(used, theirs)
+        differ = clocks.difference(ours, theirs)
         if differ is None:
             continue
         is_rival = best.rank == other.rank != clocks.CONVENTION
@@ -132,16 +149,13 @@ def best_clock(matcher: ColumnMatcher, found: list[Clock]) -> Clock:
             apart = duration_text(differ.largest_ns)
             why = f", which differ by up to {apart} beyond a constant"
             raise ambiguous_time(matcher, [best.columns[0], other.columns[0]], why)
-        names = matcher.names(other.columns), matcher.names(best.columns)
+        if other.rank == clocks.ARRIVAL and 0 < differ.largest_ns <= NS_PER_S:
+            continue  # what takes as long as the network or the disk does
+        both = matcher.names(other.columns), matcher.names(best.columns)
         way = Setting("time_col", matcher.as_option(other.columns[0]))
-        sentence = clocks.difference_text(*names, differ)
+        sentence = clocks.difference_text(*both, differ)
         matcher.remarks.append(f"{sentence}; to use them, name them with {way}")
     return best
-
-
-def stand_still(matcher: ColumnMatcher, found: list[Clock]) -> bool:
-    """Return whether all clocks have the same time in all of the first rows."""
-    return all(map(clocks.stands_still, _first_times(matcher, found).values()))
 
 
 def _first_times(matcher: ColumnMatcher, found: list[Clock]) -> dict[Clock, Float64 | None]:

@@ -12,7 +12,7 @@ from quatprop.logs.first_batch import first_batch
 from quatprop.logs.matching import column_beside
 from quatprop.logs.stamps import are_all
 from quatprop.messages.times import to_ns
-from quatprop.tables.batches import RowBatch
+from quatprop.tables.batches import RowBatch, without_misfits
 from quatprop.tables.column_names import as_option
 from quatprop.text import Setting, quoted
 from quatprop.times import NS_PER_S, NS_PER_UNIT
@@ -48,15 +48,11 @@ class Reading(NamedTuple):
         """Yield rows to look at: what is decoded of the first ones is shared, nothing is noted."""
         table, stamp = self.match.table, self.match.stamp
         rows = first_batch(table, [stamp]).read([stamp], self.groups)
-        return table.in_order(map(self._converted, rows))
+        return table.in_order(without_misfits(self.convert, batch, _left_out) for batch in rows)
 
-    def _converted(self, rows: RowBatch) -> RowBatch:
-        try:
-            return self.convert(rows)
-        except MessageError as error:
-            if not error.positions:
-                raise
-            return self._converted(rows.rows(np.delete(np.arange(len(rows)), error.positions)))
+
+def _left_out(rows: RowBatch, error: MessageError) -> RowBatch:
+    return rows.without(error.positions)
 
 
 def rates_of(match: Match) -> Reading:
@@ -133,9 +129,9 @@ def refuse_marked(match: Match) -> None:
     if match.is_named or not match.marks:
         return
     table, (columns, *_) = match.table, match.found.sets
-    pairs = (
-        rows.values for rows in first_batch(table, [match.stamp]).read((), (columns, match.marks))
-    )
+    stamps = [match.stamp] if match.stamp.series else []
+    first = first_batch(table, [match.stamp]).read(stamps, (columns, match.marks))
+    pairs = (rows.values[-2:] for rows in first)
     marked = ((mark == ABSENT) & np.isfinite(rate).all(axis=1) for rate, mark in pairs)
     if are_all(marked, value=True):
         setting = Setting("rate_field", match.found.field)

@@ -3,41 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
+from quatprop.conventions import HAMILTON
 from quatprop.errors import LogError
-from quatprop.logs.reading import rates_of
+from quatprop.logs.reading import attitudes_of, rates_of
 from quatprop.series import GyroSeries
 from quatprop.tables.batches import merge_by_time
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
     from quatprop.arrays import Float64, Int64
     from quatprop.conditioning.time_range import PartReader
     from quatprop.conventions import AttitudeConvention
+    from quatprop.logs.attitude_covariance import CovarianceColumns
     from quatprop.logs.matching import Match
     from quatprop.provenance import JsonObject
     from quatprop.tables.batches import RowBatch
-    from quatprop.tables.model import Within
+    from quatprop.tables.model import Group, Within
 
     Rows: TypeAlias = Iterator[
         tuple[Int64, Float64, Float64 | None, Float64 | None, *tuple[Any, ...]]
     ]
-
-    class ReadRows(Protocol):
-        """Reads attitudes from the beginning."""
-
-        def __call__(
-            self, *, positions: bool = False, covariances: bool = False, logged: bool = False
-        ) -> Rows:
-            """Yield stamps, quaternions and, if they are wanted, what is beside them.
-
-            These are the arguments of :class:`quatprop.series.AttitudeSeries`, those of messages
-            up to their log times if these are wanted.
-            """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -156,12 +146,7 @@ class RateSignal(Signal):
 class AttitudeSignal(Signal):
     """Attitudes of a log; takes the parameters of :class:`Signal` too.
 
-    `read`: reads stamps in ns and quaternions ``(N, 4)``, scalar first, Hamilton, body ->
-        reference, batch after batch in the order of the log. They are not checked: see
-        :class:`quatprop.logs.quaternion_check.QuaternionCheck`. Beside them positions of the
-        body in the reference frame, shape ``(N, 3)``, m, and covariances about body axes, shape
-        ``(N, 3, 3)``, rad^2; None where they are not wanted or not there
-    `first`: reads stamps and quaternions for who looks at the beginning alone
+    `match`, `covariance`, `position`: where they are in the log, and what is beside them
     `layout`: how they are stored, ``"scalar-first"`` or ``"scalar-last"``; ``"by name"`` where the
         components have names and no such order; ``""`` for other representations
     `meaning`: what the stored numbers mean
@@ -169,21 +154,63 @@ class AttitudeSignal(Signal):
     `representation`: ``"quaternion"`` or a key of
         :data:`quatprop.conventions.representations.REPRESENTATIONS`
     `placeholder`: whether it is the identity in every message of a sensor: never set
-    `sigma_axes`: the axes of standard deviations beside them; None where a table has none
     `rotation_columns`: columns of a table that hold the same attitudes in other representations
     """
 
-    read: ReadRows
-    first: Callable[[], Iterator[tuple[Int64, Float64]]]
+    match: Match
+    covariance: CovarianceColumns
+    position: tuple[Group, ...]
     layout: str
     meaning: AttitudeConvention
     provenance: JsonObject
     representation: str = "quaternion"
-    has_positions: bool = False
-    may_have_covariances: bool = False
     placeholder: bool = False
-    sigma_axes: str | None = None
     rotation_columns: tuple[str, ...] = ()
+
+    @property
+    def has_positions(self) -> bool:
+        """Whether positions are beside them."""
+        return bool(self.position)
+
+    @property
+    def may_have_covariances(self) -> bool:
+        """Whether covariances are beside them, unless they turn out not to be known."""
+        return bool(self.covariance.columns) and self.meaning == HAMILTON
+
+    @property
+    def sigma_axes(self) -> str | None:
+        """The axes of standard deviations beside them; None where a table has none."""
+        return self.covariance.axes if self.covariance.are_sigmas else None
+
+    def first(self) -> Iterator[tuple[Int64, Float64]]:
+        """Read stamps and quaternions for who looks at the beginning alone."""
+        for rows in attitudes_of(self.match).first():
+            yield rows.values[0], self.meaning.converted(rows.values[1])
+
+    def read(
+        self, *, positions: bool = False, covariances: bool = False, logged: bool = False
+    ) -> Rows:
+        """Read the arguments of :class:`quatprop.series.AttitudeSeries`, batch after batch.
+
+        They are in the order of the log, and not checked: see
+        :class:`quatprop.logs.quaternion_check.QuaternionCheck`. What is not wanted is None; those
+        of messages go up to their log times if these are wanted.
+        """
+        wanted = (
+            *(self.position if positions else ()),
+            *(self.covariance.columns if covariances else ()),
+        )
+        batches = ((rows.log_ns, *rows.values) for rows in attitudes_of(self.match, wanted).rows())
+        read: Iterator[tuple[Any, ...]] = (
+            (t_ns, self.meaning.converted(wxyz), log_ns, *others)
+            for log_ns, t_ns, wxyz, *others in batches
+        )
+        if covariances:
+            read = self.covariance.in_body_axes(read)
+        for t_ns, wxyz, log_ns, *others in read:
+            of_position = others[0] if positions else None
+            row = t_ns, wxyz, of_position, others[-1] if covariances else None
+            yield (*row, None, log_ns) if logged and self.match.table.is_typed else row
 
     def rows(self) -> Iterator[tuple[Int64, Float64]]:
         """Read stamps and quaternions alone."""

@@ -65,7 +65,7 @@ def choose_time(
     if not found.table.log_clocks:
         from quatprop.logs.time_columns import time_in_file
 
-        return time_in_file(matcher, found, marks, row or found.row)
+        return time_in_file(matcher, found, marks, row or found.row), found.table
     matcher.refuse_undeclared()
     chosen = (getattr(matcher.selection, name, None) for name in ("frame", "series"))
     table = found.table.of_series([label for label in chosen if label is not None])

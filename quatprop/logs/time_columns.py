@@ -18,7 +18,6 @@ from quatprop.logs.clock_choice import (
     clocks_of,
     fraction_unit,
     refuse_unknown_beside_arrival,
-    stand_still,
     utc_offset_ns,
     with_fraction,
 )
@@ -32,12 +31,11 @@ from quatprop.text import Setting, plain
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from quatprop.logs.clocks import Clock
     from quatprop.logs.matcher import ColumnMatcher
     from quatprop.logs.matching import Found
     from quatprop.logs.rows import Row
     from quatprop.tables.counters import Counting
-    from quatprop.tables.model import Group, Table
+    from quatprop.tables.model import Group
 
 _INSTANT = r"(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|delay|dt)).*"
 """Names of columns that may be the time where a unit says that they are one."""
@@ -45,9 +43,7 @@ _INSTANT = r"(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|d
 _NO_COLUMN = "none"
 
 
-def time_in_file(
-    matcher: ColumnMatcher, found: Found, marks: Group, row: Row
-) -> tuple[Stamp, Table]:
+def time_in_file(matcher: ColumnMatcher, found: Found, marks: Group, row: Row) -> Stamp:
     """Return the time of columns of a file; see :func:`quatprop.logs.stamps.choose_time`."""
     numbers = (*found.sets[0], *marks)
     stamp = _source(matcher, row, numbers)
@@ -76,9 +72,7 @@ def time_in_file(
     rate = "" if steady is None else f"{float(steady):g} Hz"
     clock = " at ".join(filter(None, (matcher.spelled(time), rate)))
     offset_ns = sum(utc_offset_ns(matcher, k) for k in time)
-    stamp = Stamp(time, units, clock, steady, offset_ns)
-    labels = [label for _, label in series]
-    return stamp, found.table.of_series(labels, tuple(k for k, _ in series))
+    return Stamp(time, units, clock, steady, offset_ns, series)
 
 
 def _holds_text(matcher: ColumnMatcher, time: Group) -> bool:
@@ -124,15 +118,11 @@ def _source(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
     if len(by_unit) == 1 and not any(clock.is_readable for clock in found):
         return Stamp(tuple(by_unit))
     steady = matcher.notes.sample_rate
-    others = {*by_unit} - {k for clock in found for k in clock.columns}
-    if found and (others or steady is not None) and stand_still(matcher, found):
-        instead = _instead_of_stopped(matcher, found, sorted(others))
-        if instead is not None:
-            return instead
-        found = [] if steady is not None else found
     counter = _counter(matcher, numbers) if steady is not None else ()
-    if found:
-        best = best_clock(matcher, found)
+    others = sorted({*by_unit} - {k for clock in found for k in clock.columns})
+    unnamed = [clock_at(matcher, k, clocks.EPOCH, "", 0) for k in others]
+    best = found and best_clock(matcher, found, unnamed, has_rate=steady is not None)
+    if best:
         refuse_unknown_beside_arrival(matcher, best, found)
         # A rate that is only stated is no better than a clock of numbers.
         if best.rank < clocks.TEXT or not (counter or (steady and not best.is_readable)):
@@ -143,22 +133,6 @@ def _source(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
     no_time = {*numbers, *matcher.matching(clocks.COUNTER)}
     candidates = ([k for k in matcher.matching(name) if k not in no_time] for name in likely)
     raise ambiguous_time(matcher, by_unit or next(filter(None, candidates), []))
-
-
-def _instead_of_stopped(
-    matcher: ColumnMatcher, found: list[Clock], others: list[int]
-) -> Stamp | None:
-    """Return the only other column in a unit of time that moves, if clocks stand still."""
-    stopped = [k for clock in found for k in clock.columns]
-    every = (clock_at(matcher, k, clocks.EPOCH, "", 0) for k in others)
-    moving = [clock.columns for clock in every if not stand_still(matcher, [clock])]
-    is_only = len(moving) == 1
-    used = f"those in {matcher.names(moving[0])} are" if is_only else "the sample rate is"
-    if is_only or matcher.notes.sample_rate is not None:
-        matcher.remarks.append(
-            f"the times in {matcher.names(stopped)} are all the same; {used} used"
-        )
-    return Stamp(moving[0]) if is_only else None
 
 
 # What the user names.

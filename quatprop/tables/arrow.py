@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
-    from quatprop.tables.model import Span
+    from quatprop.tables.model import Span, Stamp
 
 
 _PARQUET_TAIL = 8
@@ -154,14 +154,14 @@ class ParquetLog(_ArrowLog):
                 batches = self._parquet.iter_batches(BATCH_ROWS, [group], names)
             yield RowGroup(f"row group {group}", rows, batches)
 
-    def spans(self, columns: TimedColumns) -> list[Span] | None:
+    def spans(self, stamp: Stamp) -> list[Span] | None:
         """Return the stamps of each row group, by the statistics of the time column."""
-        if len(columns.stamp.columns) != 1 or columns.stamp.sample_rate is not None:
+        if len(stamp.columns) != 1 or stamp.sample_rate is not None:
             return None
-        if columns.stamp.utc_offset_ns or columns.series:
+        if stamp.utc_offset_ns or stamp.series:
             return None
-        leaf = self._leaves[columns.stamp.columns[0]]
-        return stamp_spans(self._parquet.metadata, leaf, columns.stamp.units[0])
+        leaf = self._leaves[stamp.columns[0]]
+        return stamp_spans(self._parquet.metadata, leaf, stamp.units[0])
 
 
 class FeatherLog(_ArrowLog):

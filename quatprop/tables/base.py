@@ -1,24 +1,29 @@
-"""What a table is: named or numbered columns, and which of them to read."""
+"""A file of rows: a log that is its own only table; formats say how rows are read."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING, NamedTuple, NoReturn, TypeAlias
+from functools import cached_property
+from itertools import chain, pairwise
+from typing import TYPE_CHECKING, NamedTuple, NoReturn, Self, TypeAlias
 
-from quatprop.errors import UnsupportedLogError, UsageError
+import numpy as np
+
+from quatprop.errors import MessageError, UnsupportedLogError, UsageError
 from quatprop.progress import with_progress
+from quatprop.tables.batches import RowBatch, without_misfits
+from quatprop.tables.column_names import parse_name
 from quatprop.tables.counters import counted_rows
 from quatprop.tables.log import Log
+from quatprop.tables.model import Stamp, Table, TablePart
 from quatprop.text import Setting, plain, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from quatprop.arrays import Float64, Int64
-    from quatprop.provenance import JsonObject
-    from quatprop.tables.file_table import FileTable
-    from quatprop.tables.model import Span, Stamp, TableNotes
+    from quatprop.arrays import AnyArray, Float64, Int64
+    from quatprop.tables.model import Column, Convert, Group, Within
 
     Batches = Iterator[tuple[Int64, Float64]]
 
@@ -26,33 +31,37 @@ if TYPE_CHECKING:
 OTHER_DATES = "dates that are not of ISO 8601"
 """The unit of a column of dates and times of day that nobody can read without being told how."""
 
+_COUNTED = Stamp(sample_rate=1)
+"""Times where nobody asks for them."""
+
 
 class TimedColumns(NamedTuple):
-    """Which columns of a table to read as numbers, and which as the time.
+    """Which columns of a file to read as numbers, and which as the time.
 
-    `parts`: which of the parts of :meth:`TableLog.spans` to read; None for all
-    `series`: columns and the labels that the rows to read have in them
+    `parts`: which of the parts of :meth:`Table.spans` to read; None for all
     """
 
     numbers: tuple[int, ...]
     stamp: Stamp
     parts: frozenset[int] | None = None
-    series: tuple[tuple[int, str], ...] = ()
 
     @property
     def used(self) -> set[int]:
         """All columns that are needed."""
-        return {*self.stamp.columns, *self.numbers, *(k for k, _ in self.series)}
+        return {*self.stamp.columns, *self.numbers, *(k for k, _ in self.stamp.series)}
 
 
-class TableLog(Log):
+class TableLog(Log, Table):
     """Rows of named or numbered columns: text, Arrow, NumPy and JSON Lines files.
 
     `other_rows`: how many rows of other series were passed over; grows while the log is read
     """
 
+    name = type = ""
+
     def __init__(self, path: Path) -> None:
         super().__init__(path)
+        self.matches = {}
         self._losses_at_opening: int | None = None
         self.other_rows = 0
 
@@ -63,68 +72,97 @@ class TableLog(Log):
             self._losses_at_opening = len(self.losses)
         self.losses.restart(self._losses_at_opening)
 
-    def tables(self, topic: str | None = None) -> list[FileTable]:
+    def tables(self, topic: str | None = None) -> list[Self]:
         """Return the file as the only table; no topic has a name here."""
-        from quatprop.tables.file_table import FileTable
-
-        return [] if topic is not None else [FileTable(self)]
+        return [] if topic is not None else [self]
 
     @property
     @abstractmethod
-    def notes(self) -> TableNotes:
-        """What is declared besides the column names."""
+    def names(self) -> list[str]:
+        """The column names in order; ``"0"``, ``"1"``... for a table without a header."""
 
-    @abstractmethod
-    def columns(self) -> list[str]:
-        """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
+    @cached_property
+    def columns(self) -> Sequence[Column]:
+        """The columns, by their names."""
+        return tuple(map(parse_name, self.names))
 
-    @abstractmethod
-    def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
-        """Return cells of the first rows, as they are stored; empty where they cannot be read."""
+    @property
+    def parts(self) -> Sequence[TablePart]:
+        """The only part: all of the file."""
+        return (TablePart("", "", 0, len(self.columns)),)
 
-    @abstractmethod
-    def label_columns(self) -> Mapping[int, bool]:
-        """Return the columns that begin with text or a whole number, and whether it is a number."""
-
-    def provenance(self) -> JsonObject:
-        """Return how the content came about, as written beside it; empty where it is not."""
-        return {}
+    def columns_of(self, name: str) -> Group | None:
+        """Return the column of a name, as spelled or as a key."""
+        spelled = (k for k, one in enumerate(self.columns) if one.text.strip() == name)
+        by_key = (k for k, one in enumerate(self.columns) if one.key == name)
+        found = next(spelled, next(by_key, None))
+        return None if found is None else (found,)
 
     def row_count(self) -> int | None:
         """Return about how many rows there are, where that is known without reading them."""
         return None
 
-    def spans(self, columns: TimedColumns) -> list[Span] | None:  # noqa: ARG002  # of some kinds
-        """Return which stamps each part of the table has; None where nothing says it."""
-        return None
+    def read(
+        self,
+        stamp: Stamp,
+        groups: Sequence[Group],
+        convert: Convert,
+        within: Within = None,
+    ) -> Iterator[RowBatch]:
+        """Yield batches in the order of the file, whose stamps stand for the log times."""
+        parts = within if isinstance(within, frozenset) else None
+        rows = self._timed_rows(stamp, groups, parts)
+        for batch in with_progress(rows, self.row_count(), len):
+            yield without_misfits(convert, batch, self._leave_out)
 
-    def metered_rows(self, columns: TimedColumns) -> Batches:
-        """Return :meth:`rows`, whose progress an interface may show."""
-        return with_progress(self.rows(columns), self.row_count(), lambda batch: len(batch[0]))
+    def _leave_out(self, rows: RowBatch, error: MessageError) -> RowBatch:
+        """Return rows without those that cannot be converted, which are noted."""
+        first_ns, count = int(rows.log_ns[error.positions[0]]), len(error.positions)
+        self.losses.note("rows", str(error.reason), count, part=first_ns)
+        return rows.without(error.positions)
 
-    def rows(self, columns: TimedColumns) -> Batches:
-        """Yield stamps in ns, shape ``(N,)``, and numbers as stored, shape ``(N, k)``.
+    def peek(
+        self,
+        stamps: Sequence[Stamp],
+        groups: Sequence[Group],
+        *,
+        is_strict: bool = False,  # noqa: ARG002  # it is the reader that leaves rows out
+    ) -> Iterator[RowBatch]:
+        """Yield the first rows, and then, but of stdin, all; with times all at once."""
+        if not stamps and (first := self.head([k for group in groups for k in group])):
+            cells = np.array([[*map(_number, row)] for row in first])
+            yield RowBatch(np.arange(len(first)), _split(cells, groups))
+        # Text on stdin is read only once.
+        if str(self.path) != "-":
+            for rows in self._timed_rows((*stamps, _COUNTED)[0], groups):
+                times = (rows.log_ns for _ in stamps)
+                yield RowBatch(rows.log_ns, (*times, *rows.values[1:]))
 
-        Rows that do not fit are left out and noted in :attr:`losses`.
-        """
+    def remark(self, text: str) -> None:
+        """Add a remark on the file, as the last one."""
+        self.remarks = [*(one for one in self.remarks if one != text), text]
+
+    def _timed_rows(
+        self, stamp: Stamp, groups: Sequence[Group], parts: frozenset[int] | None = None
+    ) -> Iterator[RowBatch]:
+        """Yield times, ns, and groups of columns; rows that do not fit are left out and noted."""
+        columns = TimedColumns(tuple(chain.from_iterable(groups)), stamp, parts)
         batches = self._stored_rows(columns)
-        if columns.series:
-            batches = self._of_series(batches, columns.series)
-        stamp = columns.stamp
+        if stamp.series:
+            batches = self._of_series(batches, stamp)
         if stamp.columns and stamp.sample_rate is not None:
-            return self._counted(batches, columns)
-        if stamp.utc_offset_ns:
-            return ((t_ns - stamp.utc_offset_ns, numbers) for t_ns, numbers in batches)
-        return batches
+            batches = self._counted(batches, stamp)
+        for t_ns, numbers in batches:
+            utc_ns = t_ns - stamp.utc_offset_ns if stamp.utc_offset_ns else t_ns
+            yield RowBatch(utc_ns, (utc_ns, *_split(numbers, groups)))
 
-    def _counted(self, batches: Batches, columns: TimedColumns) -> Batches:
+    def _counted(self, batches: Batches, stamp: Stamp) -> Batches:
         """Yield rows at the times of their counter."""
-        rate = columns.stamp.sample_rate or 1.0
-        name = quoted(self.columns()[columns.stamp.columns[0]])
+        rate = stamp.sample_rate or 1.0
+        name = quoted(self.names[stamp.columns[0]])
 
         def note_lost(count: int) -> None:
-            remark = f"{count} sample{'s' * (count > 1)} lost by the counter {name}"
-            self.remarks = [*(one for one in self.remarks if one != remark), remark]
+            self.remark(f"{count} sample{'s' * (count > 1)} lost by the counter {name}")
 
         try:
             yield from counted_rows(batches, rate, note_lost)
@@ -136,14 +174,14 @@ class TableLog(Log):
                 f"{Setting('time_col', 'none')}",
             ) from None
 
-    def _of_series(self, batches: Batches, series: tuple[tuple[int, str], ...]) -> Batches:
+    def _of_series(self, batches: Batches, stamp: Stamp) -> Batches:
         """Yield rows of a series, and remark on how many there are of others."""
         count = 0
         for batch in batches:
             count += len(batch[0])
             yield batch
-        names = self.columns()
-        which = " and ".join(f"{quoted(label)} in column {quoted(names[k])}" for k, label in series)
+        each = (f"{quoted(label)} in column {quoted(self.names[k])}" for k, label in stamp.series)
+        which = " and ".join(each)
         if not count:
             raise UsageError(
                 f"{plain(self.path)}: no row is of the series {which}; check {Setting('series')}"
@@ -154,7 +192,10 @@ class TableLog(Log):
 
     @abstractmethod
     def _stored_rows(self, columns: TimedColumns) -> Batches:
-        """Yield :meth:`rows` with the stamps, or the counts of samples, that columns hold."""
+        """Yield stamps in ns, or counts of samples, ``(N,)``, and numbers as stored, ``(N, k)``.
+
+        Rows that do not fit are left out and noted in :attr:`losses`.
+        """
 
 
 AnyLog: TypeAlias = Log
@@ -165,3 +206,16 @@ def refuse_second_file(path: Path, begin: int) -> NoReturn:
     """Refuse a file to which another one was joined, at a byte."""
     reason = f"another file begins in it at byte {begin}; split it there into two"
     raise UnsupportedLogError(path, reason)
+
+
+def _split(cells: Float64, groups: Sequence[Group]) -> tuple[AnyArray, ...]:
+    """Return columns by their groups."""
+    ends = pairwise(np.cumsum([0, *map(len, groups)]).tolist())
+    return tuple(cells[:, begin if end - begin == 1 else slice(begin, end)] for begin, end in ends)
+
+
+def _number(cell: object) -> float:
+    try:
+        return float(f"{cell}".replace(",", "."))
+    except ValueError:
+        return np.nan

@@ -9,17 +9,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 from heapq import heappop, heappush
 from itertools import count
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from quatprop.errors import MessageError
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
     _Waiting = tuple[int, int, int, "RowBatch"]
     """First log time, stream and arrival of a batch that is held back: its place in the output."""
+
+Source = TypeVar("Source")
 
 NO_BOUND = int(np.iinfo(np.int64).min)
 """`watermark_ns` of a batch that says nothing about the batches after it."""
@@ -44,9 +48,27 @@ class RowBatch:
     def __len__(self) -> int:
         return len(self.log_ns)
 
+    def without(self, positions: Sequence[int]) -> RowBatch:
+        """Return the rows but for those at some positions."""
+        return self.rows(np.delete(np.arange(len(self)), positions))
+
     def rows(self, selected: slice | NDArray[np.int64]) -> RowBatch:
         """Return selected rows: views for a slice, copies for positions."""
         return RowBatch(self.log_ns[selected], tuple(column[selected] for column in self.values))
+
+
+def without_misfits(
+    convert: Callable[[Source], RowBatch],
+    source: Source,
+    leave_out: Callable[[Source, MessageError], Source],
+) -> RowBatch:
+    """Convert rows or blocks of messages, without what is refused by its positions."""
+    try:
+        return convert(source)
+    except MessageError as error:
+        if not error.positions:
+            raise
+        return without_misfits(convert, leave_out(source, error), leave_out)
 
 
 def joined_rows(batches: Sequence[RowBatch]) -> RowBatch:

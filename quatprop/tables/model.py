@@ -58,7 +58,7 @@ class TablePart(NamedTuple):
 
 
 class Stamp(NamedTuple):
-    """What the time of a row is; a table turns it into exact int64 ns.
+    """What the time of a row is, and of which rows; a table turns it into exact int64 ns.
 
     `columns`: one column, or those of seconds and of their fraction; none for the log's own times
     `units`: the unit of each
@@ -66,6 +66,7 @@ class Stamp(NamedTuple):
     `sample_rate`: rows a second, Hz, where they are counted instead, or what a counter counts a
         second
     `utc_offset_ns`: by how much the time is ahead of UTC, ns, where the header says so
+    `series`: columns of a file and the labels that the rows to read have in them; none for all rows
     """
 
     columns: Group = ()
@@ -73,6 +74,7 @@ class Stamp(NamedTuple):
     clock: str = "header"
     sample_rate: Fraction | float | None = None
     utc_offset_ns: int = 0
+    series: tuple[tuple[int, str], ...] = ()
 
 
 class TableNotes(NamedTuple):
@@ -130,7 +132,6 @@ class Table(ABC):
 
     `name`: the topic; ``""`` of a file
     `type`: the message type; ``""`` of a file
-    `notes`: what a file declares besides the names of its columns
     `log_clocks`: the times that the log itself has of each row: ``"log"``, ``"publish"``
     `is_decodable`: whether its rows can be read
     `is_typed`: whether its columns are of message types; else their names are all that there is
@@ -145,11 +146,15 @@ class Table(ABC):
     matches: dict[object, list[tuple[int, re.Match[str]]]]
     first: object = None
     kind = ""
-    notes = TableNotes()
     log_clocks: tuple[str, ...] = ()
     is_typed = False
     is_decodable = True
     is_secondary = False
+
+    @property
+    def notes(self) -> TableNotes:
+        """What a file declares besides the names of its columns."""
+        return TableNotes()
 
     @property
     @abstractmethod
@@ -180,12 +185,12 @@ class Table(ABC):
         """Yield parent and child frame and the rotation of each transform, of a table of them."""
         return iter(())
 
-    @abstractmethod
-    def of_series(self, labels: Sequence[str], columns: Group = ()) -> Table:
-        """Return the rows of one series: with labels in some columns, or between two frames.
+    def of_series(self, labels: Sequence[str]) -> Table:  # noqa: ARG002  # of messages
+        """Return the rows of one series, such as those between two frames.
 
         `labels`: of transforms ``"child"`` or ``"parent:child"``; none for the only series
         """
+        return self
 
     def label_columns(self) -> Mapping[int, bool]:
         """Return the columns that begin with text or a whole number, and whether it is a number."""
@@ -237,9 +242,9 @@ class Table(ABC):
         """Return rows in the order in which they are read."""
         return iter(batches)
 
-    @abstractmethod
     def provenance(self) -> JsonObject:
         """Return how the rows were made, as written beside them; empty where it is not."""
+        return {}
 
     @abstractmethod
     def remark(self, text: str) -> None:

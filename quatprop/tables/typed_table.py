@@ -93,8 +93,9 @@ class TypedTable(TableLog):
         super().__init__(path)
         self._leaves: list[Leaf] = []
 
-    def columns(self) -> list[str]:
-        """Return the column names in order, fields of structs as ``column.field``."""
+    @property
+    def names(self) -> list[str]:
+        """The column names in order, fields of structs as ``column.field``."""
         return [leaf.name for leaf in self._leaves]
 
     @property
@@ -144,7 +145,7 @@ class TypedTable(TableLog):
                 if len(rows.t_ns):
                     yield rows.t_ns, rows.numbers
                 count += rows.total
-            first += count if columns.series else max(group.rows, count)
+            first += count if columns.stamp.series else max(group.rows, count)
 
     def _whole_batches(self, group: RowGroup) -> Iterator[pa.RecordBatch | int]:
         """Yield the batches of a row group up to where it is damaged."""
@@ -193,7 +194,7 @@ class TypedTable(TableLog):
 
     def _refuse_text(self, columns: TimedColumns) -> None:
         declared = self.notes.units
-        names = self.columns()
+        names = self.names
         for k in (*columns.numbers, *columns.stamp.columns):
             leaf = self._leaves[k]
             if names.count(leaf.name) > 1:
@@ -239,7 +240,7 @@ def batch_rows(
 ) -> BatchRows:
     """Return stamps and numbers of a batch, whose first row of the series has a number."""
     total = batch.num_rows
-    if columns.series:
+    if columns.stamp.series:
         batch = _of_series(batch, leaves, columns)
     count = batch.num_rows
     numbers = np.empty((count, len(columns.numbers)))
@@ -268,7 +269,7 @@ def _of_series(
     """Return the rows of the series that is read."""
     import pyarrow.compute as pc
 
-    for k, label in columns.series:
+    for k, label in columns.stamp.series:
         texts = pc.utf8_trim_whitespace(values_of(batch, leaves[k]).cast(pa.string()))
         batch = batch.filter(pc.equal(texts, label))
     return batch

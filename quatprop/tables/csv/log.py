@@ -75,8 +75,9 @@ class CsvLog(TableLog):
             return {}
         return provenance_in(first.removeprefix(COMMENT), self.path)
 
-    def columns(self) -> list[str]:
-        """Return the column names in order; ``"0"``, ``"1"``... for a table without a header."""
+    @property
+    def names(self) -> list[str]:
+        """The column names in order; ``"0"``, ``"1"``... for a table without a header."""
         return list(self._layout.names)
 
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:

@@ -54,7 +54,7 @@ class CsvRows(TextRows):
         types = {str(k): pa.float64() for k in self.columns.numbers}
         for k, unit in zip(self.columns.stamp.columns, self.columns.stamp.units, strict=True):
             types[str(k)] = date_type(self._layout, k) or timestamps.decimal_type(unit, spare)
-        types |= {str(k): pa.string() for k, _ in self.columns.series}
+        types |= {str(k): pa.string() for k, _ in self.columns.stamp.series}
         read = partial(
             arrow_csv.read_csv,
             readable(data),

@@ -157,7 +157,9 @@ class RowParser:
         return True
 
     def _is_of_another_series(self, cells: list[str]) -> bool:
-        return any(k < len(cells) and cells[k].strip() != label for k, label in self.columns.series)
+        return any(
+            k < len(cells) and cells[k].strip() != label for k, label in self.columns.stamp.series
+        )
 
     def _row(self, cells: list[str]) -> tuple[int, list[float]]:
         names = self.layout.names
