@@ -16,10 +16,10 @@ from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from quatprop import __version__
 from quatprop.batch.entries import LISTS, TYPES, entries_in, json_line
 from quatprop.errors import OutputError, StoreError
 from quatprop.stores.objects import is_address, objects_of, without_secret
+from quatprop.version import __version__
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.targets import refuse_outside
 

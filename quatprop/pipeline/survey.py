@@ -33,9 +33,9 @@ from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.stores.objects import without_secret
 from quatprop.text import plain
 from quatprop.timeline import Timeline
-from quatprop.timeline.counts import Counts
+from quatprop.timeline.counts import OBSERVE, Counts
 from quatprop.timeline.counts import remarks as timeline_remarks
-from quatprop.timeline.stamps import OBSERVE, StampChecks
+from quatprop.timeline.stamps import StampChecks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -38,8 +38,9 @@ from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.stores.objects import without_secret
 from quatprop.text import plain
 from quatprop.timeline import Timeline
+from quatprop.timeline.counts import OBSERVE
 from quatprop.timeline.outliers import marked
-from quatprop.timeline.stamps import OBSERVE, StampChecks
+from quatprop.timeline.stamps import StampChecks
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
