@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING, NamedTuple, NoReturn, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 from quatprop.errors import UnsupportedLogError, UsageError
 from quatprop.progress import with_progress
@@ -155,10 +155,6 @@ class TableLog(Log):
     @abstractmethod
     def _stored_rows(self, columns: TimedColumns) -> Batches:
         """Yield :meth:`rows` with the stamps, or the counts of samples, that columns hold."""
-
-
-AnyLog: TypeAlias = Log
-"""A log of any kind."""
 
 
 def refuse_second_file(path: Path, begin: int) -> NoReturn:
