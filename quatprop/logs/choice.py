@@ -1,8 +1,8 @@
 """The choice of a signal among those that a log seems to hold.
 
-:mod:`quatprop.logs.rates` and :mod:`quatprop.logs.attitudes` list the signals of a log as
-candidates; :func:`choose` takes the only one. Nothing is guessed silently: what was inferred is in
-the remarks of the signal, what is ambiguous is refused with the setting that settles it.
+The rates and the attitudes of a log are listed as candidates; :func:`choose` takes the only one.
+Nothing is guessed silently: what was inferred is in the remarks of the signal, what is ambiguous is
+refused with the setting that settles it.
 """
 
 from __future__ import annotations

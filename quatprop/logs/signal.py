@@ -158,7 +158,7 @@ class AttitudeSignal(Signal):
 
     `read`: reads stamps in ns and quaternions ``(N, 4)``, scalar first, Hamilton, body ->
         reference, batch after batch in the order of the log. They are not checked: see
-        :class:`quatprop.logs.quaternion_check.QuaternionCheck`. Beside them positions of the
+        :mod:`quatprop.logs.quaternion_check`. Beside them positions of the
         body in the reference frame, shape ``(N, 3)``, m, and covariances about body axes, shape
         ``(N, 3, 3)``, rad^2; None where they are not wanted or not there
     `first`: reads stamps and quaternions for who looks at the beginning alone
