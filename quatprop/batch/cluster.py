@@ -85,7 +85,7 @@ def on_a_cluster(
                     f"is recorded: go on with {Setting('skip_existing')}"
                 )
             submit(1)
-            manifest.append(result.entry)
+            manifest.record(result.entry)
             yield index, result
 
 

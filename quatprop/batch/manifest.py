@@ -66,7 +66,7 @@ class Manifest:
         with suppress(FileNotFoundError), self._path.open("rb") as stream:
             yield from entries_in(stream, self.unused)
 
-    def append(self, entry: ManifestEntry) -> None:
+    def record(self, entry: ManifestEntry) -> None:
         """Append an entry."""
         with self._locked() as stream:
             cut = False
