@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 from quatprop.provenance import Digest, JsonObject, as_json, digest_of
 from quatprop.stores.objects import digest_of_object, is_address, without_secret
 from quatprop.version import __version__
-from quatprop.writers.atomic import OutputFile, output_errors
+from quatprop.writers.atomic import OutputFile
+from quatprop.writers.targets import output_errors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -12,8 +12,8 @@ from quatprop.plot.figure import STYLE, Style
 from quatprop.plot.page import html
 from quatprop.provenance import as_json
 from quatprop.stores.objects import without_secret
-from quatprop.writers.atomic import OutputFile, output_errors
-from quatprop.writers.targets import is_stdout, is_stream, refuse_overlap
+from quatprop.writers.atomic import OutputFile
+from quatprop.writers.targets import is_stdout, is_stream, output_errors, refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
