@@ -57,6 +57,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from quatprop.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from quatprop.api.attitudes import compare, convert, write
     from quatprop.api.propagation import PropagatedSeries, propagate
@@ -83,8 +85,6 @@ __all__ = [
     "read_rates",
     "write",
 ]
-
-__version__ = "0.1.0"
 
 _MODULES = {
     "AttitudeSeries": "quatprop.series",

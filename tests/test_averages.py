@@ -16,7 +16,7 @@ from quatprop.pipeline.segments import Segments
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK
 from quatprop.timeline import Timeline
-from quatprop.timeline.stamps import Policy
+from quatprop.timeline.counts import Policy
 
 RATES_HZ = (50, 100, 200, 400)
 KINDS = ("averages", "increments")

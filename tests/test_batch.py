@@ -508,7 +508,7 @@ import sys
 from quatprop.batch.entries import ManifestEntry
 from quatprop.batch.manifest import Manifest
 manifest = Manifest(sys.argv[1])
-manifest.append(ManifestEntry("done", "/b.csv", "b.parquet"))
+manifest.record(ManifestEntry("done", "/b.csv", "b.parquet"))
 manifest.write_table()
 """
     others = []
@@ -520,7 +520,7 @@ manifest.write_table()
         write_table(entries, path)
 
     manifest = Manifest(str(tmp_path))
-    manifest.append(ManifestEntry("done", "/a.csv", "a.parquet"))
+    manifest.record(ManifestEntry("done", "/a.csv", "a.parquet"))
     monkeypatch.setattr("quatprop.batch.manifest.write_table", slow)
     manifest.write_table()
     assert others[0].wait(60) == 0

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quatprop.containers import topic_table
+from quatprop.containers import first_blocks
 from quatprop.containers.chunks import GROUP, LARGE, in_groups
-from quatprop.containers.topic_table import decoded_together
+from quatprop.containers.first_blocks import decoded_together
 from quatprop.messages.blocks import MessageBlock
 from quatprop.stores.byte_ranges import ranges_of, ranges_worth_reading
 
@@ -60,11 +60,11 @@ def test_messages_out_of_place_are_in_stretches_of_their_own():
 def test_blocks_are_decoded_together_in_their_order(several, enough):
     """None is left out, and those that wait are few: the first is not held back."""
     blocks = [block_of(places, seed, bound=seed) for seed, places in enumerate(several)]
-    before, topic_table.ENOUGH_MESSAGES = topic_table.ENOUGH_MESSAGES, enough
+    before, first_blocks.ENOUGH_MESSAGES = first_blocks.ENOUGH_MESSAGES, enough
     try:
         together = list(decoded_together(blocks))
     finally:
-        topic_table.ENOUGH_MESSAGES = before
+        first_blocks.ENOUGH_MESSAGES = before
     assert [*chain(*together)] == blocks
     assert [len(each) for each in together[:1]] == [1][: len(blocks)]
     for each in together:
@@ -76,7 +76,7 @@ def test_blocks_are_decoded_together_in_their_order(several, enough):
 
 def test_blocks_that_wait_are_bounded_in_bytes():
     """Large messages are decoded before many of them are in memory."""
-    half = topic_table.ENOUGH_BYTES // 2
+    half = first_blocks.ENOUGH_BYTES // 2
     blocks = (block_of([(0, half)], seed) for seed in range(6))
     assert [len(each) for each in decoded_together(blocks)] == [1, 2, 2, 1]
 

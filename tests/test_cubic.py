@@ -15,7 +15,7 @@ from quatprop.pipeline.segments import Segments
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK
 from quatprop.timeline import Timeline
-from quatprop.timeline.stamps import Policy
+from quatprop.timeline.counts import Policy
 
 SECOND = 1_000_000_000
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])

@@ -16,7 +16,7 @@ from test_containers_ulog import added, gyro, write
 
 from quatprop.concurrency import threads
 from quatprop.conditioning import GyroCorrection
-from quatprop.containers import topic_table, ulog
+from quatprop.containers import first_blocks, ulog
 from quatprop.containers.mcap import scan as mcap_scan
 from quatprop.containers.rosbag1 import rebuild as rosbag1_rebuild
 from quatprop.containers.rosbag2 import fetches
@@ -83,7 +83,7 @@ CUTS = {
         (jsonl, "record_blocks"): partial(text_stream.record_blocks, size=1 << 12),
         (arrow, "BATCH_ROWS"): 999,
         (numpy_table, "BATCH_ROWS"): 999,
-        (topic_table, "ENOUGH_MESSAGES"): 10,
+        (first_blocks, "ENOUGH_MESSAGES"): 10,
         (fetches, "FETCHES"): 1,
         (ulog, "BLOCK"): 501,
         (mcap_scan, "_LOOSE_SIZE"): 5000,
@@ -94,7 +94,7 @@ CUTS = {
         (jsonl, "record_blocks"): partial(text_stream.record_blocks, size=1 << 26),
         (arrow, "BATCH_ROWS"): 1 << 22,
         (numpy_table, "BATCH_ROWS"): 1 << 22,
-        (topic_table, "ENOUGH_MESSAGES"): 1 << 20,
+        (first_blocks, "ENOUGH_MESSAGES"): 1 << 20,
         (fetches, "FETCHES"): 1 << 10,
         (ulog, "BLOCK"): 1 << 20,
         (mcap_scan, "_LOOSE_SIZE"): 1 << 28,

@@ -16,7 +16,7 @@ from mcap.writer import CompressionType, Writer
 from pyarrow import parquet as pq
 
 from quatprop.cli.commands import cli
-from quatprop.containers import first_blocks, topic_table
+from quatprop.containers import first_blocks
 from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.first_blocks import FirstBlocks
 from quatprop.containers.mcap.log import McapLog
@@ -283,7 +283,7 @@ def test_rates_and_attitudes_of_a_topic_are_read_together(tmp_path, monkeypatch,
     """A log is read once, and what is said of it is what reading each by itself shows."""
     monkeypatch.setattr(plausibility, "COMPARED_SAMPLES", 10)
     monkeypatch.setattr(first_blocks, "ROOM", room)
-    monkeypatch.setattr(topic_table, "ENOUGH_MESSAGES", 2000)
+    monkeypatch.setattr(first_blocks, "ENOUGH_MESSAGES", 2000)
     log = tmp_path / "log.mcap"
     with log.open("wb") as file, (SAMPLES / "coning.mcap").open("rb") as stream:
         (schema, channel, message), *_ = make_reader(stream).iter_messages()

@@ -2,13 +2,14 @@
 
 import ast
 import doctest
-import importlib
+import importlib.util
 import os
 import pkgutil
 import re
 import subprocess
 import sys
 import tomllib
+from graphlib import TopologicalSorter
 from itertools import chain
 from pathlib import Path
 
@@ -17,11 +18,7 @@ import pytest
 import quatprop
 
 PACKAGE = Path(quatprop.__file__).parent
-MODULES = sorted(
-    module.name
-    for module in pkgutil.walk_packages([str(PACKAGE)], "quatprop.")
-    if module.name != "quatprop.__main__"
-)
+MODULES = {module.name for module in pkgutil.walk_packages([str(PACKAGE)], "quatprop.")}
 
 
 def imported_by(path: Path) -> set[str]:
@@ -31,7 +28,8 @@ def imported_by(path: Path) -> set[str]:
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
-            names.add(node.module)
+            modules = {f"{node.module}.{alias.name}" for alias in node.names} & MODULES
+            names |= modules or {node.module}
     return names
 
 
@@ -48,7 +46,7 @@ def test_an_unknown_name_is_an_attribute_error():
         _ = quatprop.nonsense
 
 
-@pytest.mark.parametrize("name", ["quatprop", *MODULES])
+@pytest.mark.parametrize("name", ["quatprop", *sorted(MODULES - {"quatprop.__main__"})])
 def test_every_module_says_what_it_is_with_examples_that_hold(name, monkeypatch):
     """Each module has a docstring; what examples in it show is what they give."""
     monkeypatch.chdir(PACKAGE.parent)
@@ -58,14 +56,14 @@ def test_every_module_says_what_it_is_with_examples_that_hold(name, monkeypatch)
 
 
 LAYERS = (
-    {"arrays", "errors", "text", "times", "concurrency", "progress"},
+    {"arrays", "errors", "text", "times", "concurrency", "progress", "version"},
     {"series", "settings", "stores", "provenance"},
     {"kinematics", "conventions"},
     {"timeline", "conditioning"},
     {"tables"},
     {"messages"},
     {"containers"},
-    {"logs", "signals", "rendering"},
+    {"logs", "rendering"},
     {"writers"},
     {"log_copy", "simulate"},
     {"comparison", "pipeline"},
@@ -85,9 +83,23 @@ def test_layers_import_downwards_only(path):
     if own == "__init__":
         return
     for name in imported_by(path):
+        assert name != "quatprop", f"{path.relative_to(PACKAGE)} imports the public names"
         if name.startswith("quatprop."):
             other = name.split(".")[1]
             assert LAYER[other] <= LAYER[own], f"{path.relative_to(PACKAGE)} imports {name}"
+
+
+@pytest.mark.xfail(reason="quatprop.tables.base and .file_table import each other", strict=True)
+def test_no_imports_lead_in_a_circle():
+    """Neither as modules load nor later, and not for types alone: each can be read by itself.
+
+    What a package and its own modules import of each other is left out: the names that it offers.
+    """
+    imports = {}
+    for module in MODULES:
+        imported = imported_by(Path(importlib.util.find_spec(module).origin))
+        imports[module] = {other for other in imported if not f"{module}.".startswith(f"{other}.")}
+    TopologicalSorter(imports).prepare()
 
 
 @pytest.mark.parametrize(

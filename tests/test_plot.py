@@ -16,8 +16,7 @@ from quatprop.cli.commands import cli
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.plot import draw, palette
 from quatprop.plot.files import View, view_file
-from quatprop.plot.page import Page
-from quatprop.plot.picture import picture
+from quatprop.plot.picture import Page, picture
 from quatprop.rendering import instant_text
 
 T0 = 1_700_000_000_000_000_000

@@ -17,7 +17,7 @@ from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK
 from quatprop.timeline import Timeline
-from quatprop.timeline.stamps import Policy
+from quatprop.timeline.counts import Policy
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 

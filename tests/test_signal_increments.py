@@ -11,8 +11,7 @@ from quatprop.kinematics.resample import Listed, at_times
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK, reblock
 from quatprop.timeline import Timeline
-from quatprop.timeline.counts import remarks
-from quatprop.timeline.stamps import OBSERVE, Policy
+from quatprop.timeline.counts import OBSERVE, Policy, remarks
 
 
 def tumbling(count):

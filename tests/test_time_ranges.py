@@ -29,7 +29,7 @@ from quatprop.settings.selection import RateSelection
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
 from quatprop.simulate.simulate import simulate
-from quatprop.timeline.stamps import Policy
+from quatprop.timeline.counts import Policy
 from quatprop.times import NS_PER_S, instant
 from quatprop.writers.rosbag1 import file as rosbag1_file
 

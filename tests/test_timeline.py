@@ -14,9 +14,9 @@ from quatprop.errors import TimelineError
 from quatprop.series import GyroSeries
 from quatprop.text import in_python
 from quatprop.timeline import Timeline
-from quatprop.timeline.counts import Counts, remarks
+from quatprop.timeline.counts import OBSERVE, Counts, Policy, remarks
 from quatprop.timeline.outliers import LOOK_AHEAD, marked
-from quatprop.timeline.stamps import LONGEST_NS, OBSERVE, Policy, StampChecks
+from quatprop.timeline.stamps import LONGEST_NS, StampChecks
 
 MS = 1_000_000
 

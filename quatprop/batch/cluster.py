@@ -9,12 +9,12 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from quatprop import __version__
 from quatprop.batch.execution import propagate_log
 from quatprop.batch.tasks import BatchResult, BatchSettings, BatchTask, failed
 from quatprop.errors import QuatpropError, UsageError
 from quatprop.stores.objects import is_address
 from quatprop.text import Setting, plain, quoted
+from quatprop.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Sequence
@@ -85,7 +85,7 @@ def on_a_cluster(
                     f"is recorded: go on with {Setting('skip_existing')}"
                 )
             submit(1)
-            manifest.append(result.entry)
+            manifest.record(result.entry)
             yield index, result
 
 

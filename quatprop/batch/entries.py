@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard
 
-from quatprop import __version__
 from quatprop.provenance import as_json
 from quatprop.settings.guarded_text import ContentError, read_json
+from quatprop.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping

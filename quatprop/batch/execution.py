@@ -210,7 +210,7 @@ def propagate_and_record(
     """Propagate one log, and record it at once: nothing complete is done again after a kill."""
     result = propagate_log(task, settings)
     try:
-        manifest.append(result.entry)
+        manifest.record(result.entry)
     except OutputError as error:  # the store has gone
         return failed(task, error.text)
     return result
@@ -227,7 +227,7 @@ def on_this_machine(
 
     def on_killed(task: BatchTask) -> BatchResult:
         result = failed(task, f"{plain(task.log)}: {KILLED}")
-        manifest.append(result.entry)
+        manifest.record(result.entry)
         return result
 
     threads = max(1, available_cores() // max(1, min(processes, len(tasks))))

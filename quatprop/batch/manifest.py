@@ -16,10 +16,10 @@ from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from quatprop import __version__
 from quatprop.batch.entries import LISTS, TYPES, entries_in, json_line
 from quatprop.errors import OutputError, StoreError
 from quatprop.stores.objects import is_address, objects_of, without_secret
+from quatprop.version import __version__
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.targets import refuse_outside
 
@@ -66,7 +66,7 @@ class Manifest:
         with suppress(FileNotFoundError), self._path.open("rb") as stream:
             yield from entries_in(stream, self.unused)
 
-    def append(self, entry: ManifestEntry) -> None:
+    def record(self, entry: ManifestEntry) -> None:
         """Append an entry."""
         with self._locked() as stream:
             cut = False

@@ -57,7 +57,7 @@ class StoreManifest(Manifest):
         names |= {name.rpartition("/")[0] for name in names}
         return names.__contains__
 
-    def append(self, entry: ManifestEntry) -> None:
+    def record(self, entry: ManifestEntry) -> None:
         """Record an entry."""
         if not self._part or len(self._lines) == PART_ENTRIES:
             self._part, self._lines = self._new_part(), []

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
-from quatprop import __version__
 from quatprop.check.case import Case, CaseNotRun, CaseResult
 from quatprop.check.case_run import compare_case, compare_timestamps, propagate_case, try_compare
 from quatprop.check.cases import same_option
@@ -19,6 +18,7 @@ from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
 from quatprop.settings.spelling import in_keys
 from quatprop.text import Setting, listed, plain, quoted, spelling
+from quatprop.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

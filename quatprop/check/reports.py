@@ -14,7 +14,8 @@ from xml.etree import ElementTree as ET
 
 from quatprop.rendering import count_text
 from quatprop.text import plain
-from quatprop.writers.atomic import open_atomic, output_errors
+from quatprop.writers.atomic import open_atomic
+from quatprop.writers.targets import output_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence

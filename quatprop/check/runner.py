@@ -16,7 +16,7 @@ from quatprop.errors import QuatpropError
 from quatprop.errors.third_party import as_user_error
 from quatprop.settings.spelling import in_keys
 from quatprop.text import plain, spelling
-from quatprop.writers.atomic import output_errors
+from quatprop.writers.targets import output_errors
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping, Sequence

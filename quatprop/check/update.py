@@ -6,7 +6,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop import __version__
 from quatprop.check.case import Case, CaseResult
 from quatprop.check.case_run import CaseRun, chooses_rows, propagate_case, try_compare
 from quatprop.check.judge import (
@@ -29,6 +28,7 @@ from quatprop.check.reference import (
 )
 from quatprop.errors import QuatpropError
 from quatprop.text import plain
+from quatprop.version import __version__
 from quatprop.writers.targets import refuse_outside, refuse_overlap
 
 if TYPE_CHECKING:

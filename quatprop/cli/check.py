@@ -235,9 +235,9 @@ def _refuse_overlap(suite: Suite, cases: Sequence[Case | CaseNotRun], junit: str
 def _report(
     suite: Suite, results: list[CaseResult], deleted: Mapping[str, Pin], *, passed: bool
 ) -> Any:
-    from quatprop import __version__
     from quatprop.check.reports import VERDICTS
     from quatprop.provenance import as_json
+    from quatprop.version import __version__
 
     verdicts = [result.verdict for result in results]
     return as_json(

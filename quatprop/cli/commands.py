@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop import __version__
 from quatprop.cli import FAILED
 from quatprop.cli.help import write_section
 from quatprop.cli.interruption import INTERRUPTED, MESSAGE, interruptible
 from quatprop.text import did_you_mean, spelling
+from quatprop.version import __version__
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem

@@ -51,13 +51,13 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
     are the same attitude. B is the reference. Exit code 0: all criteria pass (--tol and others); 1:
     one fails; 2: A and B cannot be read or compared; 3: as 0, but some of A or B was left out.
     """
-    from quatprop import __version__
     from quatprop.cli.progress import progress
     from quatprop.cli.summary import command_line, show
     from quatprop.comparison.files import compare_files
     from quatprop.comparison.summary import comparison_rows
     from quatprop.provenance import as_json as to_json
     from quatprop.rendering import lines_of
+    from quatprop.version import __version__
 
     refuse_stdin_twice(a, b)
     side_a, side_b = input_of(a, chosen, side="a"), input_of(b, chosen, side="b")

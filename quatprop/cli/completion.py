@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from quatprop.logs.choice import Candidate
-    from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
 
 NAMED = {"topic", "rate_field", "quat_field", "rate_cols", "quat_cols", "time_col"}
 """Settings whose value is a name in the log."""
@@ -105,7 +105,7 @@ def _names_in(path: str, setting: str, ctx: click.Context) -> list[str]:
         return []
 
 
-def _in_messages(log: AnyLog, setting: str, ctx: click.Context) -> Iterator[str]:
+def _in_messages(log: Log, setting: str, ctx: click.Context) -> Iterator[str]:
     """Yield topics, or fields, of what the command reads."""
     from quatprop.errors import LogError
     from quatprop.logs.attitudes import attitude_candidates

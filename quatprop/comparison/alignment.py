@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.comparison.statistics import rms
 from quatprop.conventions.representations import from_matrices
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import (
@@ -24,6 +23,7 @@ from quatprop.kinematics.quaternion import (
     rotate,
     shorter,
 )
+from quatprop.series.blocks import rms
 from quatprop.text import Setting
 
 if TYPE_CHECKING:

@@ -24,13 +24,13 @@ from quatprop.comparison.hypotheses import (
     causes_of_errors,
     isolated_samples,
 )
-from quatprop.comparison.statistics import rms
 from quatprop.comparison.trials import ClockError, Trial, rms_length, trials
 from quatprop.comparison.window_trials import CLOCKS, MISTAKES, WindowTrials
 from quatprop.comparison.windows import common_beginning, undone_misreadings, window_grids
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.increments import METHODS, rotation_vectors
 from quatprop.kinematics.rates import rotation_vectors_between
+from quatprop.series.blocks import rms
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.comparison.alignment import align, mean_rotation
-from quatprop.comparison.statistics import S_PER_H, rms
+from quatprop.comparison.statistics import S_PER_H
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import (
@@ -21,6 +21,7 @@ from quatprop.kinematics.quaternion import (
 )
 from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.rendering import degrees_text
+from quatprop.series.blocks import rms
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -12,7 +11,7 @@ from quatprop.comparison.settings import BY_ALL
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import conjugate, geodesic_angle, log, multiply, shorter
 from quatprop.kinematics.uncertainty import reference_covariance
-from quatprop.series.blocks import blocks
+from quatprop.series.blocks import blocks, rms
 from quatprop.text import Setting
 from quatprop.times import duration_text
 
@@ -64,12 +63,6 @@ class WindowStatistics:
     worst_ns: int
     begins_ns: Int64 = field(compare=False, repr=False)
     errors: Float64 = field(compare=False, repr=False)
-
-
-def rms(error: Float64) -> float:
-    """Return the root of the mean square."""
-    squares = sum(float((error[rows] ** 2).sum()) for rows in blocks(len(error)))
-    return math.sqrt(squares / len(error))
 
 
 def window_statistics(pairs: Pairs, alignment: Alignment, window_ns: int) -> WindowStatistics:

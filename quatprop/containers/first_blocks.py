@@ -1,4 +1,4 @@
-"""The messages of a topic, of which the first blocks are held: several readers begin with them."""
+"""The blocks of a topic: the first are held for several readers, and small ones go together."""
 
 from __future__ import annotations
 
@@ -6,13 +6,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from quatprop.containers.base import MessageLog
     from quatprop.messages.blocks import Channel, MessageBlock
 
 ROOM = 1 << 23
 """Bytes of messages that are held at most: some 20,000 of a usual topic."""
+
+ENOUGH_MESSAGES = 1 << 13
+"""Messages that are decoded together."""
+
+ENOUGH_BYTES = 1 << 22
+"""Bytes of blocks that wait to be decoded at most, which still are in the processor's cache."""
 
 
 @dataclass(slots=True)
@@ -75,3 +81,23 @@ def _blocks_from(place: _Place, rest: Iterator[MessageBlock]) -> Iterator[Messag
             place.following = block, _Place()
         block, place = place.following
         yield block
+
+
+def decoded_together(blocks: Iterable[MessageBlock]) -> Iterator[list[MessageBlock]]:
+    """Yield blocks that are decoded together, since it takes time for each.
+
+    The first is by itself, for who reads only the beginning; then about twice as many messages as
+    before are together.
+    """
+    waiting: list[MessageBlock] = []
+    messages = size = enough = 0
+    for block in blocks:
+        waiting.append(block)
+        messages += len(block)
+        size += len(block.data)
+        if messages >= enough or size >= ENOUGH_BYTES:
+            yield waiting
+            enough = min(ENOUGH_MESSAGES, 2 * messages)
+            waiting, messages, size = [], 0, 0
+    if waiting:
+        yield waiting

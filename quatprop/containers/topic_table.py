@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.first_blocks import FirstBlocks
+from quatprop.containers.first_blocks import FirstBlocks, decoded_together
 from quatprop.errors import MessageError, UsageError
 from quatprop.messages.columns import take_messages
 from quatprop.messages.cursor import first_names
@@ -38,12 +38,6 @@ if TYPE_CHECKING:
 
 CLOCK_STEP_NS = 100_000_000
 """Time services set a clock that is wrong by more than this; what is less they catch up slowly."""
-
-ENOUGH_MESSAGES = 1 << 13
-"""Messages that are decoded together."""
-
-ENOUGH_BYTES = 1 << 22
-"""Bytes of blocks that wait to be decoded at most, which still are in the processor's cache."""
 
 TEXT_ENCODINGS = ("cdr", "ros1")
 """Encodings of which text and lists of transforms are read."""
@@ -268,26 +262,6 @@ class TopicTable(Table):
     def remark(self, text: str) -> None:
         """Add a remark on the log, as the last one."""
         self.log.remarks = [*(one for one in self.log.remarks if one != text), text]
-
-
-def decoded_together(blocks: Iterable[MessageBlock]) -> Iterator[list[MessageBlock]]:
-    """Yield blocks that are decoded together, since it takes time for each.
-
-    The first is by itself, for who reads only the beginning; then about twice as many messages as
-    before are together.
-    """
-    waiting: list[MessageBlock] = []
-    messages = size = enough = 0
-    for block in blocks:
-        waiting.append(block)
-        messages += len(block)
-        size += len(block.data)
-        if messages >= enough or size >= ENOUGH_BYTES:
-            yield waiting
-            enough = min(ENOUGH_MESSAGES, 2 * messages)
-            waiting, messages, size = [], 0, 0
-    if waiting:
-        yield waiting
 
 
 def _left_out(blocks: Sequence[MessageBlock], error: MessageError) -> list[MessageBlock]:

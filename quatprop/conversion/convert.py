@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from quatprop.logs.signal import AttitudeSignal
     from quatprop.series import AttitudeSeries, GyroSeries
-    from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
     from quatprop.writers.attitudes import AttitudeWriter
 
 
@@ -56,7 +56,7 @@ def convert(job: Conversion) -> ConversionReport:
 
 def _written(
     job: Conversion,
-    log: AnyLog,
+    log: Log,
     source: AttitudeSignal,
     stored: str | None,
     target: AttitudeWriter,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from quatprop.conversion.job import Conversion
     from quatprop.logs.signal import AttitudeSignal
-    from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
 
 
 def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> str | None:
@@ -33,7 +33,7 @@ def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> s
     return stored if has_place and is_plain and source.may_have_covariances else None
 
 
-def open_destination(job: Conversion, log: AnyLog, sigma: str | None) -> AttitudeWriter:
+def open_destination(job: Conversion, log: Log, sigma: str | None) -> AttitudeWriter:
     """Return the file to be committed, which takes attitudes, or rates where those are written."""
     output = job.output
     if job.representation == QUATERNION:

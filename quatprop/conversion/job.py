@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from quatprop import __version__
 from quatprop.conventions import HAMILTON, AttitudeConvention
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.rates import RATE_COLUMNS, RATES
 from quatprop.provenance import Digest, as_json, entry_of
 from quatprop.series import SIGMA_COLUMNS
+from quatprop.version import __version__
 from quatprop.writers.formats import WRITERS, layout_of
 
 if TYPE_CHECKING:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from quatprop.arrays import Int64
     from quatprop.containers.base import MessageLog
     from quatprop.series import AttitudeSeries
-    from quatprop.tables.base import AnyLog
     from quatprop.tables.log import Log
 
 COPIERS: Mapping[str, tuple[str, str]] = {
@@ -64,7 +63,7 @@ def copy_kind(log: Log, target: str, to: str | None = None) -> str:
 
 
 def open_into(  # noqa: PLR0913  # as open_writer, and the log
-    log: AnyLog,
+    log: Log,
     target: str,
     *,
     layout: str | None = None,

@@ -12,13 +12,14 @@ from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import MessageWriter
 from quatprop.writers.mcap.contents import encoded
 from quatprop.writers.mcap.file import McapFile, finish_with_provenance
-from quatprop.writers.messages.kinds import Message, attitude_encoder
+from quatprop.writers.messages import attitude_encoder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from quatprop.arrays import Int64, Records
     from quatprop.containers.mcap.log import McapLog
+    from quatprop.writers.messages.kinds import Message
 
 _CHUNK_BYTES = 1 << 17
 """Small chunks, so that each is among those of its own time."""

@@ -23,7 +23,7 @@ from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.stores.compression import UnreadableDataError
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S
-from quatprop.writers.messages.kinds import Message, attitude_encoder
+from quatprop.writers.messages import attitude_encoder
 from quatprop.writers.rosbag1 import records
 from quatprop.writers.rosbag1.file import COMPRESSIONS, BagFile, BagWriter
 
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Records
     from quatprop.containers.rosbag1.log import Rosbag1Log
     from quatprop.containers.rosbag1.records import Record
+    from quatprop.writers.messages.kinds import Message
 
     Indexes = dict[int, Records]
 

@@ -19,7 +19,7 @@ from quatprop.log_copy.rosbag2_metadata import Added, extended, extended_record
 from quatprop.text import Setting, plain
 from quatprop.writers.atomic import OutputPath
 from quatprop.writers.base import MessageWriter, provenance_json
-from quatprop.writers.messages.kinds import Message, attitude_encoder
+from quatprop.writers.messages import attitude_encoder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Int64, Records
     from quatprop.containers.base import MessageLog
+    from quatprop.writers.messages.kinds import Message
 
 
 _LATEST = int(np.iinfo(np.int64).max)

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
     from quatprop.logs.signal import AttitudeSignal
     from quatprop.provenance import JsonObject
-    from quatprop.tables.base import AnyLog
-    from quatprop.tables.log import Loss
+    from quatprop.tables.log import Log, Loss
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +134,7 @@ class AttitudeFile:
     def __init__(
         self,
         wanted: AttitudeInput,
-        log: AnyLog,
+        log: Log,
         signal: AttitudeSignal,
         opened: ExitStack,
     ) -> None:

@@ -33,14 +33,14 @@ if TYPE_CHECKING:
 
     from quatprop.logs.matching import Found
     from quatprop.settings.selection import AttitudeSelection
-    from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
     from quatprop.tables.model import Table
 
 BY_NAME = "by name"
 """The layout of components that have names and stand in neither order."""
 
 
-def choose_attitudes(log: AnyLog, selection: AttitudeSelection) -> AttitudeSignal:
+def choose_attitudes(log: Log, selection: AttitudeSelection) -> AttitudeSignal:
     """Return the only attitudes that a selection leaves."""
     found = attitude_candidates(log, selection)
     if len(found) > 1:
@@ -60,9 +60,7 @@ def _is_placeholder(candidate: Candidate[AttitudeSignal]) -> bool:
         return False
 
 
-def attitude_candidates(
-    log: AnyLog, selection: AttitudeSelection
-) -> list[Candidate[AttitudeSignal]]:
+def attitude_candidates(log: Log, selection: AttitudeSelection) -> list[Candidate[AttitudeSignal]]:
     """Return the attitudes that a selection leaves, at least one."""
     return [
         Candidate(found, partial(_signal, found, selection), not found.table.is_secondary)

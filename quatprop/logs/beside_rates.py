@@ -15,11 +15,11 @@ from quatprop.settings.selection import AttitudeSelection, RateSelection
 if TYPE_CHECKING:
     from quatprop.conditioning.window_sums import Rows
     from quatprop.logs.signal import AttitudeSignal, RateSignal
-    from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
 
 
 def conditioning_inputs(
-    log: AnyLog | None,
+    log: Log | None,
     source: RateSignal,
     selection: RateSelection,
     wanted: GyroCorrection,
@@ -56,7 +56,7 @@ def _force(source: RateSignal) -> Rows:
         return
 
 
-def _orientation(log: AnyLog, source: RateSignal, selection: RateSelection) -> Rows:
+def _orientation(log: Log, source: RateSignal, selection: RateSelection) -> Rows:
     """Yield the log's own orientation, if it has one that was ever set."""
     try:
         own = own_orientation(log, source, selection)
@@ -78,7 +78,7 @@ def specific_forces(source: RateSignal) -> Rows | None:
     return None
 
 
-def own_orientation(log: AnyLog, source: RateSignal, selection: RateSelection) -> AttitudeSignal:
+def own_orientation(log: Log, source: RateSignal, selection: RateSelection) -> AttitudeSignal:
     """Return the orientation that is in the same messages or rows as the rates, on their clock."""
     from quatprop.logs.attitudes import choose_attitudes
 

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64, Int64
     from quatprop.logs.matching import Match
-    from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
 
 
-def read_biases(source: str, log: AnyLog | None, selection: SignalSelection) -> BiasSeries:
+def read_biases(source: str, log: Log | None, selection: SignalSelection) -> BiasSeries:
     """Read biases over time.
 
     `log`, `selection`: the log whose rates the biases are of, and how those were chosen; None for

@@ -1,8 +1,8 @@
 """The choice of a signal among those that a log seems to hold.
 
-:mod:`quatprop.logs.rates` and :mod:`quatprop.logs.attitudes` list the signals of a log as
-candidates; :func:`choose` takes the only one. Nothing is guessed silently: what was inferred is in
-the remarks of the signal, what is ambiguous is refused with the setting that settles it.
+The rates and the attitudes of a log are listed as candidates; :func:`choose` takes the only one.
+Nothing is guessed silently: what was inferred is in the remarks of the signal, what is ambiguous is
+refused with the setting that settles it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from quatprop.settings.selection import SignalSelection
-    from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
 
 TABLE_SETTINGS = (
     "rate_cols",
@@ -89,7 +89,7 @@ RATES = SignalKind("rate", "body rates", "estimated body rates", "rate_field", N
 ATTITUDES = SignalKind("quat", "attitudes", "secondary attitudes", "quat_field", NoAttitudesError)
 
 
-def choose(log: AnyLog, candidates: Sequence[Candidate[SignalT]], kind: SignalKind) -> SignalT:
+def choose(log: Log, candidates: Sequence[Candidate[SignalT]], kind: SignalKind) -> SignalT:
     """Return the only signal among some candidates."""
     preferred = [candidate for candidate in candidates if candidate.preferred] or candidates
     topics = [candidate.topic for candidate in preferred]
@@ -115,7 +115,7 @@ def choose(log: AnyLog, candidates: Sequence[Candidate[SignalT]], kind: SignalKi
     return replace(signal, remarks=(*signal.remarks, remark))
 
 
-def _joined(log: AnyLog, signals: list[SignalT]) -> SignalT:
+def _joined(log: Log, signals: list[SignalT]) -> SignalT:
     """Return the rates of a topic that was recorded with several message definitions.
 
     Each is read by its own; samples come in the order of their log times.
@@ -147,7 +147,7 @@ def _joined(log: AnyLog, signals: list[SignalT]) -> SignalT:
     )
 
 
-def candidates(log: AnyLog, selection: SignalSelection, kind: SignalKind) -> list[Found]:
+def candidates(log: Log, selection: SignalSelection, kind: SignalKind) -> list[Found]:
     """Return what a selection leaves of a kind in the tables of a log, at least one.
 
     Which columns of a file it is, is found when its signal is asked for.

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
     from quatprop.logs.signal import RateSignal
     from quatprop.series import AttitudeSeries
-    from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
 
     Row = tuple[int, Float64]
 
@@ -47,7 +47,7 @@ MAX_INTERPOLATION_NS = 10 * NS_PER_UNIT["s"]
 def attitude_at(
     source: Path | str,
     t_ns: int,
-    log: AnyLog | None = None,
+    log: Log | None = None,
     selection: SignalSelection | None = None,
 ) -> Float64:
     """Return the attitude that a series has at a time.
@@ -98,9 +98,7 @@ def stamps_in(path: Path | str) -> Int64:
     return np.sort(np.concatenate([np.zeros(0, np.int64), *stamps]))
 
 
-def first_orientation(
-    log: AnyLog, source: RateSignal, selection: RateSelection, t_ns: int
-) -> Float64:
+def first_orientation(log: Log, source: RateSignal, selection: RateSelection, t_ns: int) -> Float64:
     """Return a log's own orientation where a propagation of its rates begins.
 
     `Returns`: wxyz, Hamilton, body -> reference, as it is stored, shape ``(4,)``

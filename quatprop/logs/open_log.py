@@ -33,7 +33,7 @@ from quatprop.text import Setting, listed, plain, quoted
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
 
 _MAGIC_BYTES = 16
 
@@ -50,7 +50,7 @@ def open_log(
     *,
     msg_path: str | Path | None = None,
     copied: bool = False,
-) -> Iterator[AnyLog]:
+) -> Iterator[Log]:
     """Open a log of any kind for the length of a ``with`` block.
 
     A log inside a compressed file is decompressed into a temporary copy.
@@ -78,7 +78,7 @@ def open_log(
             yield log
 
 
-def _open_folder(folder: Path, kind: str | None, stack: ExitStack, **options: Any) -> AnyLog:
+def _open_folder(folder: Path, kind: str | None, stack: ExitStack, **options: Any) -> Log:
     """Open a ROS 2 bag; `stack` closes it."""
     if kind not in (None, "rosbag2"):
         raise _other_kind(folder, "folder", kind)
@@ -94,7 +94,7 @@ def _open_remote(
     stack: ExitStack,
     *,
     copied: bool,
-) -> AnyLog:
+) -> Log:
     """Open a log in an object store; `stack` closes it, and removes what was copied."""
     from quatprop.stores.remote import RemoteSource
     from quatprop.stores.transfers import bag_files, local_copy
@@ -131,7 +131,7 @@ def _open_remote(
     return log
 
 
-def _complete(log: AnyLog, folders: list[Path], msg_path: str | Path | None) -> None:
+def _complete(log: Log, folders: list[Path], msg_path: str | Path | None) -> None:
     """Look for definitions that channels lack; remark on their origin and on types of a topic."""
     if not isinstance(log, MessageLog):
         return
@@ -187,9 +187,7 @@ def is_stream(path: str | Path) -> bool:
     return name == "-" or (name.startswith(_SHELL_PIPES) and Path(path).is_fifo())
 
 
-def _open_stream(
-    name: str, kind: str | None, msg_path: str | Path | None, stack: ExitStack
-) -> AnyLog:
+def _open_stream(name: str, kind: str | None, msg_path: str | Path | None, stack: ExitStack) -> Log:
     """Open text as it comes; a binary log, which is read at places, from a temporary copy."""
     stream: Any = sys.stdin.buffer
     if name != "-":
@@ -213,7 +211,7 @@ def _open_stream(
     return stack.enter_context(open_log(copy, kind, msg_path=msg_path))
 
 
-def _open_file(path: Path, kind: str | None, stack: ExitStack) -> AnyLog:
+def _open_file(path: Path, kind: str | None, stack: ExitStack) -> Log:
     """Open a file, or the log inside a compressed file; `stack` closes what was opened."""
     if kind == "rosbag2":
         raise _other_kind(path, "file", kind)
@@ -240,7 +238,7 @@ def _open_file(path: Path, kind: str | None, stack: ExitStack) -> AnyLog:
     return log
 
 
-def _open_source(source: FileSource, kind: str, stack: ExitStack) -> AnyLog:
+def _open_source(source: FileSource, kind: str, stack: ExitStack) -> Log:
     if READERS[kind].reads_source:
         return _enter(kind, source, stack)
     source.close()
@@ -249,11 +247,11 @@ def _open_source(source: FileSource, kind: str, stack: ExitStack) -> AnyLog:
 
 def _enter(
     kind: str, source: Path | FileSource | BinaryIO, stack: ExitStack, **options: Any
-) -> AnyLog:
+) -> Log:
     """Import the reader of a kind of log and open a log with it; `stack` closes it."""
     module, _, name = READERS[kind].load.partition(":")
     try:
-        log: AnyLog = getattr(import_module(module), name)(source, **options)
+        log: Log = getattr(import_module(module), name)(source, **options)
     except OSError as error:
         path = source if isinstance(source, Path) else getattr(source, "path", "-")
         raise UnreadableLogError(path, os_reason(error)) from error

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from quatprop.logs.rows import Row
     from quatprop.series import GyroSeries
     from quatprop.settings.selection import RateSelection
-    from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
 
 
-def choose_rates(log: AnyLog, selection: RateSelection) -> RateSignal:
+def choose_rates(log: Log, selection: RateSelection) -> RateSignal:
     """Return the only body rates that a selection leaves."""
     return choose(log, rate_candidates(log, selection), RATES)
 
@@ -37,7 +37,7 @@ def signal_of_series(series: GyroSeries) -> RateSignal:
     )
 
 
-def rate_candidates(log: AnyLog, selection: RateSelection) -> list[Candidate[RateSignal]]:
+def rate_candidates(log: Log, selection: RateSelection) -> list[Candidate[RateSignal]]:
     """Return the body rates that a selection leaves, at least one."""
     return [
         Candidate(found, partial(_signal, found, selection), found.row.measured)

@@ -21,7 +21,7 @@ from quatprop.text import Setting, listed, plain, quoted
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
     from quatprop.logs.signal import RateSignal
-    from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
 
     RotationGraph = dict[str, dict[str, Float64]]
     """Of each frame the rotations from it to its neighbours."""
@@ -52,7 +52,7 @@ def bare_frame(frame: str) -> str:
     return frame.removeprefix("/")
 
 
-def frame_mounting(log: AnyLog | None, source: RateSignal, frame: str) -> FrameMounting:
+def frame_mounting(log: Log | None, source: RateSignal, frame: str) -> FrameMounting:
     """Return the mounting from the frame of a sensor to another, through the static transforms.
 
     `log`, `source`: the log and its rates; the sensor's frame is that in the header of its first
@@ -91,7 +91,7 @@ def frame_mounting(log: AnyLog | None, source: RateSignal, frame: str) -> FrameM
     return FrameMounting(rotation_matrix(normalize(wxyz)), frames)
 
 
-def _rotation_graph(log: AnyLog) -> RotationGraph:
+def _rotation_graph(log: Log) -> RotationGraph:
     """Return the rotations between neighbouring frames; of several for a frame the last counts."""
     parents: dict[str, tuple[str, Float64]] = {}
     for table in log.tables():

@@ -27,6 +27,8 @@ MAX_SEGMENTS = 10_000
 MAX_SIZE = 1 << 30
 """Types with more fixed bytes than this are refused: offsets stay far from overflow."""
 
+_BYTE, _IDENTIFIER, _LENGTH = map(Primitive, ("u1", "u2", "u4"))
+
 
 class NotPlannedError(Exception):
     """The definition does not determine where the wanted field is."""
@@ -89,7 +91,7 @@ class _Compiler:
         self.aligned_to = self.placement.alignment
         if self.placement.header:
             self.phase = -self.placement.header
-            self.pieces.append(Piece(ENCAPSULATION, 0, Primitive("u2")))
+            self.pieces.append(Piece(ENCAPSULATION, 0, _IDENTIFIER))
             self.size = self.placement.header
 
     def walk(self, kind: Type, wanted: FieldTree) -> None:
@@ -114,7 +116,7 @@ class _Compiler:
             self._align(kind.size)
             self.size += kind.size
         elif isinstance(kind, String) and not kind.wide:
-            self._counted(Primitive("u1"))
+            self._counted(_BYTE)
         else:
             name = "wstring" if isinstance(kind, String) else kind.name
             raise NotPlannedError(
@@ -171,7 +173,7 @@ class _Compiler:
     def _counted(self, element: Type) -> None:
         """Move over as many elements as each message counts."""
         self._align(4)
-        self.pieces.append(Piece(COUNT, self.size, Primitive("u4")))
+        self.pieces.append(Piece(COUNT, self.size, _LENGTH))
         self.size += 4
         if not self.extents.alignment(element):
             self.close(Repeat(self._element(element), None))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -34,14 +34,14 @@ class Primitive:
     """A number, of one size everywhere.
 
     `code`: numpy's type string without byte order: ``"f8"``, ``"u4"``, ``"b1"``
+    `size`: bytes
     """
 
     code: str
+    size: int = field(init=False, repr=False, compare=False)
 
-    @property
-    def size(self) -> int:
-        """Bytes."""
-        return int(self.code[1:])
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "size", int(self.code[1:]))
 
 
 TIME = Primitive("M8")
@@ -100,6 +100,7 @@ Type: TypeAlias = Primitive | String | Unknown | Struct | Array | Sequence
 Steps: TypeAlias = tuple[str | int, ...]
 
 
+@lru_cache(maxsize=1024)
 def ros_name(type_name: str) -> str:
     """Return the name of a type in ROS; of other spellings, package and name count."""
     parts = [part for part in _NAME_PART.split(type_name) if part != "msg"]

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from quatprop.logs.signal import RateSignal
     from quatprop.pipeline.settings import PropagationSettings
     from quatprop.series import AttitudeSeries, GyroSeries
-    from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
 
     class Observer(Protocol):
         """Looks at the series that pass, such as a picture in the making."""
@@ -60,7 +60,7 @@ class AttitudeStream:
         path: str,
         source: RateSignal,
         settings: PropagationSettings,
-        log: AnyLog | None,
+        log: Log | None,
         *,
         observer: Observer | None = None,
         sensitivity: bool = True,

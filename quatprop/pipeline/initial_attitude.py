@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from quatprop.logs.signal import RateSignal
     from quatprop.series import GyroSeries
     from quatprop.settings.selection import RateSelection
-    from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
 
 
 LEVEL_NS = 1_000_000_000
@@ -73,7 +73,7 @@ class LogContext(NamedTuple):
     `in_order`: whether samples are used in the order of the log, not sorted
     """
 
-    log: AnyLog | None
+    log: Log | None
     source: RateSignal
     selection: RateSelection
     mount: Float64 | None
@@ -120,7 +120,7 @@ def level(force: Float64, heading: float = 0.0, *, down: bool = False) -> Float6
     return multiply(turns[0], multiply(turns[1], turns[2]))
 
 
-def _refuse_motion(first: GyroSeries, log: AnyLog) -> None:
+def _refuse_motion(first: GyroSeries, log: Log) -> None:
     from quatprop.conditioning.static_detection import AT_REST
 
     rate = first.rate[first.t_ns <= first.t_ns[0] + LEVEL_NS]
@@ -133,7 +133,7 @@ def _refuse_motion(first: GyroSeries, log: AnyLog) -> None:
         )
 
 
-def _force(log: AnyLog, context: LogContext, first_ns: int) -> Float64:
+def _force(log: Log, context: LogContext, first_ns: int) -> Float64:
     """Return the mean specific force over the first second from a stamp on, shape ``(3,)``."""
     from quatprop.logs.beside_rates import specific_forces
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.pipeline.attitude_stream import Observer
-    from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
     from quatprop.writers.attitudes import AttitudeWriter
 
 
@@ -91,7 +91,7 @@ def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> 
     return report
 
 
-def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: AnyLog) -> RunReport:
+def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log) -> RunReport:
     """Write the attitudes of a log and return the report on them."""
     output = job.output
     stored = digest_of_object(job.log) if is_address(job.log) else None
@@ -119,7 +119,7 @@ def _as_logged(attitudes: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
         yield series if series.log_ns is None else series[np.argsort(series.log_ns, kind="stable")]
 
 
-def with_format(output: OutputSettings, log: AnyLog) -> OutputSettings:
+def with_format(output: OutputSettings, log: Log) -> OutputSettings:
     """Return where attitudes of a log go, with the format and the order of its columns."""
     if output.into:
         from quatprop.log_copy import copy_kind
@@ -137,7 +137,7 @@ def _is_small(log: str) -> bool:
 
 def open_output(
     output: OutputSettings,
-    log: AnyLog,
+    log: Log,
     sigma: str | None = None,
 ) -> AttitudeWriter:
     """Open a file of attitudes, or a copy of the log to which they are added."""

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64, Int64
     from quatprop.logs.signal import RateSignal
-    from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
 
 
 Series = TypeVar("Series", GyroSeries, AttitudeSeries)
@@ -51,7 +51,7 @@ OTHER_CLOCK_NS = 3_600_000_000_000
 """Stamps further from the time of recording are of another clock, not delayed."""
 
 
-def log_remarks(log: AnyLog, source: RateSignal, rates: str = "body") -> list[str]:
+def log_remarks(log: Log, source: RateSignal, rates: str = "body") -> list[str]:
     """Return remarks on the stamps and the orientation beside the rates.
 
     `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
@@ -98,7 +98,7 @@ def stamp_remarks(source: RateSignal) -> list[str]:
     ]
 
 
-def orientation_remarks(log: AnyLog, source: RateSignal, rates: str = "body") -> list[str]:
+def orientation_remarks(log: Log, source: RateSignal, rates: str = "body") -> list[str]:
     """Return remarks on the rates, compared with the orientation beside them, if there is one."""
     topic = next((match.table.name for match in source.matches), None) or None
     try:

@@ -6,10 +6,11 @@ import json
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
-from quatprop import __version__
 from quatprop.provenance import Digest, JsonObject, as_json, digest_of
 from quatprop.stores.objects import digest_of_object, is_address, without_secret
-from quatprop.writers.atomic import OutputFile, output_errors
+from quatprop.version import __version__
+from quatprop.writers.atomic import OutputFile
+from quatprop.writers.targets import output_errors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -20,8 +21,7 @@ if TYPE_CHECKING:
     from quatprop.conditioning import GyroCorrectionReport
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.tables.log import Log, Loss
-    from quatprop.timeline.counts import Counts
-    from quatprop.timeline.stamps import Policy
+    from quatprop.timeline.counts import Counts, Policy
 
 CONVENTION = {
     "product": "Hamilton, ij = k",

@@ -21,7 +21,7 @@ from quatprop.settings.selection import RateSelection
 from quatprop.settings.values import as_text, parse_all
 from quatprop.stores.objects import is_address, without_secret
 from quatprop.text import Setting
-from quatprop.timeline.stamps import Policy
+from quatprop.timeline.counts import Policy
 from quatprop.writers.formats import keeps_provenance, kind_of
 
 if TYPE_CHECKING:

@@ -33,9 +33,9 @@ from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.stores.objects import without_secret
 from quatprop.text import plain
 from quatprop.timeline import Timeline
-from quatprop.timeline.counts import Counts
+from quatprop.timeline.counts import OBSERVE, Counts
 from quatprop.timeline.counts import remarks as timeline_remarks
-from quatprop.timeline.stamps import OBSERVE, StampChecks
+from quatprop.timeline.stamps import StampChecks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from quatprop.logs.choice import Candidate, SelectionT, SignalT
     from quatprop.logs.signal import AttitudeSignal, RateSignal
     from quatprop.series import GyroSeries
-    from quatprop.tables.base import AnyLog
+    from quatprop.tables.log import Log
     from quatprop.tables.model import Table
 
     Seen = dict[tuple[str, str], "_AttitudeReading"]
@@ -94,7 +94,7 @@ def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
 class _AttitudeReading:
     """Attitudes of a log, and what is found in them while they are read."""
 
-    def __init__(self, log: AnyLog, signal: AttitudeSignal) -> None:
+    def __init__(self, log: Log, signal: AttitudeSignal) -> None:
         self.signal = signal
         self.check = QuaternionCheck(log.path, drop=True)
         self.stamps = StampChecks(log.path)
@@ -107,7 +107,7 @@ class _AttitudeReading:
 
 
 def _reading_beside(
-    log: AnyLog, selection: RateSelection, rates: RateSignal, seen: Seen
+    log: Log, selection: RateSelection, rates: RateSignal, seen: Seen
 ) -> _AttitudeReading | None:
     """Return and note the only attitudes in the messages of rates, if they can be read as is."""
     try:
@@ -121,7 +121,7 @@ def _reading_beside(
 
 
 def _rates(
-    log: AnyLog, selection: RateSelection, seen: Seen | None, *, read_once: bool
+    log: Log, selection: RateSelection, seen: Seen | None, *, read_once: bool
 ) -> Iterator[RateSurvey]:
     """Yield the rates of a log; attitudes in the same messages are read with them, and noted."""
     list_again = partial(rate_candidates, log)
@@ -174,7 +174,7 @@ def _in_step(batches: Iterator[GyroSeries], beside: _AttitudeReading) -> Iterato
     deque(other, maxlen=0)
 
 
-def _survey_rates(signal: RateSignal, log: AnyLog, beside: _AttitudeReading | None) -> RateSurvey:
+def _survey_rates(signal: RateSignal, log: Log, beside: _AttitudeReading | None) -> RateSurvey:
     timeline, checks = Timeline(OBSERVE, str(log.path)), RateChecks()
     batches = signal.batches() if beside is None else _in_step(signal.batches(), beside)
     samples = timeline.apply(checks.observe(batches))
@@ -195,7 +195,7 @@ def _survey_rates(signal: RateSignal, log: AnyLog, beside: _AttitudeReading | No
     )
 
 
-def _attitudes(log: AnyLog, selection: RateSelection, seen: Seen) -> Iterator[AttitudeSurvey]:
+def _attitudes(log: Log, selection: RateSelection, seen: Seen) -> Iterator[AttitudeSurvey]:
     wanted = AttitudeSelection.like(selection)
     try:
         candidates = attitude_candidates(log, wanted)
@@ -241,7 +241,7 @@ def _made(table: Table, wanted: AttitudeSelection) -> AttitudeSurvey:
     return AttitudeSurvey(source=table.name)
 
 
-def _survey_attitudes(signal: AttitudeSignal, log: AnyLog, seen: Seen) -> AttitudeSurvey:
+def _survey_attitudes(signal: AttitudeSignal, log: Log, seen: Seen) -> AttitudeSurvey:
     """Return the survey of a signal of attitudes."""
     reading = seen.get((signal.name, signal.field))
     if reading is None:

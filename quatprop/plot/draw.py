@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from quatprop.plot.page import Page
+    from quatprop.plot.picture import Page
 
 MIN_ZOOM_BINS = 150
 """Least of the bins of a long series that a page zooms to."""

@@ -10,8 +10,7 @@ import numpy as np
 
 from quatprop.comparison.summary import comparison_rows, criterion_text, sigma_text, with_names
 from quatprop.plot.accumulators import ERROR, SIGMA_BAND, Accumulator
-from quatprop.plot.page import Page
-from quatprop.plot.picture import Mark, Picture, PlottedFile, picture
+from quatprop.plot.picture import Mark, Page, Picture, PlottedFile, picture
 from quatprop.rendering import degrees_text, file_names, loss_lines
 from quatprop.text import plain, spelled
 from quatprop.timeline.stamps import GAP_FACTOR

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from quatprop.plot.page import Page
-    from quatprop.plot.picture import Picture
+    from quatprop.plot.picture import Page, Picture
 
 WIDTH = 7.5
 """Inches: a page between its margins."""

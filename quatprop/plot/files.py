@@ -38,15 +38,15 @@ from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.stores.objects import without_secret
 from quatprop.text import plain
 from quatprop.timeline import Timeline
+from quatprop.timeline.counts import OBSERVE
 from quatprop.timeline.outliers import marked
-from quatprop.timeline.stamps import OBSERVE, StampChecks
+from quatprop.timeline.stamps import StampChecks
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.tables.base import AnyLog
-    from quatprop.tables.log import Loss
+    from quatprop.tables.log import Log, Loss
     from quatprop.timeline.counts import Counts
 
 
@@ -104,7 +104,7 @@ def view_file(path: str, view: View) -> FileView:
         return _view_attitudes(without_secret(path), log, signal, view)
 
 
-def _choose(log: AnyLog, view: View) -> RateSignal | AttitudeSignal:
+def _choose(log: Log, view: View) -> RateSignal | AttitudeSignal:
     """Return the rates to draw, or else the attitudes."""
     if view.show == "attitude":
         return choose_attitudes(log, view.attitudes)
@@ -123,7 +123,7 @@ def _choose(log: AnyLog, view: View) -> RateSignal | AttitudeSignal:
             raise error from other
 
 
-def _view_rates(path: str, log: AnyLog, source: RateSignal, view: View) -> FileView:
+def _view_rates(path: str, log: Log, source: RateSignal, view: View) -> FileView:
     drawn, checks, timeline = RateAccumulator(source.unit), RateChecks(), Timeline(OBSERVE, path)
     unit, counts = RATES[source.unit], timeline.counts
     batches, done = condition(source.batches, timeline, view.part, unit, GyroCorrectionInputs())
@@ -147,7 +147,7 @@ def _view_rates(path: str, log: AnyLog, source: RateSignal, view: View) -> FileV
     )
 
 
-def _view_attitudes(path: str, log: AnyLog, source: AttitudeSignal, view: View) -> FileView:
+def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> FileView:
     drawn = AttitudeAccumulator(
         components=view.components, unwrap=view.unwrap, has_sigmas=source.may_have_covariances
     )
@@ -203,7 +203,7 @@ def _plotted(
 
 def _facts(
     path: str,
-    log: AnyLog,
+    log: Log,
     source: RateSignal | AttitudeSignal,
     about: Iterable[Row],
     counts: Counts,

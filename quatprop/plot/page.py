@@ -6,16 +6,16 @@ from base64 import b64encode
 from hashlib import sha256
 from html import escape
 from importlib.resources import files
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from quatprop import __version__
 from quatprop.plot.draw import inline_svg
 from quatprop.text import plain
+from quatprop.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
-    from quatprop.plot.picture import Picture
+    from quatprop.plot.picture import Page
     from quatprop.rendering import Row
 
 
@@ -27,23 +27,6 @@ HINT = (
 
 REDUCED = " Only extremes of short times are drawn of it: draw a part of it to zoom further."
 """What else to know of a long series."""
-
-
-class Page(NamedTuple):
-    """A picture, and the text around it.
-
-    `facts`: lines below the title of a picture: convention, method, counts
-    `lead`: the same on a page: the result, in a line or two
-    `warnings`: what a reader should know
-    `tables`: details: headings, and rows of labels and texts
-    """
-
-    title: str
-    facts: tuple[str, ...]
-    lead: tuple[str, ...]
-    picture: Picture
-    warnings: tuple[str, ...]
-    tables: Sequence[tuple[str, Iterable[Row]]]
 
 
 def html(page: Page, made_by: str, inputs: Iterable[Row]) -> str:

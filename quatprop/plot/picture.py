@@ -1,4 +1,4 @@
-"""What a picture shows, before anything is drawn: panels over one time axis."""
+"""What a picture and its page show, before anything is drawn: panels over one time axis."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from quatprop.text import Setting, plain
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from quatprop.arrays import Float64
     from quatprop.plot.accumulators import Group, Quantity
     from quatprop.plot.reduction import Reduced
+    from quatprop.rendering import Row
 
 
 class Curve(NamedTuple):
@@ -108,6 +109,23 @@ class Picture(NamedTuple):
     starts: tuple[int, ...]
     bin_s: float
     legend: tuple[str, ...] = ()
+
+
+class Page(NamedTuple):
+    """A picture, and the text around it.
+
+    `facts`: lines below the title of a picture: convention, method, counts
+    `lead`: the same on a page: the result, in a line or two
+    `warnings`: what a reader should know
+    `tables`: details: headings, and rows of labels and texts
+    """
+
+    title: str
+    facts: tuple[str, ...]
+    lead: tuple[str, ...]
+    picture: Picture
+    warnings: tuple[str, ...]
+    tables: Sequence[tuple[str, Iterable[Row]]]
 
 
 def picture(files: Sequence[PlottedFile]) -> Picture:

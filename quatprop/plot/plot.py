@@ -9,8 +9,7 @@ from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
 from quatprop.plot.errors import ComparedFile, error_page
 from quatprop.plot.figure import STYLE, Style
 from quatprop.plot.files import FileView, View, view_file
-from quatprop.plot.page import Page
-from quatprop.plot.picture import picture
+from quatprop.plot.picture import Page, picture
 from quatprop.plot.target import PictureFile
 from quatprop.rendering import file_names, loss_lines
 from quatprop.text import spelled

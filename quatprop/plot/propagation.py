@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.pipeline.summary import conventions, facts
 from quatprop.plot.accumulators import SIGMA_BAND, AttitudeAccumulator, RateAccumulator
-from quatprop.plot.page import Page
-from quatprop.plot.picture import PlottedFile, picture
+from quatprop.plot.picture import Page, PlottedFile, picture
 from quatprop.plot.target import PictureFile
 from quatprop.rendering import file_names, instant_text, loss_lines, source_text
 from quatprop.text import spelled

@@ -9,15 +9,16 @@ from quatprop.errors import OutputError
 from quatprop.pipeline.report import digest_of_input
 from quatprop.plot.draw import render, require_matplotlib
 from quatprop.plot.figure import STYLE, Style
-from quatprop.plot.page import Page, html
+from quatprop.plot.page import html
 from quatprop.provenance import as_json
 from quatprop.stores.objects import without_secret
-from quatprop.writers.atomic import OutputFile, output_errors
-from quatprop.writers.targets import is_stdout, is_stream, refuse_overlap
+from quatprop.writers.atomic import OutputFile
+from quatprop.writers.targets import is_stdout, is_stream, output_errors, refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from quatprop.plot.picture import Page
     from quatprop.rendering import Row
 
 KINDS = {".png": "png", ".svg": "svg", ".pdf": "pdf", ".html": "html", ".htm": "html"}

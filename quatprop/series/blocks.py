@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import repeat, tee, zip_longest
 from typing import TYPE_CHECKING, TypeVar
 
@@ -9,6 +10,8 @@ from quatprop.series import GyroSeries
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+
+    from quatprop.arrays import Float64
 
 Item = TypeVar("Item")
 
@@ -20,6 +23,12 @@ def blocks(rows: int) -> Iterator[slice]:
     """Yield slices of so many rows: what is computed of each needs no memory for all of them."""
     for start in range(0, rows, BLOCK):
         yield slice(start, start + BLOCK)
+
+
+def rms(error: Float64) -> float:
+    """Return the root of the mean square."""
+    squares = sum(float((error[rows] ** 2).sum()) for rows in blocks(len(error)))
+    return math.sqrt(squares / len(error))
 
 
 def reblock(batches: Iterable[GyroSeries], size: int = BLOCK) -> Iterator[GyroSeries]:

@@ -14,16 +14,9 @@ from quatprop.provenance import METADATA_KEY, JsonObject, provenance_in
 from quatprop.stores.file_source import FileSource, source_of
 from quatprop.stores.limits import checksums_matter
 from quatprop.tables.base import TimedColumns, refuse_second_file
+from quatprop.tables.leaves import Leaf, element_leaves
 from quatprop.tables.row_groups import stamp_spans
-from quatprop.tables.typed_table import (
-    BATCH_ROWS,
-    DAMAGE,
-    DamageError,
-    Leaf,
-    RowGroup,
-    TypedTable,
-    element_leaves,
-)
+from quatprop.tables.typed_table import BATCH_ROWS, DAMAGE, DamageError, RowGroup, TypedTable
 from quatprop.text import plain
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from functools import cached_property
 from itertools import chain, pairwise
-from typing import TYPE_CHECKING, NamedTuple, NoReturn, Self, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, NoReturn, Self
 
 import numpy as np
 
@@ -196,10 +196,6 @@ class TableLog(Log, Table):
 
         Rows that do not fit are left out and noted in :attr:`losses`.
         """
-
-
-AnyLog: TypeAlias = Log
-"""A log of any kind."""
 
 
 def refuse_second_file(path: Path, begin: int) -> NoReturn:

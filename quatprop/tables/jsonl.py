@@ -17,8 +17,9 @@ import pyarrow as pa
 
 from quatprop.errors import UnsupportedLogError
 from quatprop.tables.jsonl_parser import JsonRows
+from quatprop.tables.leaves import Leaf, element_leaves
 from quatprop.tables.text_stream import open_text, record_blocks
-from quatprop.tables.typed_table import Leaf, TypedTable, element_leaves
+from quatprop.tables.typed_table import TypedTable
 from quatprop.text import quoted
 
 if TYPE_CHECKING:

@@ -137,7 +137,7 @@ class Table(ABC):
     `is_typed`: whether its columns are of message types; else their names are all that there is
     `is_secondary`: whether it has the rows of another, main table
     `matches`: the columns whose names fit a pattern, once somebody has asked for them
-    `first`: the first rows, held by :mod:`quatprop.logs.first_batch` until rows are read for good
+    `first`: the first rows, held until rows are read for good
     """
 
     name: str

@@ -14,8 +14,9 @@ import pyarrow as pa
 
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.series.arrow_arrays import to_arrow
+from quatprop.tables.leaves import Leaf
 from quatprop.tables.npy_format import ArrayColumn, HeaderError, columns_of, read_header
-from quatprop.tables.typed_table import BATCH_ROWS, DamageError, Leaf, RowGroup, TypedTable
+from quatprop.tables.typed_table import BATCH_ROWS, DamageError, RowGroup, TypedTable
 from quatprop.text import listed, plain
 
 if TYPE_CHECKING:

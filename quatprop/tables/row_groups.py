@@ -13,7 +13,7 @@ from quatprop.tables.timestamps import TimestampRangeError, nanoseconds
 if TYPE_CHECKING:
     from pyarrow.parquet import FileMetaData
 
-    from quatprop.tables.typed_table import Leaf
+    from quatprop.tables.leaves import Leaf
 
 UNITS = {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
 """Units of times in a Parquet file -> those of Arrow."""

@@ -11,7 +11,7 @@ import pyarrow as pa
 from quatprop.concurrency.threads import thread_count
 from quatprop.errors import UnsupportedLogError
 from quatprop.tables import timestamps
-from quatprop.tables.typed_table import BatchRows, Leaf, batch_rows
+from quatprop.tables.typed_table import BatchRows, batch_rows
 from quatprop.text import Setting
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64, Int64
     from quatprop.tables.base import Batches, TableLog, TimedColumns
+    from quatprop.tables.leaves import Leaf
     from quatprop.tables.log import Losses
     from quatprop.tables.text_stream import TextBlock
 

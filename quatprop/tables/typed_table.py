@@ -16,6 +16,7 @@ from quatprop.errors import UnsupportedLogError
 from quatprop.series.arrow_arrays import to_arrow, to_numpy
 from quatprop.tables import timestamps
 from quatprop.tables.base import TableLog, TimedColumns
+from quatprop.tables.leaves import Leaf, is_number, is_text, is_whole, values_of
 from quatprop.tables.model import Stamp, TableNotes
 from quatprop.text import Setting, listed, plain, quoted
 
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from quatprop.tables.base import Batches
 
 
-_LONGEST_LIST = 16
 _HEAD_ROWS = 5000
 BATCH_ROWS = 1 << 16
 """Rows that are read together."""
@@ -39,35 +39,6 @@ class DamageError(Exception):
 
 DAMAGE = (pa.ArrowException, OSError, DamageError)
 """ArrowException has what cannot be allocated in it: lengths in a damaged file may be any."""
-
-
-class Leaf(NamedTuple):
-    """A column that holds values.
-
-    `path`: its name; below it the names of the fields that lead to the values, where it is a struct
-    `element`: which element of a list they are, from 0; None where they are no lists
-    """
-
-    path: tuple[str, ...]
-    type: pa.DataType
-    element: int | None = None
-
-    @property
-    def column(self) -> str:
-        """The name of the column with its fields."""
-        return ".".join(self.path)
-
-    @property
-    def name(self) -> str:
-        """How the user names it."""
-        return self.column if self.element is None else f"{self.column}[{self.element}]"
-
-
-def element_leaves(path: tuple[str, ...], kind: pa.DataType, length: int) -> list[Leaf]:
-    """Return a column of lists as one column for each element, where lists are that short."""
-    if _is_number(kind) and 1 < length <= _LONGEST_LIST:
-        return [Leaf(path, kind, index) for index in range(length)]
-    return [Leaf(path, pa.list_(kind))]
 
 
 class RowGroup(NamedTuple):
@@ -107,7 +78,7 @@ class TypedTable(TableLog):
                 for k, leaf in enumerate(self._leaves)
                 if pa.types.is_timestamp(leaf.type) or pa.types.is_duration(leaf.type)
             },
-            texts=frozenset(k for k, leaf in enumerate(self._leaves) if _is_text(leaf.type)),
+            texts=frozenset(k for k, leaf in enumerate(self._leaves) if is_text(leaf.type)),
         )
 
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
@@ -187,9 +158,9 @@ class TypedTable(TableLog):
     def label_columns(self) -> dict[int, bool]:
         """Return columns that may hold labels; see :class:`quatprop.tables.base.TableLog`."""
         return {
-            k: _is_number(leaf.type)
+            k: is_number(leaf.type)
             for k, leaf in enumerate(self._leaves)
-            if _is_whole(leaf.type) or _is_text(leaf.type)
+            if is_whole(leaf.type) or is_text(leaf.type)
         }
 
     def _refuse_text(self, columns: TimedColumns) -> None:
@@ -203,7 +174,7 @@ class TypedTable(TableLog):
                     f"several columns are named {quoted(leaf.name)}; rename all but one of them",
                 )
             is_stamp = k in columns.stamp.columns and k in declared
-            if not is_stamp and not _is_number(leaf.type):
+            if not is_stamp and not is_number(leaf.type):
                 held = "lists" if pa.types.is_list(leaf.type) else leaf.type
                 raise UnsupportedLogError(
                     self.path,
@@ -273,33 +244,6 @@ def _of_series(
         texts = pc.utf8_trim_whitespace(values_of(batch, leaves[k]).cast(pa.string()))
         batch = batch.filter(pc.equal(texts, label))
     return batch
-
-
-def values_of(batch: pa.RecordBatch | pa.Table, leaf: Leaf) -> pa.Array | pa.ChunkedArray:
-    """Return the values of a column; null where a list is too short."""
-    column = batch.column(leaf.path[0])
-    if leaf.path[1:] or leaf.element is not None:
-        import pyarrow.compute as pc  # costs half as much again as pyarrow, and is not of CSV
-    if leaf.path[1:]:
-        column = pc.struct_field(column, list(leaf.path[1:]))
-    if leaf.element is not None:
-        is_short = pc.less_equal(pc.list_value_length(column), leaf.element)
-        column = pc.list_element(pc.if_else(is_short, None, column), leaf.element)
-    return column.dictionary_decode() if pa.types.is_dictionary(column.type) else column
-
-
-def _is_number(kind: pa.DataType) -> bool:
-    return bool(
-        pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal128(kind)
-    )
-
-
-def _is_text(kind: pa.DataType) -> bool:
-    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
-
-
-def _is_whole(kind: pa.DataType) -> bool:
-    return bool(pa.types.is_integer(kind) or (pa.types.is_decimal128(kind) and kind.scale == 0))
 
 
 def _has_value(column: pa.Array | pa.ChunkedArray) -> Bool:

@@ -18,13 +18,14 @@ from quatprop.series import GyroSeries
 from quatprop.series.blocks import reblock
 from quatprop.text import Setting
 from quatprop.timeline.outliers import outliers_in_order
-from quatprop.timeline.stamps import LONGEST_NS, Policy, StampChecks
+from quatprop.timeline.stamps import LONGEST_NS, StampChecks
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from quatprop.arrays import Bool, Float64, Int64
+    from quatprop.timeline.counts import Policy
     from quatprop.timeline.stamps import Examined
 
     Numbered: TypeAlias = tuple[GyroSeries, Int64]

@@ -1,9 +1,9 @@
-"""What was observed on a timeline: events counted and located, and the remarks about them."""
+"""How irregular timestamps and rates are handled, and what was observed of them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S, duration_text
@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.arrays import Int64, Intp
-    from quatprop.timeline.stamps import Policy
 
 LISTED_GAPS = 1000
 """The first gaps are listed one by one; all are counted."""
@@ -28,6 +27,35 @@ LONGEST_S = 2
 
 MIN_SAMPLES = 20
 """Fewer samples say nothing of the sample rate."""
+
+
+class Policy(NamedTuple):
+    """How each kind of irregularity is handled.
+
+    `on_backwards`: time stamps earlier than one before, and outliers: ``"error"``; ``"drop"`` the
+        samples; ``"sort"`` all samples by stamp (keeps the whole log in memory) and drop outliers;
+        ``"keep"`` them, for inspection only
+    `on_nonfinite`: rates that are NaN or infinite: ``"error"``; ``"drop"`` the samples; ``"hold"``
+        the last finite rate; ``"keep"`` them, for inspection only
+    `on_gap`: intervals longer than `max_gap_ns`: ``"hold"`` propagates across them like any other;
+        ``"error"``; ``"zero"`` assumes no rotation; ``"split"`` restarts from q0
+    `max_gap_ns`: intervals longer than this count as gaps, ns; None means
+        :data:`quatprop.timeline.stamps.GAP_FACTOR` median intervals
+    """
+
+    on_backwards: Literal["error", "drop", "sort", "keep"] = "error"
+    on_nonfinite: Literal["error", "drop", "hold", "keep"] = "error"
+    on_gap: Literal["hold", "zero", "split", "error"] = "hold"
+    max_gap_ns: int | None = None
+
+    @property
+    def cuts_at_gaps(self) -> bool:
+        """Whether a gap is not propagated across."""
+        return self.on_gap in {"zero", "split"}
+
+
+OBSERVE = Policy(on_backwards="keep", on_nonfinite="keep")
+"""Change nothing, count everything."""
 
 
 @dataclass(slots=True)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Generic, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from quatprop.errors import TimelineError
 from quatprop.text import Setting
-from quatprop.timeline.counts import LISTED_GAPS, Counts, Event
+from quatprop.timeline.counts import LISTED_GAPS, OBSERVE, Counts, Event, Policy
 from quatprop.timeline.outliers import Rows, marked
 from quatprop.times import duration_text
 
@@ -36,35 +36,6 @@ _FAR = 10
 
 COUNTERS = {"ns": 2**32, "us": 2**32 * 1_000, "ms": 2**32 * 1_000_000}
 """After how many ns a counter of 32 bits begins again, by its unit."""
-
-
-class Policy(NamedTuple):
-    """How each kind of irregularity is handled.
-
-    `on_backwards`: time stamps earlier than one before, and outliers: ``"error"``; ``"drop"`` the
-        samples; ``"sort"`` all samples by stamp (keeps the whole log in memory) and drop outliers;
-        ``"keep"`` them, for inspection only
-    `on_nonfinite`: rates that are NaN or infinite: ``"error"``; ``"drop"`` the samples; ``"hold"``
-        the last finite rate; ``"keep"`` them, for inspection only
-    `on_gap`: intervals longer than `max_gap_ns`: ``"hold"`` propagates across them like any other;
-        ``"error"``; ``"zero"`` assumes no rotation; ``"split"`` restarts from q0
-    `max_gap_ns`: intervals longer than this count as gaps, ns; None means
-        :data:`quatprop.timeline.stamps.GAP_FACTOR` median intervals
-    """
-
-    on_backwards: Literal["error", "drop", "sort", "keep"] = "error"
-    on_nonfinite: Literal["error", "drop", "hold", "keep"] = "error"
-    on_gap: Literal["hold", "zero", "split", "error"] = "hold"
-    max_gap_ns: int | None = None
-
-    @property
-    def cuts_at_gaps(self) -> bool:
-        """Whether a gap is not propagated across."""
-        return self.on_gap in {"zero", "split"}
-
-
-OBSERVE = Policy(on_backwards="keep", on_nonfinite="keep")
-"""Change nothing, count everything."""
 
 
 class Examined(NamedTuple, Generic[Batch]):

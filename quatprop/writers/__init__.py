@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING
 from quatprop.errors import OutputError, UsageError
 from quatprop.text import Setting, did_you_mean, listed, quoted
 from quatprop.writers.formats import WRITERS, kind_of, layout_of
-from quatprop.writers.messages.kinds import MESSAGES, Message, attitude_encoder
+from quatprop.writers.messages import attitude_encoder
+from quatprop.writers.messages.kinds import MESSAGES, Message
 from quatprop.writers.targets import is_stdout
 
 if TYPE_CHECKING:

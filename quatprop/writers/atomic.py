@@ -15,26 +15,10 @@ from typing import TYPE_CHECKING, BinaryIO, cast
 
 from quatprop.errors import OutputError
 from quatprop.stores.temp_files import LockedTemp, take_mode_of, temp_file, temp_folder
-from quatprop.writers.targets import checked_place, is_stdout, is_stream
+from quatprop.writers.targets import checked_place, is_stdout, is_stream, output_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-
-@contextmanager
-def output_errors(target: Path | str, *others: type[Exception]) -> Iterator[None]:
-    """Turn errors of the system into an :class:`OutputError` that names the target.
-
-    A closed pipe passes as it is: it is no error that the reader of our output has gone.
-    """
-    known: tuple[type[Exception], ...] = (OSError, *others)
-    try:
-        yield
-    except BrokenPipeError:
-        raise
-    except known as error:
-        reason = getattr(error, "strerror", None) or error
-        raise OutputError(target, f"cannot be written: {reason}") from error
 
 
 class OutputFile:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from quatprop.conventions.layout import Layout
     from quatprop.conventions.representations import Representation
     from quatprop.series import AttitudeSeries, GyroSeries
-    from quatprop.writers.messages.kinds import AttitudeEncoder
+    from quatprop.writers.messages import AttitudeEncoder
 
     Columns = tuple[Int64, list[AnyArray]]
 

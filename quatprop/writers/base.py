@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from quatprop.provenance import as_json
-from quatprop.writers.atomic import OutputFile, OutputPath, output_errors
+from quatprop.writers.targets import output_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from contextlib import AbstractContextManager
 
     from quatprop.arrays import AnyArray, Int64, Records
+    from quatprop.writers.atomic import OutputFile, OutputPath
 
 
 def provenance_json(provenance: Mapping[str, object]) -> str:

@@ -1,9 +1,10 @@
-"""Where output may go: a file, a stream, but never over an input or another output of the run."""
+"""Where output may go: to a file or a stream, never over an input or another output of the run."""
 
 from __future__ import annotations
 
 import os
 import stat
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +13,7 @@ from quatprop.errors import OutputError
 from quatprop.text import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
 STDOUT = ("-", "/dev/stdout")
 _DESCRIPTORS = ("/dev/stderr", "/dev/fd/", "/proc/self/fd/")
@@ -77,6 +78,22 @@ def refuse_outside(target: Path | str, folder: Path | str) -> None:
 def _has_write_bit(place: Path) -> bool:
     """Return whether anybody may write: what is marked read-only is kept, for root too."""
     return bool(place.stat().st_mode & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH))
+
+
+@contextmanager
+def output_errors(target: Path | str, *others: type[Exception]) -> Iterator[None]:
+    """Turn errors of the system into an :class:`OutputError` that names the target.
+
+    A closed pipe passes as it is: it is no error that the reader of our output has gone.
+    """
+    known: tuple[type[Exception], ...] = (OSError, *others)
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except known as error:
+        reason = getattr(error, "strerror", None) or error
+        raise OutputError(target, f"cannot be written: {reason}") from error
 
 
 def refuse_overlap(inputs: Iterable[str | None], outputs: Iterable[str | None]) -> None:

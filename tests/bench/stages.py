@@ -16,7 +16,7 @@ from quatprop.provenance import digest_of
 from quatprop.series import AttitudeSeries
 from quatprop.settings.selection import RateSelection
 from quatprop.timeline import Timeline
-from quatprop.timeline.stamps import Policy
+from quatprop.timeline.counts import Policy
 from quatprop.writers import open_writer
 
 

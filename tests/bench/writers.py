@@ -13,7 +13,8 @@ from table import Table, median_of
 
 from quatprop.series import AttitudeSeries
 from quatprop.writers import open_writer
-from quatprop.writers.messages.kinds import Message, attitude_encoder
+from quatprop.writers.messages import attitude_encoder
+from quatprop.writers.messages.kinds import Message
 
 BATCH = 1 << 16
 NUMBERS = count()

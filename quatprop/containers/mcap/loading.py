@@ -74,7 +74,7 @@ class McapReader(ChunkReader[Chunk, Loaded]):
 
     def _is_read_in_part(self, chunk: Chunk) -> bool:
         """Return whether a chunk is a large chunk with others whose messages are indexed."""
-        is_large = chunk.is_uncompressed and chunk.length >= LARGE
+        is_large = chunk.length >= LARGE and chunk.is_uncompressed
         return is_large and chunk.index_length > 0 and self.is_mixed(chunk)
 
     def load(self, chunk: Chunk) -> Loaded:
@@ -135,7 +135,8 @@ class McapReader(ChunkReader[Chunk, Loaded]):
             return selected.block
         index = index_of(self.source, chunk)
         every = indexed_offsets(index, chunk)
-        listed = indexed_offsets(index, chunk, ids) if self.is_mixed(chunk) else every
+        has_others = not {*(chunk.message_index_offsets or ())} <= {*ids}
+        listed = indexed_offsets(index, chunk, ids) if has_others else every
         messages = None if every is None else messages_at(data, every)
         walked = walk_records(data, stop_at={MESSAGE})
         # Among other records there may be messages that no index lists.

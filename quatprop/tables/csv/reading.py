@@ -16,9 +16,9 @@ from pyarrow import csv as arrow_csv
 from quatprop.series.arrow_arrays import readable
 from quatprop.tables import timestamps
 from quatprop.tables.csv.row_parser import RowParser, date_type, squeeze_blanks
+from quatprop.tables.leaves import Leaf
 from quatprop.tables.text_rows import MISFITS, RowMisfitError, TextRows, use_threads
 from quatprop.tables.text_stream import TextBlock, TextStream, record_blocks
-from quatprop.tables.typed_table import Leaf
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64

@@ -15,14 +15,7 @@ from quatprop.errors import UsageError
 from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
-
-    from quatprop.writers.messages.foxglove_messages import FoxgloveEncoder
-    from quatprop.writers.messages.ros_messages import RosEncoder
-
-    AttitudeEncoder = RosEncoder | FoxgloveEncoder
-    """Encodes attitudes as one type of message: a topic, whether positions are written, and
-    `encode`, which returns the messages of a batch."""
+    from collections.abc import Mapping
 
 
 class MessageType(NamedTuple):
@@ -113,23 +106,3 @@ def _names(name: str) -> tuple[str, ...]:
     """Return the names of a type: short, in full, and as in ROS 1."""
     package, _, short = name.replace(".", "/msg/").split("/")
     return short, name, f"{package}/{short}"
-
-
-def attitude_encoder(message: Message, encodings: Collection[str]) -> AttitudeEncoder:
-    """Return the encoder of a message for a container.
-
-    `encodings`: what the container takes: ``"cdr"`` or ``"ros1"``, and ``"protobuf"``
-    """
-    if message.definition.is_ros:
-        from quatprop.writers.messages.ros_messages import RosEncoder
-
-        return RosEncoder(message, ros1="ros1" in encodings)
-    if "protobuf" not in encodings:
-        raise UsageError(
-            f"{quoted(message.type)} is Foxglove's own, in protobuf, and ROS bags hold ROS "
-            "messages; write mcap, or choose "
-            f"{listed(name for name, definition in MESSAGES.items() if definition.is_ros)}"
-        )
-    from quatprop.writers.messages.foxglove_messages import FoxgloveEncoder
-
-    return FoxgloveEncoder(message)
