@@ -8,10 +8,10 @@ from functools import cache
 from mcap.reader import make_reader
 
 from quatprop.errors import LogError, UsageError
-from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates
-from quatprop.logs.signal import AttitudeSignal
+from quatprop.logs.signals.attitudes import choose_attitudes
+from quatprop.logs.signals.rates import choose_rates
+from quatprop.logs.signals.signal import AttitudeSignal
 from quatprop.settings.selection import AttitudeSelection, RateSelection
 
 LENIENT = 2

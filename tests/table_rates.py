@@ -1,6 +1,6 @@
 """Rates of an open table."""
 
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.settings.selection import RateSelection
 
 

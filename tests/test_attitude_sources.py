@@ -24,11 +24,11 @@ from quatprop.errors import (
     UsageError,
 )
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.interpolation import attitude_at, first_orientation
 from quatprop.logs.open_log import open_log
-from quatprop.logs.quaternion_check import QuaternionCheck
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.attitudes import choose_attitudes
+from quatprop.logs.signals.quaternion_check import QuaternionCheck
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.text import in_python
 

@@ -13,7 +13,7 @@ import quatprop
 from quatprop.cli.commands import cli
 from quatprop.errors import SchemaError, UsageError
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.settings.selection import RateSelection
 
 GYRO = "builtin_interfaces/Time stamp\nTriple[1] angular\nfloat64 temperature\n"

@@ -20,7 +20,7 @@ from quatprop.errors import (
 )
 from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates, rate_candidates
+from quatprop.logs.signals.rates import choose_rates, rate_candidates
 from quatprop.series import GyroSeries
 from quatprop.settings.selection import RateSelection
 from quatprop.tables.log import Loss

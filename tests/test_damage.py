@@ -25,7 +25,7 @@ from rosbags.typesys import Stores, get_typestore
 from quatprop.cli.commands import cli
 from quatprop.errors import LogError, SchemaError
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.messages.blocks import Channel
 from quatprop.messages.definitions import message_type
 from quatprop.settings.selection import RateSelection

@@ -12,7 +12,7 @@ from odd_messages import MESSAGE_LOGS
 from odd_tables import TABLE_LOGS
 
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.settings.selection import RateSelection
 
 COUNTS = {"mcap": 90, "bag": 40, "rosbag2": 50, "csv": 90, "arrow": 70, "numpy": 40, "jsonl": 50}

@@ -16,8 +16,8 @@ from topics import found_in, mark, stamps
 from quatprop import propagate, write
 from quatprop.cli.commands import cli
 from quatprop.cli.help import GROUPS
-from quatprop.logs import vocabulary
-from quatprop.logs.vocabulary import TYPES
+from quatprop.logs.vocabulary import sources
+from quatprop.logs.vocabulary.sources import TYPES
 from quatprop.messages.blocks import Channel
 from quatprop.settings.keyword import keywords_of
 from quatprop.writers.formats import WRITERS
@@ -88,7 +88,7 @@ def test_the_development_guide_adds_devices_formats_and_settings(ran, monkeypatc
     assert (found.field, found.row.unit, mark(found)) == ("rate", "deg/s", None)
     assert stamps(found) == [(["stamp_us"], ("us",))]
 
-    monkeypatch.setattr(vocabulary, "ROWS", (*vocabulary.ROWS, columns))
+    monkeypatch.setattr(sources, "ROWS", (*sources.ROWS, columns))
     log, out = document.folder / "mine.csv", document.folder / "out.psv"
     log.write_text("MyTick,TurnX (deg/s),TurnY (deg/s),TurnZ (deg/s)\n0,60,0,0\n100000,0,0,0\n")
     module, _, writer_name = form.opener.partition(":")

@@ -21,7 +21,7 @@ from quatprop.containers.mcap import scan as mcap_scan
 from quatprop.containers.rosbag1 import rebuild as rosbag1_rebuild
 from quatprop.containers.rosbag2 import fetches
 from quatprop.logs.open_log import open_log as opened
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.settings.selection import RateSelection

@@ -17,7 +17,7 @@ from fuzz_logs import write_logs
 import quatprop
 from quatprop.errors import LogError
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.settings.selection import RateSelection
 from quatprop.simulate.gyroscope import Gyroscope
 from quatprop.simulate.motion import Shape
@@ -226,7 +226,7 @@ import os, sys
 from quatprop.errors import LogError
 from quatprop.logs.open_log import open_log
 from quatprop.settings.selection import RateSelection
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.rates import choose_rates
 for path in sys.argv[1:]:
     count, lost = 0, True
     try:

@@ -21,9 +21,9 @@ from quatprop.errors import (
     UndeclaredError,
     UnsupportedLogError,
 )
+from quatprop.logs.clocks.stamps import stamps_of
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates
-from quatprop.logs.stamps import stamps_of
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.messages.blocks import Channel
 from quatprop.messages.json import JsonDecoder
 from quatprop.messages.times import to_ns

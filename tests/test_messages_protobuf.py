@@ -9,9 +9,9 @@ from mcap.writer import Writer
 from topics import found_in
 
 from quatprop.errors import SchemaError
+from quatprop.logs.clocks.stamps import place_of, stamps_of
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates
-from quatprop.logs.stamps import place_of, stamps_of
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.messages.blocks import Channel
 from quatprop.series import GyroSeries
 from quatprop.settings.selection import RateSelection

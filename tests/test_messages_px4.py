@@ -9,7 +9,7 @@ from quatprop.errors import SchemaError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates, rate_candidates
+from quatprop.logs.signals.rates import choose_rates, rate_candidates
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings
 from quatprop.series import GyroSeries

@@ -10,10 +10,10 @@ from topics import found_in, mark, names, stamps
 
 from quatprop.containers.topic_table import TopicTable
 from quatprop.errors import MessageError, SchemaError, UndeclaredError
-from quatprop.logs.matcher import ColumnMatcher
-from quatprop.logs.rows import Row
-from quatprop.logs.stamps import message_stamp, place_of, stamps_of
-from quatprop.logs.vocabulary import ROWS, TYPES
+from quatprop.logs.clocks.stamps import message_stamp, place_of, stamps_of
+from quatprop.logs.matching.matcher import ColumnMatcher
+from quatprop.logs.vocabulary.rows import Row
+from quatprop.logs.vocabulary.sources import ROWS, TYPES
 from quatprop.messages.blocks import Channel, MessageBlock
 from quatprop.messages.times import to_ns
 from quatprop.settings.selection import RateSelection

@@ -161,8 +161,8 @@ UNUSED = {
     *("concurrent.futures", "random", "shutil", "tempfile", "tqdm", "click.shell_completion"),
     *("pyarrow.dataset", "pyarrow.compute", "quatprop.log_copy", "quatprop.comparison.settings"),
     *("quatprop.conditioning.calibration", "quatprop.conditioning.static_detection"),
-    *("quatprop.logs.biases", "quatprop.logs.interpolation", "quatprop.logs.range_readers"),
-    *("mcap", "numpy.ma", "rosbags", "quatprop.messages.transforms", "quatprop.logs.clocks"),
+    *("quatprop.logs.biases", "quatprop.logs.interpolation", "quatprop.logs.signals.range_readers"),
+    *("mcap", "numpy.ma", "rosbags", "quatprop.messages.transforms", "quatprop.logs.clocks.clocks"),
 }
 """What a plain run has no use for, and takes long to import or is easily imported by mistake."""
 

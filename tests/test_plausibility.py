@@ -10,7 +10,7 @@ from quatprop.containers import topic_table
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, rotate
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.pipeline.plausibility import against_orientation, log_remarks, orientation_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.series import AttitudeSeries, GyroSeries

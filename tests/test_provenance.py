@@ -15,8 +15,8 @@ from mcap.writer import Writer as McapWriter
 from quatprop import GyroSeries, propagate
 from quatprop.cli.commands import cli
 from quatprop.errors import DamagedLogError, UsageError
-from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
+from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.provenance import Digest, as_json, digest_ahead, digest_of
 from quatprop.series import AttitudeSeries
 from quatprop.settings.selection import AttitudeSelection

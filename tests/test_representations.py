@@ -14,9 +14,9 @@ from quatprop.cli.commands import cli
 from quatprop.conventions.representations import REPRESENTATIONS, from_euler, from_matrices
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.interpolation import stamps_in
 from quatprop.logs.open_log import open_log
+from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.settings import EULER_SEQUENCES
 from quatprop.settings.selection import AttitudeSelection
 from quatprop.tables.model import Stamp

@@ -10,9 +10,9 @@ from quatprop.conversion.convert import convert
 from quatprop.conversion.job import Conversion
 from quatprop.errors import NotRotationsError
 from quatprop.logs.attitude_input import AttitudeInput
-from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.kinds import READERS
 from quatprop.logs.open_log import open_log
+from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.pipeline.settings import OutputSettings
 from quatprop.series import AttitudeSeries
 from quatprop.settings.selection import AttitudeSelection

@@ -9,7 +9,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from quatprop import DataLossWarning, RemarkWarning, propagate, read_rates
 from quatprop.errors import LogError, TimelineError, UsageError
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.pipeline.survey import survey

@@ -19,7 +19,7 @@ from quatprop.errors import (
     UnreadableLogError,
     UnsupportedLogError,
 )
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.settings.selection import RateSelection
 from quatprop.tables.arrow import FeatherLog, ParquetLog
 from quatprop.text import in_python

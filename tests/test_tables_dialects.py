@@ -7,8 +7,8 @@ import pytest
 
 from quatprop import read_rates
 from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError, UsageError
-from quatprop.logs.matching import find
-from quatprop.logs.rate_columns import match_rates
+from quatprop.logs.matching.find import find
+from quatprop.logs.signals.rate_columns import match_rates
 from quatprop.settings.quantities import RATES
 from quatprop.settings.selection import RateSelection
 from quatprop.settings.spelling import in_options

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from quatprop import RemarkWarning, propagate, read_attitudes, read_rates
 from quatprop.cli.commands import cli
 from quatprop.errors import TimelineError, UndeclaredError, UsageError
-from quatprop.logs.series import labels_of, take_turns
+from quatprop.logs.clocks.series import labels_of, take_turns
 
 AXES = ["wx", "wy", "wz"]
 ROWS = 40

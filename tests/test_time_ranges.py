@@ -18,9 +18,9 @@ from quatprop.conditioning.time_range import clipped
 from quatprop.containers.mcap import loading
 from quatprop.containers.rosbag1 import loading as rosbag1
 from quatprop.errors import NoSamplesError, TimelineError, UsageError
-from quatprop.logs import range_readers
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals import range_readers
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.pipeline import plausibility
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings

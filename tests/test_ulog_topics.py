@@ -7,9 +7,9 @@ from click.testing import CliRunner
 
 from quatprop.cli.commands import cli
 from quatprop.errors import AmbiguousTopicError, NoSuchTopicError
-from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.attitudes import choose_attitudes
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.settings.selection import AttitudeSelection, RateSelection
 
 COUNT = 5

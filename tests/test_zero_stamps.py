@@ -10,9 +10,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop.cli.commands import cli
 from quatprop.errors import TimelineError
-from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.attitudes import choose_attitudes
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.settings.selection import AttitudeSelection, RateSelection
 
 STORE = get_typestore(Stores.LATEST)

@@ -3,8 +3,8 @@
 from types import SimpleNamespace
 
 from quatprop.containers.topic_table import TopicTable
-from quatprop.logs.matching import find, marks_of
-from quatprop.logs.stamps import stamps_of
+from quatprop.logs.clocks.stamps import stamps_of
+from quatprop.logs.matching.find import find, marks_of
 
 LOG = SimpleNamespace(path="log", kind="mcap", has_publish_time=False)
 

@@ -224,7 +224,7 @@ def _side(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:
 
 def _valid(name: str, series: AttitudeSeries) -> AttitudeSeries:
     """Return a series of attitudes; refuse others, as where they are read from a file."""
-    from quatprop.logs.quaternion_check import QuaternionCheck
+    from quatprop.logs.signals.quaternion_check import QuaternionCheck
 
     check = QuaternionCheck(name)
     for _ in check.apply([(series.t_ns, series.wxyz)]):

@@ -103,7 +103,7 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
 def _propagated_log(path: str, settings: PropagationSettings) -> PropagatedSeries:
     from quatprop.concurrency.threads import use_threads
     from quatprop.logs.open_log import open_log
-    from quatprop.logs.rates import choose_rates
+    from quatprop.logs.signals.rates import choose_rates
     from quatprop.pipeline.attitude_stream import AttitudeStream
 
     kind, msg_path = settings.kind, settings.selection.msg_path
@@ -114,7 +114,7 @@ def _propagated_log(path: str, settings: PropagationSettings) -> PropagatedSerie
 
 
 def _propagated_in_memory(rates: GyroSeries, settings: PropagationSettings) -> PropagatedSeries:
-    from quatprop.logs.rates import signal_of_series
+    from quatprop.logs.signals.rates import signal_of_series
     from quatprop.pipeline.attitude_stream import AttitudeStream
 
     if not len(rates):

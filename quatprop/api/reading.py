@@ -73,7 +73,7 @@ def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
         Something was inferred, or looks wrong.
     """
     from quatprop.logs.open_log import open_log
-    from quatprop.logs.rates import choose_rates
+    from quatprop.logs.signals.rates import choose_rates
     from quatprop.settings.selection import RateSelection
 
     path, values = path_text("log", log), parse_all(options, READ_RATES)

@@ -15,7 +15,7 @@ from quatprop.settings.parsers import FILE_SETTINGS
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
-    from quatprop.logs.choice import Candidate
+    from quatprop.logs.signals.choice import Candidate
     from quatprop.tables.log import Log
 
 NAMED = {"topic", "rate_field", "quat_field", "rate_cols", "quat_cols", "time_col"}
@@ -108,8 +108,8 @@ def _names_in(path: str, setting: str, ctx: click.Context) -> list[str]:
 def _in_messages(log: Log, setting: str, ctx: click.Context) -> Iterator[str]:
     """Yield topics, or fields, of what the command reads."""
     from quatprop.errors import LogError
-    from quatprop.logs.attitudes import attitude_candidates
-    from quatprop.logs.rates import rate_candidates
+    from quatprop.logs.signals.attitudes import attitude_candidates
+    from quatprop.logs.signals.rates import rate_candidates
     from quatprop.settings.selection import AttitudeSelection, RateSelection
 
     options = {str(option.name) for option in ctx.command.params}

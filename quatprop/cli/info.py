@@ -104,8 +104,8 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
 def _config(path: str, kind: str | None, selection: RateSelection) -> str:
     """Return the configuration that makes the attitudes of a file again."""
     from quatprop.cli.config import config_of
-    from quatprop.logs.attitudes import choose_attitudes
     from quatprop.logs.open_log import open_log
+    from quatprop.logs.signals.attitudes import choose_attitudes
     from quatprop.settings.selection import AttitudeSelection
 
     with open_log(path, kind, msg_path=selection.msg_path) as log:

@@ -13,9 +13,9 @@ from quatprop.conversion.destination import kept_sigma, open_destination, remark
 from quatprop.conversion.job import Conversion, ConversionReport
 from quatprop.conversion.rates import RATES, rate_batches
 from quatprop.errors import NoSamplesError, UsageError
-from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
-from quatprop.logs.quaternion_check import QuaternionCheck
+from quatprop.logs.signals.attitudes import choose_attitudes
+from quatprop.logs.signals.quaternion_check import QuaternionCheck
 from quatprop.pipeline.job import with_format
 from quatprop.pipeline.report import ReportFile
 from quatprop.provenance import digest_ahead
@@ -26,7 +26,7 @@ from quatprop.writers.targets import refuse_overlap
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from quatprop.logs.signal import AttitudeSignal
+    from quatprop.logs.signals.signal import AttitudeSignal
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.tables.log import Log
     from quatprop.writers.attitudes import AttitudeWriter

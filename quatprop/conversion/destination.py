@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from quatprop.conversion.job import Conversion
-    from quatprop.logs.signal import AttitudeSignal
+    from quatprop.logs.signals.signal import AttitudeSignal
     from quatprop.tables.log import Log
 
 

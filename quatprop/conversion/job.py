@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from quatprop.conventions.layout import Layout
     from quatprop.logs.attitude_input import AttitudeInput
-    from quatprop.logs.quaternion_check import QuaternionCounts
-    from quatprop.logs.signal import AttitudeSignal
+    from quatprop.logs.signals.quaternion_check import QuaternionCounts
+    from quatprop.logs.signals.signal import AttitudeSignal
     from quatprop.pipeline.settings import OutputSettings
     from quatprop.tables.log import Loss
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from quatprop.errors import NoSamplesError, QuatpropError
-from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
-from quatprop.logs.quaternion_check import QuaternionCheck, QuaternionCounts
+from quatprop.logs.signals.attitudes import choose_attitudes
+from quatprop.logs.signals.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.series import AttitudeSeries
 from quatprop.settings import READ_ATTITUDES
 from quatprop.settings.selection import AttitudeSelection
@@ -22,7 +22,7 @@ from quatprop.text import Setting
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from quatprop.logs.signal import AttitudeSignal
+    from quatprop.logs.signals.signal import AttitudeSignal
     from quatprop.provenance import JsonObject
     from quatprop.tables.log import Log, Loss
 

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 from quatprop.conditioning import FROM_TRANSFORMS, GyroCorrection, GyroCorrectionInputs
 from quatprop.errors import LogError, UsageError
-from quatprop.logs.matching import Match, beside, marks_of
-from quatprop.logs.quaternion_check import QuaternionCheck
-from quatprop.logs.reading import read_vectors
+from quatprop.logs.matching.find import Match, beside, marks_of
+from quatprop.logs.signals.quaternion_check import QuaternionCheck
+from quatprop.logs.signals.reading import read_vectors
 from quatprop.settings.selection import AttitudeSelection, RateSelection
 
 if TYPE_CHECKING:
     from quatprop.conditioning.window_sums import Rows
-    from quatprop.logs.signal import AttitudeSignal, RateSignal
+    from quatprop.logs.signals.signal import AttitudeSignal, RateSignal
     from quatprop.tables.log import Log
 
 
@@ -80,7 +80,7 @@ def specific_forces(source: RateSignal) -> Rows | None:
 
 def own_orientation(log: Log, source: RateSignal, selection: RateSelection) -> AttitudeSignal:
     """Return the orientation that is in the same messages or rows as the rates, on their clock."""
-    from quatprop.logs.attitudes import choose_attitudes
+    from quatprop.logs.signals.attitudes import choose_attitudes
 
     wanted = AttitudeSelection.like(selection)
     for match in source.matches:

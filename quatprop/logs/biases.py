@@ -9,11 +9,11 @@ import numpy as np
 
 from quatprop.conditioning.calibration import BiasSeries
 from quatprop.errors import LogError, UsageError
-from quatprop.logs.matching import column_beside, find
+from quatprop.logs.matching.find import column_beside, find
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rate_columns import match_bias
-from quatprop.logs.reading import read_vectors
-from quatprop.logs.vocabulary import TYPES
+from quatprop.logs.signals.rate_columns import match_bias
+from quatprop.logs.signals.reading import read_vectors
+from quatprop.logs.vocabulary.sources import TYPES
 from quatprop.settings.selection import RateSelection, SignalSelection
 from quatprop.text import Setting, listed, plain, quoted
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.logs.matching import Match
+    from quatprop.logs.matching.find import Match
     from quatprop.tables.log import Log
 
 

@@ -21,11 +21,11 @@ from quatprop.errors import (
 )
 from quatprop.kinematics.quaternion import normalize, slerp
 from quatprop.logs.attitude_input import errors_of
-from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.beside_rates import own_orientation
 from quatprop.logs.open_log import open_log
-from quatprop.logs.quaternion_check import QuaternionCheck
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.attitudes import choose_attitudes
+from quatprop.logs.signals.quaternion_check import QuaternionCheck
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.settings.selection import AttitudeSelection, RateSelection, SignalSelection
 from quatprop.text import Setting, plain, quoted
 from quatprop.times import NS_PER_UNIT, duration_text
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.logs.signal import RateSignal
+    from quatprop.logs.signals.signal import RateSignal
     from quatprop.series import AttitudeSeries
     from quatprop.tables.log import Log
 

@@ -20,7 +20,7 @@ from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
-    from quatprop.logs.signal import RateSignal
+    from quatprop.logs.signals.signal import RateSignal
     from quatprop.tables.log import Log
 
     RotationGraph = dict[str, dict[str, Float64]]

@@ -28,7 +28,7 @@ from quatprop.timeline.counts import remarks
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.logs.signal import RateSignal
+    from quatprop.logs.signals.signal import RateSignal
     from quatprop.pipeline.settings import PropagationSettings
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.tables.log import Log

@@ -15,7 +15,7 @@ from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
-    from quatprop.logs.signal import RateSignal
+    from quatprop.logs.signals.signal import RateSignal
     from quatprop.series import GyroSeries
     from quatprop.settings.selection import RateSelection
     from quatprop.tables.log import Log

@@ -14,7 +14,7 @@ import numpy as np
 from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.errors import UsageError
 from quatprop.logs.open_log import is_stream, open_log
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.pipeline.attitude_stream import AttitudeStream
 from quatprop.pipeline.report import ReportFile, RunReport, digests_of_inputs
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings

@@ -14,9 +14,9 @@ import numpy as np
 from quatprop.errors import QuatpropError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.logs.attitudes import choose_attitudes
-from quatprop.logs.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.logs.sensor_frames import sensor_frames
+from quatprop.logs.signals.attitudes import choose_attitudes
+from quatprop.logs.signals.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.settings.selection import AttitudeSelection
 from quatprop.text import Setting, listed
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.logs.signal import RateSignal
+    from quatprop.logs.signals.signal import RateSignal
     from quatprop.tables.log import Log
 
 

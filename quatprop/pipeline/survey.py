@@ -22,10 +22,10 @@ from quatprop.errors import (
     UndeclaredError,
     UsageError,
 )
-from quatprop.logs.attitudes import attitude_candidates, meaning_of, recorded_convention
 from quatprop.logs.open_log import open_log
-from quatprop.logs.quaternion_check import QuaternionCheck
-from quatprop.logs.rates import rate_candidates
+from quatprop.logs.signals.attitudes import attitude_candidates, meaning_of, recorded_convention
+from quatprop.logs.signals.quaternion_check import QuaternionCheck
+from quatprop.logs.signals.rates import rate_candidates
 from quatprop.pipeline.log_survey import AttitudeSurvey, LogSurvey, RateSurvey, making, timing
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from quatprop.arrays import Int64
-    from quatprop.logs.choice import Candidate, SelectionT, SignalT
-    from quatprop.logs.signal import AttitudeSignal, RateSignal
+    from quatprop.logs.signals.choice import Candidate, SelectionT, SignalT
+    from quatprop.logs.signals.signal import AttitudeSignal, RateSignal
     from quatprop.series import GyroSeries
     from quatprop.tables.log import Log
     from quatprop.tables.model import Table

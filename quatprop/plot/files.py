@@ -22,10 +22,10 @@ from quatprop.errors import (
     NothingToDrawError,
     UndeclaredError,
 )
-from quatprop.logs.attitudes import choose_attitudes
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates
-from quatprop.logs.signal import AttitudeSignal, RateSignal
+from quatprop.logs.signals.attitudes import choose_attitudes
+from quatprop.logs.signals.rates import choose_rates
+from quatprop.logs.signals.signal import AttitudeSignal, RateSignal
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.plot.accumulators import SIGMA_BAND, Accumulator, AttitudeAccumulator, RateAccumulator

@@ -2,7 +2,7 @@
 
 A topic is a table whose message definition is flattened to columns; a file of rows is one table; a
 list of transforms is a table of its elements. What a column means is said in
-:mod:`quatprop.logs.vocabulary`, not here.
+:mod:`quatprop.logs.vocabulary.sources`, not here.
 """
 
 from __future__ import annotations

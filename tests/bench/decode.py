@@ -11,7 +11,7 @@ from rosbags.highlevel import AnyReader
 from table import Table, best_of
 
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.settings.selection import RateSelection
 
 CHUNK_HEAD = 9 + 8 + 8 + 8 + 4 + 4 + 8

@@ -10,7 +10,7 @@ from table import Table, best_of
 from quatprop.concurrency.threads import use_threads
 from quatprop.kinematics.propagate import Propagation
 from quatprop.logs.open_log import open_log
-from quatprop.logs.rates import choose_rates
+from quatprop.logs.signals.rates import choose_rates
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.provenance import digest_of
 from quatprop.series import AttitudeSeries

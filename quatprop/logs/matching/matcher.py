@@ -10,10 +10,10 @@ import re
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
-from quatprop.logs import vocabulary
-from quatprop.logs.matching import Found, matching, sets_of
-from quatprop.logs.rows import PARTS
-from quatprop.logs.vocabulary import GENERIC
+from quatprop.logs.matching.find import Found, matching, sets_of
+from quatprop.logs.vocabulary import sources
+from quatprop.logs.vocabulary.rows import PARTS
+from quatprop.logs.vocabulary.sources import GENERIC
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.tables.column_names import as_option, parse_name
 from quatprop.text import Setting, did_you_mean, listed, plain, quoted
@@ -21,7 +21,7 @@ from quatprop.text import Setting, did_you_mean, listed, plain, quoted
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-    from quatprop.logs.rows import Row
+    from quatprop.logs.vocabulary.rows import Row
     from quatprop.settings.selection import SignalSelection
     from quatprop.tables.model import Group
 
@@ -170,7 +170,7 @@ class ColumnMatcher:
         names = {column.key for column in self.columns}
         names |= {column.text.strip("\ufeff ").lower() for column in self.columns}
         names.add(self.notes.title.lower())
-        for row in vocabulary.ROWS:
+        for row in sources.ROWS:
             if (
                 row.name
                 and names.issuperset(row.needs)

@@ -19,8 +19,8 @@ from quatprop.errors import (
     UnsupportedLogError,
     UsageError,
 )
-from quatprop.logs.matching import Found, find
-from quatprop.logs.signal import RateSignal, Signal
+from quatprop.logs.matching.find import Found, find
+from quatprop.logs.signals.signal import RateSignal, Signal
 from quatprop.text import Setting, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 from quatprop.errors import LogError
 from quatprop.kinematics.quaternion import conjugate
 from quatprop.kinematics.uncertainty import reference_covariance
-from quatprop.logs.matching import matching
+from quatprop.logs.matching.find import matching
 from quatprop.provenance import entry_of
 from quatprop.series import SIGMA_COLUMNS
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.arrays import Float64, Int64
-    from quatprop.logs.matching import Match
+    from quatprop.logs.matching.find import Match
     from quatprop.provenance import JsonObject
     from quatprop.tables.model import Group, Table
 

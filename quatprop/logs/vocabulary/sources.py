@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from functools import partial
 
-from quatprop.logs.names import BIAS, FORCE, POSITION, QUATERNION
-from quatprop.logs.rows import ABSENT, WXYZ, XYZ, Burst, Row
+from quatprop.logs.vocabulary.names import BIAS, FORCE, POSITION, QUATERNION
+from quatprop.logs.vocabulary.rows import ABSENT, WXYZ, XYZ, Burst, Row
 from quatprop.messages.schema import ros_name
 from quatprop.tables.column_names import EULER, GYROSCOPE, TIME_NAMES
 

@@ -8,9 +8,9 @@ from itertools import takewhile
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UndeclaredError, UsageError
-from quatprop.logs import clocks
-from quatprop.logs.clocks import Clock
-from quatprop.logs.vocabulary import GENERIC
+from quatprop.logs.clocks import clocks
+from quatprop.logs.clocks.clocks import Clock
+from quatprop.logs.vocabulary.sources import GENERIC
 from quatprop.tables.base import OTHER_DATES
 from quatprop.tables.column_names import TIME_UNITS, whole_key
 from quatprop.tables.timestamps import from_text
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.arrays import Float64
-    from quatprop.logs.matcher import ColumnMatcher
-    from quatprop.logs.rows import Row
+    from quatprop.logs.matching.matcher import ColumnMatcher
+    from quatprop.logs.vocabulary.rows import Row
     from quatprop.tables.model import Group
 
 _PARTS_OF_A_SECOND = "|".join(name for unit in ("ms", "us", "ns") for name in TIME_UNITS[unit])

@@ -17,12 +17,12 @@ from quatprop.conventions.layout import LAYOUTS, layout_named
 from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.quaternion import IDENTITY
-from quatprop.logs.attitude_columns import match_attitudes
-from quatprop.logs.attitude_covariance import CONSTANT_MESSAGES, covariance_beside
-from quatprop.logs.choice import ATTITUDES, Candidate, candidates, choose
-from quatprop.logs.matching import beside
-from quatprop.logs.signal import AttitudeSignal
-from quatprop.logs.stamps import are_all
+from quatprop.logs.clocks.stamps import are_all
+from quatprop.logs.matching.find import beside
+from quatprop.logs.signals.attitude_columns import match_attitudes
+from quatprop.logs.signals.attitude_covariance import CONSTANT_MESSAGES, covariance_beside
+from quatprop.logs.signals.choice import ATTITUDES, Candidate, candidates, choose
+from quatprop.logs.signals.signal import AttitudeSignal
 from quatprop.provenance import entry_of
 from quatprop.text import Setting, plain
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import Any
 
-    from quatprop.logs.matching import Found
+    from quatprop.logs.matching.find import Found
     from quatprop.settings.selection import AttitudeSelection
     from quatprop.tables.log import Log
     from quatprop.tables.model import Table

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from quatprop.conventions import HAMILTON
 from quatprop.errors import LogError
-from quatprop.logs.reading import attitudes_of, rates_of
+from quatprop.logs.signals.reading import attitudes_of, rates_of
 from quatprop.series import GyroSeries
 from quatprop.tables.batches import merge_by_time
 from quatprop.text import quoted
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
     from quatprop.conditioning.time_range import PartReader
     from quatprop.conventions import AttitudeConvention
-    from quatprop.logs.attitude_covariance import CovarianceColumns
-    from quatprop.logs.matching import Match
+    from quatprop.logs.matching.find import Match
+    from quatprop.logs.signals.attitude_covariance import CovarianceColumns
     from quatprop.provenance import JsonObject
     from quatprop.tables.batches import RowBatch
     from quatprop.tables.model import Group, Within
@@ -91,7 +91,7 @@ class RateSignal(Signal):
         """Return what reads parts of the log; None where it can only be read as a whole."""
         if self.is_logged or len(self.matches) != 1:
             return None
-        from quatprop.logs.range_readers import RangeReader, TableRangeReader
+        from quatprop.logs.signals.range_readers import RangeReader, TableRangeReader
 
         table = self.matches[0].table
         if spans := table.spans(self.matches[0].stamp):
@@ -193,8 +193,8 @@ class AttitudeSignal(Signal):
         """Read the arguments of :class:`quatprop.series.AttitudeSeries`, batch after batch.
 
         They are in the order of the log, and not checked: see
-        :class:`quatprop.logs.quaternion_check.QuaternionCheck`. What is not wanted is None; those
-        of messages go up to their log times if these are wanted.
+        :mod:`quatprop.logs.signals.quaternion_check`. What is not wanted is None; those of messages
+        go up to their log times if these are wanted.
         """
         wanted = (
             *(self.position if positions else ()),

@@ -6,8 +6,8 @@ import re
 from typing import TYPE_CHECKING
 
 from quatprop.errors import SchemaError, TimelineError, UndeclaredError, UsageError
-from quatprop.logs.first_batch import first_batch
-from quatprop.logs.rows import STAMPS
+from quatprop.logs.matching.first_batch import first_batch
+from quatprop.logs.vocabulary.rows import STAMPS
 from quatprop.messages.times import NANOSECONDS, SECONDS
 from quatprop.tables.model import Stamp
 from quatprop.text import Setting, quoted
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from quatprop.arrays import AnyArray
-    from quatprop.logs.matcher import ColumnMatcher
-    from quatprop.logs.matching import Found
-    from quatprop.logs.rows import Row
+    from quatprop.logs.matching.find import Found
+    from quatprop.logs.matching.matcher import ColumnMatcher
+    from quatprop.logs.vocabulary.rows import Row
     from quatprop.tables.model import Group, Table
 
 
@@ -63,7 +63,7 @@ def choose_time(
     `row`: what the table is; columns that the user names may be none of its
     """
     if not found.table.log_clocks:
-        from quatprop.logs.time_columns import time_in_file
+        from quatprop.logs.clocks.time_columns import time_in_file
 
         return time_in_file(matcher, found, marks, row or found.row), found.table
     matcher.refuse_undeclared()

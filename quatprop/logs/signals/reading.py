@@ -8,9 +8,9 @@ import numpy as np
 
 from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import MessageError, TimelineError
-from quatprop.logs.first_batch import first_batch
-from quatprop.logs.matching import column_beside
-from quatprop.logs.stamps import are_all
+from quatprop.logs.clocks.stamps import are_all
+from quatprop.logs.matching.find import column_beside
+from quatprop.logs.matching.first_batch import first_batch
 from quatprop.messages.times import to_ns
 from quatprop.tables.batches import RowBatch, without_misfits
 from quatprop.tables.column_names import as_option
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from quatprop.arrays import AnyArray, Float64, Int64
-    from quatprop.logs.matching import Match
-    from quatprop.logs.rows import Burst
+    from quatprop.logs.matching.find import Match
+    from quatprop.logs.vocabulary.rows import Burst
     from quatprop.tables.model import Convert, Group, Within
 
 ABSENT = -1.0

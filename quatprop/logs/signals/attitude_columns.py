@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 from quatprop.conventions.layout import SCALAR_FIRST, SCALAR_LAST, layout_named
 from quatprop.errors import NoAttitudesError, UndeclaredError, UsageError
-from quatprop.logs.matcher import ColumnMatcher
-from quatprop.logs.matching import Found, Match, marks_of
-from quatprop.logs.names import COMPONENT, ROTATIONS
-from quatprop.logs.rows import QUATERNION_PARTS
-from quatprop.logs.stamps import choose_time
-from quatprop.logs.vocabulary import GENERIC
+from quatprop.logs.clocks.stamps import choose_time
+from quatprop.logs.matching.find import Found, Match, marks_of
+from quatprop.logs.matching.matcher import ColumnMatcher
+from quatprop.logs.vocabulary.names import COMPONENT, ROTATIONS
+from quatprop.logs.vocabulary.rows import QUATERNION_PARTS
+from quatprop.logs.vocabulary.sources import GENERIC
 from quatprop.tables.column_names import ANGLE_UNITS, EULER, EULER_NUMBERED
 from quatprop.text import Setting, listed, plain, quoted
 

@@ -9,7 +9,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, cast
 
 from quatprop.errors import QuatpropError, SchemaError
-from quatprop.logs.matching import column_beside, find, marks_of
+from quatprop.logs.matching.find import column_beside, find, marks_of
 from quatprop.tables.batches import RowBatch
 
 if TYPE_CHECKING:

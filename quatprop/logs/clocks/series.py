@@ -12,13 +12,13 @@ from itertools import groupby
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
-from quatprop.logs.names import SENSOR
+from quatprop.logs.vocabulary.names import SENSOR
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
-    from quatprop.logs.matcher import ColumnMatcher
+    from quatprop.logs.matching.matcher import ColumnMatcher
 
     Series = tuple[tuple[int, str], ...]
 

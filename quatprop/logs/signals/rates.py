@@ -5,14 +5,14 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING
 
-from quatprop.logs.choice import RATES, Candidate, candidates, choose
-from quatprop.logs.rate_columns import match_rates
-from quatprop.logs.reading import refuse_marked
-from quatprop.logs.signal import RateSignal
+from quatprop.logs.signals.choice import RATES, Candidate, candidates, choose
+from quatprop.logs.signals.rate_columns import match_rates
+from quatprop.logs.signals.reading import refuse_marked
+from quatprop.logs.signals.signal import RateSignal
 
 if TYPE_CHECKING:
-    from quatprop.logs.matching import Found
-    from quatprop.logs.rows import Row
+    from quatprop.logs.matching.find import Found
+    from quatprop.logs.vocabulary.rows import Row
     from quatprop.series import GyroSeries
     from quatprop.settings.selection import RateSelection
     from quatprop.tables.log import Log

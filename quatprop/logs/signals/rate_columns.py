@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 from quatprop.conditioning.mounting import mounting
 from quatprop.errors import LogError, NoRatesError, UndeclaredError, UsageError
-from quatprop.logs.matcher import ColumnMatcher
-from quatprop.logs.matching import Found, Match, marks_of
-from quatprop.logs.names import BARE_RATES, BESIDE_BARE_RATES, WITH_RATE_UNIT
-from quatprop.logs.rows import RATE_PARTS
-from quatprop.logs.stamps import choose_time
-from quatprop.logs.vocabulary import GENERIC, ROWS
+from quatprop.logs.clocks.stamps import choose_time
+from quatprop.logs.matching.find import Found, Match, marks_of
+from quatprop.logs.matching.matcher import ColumnMatcher
+from quatprop.logs.vocabulary.names import BARE_RATES, BESIDE_BARE_RATES, WITH_RATE_UNIT
+from quatprop.logs.vocabulary.rows import RATE_PARTS
+from quatprop.logs.vocabulary.sources import GENERIC, ROWS
 from quatprop.settings.quantities import RATES, SCALED_RATE_UNITS
 from quatprop.tables.column_names import AXIS_FIRST, RATE_UNITS
 from quatprop.text import Setting, listed, plain
@@ -23,7 +23,7 @@ from quatprop.text import Setting, listed, plain
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from quatprop.logs.rows import Row
+    from quatprop.logs.vocabulary.rows import Row
     from quatprop.settings.selection import RateSelection, SignalSelection
 
 

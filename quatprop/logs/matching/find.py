@@ -6,8 +6,8 @@ import re
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import SchemaError
-from quatprop.logs.rows import PARTS, Row
-from quatprop.logs.vocabulary import GENERIC, TYPES, row_of_type
+from quatprop.logs.vocabulary.rows import PARTS, Row
+from quatprop.logs.vocabulary.sources import GENERIC, TYPES, row_of_type
 from quatprop.tables.column_names import rate_unit_of, whole_key
 from quatprop.tables.model import TablePart
 from quatprop.text import quoted

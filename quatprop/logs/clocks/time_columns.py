@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
-from quatprop.logs import clocks
-from quatprop.logs.clock_choice import (
+from quatprop.logs.clocks import clocks
+from quatprop.logs.clocks.choice import (
     ambiguous_time,
     are_two_clocks,
     best_clock,
@@ -21,7 +21,7 @@ from quatprop.logs.clock_choice import (
     utc_offset_ns,
     with_fraction,
 )
-from quatprop.logs.series import SeriesChoice
+from quatprop.logs.clocks.series import SeriesChoice
 from quatprop.tables.base import OTHER_DATES
 from quatprop.tables.column_names import TIME_UNITS
 from quatprop.tables.counters import counting
@@ -31,9 +31,9 @@ from quatprop.text import Setting, plain
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from quatprop.logs.matcher import ColumnMatcher
-    from quatprop.logs.matching import Found
-    from quatprop.logs.rows import Row
+    from quatprop.logs.matching.find import Found
+    from quatprop.logs.matching.matcher import ColumnMatcher
+    from quatprop.logs.vocabulary.rows import Row
     from quatprop.tables.counters import Counting
     from quatprop.tables.model import Group
 
@@ -44,7 +44,7 @@ _NO_COLUMN = "none"
 
 
 def time_in_file(matcher: ColumnMatcher, found: Found, marks: Group, row: Row) -> Stamp:
-    """Return the time of columns of a file; see :func:`quatprop.logs.stamps.choose_time`."""
+    """Return the time of columns of a file; see :func:`quatprop.logs.clocks.stamps.choose_time`."""
     numbers = (*found.sets[0], *marks)
     stamp = _source(matcher, row, numbers)
     time, steady = stamp.columns, stamp.sample_rate

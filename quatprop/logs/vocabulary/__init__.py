@@ -1,0 +1,1 @@
+"""What columns mean: names, and a row for each message type and program."""
