@@ -89,7 +89,6 @@ def test_layers_import_downwards_only(path):
             assert LAYER[other] <= LAYER[own], f"{path.relative_to(PACKAGE)} imports {name}"
 
 
-@pytest.mark.xfail(reason="quatprop.tables.base and .file_table import each other", strict=True)
 def test_no_imports_lead_in_a_circle():
     """Neither as modules load nor later, and not for types alone: each can be read by itself.
 
