@@ -62,6 +62,7 @@ def _between(messages, others):
 UNNOTICED = {
     "format: definition": "a field of another name",
     "message: id of an instance": "a message of another instance of the topic",
+    "subscription: instance": "the messages of another instance of the topic",
 }
 
 
@@ -81,5 +82,7 @@ def heads(log):
             number = "id of an instance" if has_instances else "id"
             what = {"format": "definition", "message": number}.get(kind, "content")
             names.update(dict.fromkeys(range(begin, end), f"{kind}: {what}"))
+        if kind == "subscription":
+            names[begin] = "subscription: instance"
         at += 3 + size
     return names
