@@ -232,6 +232,10 @@ for path in sys.argv[1:]:
     try:
         with open_log(path) as log:
             batches = choose_rates(log, RateSelection()).batches()
+            # These logs are so small that all of them is held since the rates were chosen.
+            for table in log.tables():
+                if hasattr(table, "release"):
+                    table.release()
             os.truncate(path, os.path.getsize(path) // 2)
             count = sum(len(batch) for batch in batches)
             lost = bool(log.losses)
@@ -262,8 +266,7 @@ def test_logs_that_become_shorter_while_they_are_read_end_early(logs, tmp_path):
     for name, line in zip(CHANGING, result.stdout.splitlines(), strict=True):
         count, lost = line.split()
         assert (lost == "True") == (int(count) < samples_of(logs / name)), name
-        # Of messages without chunks the first ones are held by then: all of them here.
-        assert lost == "True" or name in {"small.db3", "mcap-unchunked.mcap", "gyro.ulg"}, name
+        assert lost == "True" or name == "small.db3", name
 
 
 @pytest.mark.parametrize("name", CHANGING)
