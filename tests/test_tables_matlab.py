@@ -141,3 +141,17 @@ def test_two_files_of_version_4_in_one_are_refused(path):
     path.write_bytes(2 * path.read_bytes())
     reason = "several of its variables have one name; was another file joined to it?"
     assert refusal(path) == reason
+
+
+@pytest.mark.parametrize("header", [b"MATLAB 5.0", b"MATXAB 5.0"])
+@pytest.mark.parametrize("kind", [0, 8, 20, 76, 169, 0xFFFF])
+def test_data_of_an_unknown_type_are_a_damaged_variable(path, header, kind):
+    """The library looks such a type up beyond its table: the process would end."""
+    savemat(path, {"t": np.arange(200)})
+    data = bytearray(path.read_bytes())
+    data[: len(header)] = header
+    struct.pack_into("<I", data, 128 + 8 + 16 + 16 + 8, kind)
+    path.write_bytes(data)
+    assert "a variable is damaged: the type of its data is unknown" in refusal(
+        path, DamagedLogError
+    )

@@ -31,7 +31,9 @@ if TYPE_CHECKING:
 
 _MAGIC = b"MATLAB 5.0"
 _HEADER_BYTES, _TAG_BYTES = 128, 8
-_COMPRESSED = 15
+_COMPRESSED, _MATRIX = 15, 14
+_TYPES = {*range(1, 8), 9, *range(12, 19)}
+"""Types of data; scipy looks up any other number beyond the end of its table."""
 _DEEPEST = 8
 _OBJECT = (
     "it is an object, which only MATLAB reads; save a table by table2struct(t,'ToScalar',true)"
@@ -87,7 +89,7 @@ class MatlabLog(NumpyTable):
             size = file.seek(0, 2)
             file.seek(0)
             header = file.read(_HEADER_BYTES)
-            if not header.startswith(_MAGIC):
+            if 0 in header[:4]:
                 yield "byte 0", header + file.read()  # of version 4, which is not compressed
                 return
             budget = DecompressionBudget(size)
@@ -110,7 +112,12 @@ class MatlabLog(NumpyTable):
                 except UnreadableDataError as error:
                     self.losses.note(place, f"a variable is damaged: {error.reason}")
                     continue
-                yield place, header + element
+                if _has_known_types(memoryview(element), order):
+                    yield place, header + element
+                else:
+                    self.losses.note(
+                        place, "a variable is damaged: the type of its data is unknown"
+                    )
 
     def _decompressed(self, data: bytes, budget: DecompressionBudget) -> bytes:
         element = bytearray()
@@ -148,3 +155,20 @@ class MatlabLog(NumpyTable):
 
     def _open_rows(self, member: str) -> BinaryIO:
         return BytesIO(np.ascontiguousarray(self._arrays[member]).tobytes())
+
+
+def _has_known_types(data: memoryview, order: str) -> bool:
+    """Return whether all elements, and those in matrices, are of types that the format has."""
+    at = 0
+    while at + _TAG_BYTES <= len(data):
+        kind, length = struct.unpack_from(order + "II", data, at)
+        small = kind >> 16
+        if (kind & 0xFFFF if small else kind) not in _TYPES:
+            return False
+        at += _TAG_BYTES
+        if small:  # up to four bytes stand in the tag
+            continue
+        if kind == _MATRIX and not _has_known_types(data[at : at + length], order):
+            return False
+        at += length + -length % _TAG_BYTES
+    return True
