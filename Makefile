@@ -47,14 +47,14 @@ demo: $(READY_DEMO)
 	@PATH="$(CURDIR)/$(BIN):$$PATH" sh sample_logs/demo.sh
 
 test: $(READY)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto
 
 lowest:
 	$(PYTHON) -m venv --clear .venv-lowest
 	.venv-lowest/bin/python -m pip install --quiet --disable-pip-version-check uv
 	.venv-lowest/bin/uv pip install --quiet --python .venv-lowest/bin/python --resolution lowest-direct \
 		--editable '.[dev]'
-	.venv-lowest/bin/python -m pytest
+	.venv-lowest/bin/python -m pytest -n auto
 
 dist:
 	rm -rf dist build *.egg-info
@@ -66,22 +66,22 @@ dist:
 	$(MAKE) -C dist/sdist test
 
 fuzz: $(READY)
-	$(BIN)/python tests/fuzz.py
-	$(BIN)/python tests/flips.py
-	$(BIN)/python tests/command_lines.py
+	cd tests && ../$(BIN)/python -m fuzz.damage
+	cd tests && ../$(BIN)/python -m fuzz.flips
+	cd tests && ../$(BIN)/python -m fuzz.command_lines
 
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/mypy --strict tests/typed_use.py
+	$(BIN)/mypy --strict tests/examples/typed_use.py
 
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
 documents: $(READY)
-	$(BIN)/python tests/documents.py
+	PYTHONPATH=tests $(BIN)/python -m make.documents
 
 bench: $(READY_BENCH)
 	$(BIN)/python tests/bench

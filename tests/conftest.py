@@ -7,11 +7,9 @@ from pathlib import Path
 import click.testing
 import hypothesis
 import pytest
+from make.places import ROOT, SHARED_LOGS
 
-SHARED_LOGS = Path(
-    os.environ.get("QUATPROP_SHARED_LOGS", Path(__file__).parents[2] / "shared" / "logs")
-)
-BYTES = json.loads(Path(__file__).with_name("recordings.json").read_text())
+BYTES = json.loads((ROOT / "tests" / "field" / "recordings.json").read_text())
 """The recordings that the tests were written against, with their sizes."""
 
 
@@ -66,7 +64,7 @@ def shared_logs() -> Path:
 def store_server():
     """Return an object store on this machine, for all tests; the environment names it."""
     pytest.importorskip("moto")
-    from store_server import StoreServer
+    from make.store_server import StoreServer
 
     before = dict(os.environ)
     server = StoreServer()

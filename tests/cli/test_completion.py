@@ -1,0 +1,298 @@
+"""Completion in real shells, and what it offers."""
+
+import os
+import random
+import re
+import select
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.shell_completion import ShellComplete
+from make.places import ROOT
+
+from quatprop.cli.bash_completion import Bash
+from quatprop.cli.commands import COMMANDS, cli
+
+pexpect = pytest.importorskip("pexpect")
+
+SAMPLES = ROOT / "sample_logs"
+
+START = {
+    "bash": ["--norc", "--noprofile", "-i"],
+    "zsh": ["-f", "-i"],
+    "fish": ["--no-config", "-i"],
+}
+ENABLE = {
+    "bash": "source <(quatprop completion bash)",
+    "zsh": "autoload -U compinit && compinit -u -D && source <(quatprop completion zsh)",
+    "fish": "quatprop completion fish | source",
+}
+
+
+def shell_in(folder, shell):
+    """Return a real shell in a folder that completes with the real ``quatprop``."""
+    if shutil.which(shell) is None:
+        pytest.skip(f"{shell} is not installed")
+    environment = {
+        "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
+        "PYTHONPATH": str(ROOT),
+        "HOME": str(folder),
+        "TERM": "xterm",
+        "LANG": "C.UTF-8",
+    }
+    terminal = pexpect.spawn(
+        shell, START[shell], cwd=folder, env=environment, dimensions=(40, 200), timeout=60
+    )
+    terminal.sendline(f"{ENABLE[shell]} && echo rea''dy")
+    terminal.expect("ready")
+    return terminal
+
+
+@pytest.mark.parametrize("shell", START)
+def test_a_line_is_completed_word_by_word(shell, tmp_path):
+    """Command, file, option, choice, and the topic from the file; then the line runs."""
+    shutil.copy(SAMPLES / "tumbling.bag", tmp_path / "walk.bag")
+    terminal = shell_in(tmp_path, shell)
+    for typed in ("quatprop propa", "wal", "--metho", "coni", "-t "):
+        terminal.send(typed + "\t")
+        terminal.expect(".+")
+    terminal.sendline("-o out.csv -q && echo do''ne")
+    terminal.expect("done")
+    terminal.close()
+    assert len((tmp_path / "out.csv").read_text().splitlines()) == 1001
+
+
+@pytest.mark.parametrize("shell", START)
+def test_names_of_files_and_columns_are_not_executed(shell, tmp_path):
+    """A log whose name and columns are commands: what is completed is the name."""
+    command = "$(touch PWNED)"
+    rows = "".join(f"{k},0,0,1\n" for k in range(5))
+    (tmp_path / f"{command}.csv").write_text(f"{command},wx,wy,wz\n{rows}")
+    terminal = shell_in(tmp_path, shell)
+    units = "--rate-unit rad/s --time-unit ns"
+    for typed in (
+        "quatprop propagate ",
+        f"-q -o out.csv {units} --rate-cols wx,wy,wz --time-col '$(t",
+    ):
+        terminal.send(typed + "\t")
+        terminal.expect(".+")
+    terminal.sendline("; echo do''ne")
+    terminal.expect("done")
+    terminal.close()
+    assert sorted(path.name for path in tmp_path.iterdir() if path.name[0] != ".") == [
+        f"{command}.csv", "out.csv"
+    ]  # fmt: skip
+
+
+def offered(*words):
+    """Return what is offered for the last word: values, or the kind of a path."""
+    *before, incomplete = words
+    found = ShellComplete(cli, {}, "quatprop", "_").get_completions(before, incomplete)
+    return [item.value if item.type == "plain" else item.type for item in found]
+
+
+@pytest.mark.parametrize(
+    ("words", "values"),
+    [
+        (["co"], ["convert", "compare", "completion"]),
+        (["propagate", "x"], ["file"]),
+        (["propagate", "x.bag", "-o", "y"], ["file"]),
+        (["propagate", "x.bag", "--on-g"], ["--on-gap"]),
+        (["propagate", "x.bag", "--q0", "w"], ["file"]),
+        (["propagate", "x.bag", "--start", ""], []),
+        (["propagate", "none.bag", "-t", ""], []),
+        (["propagate", "-", "-t", ""], []),
+        (["propagate", "s3://b/log.bag", "-t", ""], []),
+        (["propagate", "coning.mcap", "-t", ""], ["/imu"]),
+        (["propagate", "-t", ""], []),
+        (["info", "coning.mcap", "rest.parquet", "--rate-field", "ang"], ["angular_velocity"]),
+        (["plot", "coning.mcap", "-t", "/"], ["/imu"]),
+        (["propagate", "spin.csv", "-t", ""], []),
+        (["propagate", "spin.csv", "--time-col", ""], ["t_ns", "wx", "wy", "wz"]),
+        (["propagate", "spin.csv", "--rate-cols", "wx,w"], ["wx,wy", "wx,wz"]),
+        (["compare", "spin.csv", "spin.truth.csv", "--quat-cols-b", "qw,qx,"],
+         ["qw,qx,t_ns", "qw,qx,qy", "qw,qx,qz"]),
+        (["compare", "spin.csv", "spin.truth.csv", "--time-col-a", "w"], ["wx", "wy", "wz"]),
+        (["plot", "coning.mcap", "--reference", "spin.truth.csv", "--time-col-ref", "t"], ["t_ns"]),
+    ],
+)  # fmt: skip
+def test_what_is_offered(monkeypatch, words, values):
+    """Names come from the log on the line that the option is about; without one there are none."""
+    monkeypatch.chdir(SAMPLES)
+    assert offered(*words) == values
+
+
+def test_commands_are_offered_without_importing_them():
+    """Completion is quick."""
+    code = (
+        "import sys; from quatprop.cli import run; sys.argv = ['quatprop']\n"
+        "try: run()\n"
+        "finally: print(sorted({'numpy', 'quatprop.cli.plot'} & set(sys.modules)))"
+    )
+    words = {"COMP_LINE": "quatprop ", "_QUATPROP_COMPLETE": "bash_complete"}
+    out = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, **words},
+        capture_output=True,
+        text=True,
+        check=False,
+    ).stdout.splitlines()
+    assert out == [*(f"plain,{name}" for name in COMMANDS), "[]"]
+
+
+HOSTILE = [
+    "$(touch PWNED)", "$(touch${IFS}PWNED)", "`touch PWNED`", "a;touch PWNED", "a&touch PWNED",
+    "a|touch PWNED", 'a"$(touch PWNED)', "a';touch PWNED;'", "a' && touch PWNED #", "<(touch x)",
+    ">PWNED", "a>PWNED", "#comment", "~", "~root", "a:~", "*", "?", "[ab]*", "{a,b}", "!!", "!q",
+    "a!b", "it's", "'", '"', 'a"b', "'!'", "\\", "a\\", "a\\ b", "\\\\", "\\'", '\\"', "$HOME",
+    "${x", "$'x'", " ", "a b", " a", "a ", "-x", "--", "=", "a=b", "a:b:c", "a,b", "^a^b", "%1",
+    "@host", "/imu/äß", "日本", "😀 x", "e\u0301",
+]  # fmt: skip
+"""Names that mean something to a shell."""
+
+
+class Terminal:
+    """An interactive bash whose ``quatprop`` is answered by this process, which is quick."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        fake = folder / "bin" / "quatprop"
+        fake.parent.mkdir()
+        fake.write_text(
+            "#!/bin/sh\n"
+            'if [ -n "$_QUATPROP_COMPLETE" ]; then\n'
+            '  printf "%s\\0" "$COMP_LINE" "$COMP_REPLACED" > asked; cat answer\n'
+            'else printf "%s\\0" "$@" > asked; fi\n'
+        )
+        fake.chmod(0o700)
+        for name in ("asked", "answer"):
+            os.mkfifo(folder / name)
+        self.asked = os.open(folder / "asked", os.O_RDWR | os.O_NONBLOCK)
+        script = Bash(cli, {}, "quatprop", "_QUATPROP_COMPLETE").source_template % {
+            "complete_func": "_completion", "complete_var": "_QUATPROP_COMPLETE",
+            "prog_name": "quatprop",
+        }  # fmt: skip
+        (folder / "script").write_text(script)
+        environment = {
+            "PATH": f"{fake.parent}:{os.environ['PATH']}",
+            "HOME": str(folder),
+            "TERM": "dumb",
+            "LANG": "C.UTF-8",
+        }
+        self.bash = pexpect.spawn(
+            "bash", START["bash"], cwd=folder, env=environment, dimensions=(40, 500), timeout=20
+        )
+        self.bash.delaybeforesend = None
+        self.bash.sendline("source ./script; bind 'set bell-style none'; echo rea''dy")
+        self.bash.expect("ready")
+
+    def received(self):
+        """Return what the next run of ``quatprop`` tells."""
+        shown = ""
+        while self.asked not in (ready := select.select([self.asked, self.bash], [], [], 20)[0]):
+            assert ready, f"bash has not run quatprop: {shown[-200:]}"
+            shown += self.bash.read_nonblocking(99999).decode(errors="replace")
+        return os.read(self.asked, 4096).decode().split("\0")[:-1]
+
+    def tab(self, typed, monkeypatch):
+        """Type something and a tab, and answer."""
+        self.bash.send(typed + "\t")
+        line, replaced = self.received()
+        monkeypatch.setenv("COMP_LINE", line)
+        monkeypatch.setenv("COMP_REPLACED", replaced)
+        answer = Bash(cli, {}, "quatprop", "_").complete()
+        (self.folder / "answer").write_text(answer)
+        return answer
+
+    def enter(self):
+        """Run the line; return the arguments."""
+        self.bash.send("\r")
+        return self.received()
+
+
+@pytest.fixture(scope="module")
+def terminal(tmp_path_factory):
+    """Return a terminal that several tests use."""
+    terminal = Terminal(tmp_path_factory.mktemp("terminal"))
+    yield terminal
+    terminal.bash.close(force=True)
+    os.close(terminal.asked)
+
+
+def begun(name, count, quote):
+    """Return how the first characters of a name are typed, in a quote or not."""
+    stop = {"'": "'", '"': "!"}.get(quote, "")
+    count = min([count, *(name.index(mark) for mark in stop if mark in name)])
+    count = 0 if name.startswith("-") else count
+    special = {"": r"(\W)", '"': r"([$`\"\\])", "'": "()$"}[quote]
+    return quote + re.sub(special, r"\\\1" if quote != "'" else "", name[:count])
+
+
+NAMES = HOSTILE + [
+    "".join(random.Random(seed).choices("ab$`(){}[]<>|&;*?!#~^=:,%@+-_./\\'\" é", k=8))
+    for seed in range(40)
+]
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
+@pytest.mark.parametrize("quote", ["", "'", '"'], ids=["bare", "single", "double"])
+def test_bash_takes_a_completed_name_as_it_is(terminal, monkeypatch, quote):
+    """Names from logs were inserted without quotes: completing ``$(command)`` ran the command."""
+    for number, name in enumerate(NAMES):
+        monkeypatch.setattr("quatprop.cli.completion._names_in", lambda *_, name=name: [name])
+        typed = begun(name, number % 3, quote)
+        if number % 4 == 0:
+            typed += f"{quote}\2" * bool(quote)  # the cursor goes back before the quote
+        option = "--topic=" if number % 5 == 0 else "-t "
+        answer = terminal.tab(f"quatprop propagate x.csv {option}{typed}", monkeypatch)
+        assert answer, (name, typed)
+        ran = terminal.enter()
+        given = f"--topic={name}" if number % 5 == 0 else name
+        assert ran[-1] == given, (name, typed, answer)
+        assert len(ran) == 3 + (number % 5 > 0)
+    assert not (terminal.folder / "PWNED").exists()
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
+@pytest.mark.parametrize("quote", ["", "'", '"'], ids=["bare", "single", "double"])
+def test_bash_goes_on_where_names_differ(terminal, monkeypatch, quote):
+    """What several names have in common is inserted, in the quote that is open."""
+    names = ["$(touch PWNED) a", "$(touch PWNED) b'\"\\"]
+    monkeypatch.setattr("quatprop.cli.completion._names_in", lambda *_: names)
+    terminal.tab(f"quatprop propagate x.csv -t {quote}", monkeypatch)
+    terminal.tab("b", monkeypatch)
+    assert terminal.enter()[-1] == names[1]
+    assert not (terminal.folder / "PWNED").exists()
+
+
+@pytest.mark.parametrize("typed", ["$'x", "$(x", "`x", '"$x', '"`x', "<(x", "a;x", 'a"b$('])
+def test_what_bash_would_expand_is_not_completed(monkeypatch, typed):
+    """Which quotes are open in it is not known."""
+    monkeypatch.setattr("quatprop.cli.completion._names_in", lambda *_: [typed + "y", "$x", "x"])
+    line = f"quatprop propagate x.csv -t {typed}"
+    for replaced in ("", typed[-1:], typed):
+        monkeypatch.setenv("COMP_LINE", line)
+        monkeypatch.setenv("COMP_REPLACED", replaced)
+        assert Bash(cli, {}, "quatprop", "_").complete() == ""
+
+
+def test_names_that_would_command_the_terminal_are_not_offered(monkeypatch):
+    """A line break would end a name, and a list of names would be obeyed by the terminal."""
+    names = ["", *(f"a{chr(code)}b" for code in range(256)), "a\u202eb", "a\u2028b", "a\udc80b"]
+    monkeypatch.setattr("quatprop.cli.completion._names_in", lambda *_: names)
+    found = offered("propagate", "x.csv", "-t", "")
+    assert "".join(name[1:-1] for name in found if name.isascii()) == "".join(
+        map(chr, range(32, 127))
+    )
+    assert all(name.isprintable() for name in found)
+
+
+def test_a_script_of_click_for_bash_gets_nothing(monkeypatch):
+    """It would split and expand what it gets."""
+    monkeypatch.setenv("COMP_WORDS", "quatprop prop")
+    monkeypatch.setenv("COMP_CWORD", "1")
+    monkeypatch.delenv("COMP_LINE", raising=False)
+    assert Bash(cli, {}, "quatprop", "_").complete() == ""

@@ -1,0 +1,44 @@
+"""Odd but valid logs, sample for sample against other readers: what differs must be a loss.
+
+Each case is a seed. Its generator draws the oddities, writes the log with the format's own library,
+and returns the path, the settings, and the samples that an independent reader finds in the file.
+"""
+
+import random
+
+import numpy as np
+import pytest
+from make.odd_messages import MESSAGE_LOGS
+from make.odd_tables import TABLE_LOGS
+
+from quatprop.logs.open_log import open_log
+from quatprop.logs.signals.rates import choose_rates
+from quatprop.settings.selection import RateSelection
+
+COUNTS = {"mcap": 90, "bag": 40, "rosbag2": 50, "csv": 90, "arrow": 70, "numpy": 40, "jsonl": 50}
+GENERATORS = {**MESSAGE_LOGS, **TABLE_LOGS}
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed"), [(kind, seed) for kind, count in COUNTS.items() for seed in range(count)]
+)
+def test_samples_are_those_of_another_reader(tmp_path, kind, seed):
+    """Count, stamps and rates are the same, or the rows that differ are reported as lost."""
+    rng = random.Random(f"{kind} {seed}")
+    path, settings, expected, is_ordered = GENERATORS[kind](rng, tmp_path)
+    with open_log(path) as log:
+        batches = list(choose_rates(log, RateSelection(**settings)).batches())
+        lost = sum(loss.messages or 0 for loss in log.losses)
+    read = [
+        (t_ns, tuple(rate))
+        for batch in batches
+        for t_ns, rate in zip(batch.t_ns.tolist(), batch.rate.tolist(), strict=True)
+    ]
+    assert len(read) + lost == len(expected), log.losses
+    if not is_ordered:
+        read, expected = sorted(read), sorted(expected)
+    if lost:
+        assert set(read) <= set(expected)
+    else:
+        assert [t_ns for t_ns, _ in read] == [t_ns for t_ns, _ in expected]
+        np.testing.assert_array_equal([r for _, r in read], [r for _, r in expected])

@@ -1,0 +1,168 @@
+"""What the documents show is what happens: commands, listings, suites, links."""
+
+import re
+import shlex
+import shutil
+import sys
+import tomllib
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from make.documents import GUIDES, ROOT, Document
+from make.topics import found_in, mark, stamps
+
+from quatprop import propagate, write
+from quatprop.cli.commands import cli
+from quatprop.cli.help import GROUPS
+from quatprop.logs.vocabulary import sources
+from quatprop.logs.vocabulary.sources import TYPES
+from quatprop.messages.blocks import Channel
+from quatprop.settings.keyword import keywords_of
+from quatprop.writers.formats import WRITERS
+
+README = ROOT / "README.md"
+DOCUMENTS = [README, *sorted(GUIDES.glob("*.md"))]
+
+
+@pytest.fixture
+def recordings(request):
+    """Return the folder of real recordings, or None where it is absent."""
+    try:
+        return request.getfixturevalue("shared_logs")
+    except pytest.skip.Exception:
+        return None
+
+
+@pytest.fixture
+def ran(tmp_path, monkeypatch, recordings):
+    """Return a function that runs a document and compares what is shown with what is printed."""
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run(path):
+        document = Document(path, tmp_path, recordings)
+        assert document.run() == document.text
+        return document
+
+    return run
+
+
+@pytest.mark.parametrize("name", ["conventions", "formats", "recipes"])
+def test_commands_print_what_is_shown(ran, name):
+    """To the letter; where nothing is shown, they end well."""
+    ran(GUIDES / f"{name}.md")
+
+
+def test_the_readme_teaches_what_is_true(ran):
+    """Its commands and its listing; the picture is the one that its command draws."""
+    document = ran(README)
+    samples, passed = document.printed.splitlines()
+    assert samples.startswith("1000 [-9.99772140e-01 ")
+    assert passed.startswith("True 0.0001")
+    (shown,) = re.findall(r"!\[.*?\]\((.*?)\)", document.text)
+    assert (ROOT / shown).read_bytes()[:24] == (document.folder / "tumbling.png").read_bytes()[:24]
+
+
+def test_the_library_guide_is_true(ran):
+    """Every line of Python, one block after the other."""
+    document = ran(GUIDES / "library.md")
+    samples, passed, *recorded = document.printed.splitlines()
+    assert samples.startswith("1000 [-9.99772140e-01 ")
+    assert passed.startswith("True 0.0001")
+    assert recorded == ["coning [1.0, 0.0, 0.0, 0.0]"] * 3
+    assert len(document.names["attitudes"]) == 1000
+    assert (document.folder / "euler.csv").read_text().startswith("t_ns,yaw_deg,pitch_deg,roll_deg")
+
+
+def test_the_development_guide_adds_devices_formats_and_settings(ran, monkeypatch):
+    """Messages and files are read by its rows, and its format and its setting are as it says."""
+    document = ran(GUIDES / "development.md")
+    row, columns, form, writer, options = map(
+        document.names.get, ("row", "columns", "form", "PipeTable", "PropagateOptions")
+    )
+    ((name,),) = [row.types]
+    monkeypatch.setitem(TYPES, name, row)
+    channel = Channel("/t", name, "cdr", "ros2msg", b"uint64 stamp_us\nfloat64[3] rate\n")
+    (found,) = found_in(channel)
+    assert (found.field, found.row.unit, mark(found)) == ("rate", "deg/s", None)
+    assert stamps(found) == [(["stamp_us"], ("us",))]
+
+    monkeypatch.setattr(sources, "ROWS", (*sources.ROWS, columns))
+    log, out = document.folder / "mine.csv", document.folder / "out.psv"
+    log.write_text("MyTick,TurnX (deg/s),TurnY (deg/s),TurnZ (deg/s)\n0,60,0,0\n100000,0,0,0\n")
+    module, _, writer_name = form.opener.partition(":")
+    monkeypatch.setitem(
+        sys.modules, f"quatprop.writers.{module}", SimpleNamespace(**{writer_name: writer})
+    )
+    monkeypatch.setitem(WRITERS, "psv", form)
+    write(propagate(log), out)
+    header, *rows = out.read_text().splitlines()
+    assert header == "t_ns|qw|qx|qy|qz"
+    assert [row.split("|")[0] for row in rows] == ["0", "100000000"]
+    np.testing.assert_allclose(float(rows[1].split("|")[2]), np.sin(np.deg2rad(3.0)))
+
+    keyword = keywords_of(options)["skip"]
+    assert keyword("3") == 3
+    assert keyword.group in GROUPS
+
+
+def test_a_batch_of_one_machine_is_done(ran, tmp_path):
+    """A folder, a pattern and a list of names lead to an output each; the rest has other tests."""
+    text = (GUIDES / "fleets.md").read_text().split("## Object stores")[0]
+    (tmp_path / "fleets.md").write_text(text)
+    ran(tmp_path / "fleets.md")
+    assert sorted(path.name for path in (tmp_path / "attitudes").rglob("*.parquet")) == [
+        "a.parquet", "imu.parquet", "manifest.parquet",
+    ]  # fmt: skip
+
+
+def test_the_suite_gives_the_output_that_is_shown(tmp_path, monkeypatch):
+    """Both commands of the example print what stands beneath them."""
+    for name in ("GITHUB_STEP_SUMMARY", "GITHUB_ACTIONS"):
+        monkeypatch.delenv(name, raising=False)
+    text = (GUIDES / "ci.md").read_text()
+    blocks = [re.findall(rf"```{kind}\n(.*?)```", text, re.DOTALL) for kind in ("toml", "console")]
+    (suite,), (commands,) = blocks
+    shutil.copytree(ROOT / "sample_logs", tmp_path / "ci" / "logs")
+    monkeypatch.chdir(tmp_path)
+    for part, method in zip(commands.split("$ ")[1:], ("coning", "end"), strict=True):
+        command, shown = part.split("\n", 1)
+        (tmp_path / "ci" / "suite.toml").write_text(suite.replace("coning", method))
+        result = CliRunner().invoke(cli, shlex.split(command, comments=True)[1:])
+        assert result.stdout == shown.rstrip("\n") + "\n"
+
+
+def test_the_contents_name_every_section():
+    """Each heading once, in order, with the anchor that it has."""
+    readme = README.read_text()
+    contents = readme.split("\nContents: ")[1].split("\n\n")[0]
+    heads = re.findall(r"^## (.*)$", readme, re.MULTILINE)
+    anchors = [re.sub(r"[^a-z0-9 -]", "", head.lower()).replace(" ", "-") for head in heads]
+    assert re.findall(r"\[(.*?)\]\(#(.*?)\)", contents) == list(zip(heads, anchors, strict=True))
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.stem)
+def test_links_lead_somewhere(document):
+    """To files of this repository, and to headings of the same document."""
+    text = document.read_text()
+    heads = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    anchors = {re.sub(r"[^a-z0-9 -]", "", head.lower()).replace(" ", "-") for head in heads}
+    for target in re.findall(r"\]\((.*?)\)", text):
+        if target.startswith("#"):
+            assert target[1:] in anchors
+        elif not target.startswith("http"):
+            assert (document.parent / target).is_file(), target
+
+
+def test_every_guide_and_target_is_named():
+    """The README leads to every guide, and speaks of no target that make does not have."""
+    readme = README.read_text()
+    makefile = (ROOT / "Makefile").read_text()
+    assert all(f"(quatprop/docs/{path.name})" in readme for path in GUIDES.glob("*.md"))
+    for target in re.findall(r"[`\n]make ([\w-]+)", readme):
+        assert f"\n{target}:" in makefile
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
+        "optional-dependencies"
+    ]
+    assert set(re.findall(r"\.\[(\w+)\]", readme)) <= set(extras)

@@ -1,0 +1,146 @@
+"""Real recordings through the command line, against an independent oracle.
+
+``expected.json`` was computed with the libraries' own decoders and an 80-bit serial product.
+"""
+
+import json
+import re
+
+import numpy as np
+import pyarrow.csv
+import pytest
+from click.testing import CliRunner
+from make.places import SHARED_LOGS
+
+from quatprop import propagate, read_rates
+from quatprop.cli.commands import cli
+from quatprop.kinematics.quaternion import geodesic_angle
+
+TOLERANCE_RAD = 1e-12
+
+OPTIONS = {
+    "two_imus/test1_2014_xsens.bag": {"topic": "/xsens/imu_data"},
+}
+"""What a recording cannot be read without; all others are recognised as they are."""
+
+EXPECTED = (
+    json.loads((SHARED_LOGS / "expected.json").read_text())
+    if (SHARED_LOGS / "expected.json").is_file()
+    else {}
+)
+AUK_FORMS = (
+    "auk.bag",
+    "auk_bz2.bag",
+    "auk_lz4.bag",
+    "auk_mcap_zstd",
+    "auk_mcap_zstdfile",
+    "auk_sqlite3",
+    "auk_sqlite3_zstdmsg",
+    "auk_sqlite3_zstdfile",
+)
+
+
+def propagated(tmp_path, *arguments):
+    """Run `quatprop propagate` and return stamps and wxyz rows of its CSV."""
+    out = tmp_path / "attitude.csv"
+    result = CliRunner().invoke(
+        cli, ["propagate", *map(str, arguments), "-o", str(out)], catch_exceptions=False
+    )
+    assert result.exit_code == 0, result.output
+    table = pyarrow.csv.read_csv(out)
+    assert table.column_names == ["t_ns", "qw", "qx", "qy", "qz"]
+    return table["t_ns"].to_numpy(), np.column_stack([table[i].to_numpy() for i in range(1, 5)])
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+@pytest.mark.filterwarnings("ignore::quatprop.DataLossWarning")
+@pytest.mark.parametrize("name", EXPECTED or ["none"])
+def test_attitudes_agree_with_the_oracle(shared_logs, tmp_path, name):
+    """Samples and stamps are the same, the attitudes midway and at the end within 1e-12 rad.
+
+    Mean by the command line; the others of the rates that are read once.
+    """
+    expected, options = EXPECTED[name], OPTIONS.get(name, {})
+    words = [word for key, value in options.items() for word in (f"--{key}", value)]
+    t_ns, mean = propagated(tmp_path, shared_logs / name, "--method", "mean", *words)
+    rates = read_rates(shared_logs / name, **options)
+    np.testing.assert_array_equal(rates.t_ns, t_ns)
+    assert (len(t_ns), t_ns[0], t_ns[-1]) == (
+        expected["samples"],
+        expected["first_ns"],
+        expected["last_ns"],
+    )
+    for method, oracle in expected["wxyz"].items():
+        wxyz = mean if method == "mean" else propagate(rates, method=method).wxyz
+        if "sensor_combined" in name and method == "coning":
+            # Its samples are averages; the oracle takes them for rates, with the term of those.
+            continue
+        assert geodesic_angle(wxyz[len(wxyz) // 2], oracle["middle"]) < TOLERANCE_RAD
+        assert geodesic_angle(wxyz[-1], oracle["final"]) < TOLERANCE_RAD
+
+
+@pytest.mark.parametrize("name", EXPECTED or ["none"])
+def test_info_agrees_with_the_oracle(shared_logs, name):
+    """`info --json` has the samples, the stamps, the intervals and the largest rate."""
+    expected = EXPECTED[name]
+    result = CliRunner().invoke(cli, ["info", "--json", str(shared_logs / name)])
+    assert result.exit_code == 0, result.output
+    (survey,) = json.loads(result.output)
+    sources = survey["sources"]
+    (source,) = [s for s in sources if s["source"] == expected.get("topic", s["source"])]
+    assert source["samples"] == expected["samples"]
+    assert (source["first_ns"], source["last_ns"]) == (expected["first_ns"], expected["last_ns"])
+    assert source["min_dt_ns"] == expected["min_dt_ns"]
+    assert source["median_dt_ns"] == pytest.approx(expected["median_dt_ns"], abs=1)
+    assert source["max_dt_ns"] == expected["max_dt_ns"]
+    assert source["max_rate_rad_s"] == pytest.approx(expected["max_rate_rad_s"], rel=1e-12)
+
+
+def test_the_forms_of_one_recording_give_the_same_bytes(shared_logs, tmp_path):
+    """Container and compression change nothing in the CSV, not one byte."""
+    written = {}
+    for form in AUK_FORMS:
+        propagated(tmp_path, shared_logs / "auk" / form)
+        written.setdefault((tmp_path / "attitude.csv").read_bytes(), []).append(form)
+    assert list(written.values()) == [list(AUK_FORMS)]
+
+
+def test_several_topics_are_refused_by_name(shared_logs, tmp_path):
+    """Two gyroscopes in one log are ambiguous; the error lists both and writes nothing."""
+    out = tmp_path / "attitude.csv"
+    log = shared_logs / "two_imus" / "test1_2014_xsens.bag"
+    result = CliRunner().invoke(cli, ["propagate", str(log), "-o", str(out)])
+    assert result.exit_code == 2
+    assert result.stderr == (
+        f"Error: {log}: several topics carry body rates: '/my_odometry2imu/imu_data', "
+        "'/xsens/imu_data'; choose one with --topic\n"
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_backward_stamps_are_refused_where_they_first_occur(shared_logs, tmp_path):
+    """The derived topic steps back 31 times; the first is named."""
+    log = shared_logs / "two_imus" / "test1_2014_xsens.bag"
+    result = CliRunner().invoke(
+        cli,
+        ["propagate", str(log), "-t", "/my_odometry2imu/imu_data", "-o", str(tmp_path / "a.csv")],
+    )
+    assert result.exit_code == 2
+    assert re.search(r"time steps back by .* at sample \d+ .* --on-backwards", result.stderr)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_rates_scaled_once_too_often_are_flagged(shared_logs):
+    """A driver that multiplied by pi/180 twice is told by the log's own orientation, unasked."""
+    result = CliRunner().invoke(cli, ["info", str(shared_logs / "nested_imu/kiran_11sec_motion")])
+    assert "times as far as its rates: were they scaled by pi/180 once too often?" in result.stdout
+
+
+def test_nonsense_is_remarked_on(shared_logs, tmp_path):
+    """Rates of 131 rad/s and quaternions of length 196 are said, and propagated all the same."""
+    log = shared_logs / "rosbag2" / "plotjuggler_rosbag2_test"
+    result = CliRunner().invoke(cli, ["propagate", str(log), "-o", str(tmp_path / "a.csv")])
+    assert result.exit_code == 0
+    assert "warning: rates up to 133 rad/s are beyond any gyroscope" in result.stderr
+    assert "warning: every rate is the same" in result.stderr
+    assert "off unit length by up to 195" in result.stderr

@@ -1,0 +1,322 @@
+"""Random command lines of ``propagate``, against what the documents say of each option.
+
+``make fuzz``, or ``python -m fuzz.command_lines [--first SEED] [--count N]``. Each seed is a log,
+whose stamps may jump, repeat and step back and whose rates may be missing, and a command line. The
+exit code, the attitudes, and the log times of those that are added to a copy are those of
+:mod:`options_reference`, which knows the documents alone.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+import warnings
+from collections import Counter
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+from click.testing import CliRunner
+from make.options_reference import NS, Refused, ordered, part, propagated, recorded, used
+from mcap.writer import Writer as McapWriter
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Writer as Rosbag1Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from quatprop.cli.commands import cli
+
+IMU = "sensor_msgs/msg/Imu"
+ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
+LOGGED = 7_000_000_000
+"""Messages are recorded so much later than they are stamped, ns: on another clock."""
+GROUP = 30
+"""Rows in a group of a Parquet file: those that may have the range are read alone."""
+KINDS = ("csv", "parquet", "mcap", "bag")
+
+
+def recording(random):
+    """Return the rows of a log that rests, then moves: stamps, rates, forces, orientations."""
+    resting, moving = int(random.integers(20, 60)), int(random.integers(20, 80))
+    n = resting + moving
+    steps = random.integers(9_000_000, 11_000_000, n)
+    for _ in range(random.choice([0, 0, 1, 3])):
+        steps[random.integers(n)] = random.choice([0, 120_000_000, 900_000_000])
+    t = int(random.choice([0, 3_000_000_000, 1_700_000_000_123_456_789])) + np.cumsum(steps)
+    intact = t.copy()
+    for _ in range(random.choice([0, 0, 1, 2, 4])):
+        at, length = random.integers(n), random.choice([1, 1, 1, 2, 12])
+        jump = random.choice([-400, -35, -25, 15, 90, 300, 990, 60_000])
+        t[at : at + length] += int(jump) * 1_000_000
+    if random.random() < 0.1 and t[0] < 60 * NS:
+        t[0] = 0  # before the clock was set; a lasting jump from 1970 would ask for too many rows
+    t = np.where(t < 0, intact, t)
+    w = random.normal(np.array([0.01, -0.02, 0.03]), 1e-3, (n, 3))
+    w[resting:] += 3 * np.sin(np.arange(moving)[:, None] / 15 + np.arange(3))
+    for _ in range(random.choice([0, 0, 1, 3])):
+        w[random.integers(n), random.integers(3)] = random.choice([np.nan, np.inf])
+    f = Rotation.from_euler("xyz", [0.4, -0.2, 0.0]).apply([0, 0, 9.81])
+    q = Rotation.from_rotvec(random.normal(0, 1e-3, (n, 3))) * Rotation.random(rng=random)
+    return {"t": t, "w": w, "f": f + random.normal(0, 1e-3, (n, 3)), "q": q}
+
+
+def moment(random, raw):
+    """Return a time as it is written, and as the reference takes it."""
+    t = raw["t"]
+    span = int(np.quantile(t, 0.9) - np.quantile(t, 0.1))
+    ns = int(random.integers(0, span + 1)) // 1_000_000 * 1_000_000
+    form = random.choice(["+", "", "-", "ns", "date"])
+    if form in {"+", "", "-"}:
+        text = random.choice([f"{ns // 1_000_000}ms", f"{ns // NS}s{ns % NS // 1000}us"])
+        return form + text, ("-" if form == "-" else "+", ns)
+    ns = int(random.choice(t)) + int(random.integers(-20_000_000, 20_000_000))
+    ns = max(ns, 1)
+    if form == "ns":
+        return str(ns), ns
+    date = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=ns // NS)
+    return f"{date:%Y-%m-%dT%H:%M:%S}.{ns % NS:09d}Z", ("date", ns)
+
+
+def command_line(random, raw, folder, kind):
+    """Return options of ``propagate`` by name: as they are written, and for the reference."""
+
+    def one_of(*values):
+        return values[random.integers(len(values))]
+
+    plain = {
+        "method": one_of(None, "start", "end", "mean", "coning", "cubic"),
+        "rates": one_of(None, None, "body", "inertial"),
+        "mount": one_of(None, None, "y,-x,z", "0.5,0.5,-0.5,0.5"),
+        "on_backwards": one_of(None, "drop", "drop", "sort", "sort"),
+        "on_nonfinite": one_of(None, "drop", "hold"),
+        "on_gap": one_of(None, None, "hold", "zero", "split", "error"),
+        **one_of({}, {}, {"every": 3}, {"rate": "59.94"}, {"at": "series"}),
+    }
+    given = {name: value for name, value in plain.items() if value is not None}
+    expected = dict(given)
+    for name in ("start", "end"):
+        if random.random() < 0.4:
+            given[name], expected[name] = moment(random, raw)
+    if random.random() < 0.3:
+        given["max_gap"], expected["max_gap"] = one_of(("200ms", 200_000_000), ("15ms", 15_000_000))
+    begin, last = int(raw["t"].min()), int(np.quantile(raw["t"], 0.9))
+    bias, q0 = (
+        one_of(None, None, "given", "static", "series"),
+        one_of(None, "numbers", "log", "series"),
+    )
+    if bias == "given":
+        expected["bias"] = [0.01, -0.02, 0.03]
+        given["bias"] = "0.01,-0.02,0.03"
+    elif bias == "static":
+        given["bias"] = "static:100ms"
+    elif bias == "series":
+        known, biases = np.linspace(begin, last, 4).astype(np.int64), random.normal(0, 0.01, (4, 3))
+        rows = [
+            f"{t},{','.join(map(repr, row))}" for t, row in zip(known, biases.tolist(), strict=True)
+        ]
+        names = ",".join(f"gyro_bias_{axis} [rad/s]" for axis in "xyz")
+        given["bias"] = written(folder / "bias.csv", f"t_ns,{names}", rows)
+        after = (raw["t"] - begin) / NS
+        axes = [np.interp(after, (known - begin) / NS, axis) for axis in biases.T]
+        expected["bias"] = np.stack(axes, axis=1)
+    if q0 == "numbers":
+        given["q0"], expected["q0"] = "0.6,0,0.8,0", [0.6, 0, 0.8, 0]
+    elif q0 == "log":
+        given["q0"] = expected["q0"] = "log"
+    elif q0 == "series":
+        t = begin + np.arange(-1, 3) * NS
+        turns = Rotation.from_rotvec(np.arange(4)[:, None] * [0.3, -0.1, 0.2])
+        given["q0"], expected["q0"] = series_file(folder / "q0.csv", t, turns), (t, turns)
+    if "at" in given:
+        t = np.concatenate([random.integers(begin - NS // 2, last + NS // 2, 20), raw["t"][::7]])
+        given["at"] = series_file(folder / "at.csv", t, Rotation.identity(len(t)))
+        expected["at"] = (t, None)
+    expected["into"] = kind in {"mcap", "bag"} and random.random() < 0.7
+    return given, expected
+
+
+def written(path, header, rows):
+    """Write a table; return its path."""
+    path.write_text("\n".join([header, *rows, ""]))
+    return path
+
+
+def series_file(path, t, q):
+    """Write a series of attitudes; return its path."""
+    rows = q.as_quat(scalar_first=True).tolist()
+    lines = [f"{at},{','.join(map(repr, row))}" for at, row in zip(t.tolist(), rows, strict=True)]
+    return written(path, "t_ns,qw,qx,qy,qz", lines)
+
+
+def write_log(path, raw):
+    """Write rows as a table or as messages; return the options that read it."""
+    if path.suffix in {".csv", ".parquet"}:
+        names = ["gx", "gy", "gz", "accel_x", "accel_y", "accel_z", "qw", "qx", "qy", "qz"]
+        values = np.column_stack([raw["w"], raw["f"], raw["q"].as_quat(scalar_first=True)])
+        columns = {"t_ns": raw["t"], **dict(zip(names, values.T, strict=True))}
+        if path.suffix == ".parquet":
+            pa.parquet.write_table(pa.table(columns), path, row_group_size=GROUP)
+        else:
+            rows = zip(raw["t"].tolist(), values.tolist(), strict=True)
+            lines = [",".join([str(t), *map(repr, row)]) for t, row in rows]
+            written(path, ",".join(columns), lines)
+        return ["--rate-cols=gx,gy,gz", "--rate-unit=rad/s"]
+    logged = zip(range(len(raw["t"])), recorded_ns(raw).tolist(), strict=True)
+    if path.suffix == ".bag":
+        with Rosbag1Writer(path) as writer:
+            imu = writer.add_connection("/imu", IMU, typestore=ROS1)
+            for k, log_ns in logged:
+                writer.write(imu, log_ns, bytes(ROS1.serialize_ros1(message(ROS1, raw, k), IMU)))
+        return []
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, chunk_size=8000)
+        writer.start("ros2")
+        definition, _ = ROS2.generate_msgdef(IMU, ros_version=2)
+        schema = writer.register_schema(IMU, "ros2msg", definition.encode())
+        channel = writer.register_channel("/imu", "cdr", schema)
+        for k, log_ns in logged:
+            data = bytes(ROS2.serialize_cdr(message(ROS2, raw, k), IMU))
+            writer.add_message(channel, log_ns, data, log_ns, k)
+        writer.finish()
+    return []
+
+
+def recorded_ns(raw):
+    """Return when the messages of rows are recorded: in their order."""
+    n = len(raw["t"])
+    return LOGGED + np.arange(n) * 10_000_000 + np.arange(n) % 7 * 1000
+
+
+def message(store, raw, k):
+    """Return row k as a message."""
+    types = store.types
+    vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
+    stamp = types["builtin_interfaces/msg/Time"](*map(int, divmod(raw["t"][k], NS)))
+    more = {"seq": k} if store is ROS1 else {}
+    return types[IMU](
+        header=types["std_msgs/msg/Header"](stamp=stamp, frame_id="imu", **more),
+        orientation=quaternion(*raw["q"][k].as_quat().tolist()),
+        orientation_covariance=np.zeros(9),
+        angular_velocity=vector(*raw["w"][k].tolist()),
+        angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=vector(*raw["f"][k].tolist()),
+        linear_acceleration_covariance=np.zeros(9),
+    )
+
+
+def difference(seed, folder):
+    """Return the exit code of a command line, and what it does otherwise than the documents say."""
+    random = np.random.default_rng(seed)
+    raw, kind = recording(random), KINDS[random.integers(4)]
+    log, report = folder / f"log.{kind}", folder / "report.json"
+    given, options = command_line(random, raw, folder, kind)
+    out = folder / (f"out.{kind}" if options["into"] else "out.csv")
+    line = [f"--{name.replace('_', '-')}={value}" for name, value in given.items()]
+    line += [*write_log(log, raw), f"--{'into' if options['into'] else 'output'}={out}"]
+    result = CliRunner().invoke(cli, ["propagate", str(log), *line, f"--report={report}"])
+    told = f"propagate {' '.join(line)}: exit code {result.exit_code}, {result.stderr.strip()}"
+    if result.exit_code == 1 or "This is a bug" in result.stderr:
+        return result.exit_code, told
+    if given.get("bias") == "static:100ms":
+        if "rest" in result.stderr and result.exit_code == 2:
+            return 2, None  # what counts as rest is tested elsewhere
+        if result.exit_code != 2:
+            rest = json.loads(report.read_text())["conditioning"]["rest"]
+            inside = (raw["t"] >= rest["first_ns"]) & (raw["t"] <= rest["last_ns"])
+            inside &= np.isfinite(raw["w"]).all(axis=1)
+            inside &= np.isin(np.arange(len(inside)), ordered(raw["t"], options))
+            options["bias"] = raw["w"][inside].mean(axis=0)
+    if result.exit_code != 2 and json.loads(report.read_text())["conditioning"]["part"]:
+        raw, options = read_in_part(raw, options, json.loads(report.read_text())["conditioning"])
+    return result.exit_code, compared(result.exit_code, raw, options, out, told)
+
+
+def read_in_part(raw, options, told):
+    """Return the rows that were read, by the stamps of row groups, and the options in ns."""
+    limits = {"start": told["start_ns"], "end": told["end_ns"]}
+    options = options | {name: ("date", ns) for name, ns in limits.items() if ns is not None}
+    low, high = limits["start"] or 0, limits["end"] or 2**62
+    groups = [slice(k, k + GROUP) for k in range(0, len(raw["t"]), GROUP)]
+    rows = [
+        np.arange(len(raw["t"]))[group]
+        for group in groups
+        if raw["t"][group].max() >= low and raw["t"][group].min() <= high
+    ]
+    rows = np.concatenate(rows)
+    part = {name: values[rows] for name, values in raw.items()}
+    if np.ndim(options.get("bias")) > 1:
+        options["bias"] = options["bias"][rows]
+    return part, options
+
+
+def compared(code, raw, options, out, told):
+    """Return how a result differs from what is expected; None where it does not."""
+    try:
+        expected_t, expected_q = propagated(raw, options)
+    except Refused as refused:
+        return None if code == 2 else f"{told}; expected to be refused: {refused}"
+    if code != exit_code(raw, options):
+        return f"{told}; expected exit code {exit_code(raw, options)}"
+    t, q, log_ns = attitudes(out, into=options["into"])
+    expected_ns = recorded(raw, recorded_ns(raw), expected_t, options)
+    order = (
+        np.argsort(expected_ns, kind="stable") if options["into"] else np.arange(len(expected_t))
+    )
+    if t != expected_t[order].tolist():
+        return f"{told}; {len(t)} stamps, {len(expected_t)} expected"
+    if options["into"] and log_ns != expected_ns[order].tolist():
+        return f"{told}; other log times"
+    error = (expected_q[order].inv() * q).magnitude().max()
+    return None if error < 1e-10 else f"{told}; attitudes differ by {error:.3g} rad"
+
+
+def exit_code(raw, options):
+    """Return the exit code: 3 where samples of the range, or that are wrong, were dropped."""
+    rows, _ = used(raw["t"], raw["w"], options)
+    left = ordered(raw["t"], options)
+    low, high = part(options, raw["t"], left)
+    inside = [row for row in left if low <= raw["t"][row] <= high]
+    return 3 if len(left) < len(raw["t"]) or len(rows) < len(inside) else 0
+
+
+def attitudes(path, *, into):
+    """Return stamps, rotations and log times of what was written."""
+    if not into:
+        rows = [line.split(",") for line in path.read_text().splitlines()[1:]]
+        wxyz = np.array([list(map(float, row[1:5])) for row in rows])
+        return [int(row[0]) for row in rows], Rotation.from_quat(wxyz, scalar_first=True), None
+    t, wxyz, log_ns = [], [], []
+    with AnyReader([path]) as reader:
+        for connection, at, data in reader.messages():
+            if connection.topic == "/attitude":
+                found = reader.deserialize(data, connection.msgtype)
+                t.append(found.header.stamp.sec * NS + found.header.stamp.nanosec)
+                part = found.quaternion
+                wxyz.append([part.w, part.x, part.y, part.z])
+                log_ns.append(at)
+    return t, Rotation.from_quat(wxyz, scalar_first=True), log_ns
+
+
+def main():
+    """Run command lines, and print what differs."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--count", type=int, default=2000)
+    chosen = parser.parse_args()
+    warnings.simplefilter("ignore")
+    failed, codes = 0, Counter()
+    for seed in range(chosen.first, chosen.first + chosen.count):
+        with tempfile.TemporaryDirectory() as folder:
+            code, told = difference(seed, Path(folder))
+            codes[code] += 1
+            if told:
+                failed += 1
+                print(f"seed {seed}: {told}", flush=True)
+    print(f"{chosen.count} command lines, {failed} differences, exit codes {dict(codes)}")
+    sys.exit(bool(failed))
+
+
+if __name__ == "__main__":
+    main()

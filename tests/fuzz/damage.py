@@ -1,0 +1,274 @@
+"""Read damaged logs: ``make fuzz``, or ``python -m fuzz.damage [--first SEED] [--count N]``.
+
+Each seed is one damaged log, which goes through ``info``, ``propagate`` and, in turn, one of
+``convert``, ``compare``, ``plot`` and ``propagate --into``, in a process of its
+own with bounded memory and time. Whatever is not a sentence and an exit code of 0, 2 or 3 is told
+with its seed, and so are samples that are neither read nor reported as lost; ``--keep FOLDER``
+keeps the log.
+"""
+
+import argparse
+import faulthandler
+import multiprocessing
+import os
+import random
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+import time
+import traceback
+import warnings
+from collections import Counter
+from itertools import count
+from pathlib import Path
+from typing import NamedTuple
+
+SECONDS = 10
+"""Of processor time for a command: on a busy machine it may take longer."""
+WAIT = 20 * SECONDS
+"""Seconds for all commands of a log: a process that waits for something takes no time."""
+MEMORY = 4 << 30
+LOGS_A_PROCESS = 1000
+"""After so many, another process: allocators keep the addresses that a claim once took."""
+
+LENIENT = ("--on-nonfinite", "drop", "--on-backwards", "drop")
+COMMANDS = (("info",), ("propagate",), ("propagate", *LENIENT))
+TURNS = (("convert",), ("compare",), ("plot",), ("propagate", *LENIENT, "--into"))
+"""Commands of which each log meets one."""
+
+
+OUTPUTS = {"propagate": ".csv", "convert": ".csv", "plot": ".svg"}
+
+
+class Hang(BaseException):
+    """A command takes too long; no handler of errors catches it."""
+
+
+class Found(NamedTuple):
+    """What came of a damaged log: a problem or None, exit codes, time, and the most memory."""
+
+    problem: str | None
+    codes: tuple[int, ...] = ()
+    seconds: float = 0.0
+    memory: int = 0
+
+
+class Worker:
+    """A process that reads damaged logs, with bounds; the next one is begun where it dies."""
+
+    def __init__(self, intact):
+        self.intact = intact
+        self.process = None
+
+    def found(self, seed):
+        """Return what comes of reading a damaged log."""
+        if self.process is None:
+            context = multiprocessing.get_context("spawn")
+            self.pipe, other = context.Pipe()
+            self.process = context.Process(target=_serve, args=(other, self.intact), daemon=True)
+            self.process.start()
+            other.close()
+        self.pipe.send(seed)
+        try:
+            if self.pipe.poll(WAIT):
+                return self.pipe.recv()
+        except (EOFError, ConnectionError):
+            self.process.join()
+            died = self.process.exitcode
+            self.process = None
+            return Found(f"the process dies ({died})")
+        self.close()
+        return Found("the process hangs")
+
+    def close(self):
+        """End the process."""
+        if self.process is not None:
+            self.process.kill()
+            self.process.join()
+            self.process = None
+
+
+def _serve(pipe, intact):
+    """Read damaged logs as seeds come in."""
+    from fuzz.losses import unexplained_loss
+    from make.logs import write_damaged
+
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    os.environ["QUATPROP_TRACEBACK"] = "1"
+    signal.signal(signal.SIGPROF, _interrupt)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.simplefilter("error")
+    warnings.simplefilter("ignore", ResourceWarning)
+    with tempfile.TemporaryDirectory() as room:
+        while True:
+            try:
+                seed = pipe.recv()
+            except EOFError:
+                return
+            # Says where it hangs, should the alarm not get through.
+            faulthandler.dump_traceback_later(WAIT - SECONDS)
+            with tempfile.TemporaryDirectory(dir=room) as folder:
+                log = write_damaged(seed, intact, Path(folder))
+                began = time.perf_counter()
+                found, codes = problem(log.path, Path(folder), seed)
+                found = found or unexplained_loss(log, intact, codes)
+                seconds = time.perf_counter() - began
+                memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
+                pipe.send(Found(found, codes, seconds, memory))
+
+
+def _interrupt(_number, _frame):
+    raise Hang
+
+
+def problem(log, folder, seed):
+    """Return what is wrong with how a log is read, None where nothing is, and the exit codes.
+
+    Parameters
+    ----------
+    log
+        The log.
+    folder
+        Where results and unpacked copies may go.
+    seed
+        Its seed, which decides about one of the commands.
+    """
+    from click.testing import CliRunner
+
+    from quatprop.cli.commands import cli
+
+    scratch = folder / "scratch"
+    # What a stream can be is read from one as well.
+    texts = (("propagate", "-"),) if set(log.suffixes) & {".csv", ".tsv"} else ()
+    codes = []
+    # Every format meets each: the names of the logs go round with the seeds.
+    turn = TURNS[random.Random(seed).randrange(len(TURNS))]
+    for arguments in (*COMMANDS, turn, *texts):
+        scratch.mkdir()
+        tempfile.tempdir = str(scratch)
+        is_stream = "-" in arguments
+        command = [*arguments] if is_stream else [*arguments, str(log)]
+        out = f"out{OUTPUTS.get(arguments[0], '')}"
+        if "--into" in arguments:
+            out = f"out{'' if log.is_dir() else log.suffix}"
+            command = [*arguments, str(scratch / out), str(log)]
+        elif arguments[0] == "compare":
+            command.append(str(log))
+        elif arguments[0] == "convert":
+            command.append(str(scratch / out))
+        elif arguments[0] != "info":
+            command += ["-o", str(scratch / out)]
+        signal.setitimer(signal.ITIMER_PROF, SECONDS)
+        try:
+            stdin = log.read_bytes() if is_stream else None
+            result = CliRunner().invoke(cli, command, input=stdin)
+        except Hang:
+            return f"{arguments[0]} hangs\n{traceback.format_exc()}", codes
+        finally:
+            signal.setitimer(signal.ITIMER_PROF, 0)
+            tempfile.tempdir = None
+        names = sorted(path.name for path in scratch.iterdir())
+        wrong = _wrong(result, names, [out] if arguments[0] in OUTPUTS else [])
+        if wrong:
+            return f"{' '.join(arguments)}: {wrong}", codes
+        codes.append(result.exit_code)
+        shutil.rmtree(scratch)
+    return None, codes
+
+
+def _wrong(result, left, outputs):
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        return "".join(traceback.format_exception(*result.exc_info))
+    if result.exit_code not in {0, 2, 3}:  # compare has no criteria here that could fail
+        return f"exit code {result.exit_code}"
+    if any(not one.isprintable() for one in result.output.replace("\n", "")):
+        return f"unprintable output {result.output!r}"
+    wanted = outputs if result.exit_code != 2 else []
+    return f"exit code {result.exit_code} leaves {left}" if left != wanted else None
+
+
+def fuzz(seeds, workers, tell):
+    """Read the damaged logs of some seeds.
+
+    Parameters
+    ----------
+    seeds
+        Which.
+    workers
+        How many processes.
+    tell
+        Called with each seed and what was found.
+    """
+    from make.logs import write_logs
+
+    seeds = iter(seeds)
+    lock = threading.Lock()
+
+    def work(intact):
+        worker = Worker(intact)
+        for number in count(1):
+            if number % LOGS_A_PROCESS == 0:
+                worker.close()
+            with lock:
+                seed = next(seeds, None)
+            if seed is None:
+                break
+            found = worker.found(seed)
+            with lock:
+                tell(seed, found)
+        worker.close()
+
+    with tempfile.TemporaryDirectory() as folder:
+        write_logs(Path(folder))
+        threads = [threading.Thread(target=work, args=(Path(folder),)) for _ in range(workers)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+
+
+def main():
+    """Read damaged logs and tell what goes wrong."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--first", type=int, default=0, help="first seed (default: 0)")
+    parser.add_argument("--count", type=int, default=10_000, help="how many (default: 10,000)")
+    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
+    parser.add_argument("--keep", type=Path, help="folder to write the damaged logs to, unread")
+    chosen = parser.parse_args()
+    seeds = range(chosen.first, chosen.first + chosen.count)
+    if chosen.keep:
+        from make.logs import write_damaged, write_logs
+
+        with tempfile.TemporaryDirectory() as folder:
+            write_logs(Path(folder))
+            for seed in seeds:
+                target = chosen.keep / str(seed)
+                target.mkdir(parents=True)
+                print(write_damaged(seed, Path(folder), target).path)
+        return
+    done, failed, codes, worst = count(1), [], Counter(), {"seconds": (0,), "memory": (0,)}
+
+    def tell(seed, found):
+        number = next(done)
+        codes.update(found.codes)
+        for name, so_far in worst.items():
+            worst[name] = max(so_far, (getattr(found, name), seed))
+        if found.problem:
+            failed.append(seed)
+            print(f"seed {seed}: {found.problem}", flush=True)
+        if number % 1000 == 0:
+            print(f"{number} logs, {len(failed)} problems", flush=True)
+
+    fuzz(seeds, chosen.workers, tell)
+    print(f"{len(seeds)} logs, {len(failed)} problems: seeds {failed}")
+    print(f"exit codes {dict(sorted(codes.items()))}")
+    print(f"worst log (all commands): {worst['seconds'][0]:.1f} s, seed {worst['seconds'][1:]}")
+    print(f"most memory of a process: {worst['memory'][0] >> 20} MB, seed {worst['memory'][1:]}")
+    sys.exit(bool(failed))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""Small ROS 1 bags, and the structure of their records."""
+
+import struct
+import tempfile
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from fuzz.flips import RATES, SPACING_NS
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
+
+IMU = "sensor_msgs/msg/Imu"
+T0 = 1_700_000_000_000_000_000
+OPS = {2: "message", 3: "bag header", 4: "index data", 5: "chunk", 6: "chunk info", 7: "connection"}
+MESSAGES = 3
+"""Messages at each end of a chunk whose heads are structure to look at: the others are alike."""
+
+
+@cache
+def layouts():
+    """Return bags in chunks of 60 samples and notes: each compression, no index, no chunks."""
+    plain = _bag(None)
+    return {
+        "none": plain,
+        "lz4": _bag("LZ4"),
+        "bz2": _bag("BZ2"),
+        "one topic": _bag(None, notes=False),
+        "no index": _unclosed(plain),
+    }
+
+
+class Record(NamedTuple):
+    """A record: where it begins, and where its data begin and end."""
+
+    op: str
+    start: int
+    begin: int
+    end: int
+
+
+TITLE = "ROS 1 bag"
+UNNOTICED = {"cut behind a chunk": "a bag that was not closed and ends there"}
+COUNTED = ("none", "lz4", "bz2", "one topic")
+
+
+def _bag(compression, *, notes=True):
+    store = get_typestore(Stores.ROS1_NOETIC)
+    types = store.types
+    stamp, vector = types["builtin_interfaces/msg/Time"], types["geometry_msgs/msg/Vector3"]
+    orientation = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    nothing = RATES[:9] * 0.0
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.bag"
+        writer = Writer(path)
+        writer.chunk_threshold = 60 * 400
+        if compression:
+            writer.set_compression(Writer.CompressionFormat[compression])
+        with writer:
+            imu = writer.add_connection("/imu", IMU, typestore=store)
+            note = notes and writer.add_connection("/note", "std_msgs/msg/UInt8", typestore=store)
+            for k, x in enumerate(RATES.tolist()):
+                t_ns = T0 + k * SPACING_NS
+                header = types["std_msgs/msg/Header"](k, stamp(*divmod(t_ns, 10**9)), "imu")
+                rate = vector(float(x), 0.0, 0.0)
+                force = vector(0.0, 0.0, 9.81)
+                message = types[IMU](header, orientation, nothing, rate, nothing, force, nothing)
+                writer.write(imu, t_ns, bytes(store.serialize_ros1(message, IMU)))
+                if notes and k % 10 == 0:
+                    writer.write(note, t_ns, b"\0")
+        return path.read_bytes()
+
+
+def _unclosed(bag):
+    """Return a bag that its recorder did not close."""
+    at = bag.index(b"index_pos=") + 10
+    (index_pos,) = struct.unpack_from("<Q", bag, at)
+    return bag[:at] + bytes(8) + bag[at + 8 : index_pos]
+
+
+def heads(data):
+    """Return what each byte of the heads of records is: of the bag, and inside plain chunks."""
+    names = dict.fromkeys(range(13), "magic")
+    for record in _records(data, 13, len(data)):
+        _name(names, data, record)
+        if record.op == "chunk" and b"compression=none" in data[record.start : record.begin]:
+            inside = list(_records(data, record.begin, record.end))
+            messages = [each for each in inside if each.op == "message"]
+            others = [each for each in inside if each.op != "message"]
+            for each in (*others, *messages[:MESSAGES], *messages[-MESSAGES:]):
+                _name(names, data, each)
+    return names
+
+
+def ends(data):
+    """Return where the chunks end."""
+    return [record.end for record in _records(data, 13, len(data)) if record.op == "chunk"]
+
+
+def _records(data, at, stop):
+    """Yield the records from one place to another."""
+    while at < stop:
+        (length,) = struct.unpack_from("<I", data, at)
+        begin = at + 8 + length
+        (size,) = struct.unpack_from("<I", data, begin - 4)
+        op = OPS[data[data.index(b"op=", at) + 3]]
+        yield Record(op, at, begin, begin + size)
+        at = begin + size
+
+
+def _name(names, data, record):
+    """Name the bytes of a head; of data that are fields as well, or that count something."""
+    op, start, begin, end = record
+    names.update(dict.fromkeys(range(start, start + 4), f"{op}: length of the header"))
+    names.update(dict.fromkeys(range(begin - 4, begin), f"{op}: length of the data"))
+    _name_fields(names, data, op, start + 4, begin - 4)
+    if op == "connection":
+        _name_fields(names, data, f"{op}: data", begin, end)
+    if op in {"chunk info", "index data"}:
+        size = 8 if op == "chunk info" else 12
+        parts = ("connection", "count") if op == "chunk info" else ("seconds", "ns", "offset")
+        for at in (*range(begin, end, size),)[:MESSAGES]:
+            for k in range(size):
+                names[at + k] = f"{op}: {parts[k // 4]}"
+
+
+def _name_fields(names, data, op, at, stop):
+    while at < stop:
+        (length,) = struct.unpack_from("<I", data, at)
+        name = data[at + 4 : at + 4 + length].partition(b"=")[0].decode()
+        names.update(dict.fromkeys(range(at, at + 4), f"{op}: length of {name}"))
+        names.update(dict.fromkeys(range(at + 4, at + 5 + len(name)), f"{op}: name of {name}"))
+        names.update(dict.fromkeys(range(at + 5 + len(name), at + 4 + length), f"{op}: {name}"))
+        at += 4 + length

@@ -1,0 +1,132 @@
+"""Run the commands and listings of the documents; as a program, write what they print into them."""
+
+import io
+import os
+import re
+import shlex
+import subprocess
+import sys
+import warnings
+from contextlib import chdir, redirect_stdout
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from click.testing import CliRunner
+from fuzz.flips import TABLE, unnoticed_table
+from make.places import ROOT, SHARED_LOGS
+
+from quatprop import RemarkWarning
+from quatprop.cli.commands import cli
+
+GUIDES = ROOT / "quatprop" / "docs"
+
+SIMULATED = {
+    "drive.mcap": ("--motion", "rest", "--duration", "40s", "--noise", "1e-4"),
+    "flight.bag": ("--motion", "tumbling", "--duration", "10s"),
+    "walk.bag": ("--motion", "coning", "--duration", "30s"),
+    "recordings/a.csv": (),
+    "runs/1/imu.bag": (),
+}
+"""Name of a log in the documents -> how it is simulated."""
+
+RECORDED = {
+    "flight.ulg": "ulog/sample.ulg",
+    "euroc/imu0/data.csv": "csv/euroc_v102/imu0_data.csv",
+    "euroc/truth.csv": "csv/euroc_v102/state_groundtruth_data.csv",
+}
+"""Name of a log in the documents -> the real recording that it is."""
+
+
+class Document:
+    """A document whose blocks are run in their order.
+
+    Commands of ``console`` blocks run in a folder with the logs that documents speak of, ``python``
+    blocks in one namespace; blocks that begin with ``# NAME`` are files of that name.
+    """
+
+    def __init__(self, path, folder, recordings):
+        self.text = path.read_text()
+        self.folder = folder
+        self.names = {}
+        self.printed = ""
+        if recordings is None:
+            sections = self.text.split("\n## ")
+            self.text = "\n## ".join(
+                part for part in sections if not any(name in part for name in RECORDED)
+            )
+        self._prepare(recordings)
+
+    def _prepare(self, recordings):
+        (self.folder / "sample_logs").symlink_to(ROOT / "sample_logs")
+        for name, options in SIMULATED.items():
+            path = self.folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            CliRunner().invoke(cli, ["simulate", str(path), "--truth", "none", "-q", *options])
+        for name, recording in RECORDED.items() if recordings else ():
+            path = self.folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.symlink_to(recordings / recording)
+        rows = "".join(f"{number / 100},1,2,3\n" for number in range(100))
+        (self.folder / "log.csv").write_text("t,gx,gy,gz\n" + rows)
+        (self.folder / "names.txt").write_text("runs/1/imu.bag\n")
+        shim = self.folder / ".bin" / "quatprop"
+        shim.parent.mkdir()
+        shim.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m quatprop "$@"\n')
+        shim.chmod(0o755)
+
+    def run(self):
+        """Run all blocks; return the text with what is printed now in place of what is shown."""
+        with chdir(self.folder):
+            return re.sub(r"(?ms)^```(\w+)\n(.*?)^```$", self._block, self.text)
+
+    def _block(self, found):
+        kind, text = found.groups()
+        if kind == "console":
+            lines = [self._shown(part) for part in re.split(r"(?m)^\$ ", text)[1:]]
+            return "```console\n" + "".join(lines) + "```"
+        if kind == "python":
+            self._listing(text)
+        elif name := re.match(r"# ([\w/]+\.\w+)\n", text):
+            Path(name[1]).parent.mkdir(parents=True, exist_ok=True)
+            Path(name[1]).write_text(text)
+        return found[0]
+
+    def _shown(self, part):
+        """Return a command, and what it prints where something is shown below it."""
+        command, _, before = part.partition("\n")
+        code, output = self._command(command)
+        assert code in {0, 3}, f"{command}: {output}"
+        return f"$ {command}\n" + (output.rstrip("\n") + "\n" if before else "")
+
+    def _command(self, command):
+        words, _, grep = command.partition(" | grep ")
+        if words.startswith("quatprop ") and " > " not in words:
+            # No process of its own: it is faster.
+            result = CliRunner().invoke(cli, shlex.split(words, comments=True)[1:])
+            lines = (result.stdout + result.stderr).splitlines()
+            return result.exit_code, "\n".join(line for line in lines if grep in line)
+        folders = (self.folder / ".bin", Path(sys.executable).parent, os.environ["PATH"])
+        done = subprocess.run(
+            ["/bin/bash", "-c", command],
+            env={**os.environ, "PATH": os.pathsep.join(map(str, folders)), "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        return done.returncode, done.stdout + done.stderr
+
+    def _listing(self, text):
+        with redirect_stdout(io.StringIO()) as stream, warnings.catch_warnings():
+            # The rates of a sample log are frozen, as quatprop remarks.
+            warnings.simplefilter("ignore", RemarkWarning)
+            exec(text, self.names)  # noqa: S102  # the documents are ours
+        self.printed += stream.getvalue()
+
+
+if __name__ == "__main__":
+    for document in (ROOT / "README.md", *sorted(GUIDES.glob("*.md"))):
+        with TemporaryDirectory() as place:
+            text = re.sub(TABLE, unnoticed_table(), document.read_text())
+            document.write_text(text)
+            if document.name not in {"ci.md", "fleets.md"}:
+                document.write_text(Document(document, Path(place), SHARED_LOGS).run())

@@ -1,0 +1,664 @@
+"""The library: what a notebook sees."""
+
+import ast
+import datetime as dt
+import json
+import pickle
+import re
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+from make.places import SAMPLE_LOGS
+from scipy.spatial.transform import Rotation
+
+import quatprop
+from quatprop import AttitudeSeries, GyroSeries
+from quatprop.cli.commands import cli
+from quatprop.comparison.settings import COMPARE
+from quatprop.errors import LogError, NoRatesError, SeriesError, UsageError
+from quatprop.settings import PROPAGATE, READ_ATTITUDES, READ_RATES
+from quatprop.text import Setting
+
+T_NS = np.array([1_700_000_000_000_000_000, 1_700_000_000_010_000_000, 1_700_000_000_020_000_001])
+RATE = np.array([[0.1, 0.2, 0.3], [-0.4, 0.5, 0.6], [0.7, -0.8, 0.9]])
+
+
+def dates(unit):
+    """Return the stamps as dates of a resolution, and as the ns that it leaves of them."""
+    per = {"ns": 1, "us": 1000, "ms": 1_000_000}[unit]
+    return (T_NS // per).astype(f"datetime64[{unit}]"), T_NS // per * per
+
+
+FRAME = pd.DataFrame({"t": T_NS, "wx": RATE[:, 0], "wy": RATE[:, 1], "wz": RATE[:, 2]})
+HOLES = FRAME[["wx", "wy", "wz"]].where(RATE > 0).convert_dtypes()
+START = dt.datetime(2023, 11, 14, 22, 13, 20, tzinfo=dt.UTC)
+DATES = [START, START.replace(second=21, tzinfo=None)]
+STAMPS = {
+    "array": T_NS,
+    "list": T_NS.tolist(),
+    "tuple": tuple(T_NS.tolist()),
+    "objects": np.array(T_NS.tolist(), object),
+    "uint64": T_NS.astype(np.uint64),
+    "pandas": FRAME["t"],
+    "polars": pl.Series(T_NS),
+    "arrow": pa.array(T_NS),
+    "arrow chunks": pa.chunked_array([T_NS[:1], T_NS[1:]]),
+    "datetime64": T_NS.astype("datetime64[ns]"),
+    "pandas dates": pd.Series(T_NS.astype("datetime64[ns]")),
+    "pandas dates with a zone": pd.Series(
+        pd.to_datetime(T_NS, utc=True).tz_convert("Europe/Berlin")
+    ),
+    "pandas index": pd.to_datetime(T_NS),
+    "polars dates": pl.Series(T_NS).cast(pl.Datetime("ns")),
+    "arrow dates": pa.array(T_NS, pa.timestamp("ns", tz="UTC")),
+}
+RATES = {
+    "array": RATE,
+    "lists": RATE.tolist(),
+    "Fortran order": np.asfortranarray(RATE),
+    "pandas": FRAME[["wx", "wy", "wz"]],
+    "polars": pl.DataFrame(FRAME[["wx", "wy", "wz"]].to_dict("list")),
+    "arrow table": pa.table(FRAME[["wx", "wy", "wz"]].to_dict("list")),
+    "pandas of Arrow": FRAME[["wx", "wy", "wz"]].convert_dtypes(dtype_backend="pyarrow"),
+    "nullable pandas": FRAME[["wx", "wy", "wz"]].convert_dtypes(),
+    "arrow lists": pa.FixedSizeListArray.from_arrays(pa.array(RATE.ravel()), 3),
+}
+
+
+@pytest.mark.parametrize("stamps", STAMPS.values(), ids=STAMPS)
+@pytest.mark.parametrize("rate", RATES.values(), ids=RATES)
+def test_series_take_columns_of_any_library(stamps, rate):
+    """Arrays, lists, pandas, polars and Arrow give the same series."""
+    series = GyroSeries(stamps, rate)
+    assert series.t_ns.dtype == np.int64
+    assert series.t_ns.tolist() == T_NS.tolist()
+    assert series.rate.dtype == np.float64
+    assert series.rate.tolist() == RATE.tolist()
+    assert not series.rate.flags.writeable
+
+
+@pytest.mark.parametrize("unit", ["us", "ms"])
+def test_coarser_dates_are_exact(unit):
+    """Dates of any resolution become nanoseconds."""
+    stamps, expected = dates(unit)
+    assert GyroSeries(stamps, RATE).t_ns.tolist() == expected.tolist()
+    assert GyroSeries(pd.Series(stamps), RATE).t_ns.tolist() == expected.tolist()
+    assert GyroSeries(pl.Series(stamps), RATE).t_ns.tolist() == expected.tolist()
+
+
+def test_lists_of_dates_are_dates():
+    """With a zone, and without one as UTC."""
+    series = AttitudeSeries(DATES, [[1, 0, 0, 0]] * 2)
+    assert series.t_ns.tolist() == [1_700_000_000_000_000_000, 1_700_000_001_000_000_000]
+
+
+def test_float32_becomes_float64():
+    """The value of each number stays what it is."""
+    single = RATE.astype(np.float32)
+    assert GyroSeries(T_NS, single).rate.tolist() == single.astype(float).tolist()
+    assert GyroSeries(T_NS, [[0, 0, 1]] * 3).rate.dtype == np.float64
+
+
+def test_float_seconds_only_where_the_caller_says_so():
+    """They are rounded to the nearest ns; elsewhere they are refused with the way out."""
+    series = GyroSeries.from_seconds([0.1, 0.2, 1e9 + 0.25], RATE)
+    assert series.t_ns.tolist() == [100_000_000, 200_000_000, 1_000_000_000_250_000_000]
+    assert AttitudeSeries.from_seconds([-0.5], [[1, 0, 0, 0]]).t_ns.tolist() == [-500_000_000]
+    with pytest.raises(SeriesError, match=r"got float64; for seconds as floats use from_seconds"):
+        GyroSeries([0.1, 0.2, 0.3], RATE)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "rate", "sentence"),
+    [
+        (T_NS, RATE[:2], r"Expected `rate` to have shape \(3, 3\), got \(2, 3\)"),
+        (T_NS[:2], RATE[:2].T, r"Expected `rate` to have shape \(2, 3\), got \(3, 2\); transpose"),
+        (
+            T_NS,
+            FRAME[["wx", "wy", "wz"]].where(RATE > 0).convert_dtypes(),
+            "`rate` has values that",
+        ),
+        (T_NS, RATE.T[:2].T, r"Expected `rate` to have shape \(3, 3\), got \(3, 2\)"),
+        (T_NS, RATE.ravel(), r"Expected `rate` to have shape \(3, 3\), got \(9,\)"),
+        (T_NS, RATE.astype(str), "Expected `rate` to be numbers, got <U"),
+        (T_NS, RATE.astype(complex), "Expected `rate` to be numbers, got complex128"),
+        (T_NS, [[1, 2, 3], [1, 2], [1, 2, 3]], "`rate` has rows of different lengths"),
+        (T_NS, None, r"Expected `rate` to have shape \(3, 3\), got \(\)"),
+        (T_NS, pa.array([[1.0], [1.0, 2.0], []]), "`rate` has rows of different lengths"),
+        (T_NS[None], RATE, r"Expected `t_ns` to have shape \(N,\), got \(1, 3\)"),
+        (5, RATE, r"Expected `t_ns` to have shape \(N,\), got \(\)"),
+        (["a", "b", "c"], RATE, "Expected `t_ns` to be int64 nanoseconds or dates, got <U1"),
+        ([True, False, True], RATE, "Expected `t_ns` to be int64 nanoseconds or dates, got bool"),
+        ([1, 2, 2**63], RATE, "`t_ns` has values that do not fit 64 bits"),
+        ([1, 2, -(2**70)], RATE, "`t_ns` has values that do not fit 64 bits"),
+        (pa.array([1, None, 3]), RATE, "`t_ns` has missing values"),
+        (np.array(["2020", "NaT", "2021"], "M8[s]"), RATE, "`t_ns` has missing dates"),
+        (np.array(["2020", "2021", "9020"], "M8[s]"), RATE, "dates that do not fit 64 bits"),
+    ],
+)
+def test_what_is_no_series_is_one_sentence(stamps, rate, sentence):
+    """Wrong shapes, types and values are refused by name."""
+    with pytest.raises(SeriesError, match=sentence):
+        GyroSeries(stamps, rate)
+
+
+@pytest.mark.parametrize("seconds", [["a"], [np.nan], [np.inf], [1e10], [[0.1]]])
+def test_seconds_that_are_none_are_refused(seconds):
+    """Not finite, too far away, or no column."""
+    with pytest.raises(SeriesError, match=r"`t_s`"):
+        AttitudeSeries.from_seconds(seconds, [[1, 0, 0, 0]])
+
+
+def test_rates_as_tables():
+    """Columns in SI units, by the names that the tool reads back."""
+    series = GyroSeries(T_NS, RATE)
+    table = series.to_arrow()
+    assert table.column_names == ["t_ns", "wx", "wy", "wz"]
+    assert table["t_ns"].to_pylist() == T_NS.tolist()
+    assert table["wy"].to_pylist() == RATE[:, 1].tolist()
+    assert series.to_pandas().equals(table.to_pandas())
+
+
+def test_attitudes_as_arrays_and_tables():
+    """A layout is an order of columns; scipy reads the scalar-last one as the same rotation."""
+    rotations = Rotation.random(3, random_state=1)
+    series = AttitudeSeries(T_NS, rotations.as_quat(scalar_first=True))
+    assert series.as_quat(scalar_first=True).tolist() == series.wxyz.tolist()
+    again = Rotation.from_quat(series.as_quat(scalar_first=False))
+    assert (again.inv() * rotations).magnitude().max() < 1e-15
+    assert series.to_arrow().column_names == ["t_ns", "qw", "qx", "qy", "qz"]
+    last = series.to_pandas(scalar_first=False)
+    assert list(last.columns) == ["t_ns", "qx", "qy", "qz", "qw"]
+    assert last["qw"].tolist() == series.wxyz[:, 0].tolist()
+    with pytest.raises(UsageError, match=r"scalar_first=True is w, x, y, z, scalar_first=False x,"):
+        series.as_quat()
+
+
+def test_without_pandas_the_sentence_names_it(monkeypatch):
+    """It is not a dependency."""
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(UsageError, match="needs pandas; install it with pip install pandas"):
+        GyroSeries(T_NS, RATE).to_pandas()
+
+
+@pytest.mark.parametrize("as_path", [str, Path])
+def test_rates_and_attitudes_of_logs(as_path):
+    """Paths are text or Path; the series are those of the log."""
+    rates = quatprop.read_rates(as_path(SAMPLE_LOGS / "tumbling.bag"))
+    assert (len(rates), rates.rate.shape) == (1000, (1000, 3))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", quatprop.RemarkWarning)
+        truth = quatprop.read_attitudes(as_path(SAMPLE_LOGS / "tumbling.truth.csv"))
+    assert np.abs(np.linalg.norm(truth.wxyz, axis=1) - 1).max() < 1e-15
+
+
+def test_propagation_is_that_of_the_command_line(tmp_path):
+    """A log, its rates in memory and the command give the same attitudes to the bit."""
+    from click.testing import CliRunner
+
+    log, out = SAMPLE_LOGS / "tumbling.bag", tmp_path / "out.parquet"
+    options = ["--method", "coning", "--mount", "y,-x,z", "--bias", "0.1,0,0", "--start", "+1s"]
+    assert CliRunner().invoke(cli, ["propagate", str(log), "-o", str(out), *options]).exit_code == 0
+    expected = pyarrow.parquet.read_table(out)
+    keywords = {"method": "coning", "mount": "y,-x,z", "bias": (0.1, 0, 0), "start": "+1s"}
+    for source in (log, quatprop.read_rates(log)):
+        result = quatprop.propagate(source, **keywords)
+        assert result.to_arrow().equals(expected.select(range(5)).replace_schema_metadata())
+        assert result.report.counts.used == len(result) == 900
+        assert result.report.convention.method == "coning"
+    quatprop.write(quatprop.propagate(log, **keywords), tmp_path / "again.parquet")
+    again = pyarrow.parquet.read_metadata(tmp_path / "again.parquet").metadata[b"quatprop"]
+    kept = json.loads(pyarrow.parquet.read_metadata(out).metadata[b"quatprop"])
+    assert json.loads(again)["convention"] == kept["convention"]
+
+
+def test_policies_hold_for_rates_in_memory():
+    """Stamps that go backwards are refused, or handled as asked."""
+    series = GyroSeries(T_NS[[0, 2, 1]], RATE)
+    with pytest.raises(LogError, match=r"^series: .*choose on_backwards='drop' or 'sort'"):
+        quatprop.propagate(series)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert len(quatprop.propagate(series, on_backwards="drop")) == 2
+    dropped, remark = (str(warning.message) for warning in caught)
+    assert dropped == "series: 1 rows were dropped"
+    assert remark.startswith("series: 1 non-monotonic timestamp (dropped), first at sample 2, t = ")
+    with pytest.warns(quatprop.RemarkWarning, match=r"timestamp \(sorted\)"):
+        assert quatprop.propagate(series, on_backwards="sort").t_ns.tolist() == T_NS.tolist()
+
+
+@pytest.mark.parametrize(
+    ("keywords", "sentence"),
+    [
+        ({"q0": "level"}, "q0='level' needs a log, not rates in memory"),
+        ({"q0": (1, 0, 0)}, "q0: '1,0,0' is not W,X,Y,Z, 4 finite numbers"),
+        ({"q0": (0, 0, 0, 0)}, "has the length 0, so it is not an attitude"),
+        ({"method": "euler"}, "method: 'euler' is not one of"),
+        ({"metod": "end"}, "there is no setting 'metod'"),
+        ({"mount": "x,y,-z"}, "is left-handed, so it is not a rotation"),
+        ({"start": dt.datetime(2024, 1, 1)}, "start: "),  # noqa: DTZ001  # no zone is the mistake
+    ],
+)
+def test_a_wrong_argument_is_a_clear_error(keywords, sentence):
+    """Never an AttributeError from inside; the parameter is named as Python has it."""
+    with pytest.raises(quatprop.QuatpropError, match=sentence):
+        quatprop.propagate(GyroSeries(T_NS, RATE), **keywords)
+
+
+@pytest.mark.parametrize(
+    "keywords",
+    [{"rate_unit": "deg/s"}, {"topic": "/imu"}, {"clock": "log"}, {"rate_cols": "a,b,c"},
+     {"kind": "csv"}, {"msg_path": "a.msg"}],
+)  # fmt: skip
+def test_what_is_about_logs_is_refused_for_rates_in_memory(keywords):
+    """It would be ignored silently otherwise."""
+    (name,) = keywords
+    with pytest.raises(UsageError, match=f"^{name} is for logs, not for rates in memory"):
+        quatprop.propagate(GyroSeries(T_NS, RATE), **keywords)
+
+
+IN_MEMORY = {
+    "if they are in deg/s, use numpy.deg2rad": [0, 10**7],
+    "choose on_backwards='drop' or 'sort', or another t_ns": [0, 5, 3],
+    "is there another t_ns or time column, or are they in another unit?": [0] * 30,
+    "in another unit, use t_ns in ns": list(range(0, 30 * 10**13, 10**13)),
+    "check unit, the time column or t_ns": [-(2**63), 2**63 - 1],
+    "choose another with t_ns or other stamps": [10**9] * 5 + [2 * 10**9] * 5,
+}
+"""How advice ends on rates in memory, and stamps that it is given for, in ns."""
+
+
+@pytest.mark.parametrize("advice", IN_MEMORY)
+def test_advice_on_rates_in_memory_names_no_setting_for_logs(advice):
+    """`rate_unit='deg/s'` was advised, and refused when it was typed."""
+    t_ns = IN_MEMORY[advice]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            quatprop.propagate(GyroSeries(t_ns, [[100.0, 200.0, 300.0]] * len(t_ns)))
+            said = [str(warning.message) for warning in caught]
+        except LogError as error:
+            said = [str(error)]
+    assert any(sentence.endswith(advice) for sentence in said)
+    assert not re.search("clock|time_col|time_unit|rate_unit", " ".join(said))
+
+
+def test_reading_takes_no_settings_of_a_propagation():
+    """A bias is not subtracted by reading."""
+    with pytest.raises(UsageError, match="there is no setting 'bias'"):
+        quatprop.read_rates(SAMPLE_LOGS / "spin.csv", bias="1,2,3")
+
+
+def test_whole_numbers_of_numpy_are_whole_numbers():
+    """As they come out of a series."""
+    series = GyroSeries(T_NS, RATE)
+    by_numpy = quatprop.propagate(series, start=series.t_ns[1], every=np.int32(1), max_gap=T_NS[0])
+    assert by_numpy.t_ns.tolist() == T_NS[1:].tolist()
+
+
+def test_what_looks_wrong_is_a_warning():
+    """A gap is propagated across, and said; also of rates in memory."""
+    t_ns = np.append(np.arange(50), 1000) * 10_000_000
+    series = GyroSeries(t_ns, np.tile([0, 0, 0.5], (51, 1)))
+    with pytest.warns(
+        quatprop.RemarkWarning, match="^series: 1 interval longer than 100 ms"
+    ) as seen:
+        quatprop.propagate(series)
+    assert seen[0].filename == __file__
+
+
+@pytest.mark.parametrize(
+    ("row", "sentence"),
+    [
+        ([2, 0, 0, 0], "1 of 1 rows are invalid quaternions"),
+        ([np.nan, 0, 0, 0], "none of 1 rows holds an attitude"),
+        ([0, 0, 0, 0], "1 of 1 rows are invalid quaternions"),
+    ],
+)
+def test_what_is_no_rotation_is_neither_written_nor_compared(tmp_path, row, sentence):
+    """As where it is read from a file."""
+    series, good = (AttitudeSeries([0], [wxyz]) for wxyz in (row, [1, 0, 0, 0]))
+    with pytest.raises(LogError, match=rf"^series: {sentence}"):
+        quatprop.write(series, tmp_path / "a.csv")
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(LogError, match=rf"^b: {sentence}"):
+        quatprop.compare(good, series)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "sentence"),
+    [
+        ({"tol": -1}, "tol: '-1' is below 0"),
+        ({"tol": np.nan}, "tol: 'nan' is not a finite number"),
+        ({"max_dt": -5}, "max_dt: '-5' is not a duration above 0"),
+        ({"align": "best"}, "align: 'best' is not one of"),
+    ],
+)
+def test_wrong_settings_of_a_comparison_are_named(keywords, sentence):
+    """As those of a propagation."""
+    good = AttitudeSeries([0], [[1, 0, 0, 0]])
+    with pytest.raises(UsageError, match=f"^{sentence}"):
+        quatprop.compare(good, good, **keywords)
+
+
+def test_no_error_shows_a_table():
+    """Of what is no path the type is named, and the parameter."""
+    series = quatprop.propagate(GyroSeries(T_NS, RATE))
+    for call, name, way_out in (
+        (lambda: quatprop.propagate(FRAME), "log", "; make a GyroSeries of arrays"),
+        (lambda: quatprop.compare(series, series.wxyz), "b", "; make an AttitudeSeries of arrays"),
+        (lambda: quatprop.convert(series, "a.csv"), "source", r"; write\(\) takes a series"),
+        (lambda: quatprop.propagate(GyroSeries(T_NS, RATE), at=series), "at", ""),
+    ):
+        with pytest.raises(UsageError, match=rf"^{name}: .* is not a path{way_out}$") as caught:
+            call()
+        assert len(str(caught.value)) < 100
+    with pytest.raises(UsageError, match=r"^q0: "):
+        quatprop.propagate(GyroSeries(T_NS, RATE), q0=Rotation.identity())
+
+
+def test_series_and_reports_are_shown_in_a_line(tmp_path):
+    """A notebook shows what they hold, not all of it."""
+    rates = GyroSeries(T_NS, RATE)
+    assert repr(rates) == "<GyroSeries: 3 samples over 20 ms from t = 1700000000000000000 ns>"
+    (tmp_path / "in.csv").write_text("t_ns,qw,qx,qy,qz\n1,0,0,0,0\n2,1,0,0,0\n")
+    out = tmp_path / "out.csv"
+    with pytest.warns(quatprop.DataLossWarning):
+        converted = quatprop.convert(tmp_path / "in.csv", out, on_invalid="drop")
+    assert repr(converted) == f"<ConversionReport: 1 of 2 rows in {out}>"
+    result = quatprop.propagate(rates)
+    assert repr(result).startswith("<PropagatedSeries: 3 attitudes over 20 ms")
+    assert result[1:].wxyz.tolist() == result.wxyz[1:].tolist()
+    turned = AttitudeSeries([0, 1], [[1, 0, 0, 0], [0.5**0.5, 0, 0, 0.5**0.5]])
+    still = AttitudeSeries([0, 1], [[1, 0, 0, 0]] * 2)
+    assert repr(quatprop.compare(turned, still, tol="1deg")) == (
+        "<Comparison: 2 pairs, max 90 deg, RMS 63.6396 deg, failed>"
+    )
+    empty = AttitudeSeries(T_NS[:0], result.wxyz[:0])
+    assert repr(empty) == "<AttitudeSeries: no attitudes>"
+
+
+def test_positions_are_in_tables():
+    """They are columns of their own."""
+    series = AttitudeSeries([5], [[1, 0, 0, 0]], [[1.0, 2.0, 3.0]])
+    assert series.to_pandas().to_dict("records") == [
+        {"t_ns": 5, "qw": 1.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "px": 1.0, "py": 2.0, "pz": 3.0}
+    ]
+
+
+def test_sentences_of_results_are_spelled_for_python(tmp_path):
+    """No mark of a setting is left in what the functions return, or in an error that passes on."""
+    log, out = SAMPLE_LOGS / "coning.mcap", tmp_path / "out.csv"
+    late = quatprop.propagate(log)
+    late = AttitudeSeries(late.t_ns + 40_000_000, late.wxyz)
+    comparison = quatprop.compare(late, quatprop.propagate(log))
+    assert "time_offset='40ms'" in comparison.likely_cause.remedy
+    quatprop.write(late, tmp_path / "in.parquet")
+    report = quatprop.convert(tmp_path / "in.parquet", out, convention="jpl")
+    assert "header_comment" in report.remarks[0]
+    for error in (UsageError(f"choose {Setting('clock', 'log')}"), NoRatesError(log, ["/a"])):
+        again = pickle.loads(pickle.dumps(error))  # noqa: S301  # our own
+        assert repr(again) == repr(error)
+        assert str(again) == str(error)
+        assert "ue000" not in repr(error)
+    for text in (repr(comparison), str(comparison.likely_cause), repr(report.remarks)):
+        assert "ue000" not in text
+
+
+@pytest.mark.parametrize("path", [7, None, b"", "", "a\0b"])
+def test_what_is_no_path_is_refused(path):
+    """In every function that takes one."""
+    for function in (quatprop.read_rates, quatprop.read_attitudes, quatprop.propagate):
+        with pytest.raises(UsageError, match="is not a path"):
+            function(path)
+
+
+def test_an_error_names_the_parameter_not_the_option(tmp_path):
+    """Settings are spelled as the library has them."""
+    log = tmp_path / "log.csv"
+    log.write_text("t,wx,wy,wz\n0,0,0,1\n1,0,0,1\n")
+    with pytest.raises(LogError, match=r"(time|rate)_unit=") as caught:
+        quatprop.read_rates(log)
+    assert "--" not in str(caught.value)
+
+
+def test_losses_are_warnings(tmp_path):
+    """What could not be read is not silent."""
+    log = tmp_path / "cut.bag"
+    content = (SAMPLE_LOGS / "tumbling.bag").read_bytes()
+    log.write_bytes(content[: len(content) * 2 // 3])
+    with pytest.warns(quatprop.DataLossWarning, match=r"cut\.bag: lost: ") as caught:
+        series = quatprop.read_rates(log)
+    assert caught[0].filename == __file__
+    assert 0 < len(series) < 1000
+    with pytest.warns(quatprop.DataLossWarning, match="lost"):
+        quatprop.propagate(log)
+
+
+def test_comparison_of_files_and_series():
+    """The known error of a method is found; the tolerance is text or rad."""
+    truth, log = SAMPLE_LOGS / "tumbling.truth.csv", SAMPLE_LOGS / "tumbling.bag"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", quatprop.RemarkWarning)
+        by_method = {
+            method: quatprop.compare(
+                quatprop.propagate(log, method=method), truth, align="first", tol="0.05deg"
+            )
+            for method in ("start", "coning")
+        }
+        again = quatprop.compare(truth, truth, tol=1e-9)
+    assert by_method["coning"].passed
+    assert not by_method["start"].passed
+    assert again.passed
+
+
+def test_conversion_to_another_layout_and_convention(tmp_path):
+    """Layout and convention are those asked for, and read back without a word."""
+    truth = SAMPLE_LOGS / "tumbling.truth.csv"
+    quatprop.convert(truth, tmp_path / "jpl.parquet", layout="scalar-last", convention="jpl")
+    table = pyarrow.parquet.read_table(tmp_path / "jpl.parquet")
+    assert table.column_names == ["t_ns", "qx", "qy", "qz", "qw"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", quatprop.RemarkWarning)
+        before = quatprop.read_attitudes(truth)
+        after = quatprop.read_attitudes(tmp_path / "jpl.parquet")
+    assert after.wxyz.tolist() == before.wxyz.tolist()
+    assert np.array_equal(table["qx"].to_numpy(), -before.wxyz[:, 1])
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz", ".tum", ".mcap", ".bag"])
+def test_what_is_written_is_read_back(tmp_path, suffix):
+    """In any format."""
+    series = AttitudeSeries(T_NS, Rotation.random(3, random_state=2).as_quat(scalar_first=True))
+    quatprop.write(series, tmp_path / f"a{suffix}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", quatprop.RemarkWarning)
+        again = quatprop.read_attitudes(tmp_path / f"a{suffix}")
+    assert again.t_ns.tolist() == T_NS.tolist()
+    assert again.wxyz.tolist() == series.wxyz.tolist()
+
+
+def test_only_attitudes_are_written(tmp_path):
+    """Rates are no attitudes."""
+    with pytest.raises(SeriesError, match="Expected an AttitudeSeries, got GyroSeries"):
+        quatprop.write(GyroSeries(T_NS, RATE), tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("function", "settings"),
+    [
+        (quatprop.read_rates, READ_RATES),
+        (quatprop.read_attitudes, READ_ATTITUDES),
+        (quatprop.propagate, PROPAGATE),
+        (quatprop.compare, COMPARE),
+        (quatprop.convert, {"to", "layout", "extra_columns", "representation"}),
+        (quatprop.write, {"to", "layout", "extra_columns"}),
+    ],
+)
+def test_every_keyword_is_documented(function, settings):
+    """Each setting stands before a colon, or in a list of them, in the parameters."""
+    parameters = function.__doc__.split("Returns\n")[0]
+    for name in settings:
+        assert re.search(rf"\b{name}\b(?=[\w, \\\n]*( :|\n        ))", parameters), name
+
+
+@pytest.mark.parametrize(
+    ("called", "way_out"),
+    [
+        (lambda path: quatprop.compare(path, path),
+         "name the columns with quat_cols, from_layout and time_col of read_attitudes"),
+        (lambda path: quatprop.propagate(SAMPLE_LOGS / "spin.csv", at=path),
+         "name the columns with quat_cols, from_layout and time_col of convert"),
+        (lambda path: quatprop.propagate(SAMPLE_LOGS / "spin.csv", q0=path),
+         "name the columns with quat_cols, from_layout and time_col of convert"),
+        (quatprop.read_attitudes, "name the columns with quat_cols, from_layout and time_col"),
+        (lambda path: quatprop.convert(path, "a.csv"),
+         "name the columns with quat_cols, from_layout and time_col"),
+    ],
+)  # fmt: skip
+def test_a_way_out_names_the_function_that_has_it(tmp_path, called, way_out):
+    """`compare` and `propagate` have no settings of the attitudes that they are given by path."""
+    path = tmp_path / "odd.csv"
+    path.write_text("t_ns,q_1,q_2,q_3,q_4\n1,1,0,0,0\n2,1,0,0,0\n")
+    with pytest.raises(quatprop.QuatpropError) as error:
+        called(path)
+    assert str(error.value).endswith(way_out)
+
+
+def test_the_public_names_are_listed():
+    """`dir` shows what is public, and no package takes the name of a function."""
+    assert set(quatprop.__all__) <= set(dir(quatprop))
+    # Folders without modules are what a checkout of an older version has left.
+    places = Path(quatprop.__file__).parent.iterdir()
+    packages = {path.stem for path in places if path.suffix == ".py" or list(path.glob("*.py"))}
+    assert not packages & set(quatprop.__all__)
+
+
+def test_importing_changes_nothing_for_the_host():
+    """No signal handler, no warning filter (but ruamel.yaml's own), no environment, no state."""
+    code = """
+import json, os, pkgutil, random, signal, sys, warnings
+import importlib
+import numpy, pyarrow
+def state():
+    handlers = {str(s): str(signal.getsignal(s)) for s in signal.valid_signals()}
+    filters = [str(filter) for filter in warnings.filters if "ruamel" not in str(filter)]
+    return [handlers, dict(os.environ), filters, str(random.getstate()), str(numpy.geterr()),
+            os.getcwd(), sys.getrecursionlimit(), pyarrow.cpu_count()]
+before = state()
+import quatprop
+for module in pkgutil.walk_packages(quatprop.__path__, "quatprop."):
+    if not module.name.startswith(("quatprop.cli", "quatprop.__main__", "quatprop.plot",
+                                   "quatprop.pytest_plugin")):
+        importlib.import_module(module.name)
+print(json.dumps(before == state()))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout) is True
+    package = Path(quatprop.__file__).parent
+    for path in package.rglob("*.py"):
+        if path.relative_to(package).parts[0] not in {"cli", "__main__.py"}:
+            for node in ast.walk(ast.parse(path.read_text())):
+                name = getattr(node, "attr", "")
+                assert name not in {"enable_signal_handlers", "set_cpu_count", "simplefilter"}, path
+
+
+@pytest.mark.parametrize(
+    ("function", "keywords", "sentence"),
+    [
+        ("write", {"representation": "rotvec"},
+         "there is no setting 'representation'; there are 'to', 'layout', 'extra_columns'"),
+        ("write", {"with_": "rotvec"},
+         "there is no setting 'with_'; did you mean 'extra_columns'?"),
+        ("convert", {"with": "rotvec"},
+         "there is no setting 'with'; did you mean 'extra_columns'?"),
+        ("convert", {"as_": "rotvec"}, "there is no setting 'as_'; did you mean 'representation'?"),
+        ("convert", {"from_": "csv"}, "there is no setting 'from_'; did you mean 'kind'?"),
+        ("convert", {"layot": "xyzw"}, "there is no setting 'layot'; did you mean 'layout'?"),
+        ("convert", {"euler_unit": "deg"},
+         ("there is no setting 'euler_unit'; it is part of a representation's name, such as "
+         "'euler-zyx-deg'")),
+    ],
+)  # fmt: skip
+def test_names_of_options_that_are_no_keywords_are_refused(tmp_path, function, keywords, sentence):
+    """With the keyword that was probably meant."""
+    source = AttitudeSeries([0, 1], [[1, 0, 0, 0]] * 2)
+    path = tmp_path / "in.csv"
+    quatprop.write(source, path)
+    first = source if function == "write" else path
+    with pytest.raises(UsageError) as error:
+        getattr(quatprop, function)(first, tmp_path / "out.csv", **keywords)
+    assert str(error.value) == sentence
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_rates_that_are_not_finite_or_huge_give_no_warnings_of_numpy():
+    """They are dropped and counted, assumed away, or refused in a sentence."""
+    t_ns = np.arange(4) * 10_000_000
+    rate = np.full((4, 3), 0.1)
+    rate[1] = np.inf
+    with (
+        pytest.warns(quatprop.RemarkWarning, match="1 non-finite rate"),
+        pytest.warns(quatprop.DataLossWarning, match="1 rows were dropped"),
+    ):
+        series = quatprop.propagate(GyroSeries(t_ns, rate), mount="y,-x,z", on_nonfinite="drop")
+    assert series.t_ns.tolist() == [0, 20_000_000, 30_000_000]
+    huge = GyroSeries(t_ns, np.full((4, 3), 1e200))
+    with pytest.warns(quatprop.RemarkWarning):
+        series = quatprop.propagate(huge, max_gap=1, on_gap="zero", rate=250)
+    np.testing.assert_array_equal(series.wxyz, [[1, 0, 0, 0]] * 8)
+    with pytest.raises(SeriesError, match=r"attitude of sample 1 is not finite; rates must be"):
+        quatprop.propagate(huge, end="-0s")
+
+
+@pytest.mark.parametrize(("name", "value"), [("bias", [np.nan, 0, 0]), ("q0", "inf,0,0,0")])
+def test_numbers_of_settings_are_finite(name, value):
+    """A bias that is not a number would be blamed on the rates."""
+    with pytest.raises(UsageError, match=rf"^{name}: .* is not .,.,.*, . finite numbers"):
+        quatprop.propagate(GyroSeries([0, 10**7], [[0, 0, 1]] * 2), **{name: value})
+
+
+def test_masked_values_are_missing():
+    """What is behind the mask is no sample."""
+    rate = np.ma.masked_array(np.ones((2, 3)), mask=[[True] * 3, [False] * 3])
+    with pytest.raises(SeriesError, match=r"^`rate` has missing values$"):
+        GyroSeries([0, 1], rate)
+    series = GyroSeries(np.ma.masked_array([0, 1]), rate[1:].repeat(2, axis=0))
+    assert type(series.rate) is type(series.t_ns) is np.ndarray
+
+
+def test_samples_that_are_all_dropped_are_said_to_be():
+    """They are there, and only --on-nonfinite leaves none of them."""
+    series = GyroSeries([0, 1, 2], np.full((3, 3), np.nan))
+    with pytest.raises(LogError, match="no samples in 'series'; 3 with rates that are not finite"):
+        quatprop.propagate(series, on_nonfinite="drop")
+
+
+def test_a_gap_is_as_long_as_pandas_says_it_is():
+    """Its durations have nanoseconds, those of Python microseconds."""
+    gap = quatprop.propagate(
+        GyroSeries([0, 10], [[0, 0, 1], [0, 0, 2]]), max_gap=pd.Timedelta(5_000_001)
+    ).report.policy.max_gap_ns
+    assert gap == 5_000_001
+
+
+@pytest.mark.parametrize("variances", [[1, np.nan, 1], [1, -1, 1], [np.inf, 1, 1]])
+def test_covariances_are_known_about_all_axes_or_none(tmp_path, variances):
+    """A file of others could not be read again."""
+    series = AttitudeSeries(
+        [5, 6], [[1, 0, 0, 0]] * 2, covariance=[np.full((3, 3), np.nan), np.diag(variances)]
+    )
+    sentence = (
+        "^series: `covariance` of row 1 has the variances .*; they are 0 or above, or all NaN"
+    )
+    with pytest.raises(SeriesError, match=sentence):
+        quatprop.write(series, tmp_path / "out.parquet")
+    assert not (tmp_path / "out.parquet").exists()

@@ -1,0 +1,551 @@
+"""MCAP files of every kind, whole, lying and damaged, against the library's own reader."""
+
+import io
+import itertools
+import struct
+import tarfile
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from make.mcap import every_record, read, saved, truth, written
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType, Writer
+
+from quatprop.concurrency import threads
+from quatprop.containers import chunks
+from quatprop.containers.mcap.log import McapLog
+from quatprop.containers.mcap.messages import LATEST
+from quatprop.containers.mcap.walk import walk_records
+from quatprop.containers.topic_table import TopicTable
+from quatprop.errors import DamagedLogError, QuatpropError, UnreadableLogError, UnsupportedLogError
+from quatprop.messages.blocks import Channel
+from quatprop.stores.file_source import FileSource
+from quatprop.tables.log import Loss
+from quatprop.tables.model import Stamp
+
+IMU = Channel("/imu", "sensor_msgs/msg/Imu", "cdr", "ros2msg", b"Header header")
+
+
+@pytest.fixture
+def unthreaded(monkeypatch):
+    """Read without threads: starting them is most of the time of a tiny log."""
+    monkeypatch.setattr(threads, "available_cores", lambda: 1)
+
+
+def opened(path):
+    """Return the log, or None where it is refused in one sentence."""
+    try:
+        return McapLog(path)
+    except QuatpropError as error:
+        message = str(error)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    return None
+
+
+OPTIONS = [
+    {
+        "use_chunking": chunked,
+        "compression": compression,
+        "index_types": index,
+        "use_statistics": repeat,
+        "repeat_channels": repeat,
+        "repeat_schemas": repeat,
+        "use_summary_offsets": offsets,
+    }
+    for chunked, compression, index, repeat, offsets in itertools.product(
+        [True, False],
+        [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD],
+        [IndexType.ALL, IndexType.NONE, IndexType.CHUNK, IndexType.MESSAGE],
+        [True, False],
+        [True, False],
+    )
+]
+
+
+@pytest.mark.parametrize("uneven", [True, False])
+@pytest.mark.parametrize("options", OPTIONS, ids=lambda o: "-".join(str(v) for v in o.values()))
+def test_every_layout_gives_the_messages_of_the_library(tmp_path, options, uneven):
+    """Whatever a writer leaves out, the messages are all there and nothing is lost."""
+    content = written(uneven=uneven, **options)
+    log = McapLog(saved(tmp_path, content))
+    assert sorted(read(log)) == sorted(truth(content))
+    assert log.losses == []
+    counts = {channel.topic: channel.count for channel in log.channels()}
+    expected = {"/bare": 15, "/imu": 45, "/silent": 0} if uneven else {"/imu": 60}
+    assert {topic: counts[topic] for topic in expected if counts[topic] is not None} == {
+        topic: count for topic, count in expected.items() if counts[topic] is not None
+    }
+
+
+def test_channels_say_what_the_log_says(tmp_path):
+    """Publishers of one topic are one channel; silent channels and bare ones are listed."""
+    log = McapLog(saved(tmp_path, written()))
+    assert log.channels() == [
+        Channel("/bare", "", "json"),
+        IMU,
+        Channel("/silent", "sensor_msgs/msg/Imu", "cdr", "ros2msg", b"Header header"),
+    ]
+    assert [channel.count for channel in log.channels()] == [15, 45, 0]
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding", "expected"),
+    [
+        ("sensor_msgs/Imu", "ros1", "sensor_msgs/msg/Imu"),
+        ("sensor_msgs/msg/Imu", "cdr", "sensor_msgs/msg/Imu"),
+        ("sensor_msgs::msg::Imu", "cdr", "sensor_msgs/msg/Imu"),
+        ("foxglove.Odometry", "protobuf", "foxglove.Odometry"),
+        ("sensor_msgs/Imu", "json", "sensor_msgs/Imu"),
+        ("Imu", "cdr", "Imu"),
+    ],
+)
+def test_ros_types_have_one_spelling(tmp_path, name, encoding, expected):
+    """Names of ROS types are normalised, others stand."""
+    buffer = io.BytesIO()
+    writer = Writer(buffer)
+    writer.start()
+    writer.register_channel("/imu", encoding, writer.register_schema(name, "x", b""))
+    writer.finish()
+    (channel,) = McapLog(saved(tmp_path, buffer.getvalue())).channels()
+    assert channel.type_name == expected
+
+
+def test_a_topic_with_two_types_is_two_channels(tmp_path):
+    """LocatedMessages of another definition are another channel, though the topic is the same."""
+    buffer = io.BytesIO()
+    writer = Writer(buffer)
+    writer.start()
+    for number, definition in enumerate((b"float64 x", b"float32 x")):
+        schema = writer.register_schema("a/msg/B", "ros2msg", definition)
+        writer.add_message(writer.register_channel("/imu", "cdr", schema), 5, b"%d" % number, 5)
+    writer.finish()
+    log = McapLog(saved(tmp_path, buffer.getvalue()))
+    blocks = {channel.schema: list(log.blocks(channel)) for channel in log.channels()}
+    assert {
+        schema: b.data[b.starts[0] : b.ends[0]].tobytes() for schema, (b,) in blocks.items()
+    } == {
+        b"float64 x": b"0",
+        b"float32 x": b"1",
+    }
+
+
+def test_blocks_promise_what_does_not_come_any_more(tmp_path):
+    """Chunks that overlap in time come by their first time, with promises that are kept."""
+    buffer = io.BytesIO()
+    writer = Writer(buffer, chunk_size=200)
+    writer.start()
+    channel = writer.register_channel("/imu", "cdr", 0)
+    rng = np.random.default_rng(5)
+    for stamp in 100 * np.arange(200) // 7 + rng.integers(0, 3000, 200):
+        writer.add_message(channel, int(stamp), bytes(20), 0)
+    writer.finish()
+    log = McapLog(saved(tmp_path, buffer.getvalue()))
+    blocks = list(log.blocks(log.channels()[0]))
+    assert len(blocks) > 10
+    firsts = [int(block.log_ns.min()) for block in blocks]
+    assert firsts == sorted(firsts)
+    assert [block.watermark_ns for block in blocks] == [*firsts[1:], LATEST]
+
+
+def test_stamps_that_need_the_64th_bit_are_cut_not_wrapped(tmp_path):
+    """A log time after the year 2262 becomes the last nanosecond of int64."""
+    buffer = io.BytesIO()
+    writer = Writer(buffer)
+    writer.start()
+    channel = writer.register_channel("/imu", "cdr", 0)
+    for stamp in (5, 2**63 - 1, 2**63, 2**64 - 1):
+        writer.add_message(channel, stamp, b"", stamp)
+    writer.finish()
+    log = McapLog(saved(tmp_path, buffer.getvalue()))
+    (block,) = log.blocks(log.channels()[0])
+    assert block.log_ns.tolist() == [5, LATEST, LATEST, LATEST]
+    published = TopicTable(log, log.channels()[0]).ns(Stamp(clock="publish"), [], [block])
+    assert published.tolist() == [5, LATEST, LATEST, LATEST]
+
+
+@pytest.mark.parametrize("uneven", [True, False])
+@pytest.mark.parametrize(
+    "lie",
+    [
+        lambda offset, _: offset + 1,
+        lambda _, first: first,
+        lambda offset, _: offset + 2**63,
+        lambda offset, _: offset + 10**6,
+        lambda offset, first: offset if offset != first else 0,
+    ],
+)
+def test_a_message_index_that_lies_is_not_believed(tmp_path, lie, uneven):
+    """Offsets that lead to no message, twice to one, or outside, are replaced by walking."""
+    content = bytearray(written(uneven=uneven, compression=CompressionType.NONE))
+    for opcode, begin, end in every_record(bytes(content)):
+        if opcode == 7:
+            places = range(begin + 23, end, 16)
+            first = struct.unpack_from("<Q", content, places[0])[0] if places else 0
+            for place in places:
+                (offset,) = struct.unpack_from("<Q", content, place)
+                struct.pack_into("<Q", content, place, lie(offset, first) % 2**64)
+    log = McapLog(saved(tmp_path, content))
+    assert sorted(read(log)) == sorted(truth(bytes(content)))
+    assert log.losses == []
+
+
+@pytest.mark.parametrize("field", ["opcode", "length", "channel", "size"])
+def test_a_damaged_message_index_is_not_believed(tmp_path, field):
+    """An index record of another channel or size is replaced by walking."""
+    content = bytearray(written(compression=CompressionType.NONE))
+    place, form, value = {
+        "opcode": (0, "<B", 0x90),
+        "length": (1, "<Q", 7),
+        "channel": (9, "<H", 99),
+        "size": (11, "<I", 2**32 - 16),
+    }[field]
+    for opcode, begin, _ in every_record(bytes(content)):
+        if opcode == 7:
+            struct.pack_into(form, content, begin + place, value)
+    expected = truth(written(compression=CompressionType.NONE))
+    assert sorted(read(McapLog(saved(tmp_path, content)))) == sorted(expected)
+
+
+@pytest.mark.parametrize("place", [9 + 16, 9 + 24, 9])
+def test_a_summary_that_lies_about_chunks_is_found_out(tmp_path, place):
+    """Chunk offsets and lengths that do not fit the file give no wrong messages."""
+    content = bytearray(written(enable_crcs=False))
+    for opcode, begin, _ in every_record(bytes(content)):
+        if opcode == 8:
+            (value,) = struct.unpack_from("<Q", content, begin + place)
+            struct.pack_into("<Q", content, begin + place, value + 13)
+            break
+    log = McapLog(saved(tmp_path, content))
+    expected = truth(bytes(content))
+    found = read(log)
+    assert set(found) <= set(expected)
+    assert sorted(found) == sorted(expected) or log.losses
+
+
+def test_a_damaged_summary_is_replaced_by_a_scan(tmp_path):
+    """A summary whose CRC is wrong is not used."""
+    content = bytearray(written())
+    (begin,) = (begin for opcode, begin, _ in every_record(bytes(content)) if opcode == 11)
+    content[begin + 9] ^= 0xFF
+    log = McapLog(saved(tmp_path, content))
+    assert sorted(read(log)) == sorted(truth(written()))
+    assert log.losses == []
+
+
+def test_messages_that_the_summary_counts_and_the_chunks_lack_are_a_loss(tmp_path):
+    """What the statistics count and no chunk holds is told."""
+    content = bytearray(written(enable_crcs=False))
+    (begin,) = (begin for opcode, begin, _ in every_record(bytes(content)) if opcode == 11)
+    struct.pack_into("<Q", content, begin + 9, 67)
+    counts_at = begin + 9 + 8 + 2 + 4 * 4 + 8 + 8 + 4
+    (channel, count) = struct.unpack_from("<HQ", content, counts_at)
+    struct.pack_into("<HQ", content, counts_at, channel, count + 7)
+    log = McapLog(saved(tmp_path, content))
+    assert len(read(log)) == 60
+    assert log.losses == [Loss("summary", "it counts 7 messages more than there are", 7)]
+
+
+def test_chunks_without_the_channel_are_not_read(tmp_path):
+    """Damage in a chunk of other topics does not touch the one that is read."""
+    buffer = io.BytesIO()
+    writer = Writer(buffer, chunk_size=200, compression=CompressionType.ZSTD)
+    writer.start()
+    imu, other = (writer.register_channel(topic, "cdr", 0) for topic in ("/imu", "/other"))
+    for number in range(40):
+        writer.add_message(imu if number < 20 else other, number, bytes(40), number)
+    writer.finish()
+    content = bytearray(buffer.getvalue())
+    last = [begin for opcode, begin, _ in every_record(bytes(content)) if opcode == 6][-1]
+    content[last + 60 : last + 64] = b"\xff" * 4
+    log = McapLog(saved(tmp_path, content))
+    first, second = log.channels()
+    assert sum(len(block) for block in log.blocks(first)) == 20
+    assert log.losses == []
+    found = sum(len(block) for block in log.blocks(second))
+    assert log.losses == [Loss(f"chunk at byte {last}", "its zstd data is damaged", 20 - found)]
+    list(log.blocks(second))
+    assert len(log.losses) == 1
+
+
+@pytest.mark.usefixtures("unthreaded")
+@pytest.mark.parametrize(
+    "options", [{}, {"use_chunking": False}, {"compression": CompressionType.NONE}]
+)
+def test_a_file_cut_anywhere_gives_what_comes_before(tmp_path, options):
+    """Every message before the cut chunk is there, nothing is invented, and the loss is told."""
+    content = written(messages=16, **options)
+    expected = truth(content)
+    data_end = next(begin for opcode, begin, _ in every_record(content) if opcode == 15)
+    for size in [*range(0, len(content) - 60, 3), *range(len(content) - 60, len(content))]:
+        path = saved(tmp_path, content[:size])
+        log = opened(path)
+        if log is None:
+            assert size < 600
+            continue
+        found = read(log)
+        assert set(found) <= set(expected)
+        assert bool(log.losses) == (size < data_end + 9 + 4), (size, log.losses)
+        if size >= data_end:
+            assert sorted(found) == sorted(expected)
+
+
+@pytest.mark.usefixtures("unthreaded")
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=300)
+@given(
+    options=st.sampled_from(
+        [
+            {},
+            {"use_chunking": False},
+            {"compression": CompressionType.NONE},
+            {"enable_crcs": False},
+            {"enable_crcs": False, "compression": CompressionType.NONE},
+            {"index_types": IndexType.NONE},
+        ]
+    ),
+    changes=st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=4),
+    cut=st.integers(0, 10**6),
+    is_cut=st.booleans(),
+)
+def test_garbled_files_raise_nothing_but_own_errors(tmp_path, options, changes, cut, is_cut):
+    """Whatever the bytes are, there is an answer or one sentence."""
+    content = bytearray(written(messages=20, **options))
+    for place, value in changes:
+        content[place % len(content)] = value
+    path = saved(tmp_path, content[: cut % len(content)] if is_cut else content)
+    log = opened(path)
+    assert log is None or read(log) is not None
+
+
+@pytest.mark.parametrize("opcode", [3, 4, 5, 6, 7, 0x99])
+def test_a_record_length_is_not_believed(tmp_path, opcode):
+    """A record of 2**60 bytes is damage, not an allocation."""
+    content = written(index_types=IndexType.NONE)
+    data_end = next(begin for op, begin, _ in every_record(content) if op == 15)
+    path = saved(tmp_path, content[:data_end] + struct.pack("<BQ", opcode, 2**60) + bytes(50))
+    log = McapLog(path)
+    assert sorted(read(log)) == sorted(truth(content))
+    kind = "chunk at byte" if opcode == 6 else "byte"
+    assert log.losses == [Loss(f"{kind} {data_end}", "the file ends inside it")]
+
+
+def test_garbage_between_chunks_is_passed_over_with_the_summary(tmp_path):
+    """Zeros over one chunk cost that chunk alone."""
+    content = bytearray(written())
+    chunks = [(begin, end) for opcode, begin, end in every_record(bytes(content)) if opcode == 6]
+    begin, end = chunks[1]
+    content[begin:end] = bytes(end - begin)
+    log = McapLog(saved(tmp_path, content))
+    found = read(log)
+    assert 40 < len(found) < 60
+    assert set(found) < set(truth(written()))
+    assert {loss.place for loss in log.losses} == {f"chunk at byte {begin}"}
+    assert sum(loss.messages for loss in log.losses) == 60 - len(found)
+
+
+def test_an_undefined_channel_is_told(tmp_path):
+    """LocatedMessages of a channel without a record cannot be read, and that is said."""
+    content = written(use_chunking=False, index_types=IndexType.NONE, repeat_channels=False)
+    kept = b"".join(
+        content[begin:end]
+        for opcode, begin, end in every_record(content)
+        if opcode in {1, 3, 5, 15}
+    )
+    log = McapLog(saved(tmp_path, content[:8] + kept))
+    assert log.channels() == []
+    assert Loss("channel 1", "no record defines it", 30) in log.losses
+
+
+def beside_images(tmp_path, *, chunk_size=1 << 20, picture=50_000, messages=400, **options):
+    """Return a log of small messages, each ninth followed by a large one of another topic."""
+    buffer = io.BytesIO()
+    compression = options.pop("compression", CompressionType.NONE)
+    writer = Writer(buffer, chunk_size=chunk_size, compression=compression, **options)
+    writer.start("ros2", "test")
+    imu = writer.register_schema("sensor_msgs/msg/Imu", "ros2msg", b"Header header")
+    one, two, camera = (
+        writer.register_channel(topic, "cdr", imu, {"publisher": who})
+        for topic, who in (("/imu", "one"), ("/imu", "two"), ("/camera", ""))
+    )
+    for number in range(messages):
+        size = 24 + number % 5
+        content = number.to_bytes(size, "little")
+        writer.add_message(one if number % 3 else two, number, content, number, number)
+        if number % 9 == 0:
+            writer.add_message(camera, number, bytes([number % 256]) * picture, number, number)
+    writer.finish()
+    return saved(tmp_path, buffer.getvalue())
+
+
+def numbers_of(log):
+    """Return the number in each message of /imu."""
+    return [
+        int.from_bytes(block.data[start:end].tobytes(), "little")
+        for block in log.blocks(IMU)
+        for start, end in zip(block.starts, block.ends, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
+def test_messages_beside_images_are_all_there(tmp_path, compression):
+    """What is picked out of a chunk is what reading all of it gives."""
+    log = McapLog(beside_images(tmp_path, compression=compression))
+    assert numbers_of(log) == list(range(400))
+    assert log.losses == []
+
+
+def test_images_beside_messages_are_not_read(tmp_path, monkeypatch):
+    """Of a chunk that is not compressed, only what is wanted leaves the disk."""
+    path = beside_images(tmp_path, messages=2000)
+    log = McapLog(path)
+    read = []
+    original = FileSource.read
+
+    def counted(source, start, length):
+        data = original(source, start, length)
+        read.append(len(data))
+        return data
+
+    monkeypatch.setattr(FileSource, "read", counted)
+    assert numbers_of(log) == list(range(2000))
+    assert sum(read) < path.stat().st_size / 20
+
+
+def test_an_index_that_lies_about_a_chunk_beside_images_is_found_out(tmp_path):
+    """Where the index does not lead to messages, the chunk is read whole and walked."""
+    path = beside_images(tmp_path)
+    content = bytearray(path.read_bytes())
+    lied = 0
+    for opcode, begin, _ in every_record(bytes(content)):
+        if opcode == 7:  # a message index
+            (offset,) = struct.unpack_from("<Q", content, begin + 9 + 2 + 4 + 8)
+            struct.pack_into("<Q", content, begin + 9 + 2 + 4 + 8, offset + 3)
+            lied += 1
+    assert lied
+    path.write_bytes(content)
+    assert numbers_of(McapLog(path)) == list(range(400))
+
+
+def test_an_index_that_leads_to_images_is_found_out(tmp_path):
+    """A message of another topic is none of this one, though it is whole."""
+    path = beside_images(tmp_path)
+    content = bytearray(path.read_bytes())
+    with path.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    for chunk in chunks:
+        *others, camera = (place + 23 for _, place in sorted(chunk.message_index_offsets.items()))
+        for place in others:
+            content[place : place + 8] = content[camera : camera + 8]
+    path.write_bytes(content)
+    assert numbers_of(McapLog(path)) == list(range(400))
+
+
+@pytest.mark.parametrize("workers", [1, 4])
+def test_threads_change_nothing(tmp_path, monkeypatch, workers):
+    """The messages are the same however many threads unpack them."""
+    monkeypatch.setattr(threads, "available_cores", lambda: workers)
+    monkeypatch.setattr(chunks, "GROUP", 1)
+    path = beside_images(tmp_path, chunk_size=100_000, compression=CompressionType.LZ4)
+    assert numbers_of(McapLog(path)) == list(range(400))
+
+
+def test_stopping_early_ends_the_threads(tmp_path, monkeypatch):
+    """A closed iteration leaves no thread and no open file behind."""
+    monkeypatch.setattr(threads, "available_cores", lambda: 3)
+    monkeypatch.setattr(chunks, "GROUP", 1)
+    log = McapLog(saved(tmp_path, written(messages=2000)))
+    before = threading.active_count()
+    blocks = log.blocks(IMU)
+    next(blocks)
+    assert threading.active_count() > before
+    blocks.close()
+    assert threading.active_count() == before
+
+
+def test_files_that_are_no_mcap_are_refused(tmp_path):
+    """Each refusal is one sentence with the file and the way out."""
+    with pytest.raises(UnreadableLogError, match=r"gone.mcap: no such file or folder; check"):
+        McapLog(tmp_path / "gone.mcap")
+    with pytest.raises(UnreadableLogError, match="it is a folder, not a file"):
+        McapLog(tmp_path)
+    with pytest.raises(
+        DamagedLogError, match=r"log.mcap: it does not begin as an MCAP file; check"
+    ):
+        McapLog(saved(tmp_path, b"#ROSBAG V2.0\n" + bytes(99)))
+    with pytest.raises(UnsupportedLogError, match="it is MCAP of version '1' and only version '0'"):
+        McapLog(saved(tmp_path, b"\x89MCAP1\r\n" + bytes(99)))
+    with pytest.raises(
+        DamagedLogError, match="nothing of it can be read; byte 8: no record begins"
+    ):
+        McapLog(saved(tmp_path, b"\x89MCAP0\r\n" + bytes(99)))
+
+
+def test_a_file_that_is_removed_is_read_to_its_end(tmp_path):
+    """A log that is removed after it was opened is still open, and read whole."""
+    path = saved(tmp_path, written())
+    with McapLog(path) as log:
+        path.unlink()
+        assert sorted(read(log)) == sorted(truth(written()))
+        assert log.losses == []
+
+
+@given(
+    lengths=st.lists(
+        st.tuples(st.integers(22, 40), st.integers(1, 90), st.sampled_from([5, 5, 5, 4, 3, 0x80])),
+        max_size=8,
+    ),
+    rest=st.integers(0, 12),
+)
+def test_walking_finds_every_message_record(lengths, rest):
+    """Runs of equal records, however long and however mixed, are followed exactly."""
+    data, expected, others = bytearray(), [], []
+    for length, repeat, opcode in lengths:
+        for _ in range(repeat):
+            if opcode == 5:
+                expected.append(len(data))
+            elif opcode in {3, 4}:
+                others.append((opcode, len(data) + 9, len(data) + 9 + length))
+            data += struct.pack("<BQ", opcode, length) + bytes(length)
+    whole = len(data)
+    data += (struct.pack("<BQ", 5, 22) + bytes(22))[:rest]
+    found = walk_records(data)
+    assert found.offsets.tolist() == expected
+    assert found.definitions == others
+    assert found.end == whole
+
+
+@pytest.fixture(scope="session")
+def conformance(shared_logs, tmp_path_factory):
+    """Return the files of the MCAP conformance suite."""
+    folder = tmp_path_factory.mktemp("conformance")
+    with tarfile.open(shared_logs / "mcap_conformance.tar.gz") as archive:
+        archive.extractall(folder, filter="data")
+    return sorted(Path(folder).rglob("*.mcap"))
+
+
+def test_the_conformance_suite_is_read_as_the_library_does(conformance):
+    """Every feature combination of the suite gives the library's messages and no loss."""
+    assert len(conformance) == 502
+    for path in conformance:
+        log = McapLog(path)
+        assert sorted(read(log)) == sorted(truth(path.read_bytes())), path.name
+        assert log.losses == [], path.name
+
+
+@pytest.mark.parametrize("cut", [30, 60, 150])
+def test_the_conformance_suite_cut_off_gives_what_is_left(conformance, tmp_path, cut):
+    """Without its end, a file gives what it holds or one sentence."""
+    for path in conformance:
+        content = path.read_bytes()
+        expected = truth(content)
+        log = opened(saved(tmp_path, content[:-cut]))
+        if log is None:
+            continue
+        found = read(log)
+        assert set(found) <= set(expected)
+        assert cut > 30 or sorted(found) == sorted(expected)
+        assert log.losses or sorted(found) == sorted(expected)

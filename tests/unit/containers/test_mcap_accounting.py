@@ -1,0 +1,204 @@
+"""Indexes, lengths and opcodes of MCAP files that are wrong: the data are believed, not they."""
+
+import struct
+import warnings
+import zlib
+
+import pytest
+from fuzz import flips_mcap as mcap
+
+import quatprop
+from quatprop.containers.mcap.log import McapLog
+
+UNCOUNTED = ["no summary", "no statistics", "unclosed"]
+"""Layouts in which only the data tell which channels a chunk holds."""
+INDEX, CHUNK_INDEX, END = 7, 8, 15
+
+
+@pytest.fixture(scope="module")
+def layouts():
+    """Return the intact files."""
+    return mcap.layouts()
+
+
+def read(path, data):
+    """Return how many samples are read, all of which must be in the log, and what is lost."""
+    path.write_bytes(data)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        series = quatprop.read_rates(path)
+    stamps = dict(zip(mcap.RATES[:, 0].tolist(), mcap.T_NS.tolist(), strict=True))
+    assert [stamps.get(x) for x in series.rate[:, 0].tolist()] == series.t_ns.tolist()
+    assert len(set(series.t_ns.tolist())) == len(series.t_ns)
+    lost = [one.message for one in caught if one.category is quatprop.DataLossWarning]
+    return len(series.t_ns), [one for one in lost if "without a footer" not in str(one)]
+
+
+def places(data, kind):
+    """Return where the records of a kind begin."""
+    return [start for start, opcode, _ in mcap.records(data) if opcode == kind]
+
+
+def index_of_rates(data, number):
+    """Return where the message index of the rates of a chunk begins."""
+    return [at for at in places(data, INDEX) if data[at + 9] == 1][number]
+
+
+def renamed_index(data, number):
+    """List the samples for another channel."""
+    data[index_of_rates(data, number) + 9] = 3
+
+
+def listed_as_notes(data, number):
+    """List the samples for a channel that has an index of its own."""
+    data[index_of_rates(data, number) + 9] = 2
+
+
+def unknown_record(data, number):
+    """Make the index a record of another program."""
+    data[index_of_rates(data, number)] = 0x87
+
+
+def no_index(data, number):
+    """Remove the index; what follows keeps its place."""
+    at = index_of_rates(data, number)
+    (length,) = struct.unpack_from("<Q", data, at + 1)
+    data[at : at + 9 + length] = mcap.record(0x90, bytes(length))
+
+
+def empty_index(data, number):
+    """Say that the index is empty."""
+    struct.pack_into("<I", data, index_of_rates(data, number) + 11, 0)
+
+
+def other_map(data, number):
+    """List the samples under another channel in the index of the chunk."""
+    for at in places(data, CHUNK_INDEX)[number : number + 1]:
+        begin = at + 9 + 36
+        if struct.unpack_from("<H", data, begin + 10)[0] == 1:
+            data[begin + 10] = 3
+
+
+WAYS = [renamed_index, listed_as_notes, unknown_record, no_index, empty_index, other_map]
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("layout", UNCOUNTED)
+def test_no_index_hides_the_samples_of_a_chunk(tmp_path, layouts, layout, way):
+    """A chunk was left unread because an index did not list the channel, without a word."""
+    for number in (0, mcap.CHUNKS - 1):
+        data = bytearray(layouts[layout])
+        way(data, number)
+        count, _ = read(tmp_path / "log.mcap", data)
+        assert count == mcap.COUNT
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_what_an_index_hides_is_found_by_the_statistics(tmp_path, layouts, way):
+    """They count more messages than the indexes list, so every chunk is read."""
+    for layout in ("full", "no chunk indexes"):
+        data = bytearray(layouts[layout])
+        way(data, 2)
+        assert read(tmp_path / "log.mcap", data) == (mcap.COUNT, [])
+
+
+@pytest.mark.parametrize("opcode", [0x02, 0x0E, 0x07, 0x04, 0x46, 0x86, 0x55, 0])
+@pytest.mark.parametrize("layout", ["no summary", "full", "unclosed"])
+def test_a_chunk_is_known_by_its_content(tmp_path, layouts, layout, opcode):
+    """A chunk whose opcode was damaged was passed over like a record of another program."""
+    for number in (0, 3):
+        data = bytearray(layouts[layout])
+        data[places(data, mcap.CHUNK)[number]] = opcode
+        assert read(tmp_path / "log.mcap", data)[0] == mcap.COUNT
+
+
+@pytest.mark.parametrize("layout", ["no summary", "full", "no statistics", "attachment"])
+def test_a_data_end_of_another_length_ends_the_data_all_the_same(tmp_path, layouts, layout):
+    """Its length led beyond the summary, whose definitions and statistics were lost."""
+    for length in [0, 3, 5, 6, 20, 37, 1 << 20, 1 << 63]:
+        data = bytearray(layouts[layout])
+        struct.pack_into("<Q", data, places(data, END)[-1] + 1, length)
+        count, lost = read(tmp_path / "log.mcap", data)
+        assert count == mcap.COUNT
+        assert sum(one.messages or 0 for one in lost) == 0
+
+
+@pytest.mark.parametrize("layout", ["full", "no statistics"])
+@pytest.mark.parametrize("field", range(5))
+def test_a_wrong_number_in_a_chunk_index_costs_nothing(tmp_path, layouts, layout, field):
+    """A wrong length in one of them made a file one of no topics with messages."""
+    for number in (0, mcap.CHUNKS - 1):
+        for value in (0, 100, (1 << 64) - 1):
+            data = bytearray(layouts[layout])
+            at = places(data, CHUNK_INDEX)[number] + 9
+            # Times, place and length of the chunk; then the length of its message indexes.
+            struct.pack_into("<Q", data, at + (8 * field if field < 4 else 36 + 20), value)
+            assert read(tmp_path / "log.mcap", data)[0] == mcap.COUNT
+
+
+def attached(has_checksum, has_index):
+    """Return a file with an MCAP file as attachment, and where the attachment begins."""
+    data = bytearray(mcap.mcap(attached=mcap.embedded(), summary=has_index))
+    (at,) = places(data, mcap.ATTACHMENT)
+    (length,) = struct.unpack_from("<Q", data, at + 1)
+    if not has_checksum:
+        data[at + 9 + length - 4 : at + 9 + length] = bytes(4)
+    return data, at
+
+
+@pytest.mark.parametrize("has_checksum", [True, False])
+@pytest.mark.parametrize("has_index", [True, False])
+def test_records_of_an_attached_log_are_no_samples(tmp_path, has_checksum, has_index):
+    """A damaged length of the attachment, or of its data, leads to any record inside it."""
+    intact, at = attached(has_checksum, has_index)
+    inner = mcap.embedded()
+    begin = intact.index(inner)
+    stops = [begin + start for start, *_ in mcap.records(inner)][::7]
+    for stop in stops:
+        for field, value in ((at + 1, stop - at - 9), (begin - 8, stop - begin - 4)):
+            data = bytearray(intact)
+            struct.pack_into("<Q", data, field, value)
+            assert read(tmp_path / "log.mcap", data)[0] == mcap.COUNT
+
+
+def test_no_sample_of_an_attached_log_is_found_after_damage(tmp_path):
+    """Where the head of an attachment is lost, its index says where it ends."""
+    data, at = attached(has_checksum=True, has_index=True)
+    data[at : at + 40] = bytes(40)
+    assert read(tmp_path / "log.mcap", data)[0] == mcap.COUNT
+
+
+def test_a_file_that_ends_in_an_attached_log_has_no_samples_of_it(tmp_path, layouts):
+    """The records of the attachment were read where its end is missing."""
+    data = layouts["attachment, unclosed"]
+    (at,) = places(data, mcap.ATTACHMENT)
+    for cut in range(at + 1, at + 9000, 731):
+        count, lost = read(tmp_path / "log.mcap", data[:cut])
+        assert count == mcap.COUNT // 2
+        assert lost
+
+
+@pytest.mark.parametrize("layout", [name for name in mcap.layouts() if name != "unchunked"])
+def test_what_is_lost_of_a_chunk_is_counted(tmp_path, layouts, layout):
+    """Statistics or the message index say it, also where the head of the chunk is damaged."""
+    intact = layouts[layout]
+    for at in places(intact, mcap.CHUNK)[1::2]:
+        for place, width in ((24, 4), (16, 8), (28, 4)):  # checksum, size, length of a name
+            data = bytearray(intact)
+            data[at + 9 + place : at + 9 + place + width] = b"\x7f" * width
+            count, lost = read(tmp_path / "log.mcap", data)
+            assert (count, sum(one.messages or 0 for one in lost)) == (150, 50)
+
+
+def test_times_that_no_checksum_shows_to_be_right_hide_no_chunk(tmp_path, layouts):
+    """The last seconds of a log are read by the times in its summary only if that is checked."""
+    for crc, is_known in ((False, False), (True, True)):
+        data = bytearray(layouts["full"])
+        if crc:
+            start = places(data, END)[0] + 13
+            struct.pack_into("<I", data, len(data) - 12, zlib.crc32(data[start:-12]))
+        path = tmp_path / f"{crc}.mcap"
+        path.write_bytes(data)
+        with McapLog(path) as log:
+            spans = [log.recorded_span(channel) for channel in log.channels()]
+        assert all((span is not None) == is_known for span in spans)

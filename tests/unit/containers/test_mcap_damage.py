@@ -1,0 +1,351 @@
+"""MCAP files damaged in the middle: checksums, holes, torn chunks, and what comes behind them."""
+
+import io
+import struct
+import zlib
+
+import pytest
+from make.numbered_mcap import BARE, MESSAGES, read, records, unclosed, written
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, IndexType, Writer
+
+from quatprop.containers.mcap.log import McapLog
+from quatprop.tables.log import Loss
+
+COMPRESSIONS = (CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD)
+
+
+def chunks(content):
+    """Return begin and end of each chunk record."""
+    return [(begin, end) for opcode, begin, end in records(content) if opcode == 6]
+
+
+def numbers_of_chunks(content):
+    """Return the numbers of the messages in each chunk, by the library's own reader."""
+    from mcap.records import Chunk, Message
+    from mcap.stream_reader import breakup_chunk
+
+    return [
+        [record.sequence for record in breakup_chunk(chunk) if isinstance(record, Message)]
+        for chunk in StreamReader(io.BytesIO(content), emit_chunks=True).records
+        if isinstance(chunk, Chunk)
+    ]
+
+
+def without(numbers):
+    """Return the numbers of all messages but some."""
+    return [number for number in range(MESSAGES) if number not in set(numbers)]
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_chunk_whose_checksum_is_wrong_is_left_out_and_told(tmp_path, compression, closed):
+    """Nobody can tell which of its samples is wrong, so none is taken, and all are counted."""
+    content = bytearray(written(compression=compression))
+    begin, _ = chunks(content)[3]
+    content[begin + 9 + 24] ^= 1  # in the checksum: the same as a bit in the samples, for any code
+    content = bytes(content) if closed else unclosed(content)
+    numbers, losses = read(tmp_path, content)
+    lost = numbers_of_chunks(written(compression=compression))[3]
+    assert numbers == without(lost)
+    reason = (
+        "its checksum is wrong, so it is not what was recorded; with QUATPROP_CHECKSUMS=ignore "
+        "it is read all the same"
+    )
+    assert Loss(f"chunk at byte {begin}", reason, len(lost)) in losses
+
+
+def test_a_flipped_bit_in_a_sample_is_no_sample(tmp_path):
+    """A rate that is not the one recorded would turn every attitude after it."""
+    content = bytearray(written(compression=CompressionType.NONE))
+    begin, end = chunks(content)[5]
+    content[end - 3] ^= 0x40
+    numbers, losses = read(tmp_path, bytes(content))
+    lost = numbers_of_chunks(bytes(written(compression=CompressionType.NONE)))[5]
+    assert numbers == without(lost)
+    assert [(loss.place, loss.messages) for loss in losses] == [
+        (f"chunk at byte {begin}", len(lost))
+    ]
+
+
+def test_wrong_checksums_can_be_ignored(tmp_path, monkeypatch):
+    """Where the writer of a log computes them wrongly, the user can say so."""
+    monkeypatch.setenv("QUATPROP_CHECKSUMS", "ignore")
+    content = bytearray(written())
+    for begin, _ in chunks(content):
+        content[begin + 9 + 24] ^= 1
+    assert read(tmp_path, bytes(content)) == (list(range(MESSAGES)), [])
+
+
+def test_a_checksum_of_zero_is_none(tmp_path):
+    """Writers that compute no checksum write 0."""
+    content = written(enable_crcs=False)
+    assert read(tmp_path, content) == (list(range(MESSAGES)), [])
+
+
+def test_a_wrong_checksum_of_the_data_section_is_told(tmp_path):
+    """Messages outside chunks have no other checksum; it does not say where the damage is."""
+    content = bytearray(written(use_chunking=False, enable_data_crcs=True))
+    assert read(tmp_path, bytes(content)) == (list(range(MESSAGES)), [])
+    place = next(begin for opcode, begin, _ in records(content) if opcode == 5)
+    content[place + 9 + 22 + 8] ^= 1
+    numbers, losses = read(tmp_path, bytes(content))
+    assert numbers == list(range(MESSAGES))
+    assert losses == [
+        Loss(
+            "data section",
+            "its checksum is wrong: it is not what was recorded, and there is no telling where",
+        )
+    ]
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("layout", ["whole", "unclosed", "bare"])
+def test_what_follows_a_hole_is_read(tmp_path, compression, layout):
+    """Bytes that are missing in the middle cost the chunk they are missing in, and no other."""
+    options = BARE if layout == "bare" else {}
+    intact = written(compression=compression, **options)
+    begin, _ = chunks(intact)[4]
+    content = intact[: begin + 200] + intact[begin + 277 :]
+    if layout != "whole":
+        content = content[: len(unclosed(intact)) - 77]
+    numbers, losses = read(tmp_path, content)
+    lost = numbers_of_chunks(intact)[4]
+    assert numbers == without(lost)
+    assert losses
+    if layout == "whole":
+        assert sum(loss.messages or 0 for loss in losses) == len(lost)
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("layout", ["whole", "unclosed", "bare"])
+@pytest.mark.parametrize("field", ["opcode", "length", "packed size", "everything"])
+def test_what_follows_a_damaged_chunk_head_is_read(tmp_path, compression, layout, field):
+    """A chunk that cannot be followed to its end does not hide those behind it."""
+    options = BARE if layout == "bare" else {}
+    intact = written(compression=compression, **options)
+    begin, end = chunks(intact)[4]
+    content = bytearray(intact)
+    name = len({CompressionType.NONE: ""}.get(compression, compression.name))
+    place, value = {
+        "opcode": (0, b"\x55"),
+        "length": (1, (2**40).to_bytes(8, "little")),
+        "packed size": (9 + 32 + name, (2**63).to_bytes(8, "little")),
+        "everything": (0, bytes(range(100, 160)) * 30),
+    }[field]
+    content[begin + place : begin + place + len(value)] = value
+    if field == "everything":
+        content = bytearray(intact[:begin] + value + intact[end:])
+    if layout != "whole":
+        content = bytearray(content[: len(unclosed(intact)) + len(content) - len(intact)])
+    numbers, losses = read(tmp_path, bytes(content))
+    assert set(without(numbers_of_chunks(intact)[4])) <= set(numbers)
+    assert numbers == sorted(set(numbers))
+    # Of head and content, one is enough to tell where a chunk ends, if an index does not.
+    assert losses or numbers == list(range(MESSAGES))
+
+
+def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path):
+    """The records inside a chunk that is not compressed can be followed by themselves."""
+    content = bytearray(unclosed(written(compression=CompressionType.NONE)))
+    begin, _ = chunks(content)[4]
+    content[begin : begin + 9] = b"\xff" * 9
+    numbers, losses = read(tmp_path, bytes(content))
+    assert numbers == list(range(MESSAGES))
+    assert losses[0].place == f"byte {begin}"
+
+
+@pytest.mark.parametrize("closed", [True, False])
+@pytest.mark.parametrize("length", [2**40, 63, 1000])
+def test_a_damaged_message_in_a_chunk_costs_itself(tmp_path, closed, length):
+    """Where there is no checksum, the index tells where the messages of a chunk go on."""
+    intact = written(compression=CompressionType.NONE, enable_crcs=False)
+    damaged = numbers_of_chunks(intact)[4][7]
+    at = intact.index(struct.pack("<QQ", damaged, damaged), chunks(intact)[4][0]) - 15
+    content = bytearray(intact)
+    content[at + 1 : at + 9] = struct.pack("<Q", length)
+    numbers, losses = read(tmp_path, bytes(content) if closed else unclosed(bytes(content)))
+    assert numbers == without([damaged])
+    assert f"chunk at byte {chunks(intact)[4][0]}" in {loss.place for loss in losses}
+
+
+@pytest.mark.parametrize("layout", ["whole", "unclosed", "bare", "without index"])
+def test_a_message_whose_channel_id_is_damaged_is_counted(tmp_path, layout):
+    """The message index lists it still; without one, its channel is known to be undefined."""
+    options = {
+        "bare": BARE,
+        "without index": {"index_types": IndexType.NONE, "use_statistics": False},
+    }.get(layout, {})
+    intact = written(compression=CompressionType.NONE, enable_crcs=False, **options)
+    begin, _ = chunks(intact)[4]
+    damaged = numbers_of_chunks(intact)[4][7]
+    at = intact.index(struct.pack("<QQ", damaged, damaged), begin) - 6
+    content = intact[:at] + struct.pack("<H", 777) + intact[at + 2 :]
+    if layout == "unclosed":
+        content = unclosed(content)
+    numbers, losses = read(tmp_path, content)
+    assert numbers == without([damaged])
+    reason = "its message index lists messages that are not among its records"
+    expected = (
+        Loss("channel 777", "no record defines it", 1)
+        if options
+        else Loss(f"chunk at byte {begin}", reason, 1)
+    )
+    assert [loss for loss in losses if loss.messages] == [expected]
+
+
+def test_messages_outside_chunks_are_read_behind_damage(tmp_path):
+    """A message whose length is wrong costs itself."""
+    for closed in (True, False):
+        content = bytearray(written(use_chunking=False))
+        if not closed:
+            content = bytearray(unclosed(content))
+        begin = [begin for opcode, begin, _ in records(content) if opcode == 5][200]
+        content[begin + 1 : begin + 9] = b"\xff" * 8
+        numbers, losses = read(tmp_path, bytes(content))
+        assert numbers == without([200])
+        assert losses[0] == Loss(f"byte {begin}", "no record begins there; 71 bytes are skipped")
+
+
+def test_bytes_that_look_like_a_record_are_not_one(tmp_path):
+    """Behind damage, what has the head of a record but leads nowhere is passed over."""
+    fake = b"".join(
+        struct.pack("<BQ", opcode, length) + b"\x01\0\0\0zstd" + bytes(range(40))
+        for opcode in (3, 4, 5, 6, 7, 9, 12, 15)
+        for length in (4, 22, 64, 200, 300)
+    )
+    intact = written(**BARE)
+    _, end = chunks(intact)[7]
+    content = intact[:end] + b"\0" * 100 + fake + b"\xff" * 100 + intact[end:]
+    numbers, losses = read(tmp_path, content)
+    assert numbers == list(range(MESSAGES))
+    skipped = 200 + len(fake)
+    assert losses == [Loss(f"byte {end}", f"no record begins there; {skipped} bytes are skipped")]
+
+
+def two_topics():
+    """Return a log of two topics whose messages alternate."""
+    buffer = io.BytesIO()
+    writer = Writer(buffer, chunk_size=1500)
+    writer.start("ros2", "test")
+    ids = [writer.register_channel(topic, "cdr", 0) for topic in ("/a", "/b")]
+    for number in range(MESSAGES):
+        writer.add_message(ids[number % 2], number, number.to_bytes(8, "little") * 5, number)
+    writer.finish()
+    return buffer.getvalue()
+
+
+def test_a_damaged_message_index_hides_no_channel(tmp_path):
+    """Where the index of one of two channels is damaged, the chunk is asked for both."""
+    content = bytearray(unclosed(two_topics()))
+    begin = [begin for opcode, begin, _ in records(content) if opcode == 7][9]
+    content[begin : begin + 15] = b"\xff" * 15
+    numbers, losses = read(tmp_path, bytes(content))
+    assert sorted(numbers) == list(range(MESSAGES))
+    assert losses[0].place == f"byte {begin}"
+
+
+def large(compression):
+    """Return a log of one chunk that takes several blocks of any compression, and its head."""
+    buffer = io.BytesIO()
+    writer = Writer(buffer, chunk_size=1 << 30, compression=compression, **BARE)
+    writer.start("ros2", "test")
+    channel = writer.register_channel("/imu", "cdr", 0)
+    content = bytes(zlib.crc32(b"%d" % k) & 0xFF for k in range(1024))
+    for number in range(2000):
+        writer.add_message(channel, number, number.to_bytes(8, "little") + content, number)
+    writer.finish()
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_a_torn_chunk_gives_what_can_be_unpacked_of_it(tmp_path, compression):
+    """Of the chunk that a dying recorder was writing, the front is read."""
+    content = large(compression)
+    begin, end = chunks(content)[0]
+    numbers, losses = read(tmp_path, content[: begin + 9 * (end - begin) // 10])
+    assert numbers == list(range(len(numbers)))
+    assert 1000 < len(numbers) < 2000
+    assert losses == [Loss(f"chunk at byte {begin}", "the file ends inside it")]
+
+
+def test_definitions_are_taken_from_a_chunk_whose_checksum_is_wrong(tmp_path):
+    """Where nothing else says what the channels are, the first chunk does, though damaged."""
+    content = bytearray(unclosed(written(**BARE)))
+    begin, _ = chunks(content)[0]
+    content[begin + 9 + 24] ^= 1
+    numbers, losses = read(tmp_path, bytes(content))
+    lost = numbers_of_chunks(written(**BARE))[0]
+    assert numbers == without(lost)
+    assert losses[-1].place == f"chunk at byte {begin}"
+
+
+@pytest.mark.parametrize("size", [0, 1, 1 << 27, (1 << 64) - 1])
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_a_chunk_of_another_size_than_the_index_says_is_read(tmp_path, compression, size):
+    """The head of the chunk counts, whatever the summary says that it decompresses to."""
+    content = bytearray(written(compression=compression))
+    ends = [end for opcode, _, end in records(content) if opcode == 8]
+    for end in ends[3:5]:
+        content[end - 8 : end] = size.to_bytes(8, "little")
+    summary = next(begin for opcode, begin, _ in records(content) if opcode == 15) + 13
+    crc = zlib.crc32(content[summary:-12])
+    content[-12:-8] = crc.to_bytes(4, "little")
+    assert len(ends) > 6
+    assert read(tmp_path, bytes(content)) == (list(range(MESSAGES)), [])
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("layout", ["whole", "unclosed", "bare"])
+def test_a_chunk_whose_log_times_are_not_as_it_states_is_lost(
+    tmp_path, monkeypatch, compression, layout
+):
+    """Without a checksum, they show that what was decompressed is not what was recorded."""
+    options = BARE if layout == "bare" else {}
+    intact = written(compression=compression, enable_crcs=False, **options)
+    begin, _ = chunks(intact)[4]
+    content = bytearray(intact)
+    lost = numbers_of_chunks(intact)[4]
+    stated = struct.pack("<QQ", lost[0], lost[-1])
+    at = content.index(stated, begin)
+    while at > 0:  # in the chunk and in its index
+        content[at : at + 16] = struct.pack("<QQ", lost[0], lost[-1] - 1)
+        at = content.find(stated, at)
+    content = unclosed(bytes(content)) if layout == "unclosed" else bytes(content)
+    numbers, losses = read(tmp_path, content)
+    assert numbers == without(lost)
+    reason = (
+        "its log times are outside the range that it states, so it is not what was recorded; "
+        "with QUATPROP_CHECKSUMS=ignore it is read all the same"
+    )
+    assert Loss(f"chunk at byte {begin}", reason, len(lost)) in losses
+    monkeypatch.setenv("QUATPROP_CHECKSUMS", "ignore")
+    assert read(tmp_path, content)[0] == list(range(MESSAGES))
+
+
+@pytest.mark.parametrize("checked", [True, False])
+def test_times_that_a_chunk_does_not_state_or_that_its_checksum_refutes(tmp_path, checked):
+    """A right checksum counts for more than the stated times; times of 0 state nothing."""
+    content = bytearray(written(enable_crcs=checked, **BARE))
+    for begin, _ in chunks(content):
+        content[begin + 9 : begin + 25] = struct.pack("<QQ", 0, 1 if checked else 0)
+    assert read(tmp_path, bytes(content)) == (list(range(MESSAGES)), [])
+
+
+def test_a_message_index_that_lists_too_few_is_not_used(tmp_path):
+    """Where the next one begins shows how many it had."""
+    content = bytearray(two_topics())
+    begin = [begin for opcode, begin, _ in records(content) if opcode == 7][9]
+    size = int.from_bytes(content[begin + 11 : begin + 15], "little")
+    content[begin + 11 : begin + 15] = (size - 16 * 5).to_bytes(4, "little")
+    numbers, losses = read(tmp_path, bytes(content))
+    assert sorted(numbers) == list(range(MESSAGES))
+    assert losses == []
+
+
+def test_no_part_of_an_unclosed_log_is_left_unread_for_the_times_in_heads_of_chunks(tmp_path):
+    """A head has no checksum: a wrong time in it would hide the messages of its chunk."""
+    path = tmp_path / "log.mcap"
+    path.write_bytes(unclosed(written()))
+    log = McapLog(path)
+    assert [log.recorded_span(channel) for channel in log.channels()] == [None]

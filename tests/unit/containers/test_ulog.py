@@ -1,0 +1,368 @@
+"""PX4 ULog files: written by the documented format, read beside the library of PX4."""
+
+import struct
+
+import numpy as np
+import pytest
+import pyulog
+from make.px4_messages import write_mcap
+from make.streams import propagated
+from make.ulog import TOPICS, added, data, fields_of, gyro, record, write
+
+import quatprop
+from quatprop.containers import ulog_records
+from quatprop.containers.ulog_records import SYNC
+from quatprop.errors import (
+    AmbiguousTopicError,
+    DamagedLogError,
+    SchemaError,
+    TimelineError,
+    UnsupportedLogError,
+)
+from quatprop.kinematics.quaternion import exp, geodesic_angle
+from quatprop.logs.open_log import open_log
+from quatprop.logs.signals.rates import choose_rates, rate_candidates
+from quatprop.series import GyroSeries
+from quatprop.settings.selection import RateSelection
+from quatprop.tables.log import Loss
+
+
+def read(path, **options):
+    """Return the samples of the one source, and what was lost."""
+    with open_log(path) as log:
+        batches = list(choose_rates(log, RateSelection(**options)).batches())
+        return GyroSeries.joined(batches), log.losses
+
+
+def test_what_the_library_of_PX4_reads_is_what_is_read(tmp_path):
+    """Message for message, with other topics and records between."""
+    random = np.random.default_rng(4)
+    stamps = np.cumsum(random.integers(900, 1100, 300)) + 10**9
+    between = [
+        record(b"L", b"6" + struct.pack("<Q", 5) + b"hello"), record(b"S", SYNC),
+        record(b"O", b"\x05\0"), record(b"P", b"\x07float X" + bytes(4)),
+        data("sensor_combined", 7, timestamp=3, gyro_rad=[1, 2, 3]),
+    ]  # fmt: skip
+    records = [added("sensor_combined", 0, 7), added("sensor_gyro", 1, 300)]
+    for position, message in enumerate(gyro(300, stamps.tolist())):
+        records += [message, between[position % len(between)]]
+    path = write(tmp_path / "log.ulg", *records)
+    series, losses = read(path, topic="sensor_gyro/1")
+    (expected,) = [d for d in pyulog.ULog(str(path)).data_list if d.name == "sensor_gyro"]
+    assert expected.multi_id == 1
+    assert [loss.place for loss in losses] == ["60 dropouts, first at byte 1418"]
+    assert (series.t_ns == expected.data["timestamp_sample"].astype(np.int64) * 1000).all()
+    assert (series.t_ns == stamps * 1000).all()
+    for axis, name in enumerate("xyz"):
+        assert (series.rate[:, axis] == expected.data[name]).all()
+
+
+def test_instances_are_sources_of_their_own(tmp_path):
+    """Which one is meant has to be said."""
+    path = write(
+        tmp_path / "log.ulg", added("sensor_gyro", 0, 1), added("sensor_gyro", 1, 2),
+        *gyro(1, [10, 20]), *gyro(2, [11, 21, 31]),
+    )  # fmt: skip
+    with open_log(path) as log:
+        assert log.kind == "ulog"
+        assert [(c.topic, c.count) for c in log.channels()] == [
+            ("sensor_gyro/0", 2),
+            ("sensor_gyro/1", 3),
+        ]
+        with pytest.raises(AmbiguousTopicError, match=r"'sensor_gyro/0', 'sensor_gyro/1'"):
+            choose_rates(log, RateSelection())
+
+
+@pytest.mark.parametrize("topic", TOPICS)
+def test_a_message_is_the_same_in_a_ULog_and_in_a_ROS_2_bag(tmp_path, topic):
+    """One table tells the rates of both."""
+    values = [
+        {"timestamp": 1000 * k + 5, "timestamp_sample": 1000 * k, "gyro_rad": [k, 0, 1],
+         "x": k, "y": 2, "z": 3, "xyz": [k, 2, 3], "delta_angle": [0, k / 8, 0],
+         "delta_angle_dt": 990 + k, "dt": 125.0, "scale": 0.25, "samples": 2}
+        for k in range(1, 9)
+    ]  # fmt: skip
+    lengths = {name: length for name, _, _, length in fields_of(topic)}
+    messages = [
+        {name: [value, 7] if lengths[name] == 32 else value for name, value in row.items()
+         if name in lengths}
+        for row in values
+    ]  # fmt: skip
+    ulog = write(tmp_path / "log.ulg", added(topic, 0, 1), *[data(topic, 1, **m) for m in messages])
+    bag = write_mcap(tmp_path / "log.mcap", TOPICS[topic], messages)
+    with open_log(ulog) as one, open_log(bag) as other:
+        first, second = choose_rates(one, RateSelection()), choose_rates(other, RateSelection())
+        found, expected = (GyroSeries.joined(list(s.batches())) for s in (first, second))
+        assert (first.field, first.unit, first.method, first.increments, first.remarks) == (
+            second.field, second.unit, second.method, second.increments, second.remarks
+        )  # fmt: skip
+    assert len(found) >= 8
+    assert (found.t_ns == expected.t_ns).all()
+    assert (found.rate == expected.rate).all()
+    assert (found.integration_time_ns is None) == (topic != "vehicle_imu")
+    if found.integration_time_ns is not None:
+        assert (found.integration_time_ns == expected.integration_time_ns).all()
+
+
+def test_increments_lead_to_the_angle_they_add_up_to(tmp_path):
+    """Nothing is integrated twice, whatever the stamps."""
+    messages = [
+        data("vehicle_imu", 1, timestamp_sample=t, delta_angle=[0.25, 0, 0], delta_angle_dt=5000)
+        for t in (0, 4000, 11_000, 15_000)
+    ]
+    path = write(tmp_path / "log.ulg", added("vehicle_imu", 0, 1), *messages)
+    series, _ = read(path)
+    *_, last = propagated([series])
+    assert geodesic_angle(last.wxyz[-1], exp([0.75, 0, 0])) < 1e-15
+
+
+def test_a_file_that_was_cut_gives_what_is_whole(tmp_path):
+    """The power went; the last record says so."""
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, range(0, 100, 10)))
+    path.write_bytes(path.read_bytes()[:-5])
+    series, losses = read(path)
+    assert len(series) == 9
+    assert len(losses) == 1
+    assert len(read(path)[1]) == 1
+
+
+@pytest.mark.parametrize("marks", [[record(b"S", SYNC)], []])
+def test_damage_is_passed_over_up_to_the_next_record_that_is_known(tmp_path, marks):
+    """That is behind one that only serves to be found again, or a message like earlier ones."""
+    messages = gyro(1, range(0, 100, 10))
+    path = write(
+        tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *messages[:4], b"\xff\xff\xff garbage",
+        messages[4][3:], *marks, *messages[5:],
+    )  # fmt: skip
+    series, losses = read(path)
+    assert series.t_ns.tolist() == [t * 1000 for t in range(0, 100, 10) if t != 40]
+    (loss,) = losses
+    assert "cannot be followed" in loss.reason
+
+
+@pytest.mark.parametrize("missing", [0, 5])
+def test_messages_of_a_file_that_follows_are_not_those_of_the_first(tmp_path, missing):
+    """The same number may stand for another topic there."""
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, range(0, 100, 10)))
+    content = path.read_bytes()
+    first = content[: len(content) - missing]
+    path.write_bytes(first + content)
+    series, losses = read(path)
+    assert series.t_ns.tolist() == [t * 1000 for t in range(0, 100, 10)][: 10 - bool(missing)]
+    (loss,) = losses
+    if missing:
+        cut = len(content) - len(gyro(1, [90])[0])
+        assert loss.place == f"byte {cut}"
+        assert (
+            loss.reason
+            == f"its records cannot be followed for {len(path.read_bytes()) - cut} bytes"
+        )
+    else:
+        reason = "bytes follow the log and are not read; was another joined to it?"
+        assert loss == (f"byte {len(content)}", f"{len(content)} {reason}", None)
+
+
+def test_data_that_was_appended_is_read_behind_a_cut_record(tmp_path):
+    """The flags say where it begins."""
+    messages = gyro(1, range(0, 100, 10))
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *messages[:5], messages[5][:20])
+    content = bytearray(path.read_bytes())
+    offset = len(content)
+    content[16 + 3 : 16 + 3 + 40] = struct.pack("<8s8s3Q", b"", b"\x01", offset, 0, 0)
+    path.write_bytes(bytes(content) + b"".join(messages[6:]))
+    series, _ = read(path)
+    assert series.t_ns.tolist() == [t * 1000 for t in range(0, 100, 10) if t != 50]
+
+
+def test_unknown_features_are_refused(tmp_path):
+    """A flag that is not known may change everything behind it."""
+    path = write(tmp_path / "log.ulg")
+    content = bytearray(path.read_bytes())
+    content[16 + 3 + 8] = 2
+    path.write_bytes(bytes(content))
+    with (
+        pytest.raises(UnsupportedLogError, match=r"does not know \(flags 0200000000000000\); "),
+        open_log(path),
+    ):
+        pass
+
+
+def test_a_file_without_anything_is_refused(tmp_path):
+    """Less than a header is no log."""
+    path = tmp_path / "log.ulg"
+    path.write_bytes(b"ULog\x01\x12\x35\x01")
+    with pytest.raises(DamagedLogError, match=r"it ends within its header"), open_log(path):
+        pass
+
+
+def test_any_field_can_be_named(tmp_path):
+    """Also of a message the table does not know, inside another type."""
+    path = tmp_path / "log.ulg"
+    content = b"ULog\x01\x12\x35\x01" + bytes(8)
+    content += record(b"F", b"inner:float[2] pad;float[3] turn;uint8_t[2] _padding0;")
+    content += record(b"F", b"outer:uint64_t timestamp;inner[2] pair;char[3] name;")
+    content += added("outer", 0, 1)
+    for k in range(3):
+        numbers = [0, 0, 1, 2, 3, 9, 9, k, 5, 6]
+        inner = [struct.pack("<5f", *numbers[i : i + 5]) + b"\0\0" for i in (0, 5)]
+        content += record(b"D", struct.pack("<HQ", 1, k) + b"".join(inner) + b"abc")
+    path.write_bytes(content)
+    series, losses = read(path, rate_field="pair[1].turn", rate_unit="rad/s")
+    assert losses == []
+    assert series.t_ns.tolist() == [0, 1000, 2000]
+    assert series.rate.tolist() == [[k, 5, 6] for k in range(3)]
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [(b"sensor_gyro:float x;;oh no!;", "has a field that cannot be read: 'oh no!'"),
+     (b"sensor_gyro:sensor_gyro x;", "contains itself")],
+)  # fmt: skip
+def test_definitions_that_make_no_sense_are_refused(tmp_path, text, reason):
+    """The sentence names the topic."""
+    path = tmp_path / "log.ulg"
+    message = record(b"D", bytes(20))
+    content = b"ULog\x01\x12\x35\x01" + bytes(8) + record(b"F", text)
+    path.write_bytes(content + added("sensor_gyro", 0, 0) + message)
+    with (
+        open_log(path) as log,
+        pytest.raises(SchemaError, match=f"topic 'sensor_gyro/0': .*{reason}"),
+    ):
+        rate_candidates(log, RateSelection())
+
+
+@pytest.mark.parametrize("second", ["vehicle_angular_velocity", "sensor_gyro"])
+def test_an_id_that_is_given_to_another_topic_keeps_the_messages_of_the_first(tmp_path, second):
+    """Messages belong to the topic that their id had when they were written."""
+    path = tmp_path / "log.ulg"
+    rates = [[float(k), -k, 2.0] for k in range(20)]
+    begin = [
+        data("sensor_gyro", 7, timestamp_sample=k, **dict(zip("xyz", rates[k], strict=True)))
+        for k in range(10)
+    ]
+    end = [
+        data(second, 7, timestamp_sample=k, xyz=rates[k], **dict(zip("xyz", rates[k], strict=True)))
+        for k in range(10, 20)
+    ]
+    removed, damage = record(b"R", struct.pack("<H", 7)), b"\xff" * 5
+    write(path, added("sensor_gyro", 0, 7), *begin, removed, added(second, 1, 7), *end[:5], damage,
+          *end[5:], added("sensor_gyro", 0, 7), *begin)  # fmt: skip
+    with open_log(path) as log:
+        counts = {channel.topic: channel.count for channel in log.channels()}
+    assert counts == {"sensor_gyro/0": 20, f"{second}/1": 10}
+    first, losses = read(path, topic="sensor_gyro/0")
+    assert [loss.reason for loss in losses] == ["its records cannot be followed for 5 bytes"]
+    assert first.t_ns.tolist() == [k * 1000 for k in range(10)] * 2
+    np.testing.assert_array_equal(first.rate, rates[:10] * 2)
+    other, _ = read(path, topic=f"{second}/1")
+    np.testing.assert_array_equal(other.rate, rates[10:])
+
+
+@pytest.mark.parametrize("topic", ["sensor_gyro", "vehicle_angular_velocity"])
+def test_a_clock_that_begins_again_steps_back(tmp_path, topic):
+    """Messages are in the order in which they were recorded, whatever their stamps say."""
+    path = tmp_path / "log.ulg"
+    stamps = [*range(5000, 9000, 10), *range(1000, 5000, 10)]
+    write(path, added(topic, 0, 1), *(
+        data(topic, 1, timestamp=stamp + 3, timestamp_sample=stamp) for stamp in stamps
+    ))  # fmt: skip
+    for clock, late_us in (("header", 0), ("log", 3)):
+        series, _ = read(path, clock=clock)
+        assert series.t_ns.tolist() == [(stamp + late_us) * 1000 for stamp in stamps]
+    with pytest.raises(TimelineError, match=r"time steps back by 7\.99 ms at sample 400 "):
+        quatprop.propagate(path)
+
+
+def test_windows_change_nothing(tmp_path, monkeypatch):
+    """Records, marks and damage that lie across the border of what is read at a time are found."""
+    stamps = list(range(1000, 300_000, 1000))
+    messages = gyro(1, stamps)
+    records = [added("sensor_gyro", 0, 1), *messages[:100], b"\xff" * 301, record(b"S", SYNC)]
+    path = write(tmp_path / "log.ulg", *records, *messages[100:])
+    whole, losses = read(path)
+    assert len(whole) == len(stamps)
+    assert len(losses) == 1
+    for window in (1 << 17, 70_001, 66_000):
+        monkeypatch.setattr(ulog_records, "WINDOW", window)
+        series, told = read(path)
+        assert series.t_ns.tolist() == [stamp * 1000 for stamp in stamps]
+        assert series.rate.tobytes() == whole.rate.tobytes()
+        assert told == losses
+
+
+def test_a_file_that_becomes_shorter_while_it_is_read_loses_its_end(tmp_path):
+    """Nothing dies of it, and what is missing is counted."""
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, range(200_000)))
+    size = path.stat().st_size
+    with open_log(path) as log:
+        batches = choose_rates(log, RateSelection()).batches()
+        first = next(batches)
+        with path.open("r+b") as file:
+            file.truncate(size // 2)
+        count = len(first) + sum(len(batch) for batch in batches)
+    assert 95_000 < count < 105_000
+    assert sum(loss.messages for loss in log.losses) == 200_000 - count
+    assert {loss.reason for loss in log.losses} == {"the file has become shorter"}
+
+
+def test_a_message_that_is_too_short_is_lost_alone(tmp_path):
+    """The other messages of its topic are read."""
+    short = record(b"D", struct.pack("<H", 1) + b"four")
+    messages = gyro(1, range(1000, 101_000, 1000))
+    path = write(tmp_path / "a.ulg", added("sensor_gyro", 0, 1), *messages, short, *messages)
+    series, losses = read(path)
+    assert len(series) == 200
+    (loss,) = losses
+    assert (loss.place, loss.messages) == ("topic sensor_gyro/0", 1)
+    assert loss.reason == "it ends before its time stamp; the log is damaged"
+
+
+def test_dropouts_are_losses(tmp_path, shared_logs):
+    """What the recorder could not write is as lost as what cannot be read."""
+    dropouts = [record(b"O", (20).to_bytes(2, "little")), record(b"O", (300).to_bytes(2, "little"))]
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, [5, 10]), *dropouts)
+    with open_log(path) as log:
+        (loss,) = log.losses
+        assert loss.place == f"2 dropouts, first at byte {path.stat().st_size - 10}"
+        assert loss.reason == "the recorder lost all messages for 320 ms in total"
+    with open_log(shared_logs / "ulog" / "sample.ulg") as log:
+        (loss,) = log.losses
+        assert loss.place == "4 dropouts, first at byte 36590"
+        assert loss.reason == "the recorder lost all messages for 119 ms in total"
+
+
+def test_a_message_of_an_id_that_was_not_subscribed_is_lost(tmp_path):
+    """A damaged bit of an id cost the message without a word."""
+    messages = gyro(1, range(0, 100, 10))
+    messages[4] = messages[4][:3] + b"\x05" + messages[4][4:]
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *messages)
+    series, losses = read(path)
+    assert series.t_ns.tolist() == [t * 1000 for t in range(0, 100, 10) if t != 40]
+    place = path.read_bytes().index(messages[4])
+    assert losses == [Loss(f"1 messages, first at byte {place}", "no topic has their number", 1)]
+
+
+def test_a_format_that_is_defined_again_is_refused(tmp_path):
+    """The second definition was applied to all messages, those before it included."""
+    again = record(b"F", b"sensor_gyro:uint64_t timestamp;float[3] x;")
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, range(0, 100, 10)),
+                 again, *gyro(1, range(100, 200, 10)))  # fmt: skip
+    place = path.read_bytes().index(again)
+    with pytest.raises(UnsupportedLogError) as refused:
+        read(path)
+    assert str(refused.value) == (
+        f"{path}: byte {place}: it redefines format 'sensor_gyro', so it is not certain what the "
+        "messages of topic 'sensor_gyro/0' hold; ULog forbids that; cut the file there and read "
+        "both parts"
+    )
+
+
+def test_a_record_of_no_known_kind_costs_itself(tmp_path):
+    """A damaged bit of a kind made a message a text, which was passed over without a word."""
+    messages = gyro(1, range(0, 100, 10))
+    messages[4] = messages[4][:2] + b"L" + messages[4][3:]
+    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *messages)
+    series, losses = read(path)
+    assert len(series) == 9
+    place = path.read_bytes().index(messages[4])
+    assert losses == [Loss(f"byte {place}", "a record is of no known kind", 1)]

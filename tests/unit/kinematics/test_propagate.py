@@ -1,0 +1,424 @@
+"""Rates to attitudes: closed forms, an 80-bit oracle, and independence of batches to the bit."""
+
+import os
+import subprocess
+import sys
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from make import oracle
+from make.streams import propagated
+
+from quatprop.errors import SeriesError, UsageError
+from quatprop.kinematics.increments import METHODS
+from quatprop.kinematics.product import PADDING
+from quatprop.kinematics.propagate import TILE, FinalAttitude, Propagation, attitudes
+from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
+from quatprop.series import GyroSeries
+from quatprop.series.blocks import BLOCK, reblock
+
+SECOND = 1_000_000_000
+Z_AXIS = np.array([0.0, 0.0, 1.0])
+needs_80_bits = pytest.mark.skipif(not oracle.EXTENDED, reason="longdouble has no 80 bits here")
+
+
+def steady(rate, count, dt_ns):
+    """Return samples of one rate at even intervals."""
+    return np.arange(count) * dt_ns, np.tile(np.asarray(rate, float), (count, 1))
+
+
+def noisy(seed, count, scale=1.0, dt_ns=5_000_000):
+    """Return samples of random rates at uneven intervals, with stamps of today."""
+    rng = np.random.default_rng(seed)
+    steps = rng.integers(dt_ns * 9 // 10, dt_ns * 11 // 10, count)
+    return 1_700_000_000_000_000_000 + np.cumsum(steps), scale * rng.normal(size=(count, 3))
+
+
+def joined(stream):
+    """Return all stamps and attitudes of a stream."""
+    series = list(stream)
+    return np.concatenate([s.t_ns for s in series]), np.concatenate([s.wxyz for s in series])
+
+
+# --- closed forms
+
+
+@pytest.mark.parametrize("rate", [1e-6, 0.1, 3.0, 40.0])
+def test_spin_about_z(rate):
+    """A constant spin about z has the closed form of eq. 37, sign included, over many turns."""
+    rng = np.random.default_rng(1)
+    t_ns = np.concatenate([[0], np.cumsum(rng.integers(1, 50_000_000, 20_000))])
+    q = attitudes(t_ns, np.tile(rate * Z_AXIS, (len(t_ns), 1)))
+    half = rate * (t_ns / 1e9) / 2
+    expected = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)
+    assert np.abs(q - expected).max() < 1e-14 + 1e-15 * half[-1]
+
+
+@pytest.mark.parametrize("angle", [3.0, 3.3, 5.0, 6.5, 11.0, 13.0])
+def test_steps_beyond_half_a_turn(angle):
+    """One step may turn by more than 180 degrees, or by more than a full turn."""
+    axis = np.array([2.0, -1.0, 2.0]) / 3
+    t_ns, rate = steady(angle * axis, 100, SECOND)
+    half = angle / 2 * np.arange(100)
+    expected = np.concatenate([np.cos(half)[:, None], np.sin(half)[:, None] * axis], axis=1)
+    assert np.abs(attitudes(t_ns, rate) - expected).max() < 3e-13
+
+
+def cone(t_s, tilt=0.2, turn=30.0):
+    """Return true attitudes and body rates of classical coning motion."""
+    c, s, phase = np.cos(tilt / 2), np.sin(tilt / 2), turn * t_s
+    zero = 0 * t_s
+    q = np.stack([c + zero, s * np.cos(phase), s * np.sin(phase), zero], axis=1)
+    rate = turn * np.stack(
+        [-np.sin(tilt) * np.sin(phase), np.sin(tilt) * np.cos(phase), np.cos(tilt) - 1 + zero],
+        axis=1,
+    )
+    return q, rate
+
+
+def cone_error(method, dt_ns, rates="body"):
+    """Return the attitude error after one second of coning, rad."""
+    t_ns = np.arange(SECOND // dt_ns + 1) * dt_ns
+    q, rate = cone(t_ns / 1e9)
+    if rates == "inertial":
+        rate = rotate(q, rate)
+    return geodesic_angle(attitudes(t_ns, rate, q0=q[0], method=method, rates=rates)[-1], q[-1])
+
+
+@pytest.mark.parametrize("rates", ["body", "inertial"])
+@pytest.mark.parametrize(
+    ("method", "order"), [("start", 1), ("end", 1), ("mean", 2), ("coning", 2), ("cubic", 4)]
+)
+def test_coning_motion_is_approached(method, order, rates):
+    """Half the interval leaves 2^-order of the error of true coning motion, in either frame."""
+    coarse, fine = cone_error(method, 500_000, rates), cone_error(method, 250_000, rates)
+    assert coarse / fine == pytest.approx(2**order, rel=0.01)
+    assert fine < 1e-3
+
+
+@pytest.mark.parametrize("rates", ["body", "inertial"])
+def test_coning_term_has_the_right_sign(rates):
+    """The term takes from the drift of coning motion, in either frame; a wrong sign would add."""
+    assert cone_error("coning", 500_000, rates) < 0.6 * cone_error("mean", 500_000, rates)
+
+
+def ramp(method, dt_ns, rates="body"):
+    """Return the attitude after a second of a rate that grows linearly and turns."""
+    t_ns = np.arange(SECOND // dt_ns + 1) * dt_ns
+    rate = np.array([1.0, -2.0, 0.5]) + (t_ns / 1e9)[:, None] * [3.0, 2.0, -4.0]
+    return attitudes(t_ns, rate, method=method, rates=rates)[-1]
+
+
+@pytest.mark.parametrize("rates", ["body", "inertial"])
+@pytest.mark.parametrize(
+    ("method", "order"), [("start", 1), ("end", 1), ("mean", 2), ("coning", 4), ("cubic", 4)]
+)
+def test_linear_rates_are_followed_with_the_order_of_the_method(method, order, rates):
+    """Where the rate is linear between samples, the coning method is of fourth order."""
+    truth = ramp("coning", 100_000, rates)
+    coarse = geodesic_angle(ramp(method, 20_000_000, rates), truth)
+    fine = geodesic_angle(ramp(method, 10_000_000, rates), truth)
+    assert coarse / fine == pytest.approx(2**order, rel=0.02)
+
+
+def test_slow_precession():
+    """A fast spin whose axis precesses slowly has q = exp(k P t / 2) tilt exp(k S t / 2)."""
+    spin, precession, tilt = 5.0, 0.01, exp([0.4, 0, 0])
+    t_ns = np.arange(60_001) * 1_000_000
+    t_s = (t_ns / 1e9)[:, None]
+    turned, spun = exp(precession * t_s * Z_AXIS), exp(spin * t_s * Z_AXIS)
+    truth = multiply(multiply(turned, tilt), spun)
+    # The precession is about the reference's z axis, here resolved in the body.
+    rate = spin * Z_AXIS + rotate(truth * [1, -1, -1, -1], precession * Z_AXIS)
+    q = attitudes(t_ns, rate, q0=tilt, method="coning")
+    # Chords of the circle that the precession makes in the body are too short by (S dt)^2 / 12.
+    assert geodesic_angle(q, truth).max() < (spin * 1e-3) ** 2 / 12 * precession * 60
+
+
+def test_earth_rate_at_8_khz():
+    """A hundred thousand steps of 9e-9 rad add up to 100000 times one of them."""
+    t_ns, rate = steady([0, 7.292e-5, 0], 100_001, 125_000)
+    turned = geodesic_angle(attitudes(t_ns, rate)[-1], [1, 0, 0, 0])
+    assert turned == pytest.approx(7.292e-5 * 12.5, rel=1e-12)
+
+
+# --- the 80-bit oracle
+
+
+@needs_80_bits
+def test_two_million_samples_against_the_oracle():
+    """Final and worst error of 2,000,000 samples stay below 2e-14 rad, rows at unit length."""
+    t_ns, rate = noisy(2, 2_000_000)
+    q = attitudes(t_ns, rate)
+    error = oracle.angle(oracle.blocked(t_ns, rate), q)
+    assert error[-1] < 2e-14
+    assert error.max() < 2e-14
+    length = np.sqrt((q.astype(oracle.L) ** 2).sum(axis=1))
+    assert np.abs(length - 1).max() <= 2 * np.finfo(float).eps
+
+
+@needs_80_bits
+def test_blocked_oracle_is_the_serial_one():
+    """The fast oracle gives what the plain one gives."""
+    t_ns, rate = noisy(3, 3 * oracle.RUN + 17)
+    assert oracle.angle(oracle.blocked(t_ns, rate), oracle.serial(t_ns, rate)).max() < 1e-16
+
+
+@needs_80_bits
+@pytest.mark.parametrize("rates", ["body", "inertial"])
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("scale", [0.01, 1.0, 100.0])
+def test_every_method_and_frame_against_the_oracle(method, rates, scale):
+    """Methods, frames and q0 agree with the serial oracle, from tiny steps to steps of a turn."""
+    t_ns, rate = noisy(4, 2000, scale, 20_000_000)
+    q0 = [0.1, -0.7, 0.3, 0.5]
+    q = attitudes(t_ns, rate, q0=q0, method=method, rates=rates)
+    truth = oracle.serial(t_ns, rate, q0, method, rates)
+    assert oracle.angle(truth, q).max() < 2e-14 * max(scale / 10, 1)
+
+
+# --- batches
+
+
+@st.composite
+def cuts(draw, count):
+    """Draw where to cut a series into batches, empty ones and single samples among them."""
+    edges = draw(st.lists(st.integers(0, count), max_size=8))
+    near = draw(st.sampled_from([0, TILE, BLOCK, count]))
+    singles = [min(max(near + k, 0), count) for k in (-1, 0, 1, 2)]
+    return sorted([0, count, *edges, *singles])
+
+
+def batches(t_ns, rate, edges):
+    """Cut a series at sample indices."""
+    for begin, end in pairwise(edges):
+        yield GyroSeries(t_ns[begin:end], rate[begin:end])
+
+
+@settings(max_examples=40)
+@given(st.data())
+def test_batches_do_not_matter(data):
+    """However the stream is cut, every attitude is the same to the bit."""
+    count = data.draw(
+        st.sampled_from(
+            [1, 2, 9, 100, TILE - 1, TILE, TILE + 1, BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK + 77]
+        )
+    )
+    method = data.draw(st.sampled_from(sorted(METHODS)))
+    rates = data.draw(st.sampled_from(["body", "inertial"]))
+    scale = data.draw(st.sampled_from([1e-4, 1.0, 1e3]))
+    t_ns, rate = noisy(count, count, scale)
+    whole = attitudes(t_ns, rate, method=method, rates=rates)
+    stream = batches(t_ns, rate, data.draw(cuts(count)))
+    stamps, q = joined(propagated(stream, method=method, rates=rates))
+    assert np.array_equal(stamps, t_ns)
+    assert q.tobytes() == whole.tobytes()
+
+
+@settings(max_examples=60)
+@given(st.data())
+def test_what_follows_does_not_matter(data):
+    """The first attitudes of a series are those of any longer one, to the bit.
+
+    The method cubic looks one sample ahead: there it is all but the last attitude.
+    """
+    method = data.draw(st.sampled_from(sorted(METHODS)))
+    rates = data.draw(st.sampled_from(["body", "inertial"]))
+    total = 2 * TILE + 100
+    t_ns, rate = noisy(11, total, data.draw(st.sampled_from([1e-4, 1.0, 30.0])))
+    # A few long steps must not change how the others are computed.
+    rate[data.draw(st.lists(st.integers(0, total - 1), max_size=3))] *= 1000
+    edges = [1, 2, 9, PADDING, PADDING + 1, TILE - 1, TILE, TILE + 1, total]
+    count = data.draw(st.one_of(st.sampled_from(edges), st.integers(1, total)))
+    whole = attitudes(t_ns, rate, method=method, rates=rates)
+    cut = batches(t_ns[:count], rate[:count], data.draw(cuts(count)))
+    _, q = joined(propagated(cut, method=method, rates=rates))
+    same = count - 1 if method == "cubic" else count
+    assert q[:same].tobytes() == whole[:same].tobytes()
+
+
+def test_batches_of_one_sample_do_not_matter():
+    """A stream of single samples gives the same bits as the whole series."""
+    t_ns, rate = noisy(5, 3000)
+    _, q = joined(propagated(batches(t_ns, rate, range(3001))))
+    assert q.tobytes() == attitudes(t_ns, rate).tobytes()
+
+
+def test_memory_order_does_not_matter():
+    """Rates that lie apart or backwards in memory give the same bits."""
+    t_ns, rate = noisy(6, TILE + 100)
+    wide = np.zeros((len(rate), 7))
+    wide[:, 2:5] = rate
+    same = attitudes(t_ns, rate)
+    assert attitudes(t_ns, wide[:, 2:5]).tobytes() == same.tobytes()
+    assert attitudes(t_ns, np.asfortranarray(rate)).tobytes() == same.tobytes()
+    assert attitudes(t_ns[::-1].copy()[::-1], rate[::-1].copy()[::-1]).tobytes() == same.tobytes()
+
+
+@settings(max_examples=40)
+@given(st.data())
+def test_the_final_attitude_alone_is_that_of_the_series(data):
+    """The reduction ends where the series does, to the bit at the end of a tile."""
+    count = data.draw(
+        st.sampled_from([1, 2, 9, 17, 100, TILE - 1, TILE, TILE + 1, 2 * TILE, BLOCK + 77])
+    )
+    method = data.draw(st.sampled_from(sorted(METHODS)))
+    rates = data.draw(st.sampled_from(["body", "inertial"]))
+    t_ns, rate = noisy(count, count, data.draw(st.sampled_from([1e-4, 1.0, 30.0])))
+    q0 = [0.1, -0.7, 0.3, 0.5]
+    final = FinalAttitude(q0, method, rates)
+    for block in reblock(batches(t_ns, rate, data.draw(cuts(count)))):
+        final.add(block)
+    whole = attitudes(t_ns, rate, q0=q0, method=method, rates=rates)[-1]
+    assert np.abs(final.end() - whole).max() <= (0 if count % TILE == 0 else 1e-15)
+
+
+def test_what_was_given_is_never_changed():
+    """A series handed out, and the rates handed in, stay as they were."""
+    t_ns, rate = noisy(7, 2 * BLOCK)
+    before = rate.copy()
+    series = []
+    copies = []
+    for block in propagated([GyroSeries(t_ns, rate)], rates="inertial"):
+        series.append(block)
+        copies.append(block.wxyz.copy())
+    assert np.array_equal(rate, before)
+    assert all(np.array_equal(s.wxyz, c) for s, c in zip(series, copies, strict=True))
+
+
+def test_stream_is_lazy():
+    """Attitudes come as soon as a block of samples is there, not at the end of the log."""
+    given_out = []
+
+    def source():
+        for part in range(6):
+            given_out.append(part)
+            yield GyroSeries(*noisy(part, BLOCK // 2))
+
+    stream = propagated(source())
+    assert not given_out
+    assert len(next(stream)) == BLOCK
+    assert given_out == [0, 1]
+
+
+# --- edges
+
+
+def test_nothing_gives_nothing():
+    """No batches, or only empty ones, give no series; no samples give no rows."""
+    empty = GyroSeries(np.empty(0, np.int64), np.empty((0, 3)))
+    assert not list(propagated([]))
+    assert not list(propagated([empty, empty]))
+    assert attitudes(empty.t_ns, empty.rate).shape == (0, 4)
+
+
+@pytest.mark.parametrize("rates", ["body", "inertial"])
+def test_one_sample_gives_q0(rates):
+    """The first attitude is q0, whatever the rate."""
+    q = attitudes(np.array([5]), np.array([[9.0, 9.0, 9.0]]), q0=[0.6, 0.0, 0.8, 0.0], rates=rates)
+    assert np.allclose(q, [[0.6, 0.0, 0.8, 0.0]], rtol=0, atol=np.finfo(float).eps)
+
+
+def test_two_samples_give_one_step():
+    """Two samples give q0 and q0 dq."""
+    q0 = exp([0.3, -0.2, 0.1])
+    q = attitudes(np.array([0, SECOND]), np.array([[0, 0.5, 0], [7.0, 7.0, 7.0]]), q0=q0)
+    assert np.allclose(q, [q0, multiply(q0, exp([0, 0.5, 0]))], rtol=0, atol=2e-16)
+
+
+@pytest.mark.parametrize("rates", ["body", "inertial"])
+def test_zero_rate_is_the_identity_to_the_bit(rates):
+    """Without rotation every row is exactly (1, 0, 0, 0), with no negative zeros."""
+    t_ns, rate = steady([0, 0, 0], 2 * TILE + 3, 5_000_000)
+    q = attitudes(t_ns, rate, rates=rates)
+    assert q.tobytes() == np.tile([1.0, 0.0, 0.0, 0.0], (len(t_ns), 1)).tobytes()
+
+
+def test_repeated_stamps_turn_nothing():
+    """Samples at the same instant have the same attitude, however large their rates."""
+    t_ns = np.array([0, SECOND, SECOND, SECOND, 2 * SECOND])
+    q = attitudes(t_ns, np.array([[0, 0, 1.0], [5, 5, 5], [6, 6, 6], [0, 0, 1.0], [0, 0, 0]]))
+    assert np.array_equal(q[1], q[2])
+    assert np.array_equal(q[1], q[3])
+    assert np.allclose(q[4], exp([0, 0, 2.0]), rtol=0, atol=2e-16)
+
+
+def test_length_of_q0_does_not_matter():
+    """Q0 is normalised first."""
+    t_ns, rate = noisy(8, 100)
+    q = attitudes(t_ns, rate, q0=[1, 2, 3, 4])
+    assert np.allclose(attitudes(t_ns, rate, q0=[1e200, 2e200, 3e200, 4e200]), q, atol=1e-15)
+    assert np.abs(np.linalg.norm(q, axis=1) - 1).max() <= 2 * np.finfo(float).eps
+
+
+@pytest.mark.parametrize(
+    ("q0", "message"),
+    [
+        ([1, 0, 0], r"^Expected `q0` to have shape \(4,\), got \(3,\)$"),
+        (np.eye(4), r"^Expected `q0` to have shape \(4,\), got \(4, 4\)$"),
+        ([0, 0, 0, 0], "^Expected `q0` to have a direction, got all zeros$"),
+        ([np.nan, 0, 0, 1], r"^Expected `q0` to be finite, got \[nan, 0.0, 0.0, 1.0\]$"),
+        ("level", "^Expected `q0` to be four numbers w, x, y, z, got 'level'$"),
+    ],
+)
+def test_bad_q0_is_refused_at_once(q0, message):
+    """What is no quaternion is refused before any sample is asked for."""
+    with pytest.raises(SeriesError, match=message):
+        Propagation(q0, "start", "body")
+
+
+def test_unknown_method_and_frame_are_refused_at_once():
+    """A misspelt option is refused before any sample is asked for."""
+    with pytest.raises(UsageError, match=r"^there is no method 'Start'; choose one of 'start', "):
+        Propagation([1, 0, 0, 0], "Start", "body")
+    with pytest.raises(UsageError, match=r"^there is no frame 'world'; choose one of 'body', "):
+        FinalAttitude([1, 0, 0, 0], "start", "world")
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
+def test_rates_that_are_no_numbers_are_refused(bad):
+    """The first attitude that cannot be computed is named, counted over blocks."""
+    t_ns, rate = noisy(9, BLOCK + 50)
+    rate[BLOCK + 20, 1] = bad
+    message = f"^the attitude of sample {BLOCK + 21} is not finite; "
+    with pytest.raises(SeriesError, match=message):
+        list(propagated([GyroSeries(t_ns, rate)]))
+
+
+def test_blocks_are_whole_tiles():
+    """The blocks of a stream end where tiles end, or the result would depend on them."""
+    assert BLOCK % TILE == 0
+    assert TILE % PADDING == 0
+
+
+def test_wider_registers_give_the_same_bytes():
+    """Attitudes do not depend on whether the processor has AVX-512."""
+    program = """
+import hashlib
+import numpy as np
+from quatprop.kinematics.increments import METHODS
+from quatprop.kinematics.propagate import attitudes
+
+rate = np.random.default_rng(1).normal(0, 3, (20_000, 3))
+rate[::7] *= 1000
+t_ns = np.arange(20_000) * 5_000_000
+for method in METHODS:
+    q = attitudes(t_ns, rate, method=method)
+    print(method, hashlib.sha256(q.tobytes()).hexdigest())
+"""
+    digests = []
+    for features in ("", "X86_V4 AVX512_ICL AVX512_SPR AVX512F AVX512CD AVX512_SKX"):
+        # numpy warns of features that this processor lacks, or that it knows by other names.
+        run = subprocess.run(
+            [sys.executable, "-W", "ignore", "-c", program],
+            env={**os.environ, "NPY_DISABLE_CPU_FEATURES": features},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        digests.append(run.stdout.split())
+    assert len(digests[0]) == 2 * len(METHODS)
+    assert digests[0] == digests[1]

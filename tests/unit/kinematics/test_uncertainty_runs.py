@@ -1,0 +1,172 @@
+"""Covariances of whole runs against finite differences: the same runs, of rates with an error."""
+
+from itertools import product
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+from make.simulated import FRAMES, simulated
+from rosbags.highlevel import AnyReader
+
+from quatprop import GyroSeries, propagate, read_attitudes
+from quatprop.cli.commands import cli
+from quatprop.kinematics.quaternion import conjugate, exp, log, multiply, rotation_matrix
+from quatprop.series import SIGMA_COLUMNS
+
+CHANGE = 1e-6
+ERRORS = ("bias_sigma", "scale_sigma")
+Q0 = exp(np.array([0.5, -0.4, 1.0]))
+OBLIQUE = exp(np.array([0.9, 0.3, -0.5]))
+RUNS = {
+    "start": {},
+    "cubic": {"method": "cubic"},
+    "tenth": {"every": 10},
+    "dense": {"rate": 333, "method": "coning"},
+    "coarse": {"rate": 7, "method": "coning"},
+    "mounted": {"mount": OBLIQUE.tolist()},
+    "averages": {},
+    "increments": {},
+    "calibrated": {"calibration": "calibration.yaml"},
+    "gap holds": {"on_gap": "hold"},
+    "gap is zero": {"on_gap": "zero"},
+    "gap is zero, dense": {"on_gap": "zero", "rate": 333},
+    "gap splits": {"on_gap": "split"},
+    "gap splits, dense": {"on_gap": "split", "rate": 333},
+}
+# Rates in the reference frame are not turned by the mounting.
+CASES = [case for case in product(RUNS, FRAMES) if case != ("mounted", "inertial")]
+
+
+@pytest.fixture
+def calibration(tmp_path, monkeypatch):
+    """Have a calibration at hand, of small misalignments."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "calibration.yaml").write_text(
+        "matrix: [[1.001, 0.0005, 0], [0, 0.999, -0.0005], [0.0003, 0, 1.0002]]\nbias: [0, 0, 0.01]"
+    )
+
+
+def tumbling(name, frame):
+    """Return the rates of a run, resolved in body axes or in reference axes."""
+    t_ns, rate = simulated("tumbling", frame, 81, 25_000_000)
+    if "gap" in name:
+        t_ns = t_ns + 3 * 10**9 * (np.arange(len(t_ns)) > 40)
+    # An increment may have been integrated over another time than there is between stamps.
+    integration_time_ns = np.full(len(t_ns), 24_000_000) if name == "increments" else None
+    return GyroSeries(t_ns, rate, integration_time_ns, is_interval_average=name == "averages")
+
+
+def differences(series, error, **options):
+    """Return the covariances of the attitudes, from those with an error on each axis in turn."""
+    true, changes = propagate(series, **options).wxyz, []
+    for axis in np.eye(3):
+        wrong = axis if error == "bias_sigma" else axis * series.rate
+        wxyz = propagate(series.with_rate(series.rate + CHANGE * wrong), **options).wxyz
+        changes.append(log(multiply(conjugate(true), wxyz)) / CHANGE)
+    change = np.stack(changes, axis=2)
+    return change @ change.swapaxes(1, 2)
+
+
+def assert_close(found, expected):
+    """Within 1 % of the largest number of each covariance, once there is one to speak of.
+
+    Between samples covariances are linear, which is wrong by 1 % up to the sixth interval.
+    """
+    size = np.abs(expected).max(axis=(1, 2))
+    told = size > 0.02 * size.max()
+    assert np.count_nonzero(told) > len(told) / 2
+    assert (np.abs(found - expected).max(axis=(1, 2)) <= 0.01 * size)[told].all()
+
+
+@pytest.mark.filterwarnings("ignore:series. 1 interval longer than 250 ms")
+@pytest.mark.filterwarnings("ignore:series. the increments cover 1.92 s of the 2 s")
+@pytest.mark.usefixtures("calibration")
+@pytest.mark.parametrize(("name", "frame"), CASES)
+def test_errors_of_whole_runs(name, frame):
+    """Whatever is done to rates and attitudes.
+
+    Scale factors were taken for those of body axes where the sensor's are others, rates were
+    integrated across gaps without rotation, and increments over the time between their stamps.
+    """
+    options = {"rates": frame, "q0": Q0, **RUNS[name]}
+    series = tumbling(name, frame)
+    for error in ERRORS:
+        found = propagate(series, sigma=True, **{error: 1.0}, **options).covariance
+        assert_close(found, differences(series, error, **options))
+
+
+# --- outputs
+
+KNOWN = {"bias_sigma": 1e-3, "scale_sigma": 1e-3}
+
+
+@pytest.fixture
+def table(tmp_path):
+    """Return a function that writes rates, and attitudes beside them, as a table."""
+
+    def written(series, wxyz):
+        path = tmp_path / "log.csv"
+        header = "t_ns,wx,wy,wz,qw,qx,qy,qz"
+        rows = np.column_stack([series.rate, wxyz]).tolist()
+        lines = (
+            f"{t},{','.join(map(repr, row))}" for t, row in zip(series.t_ns, rows, strict=True)
+        )
+        path.write_text("\n".join([header, *lines, ""]))
+        return path
+
+    return written
+
+
+def run(log, out, *options):
+    """Propagate a table by the command line, with standard deviations."""
+    given = ["--rate-unit", "rad/s", "--bias-sigma", "1e-3rad/s", "--scale-sigma", "0.1%"]
+    arguments = ["propagate", str(log), "-o", str(out), *given, "--sigma", *options]
+    result = CliRunner().invoke(cli, arguments)
+    assert result.exit_code == 0, result.output
+    return result.stderr
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_outputs_of_whole_runs(tmp_path, table, frame):
+    """About body axes and reference axes, in columns and in messages, converted and read again."""
+    series = tumbling("", frame)
+    true = propagate(series, rates=frame)
+    body = sum(size**2 * differences(series, name, rates=frame) for name, size in KNOWN.items())
+    turn = rotation_matrix(true.wxyz)
+    reference = turn @ body @ turn.swapaxes(1, 2)
+    log = table(series, true.wxyz)
+    sigma = propagate(series, rates=frame, sigma=True, **KNOWN).sigma
+    for axes, expected in (("body", body), ("reference", reference)):
+        out = tmp_path / f"{axes}.parquet"
+        said = run(log, out, "--rates", frame, "--sigma-axes", axes)
+        assert "1 sigma     x {:.3g}  y {:.3g}  z {:.3g} deg".format(*np.degrees(sigma[-1])) in said
+        columns = pq.read_table(out).select(SIGMA_COLUMNS).to_pandas().to_numpy()
+        variances = np.diagonal(expected, axis1=1, axis2=2)
+        assert_close(columns[..., None] ** 2, variances[..., None])
+    for message in ("Imu", "PoseWithCovarianceStamped"):
+        out = tmp_path / f"{message}.mcap"
+        run(log, out, "--rates", frame, "--message", message)
+        with AnyReader([out]) as reader:
+            found = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()]
+        if message == "Imu":
+            numbers = [one.orientation_covariance.reshape(3, 3) for one in found]
+        else:
+            numbers = [one.pose.covariance.reshape(6, 6)[3:, 3:] for one in found]
+        assert_close(np.array(numbers), reference)
+        assert_close(read_attitudes(out).covariance, body)
+        assert CliRunner().invoke(cli, ["convert", str(out), str(out) + ".npz"]).exit_code == 0
+        assert_close(read_attitudes(str(out) + ".npz").sigma[..., None] ** 2,
+                     np.diagonal(body, axis1=1, axis2=2)[..., None])  # fmt: skip
+
+
+def test_the_mounting_of_a_logged_attitude_does_not_turn_inertial_rates(table):
+    """It turns the attitude to begin from; scale factors belong to the axes of the rates."""
+    series = tumbling("", "inertial")
+    options = {"rates": "inertial", "sigma": True, **KNOWN}
+    log = table(series, np.tile(Q0, (len(series), 1)))
+    mounted = propagate(log, q0="log", mount=OBLIQUE.tolist(), rate_unit="rad/s", **options)
+    q0 = multiply(Q0, conjugate(OBLIQUE))
+    expected = propagate(series, q0=q0, **options)
+    np.testing.assert_allclose(mounted.wxyz, expected.wxyz, atol=1e-14)
+    np.testing.assert_allclose(mounted.covariance, expected.covariance, rtol=1e-9, atol=1e-18)

@@ -1,0 +1,208 @@
+"""The package as a whole: public names, layering, start-up."""
+
+import ast
+import doctest
+import importlib.util
+import os
+import pkgutil
+import re
+import subprocess
+import sys
+import tomllib
+from graphlib import TopologicalSorter
+from itertools import chain
+from pathlib import Path
+
+import pytest
+from make.places import ROOT, SAMPLE_LOGS
+
+import quatprop
+
+PACKAGE = Path(quatprop.__file__).parent
+MODULES = {module.name for module in pkgutil.walk_packages([str(PACKAGE)], "quatprop.")}
+
+
+def imported_by(path: Path) -> set[str]:
+    """Return every module that a file imports, wherever in the file it does so."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            modules = {f"{node.module}.{alias.name}" for alias in node.names} & MODULES
+            names |= modules or {node.module}
+    return names
+
+
+def test_public_names_are_sorted_and_there():
+    """Every name of __all__ can be imported, and the list is sorted."""
+    assert quatprop.__all__ == sorted(quatprop.__all__)
+    for name in quatprop.__all__:
+        assert getattr(quatprop, name).__module__.startswith("quatprop.")
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    """The lazy import behaves as a module does."""
+    with pytest.raises(AttributeError, match="module 'quatprop' has no attribute 'nonsense'"):
+        _ = quatprop.nonsense
+
+
+@pytest.mark.parametrize("name", ["quatprop", *sorted(MODULES - {"quatprop.__main__"})])
+def test_every_module_says_what_it_is_with_examples_that_hold(name, monkeypatch):
+    """Each module has a docstring; what examples in it show is what they give."""
+    monkeypatch.chdir(PACKAGE.parent)
+    module = importlib.import_module(name)
+    assert module.__doc__
+    assert not doctest.testmod(module).failed
+
+
+LAYERS = (
+    {"arrays", "errors", "text", "times", "concurrency", "progress", "version"},
+    {"series", "settings", "stores", "provenance"},
+    {"kinematics", "conventions"},
+    {"timeline", "conditioning"},
+    {"tables"},
+    {"messages"},
+    {"containers"},
+    {"logs", "rendering"},
+    {"writers"},
+    {"log_copy", "simulate"},
+    {"comparison", "pipeline"},
+    {"conversion", "plot"},
+    {"api", "batch", "check"},
+    {"cli", "pytest_plugin", "__main__"},
+)
+"""Packages and modules of quatprop: each imports from its own layer and those above it here."""
+
+LAYER = {name: number for number, names in enumerate(LAYERS) for name in names}
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: path.stem)
+def test_layers_import_downwards_only(path):
+    """Data flows one way, from containers and tables to writers; imports never go back."""
+    own = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    if own == "__init__":
+        return
+    for name in imported_by(path):
+        assert name != "quatprop", f"{path.relative_to(PACKAGE)} imports the public names"
+        if name.startswith("quatprop."):
+            other = name.split(".")[1]
+            assert LAYER[other] <= LAYER[own], f"{path.relative_to(PACKAGE)} imports {name}"
+
+
+def test_no_imports_lead_in_a_circle():
+    """Neither as modules load nor later, and not for types alone: each can be read by itself.
+
+    What a package and its own modules import of each other is left out: the names that it offers.
+    """
+    imports = {}
+    for module in MODULES:
+        imported = imported_by(Path(importlib.util.find_spec(module).origin))
+        imports[module] = {other for other in imported if not f"{module}.".startswith(f"{other}.")}
+    TopologicalSorter(imports).prepare()
+
+
+@pytest.mark.parametrize(
+    "path",
+    sorted(path for name in ("bench", "fuzz") for path in (ROOT / "tests" / name).glob("*.py")),
+    ids=lambda path: path.stem,
+)
+def test_programs_beside_the_tests_import_what_is_there(path):
+    """The bench is not run here: what it imports of the package may have moved."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("quatprop"):
+            module = importlib.import_module(node.module)
+            for name in node.names:
+                assert hasattr(module, name.name), f"{node.module} has no {name.name}"
+
+
+def test_only_the_command_line_speaks_and_exits():
+    """Below cli/ nothing prints, exits, prompts or asserts on input."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        if path.parent.name == "cli" or path.name == "__main__.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            assert not isinstance(node, ast.Assert), f"assert in {path}:{node.lineno}"
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                assert node.func.id not in {"print", "input", "exit"}, f"{path}:{node.lineno}"
+        assert not imported_by(path) & {"click"}, path
+
+
+def test_help_imports_nothing_heavy():
+    """`quatprop --help` needs click and nothing else."""
+    code = (
+        "import sys; sys.argv = ['quatprop', '--help']\n"
+        "from quatprop.cli import run\n"
+        "try: run()\n"
+        "except SystemExit: pass\n"
+        "print(sorted({'numpy', 'pyarrow', 'mcap', 'rosbags'} & set(sys.modules)))"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="threads are listed in /proc")
+def test_a_short_run_has_one_thread():
+    """NumPy's threads for large matrices are not started."""
+    code = (
+        "import os, sys; from quatprop.cli import run; sys.argv = ['quatprop', *sys.argv[1:]]\n"
+        "try: run()\n"
+        "except SystemExit as end: assert not end.code\n"
+        "print(len(os.listdir('/proc/self/task')))"
+    )
+    environment = {name: value for name, value in os.environ.items() if "_NUM_THREADS" not in name}
+    log = SAMPLE_LOGS / "coning.mcap"
+    command = [sys.executable, "-c", code, "info", str(log)]
+    out = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert out.stdout.splitlines()[-1] == "1"
+
+
+UNUSED = {
+    *("concurrent.futures", "random", "shutil", "tempfile", "tqdm", "click.shell_completion"),
+    *("pyarrow.dataset", "pyarrow.compute", "quatprop.log_copy", "quatprop.comparison.settings"),
+    *("quatprop.conditioning.calibration", "quatprop.conditioning.static_detection"),
+    *("quatprop.logs.biases", "quatprop.logs.interpolation", "quatprop.logs.signals.range_readers"),
+    *("mcap", "numpy.ma", "rosbags", "quatprop.messages.transforms", "quatprop.logs.clocks.clocks"),
+}
+"""What a plain run has no use for, and takes long to import or is easily imported by mistake."""
+
+
+def test_a_plain_run_imports_what_it_uses(tmp_path):
+    """A short log is propagated in the time that imports take."""
+    program = (
+        "import sys; from quatprop.cli.commands import cli\n"
+        "try: cli(sys.argv[1:])\n"
+        "except SystemExit as end: assert not end.code\n"
+        f"print(sorted({UNUSED!r} & set(sys.modules)))"
+    )
+    arguments = [
+        "propagate",
+        "-q",
+        PACKAGE.parent / "sample_logs/coning.mcap",
+        "-o",
+        tmp_path / "a.parquet",
+    ]
+    result = subprocess.run(
+        [sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True
+    )
+    assert result.stdout == "[]\n"
+
+
+def test_the_kinds_of_the_command_line_are_those_of_the_table():
+    """--from lists exactly the kinds that have a reader."""
+    from quatprop.logs.kinds import READERS
+    from quatprop.settings import KINDS
+
+    assert tuple(READERS) == KINDS
+
+
+def test_every_dependency_is_pinned_for_development():
+    """Tests and sample logs run on the versions of .ci/constraints.txt."""
+    root = PACKAGE.parent
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    pinned = {
+        line.split("==")[0].lower().replace("_", "-")
+        for line in (root / ".ci" / "constraints.txt").read_text().splitlines()
+    }
+    for requirement in chain(project["dependencies"], *project["optional-dependencies"].values()):
+        assert re.split(r"[\[>]", requirement)[0].lower().replace("_", "-") in pinned, requirement

@@ -1,0 +1,202 @@
+"""Attitudes as Foxglove's own messages in MCAP, against the library of protobuf."""
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+from make.mcap_doctor import examine
+from mcap.reader import make_reader
+
+from quatprop.cli.commands import cli
+from quatprop.errors import OutputError, UsageError
+from quatprop.series import AttitudeSeries
+from quatprop.writers import open_writer
+from quatprop.writers.messages.foxglove_messages import FoxgloveEncoder, schema_of, varint
+from quatprop.writers.messages.kinds import MESSAGES, Message
+
+NAMES = [name for name, known in MESSAGES.items() if not known.is_ros]
+FIELD = descriptor_pb2.FieldDescriptorProto
+START = 1_700_000_000_000_000_000
+STAMPS = [0, 1, 127 * 10**9 + 127, 2**28 * 10**9, START, START + 999_999_999, 2**63 - 1]
+
+# Names, numbers and types, as the schemas are published.
+PUBLISHED = {
+    "google.protobuf.Timestamp": [("seconds", 1, "INT64", ""), ("nanos", 2, "INT32", "")],
+    "foxglove.Quaternion": [(name, n, "DOUBLE", "") for n, name in enumerate("xyzw", 1)],
+    "foxglove.Vector3": [(name, n, "DOUBLE", "") for n, name in enumerate("xyz", 1)],
+    "foxglove.Pose": [
+        ("position", 1, "MESSAGE", "foxglove.Vector3"),
+        ("orientation", 2, "MESSAGE", "foxglove.Quaternion"),
+    ],
+    "foxglove.FrameTransform": [
+        ("timestamp", 1, "MESSAGE", "google.protobuf.Timestamp"),
+        ("parent_frame_id", 2, "STRING", ""),
+        ("child_frame_id", 3, "STRING", ""),
+        ("translation", 4, "MESSAGE", "foxglove.Vector3"),
+        ("rotation", 5, "MESSAGE", "foxglove.Quaternion"),
+    ],
+    "foxglove.PoseInFrame": [
+        ("timestamp", 1, "MESSAGE", "google.protobuf.Timestamp"),
+        ("frame_id", 2, "STRING", ""),
+        ("pose", 3, "MESSAGE", "foxglove.Pose"),
+    ],
+}
+
+
+def attitudes(stamps):
+    """Return attitudes with every bit in use and with zeros, at given stamps."""
+    wxyz = np.random.default_rng(3).standard_normal((len(stamps), 4))
+    wxyz /= np.linalg.norm(wxyz, axis=1, keepdims=True)
+    wxyz[0] = [1, 0, -0.0, 0]
+    return AttitudeSeries(np.array(stamps), wxyz)
+
+
+def pool_of(name):
+    """Return the definitions of a type, as the library takes them from its schema, in order."""
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(schema_of(f"foxglove.{name}")).file:
+        pool.Add(file)
+    return pool
+
+
+def parsed(pool, name, data):
+    """Return a message as the library reads it."""
+    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(f"foxglove.{name}"))
+    return kind.FromString(data)
+
+
+def rotation_of(message):
+    """Return the quaternion of a message."""
+    return message.rotation if "Transform" in type(message).__name__ else message.pose.orientation
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_definitions_are_those_that_are_published(name):
+    """Every type that a schema holds has the fields, numbers and types of its publisher."""
+    files = descriptor_pb2.FileDescriptorSet.FromString(schema_of(f"foxglove.{name}")).file
+    pool = pool_of(name)
+    types = {f"{file.package}.{kind.name}" for file in files for kind in file.message_type}
+    assert f"foxglove.{name}" in types
+    for full in types:
+        fields = pool.FindMessageTypeByName(full).fields
+        found = [
+            (f.name, f.number, FIELD.Type.Name(f.type)[5:], f.message_type.full_name if
+             f.message_type else "")
+            for f in fields
+        ]  # fmt: skip
+        assert found == PUBLISHED[full]
+        assert not any(field.is_repeated or field.is_required for field in fields)
+    for file in files:
+        assert file.syntax == "proto3"
+
+
+def test_the_time_is_that_of_the_library():
+    """Name, package and fields of google/protobuf/timestamp.proto are its own."""
+    files = descriptor_pb2.FileDescriptorSet.FromString(schema_of("foxglove.PoseInFrame")).file
+    (ours,) = (file for file in files if file.name == timestamp_pb2.DESCRIPTOR.name)
+    theirs = descriptor_pb2.FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(theirs)
+    theirs.ClearField("options")
+    for field in theirs.message_type[0].field:
+        field.ClearField("json_name")
+    assert ours == theirs
+
+
+@pytest.mark.parametrize("frame", ["", "m", "a" * 127, "ø" * 64, "b" * 20_000])
+@pytest.mark.parametrize("name", NAMES)
+def test_the_library_reads_every_bit(name, frame):
+    """Stamps of any size, names of any length, zeros and signs of zeros come out as they were."""
+    message = Message(name, frame=frame, child=frame[:130])
+    series = attitudes(STAMPS)
+    rows = FoxgloveEncoder(message).encode(series, "a")
+    pool = pool_of(name)
+    for row, stamp, wxyz in zip(rows, STAMPS, series.wxyz, strict=True):
+        found = parsed(pool, name, row.tobytes())
+        assert found.timestamp.seconds * 10**9 + found.timestamp.nanos == stamp
+        assert found.timestamp.nanos < 10**9
+        rotation = rotation_of(found)
+        components = np.array([rotation.w, rotation.x, rotation.y, rotation.z])
+        np.testing.assert_array_equal(components.view(np.int64), wxyz.view(np.int64))
+        if name == "FrameTransform":
+            assert (found.parent_frame_id, found.child_frame_id) == (frame, frame[:130])
+            assert found.HasField("translation")
+            assert not found.translation.ListFields()
+        else:
+            assert found.frame_id == frame
+            assert found.pose.HasField("position")
+            assert not found.pose.position.ListFields()
+        # Nothing is there that the definition does not know.
+        found.DiscardUnknownFields()
+        again = type(found).FromString(found.SerializeToString())
+        assert again == found
+
+
+@pytest.mark.parametrize(
+    ("number", "hexadecimal"), [(0, "00"), (127, "7f"), (128, "8001"), (300, "ac02")]
+)
+def test_numbers_have_seven_bits_a_byte(number, hexadecimal):
+    """The lowest bits come first, and all bytes but the last have the highest bit set."""
+    assert varint(number).hex() == hexadecimal
+
+
+@pytest.mark.parametrize("name", [*NAMES, "foxglove.FrameTransform"])
+def test_an_mcap_file_declares_them(tmp_path, name):
+    """Topic, encodings and the definition are there; the file claims no profile."""
+    with open_writer(tmp_path / "a.mcap", message=Message(name)) as writer:
+        writer.write(attitudes(STAMPS))
+        writer.commit({})
+    assert examine(tmp_path / "a.mcap").counts == {1: len(STAMPS)}
+    short = name.rpartition(".")[2]
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert reader.get_header().profile == ""
+        found = list(reader.iter_messages())
+    assert [message.log_time for _, _, message in found] == STAMPS
+    schema, channel, _ = found[0]
+    assert (schema.name, schema.encoding) == (f"foxglove.{short}", "protobuf")
+    assert schema.data == schema_of(f"foxglove.{short}")
+    assert channel.message_encoding == "protobuf"
+    assert channel.topic == {"FrameTransform": "/tf", "PoseInFrame": "/attitude"}[short]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_stamp_before_1970_is_refused(tmp_path, name):
+    """MCAP has no negative times, and nothing is left behind."""
+    series = attitudes([5, -1])
+    words = r"/a\.mcap: MCAP has no time for the stamp -1 ns; write a table, or a trajectory$"
+    with (
+        open_writer(tmp_path / "a.mcap", message=Message(name)) as writer,
+        pytest.raises(OutputError, match=words),
+    ):
+        writer.write(series)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["bag", "rosbag2", "rosbag2-mcap"])
+@pytest.mark.parametrize("name", NAMES)
+def test_ros_bags_refuse_them(tmp_path, name, kind):
+    """Bags hold messages of ROS, and the error says what would do."""
+    words = (
+        f"^'{name}' is Foxglove's own, in protobuf, and ROS bags hold ROS messages; write mcap, "
+        "or choose 'QuaternionStamped', 'PoseStamped', 'TFMessage', "
+        "'PoseWithCovarianceStamped', 'Imu'$"
+    )
+    with pytest.raises(UsageError, match=words):
+        open_writer(tmp_path / "a", kind, message=Message(name))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_was_written_is_read_back_to_the_bit(tmp_path, name):
+    """From a table to a Foxglove message and back again."""
+    table = tmp_path / "a.csv"
+    with open_writer(table) as writer:
+        writer.write(attitudes(STAMPS[:-1]))
+        writer.commit({})
+    for arguments in (
+        [str(table), str(tmp_path / "b.mcap"), "--message", name],
+        [str(tmp_path / "b.mcap"), str(tmp_path / "c.csv")],
+    ):
+        result = CliRunner().invoke(cli, ["convert", "-q", *arguments])
+        assert (result.exit_code, result.output) == (0, "")
+    assert (tmp_path / "c.csv").read_bytes() == table.read_bytes()
