@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from make.documents import GUIDES, ROOT, Document
-from make.topics import found_in, mark, stamps
+from make.reading import found_in, mark, stamps
 
 from quatprop import propagate, write
 from quatprop.cli.commands import cli

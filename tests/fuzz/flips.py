@@ -36,10 +36,10 @@ CUTS = 64
 """Bytes before and behind the end of a chunk at which logs are cut."""
 
 FORMATS = {
-    "bag": ("flips_rosbag1", ".bag"),
-    "mcap": ("flips_mcap", ".mcap"),
-    "db3": ("flips_db3", ".db3"),
-    "ulog": ("flips_ulog", ".ulg"),
+    "bag": ("fuzz.flips_rosbag1", ".bag"),
+    "mcap": ("fuzz.flips_mcap", ".mcap"),
+    "db3": ("fuzz.flips_db3", ".db3"),
+    "ulog": ("fuzz.flips_ulog", ".ulg"),
 }
 """Modules and suffixes."""
 

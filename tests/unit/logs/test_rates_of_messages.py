@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from make.topics import found_in, mark, names, stamps
+from make.reading import found_in, mark, names, stamps
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from make.json_messages import imu
 from make.messages_reference import block_of
-from make.topics import found_in, mark
+from make.reading import found_in, mark
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 

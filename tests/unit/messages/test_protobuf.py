@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 from make.protobuf import DOUBLE, FLOAT, FOXGLOVE, UINT64, described, file_of, made, stamp_file
-from make.topics import found_in
+from make.reading import found_in
 from mcap.writer import Writer
 
 from quatprop.errors import SchemaError
