@@ -2,7 +2,6 @@
 
 import struct
 
-import numpy as np
 import pytest
 from make.messages_reference import Encoder, block_of, channel_of
 
@@ -13,72 +12,68 @@ from quatprop.messages.decoders import decoder_of
 from quatprop.messages.definitions import message_type
 from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct
 
-MIXED = Struct(
-    "pkg/msg/T",
-    (
-        ("small", Primitive("u1")),
-        ("stamp", Primitive("u8")),
-        ("name", String()),
-        ("flags", Sequence(Primitive("u2"))),
-        ("many", Sequence(Primitive("f8"))),
-        ("rate", Array(Primitive("f8"), 3)),
-    ),
+EMPTY = "std_msgs/Empty nothing\nuint8 x\n" + "=" * 80 + "\nMSG: std_msgs/Empty\n"
+PADDED = "S[3] s\nuint8 x\n" + "=" * 80 + "\nMSG: pkg/S\nuint8 a\nfloat64 b\nuint8 c\n"
+TIMES = struct.pack("<IIii", 3_000_000_000, 4_000_000_000, -2, -5)
+
+
+def decoder(text, wanted, encoding="cdr"):
+    """Return what decodes fields of messages that a text defines."""
+    grammar = "ros1msg" if encoding == "ros1" else "ros2msg"
+    channel = Channel("/topic", "pkg/msg/T", encoding, grammar, text.encode())
+    return BinaryDecoder(channel, wanted.split(), "log")
+
+
+@pytest.mark.parametrize(
+    ("encoding", "text", "message", "wanted", "values"),
+    [
+        # XCDR2 aligns numbers of eight bytes to four; earlier drafts gave it other identifiers.
+        ("cdr", "uint32 a\nfloat64 b", b"\0\7\0\0" + struct.pack("<Id", 1, 2.5), "b", [2.5]),
+        ("cdr", "uint32 a\nfloat64 b", b"\0\x11\0\0" + struct.pack("<Id", 1, 2.5), "b", [2.5]),
+        ("cdr", "uint32 a\nfloat64 b", b"\0\x10\0\0" + struct.pack(">Id", 1, 2.5), "b", [2.5]),
+        # The padding before eight-byte elements is there only where an element is.
+        ("cdr", "float64[] m\nint32 x", b"\0\1\0\0" + bytes(4) + b"\7\0\0\0", "x", [7]),
+        ("cdr", "float64[] m\nint32 x", b"\0\1\0\0\1" + bytes(15) + b"\7\0\0\0", "x", [7]),
+        # Elements are padded by where each begins: at 0, 17 and 33, their b at 8, 24 and 40.
+        ("cdr", PADDED, b"\0\1\0\0" + bytes(49) + b"\x2a", "x", [42]),
+        # An empty struct takes a byte in CDR and none in ROS 1.
+        ("cdr", EMPTY, b"\0\1\0\0\0\x2a", "x", [42]),
+        ("ros1", EMPTY, b"\x2a", "x", [42]),
+        # Stamps of ROS 1 after 2038 are not negative, and durations are signed.
+        ("ros1", "time t\nduration d", TIMES, "t.sec t.nanosec", [3_000_000_000, 4_000_000_000]),
+        ("ros1", "time t\nduration d", TIMES, "d.sec d.nanosec", [-2, -5]),
+        ("ros1", "bool[3] x", b"\0\1\x80", "x", [[False, True, True]]),
+    ],
 )
-
-
-def value_of(k):
-    """Return a value whose parts vary in length with `k`."""
-    return {
-        "small": k,
-        "stamp": 1_000_000_007 * k,
-        "name": "x" * (k % 5),
-        "flags": [7] * (k % 3),
-        "many": [0.5] * (k % 2),
-        "rate": [float(k), -float(k), k + 0.25],
-    }
+def test_bytes_mean_what_the_specifications_say(encoding, text, message, wanted, values):
+    """The bytes are those of the specification, not of an encoder."""
+    columns = decoder(text, wanted, encoding).columns(block_of([message]))
+    assert [column.tolist() for column in columns] == [[value] for value in values]
 
 
 def test_messages_of_all_plain_encapsulations_in_one_block_come_back_in_order():
-    """Byte order and XCDR version are each message's own affair."""
+    """Byte order and version are each message's own, and a short one is named by its place."""
+    parts = {"small": Primitive("u1"), "stamp": Primitive("u8"), "name": String(),
+             "flags": Sequence(Primitive("u2")), "many": Sequence(Primitive("f8")),
+             "rate": Array(Primitive("f8"), 3)}  # fmt: skip
+    mixed = Struct("pkg/msg/T", tuple(parts.items()))
+    values = [
+        {"small": k, "stamp": 1_000_000_007 * k, "name": "x" * (k % 5), "flags": [7] * (k % 3),
+         "many": [0.5] * (k % 2), "rate": [float(k), -float(k), k + 0.25]}
+        for k in range(40)
+    ]  # fmt: skip
     forms = [("<", 8), (">", 8), ("<", 4), (">", 4)]
-    values = [value_of(k) for k in range(40)]
     messages = [
-        Encoder("cdr", *forms[k * 7 % 4]).message(MIXED, value) for k, value in enumerate(values)
+        Encoder("cdr", *forms[k * 7 % 4]).message(mixed, value) for k, value in enumerate(values)
     ]
-    stamp, rate = BinaryDecoder(channel_of(MIXED, "cdr"), ["stamp", "rate"], "log").columns(
-        block_of(messages)
-    )
+    columns = BinaryDecoder(channel_of(mixed, "cdr"), ["stamp", "rate"], "log").columns
+    stamp, rate = columns(block_of(messages))
     assert stamp.tolist() == [value["stamp"] for value in values]
     assert rate.tolist() == [value["rate"] for value in values]
-
-
-def test_a_short_message_among_several_encapsulations_is_named_by_its_place_in_the_block():
-    """Sorting messages by encapsulation does not lose count of them."""
-    messages = [
-        Encoder("cdr", "<>"[k % 2], 8).message(MIXED, value_of(k))[: -1 if k == 5 else None]
-        for k in range(8)
-    ]
+    messages[5] = messages[5][:-1]
     with pytest.raises(MessageError) as caught:
-        BinaryDecoder(channel_of(MIXED, "cdr"), ["rate"], "log").columns(block_of(messages))
+        columns(block_of(messages))
     assert caught.value.positions == (5,)
-
-
-def test_eight_byte_numbers_align_to_four_in_XCDR2():
-    """The bytes are those of the specification: no padding before a double at offset 4."""
-    root = Struct("pkg/msg/T", (("a", Primitive("u4")), ("b", Primitive("f8"))))
-    message = b"\0\7\0\0" + struct.pack("<Id", 1, 2.5)
-    (b,) = BinaryDecoder(channel_of(root, "cdr"), ["b"], "log").columns(block_of([message]))
-    assert b.tolist() == [2.5]
-
-
-@pytest.mark.parametrize("identifier", [b"\0\x10", b"\0\x11"], ids=["big", "little"])
-def test_identifiers_of_earlier_drafts_are_XCDR2_too(identifier):
-    """Some writers follow RTPS 2.3, which numbers XCDR2 otherwise."""
-    root = Struct("pkg/msg/T", (("a", Primitive("u4")), ("b", Primitive("f8"))))
-    order = "><"[identifier[1] & 1]
-    message = identifier + b"\0\0" + struct.pack(order + "Id", 1, 2.5)
-    (b,) = BinaryDecoder(channel_of(root, "cdr"), ["b"], "log").columns(block_of([message]))
-    assert b.tolist() == [2.5]
 
 
 @pytest.mark.parametrize(
@@ -87,8 +82,7 @@ def test_identifiers_of_earlier_drafts_are_XCDR2_too(identifier):
 )
 def test_encapsulations_with_tags_are_refused(identifier, form):
     """What is not decoded is never misread."""
-    root = Struct("pkg/msg/T", (("a", Primitive("u4")),))
-    decoder = BinaryDecoder(channel_of(root, "cdr"), ["a"], "log")
+    columns = decoder("uint32 a", "a").columns
     other, plain = identifier + b"\0\0\1\0\0\0", b"\0\1\0\0\1\0\0\0"
     reason = (
         f"^log: messages of topic '/topic' are encapsulated as {form}, which is not read; record "
@@ -96,51 +90,22 @@ def test_encapsulations_with_tags_are_refused(identifier, form):
     )
     for messages in ([other], [other, other]):
         with pytest.raises(UnsupportedLogError, match=reason):
-            decoder.columns(block_of(messages))
+            columns(block_of(messages))
     for messages in ([plain, other, plain], [other, plain, other], [other, plain, b""]):
         with pytest.raises(MessageError, match=reason) as raised:
-            decoder.columns(block_of(messages))
+            columns(block_of(messages))
         assert raised.value.positions == tuple(k for k, one in enumerate(messages) if one == other)
 
 
 def test_collections_of_strings_are_refused_in_XCDR2_only():
     """Writers disagree on whether XCDR2 says their size first."""
     root = Struct("pkg/msg/T", (("names", Sequence(String())), ("x", Primitive("f8"))))
-    decoder = BinaryDecoder(channel_of(root, "cdr"), ["x"], "log")
+    columns = BinaryDecoder(channel_of(root, "cdr"), ["x"], "log").columns
     value = {"names": ["a", "bcd"], "x": 4.0}
-    (x,) = decoder.columns(block_of([Encoder("cdr", ">", 8).message(root, value)]))
+    (x,) = columns(block_of([Encoder("cdr", ">", 8).message(root, value)]))
     assert x.tolist() == [4.0]
     with pytest.raises(SchemaError, match=r"^log: topic '/topic': a collection of strings or "):
-        decoder.columns(block_of([Encoder("cdr", ">", 4).message(root, value)]))
-
-
-def test_ROS1_times_are_unsigned_and_durations_signed():
-    """A ROS 1 stamp after 2038 is not negative."""
-    channel = Channel("/t", "pkg/msg/T", "ros1", "ros1msg", b"time t\nduration d\n")
-    message = struct.pack("<IIii", 3_000_000_000, 4_000_000_000, -2, -5)
-    paths = ["t.sec", "t.nanosec", "d.sec", "d.nanosec"]
-    columns = BinaryDecoder(channel, paths, "log").columns(block_of([message]))
-    assert [int(column[0]) for column in columns] == [3_000_000_000, 4_000_000_000, -2, -5]
-
-
-@pytest.mark.parametrize(("encoding", "size"), [("ros1", 0), ("cdr", 1)])
-def test_an_empty_message_takes_a_byte_in_CDR_and_none_in_ROS1(encoding, size):
-    """The placeholder of an empty struct is on the wire in one encoding only."""
-    schema = b"std_msgs/Empty nothing\nuint8 x\n" + b"=" * 80 + b"\nMSG: std_msgs/Empty\n"
-    grammar = {"ros1": "ros1msg", "cdr": "ros2msg"}[encoding]
-    channel = Channel("/t", "pkg/msg/T", encoding, grammar, schema)
-    header = b"" if encoding == "ros1" else b"\0\1\0\0"
-    message = header + bytes(size) + b"\x2a"
-    (x,) = BinaryDecoder(channel, ["x"], "log").columns(block_of([message]))
-    assert x.tolist() == [42]
-
-
-def test_bytes_other_than_one_are_true():
-    """A bool is whether its byte is not zero."""
-    root = Struct("pkg/msg/T", (("x", Array(Primitive("b1"), 3)),))
-    (x,) = BinaryDecoder(channel_of(root, "ros1"), ["x"], "log").columns(block_of([b"\0\1\x80"]))
-    assert x.dtype == np.bool_
-    assert x.tolist() == [[False, True, True]]
+        columns(block_of([Encoder("cdr", ">", 4).message(root, value)]))
 
 
 @pytest.mark.parametrize("encoding", ["flatbuffer", "msgpack", ""])
