@@ -3,13 +3,12 @@
 import re
 
 import pytest
-from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from quatprop.errors import SchemaError
 from quatprop.messages.binary import BinaryDecoder
 from quatprop.messages.blocks import Channel
-from quatprop.messages.definitions import NUMBERS, message_type
+from quatprop.messages.definitions import message_type
 from quatprop.messages.flattening import flattened
 from quatprop.messages.schema import (
     Array,
@@ -18,7 +17,6 @@ from quatprop.messages.schema import (
     String,
     Struct,
     Unknown,
-    field_at,
     find,
     numeric_layout,
     steps,
@@ -28,9 +26,15 @@ RULE = "=" * 80
 IMU = Channel("/imu", "sensor_msgs/msg/Imu", "cdr")
 
 
-def parsed(text, encoding="cdr", grammar="ros2msg", name="pkg/msg/T"):
-    """Return the type that a definition defines."""
-    return message_type(Channel("/t", name, encoding, grammar, text.encode()), "log")
+def defined(text, encoding="cdr", grammar="ros2msg", name="pkg/msg/T"):
+    """Return a channel with a definition."""
+    data = text if isinstance(text, bytes) else text.encode()
+    return Channel("/t", name, encoding, grammar, data)
+
+
+def parsed(*definition):
+    """Return the type that a definition defines, as nested tuples."""
+    return spelled(message_type(defined(*definition), "log"))
 
 
 def spelled(kind):
@@ -48,13 +52,12 @@ def spelled(kind):
 
 def test_every_form_of_a_field_is_read():
     """Scalars, bounds, arrays, sequences, defaults, constants and comments."""
-    root = parsed(
+    assert parsed(
         "# a comment\n"
         "bool a\nbyte b\nchar c\nint8 d 5\nfloat32[3] e  # three\nuint16[] f\nint64[<=4] g\n"
         "string h\nstring<=9 i\nstring<=9[<=2] j\nuint8 CONSTANT=3\nint32 lower_case = 4\n"
         "string WORDS= has = and # in it\nfloat64 z 1.5\n"
-    )
-    assert spelled(root) == (
+    ) == (
         ("a", "b1"), ("b", "u1"), ("c", "u1"), ("d", "i1"), ("e", ["f4", 3]), ("f", ["u2"]),
         ("g", ["i8"]), ("h", "text"), ("i", "text"), ("j", ["text"]), ("z", "f8"),
     )  # fmt: skip
@@ -69,53 +72,36 @@ def test_every_form_of_a_field_is_read():
         f"\n\nPart p  \n{RULE}  \nMSG: pkg/Part  \nfloat64 x \t\n\n\n",
         f"Part p\n{'=' * 40}\nMSG: pkg/Part\nfloat64 x",
         f"# caf\xe9\nPart p\n{RULE}\nMSG: pkg/Part\n# {RULE}\nfloat64 x\n",
+        f"# \xb0/s\nPart p # \xb0\n{RULE}\nMSG: pkg/Part\nfloat64 x\n".encode("latin-1"),
         f"\ufeffPart p\n{RULE}\nMSG: pkg/Part\nfloat64 x\n\0",
     ],
-    ids=["bare", "qualified", "CRLF", "blanks", "short rule", "comments", "mark and NUL"],
+    ids=["bare", "qualified", "CRLF", "blanks", "short rule", "comments", "Latin-1", "mark, NUL"],
 )
 def test_definitions_are_read_however_they_are_laid_out(text):
-    """Line ends, blanks and rules of other lengths do not matter."""
-    assert spelled(parsed(text)) == (("p", (("x", "f8"),)),)
-
-
-def test_bytes_that_are_not_UTF8_do_not_matter_in_comments():
-    """Old definitions are in Latin-1."""
-    channel = Channel("/t", "pkg/msg/T", "ros1", "ros1msg", b"# \xb0/s\nfloat64 x # \xb0\n")
-    assert spelled(message_type(channel, "log")) == (("x", "f8"),)
+    """Line ends, blanks, rules of other lengths and bytes that are not UTF-8 do not matter."""
+    assert parsed(text) == (("p", (("x", "f8"),)),)
 
 
 @pytest.mark.parametrize("head", ["", f"{RULE}\nIDL: pkg/msg/T\n"], ids=["plain", "headed"])
 def test_IDL_is_read(head):
     """Modules, fixed arrays by typedef, sequences and strings, alone or in a headed list."""
-    root = parsed(
+    assert parsed(
         head + "module pkg { module msg {\n typedef double double__3[3];\n struct T {\n"
         '  @verbatim (language="comment", text="=") uint8 a;\n  string b;\n  wstring c;\n'
         "  sequence<int16> d;\n  pkg::msg::double__3 e;\n }; }; };\n",
-        grammar="ros2idl",
-    )  # fmt: skip
-    assert spelled(root) == (
-        ("a", "u1"), ("b", "text"), ("c", "wide"), ("d", ["i2"]), ("e", ["f8", 3]),
-    )  # fmt: skip
+        "cdr",
+        "ros2idl",
+    ) == (("a", "u1"), ("b", "text"), ("c", "wide"), ("d", ["i2"]), ("e", ["f8", 3]))
 
 
-def test_types_missing_from_a_definition_are_completed_from_the_standard_ones():
-    """A header need not be defined with every message."""
+def test_standard_types_complete_a_definition_and_do_not_replace_it():
+    """A header need not be defined with every message; a type may have changed since."""
+    stamps = [("stamp", (("sec", sec), ("nanosec", "u4"))) for sec in ("u4", "i4")]
+    frame = ("frame_id", "text")
     ros1 = parsed("Header header\n", "ros1", "ros1msg")
-    ros2 = parsed("std_msgs/Header header\n")
-    assert spelled(ros1) == (
-        ("header", (
-            ("seq", "u4"), ("stamp", (("sec", "u4"), ("nanosec", "u4"))), ("frame_id", "text"),
-        )),
-    )  # fmt: skip
-    assert spelled(ros2) == (
-        ("header", (("stamp", (("sec", "i4"), ("nanosec", "u4"))), ("frame_id", "text"))),
-    )
-
-
-def test_the_definition_in_the_log_counts_more_than_the_standard_one():
-    """A type may have changed since it was recorded."""
-    root = parsed("float32 only\n", name="sensor_msgs/msg/Imu")
-    assert spelled(root) == (("only", "f4"),)
+    assert ros1 == (("header", (("seq", "u4"), stamps[0], frame)),)
+    assert parsed("std_msgs/Header header\n") == (("header", (stamps[1], frame)),)
+    assert parsed("float32 only\n", "cdr", "ros2msg", IMU.type_name) == (("only", "f4"),)
 
 
 @pytest.mark.parametrize(
@@ -124,44 +110,32 @@ def test_the_definition_in_the_log_counts_more_than_the_standard_one():
 def test_every_standard_type_has_the_fields_that_its_generated_definition_has(encoding, store):
     """Going through the text of a definition changes nothing."""
     typestore = get_typestore(store)
-    grammar = "ros1msg" if encoding == "ros1" else "ros2msg"
+    version = 1 if encoding == "ros1" else 2
     for name in typestore.fielddefs:
-        text, _ = typestore.generate_msgdef(name, ros_version=1 if encoding == "ros1" else 2)
+        text, _ = typestore.generate_msgdef(name, ros_version=version)
         bare = message_type(Channel("/t", name, encoding), "log")
-        assert spelled(parsed(text, encoding, grammar, name)) == spelled(bare), name
+        assert parsed(text, encoding, f"ros{version}msg", name) == spelled(bare), name
 
 
-def test_the_numbers_of_definitions_are_those_of_the_library():
-    """No name of a number in the standard types is unknown."""
-    kinds = {
-        kind[1][0]
-        for _, fields in get_typestore(Stores.LATEST).fielddefs.values()
-        for _, kind in fields
-        if kind[0] == Nodetype.BASE
-    }
-    assert kinds - {"string"} <= set(NUMBERS)
-
-
-def test_a_type_that_is_defined_nowhere_is_an_error_only_in_the_way():
-    """What lies behind the wanted field need not be known."""
-    schema = b"float64 x\nother/Mystery m\nfloat64 y\n"
-    channel = Channel("/t", "pkg/msg/T", "cdr", "ros2msg", schema)
-    assert isinstance(find(message_type(channel, "log"), "m"), Unknown)
+@pytest.mark.parametrize(("name", "field"), [("other/msg/Mystery", "m"), ("wstring", "w")])
+def test_a_field_that_is_not_understood_is_an_error_only_in_the_way(name, field):
+    """What lies behind the wanted field need not be known; wide strings have several forms."""
+    channel = defined(f"float64 x\n{name.replace('/msg', '')} {field}\nfloat64 y\n")
+    assert isinstance(find(message_type(channel, "log"), field), Unknown | String)
     BinaryDecoder(channel, ["x"], "log")
     with pytest.raises(
         SchemaError,
-        match=r"^log: topic '/t': a field of type 'other/msg/Mystery' lies before the wanted one, "
+        match=rf"^log: topic '/t': a field of type '{name}' lies before the wanted one, "
         r"and how many bytes it takes is not known$",
     ):
         BinaryDecoder(channel, ["y"], "log")
 
 
-def test_wide_strings_are_an_error_only_in_the_way():
-    """Writers encode them differently, so they are not guessed."""
-    channel = Channel("/t", "pkg/msg/T", "cdr", "ros2msg", b"float64 x\nwstring w\nfloat64 y\n")
-    BinaryDecoder(channel, ["x"], "log")
-    with pytest.raises(SchemaError, match="a field of type 'wstring' lies before the wanted one"):
-        BinaryDecoder(channel, ["y"], "log")
+NESTED = "the definition of 'pkg/msg/T' contains itself or is nested deeper than 50 types"
+UNPARSED = "the definition of 'pkg/msg/T' that the log carries cannot be parsed as "
+ABSENT = "the log carries no definition of 'pkg/msg/T' and it is not a standard type; put its "
+FOREIGN = "the definition of 'pkg/msg/T' is written in 'flatbuffer', which this version does not "
+DEEP = "T1 a\n" + "".join(f"{RULE}\nMSG: pkg/T{k}\nT{k + 1} a\n" for k in range(1, 500))
 
 
 @pytest.mark.parametrize(
@@ -169,124 +143,73 @@ def test_wide_strings_are_an_error_only_in_the_way():
     [
         (
             Channel("/t", "pkg/msg/T", "cdr"),
-            (
-                "the log carries no definition of 'pkg/msg/T' and it is not a standard type; "
-                "put its .msg files beside the log, or name them with msg_path"
-            ),
+            ABSENT + ".msg files beside the log, or name them with msg_path",
         ),
-        (
-            Channel("/t", "pkg/msg/T", "cdr", "ros2msg", b"float64 x y z\n{}\n"),
-            "the definition of 'pkg/msg/T' that the log carries cannot be parsed as ros2msg",
-        ),
-        (
-            Channel("/t", "pkg/msg/T", "cdr", "ros2idl", b"struct {"),
-            "the definition of 'pkg/msg/T' that the log carries cannot be parsed as ros2idl",
-        ),
-        (
-            Channel("/t", "pkg/msg/T", "cdr", "flatbuffer", b"table"),
-            (
-                "the definition of 'pkg/msg/T' is written in 'flatbuffer', which this version does "
-                "not read for this encoding"
-            ),
-        ),
-        (
-            Channel("/t", "pkg/msg/T", "cdr", "ros2msg", b"T[] again\n"),
-            "the definition of 'pkg/msg/T' contains itself or is nested deeper than 50 types",
-        ),
+        (defined("float64 x y z\n{}\n"), UNPARSED + "ros2msg"),
+        (defined("struct {", "cdr", "ros2idl"), UNPARSED + "ros2idl"),
+        (defined("table", "cdr", "flatbuffer"), FOREIGN + "read for this encoding"),
+        (defined("T[] again\n"), NESTED),
+        (defined(f"{DEEP}{RULE}\nMSG: pkg/T500\nuint8 a\n"), NESTED),
     ],
-    ids=["none", "msg", "idl", "language", "recursive"],
+    ids=["none", "msg", "idl", "language", "recursive", "deep"],
 )
 def test_definitions_that_cannot_be_used_are_named_in_one_sentence(channel, reason):
-    """The sentence says which topic and what is wrong."""
+    """The sentence says which topic and what is wrong; none exhausts the stack."""
     with pytest.raises(SchemaError, match="^" + re.escape(f"log: topic '/t': {reason}") + "$"):
         message_type(channel, "log")
-
-
-def test_types_nested_absurdly_deep_are_refused():
-    """A definition cannot exhaust the stack."""
-    text = "T1 a\n" + "".join(f"{RULE}\nMSG: pkg/T{k}\nT{k + 1} a\n" for k in range(1, 500))
-    with pytest.raises(SchemaError, match=r"nested deeper than 50 types$"):
-        parsed(text + f"{RULE}\nMSG: pkg/T500\nuint8 a\n")
 
 
 def test_types_that_multiply_by_sharing_are_refused_in_no_time():
     """Forty types of two strings each make a message of a million million strings."""
     levels = "".join(f"{RULE}\nMSG: pkg/T{k}\nT{k + 1} a\nT{k + 1} b\n" for k in range(1, 40))
     text = f"T1 a\nfloat64 x\n{levels}{RULE}\nMSG: pkg/T40\nstring a\nstring b\n"
-    channel = Channel("/t", "pkg/msg/T", "cdr", "ros2msg", text.encode())
     with pytest.raises(SchemaError, match=r"the definition is larger than any message$"):
-        BinaryDecoder(channel, ["x"], "log")
-    flat = flattened(message_type(channel, "log"))
+        BinaryDecoder(defined(text), ["x"], "log")
+    flat = flattened(message_type(defined(text), "log"))
     assert "x" in [column.text for column in flat.columns]
     assert len(flat.parts) <= 100_000
 
 
 @pytest.mark.parametrize(
     ("text", "way"),
-    [
-        ("a", ("a",)),
-        ("a.b_2.c", ("a", "b_2", "c")),
-        ("a[0]", ("a", 0)),
-        ("a[12].b[3]", ("a", 12, "b", 3)),
-        ("", None),
-        (".a", None),
-        ("a..b", None),
-        ("a[x]", None),
-        ("a.", None),
-        ("a b", None),
-        ("a[1]b", None),
-    ],
-)
+    [("a", ("a",)), ("a.b_2.c", ("a", "b_2", "c")), ("a[0]", ("a", 0)),
+     ("a[12].b[3]", ("a", 12, "b", 3)),
+     *((text, None) for text in ("", ".a", "a..b", "a[x]", "a.", "a b", "a[1]b"))],
+)  # fmt: skip
 def test_field_paths_are_names_with_dots_and_indices(text, way):
     """What is not a path is not taken for one."""
     assert steps(text) == way
+
+
+NO_FIELD = "'sensor_msgs/msg/Imu' has no field 'PATH'; "
+UNEQUAL = "field 'PATH' of 'sensor_msgs/msg/Imu' is not made of equal numbers; name a number, "
 
 
 @pytest.mark.parametrize(
     ("path", "reason"),
     [
         ("a b", "'a b' is not a field path; write it as a.b.c or a[0].b"),
-        (
-            "angular_velocity.w",
-            (
-                "'sensor_msgs/msg/Imu' has no field 'angular_velocity.w'; "
-                "'geometry_msgs/msg/Vector3' has 'x', 'y', 'z'"
-            ),
-        ),
+        ("angular_velocity.w", NO_FIELD + "'geometry_msgs/msg/Vector3' has 'x', 'y', 'z'"),
         (
             "angular_velocity_covariance[9]",
-            (
-                "'sensor_msgs/msg/Imu' has no field 'angular_velocity_covariance[9]'; "
-                "the array there takes an index from [0] to [8]"
-            ),
+            NO_FIELD + "the array there takes an index from [0] to [8]",
         ),
-        (
-            "header.stamp.sec.x",
-            (
-                "'sensor_msgs/msg/Imu' has no field 'header.stamp.sec.x'; "
-                "a number or a string has no fields"
-            ),
-        ),
-        (
-            "header",
-            (
-                "field 'header' of 'sensor_msgs/msg/Imu' is not made of equal numbers; "
-                "name a number, or a struct or fixed array of them"
-            ),
-        ),
+        ("header.stamp.sec.x", NO_FIELD + "a number or a string has no fields"),
+        ("header", UNEQUAL + "or a struct or fixed array of them"),
     ],
 )
 def test_paths_that_lead_nowhere_say_what_there_is(path, reason):
     """The way out is in the sentence."""
-    with pytest.raises(SchemaError, match="^" + re.escape(f"log: {reason}") + "$"):
+    with pytest.raises(
+        SchemaError, match="^" + re.escape(f"log: {reason.replace('PATH', path)}") + "$"
+    ):
         BinaryDecoder(IMU, [path], "log")
 
 
 def test_elements_of_sequences_are_no_columns():
     """An element need not be there in every message."""
-    root = parsed("float64[] x\n")
     with pytest.raises(SchemaError, match=r"a sequence may be empty; name a field outside it$"):
-        field_at(root, "x[0]", "log")
+        BinaryDecoder(defined("float64[] x\n"), ["x[0]"], "log")
 
 
 def test_structs_and_arrays_of_equal_numbers_are_rows():
@@ -299,12 +222,6 @@ def test_structs_and_arrays_of_equal_numbers_are_rows():
 
 def test_the_structs_of_a_message_come_outermost_first():
     """What is at the top is found before what lies deeper."""
-    parts = flattened(message_type(IMU, "log")).parts
-    assert [(part.prefix, part.type.rpartition("/")[2]) for part in parts] == [
-        ("", "Imu"),
-        ("header.", "Header"),
-        ("orientation.", "Quaternion"),
-        ("angular_velocity.", "Vector3"),
-        ("linear_acceleration.", "Vector3"),
-        ("header.stamp.", "Time"),
-    ]
+    parts = [part.prefix for part in flattened(message_type(IMU, "log")).parts]
+    vectors = ["orientation.", "angular_velocity.", "linear_acceleration."]
+    assert parts == ["", "header.", *vectors, "header.stamp."]
