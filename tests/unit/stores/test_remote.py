@@ -1,4 +1,4 @@
-"""Logs in object stores, tried on the one that is everywhere: the local file system."""
+"""Logs in object stores: one of this machine, and the local file system, which is one, too."""
 
 import json
 import os
@@ -15,12 +15,11 @@ import numpy as np
 import pyarrow.csv
 import pyarrow.parquet
 import pytest
-from click.testing import CliRunner
+from make.commands import refused, run
 from make.places import SAMPLE_LOGS
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, Writer
 from pyarrow import feather
 
-from quatprop.cli.commands import cli
 from quatprop.errors import LogError, OutputError, StoreError
 from quatprop.logs.open_log import open_log
 from quatprop.stores import transfers
@@ -32,93 +31,67 @@ from quatprop.times import NS_PER_S
 
 @pytest.fixture(autouse=True)
 def temporary(tmp_path, monkeypatch):
-    """Keep temporary copies in a folder of the test."""
+    """Keep temporary copies in a folder of the test, where none may stay."""
     folder = tmp_path / "temporary"
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    return folder
+    yield folder
+    assert list(folder.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["tumbling.bag", "tumbling_ros2", "spin.csv"])
-def test_a_log_at_an_address_is_the_log(tmp_path, temporary, name):
-    """The series is the same to the byte, the source is recorded as named, no copy stays."""
-    near, far, report = tmp_path / "near.csv", tmp_path / "far.csv", tmp_path / "report.json"
-    address = (SAMPLE_LOGS / name).as_uri()
-    runner = CliRunner()
-    runner.invoke(cli, ["propagate", str(SAMPLE_LOGS / name), "-o", str(near)])
-    done = runner.invoke(cli, ["propagate", address, "-o", str(far), "--report", str(report)])
-    assert done.exit_code == 0, done.output
-    assert far.read_bytes() == near.read_bytes()
-    assert json.loads(report.read_text())["source"]["path"] == address
-    assert list(temporary.iterdir()) == []
+def assert_the_same(folder, near, far, *options):
+    """Propagate two logs; return the source that the report of the second names."""
+    outputs = [folder / "near.csv", folder / "far.csv"]
+    report = folder / "report.json"
+    for log, out in zip((near, far), outputs, strict=True):
+        run("propagate", log, *options, "-o", out, "--report", report, code=0)
+    assert outputs[0].read_bytes() == outputs[1].read_bytes()
+    return json.loads(report.read_text())["source"]
 
 
-LOGS = [
-    "tumbling.bag", "tumbling_ros2", "coning.mcap", "spin.csv", "spin.parquet", "spin.feather",
-]  # fmt: skip
-
-
-@pytest.fixture
-def uploaded(bucket, tmp_path):
-    """Return a function that puts a log, and a copy of it in another format, into a bucket."""
-
-    def put_log(name):
-        path = SAMPLE_LOGS / name
-        if path.suffix in {".parquet", ".feather"}:
-            path = tmp_path / name
-            table = pyarrow.csv.read_csv(SAMPLE_LOGS / "spin.csv")
-            write = pyarrow.parquet.write_table if name.endswith("t") else feather.write_feather
-            write(table, path)
-        upload(path, f"{bucket}/logs/{name}")
-        return path, f"{bucket}/logs/{name}"
-
-    return put_log
-
-
-@pytest.mark.parametrize("name", LOGS)
-def test_a_log_in_a_store_is_the_log(tmp_path, temporary, uploaded, name):
+@pytest.mark.parametrize(
+    "name",
+    ["tumbling.bag", "tumbling_ros2", "coning.mcap", "spin.csv", "spin.parquet", "spin.feather"],
+)
+def test_a_log_in_a_store_is_the_log(tmp_path, bucket, name):
     """The series is the same to the byte; what the store says of its content is recorded."""
-    near, far, report = tmp_path / "near.csv", tmp_path / "far.csv", tmp_path / "report.json"
-    path, address = uploaded(name)
-    runner = CliRunner()
-    runner.invoke(cli, ["propagate", str(path), "-o", str(near)])
-    done = runner.invoke(cli, ["propagate", address, "-o", str(far), "--report", str(report)])
-    assert done.exit_code == 0, done.output
-    assert far.read_bytes() == near.read_bytes()
-    source = json.loads(report.read_text())["source"]
+    path = SAMPLE_LOGS / name
+    if path.suffix in {".parquet", ".feather"}:
+        path = tmp_path / name
+        table = pyarrow.csv.read_csv(SAMPLE_LOGS / "spin.csv")
+        write = pyarrow.parquet.write_table if name.endswith("t") else feather.write_feather
+        write(table, path)
+    address = f"{bucket}/logs/{name}"
+    upload(path, address)
+    source = assert_the_same(tmp_path, path, address)
     sizes = [file.stat().st_size for file in ([path] if path.is_file() else path.iterdir())]
     assert (source["path"], source["bytes"], source["sha256"]) == (address, sum(sizes), None)
     tags = [source] if path.is_file() else list(source["files"].values())
     assert [len(tag["etag"]) > 10 for tag in tags] == [True] * len(sizes)
-    assert list(temporary.iterdir()) == []
+    address = path.as_uri()
+    assert assert_the_same(tmp_path, path, address)["path"] == address
 
 
 def beside_images(path, compression, step_ns=10_000_000):
     """Write an MCAP of which body rates are 5 %, beside images."""
-    from mcap.writer import Writer
-
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=1 << 20, compression=compression)
         writer.start()
-        schema = writer.register_schema("", "", b"")
-        image = writer.register_channel("/camera", "json", schema)
-        schema = writer.register_schema(
-            "imu",
-            "jsonschema",
-            b'{"type": "object", "properties": {"angular_velocity": {"type": "object", '
-            b'"properties": {"x": {"type": "number"}, "y": {"type": "number"}, "z": '
-            b'{"type": "number"}}}}}',
+        image = writer.register_channel("/camera", "json", writer.register_schema("", "", b""))
+        imu = writer.register_channel(
+            "/imu", "json", writer.register_schema("", "jsonschema", b"{}")
         )
-        imu = writer.register_channel("/imu", "json", schema)
         noise = np.random.default_rng(1)
-        for k in range(2000):
+        for k in range(500):
             ns = 10**18 + step_ns * k
             if k % 5 == 0:
                 writer.add_message(image, ns, noise.bytes(50_000), ns)
-            rate = {"x": 0.1, "y": 0.2, "z": np.sin(k)}
-            message = {"angular_velocity": rate, "pad": "." * 400}
+            message = {"w": [0.1, 0.2, np.sin(k)], "pad": "." * 400}
             writer.add_message(imu, ns, json.dumps(message).encode(), ns)
         writer.finish()
+
+
+BESIDE = ["--topic", "/imu", "--rate-field", "w", "--rate-unit", "rad/s"]
 
 
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
@@ -126,53 +99,61 @@ def test_only_what_is_needed_of_a_log_is_read(
     tmp_path, bucket, store_server, monkeypatch, compression
 ):
     """Of a store hardly more bytes come than a file of this machine is read of."""
-    path = tmp_path / "ride.mcap"
+    path, address = tmp_path / "ride.mcap", f"{bucket}/ride.mcap"
     beside_images(path, compression)
-    upload(path, f"{bucket}/ride.mcap")
-    read = 0
+    upload(path, address)
+    read = []
     read_file = FileSource._read  # noqa: SLF001
-
-    def counting(self, length, start):
-        nonlocal read
-        read += length
-        return read_file(self, length, start)
-
-    outputs = [tmp_path / "near.csv", tmp_path / "far.csv"]
-    options = ["--topic", "/imu", "--rate-field", "angular_velocity", "--rate-unit", "rad/s", "-o"]
-    with monkeypatch.context() as patched:
-        patched.setattr(FileSource, "_read", counting)
-        patched.delattr(os, "preadv", raising=False)  # so that all is read there
-        done = CliRunner().invoke(cli, ["propagate", str(path), *options, str(outputs[0])])
-    assert done.exit_code == 0, done.output
+    monkeypatch.setattr(
+        FileSource, "_read", lambda *words: read.append(words[1]) or read_file(*words)
+    )
+    monkeypatch.delattr(os, "preadv", raising=False)  # so that all is read there
     before = store_server.sent
-    done = CliRunner().invoke(cli, ["propagate", f"{bucket}/ride.mcap", *options, str(outputs[1])])
-    assert done.exit_code == 0, done.output
-    assert outputs[0].read_bytes() == outputs[1].read_bytes()
-    assert store_server.sent - before <= 1.3 * read
+    assert_the_same(tmp_path, path, address, *BESIDE)
+    assert store_server.sent - before <= 1.3 * sum(read)
+
+
+def test_a_time_range_is_all_that_is_read(tmp_path, bucket, store_server):
+    """Of a long log with an index, --end moves little of what comes after it."""
+    path, address = tmp_path / "ride.mcap", f"{bucket}/ride.mcap"
+    beside_images(path, CompressionType.ZSTD, step_ns=NS_PER_S)
+    upload(path, address)
+    before = store_server.sent
+    assert_the_same(tmp_path, path, address, *BESIDE, "--end", "+1m")
+    assert store_server.sent - before < 0.5 * path.stat().st_size
+
+
+def test_the_parts_of_a_bag_are_read_in_ranges(tmp_path, temporary, bucket):
+    """A ROS 2 bag of MCAP files: the same series, and of the parts no copy is made."""
+    bag, address = tmp_path / "bag", f"{bucket}/bag"
+    run("simulate", bag, "--to", "rosbag2-mcap", "--duration", "2s", code=0)
+    upload(bag, address)
+    assert_the_same(tmp_path, bag, address)
+    with open_log(address) as log:
+        (part,) = temporary.rglob("*.mcap")
+        assert part.stat().st_size == 0
+        assert len(log.channels()) == 1
 
 
 def test_a_folder_inside_a_bag_is_no_file_of_it(tmp_path):
     """What tools keep beside the files of a bag does not hinder its reading."""
     bag = shutil.copytree(SAMPLE_LOGS / "tumbling_ros2", tmp_path / "bag")
+    names = {path.name for path in bag.iterdir()}
     (bag / ".thumbnails").mkdir()
     with local_copy(bag.as_uri()) as copy:
-        assert sorted(path.name for path in copy.iterdir()) == sorted(
-            path.name for path in (SAMPLE_LOGS / "tumbling_ros2").iterdir()
-        )
+        assert {path.name for path in copy.iterdir()} == names
 
 
-def test_what_is_not_there_is_said(tmp_path):
-    """An address that the store does not know is one sentence."""
-    address = (tmp_path / "none.bag").as_uri()
-    with pytest.raises(StoreError) as caught, local_copy(address):
-        pass
-    assert str(caught.value) == f"{address}: there is no such object; check the address"
-
-
-def test_a_store_that_is_not_known_is_said():
-    """As is one that does not answer."""
-    known = pytest.raises(StoreError, match=r"^nowhere://log.bag: there is no store of this kind")
-    with known, local_copy("nowhere://log.bag"):
+@pytest.mark.parametrize(
+    ("address", "reason"),
+    [
+        ("file:///nowhere/none.bag", "there is no such object; check the address"),
+        ("nowhere://log.bag", "there is no store of this kind"),
+    ],
+)
+def test_what_is_not_there_is_said(address, reason):
+    """An address that the store does not know, and a store that is not known."""
+    with pytest.raises(StoreError, match=f"^{address}: {reason}"), local_copy(address):
         pass
 
 
@@ -210,48 +191,46 @@ def test_errors_name_the_address(tmp_path):
 @pytest.mark.parametrize("name", ["tumbling.bag", "tumbling_ros2", "spin.csv"])
 def test_errors_about_options_name_the_address(tmp_path, name):
     """They named the copy in the temporary folder."""
+    words, reason = ["--rate-field", "nope", "-t", "/imu"], "no message has a field 'nope'"
+    if name.endswith(".csv"):
+        words, reason = ["--rate-cols", "a,b,c"], "--rate-cols asks for column 'a'"
     address = (SAMPLE_LOGS / name).as_uri()
-    column = name.endswith(".csv")
-    words = ["--rate-cols", "a,b,c"] if column else ["--rate-field", "nope", "-t", "/imu"]
-    out = tmp_path / "a.csv"
-    result = CliRunner().invoke(cli, ["propagate", address, "-o", str(out), *words])
-    reason = "--rate-cols asks for column 'a'" if column else "no message has a field 'nope'"
-    assert result.exit_code == 2
-    assert result.stderr.startswith(f"Error: {address}: {reason}")
+    said = refused("propagate", address, "-o", tmp_path / "a.csv", *words)
+    assert said.startswith(f"Error: {address}: {reason}")
 
 
 @pytest.mark.parametrize(
     "words",
     [
-        ("info", "LOG"),
-        ("propagate", "LOG", "-o", "a.csv", "--report", "-", "-v"),
-        ("batch", "LOG", "-o", "out", "--json", "-j", "1"),
-        ("plot", "LOG", "-o", "rates.html"),
-        ("plot", "LOG", "TRUTH", "--show", "attitude", "-o", "attitudes.html"),
-        ("plot", "TRUTH", "--reference", "LOG", "-o", "error.html"),
-        ("compare", "LOG", "TRUTH", "--json"),
-        ("compare", "LOG", "TRUTH"),
-        ("convert", "LOG", "converted.csv"),
+        "info LOG",
+        "propagate LOG -o a.csv --report - -v",
+        "batch LOG -o out --json -j 1",
+        "plot LOG -o rates.html",
+        "plot LOG TRUTH --show attitude -o attitudes.html",
+        "plot TRUTH --reference LOG -o error.html",
+        "compare LOG TRUTH --json",
+        "compare LOG TRUTH",
+        "convert LOG converted.csv",
     ],
 )
 def test_no_command_shows_a_key(words, tmp_path, monkeypatch, bucket):
     """Neither on the terminal nor in what is written is what an address carries."""
     log = "t_ns,wx,wy,wz,qw,qx,qy,qz\n0,0,0,1,1,0,0,0\n1000,0,0,1,1,0,0,0\n2000,0,0,1,1,0,0,0\n"
-    truth = tmp_path / "truth.csv"
+    truth, folder = tmp_path / "truth.csv", tmp_path / "work"
     truth.write_text(log)
     put(f"{bucket}/a.csv", log.encode())
-    monkeypatch.chdir(tmp_path / "temporary")
+    folder.mkdir()
+    monkeypatch.chdir(folder)
     address = f"{bucket}/a.csv".replace("://", "://key:secret@")
     known = {"LOG": address, "TRUTH": str(truth)}
-    result = CliRunner().invoke(cli, [known.get(word, word) for word in words])
-    assert result.exit_code == 0, result.output
+    result = run(*(known.get(word, word) for word in words.split()), code=0)
     assert "secret" not in result.output
     for path in Path().rglob("*"):
         assert path.is_dir() or b"secret" not in path.read_bytes(), path
 
 
-def test_no_key_is_recorded():
-    """An address may carry a key; what is written does not."""
+def test_an_at_sign_in_the_name_of_an_object_is_no_key():
+    """Only what comes before the store is one."""
     assert without_secret("s3://key:secret@bucket/a@b.mcap") == "s3://bucket/a@b.mcap"
     assert without_secret("logs/a@b.mcap") == "logs/a@b.mcap"
 
@@ -276,37 +255,6 @@ def test_waiting_for_a_store_hears_ctrl_c(monkeypatch):
     assert time.monotonic() - began < 30
 
 
-def test_a_time_range_is_all_that_is_read(tmp_path, bucket, store_server):
-    """Of a long log with an index, --end moves little of what comes after it."""
-    path = tmp_path / "ride.mcap"
-    beside_images(path, CompressionType.ZSTD, step_ns=NS_PER_S)
-    upload(path, f"{bucket}/ride.mcap")
-    options = ["--topic", "/imu", "--rate-field", "angular_velocity", "--rate-unit", "rad/s"]
-    outputs = [tmp_path / "near.csv", tmp_path / "far.csv"]
-    before = store_server.sent
-    for log, out in zip((str(path), f"{bucket}/ride.mcap"), outputs, strict=True):
-        words = ["propagate", log, *options, "--end", "+1m", "-o", str(out)]
-        assert CliRunner().invoke(cli, words).exit_code == 0
-    assert outputs[0].read_bytes() == outputs[1].read_bytes()
-    assert store_server.sent - before < 0.5 * path.stat().st_size
-
-
-def test_the_parts_of_a_bag_are_read_in_ranges(tmp_path, temporary, bucket):
-    """A ROS 2 bag of MCAP files: the same series, and of the parts no copy is made."""
-    bag, outputs = tmp_path / "bag", [tmp_path / "near.csv", tmp_path / "far.csv"]
-    made = CliRunner().invoke(cli, ["simulate", str(bag), "--to", "rosbag2-mcap"])
-    assert made.exit_code == 0, made.output
-    upload(bag, f"{bucket}/bag")
-    for log, out in zip((str(bag), f"{bucket}/bag"), outputs, strict=True):
-        assert CliRunner().invoke(cli, ["propagate", log, "-o", str(out)]).exit_code == 0
-    assert outputs[0].read_bytes() == outputs[1].read_bytes()
-    with open_log(f"{bucket}/bag") as log:
-        (part,) = temporary.rglob("*.mcap")
-        assert part.stat().st_size == 0
-        assert len(log.channels()) == 1
-    assert list(temporary.iterdir()) == []
-
-
 def test_what_a_kill_leaves_is_removed_by_the_next_run(temporary):
     """Copies of logs are locked while they are used; what is not locked is nobody's."""
     code = (
@@ -322,4 +270,3 @@ def test_what_a_kill_leaves_is_removed_by_the_next_run(temporary):
     with local_copy(log) as copy:
         assert copy.exists()
         assert not stray.exists()
-    assert list(temporary.iterdir()) == []
