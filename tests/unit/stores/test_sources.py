@@ -2,55 +2,33 @@
 
 import errno
 import gzip
-import json
 import os
+import shutil
 import struct
 import sys
 import threading
-from collections import Counter
 from contextlib import contextmanager
-from io import BytesIO
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from make.into_logs import write_bag, write_mcap
+from make.commands import refused, run
+from make.into_logs import write_mcap
+from make.mcap_files import Topic, write_topics
 from make.places import SAMPLE_LOGS
 from make.ulog import added, gyro, write
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import Writer
 from scipy.io import savemat
 
 from quatprop import read_rates
-from quatprop.cli.commands import cli
 from quatprop.containers.mcap.log import McapLog
 from quatprop.errors import DataLossWarning, RemarkWarning, UnreadableLogError, UsageError
 from quatprop.logs.open_log import open_log
 from quatprop.stores.file_source import FileSource
 
-OPENED: Counter[str] | None = None
-
-
-def count_opens(event, arguments):
-    """Count files that are opened for reading while a test asks for it."""
-    if OPENED is not None and event == "open" and isinstance(arguments[0], str | os.PathLike):
-        OPENED[os.fspath(arguments[0])] += 1
-
-
-sys.addaudithook(count_opens)
-
-
-def make_log(path):
-    """Write a small log with rates in the format of its suffix."""
-    if path.suffix == ".mcap":
-        return write_mcap(path)
-    if path.suffix == ".bag":
-        return write_bag(path)
-    write(path, added("sensor_gyro", 0, 1), *gyro(1, range(5000, 500_000, 5000), 1e-6))
-    return path
-
+needs_pipes = pytest.mark.skipif(not Path("/dev/fd").exists(), reason="no pipes of POSIX here")
 
 BEHIND = {
     ".mcap": None,
@@ -86,14 +64,14 @@ def test_logs_one_behind_another_are_read_to_the_end_or_their_rest_is_lost(tmp_p
                     file.update(columns)
         else:
             target = tmp_path / f"{k}" if suffix == ".db3" else log
-            made = ["simulate", str(target), "--samples", "50", "--truth", "none", "-q"]
-            assert CliRunner().invoke(cli, [*made, "--start", start]).exit_code == 0
+            words = ["--samples", "50", "--truth", "none", "-q", "--start", start]
+            run("simulate", target, *words, code=0)
             log = next(target.glob("*.db3")) if suffix == ".db3" else log
         pack = gzip.compress if suffix.endswith(".gz") else bytes
         contents.append(pack(log.read_bytes()))
     log = tmp_path / f"both{suffix}"
     log.write_bytes(b"".join(contents))
-    result = CliRunner().invoke(cli, ["propagate", str(log), "-o", str(tmp_path / "o.csv")])
+    result = run("propagate", log, "-o", tmp_path / "o.csv")
     attitudes = (tmp_path / "o.csv").read_text().count("\n") - 1
     lost = BEHIND[suffix]
     assert (result.exit_code, attitudes) == ((0, 100) if lost is None else (3, 50)), result.output
@@ -103,29 +81,47 @@ def test_logs_one_behind_another_are_read_to_the_end_or_their_rest_is_lost(tmp_p
         assert lost.format(len(contents[1])) in result.stderr
 
 
-@pytest.mark.parametrize("suffix", [".mcap", ".bag", ".ulg"])
-@pytest.mark.parametrize("into", [False, True])
-def test_a_run_opens_its_log_once(tmp_path, monkeypatch, suffix, into):
+OPENED: list[str] = []
+
+
+def note_opens(event, arguments):
+    """Note what is opened for reading."""
+    if event == "open" and isinstance(arguments[0], str | os.PathLike):
+        OPENED.append(os.fspath(arguments[0]))
+
+
+@pytest.fixture(scope="module")
+def opened():
+    """Return the names of all files that are opened; a hook that notes them cannot be removed."""
+    sys.addaudithook(note_opens)
+    return OPENED
+
+
+@pytest.mark.parametrize(
+    ("words", "times"),
+    [
+        ("propagate coning.mcap -o out.csv", 2),
+        ("propagate coning.mcap --into out.mcap", 2),
+        ("propagate tumbling.bag -o out.csv", 2),
+        ("propagate tumbling.bag --into out.bag", 2),
+        ("propagate gyro.ulg -o out.csv", 2),
+        ("info coning.mcap", 1),
+    ],
+)
+def test_a_run_opens_its_log_once(tmp_path, monkeypatch, opened, words, times):
     """Channels, messages, provenance and copies share one open file.
 
     The SHA-256 of the log is taken in a thread that opens it for itself.
     """
-    if into and suffix == ".ulg":
-        pytest.skip("attitudes are not added to ULog")
-    log = make_log(tmp_path / f"log{suffix}")
-    target = ["--into", str(tmp_path / f"out{suffix}")] if into else ["-o", str(tmp_path / "o.csv")]
-    monkeypatch.setattr(sys.modules[__name__], "OPENED", Counter())
-    result = CliRunner().invoke(cli, ["propagate", str(log), *target])
-    assert result.exit_code == 0, result.output
-    assert OPENED[str(log)] == 1 + 1
-
-
-def test_info_opens_a_log_once(tmp_path, monkeypatch):
-    """Without the SHA-256, nothing opens it a second time."""
-    log = make_log(tmp_path / "log.mcap")
-    monkeypatch.setattr(sys.modules[__name__], "OPENED", Counter())
-    assert CliRunner().invoke(cli, ["info", str(log)]).exit_code == 0
-    assert OPENED[str(log)] == 1
+    monkeypatch.chdir(tmp_path)
+    log = words.split()[1]
+    if log == "gyro.ulg":
+        write(Path(log), added("sensor_gyro", 0, 1), *gyro(1, range(5000, 500_000, 5000), 1e-6))
+    else:
+        shutil.copy(SAMPLE_LOGS / log, log)
+    opened.clear()
+    run(*words.split(), code=0)
+    assert opened.count(log) == times
 
 
 @pytest.mark.parametrize("positional", [True, False])
@@ -151,52 +147,28 @@ def test_threads_read_at_their_own_places(tmp_path, monkeypatch, positional):
 
 
 def test_reading_ends_with_the_file(tmp_path):
-    """Beyond the end there is nothing, and no error."""
+    """Beyond the end there is nothing, and no error, even where the system takes no such place."""
     path = tmp_path / "file"
     path.write_bytes(b"0123")
     with FileSource(path) as source:
         assert source.size == 4
         assert source.read(2, 10) == b"23"
-        assert source.read(9, 1) == b""
+        assert source.read(4, 4) == source.read(9, 1) == source.read(2**63, 4) == b""
     source.close()
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
-def test_a_place_that_no_file_has_is_behind_the_end(tmp_path):
-    """Damage names places beyond what the system takes as one."""
-    path = tmp_path / "log"
-    path.write_bytes(b"0123456789")
-    with FileSource(path) as source:
-        assert source.read(2**63, 4) == source.read(10, 4) == b""
-
-
-def test_a_pipe_is_refused_with_the_way_out(tmp_path):
-    """Bytes that were read to recognise a log cannot be read again from a pipe."""
-    pipe = tmp_path / "pipe.csv"
-    os.mkfifo(pipe)
-    end = os.open(pipe, os.O_RDWR)
-    try:
-        with pytest.raises(UnreadableLogError) as error:
-            open_log(pipe).__enter__()
-    finally:
-        os.close(end)
-    reason = "it is a pipe or a device, not a file; name a file, or - with stdin from it"
-    assert str(error.value) == f"{pipe}: {reason}"
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
-def test_a_pipe_that_nobody_writes_to_is_not_waited_for(tmp_path):
+@needs_pipes
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
     """A search through folders hung at the first one, and so did a run that named one."""
-    spin = (SAMPLE_LOGS / "spin.csv").read_bytes()
-    (tmp_path / "log.csv").write_bytes(spin)
+    shutil.copy(SAMPLE_LOGS / "spin.csv", tmp_path / "log.csv")
     for name in ("pipe.csv", "pipe"):
         os.mkfifo(tmp_path / name)
-    with pytest.raises(UnreadableLogError, match="it is a pipe or a device, not a file"):
+    reason = "it is a pipe or a device, not a file; name a file, or - with stdin from it"
+    with pytest.raises(UnreadableLogError) as error:
         open_log(tmp_path / "pipe").__enter__()
-    command = ["batch", str(tmp_path), "-o", str(tmp_path / "out"), "-j", "1"]
-    result = CliRunner().invoke(cli, command)
-    assert result.exit_code == 2
-    assert "pipe.csv: it is a pipe or a device, not a file" in result.output
+    assert str(error.value) == f"{tmp_path}/pipe: {reason}"
+    result = run("batch", tmp_path, "-o", tmp_path / "out", "-j", "1", code=2)
+    assert f"pipe.csv: {reason}" in result.output
     assert (tmp_path / "out" / "log.parquet").exists()
 
 
@@ -212,29 +184,26 @@ def pipe_with(data):
         os.close(end)
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/fd"), reason="no pipes of the shell here")  # noqa: PTH110
+@needs_pipes
 @pytest.mark.parametrize("kind", ["csv", "bag", "parquet"])
 def test_a_pipe_of_the_shell_is_read(tmp_path, kind):
     """Of a process in the place of a file, such as <(zcat log.csv.gz), only - was read."""
     log = tmp_path / f"log.{kind}"
-    assert CliRunner().invoke(cli, ["simulate", str(log), "--duration", "1s"]).exit_code == 0
+    run("simulate", log, "--duration", "1s", code=0)
     assert log.stat().st_size < 1 << 16  # all of a pipe is written before it is read
     outs = [tmp_path / "file.csv", tmp_path / "pipe.csv"]
     with pipe_with(log.read_bytes()) as pipe:
-        for path, out in zip((str(log), pipe), outs, strict=True):
-            result = CliRunner().invoke(cli, ["propagate", path, "-o", str(out), "-q"])
-            assert (result.exit_code, result.stderr) == (0, "")
+        for path, out in zip((log, pipe), outs, strict=True):
+            assert run("propagate", path, "-o", out, "-q", code=0).stderr == ""
     assert outs[0].read_bytes() == outs[1].read_bytes()
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/fd"), reason="no pipes of the shell here")  # noqa: PTH110
+@needs_pipes
 def test_what_reads_a_pipe_twice_is_refused(tmp_path):
     """As of stdin, and before it is read."""
     with pipe_with(b"t_ns,wx,wy,wz\n") as pipe:
-        command = ["propagate", pipe, "-o", str(tmp_path / "a.csv"), "--bias", "static"]
-        result = CliRunner().invoke(cli, command)
-    assert result.exit_code == 2
-    assert result.stderr.startswith("Error: a pipe can be read only once; --bias static, ")
+        said = refused("propagate", pipe, "-o", tmp_path / "a.csv", "--bias", "static")
+    assert said.startswith("Error: a pipe can be read only once; --bias static, ")
 
 
 @pytest.mark.parametrize(
@@ -254,14 +223,13 @@ def test_errors_name_the_file_that_was_given(tmp_path, monkeypatch, is_pipe, wor
     monkeypatch.chdir(tmp_path)
     Path("other.csv").write_bytes(b"a,b\n1,2\n")
     Path("other.csv.gz").write_bytes(gzip.compress(b"a,b\n1,2\n"))
-    assert CliRunner().invoke(cli, ["simulate", "log.bag", "--duration", "1s"]).exit_code == 0
+    run("simulate", "log.bag", "--duration", "1s", code=0)
     data = Path("log.bag").read_bytes()
     Path("log.bag.gz").write_bytes(gzip.compress(data))
     with pipe_with(data) as pipe:
         path = pipe if is_pipe else "log.bag.gz"
-        result = CliRunner().invoke(cli, ["propagate", path, "-o", "a.csv", *words])
-    assert result.exit_code == 2
-    assert result.stderr.startswith(f"Error: {reason.replace('PATH', path)}")
+        said = refused("propagate", path, "-o", "a.csv", *words)
+    assert said.startswith(f"Error: {reason.replace('PATH', path)}")
 
 
 @pytest.mark.parametrize("log", ["spin.csv", "rest.parquet", "tumbling.bag"])
@@ -275,16 +243,12 @@ def test_definitions_that_are_not_there_are_missed_by_every_kind(tmp_path, log):
 
 def test_a_topic_of_two_types_is_remarked_on(tmp_path):
     """Its messages of the other type are not silently left out."""
+    other = Topic("std_msgs/msg/String", [bytes(8)], b"string data", "ros2msg", "cdr")
+    write_topics(tmp_path / "other.mcap", {"/imu": other}, profile="ros2")
     log = write_mcap(tmp_path / "log.mcap", count=40)
-    with (tmp_path / "other.mcap").open("wb") as file:
-        writer = Writer(file)
-        writer.start("ros2", "")
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        writer.add_message(writer.register_channel("/imu", "cdr", schema), 0, bytes(8), 0)
-        writer.finish()
     log.write_bytes(log.read_bytes() + (tmp_path / "other.mcap").read_bytes())
-    with open_log(log) as opened:
-        (remark,) = opened.remarks
+    with open_log(log) as read:
+        (remark,) = read.remarks
     assert remark == (
         "topic '/imu' was recorded with several types, which are read separately: "
         "'sensor_msgs/msg/Imu', 'std_msgs/msg/String'"
@@ -323,36 +287,10 @@ def test_a_topic_with_two_definitions_is_read_by_both(tmp_path, monkeypatch):
     assert found.t_ns.tolist() == expected.t_ns.tolist()
     assert found.rate.tolist() == expected.rate.tolist()
     # Of attitudes neither --topic nor --quat-field could tell one from the other.
-    result = CliRunner().invoke(cli, ["convert", str(other), str(tmp_path / "out.csv")])
-    assert result.exit_code == 2
-    assert result.stderr == (
+    assert refused("convert", other, tmp_path / "out.csv") == (
         f"Error: {other}: {recorded}which are not read together; write the messages of each to a "
-        "log of its own, by their times with `mcap filter`, or with `rosbag filter`\n"
+        "log of its own, by their times with `mcap filter`, or with `rosbag filter`"
     )
-
-
-def test_chunks_without_a_compared_checksum_are_in_the_report(tmp_path):
-    """Of a chunk with a camera only the wanted messages are read, and that is said."""
-    log, report = tmp_path / "log.mcap", tmp_path / "report.json"
-    write_mcap(log, count=40)
-    small = log.read_bytes()
-    with log.open("wb") as file:
-        writer = Writer(file, chunk_size=1 << 21, compression=CompressionType.NONE)
-        writer.start("ros2", "")
-        image = writer.register_channel("/image", "x", 0)
-        channels = {}
-        for schema, channel, message in make_reader(BytesIO(small)).iter_messages("/imu"):
-            if channel.id not in channels:
-                new = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(channel.topic, "cdr", new)
-            number = channels[channel.id]
-            writer.add_message(number, message.log_time, message.data, message.publish_time)
-        writer.add_message(image, 10**18, bytes(1 << 20), 0)
-        writer.finish()
-    arguments = ["propagate", str(log), "-t", "/imu", "-o", str(tmp_path / "o.csv")]
-    result = CliRunner().invoke(cli, [*arguments, "--report", str(report)])
-    assert result.exit_code == 0, result.output
-    assert json.loads(report.read_text())["unchecked_chunks"] == 1
 
 
 @pytest.mark.parametrize("name", ["coning.mcap", "tumbling.bag"])
