@@ -11,12 +11,12 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from make.commands import run
+from make.json_messages import imu
+from make.mcap_files import Topic, write_topics
 from make.places import SAMPLE_LOGS
-from rosbags.rosbag1 import Writer
-from rosbags.typesys import Stores, get_typestore
+from make.tables import write_attitudes, write_rates
 
-from quatprop.cli.commands import cli
 from quatprop.kinematics.quaternion import exp
 
 HOSTILE = '/imu"><script>alert(1)</script><img src=http://example.com/x onerror=alert(2)>&amp;'
@@ -63,10 +63,8 @@ class Page(HTMLParser):
 
 def page_of(*arguments):
     """Run a command and return its page as text and parsed."""
-    *_, target = arguments
-    result = CliRunner().invoke(cli, [str(argument) for argument in arguments])
-    assert result.exit_code in {0, 1}, result.output
-    text = target.read_text()
+    assert run(*arguments).exit_code in {0, 1}
+    text = arguments[-1].read_text()
     return text, Page(text)
 
 
@@ -106,53 +104,49 @@ def assert_loads_nothing(text, page):
 def series(tmp_path):
     """Write a series of attitudes, and one that is 3 degrees off."""
     angle = np.linspace(0, 20, 400)
-    for name, off in (("new.csv", np.radians(3)), ("truth.csv", 0.0)):
-        wxyz = exp(np.stack([0 * angle, 0 * angle, angle + off], axis=1))
-        rows = (
-            f"{1_700_000_000_000_000_000 + k * 50_000_000},{','.join(map(repr, q))}"
-            for k, q in enumerate(wxyz.tolist())
+    t_ns = 1_700_000_000_000_000_000 + np.arange(400) * 50_000_000
+    return [
+        write_attitudes(
+            tmp_path / name, t_ns, exp(np.stack([0 * angle, 0 * angle, turned], axis=1))
         )
-        (tmp_path / name).write_text("t_ns,qw,qx,qy,qz\n" + "\n".join(rows) + "\n")
-    return tmp_path / "new.csv", tmp_path / "truth.csv"
+        for name, turned in (("new.csv", angle + np.radians(3)), ("truth.csv", angle))
+    ]
 
 
-@pytest.mark.parametrize("command", ["plot", "reference", "compare"])
-def test_a_page_loads_nothing(series, tmp_path, command):
-    """Every page holds its picture, its styles, its script and its words itself."""
+def test_a_page_says_what_its_picture_means(series, tmp_path):
+    """Figures, conventions and warnings are words; every page is one picture and loads nothing."""
     new, truth = series
     target = tmp_path / "page.html"
-    arguments = {
-        "plot": ("plot", new, "-o", target),
-        "reference": ("plot", new, "--reference", truth, "--tol", "1deg", "-o", target),
-        "compare": ("compare", new, truth, "--tol", "1deg", "--plot", target),
-    }[command]
-    text, page = page_of(*arguments)
-    assert_loads_nothing(text, page)
-    assert [tag for tag, _ in page.elements].count("svg") == 1
+    tolerance = ("--tol", "1deg")
+    pages = [
+        page_of("plot", new, "-o", target),
+        page_of("compare", new, truth, *tolerance, "--plot", target),
+        page_of("plot", new, "--reference", truth, *tolerance, "-o", target),
+    ]
+    for text, page in pages:
+        assert_loads_nothing(text, page)
+        assert [tag for tag, _ in page.elements].count("svg") == 1
+    words = " ".join(pages[0][1].words)
+    assert "Hamilton, ij = k: v_ref = q v_body q*" in words
+    assert "400 samples over 19.95 s, 20 Hz" in words
+    words = " ".join(pages[2][1].words)
+    assert "new.csv: max 3 deg, RMS 3 deg; above the tolerance of 1 deg" in words
+    assert "hamilton body-to-ref, scalar-first" in words
+    assert "likely cause" in words
+    above = r"new\.csv: above the tolerance 0\.0174533 rad \(1 deg\), first at sample \d+ of "
+    assert re.search(above + r"(new\.csv|the reference), ", words)
+    (figure,) = (attributes for tag, attributes in pages[2][1].elements if tag == "figure")
+    assert figure["aria-label"] == (
+        "error of new.csv against truth.csv: geodesic error, error x, error y, error z against time"
+    )
 
 
 def test_names_from_a_file_are_text(tmp_path):
     """A topic that is markup shows as it is written, and does nothing."""
-    log, target = tmp_path / "<b>log&.bag", tmp_path / "page.html"
-    store = get_typestore(Stores.ROS1_NOETIC)
-    imu_type = "sensor_msgs/msg/Imu"
-    with Writer(log) as writer:
-        connection = writer.add_connection(HOSTILE, imu_type, typestore=store)
-        types = store.types
-        vector = types["geometry_msgs/msg/Vector3"]
-        for k in range(20):
-            stamp = types["builtin_interfaces/msg/Time"](1_700_000_000 + k, 0)
-            message = types[imu_type](
-                header=types["std_msgs/msg/Header"](k, stamp, "imu"),
-                orientation=types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
-                orientation_covariance=np.zeros(9),
-                angular_velocity=vector(0.1, 0.2, 0.3 + 0.01 * k),
-                angular_velocity_covariance=np.zeros(9),
-                linear_acceleration=vector(0.0, 0.0, 9.81),
-                linear_acceleration_covariance=np.zeros(9),
-            )
-            data = store.serialize_ros1(message, imu_type)
-            writer.write(connection, (1_700_000_000 + k) * 10**9, data)
+    messages = [imu(0.1, 0.2, 0.01 * k, {"sec": 1 + k, "nanosec": 0}) for k in range(20)]
+    log = tmp_path / "<b>log&.mcap"
+    write_topics(log, {HOSTILE: Topic("sensor_msgs/Imu", messages)})
+    target = tmp_path / "page.html"
     for arguments in (
         ("plot", log, "-o", target),
         ("propagate", log, "-q", "-o", tmp_path / "a.csv", "--plot", target),
@@ -167,59 +161,38 @@ def test_names_from_a_file_are_text(tmp_path):
     assert "<img" not in picture
 
 
-def test_a_page_says_what_its_picture_means(series, tmp_path):
-    """Figures, conventions and warnings are words, for people and for those who search."""
-    new, truth = series
-    _, page = page_of(
-        "plot", new, "--reference", truth, "--tol", "1deg", "-o", tmp_path / "page.html"
-    )
-    words = " ".join(page.words)
-    assert "new.csv: max 3 deg, RMS 3 deg; above the tolerance of 1 deg" in words
-    assert "hamilton body-to-ref, scalar-first" in words
-    assert "likely cause" in words
-    above = r"new\.csv: above the tolerance 0\.0174533 rad \(1 deg\), first at sample \d+ of "
-    assert re.search(above + r"(new\.csv|the reference), ", words)
-    figure = next(attributes for tag, attributes in page.elements if tag == "figure")
-    assert figure["aria-label"] == (
-        "error of new.csv against truth.csv: geodesic error, error x, error y, error z against time"
-    )
-    _, page = page_of("plot", new, "-o", tmp_path / "page.html")
-    words = " ".join(page.words)
-    assert "Hamilton, ij = k: v_ref = q v_body q*" in words
-    assert "400 samples over 19.95 s, 20 Hz" in words
-
-
 def test_the_page_of_propagate_has_its_summary(tmp_path):
     """Every line of what goes to stderr is on the page, too: sensitivity, errors, bias."""
     log, target = SAMPLE_LOGS / "tumbling.bag", tmp_path / "page.html"
     options = ("--bias", "0,0,0.1", "--noise-density", "0.2deg/sqrt(h)", "--start", "+1s")
-    arguments = ("propagate", log, "-o", tmp_path / "a.csv", *options, "--plot", target)
-    summary = CliRunner().invoke(cli, list(map(str, arguments))).stderr
-    _, page = page_of(*arguments)
-    words = " ".join(" ".join(page.words).split())
+    summary = run("propagate", log, "-o", tmp_path / "a.csv", *options, "--plot", target).stderr
+    words = " ".join(" ".join(Page(target.read_text()).words).split())
     for line in summary.splitlines():
         assert " ".join(line.split()) in words
     assert "first 2023-11-14 22:13:21 UTC" in words
     assert "max gap 10 median intervals start 1700000001000000000 ns Made from" in words
 
 
-@pytest.mark.parametrize("command", ["plot", "compare", "propagate"])
-def test_a_page_says_what_it_was_made_from(series, tmp_path, monkeypatch, command):
+@pytest.mark.parametrize(
+    ("command", "inputs"),
+    [
+        ("plot new.csv -o", ["new.csv"]),
+        ("compare new.csv truth.csv --plot", ["new.csv", "truth.csv"]),
+        ("propagate log.csv -o out.csv --plot", ["log.csv"]),
+    ],
+)
+@pytest.mark.usefixtures("series")
+def test_a_page_says_what_it_was_made_from(tmp_path, monkeypatch, command, inputs):
     """The command, and for each file what tells whether it is still the same."""
-    new, truth = series
-    log, target = tmp_path / "log.csv", tmp_path / "a page.html"
-    log.write_text("t_ns,wx [rad/s],wy [rad/s],wz [rad/s]\n0,0,0,1\n10000000,0,0,1\n")
-    arguments = {
-        "plot": ["plot", str(new), "-o", str(target)],
-        "compare": ["compare", str(new), str(truth), "--plot", str(target)],
-        "propagate": ["propagate", str(log), "-o", str(tmp_path / "o.csv"), "--plot", str(target)],
-    }[command]
+    monkeypatch.chdir(tmp_path)
+    write_rates(tmp_path / "log.csv", [[0, 0, 0, 1], [10_000_000, 0, 0, 1]])
+    arguments = [*command.split(), "a page.html"]
     monkeypatch.setattr("sys.argv", ["/usr/bin/quatprop", *arguments])
-    CliRunner().invoke(cli, arguments)
-    words = " ".join(Page(target.read_text()).words)
-    assert f"quatprop {' '.join(arguments[:-1])} '{target}'" in words
-    for file in {"plot": [new], "compare": [new, truth], "propagate": [log]}[command]:
-        content = file.read_bytes()
+    run(*arguments)
+    words = " ".join(Page((tmp_path / "a page.html").read_text()).words)
+    assert f"quatprop {command} 'a page.html'" in words
+    for name in inputs:
+        content = (tmp_path / name).read_bytes()
         assert f"{len(content):,} bytes, SHA-256 {sha256(content).hexdigest()}" in words
 
 
@@ -232,6 +205,20 @@ def test_a_page_is_light_and_dark_and_fit_for_paper(series, tmp_path):
     assert "@media print" in style
     used = set(re.findall(r"var\((--[a-z0-9-]+)", text))
     assert used == set(re.findall(r"(--[a-z-]+):", style))
+
+
+@pytest.mark.parametrize(("samples", "bin_s"), [(2000, 0.0), (4000, 0.0), (8 * 2048, 0.007)])
+def test_a_long_series_zooms_no_further_than_it_was_drawn(tmp_path, samples, bin_s):
+    """Between the extremes of a bin nothing is known; a short series has all its samples."""
+    log, target = tmp_path / "rates.npy", tmp_path / "page.html"
+    rows = np.zeros(samples, [("t_ns", "<i8"), ("wx", "<f8"), ("wy", "<f8"), ("wz", "<f8")])
+    rows["t_ns"] = np.arange(samples) * 1_000_000
+    np.save(log, rows)
+    _, page = page_of("plot", log, "--rate-unit", "rad/s", "-o", target)
+    (figure,) = (attributes for tag, attributes in page.elements if tag == "figure")
+    # A bin is 2^23 ns long, and holds 8 or 9 samples.
+    assert json.loads(figure["data-limits"])["least"] == pytest.approx(150 * bin_s, rel=0.2)
+    assert ("Only extremes" in "".join(page.words)) == (bin_s > 0)
 
 
 CHROMIUM = next(
@@ -324,18 +311,3 @@ def test_a_page_zooms_and_reads_values(series, tmp_path):
     assert [float(tick) for tick in fine] == [5, 5.5, 6, 6.5]
     assert again == ticks
     assert left == ["", "", "", ""]
-
-
-def test_a_long_series_zooms_no_further_than_it_was_drawn(tmp_path):
-    """Between the extremes of a bin nothing is known; a short series has all its samples."""
-    for samples, bin_s in ((2000, 0.0), (4000, 0.0), (8 * 2048, 0.007)):
-        log = tmp_path / "rates.npy"
-        rows = np.zeros(samples, [("t_ns", "<i8"), ("wx", "<f8"), ("wy", "<f8"), ("wz", "<f8")])
-        rows["t_ns"] = np.arange(samples) * 1_000_000
-        np.save(log, rows)
-        target = tmp_path / "page.html"
-        _, page = page_of("plot", log, "--rate-unit", "rad/s", "-o", target)
-        (figure,) = (attributes for tag, attributes in page.elements if tag == "figure")
-        # A bin is 2^23 ns long, and holds 8 or 9 samples.
-        assert json.loads(figure["data-limits"])["least"] == pytest.approx(150 * bin_s, rel=0.2)
-        assert ("Only extremes" in "".join(page.words)) == (bin_s > 0)
