@@ -14,26 +14,13 @@ import commands
 import decode
 import mixed_logs
 import product
-import stages
-import whole
 import writers
-from table import write_markdown
 
-FOLDER = Path(".bench")
-SAMPLES = 1_000_000
-MIXED = {
-    "frames_zstd.mcap": (mixed_logs.varying_frames, 1),
-    "images_zstd.mcap": (mixed_logs.beside_images, 10),
-    "images_none.mcap": (mixed_logs.beside_images, 10),
-}
-"""How each is written, and which part of the samples it has: pictures take room."""
 PARTS = {
     "decode": decode,
     "product": product,
     "accuracy": accuracy,
     "writers": writers,
-    "stages": stages,
-    "whole": whole,
     "commands": commands,
 }
 SOURCES = {
@@ -46,6 +33,12 @@ SOURCES = {
     "imu.csv": ("--to", "csv"),
     "imu.parquet": ("--to", "parquet"),
 }
+MIXED = {
+    "frames_zstd.mcap": (mixed_logs.varying_frames, 1),
+    "images_zstd.mcap": (mixed_logs.beside_images, 10),
+    "images_none.mcap": (mixed_logs.beside_images, 10),
+}
+"""How each is written, and which part of the samples it has: pictures take room."""
 
 
 def make_logs(folder: Path, samples: int) -> None:
@@ -68,20 +61,12 @@ def main() -> None:
     """Measure everything, or the parts that are named."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--part", action="append", choices=list(PARTS), help="default: all")
-    parser.add_argument("--samples", type=int, default=SAMPLES)
-    parser.add_argument(
-        "--large", action="store_true", help="ten million samples; takes long, and 10 GB of disk"
-    )
-    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the tables there, too")
+    parser.add_argument("--samples", type=int, default=1_000_000)
     chosen = parser.parse_args()
-    if chosen.large:
-        chosen.samples = 10 * SAMPLES
-    folder = FOLDER / str(chosen.samples)
+    folder = Path(".bench") / str(chosen.samples)
     make_logs(folder, chosen.samples)
     for name in chosen.part or PARTS:
         PARTS[name].measure(folder, chosen.samples)
-    if chosen.markdown:
-        write_markdown(chosen.markdown)
 
 
 if __name__ == "__main__":

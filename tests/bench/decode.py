@@ -1,6 +1,7 @@
 """Messages to columns: every container against the libraries that read it."""
 
 import sqlite3
+from functools import partial
 from pathlib import Path
 
 import lz4.frame
@@ -57,7 +58,8 @@ def read_and_decompress(path: Path) -> int:
 
 
 def select_blobs(path: Path) -> int:
-    """Fetch stamps and blobs of a database in order of time: the floor under any reader."""
+    """Fetch stamps and blobs of a bag in order of time: the floor under any reader."""
+    (path,) = path.glob("*.db3")
     database = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
     rows = database.execute("SELECT timestamp, data FROM messages ORDER BY timestamp")
     count = 0
@@ -66,30 +68,24 @@ def select_blobs(path: Path) -> int:
     return count
 
 
+LOGS = [
+    "imu_zstd.mcap", "imu_none.mcap", "frames_zstd.mcap", "images_zstd.mcap", "images_none.mcap",
+    "imu.bag", "imu_db3",
+]  # fmt: skip
+
+
 def measure(folder: Path, _samples: int) -> None:
     """Print one table a log."""
-    for name in (
-        "imu_zstd.mcap",
-        "imu_none.mcap",
-        "frames_zstd.mcap",
-        "images_zstd.mcap",
-        "images_none.mcap",
-        "imu.bag",
-        "imu_db3",
-    ):
-        path = folder / name
+    for path in (folder / name for name in LOGS):
         samples = ours(path)
-        table = Table(f"decode {name}, {samples:,} Imu messages")
-        table.row("quatprop", best_of(5, lambda path=path: ours(path)), samples)
+        readers = {"quatprop": (5, ours)}
         if path.suffix == ".mcap":
-            floor = best_of(5, lambda path=path: read_and_decompress(path))
-            table.row("read and decompress alone", floor, samples)
+            readers["read and decompress alone"] = 5, read_and_decompress
         if path.is_dir():
-            (database,) = path.glob("*.db3")
-            floor = best_of(5, lambda database=database: select_blobs(database))
-            table.row("SELECT of stamps and blobs alone", floor, samples)
-        seconds = best_of(1, lambda path=path: with_rosbags(path))
-        table.row("rosbags AnyReader + deserialize", seconds, samples)
-        if name == "imu_zstd.mcap":
-            seconds = best_of(1, lambda path=path: with_mcap(path))
-            table.row("mcap + mcap-ros2-support", seconds, samples)
+            readers["SELECT of stamps and blobs alone"] = 5, select_blobs
+        readers["rosbags AnyReader + deserialize"] = 1, with_rosbags
+        if path.name == LOGS[0]:
+            readers["mcap + mcap-ros2-support"] = 1, with_mcap
+        table = Table(f"decode {path.name}, {samples:,} Imu messages")
+        for name, (repeats, read) in readers.items():
+            table.row(name, best_of(repeats, partial(read, path)), samples)

@@ -5,12 +5,13 @@ from pathlib import Path
 
 import numba
 import numpy as np
+from accuracy import scipy_loop
 from ahrs.filters import AngularRate
-from scipy.spatial.transform import Rotation
 from table import Table, best_of
 
 from quatprop.kinematics.propagate import attitudes
 
+IDENTITY = [1.0, 0.0, 0.0, 0.0]
 SLOW_SAMPLES = 20_000
 """Loops of microseconds a sample are timed on so many."""
 
@@ -58,32 +59,21 @@ def python_loop(t_ns, rate):
     return out
 
 
-def scipy_loop(t_ns, rate):
-    """Multiply step by step with scipy's Rotation."""
-    attitude = Rotation.identity()
-    out = [attitude]
-    for k in range(len(t_ns) - 1):
-        attitude = attitude * Rotation.from_rotvec(rate[k] * ((t_ns[k + 1] - t_ns[k]) * 1e-9))
-        out.append(attitude)
-    return out
-
-
 def measure(_folder: Path, samples: int) -> None:
     """Print one table of products."""
     t_ns = np.arange(samples, dtype=np.int64) * 1_000_000
     rate = np.random.default_rng(1).normal(0.0, 1.0, (samples, 3))
     out = np.empty((samples, 4))
     fused_loop(t_ns[:2], rate[:2], out)
-    few = t_ns[:SLOW_SAMPLES], rate[:SLOW_SAMPLES]
     table = Table(f"increments and product of {samples:,} samples, one thread")
-    table.row("quatprop", best_of(5, lambda: attitudes(t_ns, rate)), samples)
-    for method in ("coning", "cubic"):
+    for method in ("start", "coning", "cubic"):
         seconds = best_of(5, lambda method=method: attitudes(t_ns, rate, method=method))
         table.row(f"quatprop, {method}", seconds, samples)
     table.row("numba serial loop", best_of(5, lambda: fused_loop(t_ns, rate, out)), samples)
-    table.row("plain Python loop", best_of(3, lambda: python_loop(*few)), SLOW_SAMPLES)
-    table.row("scipy Rotation loop", best_of(2, lambda: scipy_loop(*few)), SLOW_SAMPLES)
-    table.row(
-        "ahrs AngularRate", best_of(2, lambda: AngularRate(gyr=few[1], frequency=1000.0)),
-        SLOW_SAMPLES,
-    )  # fmt: skip
+    few = t_ns[:SLOW_SAMPLES], rate[:SLOW_SAMPLES]
+    for name, loop in {
+        "plain Python loop": lambda: python_loop(*few),
+        "scipy Rotation loop": lambda: scipy_loop(*few, IDENTITY, "start"),
+        "ahrs AngularRate": lambda: AngularRate(gyr=few[1], frequency=1000.0),
+    }.items():
+        table.row(name, best_of(2, loop), len(few[0]))

@@ -1,6 +1,7 @@
 """Attitudes to files: the whole writers against the libraries' own on what is ready."""
 
 import tempfile
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -38,7 +39,7 @@ def fresh(folder: Path, suffix: str) -> Path:
     return folder / f"{next(NUMBERS)}{suffix}"
 
 
-def ours(path: Path, series: AttitudeSeries, message: Message | None = None) -> None:
+def ours(series: AttitudeSeries, path: Path, message: Message | None = None) -> None:
     """Write batch after batch, as propagating does."""
     with open_writer(path, message=message) as writer:
         for begin in range(0, len(series), BATCH):
@@ -65,30 +66,29 @@ def measure(_folder: Path, samples: int) -> None:
     series = attitudes(samples)
     columns = [series.t_ns, *(np.ascontiguousarray(column) for column in series.wxyz.T)]
     ready = pa.table([pa.array(column) for column in columns], ["t_ns", "qw", "qx", "qy", "qz"])
+    plain = {"compression": "zstd", "use_dictionary": False}
+    to_parquet = pyarrow.parquet.write_table
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch)
         _mcap(out, series)
-        table = Table(f"attitudes to CSV, {samples:,} rows")
-        table.row("quatprop", median_of(5, lambda: ours(fresh(out, ".csv"), series)), samples)
-        seconds = median_of(5, lambda: pyarrow.csv.write_csv(ready, fresh(out, ".csv")))
-        table.row("pyarrow.csv.write_csv, columns ready", seconds, samples)
-        table = Table(f"attitudes to Parquet, {samples:,} rows")
-        table.row("quatprop", median_of(5, lambda: ours(fresh(out, ".parquet"), series)), samples)
-        for name, options in {
-            "as it comes": {},
-            "zstd, no dictionary": {"compression": "zstd", "use_dictionary": False},
+        for suffix, peers in {
+            ".csv": {"write_csv, columns ready": partial(pyarrow.csv.write_csv, ready)},
+            ".parquet": {
+                "write_table, as it comes": partial(to_parquet, ready),
+                "write_table, zstd, no dictionary": partial(to_parquet, ready, **plain),
+            },
         }.items():
-            seconds = median_of(
-                5,
-                lambda o=options: pyarrow.parquet.write_table(ready, fresh(out, ".parquet"), **o),
-            )
-            table.row(f"pyarrow write_table, {name}", seconds, samples)
+            table = Table(f"attitudes to {suffix}, {samples:,} rows")
+            for name, write in {"quatprop": partial(ours, series), **peers}.items():
+                seconds = median_of(5, lambda write=write, end=suffix: write(fresh(out, end)))
+                table.row(name, seconds, samples)
 
 
 def _mcap(out: Path, series: AttitudeSeries) -> None:
     table = Table(f"attitudes to MCAP, {len(series):,} messages, zstd")
     for name in ("QuaternionStamped", "FrameTransform"):
-        seconds = median_of(5, lambda name=name: ours(fresh(out, ".mcap"), series, Message(name)))
+        write = partial(ours, series, message=Message(name))
+        seconds = median_of(5, lambda write=write: write(fresh(out, ".mcap")))
         table.row(f"quatprop, {name}", seconds, len(series))
     few = AttitudeSeries(series.t_ns[:SLOW_SAMPLES], series.wxyz[:SLOW_SAMPLES])
     encoder = attitude_encoder(Message(), ("cdr",))
