@@ -17,6 +17,7 @@ from quatprop.cli.options import options_of, with_options
 from quatprop.cli.propagate import command
 from quatprop.comparison.settings import COMPARE
 from quatprop.errors import UsageError
+from quatprop.kinematics.increments import METHODS as RULES
 from quatprop.pipeline.settings import PropagationSettings, propagation_settings
 from quatprop.settings import CHECKS, METHODS, ONE_SERIES, PROPAGATE, READ_ATTITUDES, READ_RATES
 from quatprop.settings.keyword import Keyword, keywords_of, parameters
@@ -96,18 +97,18 @@ def test_a_value_that_cannot_be_used_is_one_sentence(name, value, sentence):
     assert str(caught.value).startswith(sentence)
 
 
-def test_an_unknown_setting_is_refused():
-    """The sentence lists those there are."""
-    with pytest.raises(UsageError, match="there is no setting 'metod'; did you mean 'method'"):
-        parse_all({"metod": "end"})
-
-
-def test_settings_that_contradict_each_other_are_refused():
-    """What belongs to another initial attitude, and two choices of rows."""
-    with pytest.raises(UsageError, match=r"^heading goes with q0='level'$"):
-        propagation_settings({"heading": 5})
-    with pytest.raises(UsageError, match=r"^every, rate and at each say which attitudes to write"):
-        propagation_settings({"every": 2, "rate": 5})
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"metod": "end"}, "there is no setting 'metod'; did you mean 'method'"),
+        ({"heading": 5}, "^heading goes with q0='level'$"),
+        ({"every": 2, "rate": 5}, "^every, rate and at each say which attitudes to write"),
+    ],
+)
+def test_settings_that_are_none_or_contradict_each_other_are_refused(options, sentence):
+    """What there is not, what belongs to another initial attitude, and two choices of rows."""
+    with pytest.raises(UsageError, match=sentence):
+        propagation_settings(options)
 
 
 def test_no_settings_are_the_defaults():
@@ -144,8 +145,6 @@ def test_every_interface_has_the_same_names():
 
 def test_the_methods_are_those_of_the_kinematics():
     """They are spelled out where nothing heavy may be imported."""
-    from quatprop.kinematics.increments import METHODS as RULES
-
     assert tuple(RULES) == METHODS
 
 

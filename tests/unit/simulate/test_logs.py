@@ -1,6 +1,5 @@
 """Simulated logs are logs: encoded as the libraries of the field encode and read by them."""
 
-import re
 from fractions import Fraction
 
 import numpy as np
@@ -27,22 +26,23 @@ SHAPE = Shape(angle=Fraction(25))
 def test_messages_are_what_the_library_would_encode(encoding):
     """Every byte of a block of messages is that of rosbags' own serialiser."""
     store = get_typestore(Stores.ROS2_HUMBLE if encoding == "cdr" else Stores.ROS1_NOETIC)
-    types = store.types
+    make = {name.rpartition("/")[2]: kind for name, kind in store.types.items()}
     s = np.sqrt(0.5)
+    up = 2 * (s * s)
     series = AttitudeSeries(
         [1_700_000_000_123_456_789], [[s, s, 0.0, 0.0]], rate=np.array([[0.1, -0.2, 3.0]])
     )
-    stamp = types["builtin_interfaces/msg/Time"](sec=1_700_000_000, nanosec=123_456_789)
+    stamp = store.types["builtin_interfaces/msg/Time"](sec=1_700_000_000, nanosec=123_456_789)
     seq = {"seq": 41} if encoding == "ros1" else {}
-    vector = types["geometry_msgs/msg/Vector3"]
-    up = GRAVITY * (1 - 2 * (s * s))
-    expected = types["sensor_msgs/msg/Imu"](
-        header=types["std_msgs/msg/Header"](stamp=stamp, frame_id="imu", **seq),
-        orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=0.0),
+    expected = make["Imu"](
+        header=make["Header"](stamp=stamp, frame_id="imu", **seq),
+        orientation=make["Quaternion"](x=0.0, y=0.0, z=0.0, w=0.0),
         orientation_covariance=np.array([-1.0] + [0.0] * 8),
-        angular_velocity=vector(x=0.1, y=-0.2, z=3.0),
+        angular_velocity=make["Vector3"](x=0.1, y=-0.2, z=3.0),
         angular_velocity_covariance=np.diag([0.25] * 3).ravel(),
-        linear_acceleration=vector(x=0.0, y=GRAVITY * 2 * (s * s), z=up),
+        linear_acceleration=make["Vector3"](
+            0.0, GRAVITY * 2 * (s * s), GRAVITY * (1 - 2 * (s * s))
+        ),
         linear_acceleration_covariance=np.zeros(9),
     )
     encoder = ImuEncoder(0.5, ros1=encoding == "ros1")
@@ -71,11 +71,12 @@ def test_accelerations_are_the_reaction_to_gravity():
 KINDS_AND_COMPRESSIONS = [(kind, c) for kind in GENERAL_KINDS for c in WRITERS[kind].compressions]
 
 
-def log_of(tmp_path, kind, compression=None, name="log"):
-    """Write a log of 300 samples, twice the same, and return path, stamps and rates."""
-    told = Gyroscope(Fraction(100), 300, noise=1e-3, seed=2)
-    (series,) = record(motion_named("tumbling", SHAPE), told)
-    path = tmp_path / (name + (WRITERS[kind].suffixes or ("",))[0])
+def log_of(folder, kind, compression=None):
+    """Write a log of 300 samples; return path and samples."""
+    gyroscope = Gyroscope(Fraction(100), 300, noise=1e-3, seed=2)
+    (series,) = record(motion_named("tumbling", SHAPE), gyroscope)
+    folder.mkdir(exist_ok=True)
+    path = folder / ("log" + (WRITERS[kind].suffixes or ("",))[0])
     with open_log_writer(path, kind, compression=compression) as writer:
         writer.write(series)
         writer.commit({})
@@ -92,8 +93,6 @@ def content(path):
 @pytest.mark.parametrize(("kind", "compression"), KINDS_AND_COMPRESSIONS)
 def test_the_same_samples_give_the_same_bytes(tmp_path, kind, compression):
     """Nothing of the moment or the place gets into a log."""
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
     first, _ = log_of(tmp_path / "a", kind, compression)
     second, _ = log_of(tmp_path / "b", kind, compression)
     assert content(first) == content(second)
@@ -139,8 +138,7 @@ def test_mcap_reads_simulated_logs(tmp_path, compression):
 @pytest.mark.parametrize("kind", GENERAL_KINDS)
 def test_a_failed_log_leaves_nothing(tmp_path, kind):
     """An exception midway leaves no file, no folder, and no stray."""
-    told = Gyroscope(Fraction(100), 300)
-    (series,) = record(motion_named("spin", SHAPE), told)
+    (series,) = record(motion_named("spin", SHAPE), Gyroscope(Fraction(100), 300))
 
     def fail_midway():
         with open_log_writer(tmp_path / "log", kind) as writer:
@@ -152,38 +150,23 @@ def test_a_failed_log_leaves_nothing(tmp_path, kind):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_compression_the_kind_has_not_is_refused(tmp_path):
-    """A bag is not compressed with zstd."""
-    with pytest.raises(
-        UsageError,
-        match=r"^a bag log cannot be compressed with 'zstd'; choose 'none', 'lz4', 'bz2'$",
-    ):
-        open_log_writer(tmp_path / "a.bag", compression="zstd")
-
-
-def test_a_suffix_that_means_no_log_is_refused(tmp_path):
-    """The error lists the suffixes that would do."""
-    sentence = (
-        r": the suffix does not tell the output format; use one of \.csv, \.tsv, .*\.bag, none"
-    )
-    with pytest.raises(OutputError, match=sentence):
-        open_log_writer(tmp_path / "a.db3")
-
-
-def test_a_kind_that_holds_attitudes_only_is_refused(tmp_path):
-    """A trajectory has no rates."""
-    with pytest.raises(OutputError, match=r"kind 'tum' holds attitudes only; choose 'csv', 'tsv',"):
-        open_log_writer(tmp_path / "a.tum")
-
-
-def test_a_bag_folder_that_exists_is_refused(tmp_path):
-    """A ROS 2 bag does not replace a folder."""
-    (tmp_path / "bag").mkdir()
-    words = (
-        f"^{re.escape(str(tmp_path / 'bag'))}: exists already; choose another name, with a suffix"
-    )
-    with pytest.raises(OutputError, match=words):
-        open_log_writer(tmp_path / "bag")
+@pytest.mark.parametrize(
+    ("name", "options", "sentence"),
+    [
+        (
+            "a.bag",
+            {"compression": "zstd"},
+            "^a bag log cannot be compressed with 'zstd'; choose 'none', 'lz4', 'bz2'$",
+        ),
+        ("a.db3", {}, r": the suffix does not tell the output format; use one of \.csv, .*\.bag, "),
+        ("a.tum", {}, "kind 'tum' holds attitudes only; choose 'csv', 'tsv',"),
+        (".", {}, "exists already; choose another name, with a suffix"),
+    ],
+)
+def test_what_is_no_log_is_refused(tmp_path, name, options, sentence):
+    """With what would do."""
+    with pytest.raises((UsageError, OutputError), match=sentence):
+        open_log_writer(tmp_path / name, **options)
 
 
 @pytest.mark.parametrize(
@@ -203,12 +186,7 @@ def test_the_truth_goes_beside_the_log(target, kind, truth):
 
 def test_without_a_place_for_the_truth_there_is_no_log(tmp_path):
     """Both are written or neither is."""
+    gyroscope, truth = Gyroscope(Fraction(10), 10), tmp_path / "none" / "truth.csv"
     with pytest.raises(OutputError, match="there is no folder"):
-        simulate(
-            tmp_path / "a.csv",
-            "spin",
-            SHAPE,
-            Gyroscope(Fraction(10), 10),
-            truth=tmp_path / "none" / "truth.csv",
-        )
+        simulate(tmp_path / "a.csv", "spin", SHAPE, gyroscope, truth=truth)
     assert list(tmp_path.iterdir()) == []
