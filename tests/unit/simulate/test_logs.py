@@ -40,9 +40,7 @@ def test_messages_are_what_the_library_would_encode(encoding):
         orientation_covariance=np.array([-1.0] + [0.0] * 8),
         angular_velocity=make["Vector3"](x=0.1, y=-0.2, z=3.0),
         angular_velocity_covariance=np.diag([0.25] * 3).ravel(),
-        linear_acceleration=make["Vector3"](
-            0.0, GRAVITY * 2 * (s * s), GRAVITY * (1 - 2 * (s * s))
-        ),
+        linear_acceleration=make["Vector3"](0.0, GRAVITY * up, GRAVITY * (1 - up)),
         linear_acceleration_covariance=np.zeros(9),
     )
     encoder = ImuEncoder(0.5, ros1=encoding == "ros1")
