@@ -9,11 +9,11 @@ import zipfile
 import zlib
 
 import pytest
-from click.testing import CliRunner
+from make.commands import refused
+from make.tables import write_rates
 
-from quatprop.cli.commands import cli
 from quatprop.containers.mcap import log as mcap
-from quatprop.errors import DamagedLogError, LogError, UnreadableLogError
+from quatprop.errors import DamagedLogError, UnreadableLogError
 from quatprop.errors.third_party import ANYWHERE, READING, as_errors_of, as_user_error
 from quatprop.logs.open_log import open_log
 
@@ -58,20 +58,6 @@ def modules(name):
             yield from modules(f"{name}.{inside.name}")
 
 
-def classes(package):
-    """Return every exception class that a package defines."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return {
-            kind
-            for module in modules(package)
-            for _, kind in inspect.getmembers(module, inspect.isclass)
-            if issubclass(kind, BaseException)
-            and not issubclass(kind, Warning)
-            and kind.__module__.startswith(package)
-        }
-
-
 def name_of(kind):
     """Return the full name of a class."""
     return f"{kind.__module__}.{kind.__qualname__}"
@@ -80,12 +66,18 @@ def name_of(kind):
 @pytest.mark.parametrize("package", [*PACKAGES, "zstandard.backend_c", "zstandard"])
 def test_every_error_of_a_package_is_mapped_or_cannot_come(package):
     """Each exception class of the installed version is in the tables, or in the list with why."""
-    found = classes(package)
-    known = READING.keys() | ANYWHERE.keys() | UNREACHABLE.keys()
-    missing = [
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = {
+            kind
+            for module in modules(package)
+            for _, kind in inspect.getmembers(module, inspect.isclass)
+            if issubclass(kind, BaseException) and kind.__module__.startswith(package)
+        }
+    known = READING.keys() | ANYWHERE.keys() | UNREACHABLE.keys() | {"builtins.Warning"}
+    assert [
         name_of(kind) for kind in found if not known & {name_of(base) for base in kind.__mro__}
-    ]
-    assert missing == []
+    ] == []
 
 
 def test_the_tables_name_what_there_is():
@@ -95,48 +87,57 @@ def test_the_tables_name_what_there_is():
         assert issubclass(getattr(importlib.import_module(module), kind), BaseException), name
 
 
-def raised_while_open(error, tmp_path):
-    """Return what becomes of an error that comes while a log is open."""
-    log = tmp_path / "log.csv"
-    log.write_text("t_ns,wx,wy,wz\n0,1,2,3\n")
-    with pytest.raises(LogError, match=log.name) as caught, open_log(log):
+@pytest.mark.parametrize(
+    ("error", "kind", "sentence"),
+    [
+        *(
+            (error("x"), DamagedLogError, r": it.* \(x\); check that it was copied whole$")
+            for error in (struct.error, zlib.error, EOFError, zipfile.BadZipFile)
+        ),
+        (
+            OSError("Expected 8 bytes, got 0"),  # some packages raise it for what is not there
+            DamagedLogError,
+            r": it cannot be read \(Expected 8 bytes, got 0\); check that",
+        ),
+        (
+            MemoryError("Unable to allocate 8 EiB"),
+            UnreadableLogError,
+            r": there is not enough memory \(Unable to allocate 8 EiB\); choose fewer",
+        ),
+    ],
+)
+def test_errors_while_a_log_is_open_name_it(tmp_path, error, kind, sentence):
+    """What only reading raises is damage of the log that is open."""
+    log = write_rates(tmp_path / "log.csv", [[0, 1, 2, 3]])
+    with pytest.raises(kind, match=f"^{log}{sentence}") as caught, open_log(log):
         raise error
-    return caught.value
+    assert type(caught.value) is kind
 
 
 @pytest.mark.parametrize(
-    "error", [struct.error("x"), zlib.error("x"), EOFError("x"), zipfile.BadZipFile("x")]
+    ("error", "sentence"),
+    [
+        (MemoryError(), "LOG: there is not enough memory; choose fewer"),
+        (
+            TypeError("of all \x1b[2J things"),
+            "This is a bug in quatprop (TypeError: of all \\x1b[2J things, ",
+        ),
+    ],
 )
-def test_errors_of_reading_name_the_log(tmp_path, error):
-    """What only reading raises is damage of the log that is open."""
-    found = raised_while_open(error, tmp_path)
-    assert isinstance(found, DamagedLogError)
-    assert str(found).startswith(f"{tmp_path}/log.csv: it")
-    assert str(found).endswith(" (x); check that it was copied whole")
-
-
-def test_errors_of_files_that_are_not_of_the_system_name_the_log(tmp_path):
-    """Some packages raise OSError for data that are not there."""
-    found = raised_while_open(OSError("Expected 8 bytes, got 0"), tmp_path)
-    assert isinstance(found, DamagedLogError)
-    assert "it cannot be read (Expected 8 bytes, got 0); check that" in str(found)
-
-
-def test_memory_that_does_not_suffice_is_a_sentence(tmp_path, monkeypatch):
-    """A log that does not fit into memory is an error with exit code 2."""
-    found = raised_while_open(MemoryError("Unable to allocate 8 EiB"), tmp_path)
-    assert isinstance(found, UnreadableLogError)
-    assert "there is not enough memory (Unable to allocate 8 EiB); choose fewer" in str(found)
+def test_errors_of_a_command_are_one_sentence(tmp_path, monkeypatch, error, sentence):
+    """There is no traceback: it says what, where, and whether it should be reported."""
 
     def survey(_source):
-        raise MemoryError
+        raise error
 
+    monkeypatch.delenv("QUATPROP_TRACEBACK")
     monkeypatch.setattr(mcap, "build_index", survey)
     log = tmp_path / "log.mcap"
     log.write_bytes(b"\x89MCAP0\r\n")
-    result = CliRunner().invoke(cli, ["info", str(log)])
-    assert (result.exit_code, result.output.count("\n")) == (2, 1)
-    assert result.output.startswith(f"Error: {log}: there is not enough memory; choose fewer")
+    said = refused("info", log)
+    assert said.startswith(f"Error: {sentence.replace('LOG', str(log))}")
+    is_ours = isinstance(error, TypeError)
+    assert ("please report it, with the log if you can" in said) == is_ours
 
 
 @pytest.mark.parametrize(
@@ -155,24 +156,6 @@ def test_memory_that_does_not_suffice_is_a_sentence(tmp_path, monkeypatch):
 def test_errors_of_the_system_are_one_sentence(error, sentence):
     """A system error becomes a sentence with the file that it names."""
     assert str(as_user_error(error)).startswith(sentence)
-
-
-def test_errors_of_our_own_are_said_to_be_ours(tmp_path, monkeypatch):
-    """There is no traceback: one sentence says what, where, and that it should be reported."""
-    monkeypatch.delenv("QUATPROP_TRACEBACK")
-    log = tmp_path / "log.mcap"
-    log.write_bytes(b"\x89MCAP0\r\n")
-
-    def survey(_source):
-        raise TypeError("of all \x1b[2J things")
-
-    monkeypatch.setattr(mcap, "build_index", survey)
-    result = CliRunner().invoke(cli, ["info", str(log)])
-    assert (result.exit_code, result.output.count("\n")) == (2, 1)
-    assert result.output.startswith(
-        "Error: This is a bug in quatprop (TypeError: of all \\x1b[2J things, "
-    )
-    assert "please report it, with the log if you can" in result.output
 
 
 def test_what_is_not_known_passes(tmp_path):
