@@ -163,14 +163,17 @@ def test_names_from_a_file_are_text(tmp_path):
 
 def test_the_page_of_propagate_has_its_summary(tmp_path):
     """Every line of what goes to stderr is on the page, too: sensitivity, errors, bias."""
-    log, target = SAMPLE_LOGS / "tumbling.bag", tmp_path / "page.html"
-    options = ("--bias", "0,0,0.1", "--noise-density", "0.2deg/sqrt(h)", "--start", "+1s")
-    summary = run("propagate", log, "-o", tmp_path / "a.csv", *options, "--plot", target).stderr
+    log, out, target = SAMPLE_LOGS / "tumbling.bag", tmp_path / "a.csv", tmp_path / "page.html"
+    errors = ("--sigma", "--noise-density", "0.2deg/sqrt(h)")
+    options = ("--bias", "0,0,0.1", *errors, "--start", "+1s")
+    summary = run("propagate", log, "-o", out, *options, "--plot", target).stderr
     words = " ".join(" ".join(Page(target.read_text()).words).split())
     for line in summary.splitlines():
         assert " ".join(line.split()) in words
     assert "first 2023-11-14 22:13:21 UTC" in words
     assert "max gap 10 median intervals start 1700000001000000000 ns Made from" in words
+    _, page = page_of("plot", out, "-o", target)
+    assert "as zyx angles (1 sigma shaded), t_ns clock" in " ".join(page.words)
 
 
 @pytest.mark.parametrize(
