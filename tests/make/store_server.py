@@ -18,18 +18,10 @@ DENIED = (
 
 
 class StoreServer:
-    """S3 on loopback.
+    """S3 on loopback, at `address`.
 
-    Attributes
-    ----------
-    address
-        Where it listens, ``http://127.0.0.1:PORT``.
-    sent
-        Bytes of all answers so far.
-    requests
-        Method and path of all requests so far.
-    drop_after
-        Connections are dropped after this many bytes of answers; None is never.
+    `sent` is the bytes of all answers so far, after `drop_after` of which connections are dropped,
+    and `requests` holds method and path of all requests.
     """
 
     def __init__(self):

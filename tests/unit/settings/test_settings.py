@@ -157,13 +157,15 @@ def test_a_series_may_be_a_folder(tmp_path, name):
     assert file_beside(name, "bag", tmp_path) == tmp_path / "bag"
 
 
-def test_words_of_settings_are_no_files(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "text"), [("bias", "static"), ("bias", "static:2s"), ("q0", "level"), ("q0", "log")]
+)
+def test_words_of_settings_are_no_files(tmp_path, monkeypatch, name, text):
     """Whatever lies there; they mean what they mean without it."""
     monkeypatch.chdir(tmp_path)
-    for name, text in (("bias", "static"), ("bias", "static:2s"), ("q0", "level"), ("q0", "log")):
-        (tmp_path / text).touch()
-        assert file_beside(name, text, tmp_path) is None
-        assert propagation_settings({name: text}).inputs == {}
+    (tmp_path / text).touch()
+    assert file_beside(name, text, tmp_path) is None
+    assert propagation_settings({name: text}).inputs == {}
 
 
 @pytest.mark.parametrize(
