@@ -5,7 +5,6 @@ It shares nothing with the code under test but the types that describe a message
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -18,13 +17,9 @@ if TYPE_CHECKING:
     from random import Random
 
 NAMES = {
-    "b1": "bool", "i1": "int8", "u1": "uint8", "i2": "int16", "u2": "uint16", "i4": "int32",
-    "u4": "uint32", "i8": "int64", "u8": "uint64", "f4": "float32", "f8": "float64",
-}  # fmt: skip
-FORMATS = {
-    "b1": "?", "i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q",
-    "u8": "Q", "f4": "f", "f8": "d",
-}  # fmt: skip
+    code: np.dtype(code).name
+    for code in ("b1", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8")
+}
 HEADERS = {
     ("ros1", "<", 1): b"",
     ("cdr", ">", 8): b"\0\0\0\0",
@@ -52,7 +47,7 @@ class Encoder:
         """Write a number at the next multiple of its size."""
         size = int(code[1:])
         self.out += bytes(-len(self.out) % min(size, self.largest))
-        self.out += struct.pack(self.order + FORMATS[code], value)
+        self.out += np.array(value, self.order + code).tobytes()
 
     def value(self, kind, value):
         """Write any value."""
@@ -89,9 +84,7 @@ def _random_number(code, source):
     if code == "b1":
         return source.random() < 0.5
     if code[0] == "f":
-        return struct.unpack(
-            "<" + FORMATS[code], struct.pack("<" + FORMATS[code], source.gauss(0, 9))
-        )[0]
+        return float(np.array(source.gauss(0, 9), code))
     low = -(1 << (8 * size - 1)) if code[0] == "i" else 0
     return source.randrange(low, low + (1 << (8 * size)))
 
@@ -118,11 +111,9 @@ def definition(root: Struct) -> str:
     """Return a type as a .msg definition with the types inside it."""
     inside: dict[str, Struct] = {}
     text = _lines(root, inside)
-    done: set[str] = set()
-    while todo := [name for name in inside if name not in done]:
-        for name in todo:
-            done.add(name)
-            text += "=" * 80 + f"\nMSG: {name}\n" + _lines(inside[name], inside)
+    for name in (names := list(inside)):
+        text += "=" * 80 + f"\nMSG: {name}\n" + _lines(inside[name], inside)
+        names += [new for new in inside if new not in names]
     return text
 
 
