@@ -133,10 +133,11 @@ def _spelled(kind, inside):
     return f"{_spelled(kind.element, inside)}[{length}]"
 
 
-def channel_of(root: Struct, encoding: str) -> Channel:
-    """Return a channel that carries a definition."""
+def channel_of(kind: Struct | str, encoding: str) -> Channel:
+    """Return a channel that carries a definition, of a type or as it is."""
     grammar = "ros1msg" if encoding == "ros1" else "ros2msg"
-    return Channel("/topic", root.name, encoding, grammar, definition(root).encode())
+    name, text = ("pkg/msg/T", kind) if isinstance(kind, str) else (kind.name, definition(kind))
+    return Channel("/topic", name, encoding, grammar, text.encode())
 
 
 def block_of(messages: list[bytes], gap=lambda _position: 0) -> MessageBlock:

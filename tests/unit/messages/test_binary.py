@@ -1,6 +1,7 @@
-"""Columns of messages are what a decoder of single messages finds."""
+"""Columns of binary messages are what a decoder of single messages finds, in every encoding."""
 
 import random
+import struct
 import time
 from dataclasses import fields, is_dataclass, replace
 
@@ -20,9 +21,12 @@ from make.messages_reference import (
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop.containers.topic_table import as_rows
-from quatprop.errors import MessageError
+from quatprop.errors import MessageError, SchemaError, UnsupportedLogError
 from quatprop.messages.binary import BinaryDecoder
+from quatprop.messages.blocks import Channel
 from quatprop.messages.columns import take_messages
+from quatprop.messages.decoders import decoder_of
+from quatprop.messages.definitions import message_type
 from quatprop.messages.schema import (
     Array,
     Primitive,
@@ -84,9 +88,9 @@ def cases(draw):
     return root, wanted, draw(st.sampled_from(ENCODINGS)), values, lambda _: source.randint(0, gaps)
 
 
-def decoder(root, encoding, wanted):
-    """Return what decodes fields of the messages of a type."""
-    return BinaryDecoder(channel_of(root, encoding[0]), wanted, "log")
+def decoder(kind, wanted, encoding="cdr"):
+    """Return what decodes fields of the messages of a type, or of a definition."""
+    return BinaryDecoder(channel_of(kind, encoding), wanted.split(), "log")
 
 
 @settings(max_examples=40)
@@ -95,10 +99,10 @@ def test_columns_are_the_values_that_were_encoded_and_what_rosbags_decodes(case)
     """Every wanted field of every message comes back, whatever varies before it."""
     root, wanted, encoding, values, gap = case
     messages = [Encoder(*encoding).message(root, value) for value in values]
-    columns = decoder(root, encoding, wanted).columns(block_of(messages, gap))
+    columns = decoder(root, " ".join(wanted), encoding[0]).columns(block_of(messages, gap))
     half = len(messages) // 2
     blocks = block_of(messages[:half]), block_of(messages[half:], gap)
-    parts = decoder(root, encoding, wanted).columns(*blocks)
+    parts = decoder(root, " ".join(wanted), encoding[0]).columns(*blocks)
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(definition(root), root.name))
     read = store.deserialize_ros1 if encoding[0] == "ros1" else store.deserialize_cdr
@@ -138,7 +142,7 @@ def test_a_message_cut_short_is_reported_or_not_needed(case, data):
     messages[victim] = messages[victim][: data.draw(st.integers(0, len(messages[victim])))]
     columns = []
     try:
-        columns = decoder(root, encoding, wanted).columns(block_of(messages))
+        columns = decoder(root, " ".join(wanted), encoding[0]).columns(block_of(messages))
     except MessageError as error:
         assert error.positions == (victim,)  # noqa: PT017
     for path, column in zip(wanted, columns, strict=False):
@@ -150,7 +154,7 @@ def test_a_message_is_long_enough_exactly_from_the_end_of_the_wanted_field_on():
     """One byte less than the wanted number is an error, and the number itself is enough."""
     root = Struct("pkg/msg/T", (("name", String()), ("x", Primitive("f8")), ("y", Primitive("f8"))))
     whole = Encoder("cdr", "<", 8).message(root, {"name": "ab", "x": 1.5, "y": 2.5})
-    columns = decoder(root, ("cdr",), ["x"]).columns
+    columns = decoder(root, "x").columns
     assert columns(block_of([whole[: 4 + 8 + 8], whole]))[0].tolist() == [1.5, 1.5]
     with pytest.raises(
         MessageError,
@@ -186,7 +190,7 @@ def test_a_count_of_four_billion_is_reported_at_once(element, encoding):
     bad = good[:header] + b"\xff\xff\xff\xff" + good[header + 4 :]
     began = time.perf_counter()
     with pytest.raises(MessageError) as caught:
-        decoder(root, encoding, ["x"]).columns(block_of([good, bad, good]))
+        decoder(root, "x", encoding[0]).columns(block_of([good, bad, good]))
     assert caught.value.positions == (1,)
     assert time.perf_counter() - began < 1.0
 
@@ -194,7 +198,7 @@ def test_a_count_of_four_billion_is_reported_at_once(element, encoding):
 def test_a_block_without_messages_gives_empty_columns_of_the_right_kind():
     """Types and shapes do not depend on there being a message."""
     root = Struct("pkg/msg/T", (("x", Array(Primitive("f4"), 3)), ("y", Primitive("u2"))))
-    columns = decoder(root, ("cdr",), ["x", "y"]).columns(block_of([]))
+    columns = decoder(root, "x y").columns(block_of([]))
     assert [(c.shape, c.dtype) for c in columns] == [((0, 3), np.float32), ((0,), np.uint16)]
 
 
@@ -204,7 +208,7 @@ def test_columns_do_not_change_with_the_buffer(gap):
     root = Struct("pkg/msg/T", (("x", Primitive("f8")),))
     block = block_of([Encoder("cdr", "<", 8).message(root, {"x": float(k)}) for k in range(5)], gap)
     data = block.data.copy()
-    (x,) = decoder(root, ("cdr",), ["x"]).columns(replace(block, data=data))
+    (x,) = decoder(root, "x").columns(replace(block, data=data))
     data[:] = 0
     assert x.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
 
@@ -213,3 +217,112 @@ def test_nans_that_signal_become_rows_without_a_warning():
     """A damaged float32 may be a NaN of which NumPy warns when it becomes float64."""
     signalling = np.array([0x7F800001, 0x3F800000], np.uint32).view(np.float32)
     np.testing.assert_array_equal(as_rows([signalling])[:2], [np.nan, 1.0])
+
+
+EMPTY = "std_msgs/Empty nothing\nuint8 x\n" + "=" * 80 + "\nMSG: std_msgs/Empty\n"
+PADDED = "S[3] s\nuint8 x\n" + "=" * 80 + "\nMSG: pkg/S\nuint8 a\nfloat64 b\nuint8 c\n"
+TIMES = struct.pack("<IIii", 3_000_000_000, 4_000_000_000, -2, -5)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "text", "message", "wanted", "values"),
+    [
+        # XCDR2 aligns numbers of eight bytes to four; earlier drafts gave it other identifiers.
+        ("cdr", "uint32 a\nfloat64 b", b"\0\7\0\0" + struct.pack("<Id", 1, 2.5), "b", [2.5]),
+        ("cdr", "uint32 a\nfloat64 b", b"\0\x11\0\0" + struct.pack("<Id", 1, 2.5), "b", [2.5]),
+        ("cdr", "uint32 a\nfloat64 b", b"\0\x10\0\0" + struct.pack(">Id", 1, 2.5), "b", [2.5]),
+        # The padding before eight-byte elements is there only where an element is.
+        ("cdr", "float64[] m\nint32 x", b"\0\1\0\0" + bytes(4) + b"\7\0\0\0", "x", [7]),
+        ("cdr", "float64[] m\nint32 x", b"\0\1\0\0\1" + bytes(15) + b"\7\0\0\0", "x", [7]),
+        # Elements are padded by where each begins: at 0, 17 and 33, their b at 8, 24 and 40.
+        ("cdr", PADDED, b"\0\1\0\0" + bytes(49) + b"\x2a", "x", [42]),
+        # An empty struct takes a byte in CDR and none in ROS 1.
+        ("cdr", EMPTY, b"\0\1\0\0\0\x2a", "x", [42]),
+        ("ros1", EMPTY, b"\x2a", "x", [42]),
+        # Stamps of ROS 1 after 2038 are not negative, and durations are signed.
+        ("ros1", "time t\nduration d", TIMES, "t.sec t.nanosec", [3_000_000_000, 4_000_000_000]),
+        ("ros1", "time t\nduration d", TIMES, "d.sec d.nanosec", [-2, -5]),
+        ("ros1", "bool[3] x", b"\0\1\x80", "x", [[False, True, True]]),
+    ],
+)
+def test_bytes_mean_what_the_specifications_say(encoding, text, message, wanted, values):
+    """The bytes are those of the specification, not of an encoder."""
+    columns = decoder(text, wanted, encoding).columns(block_of([message]))
+    assert [column.tolist() for column in columns] == [[value] for value in values]
+
+
+def test_messages_of_all_plain_encapsulations_in_one_block_come_back_in_order():
+    """Byte order and version are each message's own, and a short one is named by its place."""
+    parts = {"small": Primitive("u1"), "stamp": Primitive("u8"), "name": String(),
+             "flags": Sequence(Primitive("u2")), "many": Sequence(Primitive("f8")),
+             "rate": Array(Primitive("f8"), 3)}  # fmt: skip
+    mixed = Struct("pkg/msg/T", tuple(parts.items()))
+    values = [
+        {"small": k, "stamp": 1_000_000_007 * k, "name": "x" * (k % 5), "flags": [7] * (k % 3),
+         "many": [0.5] * (k % 2), "rate": [float(k), -float(k), k + 0.25]}
+        for k in range(40)
+    ]  # fmt: skip
+    forms = [("<", 8), (">", 8), ("<", 4), (">", 4)]
+    messages = [
+        Encoder("cdr", *forms[k * 7 % 4]).message(mixed, value) for k, value in enumerate(values)
+    ]
+    columns = decoder(mixed, "stamp rate").columns
+    stamp, rate = columns(block_of(messages))
+    assert stamp.tolist() == [value["stamp"] for value in values]
+    assert rate.tolist() == [value["rate"] for value in values]
+    messages[5] = messages[5][:-1]
+    with pytest.raises(MessageError) as caught:
+        columns(block_of(messages))
+    assert caught.value.positions == (5,)
+
+
+@pytest.mark.parametrize(
+    ("identifier", "form"),
+    [(b"\0\3", "0x0003"), (b"\0\x09", "0x0009"), (b"\x12\x34", "0x1234")],
+)
+def test_encapsulations_with_tags_are_refused(identifier, form):
+    """What is not decoded is never misread."""
+    columns = decoder("uint32 a", "a").columns
+    other, plain = identifier + b"\0\0\1\0\0\0", b"\0\1\0\0\1\0\0\0"
+    reason = (
+        f"^log: messages of topic '/topic' are encapsulated as {form}, which is not read; record "
+        "with plain CDR$"
+    )
+    for messages in ([other], [other, other]):
+        with pytest.raises(UnsupportedLogError, match=reason):
+            columns(block_of(messages))
+    for messages in ([plain, other, plain], [other, plain, other], [other, plain, b""]):
+        with pytest.raises(MessageError, match=reason) as raised:
+            columns(block_of(messages))
+        assert raised.value.positions == tuple(k for k, one in enumerate(messages) if one == other)
+
+
+def test_collections_of_strings_are_refused_in_XCDR2_only():
+    """Writers disagree on whether XCDR2 says their size first."""
+    root = Struct("pkg/msg/T", (("names", Sequence(String())), ("x", Primitive("f8"))))
+    columns = decoder(root, "x").columns
+    value = {"names": ["a", "bcd"], "x": 4.0}
+    (x,) = columns(block_of([Encoder("cdr", ">", 8).message(root, value)]))
+    assert x.tolist() == [4.0]
+    with pytest.raises(SchemaError, match=r"^log: topic '/topic': a collection of strings or "):
+        columns(block_of([Encoder("cdr", ">", 4).message(root, value)]))
+
+
+@pytest.mark.parametrize("encoding", ["flatbuffer", "msgpack", ""])
+def test_other_encodings_are_refused_with_the_topic(encoding):
+    """The error says what is read instead."""
+    with pytest.raises(
+        UnsupportedLogError,
+        match=f"^log: topic '/t' is encoded as '{encoding}'; this version reads 'cdr', 'ros1', ",
+    ):
+        decoder_of(Channel("/t", "pkg/msg/T", encoding), ["x"], "log")
+
+
+def test_messages_of_which_nothing_is_known_are_refused():
+    """No file with definitions could help where there is no type."""
+    with pytest.raises(SchemaError) as caught:
+        message_type(Channel("/t", "", "msgpack"), "log")
+    assert str(caught.value) == (
+        "log: topic '/t': the log does not say what its messages are, which are encoded as "
+        "'msgpack'; export them as CSV with a program that knows it"
+    )
