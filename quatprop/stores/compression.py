@@ -119,12 +119,15 @@ def _decompress_lz4(data: Buffer, size: int) -> bytes:
     # lz4.frame.decompress creates a context for every call and trusts the size in the frame.
     import lz4.frame
 
-    lz4.frame.reset_decompression_context(_contexts.lz4)
-    result, consumed, ended = lz4.frame.decompress_chunk(_contexts.lz4, data, max_length=size)
+    context = _contexts.lz4
+    # The size that a damaged frame declares would be held against the next one: no reset clears it.
+    del _contexts.lz4
+    result, consumed, ended = lz4.frame.decompress_chunk(context, data, max_length=size)
     if consumed != len(data):
         raise _holds_more(size)
     if not ended:
         raise EOFError
+    _contexts.lz4 = context
     return bytes(result)
 
 

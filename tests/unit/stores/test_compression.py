@@ -93,6 +93,15 @@ def test_the_size_in_a_frame_of_zstd_may_be_absent_or_a_lie():
         decompress(frame, "zstd", 100)
 
 
+@pytest.mark.parametrize("damage", [slice(-9), slice(100), slice(1, None)])
+def test_a_damaged_frame_of_lz4_does_no_harm_to_the_next(damage):
+    """The size that it declared was held against the next one, if that declared none."""
+    packed, good = lz4.frame.compress(TEXT), lz4.frame.compress(TEXT[:99], store_size=False)
+    with pytest.raises(UnreadableDataError):
+        decompress(packed[damage], "lz4", len(TEXT))
+    assert decompress(good, "lz4", 99) == TEXT[:99]
+
+
 @pytest.mark.parametrize("compression", ["lz4", "zstd", "bz2"])
 def test_a_bomb_of_undeclared_size_is_refused_at_the_limit(monkeypatch, compression):
     """Data without declared size stops growing at the limit."""
