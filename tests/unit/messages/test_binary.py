@@ -188,11 +188,11 @@ def test_a_count_of_four_billion_is_reported_at_once(element, encoding):
     good = Encoder(*encoding).message(root, {"many": [], "x": 1.0})
     header = 0 if encoding[0] == "ros1" else 4
     bad = good[:header] + b"\xff\xff\xff\xff" + good[header + 4 :]
-    began = time.perf_counter()
+    began = time.process_time()
     with pytest.raises(MessageError) as caught:
         decoder(root, "x", encoding[0]).columns(block_of([good, bad, good]))
     assert caught.value.positions == (1,)
-    assert time.perf_counter() - began < 1.0
+    assert time.process_time() - began < 1.0
 
 
 def test_a_block_without_messages_gives_empty_columns_of_the_right_kind():
