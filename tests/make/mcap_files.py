@@ -20,11 +20,15 @@ class Topic(NamedTuple):
 
 
 def write_topics(path, topics, *, spacing_ns=1000, profile="", **options):
-    """Write topics by their names, message after message; return the path."""
+    """Write topics by their names, message after message; return the path.
+
+    Pairs instead of a dictionary may have a name twice, of a topic with two definitions.
+    """
+    pairs = topics.items() if isinstance(topics, dict) else topics
     with path.open("wb") as stream:
         writer = Writer(stream, **options)
         writer.start(profile)
-        for name, topic in topics.items():
+        for name, topic in pairs:
             schema = (
                 writer.register_schema(topic.type_name, topic.schema_encoding, topic.definition)
                 if topic.type_name

@@ -11,7 +11,6 @@ from make.json_messages import imu
 from make.mcap_files import Topic, write_topics
 from make.messages_reference import block_of
 from make.reading import found_in, mark, rates
-from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from quatprop.errors import (
@@ -341,19 +340,12 @@ def test_a_topic_in_an_encoding_that_is_not_read_is_listed_with_it(tmp_path, top
 
 def test_definitions_with_and_without_a_stamp_are_not_mixed(tmp_path):
     """The stamps of one topic are of one clock."""
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        for number, name in enumerate(("sensor_msgs/Imu", "sensor_msgs/msg/Imu")):
-            schema = writer.register_schema(name, "jsonschema", b"{}")
-            channel = writer.register_channel("/imu", "json", schema)
-            for k in range(number, 20, 2):
-                message = imu(k, stamp={"sec": 1, "nanosec": k})
-                if number:
-                    del message["header"]
-                writer.add_message(channel, k * 1000, json.dumps(message).encode(), 0)
-        writer.finish()
+    messages = [(k * 1000, imu(k, stamp={"sec": 1, "nanosec": k})) for k in range(20)]
+    for _, message in messages[1::2]:
+        del message["header"]
+    types = {"sensor_msgs/Imu": messages[::2], "sensor_msgs/msg/Imu": messages[1::2]}
+    topics = [("/imu", Topic(name, half)) for name, half in types.items()]
+    path = write_topics(tmp_path / "log.mcap", topics)
     with pytest.raises(UnsupportedLogError) as raised:
         read(path)
     assert str(raised.value) == (

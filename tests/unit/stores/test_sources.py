@@ -20,7 +20,6 @@ from make.places import SAMPLE_LOGS
 from make.reading import rates
 from make.ulog import added, gyro, write
 from mcap.reader import make_reader
-from mcap.writer import Writer
 from scipy.io import savemat
 
 from quatprop import read_rates
@@ -266,17 +265,15 @@ def test_a_topic_with_two_definitions_is_read_by_both(tmp_path, monkeypatch):
     longer = schema.data.replace(b"float64[9] orientation_cov", b"float64[10] orientation_cov")
     assert longer != schema.data
     at = messages[0][2].data.index(struct.pack("<d", expected.rate[0, 0]))
-    with other.open("wb") as file:
-        writer = Writer(file)
-        writer.start("ros2", "")
-        ids = []
-        for text in (schema.data, longer):
-            id_ = writer.register_schema(schema.name, "ros2msg", text)
-            ids.append(writer.register_channel("/imu", "cdr", id_))
-        for k, (_, _, message) in enumerate(messages):
-            data = message.data[:at] + k % 2 * bytes(8) + message.data[at:]
-            writer.add_message(ids[k % 2], message.log_time, data, message.publish_time)
-        writer.finish()
+    timed = [
+        (message.log_time, message.data[:at] + k % 2 * bytes(8) + message.data[at:])
+        for k, (_, _, message) in enumerate(messages)
+    ]
+    halves = {schema.data: timed[::2], longer: timed[1::2]}
+    topics = [
+        ("/imu", Topic(schema.name, half, text, "ros2msg", "cdr")) for text, half in halves.items()
+    ]
+    write_topics(other, topics, profile="ros2")
     recorded = "topic '/imu' was recorded with 2 different message definitions, "
     with pytest.warns(RemarkWarning, match=recorded + "each of which was read by its own"):
         found = read_rates(other)
