@@ -137,8 +137,7 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
 
         Chunks are read and decompressed ahead, in threads.
         """
-        mixed = [self.is_mixed(chunk) for chunk in chunks]
-        wanted = [*zip(chunks, mixed, strict=True)]
+        wanted = [(chunk, self.is_mixed(chunk)) for chunk in chunks]
         ranges = [
             each for chunk, is_mixed in wanted for each in self.expected(chunk, is_mixed=is_mixed)
         ]

@@ -84,9 +84,9 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
     meaning = meaning_of(table.path, selection, recorded)
     positions = beside(match, "position")
     signal = AttitudeSignal(
-        name=table.name or match.found.field,
+        name=table.name or match.field,
         type_name=table.type or row.name,
-        field=match.found.field,
+        field=match.field,
         clock=match.stamp.clock,
         remarks=match.remarks,
         match=match,
