@@ -10,13 +10,13 @@ instead. That is not integrated again: about a fixed axis it is the rotation vec
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.cubic import cross, curvature, curvature_of_averages
-from quatprop.settings import FRAMES
+from quatprop.settings import FRAMES, METHODS
 from quatprop.text import listed, quoted
 from quatprop.times import NS_PER_S
 
@@ -55,13 +55,7 @@ def _coning(before: Float64, after: Float64, dt: Float64) -> Float64:
     return rotvec
 
 
-METHODS: Final[dict[str, Rule]] = {
-    "start": _start,
-    "end": _end,
-    "mean": _mean,
-    "coning": _coning,
-    "cubic": _coning,
-}
+_RULES = dict(zip(METHODS, (_start, _end, _mean, _coning, _coning), strict=True))
 """Integration rules. They take the rates at the start and at the end of intervals, ``(3, M)``,
 rad/s, and their lengths, ``(M,)``, s, and return rotation vectors, ``(3, M)``, rad. To that of
 ``cubic``, :mod:`quatprop.kinematics.cubic` adds what the neighbouring samples say."""
@@ -81,7 +75,7 @@ def integration_rule(method: str) -> Rule:
     """Return the function of a method."""
     if method not in METHODS:
         raise UsageError(f"there is no method {quoted(method)}; choose one of {listed(METHODS)}")
-    return METHODS[method]
+    return _RULES[method]
 
 
 def rotation_vectors(
@@ -98,7 +92,7 @@ def rotation_vectors(
         stamp is too large to be exact
     `rate`: angular rates, shape ``(N, 3)``, rad/s, resolved in the body frame. For rates w resolved
         in the inertial frame, -w are body rates of the reference as seen from the body
-    `method`: a key of :data:`METHODS`: ``"start"``, the rate from k to k + 1 is that of sample k;
+    `method`: one of :data:`METHODS`: ``"start"``, the rate from k to k + 1 is that of sample k;
         ``"end"``, that of sample k + 1; ``"mean"``, the average of the two; ``"coning"``, linear
         between the two, mean dt + dt^2/12 w_k x w_k+1: of fourth order where the rate is linear, of
         second order elsewhere; ``"cubic"``, a cubic through the samples k - 1 to k + 2, of fourth

@@ -113,7 +113,7 @@ class Propagation(_Composition):
     """Propagates a stream of rates to attitudes.
 
     `q0`: attitude body -> reference at the first sample, wxyz, shape ``(4,)``; it is normalised
-    `method`: integration rule: a key of :data:`quatprop.kinematics.increments.METHODS`
+    `method`: integration rule: one of :data:`quatprop.settings.METHODS`
     `rates`: the frame in which the rates are resolved: ``"body"`` multiplies on the right, q[k+1] =
         q[k] dq[k]; ``"inertial"`` multiplies on the left, q[k+1] = dq[k] q[k]
 

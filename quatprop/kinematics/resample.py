@@ -13,7 +13,7 @@ import numpy as np
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.cubic import Curvature, curvature, curvature_of_averages
-from quatprop.kinematics.increments import METHODS
+from quatprop.kinematics.increments import integration_rule
 from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotate
 from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.series import AttitudeSeries, GyroSeries
@@ -232,7 +232,7 @@ def _between(
         # An increment may have been integrated over more or less time than there is between stamps.
         if gyro.integration_time_ns is not None:
             elapsed = fraction * (gyro.integration_time_ns[after] / NS_PER_S)
-        rotvec = METHODS["end"](first, second, elapsed)
+        rotvec = integration_rule("end")(first, second, elapsed)
         if curvature is not None:
             rotvec += curvature.rotation_of_averages(second, elapsed)
     else:
@@ -241,7 +241,7 @@ def _between(
             second = first + fraction * (second - first)
         if curvature is not None:
             second += curvature.rate(elapsed)
-        rotvec = METHODS[method](first, second, elapsed)
+        rotvec = integration_rule(method)(first, second, elapsed)
         if curvature is not None:
             rotvec += curvature.rotation(elapsed)
     attitudes = multiply(wxyz[before], exp(rotvec.T))

@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 class PropagationSettings:
     """Everything that determines the attitudes of a log.
 
-    `kind`: a key of :data:`quatprop.logs.kinds.READERS`; None: told by its content,
+    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: told by its content,
         then by its suffix
     `policy`: how irregular timestamps are handled
-    `method`: integration rule: a key of :data:`quatprop.kinematics.increments.METHODS`; None: what
+    `method`: integration rule: one of :data:`quatprop.settings.METHODS`; None: what
         the log says of its samples, or else ``"start"``
     `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved
     `q0`: attitude body -> reference at the first sample, or where to take it from

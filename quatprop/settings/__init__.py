@@ -30,13 +30,8 @@ from quatprop.settings.parsers import (
     text,
 )
 from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES, RATIOS, quantity_of
+from quatprop.stores.kinds import READERS
 from quatprop.text import Setting
-
-KINDS = (
-    *("mcap", "bag", "db3", "rosbag2", "ulog"),
-    *("parquet", "feather", "npy", "npz", "hdf5", "matlab", "jsonl", "tum", "kitti", "csv"),
-)
-"""The keys of :data:`quatprop.logs.kinds.READERS`."""
 
 LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
 RATE_UNITS = ("rad/s", "deg/s")
@@ -63,7 +58,7 @@ class SelectOptions(TypedDict, total=False):
 
     # fmt: off
     kind: Annotated[str | None, Keyword(
-        Choice(*KINDS), "Kind of {log}.", "told by its content, then by its suffix", takes="KIND")]
+        Choice(*READERS), "Kind of {log}.", "told by its content, then by its suffix", "KIND")]
     topic: Annotated[str | None, Keyword(
         text, "Topic of {log}.", "the only one with {signal}", "NAME", common=True)]
     msg_path: Annotated[str | PathLike[str] | None, Keyword(

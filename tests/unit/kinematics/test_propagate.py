@@ -13,12 +13,12 @@ from make import oracle
 from make.streams import propagated
 
 from quatprop.errors import SeriesError, UsageError
-from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.product import PADDING
 from quatprop.kinematics.propagate import TILE, FinalAttitude, Propagation, attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK, reblock
+from quatprop.settings import METHODS
 
 SECOND = 1_000_000_000
 Z_AXIS = np.array([0.0, 0.0, 1.0])
@@ -399,7 +399,7 @@ def test_wider_registers_give_the_same_bytes():
     program = """
 import hashlib
 import numpy as np
-from quatprop.kinematics.increments import METHODS
+from quatprop.settings import METHODS
 from quatprop.kinematics.propagate import attitudes
 
 rate = np.random.default_rng(1).normal(0, 3, (20_000, 3))

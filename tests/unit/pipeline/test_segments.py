@@ -8,7 +8,6 @@ import pytest
 
 from quatprop import propagate
 from quatprop.errors import RemarkWarning, TimelineError, UsageError
-from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.propagate import Propagation, attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.pipeline.job import Job, run
@@ -16,6 +15,7 @@ from quatprop.pipeline.segments import Segments
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK
+from quatprop.settings import METHODS
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Policy
 
