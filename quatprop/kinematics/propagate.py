@@ -105,8 +105,7 @@ class _Composition:
                 is_interval_average=samples.is_interval_average,
             )
             yield slice(start, stop), tile_steps(rotvec[first - 1 :][: stop - start])
-        last = GyroSeries.joined([previous, series[-2:]])
-        self._previous = last[np.arange(len(last))[-2:]]
+        self._previous = GyroSeries.joined([previous, series[-2:]])[-2:]
 
 
 class Propagation(_Composition):

@@ -197,8 +197,9 @@ def build_index(source: FileSource) -> McapIndex:
         index.define(opcode, content, place, id_offset)
     read_definitions(source, index, is_complete=summary.is_complete, is_closed=footer is not None)
     for chunk in index.chunks:
-        for id_ in chunk.local_ids([id_ for id_ in chunk.ids if id_ not in index.channels]):
-            index.losses.note(f"channel {id_}", UNDEFINED, chunk.count(id_), chunk.start)
+        for id_ in chunk.message_index_offsets or ():
+            if chunk.id_offset + id_ not in index.channels:
+                index.losses.note(f"channel {id_}", UNDEFINED, chunk.count(id_), chunk.start)
     return index
 
 
