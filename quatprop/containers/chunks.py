@@ -7,7 +7,7 @@ from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
-from quatprop.concurrency.threads import Deferred, prefetch
+from quatprop.concurrency.threads import prefetch
 from quatprop.containers.topics import TopicLog
 from quatprop.errors import UnreadableLogError, os_reason
 from quatprop.messages.blocks import Channel, MessageBlock
@@ -188,9 +188,11 @@ def load_ahead(
     Each has memory of its own, as long as what was read of it.
     """
 
-    def load_group(group: tuple[list[Item], bool]) -> list[Content] | Deferred[list[Content]]:
+    def load_group(group: tuple[list[Item], bool]) -> Iterable[Content]:
         chunks, is_large = group
-        return Deferred(lambda: [*map(load, chunks)]) if is_large else [*map(load, chunks)]
+        loaded = map(load, chunks)
+        # What is large is loaded when it is its turn.
+        return loaded if is_large else [*loaded]
 
     with closing(prefetch(load_group, in_groups(sized))) as groups:
         for group in groups:

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
     from quatprop.stores.file_source import FileSource
 
+_CLAMPED = "log times after the year 2262 do not fit int64 ns and are read as the last that does"
+
 
 class McapLog(ChunkedLog[Chunk]):
     """An MCAP file; see :class:`quatprop.containers.base.MessageLog`.
@@ -156,11 +158,8 @@ class McapLog(ChunkedLog[Chunk]):
             raise self.unreadable(error) from error
 
     def _remark_on_clamped(self, block: MessageBlock) -> None:
-        remark = (
-            "log times after the year 2262 do not fit int64 ns and are read as the last that does"
-        )
-        if block.log_ns.max() == LATEST and remark not in self.remarks:
-            self.remarks = [*self.remarks, remark]
+        if block.log_ns.max() == LATEST and _CLAMPED not in self.remarks:
+            self.remarks = [*self.remarks, _CLAMPED]
 
     def _check_count(self, topic: str, ids: Sequence[int], count: int) -> None:
         """Note a loss if the file states more messages than were read or lost."""
