@@ -77,21 +77,17 @@ class ChunkedLog(TopicLog, Generic[Chunk]):
     def read(self, channel: Channel, chunks: Sequence[Chunk]) -> Iterator[MessageBlock]:
         """Yield the messages of one channel in some chunks."""
 
-    def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
+    def blocks(self, channel: Channel, within: TimeRange | None = None) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, chunk after chunk in order of their first times.
 
         Only chunks that hold the channel are read, and none is kept, so memory use does not grow
         with the file.
         """
-        return self.read(channel, self.chunks_of(channel))
+        return self.read(channel, parts_within(self.chunks_of(channel), within))
 
     def recorded_span(self, channel: Channel) -> TimeRange | None:
         """Return when a channel was recorded; None where the file has no index of chunks."""
         return span_of(self.chunks_of(channel))
-
-    def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
-        """Yield the messages of the chunks that overlap a range of log times."""
-        return self.read(channel, parts_within(self.chunks_of(channel), within))
 
     def close(self) -> None:
         """Close the file."""
@@ -175,8 +171,10 @@ def span_of(parts: Sequence[TimedPart]) -> TimeRange | None:
     return TimeRange(parts[0].first_ns, max(last))
 
 
-def parts_within(parts: Sequence[Chunk], within: TimeRange) -> list[Chunk]:
-    """Return the parts that overlap a range, or may."""
+def parts_within(parts: Sequence[Chunk], within: TimeRange | None) -> Sequence[Chunk]:
+    """Return the parts that overlap a range, or may; None is any time."""
+    if within is None:
+        return parts
     return [p for p in parts if p.last_ns is None or within.overlaps(p.first_ns, p.last_ns)]
 
 

@@ -175,7 +175,7 @@ class TopicTable(Table):
         self.first = None
         decode = self.decoder([stamp], groups)
         if isinstance(within, TimeRange):
-            blocks = with_progress(self.log.blocks_within(self.channel, within), None)
+            blocks = with_progress(self.log.blocks(self.channel, within), None)
         else:
             blocks = with_progress(iter(self.blocks), self.channel.count)
         together = decoded_together(blocks)

@@ -129,9 +129,7 @@ class McapReader(ChunkReader[Chunk, Loaded]):
             self.unchecked.add(chunk.start)
             return selected.block
         index = index_of(self.source, chunk)
-        every = indexed_offsets(index, chunk)
-        has_others = not {*(chunk.message_index_offsets or ())} <= {*ids}
-        listed = indexed_offsets(index, chunk, ids) if has_others else every
+        every, listed = indexed_offsets(index, chunk), indexed_offsets(index, chunk, ids)
         messages = None if every is None else messages_at(data, every)
         walked = walk_records(data, stop_at={MESSAGE})
         # Among other records there may be messages that no index lists.
