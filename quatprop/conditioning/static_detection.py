@@ -154,7 +154,7 @@ def _quiet_rates(rates: WindowSums) -> Intp:
             f"more than the bias of a gyroscope: the body turns; give {Setting('bias', 'X,Y,Z')}"
         )
     windows = windows[slow]
-    return np.asarray(windows[_quiet(rates, windows, QUIET)])
+    return np.asarray(windows[_quiet(rates[windows], scatter[slow], QUIET)])
 
 
 def _quiet_forces(forces: WindowSums, windows: Intp, size: float) -> Intp:
@@ -167,16 +167,15 @@ def _quiet_forces(forces: WindowSums, windows: Intp, size: float) -> Intp:
             f"{np.nanmin(scatter) / size:.0%}: the body moves)"
         )
     windows = windows[steady]
-    return np.asarray(windows[_quiet(forces, windows, FORCE_QUIET * size)])
+    return np.asarray(windows[_quiet(forces[windows], scatter[steady], FORCE_QUIET * size)])
 
 
-def _quiet(signal: WindowSums, windows: Intp, floor: float) -> Bool:
+def _quiet(windows: WindowSums, scatter: Float64, floor: float) -> Bool:
     """Return which of some windows scatter about as little as the quietest pair of neighbours."""
-    scatter = scatter_of(signal[windows])
-    pairs = np.maximum(scatter[1:], scatter[:-1])[np.diff(signal["index"][windows]) == 1]
+    pairs = np.maximum(scatter[1:], scatter[:-1])[np.diff(windows["index"]) == 1]
     quietest = float(min(pairs, default=scatter.min()))
     # The scatter of few samples may be large or small by chance.
-    by_chance = 2 / np.sqrt(6 * (signal["count"][windows] - 1))
+    by_chance = 2 / np.sqrt(6 * (windows["count"] - 1))
     return np.asarray(scatter * (1 - by_chance) <= max(floor, REST_FACTOR * quietest))
 
 

@@ -29,6 +29,7 @@ from quatprop.messages.blocks import Channel
 from quatprop.messages.json import JsonDecoder
 from quatprop.messages.times import to_ns
 from quatprop.messages.values import ValueDecoder
+from quatprop.pipeline.plausibility import frame_remarks
 from quatprop.series import GyroSeries
 from quatprop.settings.selection import RateSelection
 
@@ -193,9 +194,6 @@ def test_the_order_of_parts_is_that_of_their_names():
     sample = {"w": {"z": 3, "y": 2, "x": 1}}
     (rate,) = JsonDecoder(channel_of(sample), ["w"], "log").columns(encoded([sample]))
     assert rate.tolist() == [[1, 2, 3]]
-    angles = {"w": {"roll": 3, "pitch": 2, "yaw": 1}}
-    with pytest.raises(SchemaError, match=r"'w' of .* has parts without a defined order; name"):
-        JsonDecoder(channel_of(angles), ["w"], "log")
 
 
 def test_line_breaks_within_a_message_are_blanks():
@@ -436,6 +434,49 @@ def test_numbers_beyond_the_decimals_of_columns_are_read_one_by_one(number):
     raw = b'{"t": %s}' % number.encode()
     (found,) = JsonDecoder(channel_of({"t": 1.5}), ["t"], "log").columns(encoded([raw, raw]))
     assert found.tolist() == [Decimal(number)] * 2
+
+
+def test_several_sensors_on_one_topic_are_remarked_on(tmp_path):
+    """Frames that differ were said of binary messages alone."""
+    frames, said = ("left", "right", "left"), []
+    for name, chosen in {"one": frames[:1], "two": frames}.items():
+        messages = [imu(k, stamp={"sec": 1, "nanosec": k}) for k in range(30)]
+        for k, message in enumerate(messages):
+            message["header"]["frame_id"] = chosen[k % len(chosen)]
+        del messages[3]["header"]["frame_id"]
+        path = write(tmp_path / f"{name}.mcap", {"/imu": ("sensor_msgs/Imu", messages)})
+        with open_log(path) as log:
+            said.append(frame_remarks(choose_rates(log, RateSelection())))
+    first, (second,) = said
+    assert first == []
+    assert second.startswith("its messages are in several frames, 'left', 'right': if they are ")
+
+
+def test_a_field_whose_name_has_blanks_can_be_named(tmp_path):
+    """Keys of JSON are any text, and those with blanks or signs were refused as no field path."""
+    turn = {"x (deg/s)": 1, "y (deg/s)": 2, "z (deg/s)": 3}
+    raw = [{"My IMU": {"Body-Rate": {"x": 1, "y": 2, "z": 3}, "turn": turn}, "time (us)": k}
+           for k in (5, 6)]  # fmt: skip
+    path = write(tmp_path / "log.mcap", {"/gyro": ("", raw)})
+    stamp = {"time_field": "time (us)", "time_unit": "us"}
+    axes = ", ".join(f"My IMU.turn.{name}" for name in turn)
+    for field, factor in (("My IMU.Body-Rate", 1), ("my_imu.body_rate", 1), (axes, np.pi / 180)):
+        unit = "rad/s" if factor == 1 else None
+        series, losses = read(path, rate_field=field, rate_unit=unit, **stamp)
+        np.testing.assert_allclose(series.rate, np.array([[1, 2, 3]] * 2) * factor, rtol=1e-15)
+        assert (series.t_ns.tolist(), losses) == ([5000, 6000], [])
+
+
+def test_the_numbers_of_an_object_without_an_order_can_be_named(tmp_path):
+    """They were refused with the advice to name them, also where they were named."""
+    turn = {"pitch": 2, "roll": 1, "yaw": 3}
+    path = write(tmp_path / "log.mcap", {"/gyro": ("", [{"imu": {"turn": turn}}] * 2)})
+    options = {"rate_unit": "rad/s", "clock": "log"}
+    for names, rate in {("roll", "pitch", "yaw"): [1, 2, 3], tuple(turn): [2, 1, 3]}.items():
+        field = ",".join(f"imu.turn.{name}" for name in names)
+        assert read(path, rate_field=field, **options)[0].rate.tolist() == [rate] * 2
+    with pytest.raises(SchemaError, match="is not three numbers; name a field of x, y, z or three"):
+        read(path, rate_field="imu.turn", **options)
 
 
 def test_an_orientation_in_JSON_is_read_by_the_names_of_its_parts():

@@ -233,7 +233,7 @@ def test_types_that_multiply_by_sharing_are_refused_in_no_time():
         ("a..b", None),
         ("a[x]", None),
         ("a.", None),
-        ("a b", None),
+        ("a b.c-d", ("a b", "c-d")),
         ("a[1]b", None),
     ],
 )
@@ -245,7 +245,7 @@ def test_field_paths_are_names_with_dots_and_indices(text, way):
 @pytest.mark.parametrize(
     ("path", "reason"),
     [
-        ("a b", "'a b' is not a field path; write it as a.b.c or a[0].b"),
+        ("a..b", "'a..b' is not a field path; write it as a.b.c or a[0].b"),
         (
             "angular_velocity.w",
             (
