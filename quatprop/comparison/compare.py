@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 ROUNDING = 1e-14
 """Difference from unit length below which quaternions are compared as they are, without a copy."""
 
+FLOOR_SHARE = 0.1
+"""Share of the tolerance above which errors of the interpolation are remarked on."""
+
 SMALL_ERROR = 0.5
 """Error, rad, below which it makes sense to compare the signs of quaternions."""
 
@@ -90,6 +93,11 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
     remarks = [*remarks]
     window = sigmas = None
     if pairs is not None:
+        if pairs.floor_rad > FLOOR_SHARE * settings.limit_rad:
+            remarks.append(
+                f"attitudes were interpolated between samples, which may cause errors up to "
+                f"{math.degrees(pairs.floor_rad):.3g} deg: the motion is fast for their spacing"
+            )
         if settings.window:
             window = window_statistics(pairs, measured.alignment, settings.window)
         sigmas = sigma_statistics(a, b, pairs, measured.alignment)

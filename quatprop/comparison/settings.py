@@ -18,7 +18,7 @@ BY_ALL = {"mean", "mount"}
 """Alignments by all pairs: the error of a steady drift falls to its middle, and then rises."""
 
 MATCHES = ("exact", "nearest", "interpolate")
-"""How attitudes are matched in time: equal stamps, the nearest sample, slerp."""
+"""How attitudes are matched in time: equal stamps, the nearest sample, interpolation."""
 
 DEG_H_PER_UNIT = {"deg/h": 1.0, "deg/s": 3600.0, "rad/s": 3600 * 180 / math.pi}
 """deg/h in each unit of a drift."""
@@ -170,7 +170,7 @@ class CompareOptions(TypedDict, total=False):
         "angular speeds.", takes="DUR|auto", group="Alignment", common=True)]
     match: Annotated[str | None, Keyword(
         Choice(*MATCHES), "How attitudes are matched: equal stamps, the nearest, or interpolated "
-        "ones (slerp), at the stamps of the series with the longer intervals.", f"exact where at "
+        "ones, at the stamps of the series with the longer intervals.", f"exact where at "
         f"least half have equal stamps, else nearest if there is {Setting('max_dt')}, else "
         f"interpolate", group="Alignment")]
     max_dt: Annotated[int | str | None, Keyword(

@@ -119,7 +119,7 @@ def quintic(t_ns: Int64, rate: Float64, gap_ns: int | None = None) -> Quintic:
     `gap_ns`: intervals longer than this are gaps; None: none is
     """
     steps = np.diff(t_ns)
-    return _through(t_ns, np.ascontiguousarray(rate), _Windows.over(steps, steps, gap_ns))
+    return _through(t_ns, np.ascontiguousarray(rate), windows_over(steps, steps, gap_ns))
 
 
 def quintic_of_averages(
@@ -141,45 +141,47 @@ def quintic_of_averages(
         lengths = np.where(steps > 0, integration_time_ns[1:], 0)
     nodes_ns = np.concatenate([[0], np.cumsum(lengths)])
     average = np.ascontiguousarray(rate[:, 1:])
-    return _through(nodes_ns, average, _Windows.over(steps, lengths, gap_ns), is_integral=True)
+    return _through(nodes_ns, average, windows_over(steps, lengths, gap_ns), is_integral=True)
 
 
-class _Windows(NamedTuple):
+class Windows(NamedTuple):
     """Where the six samples of each interval begin, and whether there are six, ``(M,)``."""
 
     start: Intp
     usable: Bool
 
-    @classmethod
-    def over(cls, steps: Int64, lengths: Int64, gap_ns: int | None) -> _Windows:
-        """Choose samples whose spacing is alike, as many on both sides if possible.
 
-        `steps`: between stamps, ns
-        `lengths`: of the intervals, ns
-        """
-        first, count = np.arange(len(steps)), len(steps) - BEFORE + 1
-        if count < 1:
-            return cls(np.zeros(len(steps), np.intp), np.zeros(len(steps), np.bool_))
-        windows = np.lib.stride_tricks.sliding_window_view
-        shortest, longest = _over_windows(np.minimum, lengths), _over_windows(np.maximum, lengths)
-        whole = shortest > 0
-        if gap_ns is not None:
-            whole &= _over_windows(np.maximum, steps) <= gap_ns
-        if lengths is not steps:
-            # Where a message was lost, a rotation is missing before the one that follows.
-            follows = steps <= MAX_SPAN_RATIO * lengths
-            whole &= windows(follows, BEFORE)[:, 1:].all(axis=1)
-        alike = whole & (longest <= MAX_RATIO * shortest)
-        even = alike & (longest <= MAX_RATIO_ONE_SIDED * shortest)
-        if even.all():
-            return cls(np.clip(first - CENTRED, 0, count - 1), np.ones(len(steps), np.bool_))
-        start = np.full(len(steps), -1)
-        for before in (0, 4, 1, 3, CENTRED):  # the best last
-            begin = first - before
-            fits = (alike if before == CENTRED else even)[np.clip(begin, 0, count - 1)]
-            fits &= (begin >= 0) & (begin < count)
-            start[fits] = begin[fits]
-        return cls(np.maximum(start, 0), start >= 0)
+def windows_over(steps: Int64, lengths: Int64, gap_ns: int | None = None) -> Windows:
+    """Choose samples whose spacing is alike, as many on both sides if possible.
+
+    `steps`: between stamps, ``(M,)``, ns
+    `lengths`: of the intervals, which may be other than the steps, ``(M,)``, ns
+    `gap_ns`: steps longer than this are gaps; None: none is
+    """
+    first, count = np.arange(len(steps)), len(steps) - BEFORE + 1
+    if count < 1:
+        return Windows(np.zeros(len(steps), np.intp), np.zeros(len(steps), np.bool_))
+    shortest, longest = _over_windows(np.minimum, lengths), _over_windows(np.maximum, lengths)
+    whole = shortest > 0
+    if gap_ns is not None:
+        whole &= _over_windows(np.maximum, steps) <= gap_ns
+    if lengths is not steps:
+        # Where a message was lost, a rotation is missing before the one that follows.
+        follows = np.lib.stride_tricks.sliding_window_view(
+            steps <= MAX_SPAN_RATIO * lengths, BEFORE
+        )
+        whole &= follows[:, 1:].all(axis=1)
+    alike = whole & (longest <= MAX_RATIO * shortest)
+    even = alike & (longest <= MAX_RATIO_ONE_SIDED * shortest)
+    if even.all():
+        return Windows(np.clip(first - CENTRED, 0, count - 1), np.ones(len(steps), np.bool_))
+    start = np.full(len(steps), -1)
+    for before in (0, 4, 1, 3, CENTRED):  # the best last
+        begin = first - before
+        fits = (alike if before == CENTRED else even)[np.clip(begin, 0, count - 1)]
+        fits &= (begin >= 0) & (begin < count)
+        start[fits] = begin[fits]
+    return Windows(np.maximum(start, 0), start >= 0)
 
 
 def _over_windows(extreme: np.ufunc, lengths: Int64) -> Int64:
@@ -192,7 +194,7 @@ def _over_windows(extreme: np.ufunc, lengths: Int64) -> Int64:
 
 
 def _through(
-    nodes_ns: Int64, term: Float64, windows: _Windows, *, is_integral: bool = False
+    nodes_ns: Int64, term: Float64, windows: Windows, *, is_integral: bool = False
 ) -> Quintic:
     """Return the polynomials through values, or through a sum of which the slopes are known."""
     start, usable = windows
