@@ -14,6 +14,7 @@ import numpy as np
 from quatprop.kinematics.propagate import FinalAttitude
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.series import GyroSeries
+from quatprop.settings import CORRECT_CONING
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -27,6 +28,7 @@ NEXT_BETTER: Final = {
     "mean": "coning",
     "coning": "cubic",
     "cubic": "coning",
+    "quintic": "cubic",
 }
 """The integration rule with which each is compared: of the next higher order, or the next lower."""
 
@@ -52,7 +54,7 @@ class Sensitivity:
         """Take the next samples: a block of :func:`quatprop.series.blocks.reblock`."""
         if self._runs is None:
             integrated = block.is_integrated(self._method)
-            end = integrated and self._method not in {"coning", "cubic"}
+            end = integrated and self._method not in CORRECT_CONING
             self.next_method = "coning" if end else NEXT_BETTER[self._method]
             methods = (self.next_method, self._method)
             self._runs = [

@@ -37,7 +37,11 @@ LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
 RATE_UNITS = ("rad/s", "deg/s")
 TIME_UNITS = ("s", "ms", "us", "ns")
 CLOCKS = ("header", "log", "publish")
-METHODS = ("start", "end", "mean", "coning", "cubic")
+METHODS = ("start", "end", "mean", "coning", "cubic", "quintic")
+LOOK_AHEAD = {"cubic", "quintic"}
+"""Methods for which samples after an interval count."""
+CORRECT_CONING = {"coning", *LOOK_AHEAD}
+"""Methods that add to averages and increments how the axis has turned."""
 FRAMES = ("body", "inertial")
 """Where rates may be resolved: body rates multiply on the right, inertial rates on the left."""
 EULER_SEQUENCES = (
@@ -154,9 +158,10 @@ class PropagateOptions(RateOptions, total=False):
         common=True)]
     method: Annotated[str | None, Keyword(
         Choice(*METHODS), "Integration rule: the rate over an interval is that of the sample at "
-        "its start, of the one at its end, their mean, linear between them (coning), or a cubic "
-        "through four samples (cubic). Coning and cubic also correct averages and increments for "
-        "coning.", "start; end where the log's samples are averages or increments",
+        "its start, of the one at its end, their mean, linear between them (coning), a cubic "
+        "through four samples (cubic) or a quintic through six (quintic, for sensors with next to "
+        "no noise). The last three also correct averages and increments for coning.",
+        "start; end where the log's samples are averages or increments",
         group="Integration", common=True)]
     rates: Annotated[str | None, Keyword(
         Choice(*FRAMES), "Frame the rates are resolved in: body multiplies right, inertial left.",

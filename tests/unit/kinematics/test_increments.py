@@ -70,7 +70,7 @@ def test_no_time_turns_nothing():
 
 def test_unknown_method_names_the_known_ones():
     """A method that does not exist is refused with those that do."""
-    choices = "'start', 'end', 'mean', 'coning', 'cubic'"
+    choices = "'start', 'end', 'mean', 'coning', 'cubic', 'quintic'"
     message = f"^there is no method 'rk4'; choose one of {choices}$"
     with pytest.raises(UsageError, match=message):
         rotation_vectors(T_NS, RATE, "rk4")
