@@ -72,7 +72,7 @@ class PropagationSettings:
                 f"{Setting('every')}, {Setting('rate')} and {Setting('at')} each say which "
                 "attitudes to write; choose one"
             )
-        if self.conditioning.static_ns is None:
+        if self.conditioning.static is None:
             self.errors.refuse_unknown_errors()
         if (
             self.rates == "inertial"
@@ -181,7 +181,7 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
         policy=Policy(max_gap_ns=values.get("max_gap"), **_named(Policy, values)),
         conditioning=GyroCorrection(
             bias_from=bias if isinstance(bias, str) else None,
-            static_ns=bias.window_ns if isinstance(bias, StaticBias) else None,
+            static=bias if isinstance(bias, StaticBias) else None,
             **{
                 **_named(GyroCorrection, values),
                 "bias": None if isinstance(bias, str | StaticBias) else bias,
