@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from itertools import count
-from statistics import NormalDist
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -55,6 +54,8 @@ class Levels(NamedTuple):
         off = float(self.counts[2:].sum() / self.counts.sum())
         if not off:
             return self.step / math.sqrt(12)
+        from statistics import NormalDist
+
         noise = math.inf if off >= 0.5 else -0.5 / NormalDist().inv_cdf(off)  # noqa: PLR2004
         variance = 0.0
         for k in count(1):
@@ -93,15 +94,20 @@ class StepFinder:
 def step_of(values: Float64) -> float:
     """Return the step of which all differences of values are multiples, or 0.
 
-    `values`: ascending, each once, shape ``(N,)``
+    `values`: in any order, shape ``(N,)``
     """
-    if len(values) < 3:  # noqa: PLR2004  # two differences that may agree
-        return 0.0
+    values = np.sort(values)
     apart = np.diff(values)
+    apart = apart[apart > 0]
+    if len(apart) < 2:  # noqa: PLR2004  # differences that may agree
+        return 0.0
     ratios = apart / apart.min()
     steps = np.rint(ratios)
     # Numbers whose differences are large multiples of the smallest are on every grid.
-    if np.median(steps) > 1 / IN_STEPS or (np.abs(ratios - steps) > IN_STEPS * steps).any():
+    if (
+        np.sort(steps)[len(steps) // 2] > 1 / IN_STEPS
+        or (np.abs(ratios - steps) > IN_STEPS * steps).any()
+    ):
         return 0.0
     return float((values[-1] - values[0]) / steps.sum())
 
