@@ -12,7 +12,7 @@ from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import UnreadableLogError, UsageError, os_reason
-from quatprop.logs.kinds import COMPRESSION_SUFFIXES, READERS
+from quatprop.stores.kinds import COMPRESSION_SUFFIXES, READERS
 from quatprop.stores.objects import below, exists, find, is_address, list_objects, without_secret
 from quatprop.text import Setting, quoted
 

@@ -102,7 +102,8 @@ def align(name: str, a: Float64, b: Float64) -> Alignment:
     """Return the rotations that bring B to A.
 
     `name`: ``"none"``; ``"first"``: r makes the first attitudes the same; ``"mean"``: r is the
-        least squares fit over all; ``"mount"``: m from the relative rotations, then r as for mean
+        least squares fit over all; ``"yaw"``: the same among rotations about z; ``"mount"``: m from
+        the relative rotations, then r as for mean
     `a`, `b`: unit quaternions wxyz at the same times, shape ``(N, 4)``
     """
     if name == "none":
@@ -110,7 +111,8 @@ def align(name: str, a: Float64, b: Float64) -> Alignment:
     if name == "first":
         return Alignment(name, multiply(a[0], conjugate(b[0])))
     mount, fit = find_mounting(a, b) if name == "mount" else (IDENTITY, None)
-    reference = mean_rotation(multiply(a, conjugate(multiply(b, mount))))
+    apart = multiply(a, conjugate(multiply(b, mount)))
+    reference = mean_heading(apart) if name == "yaw" else mean_rotation(apart)
     return Alignment(name, reference, mount, fit)
 
 
@@ -127,6 +129,17 @@ def mean_rotation(q: Float64) -> Float64:
     """
     _, vectors = np.linalg.eigh(q.T @ q)
     return shorter(vectors[:, -1])
+
+
+def mean_heading(q: Float64) -> Float64:
+    """Return the rotation about the vertical that is nearest to rotations in the chordal sense.
+
+    `q`: unit quaternions wxyz, shape ``(N, 4)``
+    `Returns`: wxyz, shape ``(4,)``: what :func:`mean_rotation` does, for w and z alone
+    """
+    _, vectors = np.linalg.eigh(q[:, [0, 3]].T @ q[:, [0, 3]])
+    w, z = vectors[:, -1].tolist()
+    return shorter([w, 0.0, 0.0, z])
 
 
 def find_mounting(a: Float64, b: Float64) -> tuple[Float64, MountingFit]:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
+from quatprop.comparison.interpolation import interpolate
 from quatprop.errors import ComparisonError
-from quatprop.kinematics.quaternion import normalize, slerp
 from quatprop.text import Setting
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import duration_text
@@ -40,6 +40,7 @@ class Pairs:
     `max_dt_ns`: how far a sample was allowed to be from its partner, ns; 0 for equal stamps
     `candidates`: how many could have been matched at best: samples in the time that both series
         cover, of the one that has fewer
+    `floor_rad`: how much of the error may come from interpolation between samples, rad
     """
 
     t_ns: Int64
@@ -50,6 +51,7 @@ class Pairs:
     match: str
     max_dt_ns: int
     candidates: int
+    floor_rad: float = 0.0
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -106,13 +108,17 @@ def _near(a: AttitudeSeries, b: AttitudeSeries, match: str, max_dt_ns: int | Non
         interval = interval_ns(dense)
         reach = GAP_FACTOR * interval if match == "interpolate" else (interval + 1) // 2
         max_dt_ns = 0 if interval == FAR else reach
-    find = _nearest if match == "nearest" else _interpolated
-    index, looked_up = find(dense, sparse.t_ns, max_dt_ns)
+    floor_rad = 0.0
+    if match == "nearest":
+        index, looked_up = _nearest(dense, sparse.t_ns, max_dt_ns)
+    else:
+        index = _surrounded(dense, sparse.t_ns, max_dt_ns)
+        looked_up, floor_rad = interpolate(dense, sparse.t_ns[index])
     kept = sparse.wxyz[index]
     both = (kept, looked_up) if at == "A" else (looked_up, kept)
     # The nearest of a sample just outside the common time can be within reach, too.
     candidates = max(_candidates(a, b), len(index))
-    return Pairs(sparse.t_ns[index], *both, index, at, match, max_dt_ns, candidates)
+    return Pairs(sparse.t_ns[index], *both, index, at, match, max_dt_ns, candidates, floor_rad)
 
 
 def interval_ns(series: AttitudeSeries) -> int:
@@ -120,22 +126,6 @@ def interval_ns(series: AttitudeSeries) -> int:
     if len(series) < MIN_PAIRS:
         return FAR
     return int(np.median(np.diff(series.t_ns)))
-
-
-def interpolate(series: AttitudeSeries, t_ns: Int64) -> Float64:
-    """Return the attitudes of a series at times within it: a constant rate between samples.
-
-    `t_ns`: times, shape ``(N,)``, int64 ns; outside the series the nearest interval is continued
-    `Returns`: unit quaternions wxyz, shape ``(N, 4)``; at a stamp exactly the sample's
-    """
-    before = np.clip(np.searchsorted(series.t_ns, t_ns, side="right") - 1, 0, len(series) - 2)
-    start, stop = series.t_ns[before], series.t_ns[before + 1]
-    fraction = (t_ns - start) / (stop - start)
-    first = series.wxyz[before]
-    second = series.wxyz[before + 1]
-    between = slerp(first, second, fraction)
-    between[t_ns == stop] = normalize(second[t_ns == stop])
-    return between
 
 
 def shifted(series: AttitudeSeries, offset_ns: int | Int64) -> AttitudeSeries:
@@ -176,16 +166,16 @@ def _nearest(dense: AttitudeSeries, t_ns: Int64, max_dt_ns: int) -> tuple[Int64,
     return index, dense.wxyz[nearest[index]]
 
 
-def _interpolated(dense: AttitudeSeries, t_ns: Int64, max_dt_ns: int) -> tuple[Int64, Float64]:
-    """Return which times have neighbours near enough on both sides, and attitudes there."""
+def _surrounded(dense: AttitudeSeries, t_ns: Int64, max_dt_ns: int) -> Intp:
+    """Return which times have neighbours near enough on both sides."""
     if len(dense) < MIN_PAIRS:
-        return np.empty(0, np.int64), np.empty((0, 4))
+        return np.empty(0, np.intp)
     before = np.clip(np.searchsorted(dense.t_ns, t_ns, side="right") - 1, 0, len(dense) - 1)
     after = np.minimum(np.searchsorted(dense.t_ns, t_ns, side="left"), len(dense) - 1)
     behind, ahead = t_ns - dense.t_ns[before], dense.t_ns[after] - t_ns
     inside = (behind >= 0) & (ahead >= 0)
     (index,) = np.nonzero(inside & (behind <= max_dt_ns) & (ahead <= max_dt_ns))
-    return index, interpolate(dense, t_ns[index])
+    return index
 
 
 def require_enough(

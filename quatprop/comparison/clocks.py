@@ -1,7 +1,7 @@
 """The offset between the clocks of two series, from the motion that both recorded.
 
 The angular speed of a rigid body is the same in every frame, so it can be correlated before
-anything is aligned. Both series are sampled by slerp at regular times; a normalised
+anything is aligned. Both series are interpolated at regular times; a normalised
 cross-correlation over all lags gives the offset roughly. The rotations over windows, with the
 bodies turned to agree, give it by least squares.
 """
@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.comparison.alignment import kabsch
-from quatprop.comparison.association import interpolate, interval_ns, shifted
+from quatprop.comparison.association import interval_ns, shifted
+from quatprop.comparison.interpolation import interpolate
 from quatprop.comparison.trials import ClockError, clock_error
 from quatprop.comparison.windows import Angles, common_beginning, undone_misreadings, window_grids
 from quatprop.errors import ComparisonError
@@ -123,7 +124,7 @@ def _step_ns(a: AttitudeSeries, b: AttitudeSeries) -> int:
 
 def _angles(series: AttitudeSeries, start: int, stop: int, step: int) -> Float64:
     """Return the angle of each step from start to stop, rad."""
-    regular = interpolate(series, np.arange(start, stop + 1, step, dtype=np.int64))
+    regular, _ = interpolate(series, np.arange(start, stop + 1, step, dtype=np.int64))
     return geodesic_angle(regular[:-1], regular[1:])
 
 

@@ -13,6 +13,7 @@ from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, Pairs, associate, shifted
 from quatprop.comparison.clocks import find_offset
 from quatprop.comparison.diagnosis import NO_ERROR, likely_cause
+from quatprop.comparison.heading import error_parts
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judge
 from quatprop.comparison.settings import ComparisonSettings
 from quatprop.comparison.statistics import sigma_statistics, window_statistics
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
 
 ROUNDING = 1e-14
 """Difference from unit length below which quaternions are compared as they are, without a copy."""
+
+FLOOR_SHARE = 0.1
+"""Share of the tolerance above which errors of the interpolation are remarked on."""
 
 SMALL_ERROR = 0.5
 """Error, rad, below which it makes sense to compare the signs of quaternions."""
@@ -88,10 +92,17 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
     `pairs`: what was compared; None where the result need not have it, nor the errors
     """
     remarks = [*remarks]
-    window = sigmas = None
+    window = parts = sigmas = None
     if pairs is not None:
+        if pairs.floor_rad > FLOOR_SHARE * settings.limit_rad:
+            remarks.append(
+                f"attitudes were interpolated between samples, which may cause errors up to "
+                f"{math.degrees(pairs.floor_rad):.3g} deg: the motion is fast for their spacing"
+            )
         if settings.window:
             window = window_statistics(pairs, measured.alignment, settings.window)
+        if settings.in_parts:
+            parts = error_parts(pairs, measured.alignment)
         sigmas = sigma_statistics(a, b, pairs, measured.alignment)
     errors = measured.errors()
     final, largest = float(errors[-1]), measured.worst.error_rad
@@ -119,6 +130,7 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
         drift_deg_h=measured.drift_deg_h,
         worst=measured.worst,
         window=window,
+        parts=parts,
         sigmas=sigmas,
         coverage=coverage,
         left_out=left_out,

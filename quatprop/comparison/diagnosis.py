@@ -28,9 +28,10 @@ from quatprop.comparison.trials import ClockError, Trial, rms_length, trials
 from quatprop.comparison.window_trials import CLOCKS, MISTAKES, WindowTrials
 from quatprop.comparison.windows import common_beginning, undone_misreadings, window_grids
 from quatprop.errors import ComparisonError
-from quatprop.kinematics.increments import METHODS, rotation_vectors
+from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.series.blocks import rms
+from quatprop.settings import METHODS
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:

@@ -100,12 +100,14 @@ def causes_of_errors(pairs: Pairs, alignment: str, before: float) -> Iterator[Ca
     """
     a, b = pairs.a, pairs.b
     aligned = align(alignment, a, b).apply(b)
-    frame_is_free = alignment in ("none", "first")
+    frame_is_free = alignment in ("none", "first", "yaw")
     if frame_is_free:
-        mean = align("mean", a, b)
+        # Heading is none of the error where it was taken out.
+        turned = aligned if alignment == "yaw" else b
+        mean = align("mean", a, turned)
         sentence = f"the reference frames differ by {degrees_text(mean.reference_rad)}"
         remedy = f"{ALIGN_MEAN} takes it out"
-        yield Cause("reference frame", sentence, before, _rms(a, mean.apply(b)), remedy)
+        yield Cause("reference frame", sentence, before, _rms(a, mean.apply(turned)), remedy)
     if alignment != "mount":
         body = mean_rotation(multiply(conjugate(b), a))
         angle = degrees_text(float(geodesic_angle(IDENTITY, body)))

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.alignment import Alignment
     from quatprop.comparison.association import Matching, Pairs
     from quatprop.comparison.clocks import ClockOffset
+    from quatprop.comparison.heading import ErrorParts
     from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.statistics import ErrorStatistics, SigmaStatistics, WindowStatistics
 
@@ -96,10 +97,17 @@ def judge(settings: ComparisonSettings, measured: Comparison) -> Iterator[Criter
         value = getattr(measured.sigmas if in_sigma else measured.error_rad, name)
         most, unit = (limit.count, "sigma") if in_sigma else (limit, "rad")
         yield Criterion(setting, label, value, most, unit, value <= most)
-    window = measured.window
+    window, parts = measured.window, measured.parts
     for setting, label, size, unit in (
         ("window_tol", "worst error over windows", window.max_rad if window else None, "rad"),
         ("window_rms_tol", "RMS error over windows", window.rms_rad if window else None, "rad"),
+        ("tol_heading", "error in heading", parts.heading.max if parts else None, "rad"),
+        (
+            "tol_inclination",
+            "error in inclination",
+            parts.inclination.max if parts else None,
+            "rad",
+        ),
         ("drift_tol", "drift", measured.drift_deg_h, "deg/h"),
         ("min_coverage", "coverage", measured.coverage.least, "%"),
     ):
@@ -139,6 +147,9 @@ class Comparison:
         The pair with the largest error.
     window
         Errors of the rotations over windows, where they were asked for.
+    parts
+        The errors in heading, in inclination and about the reference's axes, with the alignment
+        ``"yaw"`` or a limit on one of them.
     sigmas
         The errors in standard deviations; None where neither series has any.
     coverage
@@ -170,6 +181,7 @@ class Comparison:
     drift_deg_h: float | None
     worst: ComparedSample
     window: WindowStatistics | None
+    parts: ErrorParts | None
     sigmas: SigmaStatistics | None
     coverage: Coverage
     left_out: int

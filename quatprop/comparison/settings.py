@@ -11,14 +11,14 @@ from quatprop.settings.quantities import RAD_PER_UNIT, quantity, quantity_of
 from quatprop.settings.values import parse_all
 from quatprop.text import Setting, quoted, shown
 
-ALIGNMENTS = ("none", "first", "mean", "mount")
+ALIGNMENTS = ("none", "first", "yaw", "mean", "mount")
 """Which frames of B are rotated before the comparison."""
 
-BY_ALL = {"mean", "mount"}
+BY_ALL = {"yaw", "mean", "mount"}
 """Alignments by all pairs: the error of a steady drift falls to its middle, and then rises."""
 
 MATCHES = ("exact", "nearest", "interpolate")
-"""How attitudes are matched in time: equal stamps, the nearest sample, slerp."""
+"""How attitudes are matched in time: equal stamps, the nearest sample, interpolation."""
 
 DEG_H_PER_UNIT = {"deg/h": 1.0, "deg/s": 3600.0, "rad/s": 3600 * 180 / math.pi}
 """deg/h in each unit of a drift."""
@@ -42,6 +42,8 @@ class ComparisonSettings:
         error that passes, rad or in standard deviations; None: every error passes
     `window_tol`, `window_rms_tol`: the same for the worst and the RMS error of the rotations over
         windows, rad
+    `tol_heading`, `tol_inclination`: the same for the error about the reference's z axis, and for
+        that between the z axes, rad
     `drift_tol`: largest drift in either direction that passes, deg/h; not with an alignment by all
         pairs
     `min_coverage`: least percentage of the reference, B, that must be compared: of its time and its
@@ -62,6 +64,8 @@ class ComparisonSettings:
     p95_tol: float | Sigmas | None = None
     window_tol: float | None = None
     window_rms_tol: float | None = None
+    tol_heading: float | None = None
+    tol_inclination: float | None = None
     drift_tol: float | None = None
     min_coverage: float | None = None
     max_sigma: Sigmas | None = None
@@ -83,6 +87,11 @@ class ComparisonSettings:
                 f"{Setting('drift_tol')} needs {Setting('align', 'none|first')}: an alignment by "
                 f"all pairs ({Setting('align', self.align)}) takes out part of the drift"
             )
+
+    @property
+    def in_parts(self) -> bool:
+        """Whether errors in heading and in inclination are told apart."""
+        return self.align == "yaw" or (self.tol_heading, self.tol_inclination) != (None, None)
 
     @property
     def limit_rad(self) -> float:
@@ -152,6 +161,12 @@ class CompareOptions(TypedDict, total=False):
     window_rms_tol: Annotated[float | str | None, Keyword(
         angle_rad, f"Largest RMS error over windows that passes; with {Setting('window')}.",
         takes="ANGLE", group="Limits")]
+    tol_heading: Annotated[float | str | None, Keyword(
+        angle_rad, "Largest error in heading that passes: about the reference's z axis.",
+        takes="ANGLE", group="Limits")]
+    tol_inclination: Annotated[float | str | None, Keyword(
+        angle_rad, "Largest error in inclination that passes: the angle between the z axes.",
+        takes="ANGLE", group="Limits")]
     drift_tol: Annotated[float | str | None, Keyword(
         drift_deg_h, f"Largest drift that passes, in either direction, such as 10deg/h; with "
         f"{Setting('align', 'none|first')}.", takes="DRIFT", group="Limits")]
@@ -163,14 +178,14 @@ class CompareOptions(TypedDict, total=False):
         "one in rad or deg.", takes="N", group="Limits")]
     align: Annotated[str, Keyword(
         Choice(*ALIGNMENTS), "How {log} is rotated first: not at all; its reference frame, by the "
-        "first pair or by the mean of all; or its reference and body frame (mount), from the "
-        "motion.", group="Alignment", common=True)]
+        "first pair, by the mean of all, or by that in heading alone (yaw); or its reference and "
+        "body frame (mount), from the motion.", group="Alignment", common=True)]
     time_offset: Annotated[int | str, Keyword(
         time_offset_ns, "Added to the stamps of {log}, such as -12ms; auto estimates it from the "
         "angular speeds.", takes="DUR|auto", group="Alignment", common=True)]
     match: Annotated[str | None, Keyword(
         Choice(*MATCHES), "How attitudes are matched: equal stamps, the nearest, or interpolated "
-        "ones (slerp), at the stamps of the series with the longer intervals.", f"exact where at "
+        "ones, at the stamps of the series with the longer intervals.", f"exact where at "
         f"least half have equal stamps, else nearest if there is {Setting('max_dt')}, else "
         f"interpolate", group="Alignment")]
     max_dt: Annotated[int | str | None, Keyword(

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from quatprop.comparison.accumulator import ComparedSample
     from quatprop.comparison.association import Matching
+    from quatprop.comparison.heading import ErrorParts
     from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.result import Comparison, Criterion
     from quatprop.comparison.statistics import SigmaStatistics, WindowStatistics
@@ -35,6 +36,8 @@ def comparison_rows(a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison) 
     yield "worst", _sample(comparison.worst, first_ns)
     if comparison.window:
         yield "window", _window(comparison.window, first_ns)
+    if parts := comparison.parts:
+        yield from _parts(parts)
     if sigmas := comparison.sigmas:
         yield "sigma", _sigmas(sigmas, first_ns)
     for criterion in comparison.criteria:
@@ -153,6 +156,12 @@ def _window(window: WindowStatistics, first_ns: int) -> str:
         f"RMS {angle_text(window.rms_rad)}; the worst begins at {window.worst_ns} ns, "
         f"{duration_text(window.worst_ns - first_ns)} after the first"
     )
+
+
+def _parts(parts: ErrorParts) -> Iterator[Row]:
+    for name, extent in parts._asdict().items():
+        text = f"max {angle_text(extent.max)}, RMS {angle_text(extent.rms)}"
+        yield "parts" if name == "heading" else "", f"{name.replace('_', ' ')}: {text}"
 
 
 def _sigmas(sigmas: SigmaStatistics, first_ns: int) -> str:

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from itertools import chain, islice
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
@@ -58,17 +58,8 @@ def use_threads(count: int | None) -> Iterator[None]:
         _wanted.reset(token)
 
 
-class Deferred(NamedTuple, Generic[Result]):
-    """A result that is too large to be computed ahead of its use.
-
-    `compute`: computes the result when it is its turn
-    """
-
-    compute: Callable[[], Result]
-
-
 def prefetch(
-    function: Callable[[Item], Result | Deferred[Result]], items: Iterable[Item]
+    function: Callable[[Item], Result], items: Iterable[Item]
 ) -> Generator[Result, None, None]:
     """Yield ``function(item)`` for each item, in order, computed a few items ahead.
 
@@ -78,25 +69,21 @@ def prefetch(
     rest = iter(items)
     first = [] if workers + 1 < _STAGES else list(islice(rest, workers + 2))
     if len(first) < workers + 2:
-        yield from (_computed(function(item)) for item in chain(first, rest))
+        yield from map(function, chain(first, rest))
         return
     from concurrent.futures import ThreadPoolExecutor
 
     pool = ThreadPoolExecutor(workers)
-    waiting: deque[Future[Result | Deferred[Result]]] = deque()
+    waiting: deque[Future[Result]] = deque()
     try:
         for item in chain(first, rest):
             waiting.append(pool.submit(function, item))
             if len(waiting) > workers:
-                yield _computed(waiting.popleft().result())
+                yield waiting.popleft().result()
         while waiting:
-            yield _computed(waiting.popleft().result())
+            yield waiting.popleft().result()
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-def _computed(result: Result | Deferred[Result]) -> Result:
-    return result.compute() if isinstance(result, Deferred) else result
 
 
 def in_background(items: Iterable[Item], ahead: int | None = AHEAD) -> Generator[Item, None, None]:

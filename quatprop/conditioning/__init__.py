@@ -18,6 +18,7 @@ from quatprop.conditioning.time_range import (
     EndsFinder,
     PartOfLog,
     PartReader,
+    absolute_ns,
     absolute_range,
     clipped,
     length_text,
@@ -29,9 +30,10 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64
     from quatprop.conditioning.calibration import BiasSeries, BiasSeriesReport
-    from quatprop.conditioning.static_detection import StaticPeriod
+    from quatprop.conditioning.static_period import StaticPeriod
     from quatprop.conditioning.window_sums import Rows
     from quatprop.series import GyroSeries
+    from quatprop.settings.parsers import StaticBias
     from quatprop.timeline import Timeline
     from quatprop.times import Instant
 
@@ -40,7 +42,7 @@ class GyroCorrection(NamedTuple):
     """What to do to the rates; None is nothing.
 
     `bias`: subtracted from every rate, x, y, z, in the unit of the source
-    `static_ns`: take the mean over the log's rest as the bias; shorter than this, ns, is no rest
+    `static`: take the mean over a rest of the log as the bias
     `bias_from`: take the bias from a series of them: a file, or a topic of the log
     `calibration`: path of a calibration, as
         :func:`quatprop.conditioning.calibration.read_calibration` reads it. A bias given beside it
@@ -52,7 +54,7 @@ class GyroCorrection(NamedTuple):
     """
 
     bias: tuple[float, ...] | None = None
-    static_ns: int | None = None
+    static: StaticBias | None = None
     bias_from: str | None = None
     calibration: str | None = None
     mount: str | None = None
@@ -64,7 +66,7 @@ class GyroCorrection(NamedTuple):
     def looks_ahead(self) -> bool:
         """Whether the log has to be read once before it is read for the propagation."""
         origins = {instant.origin for instant in (self.start, self.end) if instant is not None}
-        return self.static_ns is not None or bool(origins - {"clock"})
+        return self.static is not None or bool(origins - {"clock"})
 
 
 FROM_TRANSFORMS = "tf:"
@@ -196,18 +198,34 @@ def _look_ahead(
     """Return the first and the last sample, and the rest, where they matter."""
     if not settings.looks_ahead:
         return Ends(0, 0), None
-    if settings.static_ns is None and parts is not None and (ends := parts.ends()) is not None:
+    static = settings.static
+    if static is None and parts is not None and (ends := parts.ends()) is not None:
         return ends, None
     finder = EndsFinder(earliest=timeline.policy.on_backwards == "sort")
     samples = timeline.looked_ahead(read(), finder.add)
-    if settings.static_ns is None:
+    if static is None:
         deque(samples, maxlen=0)
         return finder.ends(), None
-    from quatprop.conditioning.static_detection import find_static_period
-    from quatprop.conditioning.window_sums import window_sums
+    from quatprop.conditioning.quantisation import StepFinder, levels_of
+    from quatprop.conditioning.static_detection import find_static_period, static_period_between
+    from quatprop.conditioning.window_sums import between, window_sums
 
-    sums = window_sums(((each.t_ns, each.rate) for each in samples), settings.static_ns // 2 or 1)
-    rest = find_static_period(sums, inputs, settings.static_ns, settings.rates)
+    steps = StepFinder()
+    rows = ((each.t_ns, steps.noted(each.rate)) for each in samples)
+
+    def again(first_ns: int, last_ns: int) -> Rows:
+        batches = timeline.looked_ahead(read(), lambda _: None)
+        return between(((each.t_ns, each.rate) for each in batches), first_ns, last_ns)
+
+    if static.start is not None and static.end is not None:
+        deque(rows, maxlen=0)
+        part = (absolute_ns(instant, finder.ends()) for instant in (static.start, static.end))
+        rest = static_period_between(again(*part), static)
+    else:
+        sums = window_sums(rows, static.window_ns // 2 or 1)
+        rest = find_static_period(sums, inputs, static.window_ns, settings.rates)
+    if any(coarse := steps.above(rest.scatter_rad_s)):
+        rest = rest._replace(levels=levels_of(again(rest.first_ns, rest.last_ns), coarse))
     return finder.ends(), rest
 
 

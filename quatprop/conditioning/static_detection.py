@@ -8,16 +8,18 @@ mean, while the log's own orientation, if it has one, does not turn with the rat
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.conditioning.static_period import OtherRest, StaticPeriod
 from quatprop.conditioning.window_sums import (
     aligned_window_sums,
     mean_of,
     merged,
     outer_products,
     scatter_of,
+    window_sums,
 )
 from quatprop.errors import UsageError
 from quatprop.kinematics.rates import rotation_vectors_between
@@ -27,7 +29,8 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from quatprop.arrays import Bool, Float64, Intp
     from quatprop.conditioning import GyroCorrectionInputs
-    from quatprop.conditioning.window_sums import WindowSums
+    from quatprop.conditioning.window_sums import Rows, WindowSums
+    from quatprop.settings.parsers import StaticBias
 
 
 AT_REST = 0.05
@@ -53,41 +56,11 @@ LARGEST_BIAS = 0.2
 """rad/s: the largest bias that is believed. Data sheets of low-cost gyroscopes allow up to 20 deg/s
 (0.35 rad/s), but a car that circles is as fast, and no common sensor is found that far off."""
 
+MIN_SAMPLES = 2
+"""Samples of a rest that shows a scatter."""
+
 TURNING = 5e-3
 """rad/s: an orientation that turns slower than this stands still."""
-
-
-class StaticPeriod(NamedTuple):
-    """The period of a log in which the sensor was at rest.
-
-    `first_ns`, `last_ns`: its first and last stamps, ns
-    `mean_rad_s`: the mean rate, shape ``(3,)``: the bias
-    `scatter_rad_s`: root mean square deviation of the rates from the mean, over all three axes
-    `steady`: which signals were found steady: ``"rate"``, ``"accelerometer"``, ``"orientation"``
-    `searched_first_ns`, `searched_last_ns`: the part of the log that was searched, ns: all of it,
-        whatever part is propagated
-    """
-
-    first_ns: int
-    last_ns: int
-    samples: int
-    mean_rad_s: Float64
-    scatter_rad_s: float
-    steady: tuple[str, ...]
-    searched_first_ns: int
-    searched_last_ns: int
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What a reader should know."""
-        if self.steady != ("rate",):
-            return ()
-        degrees = np.degrees(np.linalg.norm(self.mean_rad_s))
-        remark = (
-            "no accelerometer and no orientation confirms the rest from which the bias is taken: "
-            f"a steady rotation at {degrees:.3g} deg/s would look the same"
-        )
-        return (remark,)
 
 
 def find_static_period(
@@ -132,7 +105,43 @@ def find_static_period(
         steady=tuple(steady),
         searched_first_ns=int(rates["first_ns"].min()),
         searched_last_ns=int(rates["last_ns"].max()),
+        other=_other(rests, longest, agrees if steady == ["rate"] else np.ones_like(agrees)),
     )
+
+
+def static_period_between(rows: Rows, static: StaticBias) -> StaticPeriod:
+    """Return a rest that the user has named.
+
+    `rows`: stamps, and rates, ``(N, 3)``, rad/s, of that time
+    """
+    rest = window_sums(rows, 1 << 62)
+    if not len(rest) or rest["count"][0] < MIN_SAMPLES:
+        raise UsageError(
+            f"{Setting('bias', str(static))} holds fewer than {MIN_SAMPLES} samples; give a longer "
+            "rest"
+        )
+    first_ns, last_ns = int(rest["first_ns"][0]), int(rest["last_ns"][0])
+    return StaticPeriod(
+        first_ns=first_ns,
+        last_ns=last_ns,
+        samples=int(rest["count"][0]),
+        mean_rad_s=mean_of(rest)[0],
+        scatter_rad_s=float(scatter_of(rest)[0]),
+        steady=(),
+        searched_first_ns=first_ns,
+        searched_last_ns=last_ns,
+    )
+
+
+def _other(rests: WindowSums, taken: int, compared: Bool) -> OtherRest | None:
+    """Return the rest whose mean differs most, if by more than noise explains."""
+    apart = np.abs(mean_of(rests) - mean_of(rests)[taken]).max(axis=1)
+    variance = scatter_of(rests) ** 2 / 3 / rests["count"]
+    apart[(apart <= NOISE * np.sqrt(variance + variance[taken])) | ~compared] = 0.0
+    most = int(np.argmax(apart))
+    if not apart[most]:
+        return None
+    return OtherRest(int(rests["first_ns"][most]), int(rests["last_ns"][most]), float(apart[most]))
 
 
 def _quiet_rates(rates: WindowSums) -> Intp:
@@ -154,7 +163,7 @@ def _quiet_rates(rates: WindowSums) -> Intp:
             f"more than the bias of a gyroscope: the body turns; give {Setting('bias', 'X,Y,Z')}"
         )
     windows = windows[slow]
-    return np.asarray(windows[_quiet(rates, windows, QUIET)])
+    return np.asarray(windows[_quiet(rates[windows], scatter[slow], QUIET)])
 
 
 def _quiet_forces(forces: WindowSums, windows: Intp, size: float) -> Intp:
@@ -167,16 +176,15 @@ def _quiet_forces(forces: WindowSums, windows: Intp, size: float) -> Intp:
             f"{np.nanmin(scatter) / size:.0%}: the body moves)"
         )
     windows = windows[steady]
-    return np.asarray(windows[_quiet(forces, windows, FORCE_QUIET * size)])
+    return np.asarray(windows[_quiet(forces[windows], scatter[steady], FORCE_QUIET * size)])
 
 
-def _quiet(signal: WindowSums, windows: Intp, floor: float) -> Bool:
+def _quiet(windows: WindowSums, scatter: Float64, floor: float) -> Bool:
     """Return which of some windows scatter about as little as the quietest pair of neighbours."""
-    scatter = scatter_of(signal[windows])
-    pairs = np.maximum(scatter[1:], scatter[:-1])[np.diff(signal["index"][windows]) == 1]
+    pairs = np.maximum(scatter[1:], scatter[:-1])[np.diff(windows["index"]) == 1]
     quietest = float(min(pairs, default=scatter.min()))
     # The scatter of few samples may be large or small by chance.
-    by_chance = 2 / np.sqrt(6 * (signal["count"][windows] - 1))
+    by_chance = 2 / np.sqrt(6 * (windows["count"] - 1))
     return np.asarray(scatter * (1 - by_chance) <= max(floor, REST_FACTOR * quietest))
 
 

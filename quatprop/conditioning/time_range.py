@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Int64
     from quatprop.conditioning import GyroCorrection, GyroCorrectionReport
     from quatprop.series import AttitudeSeries, GyroSeries
+    from quatprop.times import Instant
 
 Series = TypeVar("Series", "GyroSeries", "AttitudeSeries")
 
@@ -119,11 +120,15 @@ def _longest_pause(t_ns: Int64, around: Int64) -> tuple[int, int] | None:
     return (before, after) if is_gap else None
 
 
+def absolute_ns(instant: Instant, ends: Ends) -> int:
+    """Return an instant in the clock of the log, ns."""
+    return instant.ns + {"clock": 0, "first": ends.first_ns, "last": ends.last_ns}[instant.origin]
+
+
 def absolute_range(settings: GyroCorrection, ends: Ends) -> tuple[int | None, int | None]:
     """Return the first and the last stamp to use, ns; None is open."""
-    origins = {"clock": 0, "first": ends.first_ns, "last": ends.last_ns}
     start_ns, end_ns = (
-        None if instant is None else instant.ns + origins[instant.origin]
+        None if instant is None else absolute_ns(instant, ends)
         for instant in (settings.start, settings.end)
     )
     if settings.start is not None and settings.start.origin == "last":

@@ -89,6 +89,13 @@ def aligned_window_sums(
     return aligned if aligned["squares"].any() else None
 
 
+def between(rows: Rows, first_ns: int, last_ns: int) -> Rows:
+    """Yield the rows in a range of time, ends included."""
+    for t_ns, values in rows:
+        inside = (t_ns >= first_ns) & (t_ns <= last_ns)
+        yield t_ns[inside], values[inside]
+
+
 def outer_products(rows: Rows) -> Rows:
     """Yield q q^T instead of quaternions, ``(N, 16)``: the same for q and -q."""
     for t_ns, wxyz in rows:

@@ -35,12 +35,15 @@ class MessageLog(Log):
         """Return every channel, in order of topic, with or without rates."""
 
     @abstractmethod
-    def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
+    def blocks(self, channel: Channel, within: TimeRange | None = None) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, chunk after chunk.
 
         Messages of a block are in the container's order. Blocks come in order of their earliest
         log time where that is known; :func:`quatprop.tables.batches.merge_by_time` sorts what
         was decoded from them.
+
+        `within`: only parts of the log that the index has in a range of log times, of a channel
+            that has a :meth:`recorded_span`; None is all
         """
 
     def recorded_span(self, channel: Channel) -> TimeRange | None:  # noqa: ARG002  # of some kinds
@@ -49,13 +52,6 @@ class MessageLog(Log):
         None where there is no such index: then only the whole log can be read.
         """
         return None
-
-    def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
-        """Yield the messages of the parts of the log that the index has in a range of log times.
-
-        The channel is one of :meth:`channels` that has a :meth:`recorded_span`.
-        """
-        raise NotImplementedError
 
     def complete(self, completed: Callable[[Channel], Channel]) -> None:
         """Add definitions that channels lack; nothing where the format always has them."""

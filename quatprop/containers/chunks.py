@@ -7,7 +7,7 @@ from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
-from quatprop.concurrency.threads import Deferred, prefetch
+from quatprop.concurrency.threads import prefetch
 from quatprop.containers.topics import TopicLog
 from quatprop.errors import UnreadableLogError, os_reason
 from quatprop.messages.blocks import Channel, MessageBlock
@@ -77,21 +77,17 @@ class ChunkedLog(TopicLog, Generic[Chunk]):
     def read(self, channel: Channel, chunks: Sequence[Chunk]) -> Iterator[MessageBlock]:
         """Yield the messages of one channel in some chunks."""
 
-    def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
+    def blocks(self, channel: Channel, within: TimeRange | None = None) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, chunk after chunk in order of their first times.
 
         Only chunks that hold the channel are read, and none is kept, so memory use does not grow
         with the file.
         """
-        return self.read(channel, self.chunks_of(channel))
+        return self.read(channel, parts_within(self.chunks_of(channel), within))
 
     def recorded_span(self, channel: Channel) -> TimeRange | None:
         """Return when a channel was recorded; None where the file has no index of chunks."""
         return span_of(self.chunks_of(channel))
-
-    def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
-        """Yield the messages of the chunks that overlap a range of log times."""
-        return self.read(channel, parts_within(self.chunks_of(channel), within))
 
     def close(self) -> None:
         """Close the file."""
@@ -106,7 +102,11 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         self.budget = DecompressionBudget(source.size)
 
     @abstractmethod
-    def expected(self, chunk: Chunk) -> list[tuple[int, int]]:
+    def is_mixed(self, chunk: Chunk) -> bool:
+        """Return whether a chunk is known to hold other channels, too."""
+
+    @abstractmethod
+    def expected(self, chunk: Chunk, *, is_mixed: bool) -> list[tuple[int, int]]:
         """Return begin and end of the bytes of the file that are read first for a chunk."""
 
     @abstractmethod
@@ -114,11 +114,7 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
         """Return the bytes of the records of a chunk; 0 where that is not known."""
 
     @abstractmethod
-    def is_mixed(self, chunk: Chunk) -> bool:
-        """Return whether a chunk is known to hold other channels, too."""
-
-    @abstractmethod
-    def load(self, chunk: Chunk) -> Content:
+    def load(self, chunk: Chunk, *, is_mixed: bool) -> Content:
         """Return a chunk, or a part that has its wanted messages. Called in other threads."""
 
     @abstractmethod
@@ -137,32 +133,34 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
 
         Chunks are read and decompressed ahead, in threads.
         """
-        ranges = [each for chunk in chunks for each in self.expected(chunk)]
+        wanted = [(chunk, self.is_mixed(chunk)) for chunk in chunks]
+        ranges = [
+            each for chunk, is_mixed in wanted for each in self.expected(chunk, is_mixed=is_mixed)
+        ]
         self.source.expect([begin for begin, _ in ranges], [end for _, end in ranges])
         bounds = [*(chunk.first_ns for chunk in chunks[1:]), LATEST]
-        sized = ((chunk, self._share(chunk)) for chunk in chunks)
+        sized = ((each, self._share(*each)) for each in wanted)
         with closing(load_ahead(sized, self._load)) as loaded:
-            for (chunk, content), bound in zip(loaded, bounds, strict=False):
-                block = self._message_block(content, chunk)
+            for content, chunk, bound in zip(loaded, chunks, bounds, strict=False):
+                block: MessageBlock | None
+                if isinstance(content, MessageBlock):
+                    block = content
+                elif (block := self.indexed(content, chunk)) is None:
+                    block = self.messages(content, chunk)
                 if block:
                     yield replace(block, watermark_ns=bound)
 
-    def _load(self, chunk: Chunk) -> Content | MessageBlock:
+    def _load(self, wanted: tuple[Chunk, bool]) -> Content | MessageBlock:
         """Return a chunk, or copies of its messages: the memory of a mixed one is used again."""
-        content = self.load(chunk)
-        block = self.indexed(content, chunk) if self.is_mixed(chunk) else None
+        chunk, is_mixed = wanted
+        content = self.load(chunk, is_mixed=is_mixed)
+        block = self.indexed(content, chunk) if is_mixed else None
         return content if block is None else block.compacted()
 
-    def _message_block(self, content: Content | MessageBlock, chunk: Chunk) -> MessageBlock | None:
-        if isinstance(content, MessageBlock):
-            return content
-        block = self.indexed(content, chunk)
-        return self.messages(content, chunk) if block is None else block
-
-    def _share(self, chunk: Chunk) -> int:
+    def _share(self, chunk: Chunk, is_mixed: bool) -> int:
         """Return how much of a group a chunk is, bytes: of a mixed one little is decoded."""
         size = self.size_of(chunk)
-        return size // SHARE if size <= LARGE and self.is_mixed(chunk) else size
+        return size // SHARE if is_mixed and size <= LARGE else size
 
 
 def span_of(parts: Sequence[TimedPart]) -> TimeRange | None:
@@ -173,27 +171,26 @@ def span_of(parts: Sequence[TimedPart]) -> TimeRange | None:
     return TimeRange(parts[0].first_ns, max(last))
 
 
-def parts_within(parts: Sequence[Chunk], within: TimeRange) -> list[Chunk]:
-    """Return the parts that overlap a range, or may."""
+def parts_within(parts: Sequence[Chunk], within: TimeRange | None) -> Sequence[Chunk]:
+    """Return the parts that overlap a range, or may; None is any time."""
+    if within is None:
+        return parts
     return [p for p in parts if p.last_ns is None or within.overlaps(p.first_ns, p.last_ns)]
 
 
 def load_ahead(
     sized: Iterable[tuple[Item, int]], load: Callable[[Item], Content]
-) -> Generator[tuple[Item, Content], None, None]:
-    """Load chunks, whose sizes stand beside them, in other threads; yield each with its content.
+) -> Generator[Content, None, None]:
+    """Load chunks, whose sizes stand beside them, in other threads; yield the content of each.
 
     Each has memory of its own, as long as what was read of it.
     """
 
-    def loaded(chunks: list[Item]) -> list[tuple[Item, Content]]:
-        return [(chunk, load(chunk)) for chunk in chunks]
-
-    def load_group(
-        group: tuple[list[Item], bool],
-    ) -> list[tuple[Item, Content]] | Deferred[list[tuple[Item, Content]]]:
+    def load_group(group: tuple[list[Item], bool]) -> Iterable[Content]:
         chunks, is_large = group
-        return Deferred(lambda: loaded(chunks)) if is_large else loaded(chunks)
+        loaded = map(load, chunks)
+        # What is large is loaded when it is its turn.
+        return loaded if is_large else [*loaded]
 
     with closing(prefetch(load_group, in_groups(sized))) as groups:
         for group in groups:

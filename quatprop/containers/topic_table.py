@@ -40,7 +40,7 @@ CLOCK_STEP_NS = 100_000_000
 """Time services set a clock that is wrong by more than this; what is less they catch up slowly."""
 
 TEXT_ENCODINGS = ("cdr", "ros1")
-"""Encodings of which text and lists of transforms are read."""
+"""Encodings of which lists of transforms are read, and text; that of JSON is, too."""
 
 
 class TopicTable(Table):
@@ -105,6 +105,11 @@ class TopicTable(Table):
         kind = find(self.root, name)
         if kind is None:
             return None
+        if self.channel.encoding == "json":
+            from quatprop.messages.json import has_order
+
+            if not has_order(kind):
+                return ()
         leaves = [*islice(leaves_of(name, kind), MAX_ELEMENTS + 1)]
         if len(leaves) > MAX_ELEMENTS or not all(isinstance(one, Primitive) for _, one in leaves):
             return ()
@@ -156,12 +161,15 @@ class TopicTable(Table):
 
     def texts(self, name: str) -> list[str]:
         """Return what a text is in the first messages; nothing where it cannot be read."""
-        if self.channel.encoding not in TEXT_ENCODINGS:
-            return []
         block = next(filter(len, self.blocks), None)
         if block is None or not isinstance(find(self.root, name), String):
             return []
-        return first_names(self.channel, block, self.root, name, self.path)
+        if self.channel.encoding == "json":
+            from quatprop.messages.json import first_texts
+
+            return first_texts(block, name)
+        is_read = self.channel.encoding in TEXT_ENCODINGS
+        return first_names(self.channel, block, self.root, name, self.path) if is_read else []
 
     def read(
         self,
@@ -175,7 +183,7 @@ class TopicTable(Table):
         self.first = None
         decode = self.decoder([stamp], groups)
         if isinstance(within, TimeRange):
-            blocks = with_progress(self.log.blocks_within(self.channel, within), None)
+            blocks = with_progress(self.log.blocks(self.channel, within), None)
         else:
             blocks = with_progress(iter(self.blocks), self.channel.count)
         together = decoded_together(blocks)

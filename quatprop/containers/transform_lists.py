@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.topic_table import TEXT_ENCODINGS, TopicTable
-from quatprop.errors import MessageError, NoSamplesError, UsageError
+from quatprop.errors import LogError, MessageError, UsageError
 from quatprop.messages.schema import TIME
 from quatprop.messages.transforms import Frames, TransformDecoder
 from quatprop.tables.batches import RowBatch, joined_rows
@@ -64,7 +64,8 @@ class TransformTable(TopicTable):
                 if not error.positions:
                     raise
         if not decoder.frames:
-            raise NoSamplesError(self.path, self.name)
+            none = f"the messages of topic {quoted(self.name)} hold no transforms"
+            raise LogError(self.path, f"{none}; choose another {Setting('topic')}")
         if len({*labels}) > 1:
             both = f"{Setting('frame')} and {Setting('series')}"
             raise UsageError(f"{plain(self.path)}: {both} choose different transforms; give one")

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.arrays import Int64
+    from quatprop.tables.model import TimeRange
 
 HEADER_SIZE = 16
 """Magic, version and start time."""
@@ -110,7 +111,11 @@ class UlogLog(TopicLog):
         counts = np.bincount(self._ids, minlength=highest + 1)
         return by_topic(replace(one, count=int(counts[ids].sum())) for one, ids in found)
 
-    def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
+    def blocks(
+        self,
+        channel: Channel,
+        within: TimeRange | None = None,  # noqa: ARG002  # there is no index
+    ) -> Iterator[MessageBlock]:
         """Yield the messages of one topic instance in the order of the file.
 
         Log and publish times are the messages' own time stamps.

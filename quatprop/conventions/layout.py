@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from quatprop.errors import UsageError
+from quatprop.settings import LAYOUTS
 from quatprop.text import listed, quoted
 
 
@@ -32,17 +33,11 @@ class Layout(NamedTuple):
 SCALAR_FIRST = Layout("scalar-first", (0, 1, 2, 3))
 SCALAR_LAST = Layout("scalar-last", (1, 2, 3, 0))
 
-LAYOUTS = {
-    "scalar-first": SCALAR_FIRST,
-    "scalar-last": SCALAR_LAST,
-    "wxyz": SCALAR_FIRST,
-    "xyzw": SCALAR_LAST,
-}
-"""Every name a layout goes by."""
+_NAMED = dict(zip(LAYOUTS, (SCALAR_FIRST, SCALAR_LAST) * 2, strict=True))
 
 
 def layout_named(name: str) -> Layout:
     """Return the layout of that name."""
     if name not in LAYOUTS:
         raise UsageError(f"no layout {quoted(name)}; choose one of {listed(LAYOUTS)}")
-    return LAYOUTS[name]
+    return _NAMED[name]

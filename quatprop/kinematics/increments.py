@@ -16,7 +16,8 @@ import numpy as np
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.cubic import cross, curvature, curvature_of_averages
-from quatprop.settings import FRAMES
+from quatprop.kinematics.quintic import quintic, quintic_of_averages
+from quatprop.settings import CORRECT_CONING, FRAMES, LOOK_AHEAD
 from quatprop.text import listed, quoted
 from quatprop.times import NS_PER_S
 
@@ -55,16 +56,18 @@ def _coning(before: Float64, after: Float64, dt: Float64) -> Float64:
     return rotvec
 
 
-METHODS: Final[dict[str, Rule]] = {
+RULES: Final[dict[str, Rule]] = {
     "start": _start,
     "end": _end,
     "mean": _mean,
     "coning": _coning,
     "cubic": _coning,
+    "quintic": _coning,
 }
 """Integration rules. They take the rates at the start and at the end of intervals, ``(3, M)``,
 rad/s, and their lengths, ``(M,)``, s, and return rotation vectors, ``(3, M)``, rad. To that of
-``cubic``, :mod:`quatprop.kinematics.cubic` adds what the neighbouring samples say."""
+``cubic``, :mod:`quatprop.kinematics.cubic` adds what the neighbouring samples say; ``quintic`` is
+``cubic`` where :mod:`quatprop.kinematics.quintic` has too few of them."""
 
 
 def is_inertial(rates: str) -> bool:
@@ -79,9 +82,9 @@ def is_inertial(rates: str) -> bool:
 
 def integration_rule(method: str) -> Rule:
     """Return the function of a method."""
-    if method not in METHODS:
-        raise UsageError(f"there is no method {quoted(method)}; choose one of {listed(METHODS)}")
-    return METHODS[method]
+    if method not in RULES:
+        raise UsageError(f"there is no method {quoted(method)}; choose one of {listed(RULES)}")
+    return RULES[method]
 
 
 def rotation_vectors(
@@ -98,11 +101,12 @@ def rotation_vectors(
         stamp is too large to be exact
     `rate`: angular rates, shape ``(N, 3)``, rad/s, resolved in the body frame. For rates w resolved
         in the inertial frame, -w are body rates of the reference as seen from the body
-    `method`: a key of :data:`METHODS`: ``"start"``, the rate from k to k + 1 is that of sample k;
+    `method`: a key of :data:`RULES`: ``"start"``, the rate from k to k + 1 is that of sample k;
         ``"end"``, that of sample k + 1; ``"mean"``, the average of the two; ``"coning"``, linear
         between the two, mean dt + dt^2/12 w_k x w_k+1: of fourth order where the rate is linear, of
         second order elsewhere; ``"cubic"``, a cubic through the samples k - 1 to k + 2, of fourth
-        order, see :func:`quatprop.kinematics.cubic.curvature`
+        order, see :func:`quatprop.kinematics.cubic.curvature`; ``"quintic"``, a quintic through
+        the samples k - 2 to k + 3, of sixth order, see :mod:`quatprop.kinematics.quintic`
     `integration_time_ns`: where samples are increments: the time over which the sensor integrated
         each, shape ``(N,)``, int64, ns, as in :class:`quatprop.series.GyroSeries`. Interval k is
         then the increment theta_k of sample k + 1, whatever its length; zero where no time passes,
@@ -112,7 +116,8 @@ def rotation_vectors(
         every method, and averages under ``"end"``, have the rotation vector theta_k. To it
         ``"coning"`` adds theta_k-1 x theta_k / 12, which makes it of third order; ``"cubic"``
         (theta_k-1 x theta_k + theta_k x theta_k+1) / 24, of fourth order. The weights are those of
-        equal intervals; see :func:`quatprop.kinematics.cubic.curvature_of_averages`
+        equal intervals; see :func:`quatprop.kinematics.cubic.curvature_of_averages`.
+        ``"quintic"`` is of sixth order
     `Returns`: rotation vectors, shape ``(N - 1, 3)``, rad; each of the three columns is contiguous
 
     References
@@ -124,8 +129,10 @@ def rotation_vectors(
         return _integrated(t_ns, rate.T, method, integration_time_ns).T
     dt = (t_ns[1:] - t_ns[:-1]) / NS_PER_S
     rotvec = rule(rate[:-1].T, rate[1:].T, dt)
-    if method == "cubic":
+    if method in LOOK_AHEAD:
         rotvec += curvature(t_ns, rate.T).rotation(dt)
+    if method == "quintic":
+        quintic(t_ns, rate.T).replace(rotvec, dt)
     return rotvec.T
 
 
@@ -139,11 +146,13 @@ def _integrated(
         durations = np.where(durations > 0, integration_time_ns[1:], 0)
     dt = durations / NS_PER_S
     rotvec = _end(rate[:, :-1], average, dt)
-    if method in {"coning", "cubic"}:
+    if method in CORRECT_CONING:
         curvature = curvature_of_averages(
             t_ns, rate, integration_time_ns, causal=method == "coning"
         )
         rotvec += curvature.rotation_of_averages(average, dt)
+    if method == "quintic":
+        quintic_of_averages(t_ns, rate, integration_time_ns).replace(rotvec, dt)
     return rotvec
 
 

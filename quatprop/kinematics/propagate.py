@@ -23,8 +23,10 @@ from quatprop.kinematics.product import (
     write_rows,
 )
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, normalize
+from quatprop.kinematics.quintic import AFTER, BEFORE
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.series.blocks import BLOCK, reblock, with_next
+from quatprop.settings import LOOK_AHEAD
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -87,14 +89,14 @@ class _Composition:
         previous = self._previous or series[:1]
         for start in range(0, len(series), TILE):
             stop = min(start + TILE, len(series))
-            # Of the neighbours of a tile, two before it and one after it count.
-            parts = [series[max(start - 2, 0) : stop + 1]]
-            first = 2
+            # Of the neighbours of a tile, so many before it and after it count.
+            parts = [series[max(start - BEFORE, 0) : stop + AFTER]]
+            first = BEFORE
             if not start:
                 parts.insert(0, previous)
                 first = len(previous)
             if stop == len(series) and following is not None:
-                parts.append(following[:1])
+                parts.append(following[:AFTER])
             samples = GyroSeries.joined(parts)
             rate = 0.0 - samples.rate if self._inertial else samples.rate
             rotvec = rotation_vectors(
@@ -105,15 +107,14 @@ class _Composition:
                 is_interval_average=samples.is_interval_average,
             )
             yield slice(start, stop), tile_steps(rotvec[first - 1 :][: stop - start])
-        last = GyroSeries.joined([previous, series[-2:]])
-        self._previous = last[np.arange(len(last))[-2:]]
+        self._previous = GyroSeries.joined([previous, series[-BEFORE:]])[-BEFORE:]
 
 
 class Propagation(_Composition):
     """Propagates a stream of rates to attitudes.
 
     `q0`: attitude body -> reference at the first sample, wxyz, shape ``(4,)``; it is normalised
-    `method`: integration rule: a key of :data:`quatprop.kinematics.increments.METHODS`
+    `method`: integration rule: one of :data:`quatprop.settings.METHODS`
     `rates`: the frame in which the rates are resolved: ``"body"`` multiplies on the right, q[k+1] =
         q[k] dq[k]; ``"inertial"`` multiplies on the left, q[k+1] = dq[k] q[k]
 
@@ -128,14 +129,14 @@ class Propagation(_Composition):
 
     def run(self, batches: Iterable[GyroSeries]) -> Iterator[tuple[GyroSeries, AttitudeSeries]]:
         """Yield the samples in blocks, with their attitudes."""
-        look_ahead = self._method == "cubic"
+        look_ahead = self._method in LOOK_AHEAD
         for block, following in with_next(reblock(batches), look_ahead=look_ahead):
             yield block, AttitudeSeries(block.t_ns, self.advance(block, following))
 
     def advance(self, series: GyroSeries, following: GyroSeries | None = None) -> Float64:
         """Return the attitudes of the next samples, wxyz, shape ``(N, 4)``.
 
-        `following`: the samples after those, of which the method ``cubic`` takes the first into
+        `following`: the samples after those, of which methods that look ahead take the first into
             account; None: there are none
         """
         rows = np.empty((4, len(series))).T  # which is faster by column, here and for writers
@@ -172,7 +173,7 @@ class FinalAttitude(_Composition):
         """Take the next samples: a block, as for :meth:`Propagation.advance`."""
         if not len(series):
             return
-        if self._method != "cubic":
+        if self._method not in LOOK_AHEAD:
             self._advance(series, None)
             return
         if self._held is not None:

@@ -7,17 +7,19 @@ the interval.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.cubic import Curvature, curvature, curvature_of_averages
-from quatprop.kinematics.increments import METHODS
+from quatprop.kinematics.increments import integration_rule
 from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotate
+from quatprop.kinematics.quintic import AFTER, BEFORE, Quintic, quintic, quintic_of_averages
 from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.series.blocks import with_next
+from quatprop.settings import CORRECT_CONING, LOOK_AHEAD
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S, regular_count, regular_stamps
 
@@ -139,27 +141,27 @@ def at_times(
     """
     first_ns = None
     last: tuple[GyroSeries, AttitudeSeries] | None = None
-    pairs = with_next(propagated, look_ahead=method == "cubic")
+    pairs = with_next(propagated, look_ahead=method in LOOK_AHEAD)
     for (block, attitudes), following in pairs:
         first_ns = int(block.t_ns[0]) if first_ns is None else first_ns
         gyro, known = block, attitudes
         if last is not None:
-            # The interval between blocks begins with the last sample of the block before, and the
-            # cubic through it with the one before that.
+            # The interval between blocks begins with the last sample of the block before, and a
+            # polynomial through it with those before that.
             gyro = GyroSeries.joined([last[0], block])
             known = AttitudeSeries.joined([last[1], attitudes])
         wxyz = known.wxyz
-        last = gyro[-2:], known[-2:]
+        last = gyro[-BEFORE:], known[-BEFORE:]
         if isinstance(times, Steady):
             times.refuse_excess(gyro.t_ns)
-        after = gyro[-1:] if following is None else following[0][:1]
+        after = gyro[-1:] if following is None else following[0][:AFTER]
         if rates == "inertial":
             # The conjugates turn by the opposite rates, on the right.
             gyro, after = gyro.with_rate(-gyro.rate), after.with_rate(-after.rate)
             wxyz = conjugate(wxyz)
-        curvature = _curvature(GyroSeries.joined([gyro, after]), method, gap_limit_ns)
+        shape = _shape(GyroSeries.joined([gyro, after]), method, gap_limit_ns)
         for wanted in times.up_to(first_ns, int(gyro.t_ns[-1])):
-            between = _between(gyro, wxyz, wanted, method, curvature)
+            between = _between(gyro, wxyz, wanted, method, shape)
             if gap_limit_ns is not None:
                 at = np.searchsorted(gyro.t_ns, wanted, side="right") - 1
                 inside = np.diff(gyro.t_ns, append=gyro.t_ns[-1])[at] > gap_limit_ns
@@ -206,20 +208,31 @@ def _with_columns(
     return AttitudeSeries(wanted, wxyz, covariance=covariance, rate=rate, log_ns=log_ns)
 
 
-def _curvature(gyro: GyroSeries, method: str, gap_limit_ns: int | None) -> Curvature | None:
-    """Return the curvature, between samples, of what is propagated; None: the method has none."""
-    rate = gyro.rate.T
-    if gyro.is_integrated(method) and method in {"coning", "cubic"}:
+class _Shape(NamedTuple):
+    """How the rate runs between samples, as far as the method says more than the samples do."""
+
+    curvature: Curvature | None
+    quintic: Quintic | None
+
+
+def _shape(gyro: GyroSeries, method: str, gap_ns: int | None) -> _Shape:
+    """Return how the rate runs between samples."""
+    t_ns, rate, integration_time_ns = gyro.t_ns, gyro.rate.T, gyro.integration_time_ns
+    if gyro.is_integrated(method) and method in CORRECT_CONING:
         causal = method == "coning"
-        return curvature_of_averages(
-            gyro.t_ns, rate, gyro.integration_time_ns, gap_ns=gap_limit_ns, causal=causal
+        curved = curvature_of_averages(
+            t_ns, rate, integration_time_ns, gap_ns=gap_ns, causal=causal
         )
-    return curvature(gyro.t_ns, rate, gap_limit_ns) if method == "cubic" else None
+        if method != "quintic":
+            return _Shape(curved, None)
+        return _Shape(curved, quintic_of_averages(t_ns, rate, integration_time_ns, gap_ns))
+    return _Shape(
+        curvature(t_ns, rate, gap_ns) if method in LOOK_AHEAD else None,
+        quintic(t_ns, rate, gap_ns) if method == "quintic" else None,
+    )
 
 
-def _between(
-    gyro: GyroSeries, wxyz: Float64, wanted: Int64, method: str, curvature: Curvature | None
-) -> Float64:
+def _between(gyro: GyroSeries, wxyz: Float64, wanted: Int64, method: str, shape: _Shape) -> Float64:
     """Return the attitudes at wanted times within the samples, ``(M, 4)``."""
     before = np.searchsorted(gyro.t_ns, wanted, side="right") - 1
     after = np.minimum(before + 1, len(gyro) - 1)
@@ -227,23 +240,25 @@ def _between(
     interval = (gyro.t_ns[after] - gyro.t_ns[before]) / NS_PER_S
     fraction = np.divide(elapsed, interval, out=np.zeros_like(interval), where=interval > 0)
     first, second = gyro.rate[before].T, gyro.rate[after].T
-    curvature = None if curvature is None else curvature.at(before)
+    curvature = None if shape.curvature is None else shape.curvature.at(before)
     if gyro.is_integrated(method):
         # An increment may have been integrated over more or less time than there is between stamps.
         if gyro.integration_time_ns is not None:
             elapsed = fraction * (gyro.integration_time_ns[after] / NS_PER_S)
-        rotvec = METHODS["end"](first, second, elapsed)
+        rotvec = integration_rule("end")(first, second, elapsed)
         if curvature is not None:
             rotvec += curvature.rotation_of_averages(second, elapsed)
     else:
-        if method in {"coning", "cubic"}:
+        if method in CORRECT_CONING:
             # A rate that is linear in time has got part of the way to the next sample's.
             second = first + fraction * (second - first)
         if curvature is not None:
             second += curvature.rate(elapsed)
-        rotvec = METHODS[method](first, second, elapsed)
+        rotvec = integration_rule(method)(first, second, elapsed)
         if curvature is not None:
             rotvec += curvature.rotation(elapsed)
+    if shape.quintic is not None:
+        shape.quintic.at(before).replace(rotvec, elapsed)
     attitudes = multiply(wxyz[before], exp(rotvec.T))
     # At a sample itself the attitude is the sample's, to the bit.
     return np.asarray(np.where((fraction == 0)[:, None], wxyz[before], attitudes))

@@ -14,6 +14,7 @@ import numpy as np
 from quatprop.kinematics.propagate import FinalAttitude
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.series import GyroSeries
+from quatprop.settings import CORRECT_CONING
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -27,6 +28,7 @@ NEXT_BETTER: Final = {
     "mean": "coning",
     "coning": "cubic",
     "cubic": "coning",
+    "quintic": "cubic",
 }
 """The integration rule with which each is compared: of the next higher order, or the next lower."""
 
@@ -52,7 +54,7 @@ class Sensitivity:
         """Take the next samples: a block of :func:`quatprop.series.blocks.reblock`."""
         if self._runs is None:
             integrated = block.is_integrated(self._method)
-            end = integrated and self._method not in {"coning", "cubic"}
+            end = integrated and self._method not in CORRECT_CONING
             self.next_method = "coning" if end else NEXT_BETTER[self._method]
             methods = (self.next_method, self._method)
             self._runs = [
@@ -66,7 +68,7 @@ class Sensitivity:
     def finish(self) -> None:
         """End the segment."""
         if self._runs is not None:
-            self._runs[1].add(self._sparse.rest())
+            self._runs[1].add(self._sparse.rest)
             self._ends = [run.end() for run in self._runs]
 
     def angles(self, final: ArrayLike) -> tuple[float, float]:
@@ -83,12 +85,14 @@ class Decimator:
 
     Averages and increments over two intervals are joined: nothing of the motion is left out, but
     how the axis turned within them.
+
+    `rest`: the last sample so far, where it was left out
     """
 
     def __init__(self) -> None:
         self._count = 0
         self._held: GyroSeries | None = None
-        self._rest = GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))
+        self.rest = GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))
 
     def kept(self, block: GyroSeries) -> GyroSeries:
         """Return the samples of the next block that remain."""
@@ -96,19 +100,15 @@ class Decimator:
             # No sample depends on others, so none is copied.
             sparse = block[self._count % 2 :: 2]
             self._count += len(block)
-            self._rest = block[len(block) - (self._count + 1) % 2 :]
+            self.rest = block[len(block) - (self._count + 1) % 2 :]
             return sparse
         samples, first = block, 0
         if self._held is not None:
             # The first of these was returned before.
             samples, first = GyroSeries.joined([self._held, block]), 2
         last = (len(samples) - 1) // 2 * 2
-        self._held, self._rest = samples[last:], samples[last + 1 :]
+        self._held, self.rest = samples[last:], samples[last + 1 :]
         return self._joined(samples[: last + 1], samples[first : last + 1 : 2])
-
-    def rest(self) -> GyroSeries:
-        """Return the last sample, where it was left out; at the end of the segment."""
-        return self._rest
 
     @staticmethod
     def _joined(samples: GyroSeries, sparse: GyroSeries) -> GyroSeries:

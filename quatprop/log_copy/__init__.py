@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, cast
 
 from quatprop.errors import OutputError, UsageError
-from quatprop.logs.kinds import COMPRESSION_SUFFIXES
+from quatprop.stores.kinds import COMPRESSION_SUFFIXES
 from quatprop.text import Setting, listed, plain, quoted
 from quatprop.writers import refuse_columns, refuse_comment
 from quatprop.writers.attitudes import AttitudeWriter, attitude_messages

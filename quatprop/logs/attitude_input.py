@@ -32,8 +32,8 @@ class AttitudeInput:
     """Which attitude series to read.
 
     `path`: any log or table with attitudes, or ``"-"``
-    `kind`: a key of :data:`quatprop.logs.kinds.READERS`; None for the kind that content and suffix
-        show
+    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None for the kind that content and
+        suffix show
     `normalize`: scale quaternions of any length but zero to unit length
     `drop`: leave out invalid quaternions instead of refusing the series
     `side`: which side of a comparison it is, ``"a"`` or ``"b"``, for errors

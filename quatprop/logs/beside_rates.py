@@ -74,7 +74,7 @@ def specific_forces(source: RateSignal) -> Rows | None:
     """
     for match in source.matches:
         for force in beside(match, "force"):
-            return read_vectors(Match(force, match.stamp, marks=marks_of(force)))
+            return read_vectors(Match(*force, match.stamp, marks=marks_of(force)))
     return None
 
 

@@ -22,10 +22,10 @@ from quatprop.errors import (
     os_reason,
 )
 from quatprop.errors.third_party import as_errors_of
-from quatprop.logs.kinds import READERS, TEXT_KINDS, head_of, kind_of
 from quatprop.stores.compressed_files import DecompressedCopy, file_compression
 from quatprop.stores.compression import UnreadableDataError
 from quatprop.stores.file_source import FileSource
+from quatprop.stores.kinds import READERS, TEXT_KINDS, head_of, kind_of
 from quatprop.stores.objects import below, find, is_address, without_secret
 from quatprop.stores.temp_files import temp_folder
 from quatprop.text import Setting, listed, plain, quoted
@@ -57,8 +57,8 @@ def open_log(
 
     `path`: a file, a ROS 2 bag folder, the address of one of them in an object store, or ``"-"``
         for stdin
-    `kind`: a key of :data:`quatprop.logs.kinds.READERS`; None to recognise it by the content, then
-        by the suffix
+    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None to recognise it by the content,
+        then by the suffix
     `msg_path`: a ``.msg`` file, a package or a folder of packages with the definitions that a bag
         lacks; None for files that lie beside it
     """

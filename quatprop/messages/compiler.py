@@ -166,7 +166,7 @@ class _Compiler:
         if not count:
             return
         if self.extents.alignment(element):
-            self.size += self.extents.size(Array(element, count), self.phase + self.size)
+            self.size += self.extents.size(Array(element, count), (self.phase + self.size) % 8)
         else:
             self.close(Repeat(self._element(element), count))
 
@@ -179,7 +179,7 @@ class _Compiler:
             self.close(Repeat(self._element(element), None))
             return
         first = tuple(self.extents.size(element, begin) for begin in range(8))
-        further = self.extents.size(element, first[0])
+        further = self.extents.size(element, first[0] % 8)
         if max(*first, further) > MAX_SIZE:
             raise NotPlannedError("the definition is larger than any message")
         # The count ends at a multiple of 4 where anything is aligned at all.

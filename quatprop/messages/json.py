@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import suppress
 from decimal import Decimal
+from functools import reduce
 from itertools import islice
+from operator import getitem
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +21,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.json as pyarrow_json
 
-from quatprop.errors import SchemaError, UsageError
+from quatprop.errors import UsageError
 from quatprop.messages.schema import (
     TIME,
     Array,
@@ -27,12 +30,11 @@ from quatprop.messages.schema import (
     String,
     Struct,
     Unknown,
-    field_at,
+    steps,
 )
 from quatprop.messages.times import NANOSECONDS, SECONDS
 from quatprop.messages.values import ValueDecoder, WantedColumn, raw_messages
 from quatprop.series.arrow_arrays import nested_schema, to_numpy
-from quatprop.text import quoted
 from quatprop.times import instant
 
 if TYPE_CHECKING:
@@ -99,6 +101,17 @@ def _merged(one: Any, other: Any) -> Any:
     return other if one is None or one == [] else one
 
 
+def first_texts(block: MessageBlock, field_path: str) -> list[str]:
+    """Return what a text is in the first messages of a block, each once."""
+    texts: dict[str, None] = {}
+    for raw in islice(raw_messages(block), SAMPLED):
+        with suppress(LookupError, RecursionError, TypeError, ValueError):
+            value = reduce(getitem, steps(field_path) or (), json.loads(raw))
+            if isinstance(value, str):
+                texts[value] = None
+    return [*texts]
+
+
 def _fields(sample: JsonObject) -> tuple[tuple[str, Type], ...]:
     for seconds in SECONDS:
         for nanoseconds in NANOSECONDS:
@@ -106,6 +119,13 @@ def _fields(sample: JsonObject) -> tuple[tuple[str, Type], ...]:
                 return (seconds, INTEGER), (nanoseconds, INTEGER)
     names = [name for name in AXES if name in sample] if set(sample) <= set(AXES) else list(sample)
     return tuple((name, _type(sample[name])) for name in names)
+
+
+def has_order(kind: Type) -> bool:
+    """Return whether the parts of a field have an order: objects have none, but for vectors."""
+    if not isinstance(kind, Struct):
+        return True
+    return {name for name, _ in kind.fields} <= {*AXES, *SECONDS, *NANOSECONDS}
 
 
 def _type(sample: Any) -> Type:
@@ -140,16 +160,6 @@ class JsonDecoder(ValueDecoder):
     def __init__(self, channel: Channel, field_paths: Sequence[str], path: Path | str) -> None:
         super().__init__(channel, field_paths, path)
         self._schema = _schema(self.wanted)
-
-    def _wanted(self, root: Struct, field_path: str) -> WantedColumn:
-        _, kind = field_at(root, field_path, self.path)
-        if isinstance(kind, Struct) and not {name for name, _ in kind.fields} <= set(AXES):
-            raise SchemaError(
-                self.path,
-                f"field {quoted(field_path)} of {quoted(self.channel.type_name)} has parts without "
-                "a defined order; name its numbers as a,b,c",
-            )
-        return super()._wanted(root, field_path)
 
     def columns(self, *blocks: MessageBlock) -> list[AnyArray]:
         """Return the wanted fields of all messages of blocks, parsed at once where possible."""

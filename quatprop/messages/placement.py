@@ -42,7 +42,7 @@ class Extents:
     def __init__(self, placement: Placement) -> None:
         self.placement = placement
         self.alignment = cache(self._alignment)
-        self._size_from = cache(self._size)
+        self.size = cache(self._size)
 
     def _alignment(self, kind: Type) -> int:
         """Return the largest alignment in a value of fixed size, or 0 where its size varies."""
@@ -59,20 +59,20 @@ class Extents:
                 return 0 if delimited else self.alignment(kind.element)
         return 0
 
-    def size(self, kind: Type, begin: int) -> int:
-        """Return the bytes of a value of fixed size, with the padding before it."""
-        return self._size_from(kind, begin % 8)
-
     def _size(self, kind: Type, begin: int) -> int:
+        """Return the bytes of a value of fixed size, with the padding before it.
+
+        `begin`: where it begins, modulo 8: of a type there are not more sizes than that
+        """
         if isinstance(kind, Primitive):
             return -begin % self.alignment(kind) + kind.size
         end = begin
         if isinstance(kind, Struct):
             for _, part in kind.fields:
-                end += self.size(part, end)
+                end += self.size(part, end % 8)
         elif isinstance(kind, Array) and kind.length:
             # From the second element on they lie equal distances apart, because every element
             # ends equally far behind its first most aligned number.
-            end += self.size(kind.element, end)
-            end += (kind.length - 1) * self.size(kind.element, end)
+            end += self.size(kind.element, end % 8)
+            end += (kind.length - 1) * self.size(kind.element, end % 8)
         return end - begin

@@ -22,7 +22,7 @@ MAX_SEARCHED_ITEMS = 16
 """A search looks into the elements of fixed arrays up to this length."""
 
 _NAME_PART = re.compile(r"[./]|::")
-_STEP = re.compile(r"(?:^|(?<=.)\.)(\w+)|\[(\d+)\]", re.ASCII)
+_STEP = re.compile(r"(?:^|(?<=.)\.)([^.\[\]]+)|\[(\d+)\]", re.ASCII)
 
 
 class BadDefinitionError(Exception):

@@ -90,18 +90,9 @@ class AttitudeStream:
         self._times = _times(settings)
 
     @property
-    def _needs_growth(self) -> bool:
-        return self._sensitivity or self._settings.errors.sigma
-
-    @property
     def reads_all(self) -> bool:
         """Whether the whole log is read."""
         return self._conditioned.part is None
-
-    @property
-    def samples(self) -> int:
-        """Samples propagated so far."""
-        return self._timeline.counts.used
 
     def __iter__(self) -> Iterator[AttitudeSeries]:
         """Yield the attitudes in batches, once."""
@@ -153,13 +144,14 @@ class AttitudeStream:
             in_order=settings.policy.on_backwards != "sort",
         )
         self._q0 = first_attitude(settings.q0, context, first)
+        needs_growth = self._sensitivity or settings.errors.sigma
         return Segments(
             self._timeline,
             self._q0,
             method=self._method,
             rates=settings.rates,
             times=self._times,
-            errors=self._errors[0] if self._errors and self._needs_growth else None,
+            errors=self._errors[0] if self._errors and needs_growth else None,
             # Rates in the reference frame are not turned by the mounting.
             mount=self._conditioned.mount if settings.rates == "body" else None,
         )

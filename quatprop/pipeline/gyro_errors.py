@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from quatprop.conditioning.static_detection import StaticPeriod
+    from quatprop.conditioning.static_period import StaticPeriod
 
 IMU_KEYS: Final = {
     "gyroscope_noise_density": "noise_density",
@@ -92,7 +92,8 @@ def known_errors(
     """Return the errors of a gyroscope and where each comes from; None where none is known.
 
     `rest`: the rest from which the bias was taken, or None. The scatter of n rates over the time T
-        is the noise density N, and N / sqrt(T) what is left of the bias
+        is the noise density N, and N / sqrt(T) what is left of the bias, with what the step of
+        quantised rates hides; where rests differ, it is what they differ by
     """
     given = {name: getattr(settings, name) for name in SensorErrors._fields}
     found = {name: (value, "given") for name, value in given.items() if value is not None}
@@ -102,9 +103,12 @@ def known_errors(
     span_s = 0.0 if rest is None else (rest.last_ns - rest.first_ns) / NS_PER_S
     if rest is not None and span_s > 0:
         interval_s = span_s / (rest.samples - 1)
-        density = rest.scatter_rad_s / math.sqrt(3) * math.sqrt(interval_s)
-        density, _ = found.setdefault("noise_density", (density, "rest"))
-        found.setdefault("bias_sigma", (density / math.sqrt(span_s), "rest"))
+        coarsest = max((each.step for each in rest.levels), default=0.0)
+        scatter = max(rest.scatter_rad_s / math.sqrt(3), coarsest / math.sqrt(12))
+        density, _ = found.setdefault("noise_density", (scatter * math.sqrt(interval_s), "rest"))
+        bias = math.hypot(density / math.sqrt(span_s), rest.quantisation_rad_s)
+        spread = rest.other.difference_rad_s if rest.other else 0.0
+        found.setdefault("bias_sigma", (max(bias, spread), "rest"))
     if not found:
         return None
     errors = SensorErrors(**{name: value for name, (value, _) in found.items()})

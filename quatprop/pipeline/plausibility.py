@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from quatprop.conditioning.quantisation import step_of
 from quatprop.errors import QuatpropError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
@@ -31,6 +32,19 @@ if TYPE_CHECKING:
 
 
 Series = TypeVar("Series", GyroSeries, AttitudeSeries)
+
+SENSITIVITIES = (
+    *(range_deg_s / 32768 for range_deg_s in (125, 245, 250, 300, 450, 500, 1000, 2000, 4000)),
+    *(1 / per_deg_s for per_deg_s in (131, 131.2, 65.5, 65.6, 32.8, 16.4)),
+    *(0.004375, 0.00875, 0.0175, 0.035, 0.07),
+)
+"""deg/s in a step of common gyroscopes: of a range in 16 bits, InvenSense's and ST's."""
+
+SAME_STEP = 2e-4
+"""Steps that differ by less than this share are the same: sensitivities are given in few digits."""
+
+STEPPED = 10_000
+"""Samples whose step is looked at."""
 
 COMPARED_SAMPLES = 20_000
 """Rates are compared with the log's own orientation over so many samples from its beginning."""
@@ -58,6 +72,7 @@ def log_remarks(log: Log, source: RateSignal, rates: str = "body") -> list[str]:
     """
     return [
         *stamp_remarks(source),
+        *step_remarks(source),
         *frame_remarks(source),
         *orientation_remarks(log, source, rates),
     ]
@@ -96,6 +111,27 @@ def stamp_remarks(source: RateSignal) -> list[str]:
     return [
         f"header stamps begin at {begin} and the recording at {recorded}: another clock; {way_out}"
     ]
+
+
+def step_remarks(source: RateSignal) -> list[str]:
+    """Return a remark if the rates come in the steps of a gyroscope in another unit."""
+    first = next(source.batches(at_first=True), None)
+    if first is None:
+        return []
+    steps = [step_of(axis[np.isfinite(axis)]) for axis in first.rate[:STEPPED].T]
+    for unit, factor, than in (
+        ("deg/s", 1.0, "57.3 times as large as"),
+        ("rad/s", math.radians(1.0) ** 2, "57.3 times smaller than"),
+    ):
+        known = [factor * scale for scale in SENSITIVITIES]
+        for step in steps:
+            if any(abs(step - scale) < SAME_STEP * scale for scale in known):
+                said = (
+                    f"the rates come in steps of {step:.6g} rad/s, {than} those of a common "
+                    f"gyroscope: if they are in {unit}, use {Setting('rate_unit', unit)}"
+                )
+                return [said]
+    return []
 
 
 def orientation_remarks(log: Log, source: RateSignal, rates: str = "body") -> list[str]:

@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 class PropagationSettings:
     """Everything that determines the attitudes of a log.
 
-    `kind`: a key of :data:`quatprop.logs.kinds.READERS`; None: told by its content,
+    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: told by its content,
         then by its suffix
     `policy`: how irregular timestamps are handled
-    `method`: integration rule: a key of :data:`quatprop.kinematics.increments.METHODS`; None: what
+    `method`: integration rule: one of :data:`quatprop.settings.METHODS`; None: what
         the log says of its samples, or else ``"start"``
     `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved
     `q0`: attitude body -> reference at the first sample, or where to take it from
@@ -72,7 +72,7 @@ class PropagationSettings:
                 f"{Setting('every')}, {Setting('rate')} and {Setting('at')} each say which "
                 "attitudes to write; choose one"
             )
-        if self.conditioning.static_ns is None:
+        if self.conditioning.static is None:
             self.errors.refuse_unknown_errors()
         if (
             self.rates == "inertial"
@@ -181,7 +181,7 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
         policy=Policy(max_gap_ns=values.get("max_gap"), **_named(Policy, values)),
         conditioning=GyroCorrection(
             bias_from=bias if isinstance(bias, str) else None,
-            static_ns=bias.window_ns if isinstance(bias, StaticBias) else None,
+            static=bias if isinstance(bias, StaticBias) else None,
             **{
                 **_named(GyroCorrection, values),
                 "bias": None if isinstance(bias, str | StaticBias) else bias,

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from quatprop.arrays import Float64
-    from quatprop.conditioning.static_detection import StaticPeriod
+    from quatprop.conditioning.static_period import StaticPeriod
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.pipeline.report import ResultReport, RunReport
 
@@ -95,8 +95,12 @@ def _bias(bias_rad_s: Iterable[float], rest: StaticPeriod | None) -> str:
     return (
         f"{bias}, from {rest.samples} samples at rest over "
         f"{duration_text(rest.last_ns - rest.first_ns)} from t = {rest.first_ns} ns, "
-        f"scatter {rest.scatter_rad_s:.3g} rad/s; steady by {', '.join(rest.steady)}; "
-        "the whole log was searched"
+        f"scatter {rest.scatter_rad_s:.3g} rad/s; "
+        + (
+            f"steady by {', '.join(rest.steady)}; the whole log was searched"
+            if rest.steady
+            else "as given"
+        )
     )
 
 

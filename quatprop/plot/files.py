@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 class View(NamedTuple):
     """What to draw of files.
 
-    `kind`: a key of :data:`quatprop.logs.kinds.READERS`; None: by content and suffix
+    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: by content and suffix
     `show`: none: the rates of a file that has some, else its attitudes
     `components`: draw quaternions as they are instead of as angles
     `unwrap`: draw angles beyond half a turn

@@ -97,7 +97,7 @@ class GyroSeries(Series):
         Parameters
         ----------
         method
-            A key of :data:`quatprop.kinematics.increments.METHODS`.
+            One of :data:`quatprop.settings.METHODS`.
         """
         return self.integration_time_ns is not None or (
             self.is_interval_average and method not in {"start", "mean"}

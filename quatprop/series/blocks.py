@@ -42,17 +42,13 @@ def reblock(batches: Iterable[GyroSeries], size: int = BLOCK) -> Iterator[GyroSe
         start = 0
         while count + len(batch) - start >= size:
             stop = start + size - count
-            yield GyroSeries.joined([*held, _part(batch, start, stop)])
+            yield GyroSeries.joined([*held, batch[start:stop]])
             held, count, start = [], 0, stop
         if start < len(batch):
-            held.append(_part(batch, start, len(batch)))
+            held.append(batch[start:])
             count += len(batch) - start
     if count:
         yield GyroSeries.joined(held)
-
-
-def _part(batch: GyroSeries, start: int, stop: int) -> GyroSeries:
-    return batch if stop - start == len(batch) else batch[start:stop]
 
 
 def with_next(items: Iterable[Item], *, look_ahead: bool) -> Iterator[tuple[Item, Item | None]]:

@@ -30,19 +30,18 @@ from quatprop.settings.parsers import (
     text,
 )
 from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES, RATIOS, quantity_of
+from quatprop.stores.kinds import READERS
 from quatprop.text import Setting
-
-KINDS = (
-    *("mcap", "bag", "db3", "rosbag2", "ulog"),
-    *("parquet", "feather", "npy", "npz", "hdf5", "matlab", "jsonl", "tum", "kitti", "csv"),
-)
-"""The keys of :data:`quatprop.logs.kinds.READERS`."""
 
 LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
 RATE_UNITS = ("rad/s", "deg/s")
 TIME_UNITS = ("s", "ms", "us", "ns")
 CLOCKS = ("header", "log", "publish")
-METHODS = ("start", "end", "mean", "coning", "cubic")
+METHODS = ("start", "end", "mean", "coning", "cubic", "quintic")
+LOOK_AHEAD = {"cubic", "quintic"}
+"""Methods for which samples after an interval count."""
+CORRECT_CONING = {"coning", *LOOK_AHEAD}
+"""Methods that add to averages and increments how the axis has turned."""
 FRAMES = ("body", "inertial")
 """Where rates may be resolved: body rates multiply on the right, inertial rates on the left."""
 EULER_SEQUENCES = (
@@ -63,7 +62,7 @@ class SelectOptions(TypedDict, total=False):
 
     # fmt: off
     kind: Annotated[str | None, Keyword(
-        Choice(*KINDS), "Kind of {log}.", "told by its content, then by its suffix", takes="KIND")]
+        Choice(*READERS), "Kind of {log}.", "told by its content, then by its suffix", "KIND")]
     topic: Annotated[str | None, Keyword(
         text, "Topic of {log}.", "the only one with {signal}", "NAME", common=True)]
     msg_path: Annotated[str | PathLike[str] | None, Keyword(
@@ -159,9 +158,10 @@ class PropagateOptions(RateOptions, total=False):
         common=True)]
     method: Annotated[str | None, Keyword(
         Choice(*METHODS), "Integration rule: the rate over an interval is that of the sample at "
-        "its start, of the one at its end, their mean, linear between them (coning), or a cubic "
-        "through four samples (cubic). Coning and cubic also correct averages and increments for "
-        "coning.", "start; end where the log's samples are averages or increments",
+        "its start, of the one at its end, their mean, linear between them (coning), a cubic "
+        "through four samples (cubic) or a quintic through six (quintic, for sensors with next to "
+        "no noise). The last three also correct averages and increments for coning.",
+        "start; end where the log's samples are averages or increments",
         group="Integration", common=True)]
     rates: Annotated[str | None, Keyword(
         Choice(*FRAMES), "Frame the rates are resolved in: body multiplies right, inertial left.",
@@ -183,8 +183,9 @@ class PropagateOptions(RateOptions, total=False):
     bias: Annotated[str | PathLike[str] | Collection[float] | None, Keyword(
         bias, f"Subtracted from the rates; in {Setting('rate_unit')}. static takes the mean rate "
         f"over a rest of at least DUR (1s), found in the whole log by rate, accelerometer and "
-        f"orientation; FILE or TOPIC is a series of biases, interpolated in time.",
-        takes="X,Y,Z|static[:DUR]|FILE|TOPIC", group="Rates", common=True)]
+        f"orientation, or over the rest from START to END; FILE or TOPIC is a series of biases, "
+        f"interpolated in time.",
+        takes="X,Y,Z|static[:DUR|@START..END]|FILE|TOPIC", group="Rates", common=True)]
     calibration: Annotated[str | PathLike[str] | None, Keyword(
         path, "Scale, misalignment and bias of the gyroscope: YAML or JSON with matrix (3x3) and "
         "bias (rad/s), applied as matrix (w - bias), or kalibr's file of an IMU.", takes="FILE",

@@ -7,6 +7,7 @@ raises a :class:`quatprop.errors.UsageError` that does not name the setting.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable
 from datetime import datetime, timedelta
 from decimal import Decimal
@@ -43,12 +44,17 @@ class StaticBias(NamedTuple):
     """Take the mean rate at rest as the bias.
 
     `window_ns`: rest is looked for in windows of this length, ns
+    `start`, `end`: where the rest is, ends included; None: it is looked for
     """
 
     window_ns: int = 1_000_000_000
+    start: Instant | None = None
+    end: Instant | None = None
 
     def __str__(self) -> str:
         """Return it as :func:`bias` reads it."""
+        if self.start is not None:
+            return f"{STATIC}@{self.start}..{self.end}"
         return f"{STATIC}:{self.window_ns}ns"
 
 
@@ -207,7 +213,7 @@ def file_beside(name: str, text: str, folder: Path) -> Path | None:
     """Return the file that a setting names, relative to a folder; None where it names none."""
     path = folder / text
     words = {"bias": (STATIC,), "q0": FROM_THE_LOG}.get(name, ())
-    if name not in FILE_SETTINGS or "://" in text or text.partition(":")[0].strip() in words:
+    if name not in FILE_SETTINGS or "://" in text or re.split("[:@]", text)[0].strip() in words:
         return None
     # It may as well be a topic or numbers.
     return path if path.exists() or not (words or "," in text) else None
@@ -235,6 +241,11 @@ def bias(value: object) -> tuple[float, ...] | StaticBias | str:
     if isinstance(value, str) and value.partition(":")[0].strip() == STATIC:
         window = value.partition(":")[2]
         return StaticBias(duration_ns(window)) if window else StaticBias()
+    if isinstance(value, str) and value.partition("@")[0].strip() == STATIC:
+        start, dots, end = value.partition("@")[2].partition("..")
+        if not dots:
+            raise UsageError(f"{shown(value)} is no time range; write static@+10s..+20s")
+        return StaticBias(start=moment(start.strip()), end=moment(end.strip()))
     # With commas, it may be an attempt at numbers.
     if _is_name(value) and ("," not in str(value) or Path(value).exists()):
         return path(value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from contextlib import suppress
 from functools import cached_property
 from itertools import chain, pairwise
 from typing import TYPE_CHECKING, NamedTuple, NoReturn, Self
@@ -130,7 +131,7 @@ class TableLog(Log, Table):
     ) -> Iterator[RowBatch]:
         """Yield the first rows, and then, but of stdin, all; with times all at once."""
         if not stamps and (first := self.head([k for group in groups for k in group])):
-            cells = np.array([[*map(_number, row)] for row in first])
+            cells = np.array([*map(numbers_of, first)])
             yield RowBatch(np.arange(len(first)), _split(cells, groups))
         # Text on stdin is read only once.
         if str(self.path) != "-":
@@ -210,8 +211,10 @@ def _split(cells: Float64, groups: Sequence[Group]) -> tuple[AnyArray, ...]:
     return tuple(cells[:, begin if end - begin == 1 else slice(begin, end)] for begin, end in ends)
 
 
-def _number(cell: object) -> float:
-    try:
-        return float(f"{cell}".replace(",", "."))
-    except ValueError:
-        return np.nan
+def numbers_of(cells: Sequence[object]) -> Float64:
+    """Return the numbers in cells; NaN where there is none."""
+    numbers = np.full(len(cells), np.nan)
+    for k, cell in enumerate(cells):
+        with suppress(ValueError):
+            numbers[k] = float(f"{cell}".replace(",", "."))
+    return numbers

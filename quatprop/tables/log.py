@@ -54,7 +54,7 @@ class Losses(list[Loss]):
 class Log(ABC):
     """A log of any kind, open for reading; closed when its ``with`` block ends.
 
-    `kind`: the key in :data:`quatprop.logs.kinds.READERS`
+    `kind`: the key in :data:`quatprop.stores.kinds.READERS`
     `losses`: what could not be read; grows while the log is read
     `remarks`: what may be wrong with the log, though not for certain; grows while the log is read
     `definition_files`: files beside the log that message definitions were taken from

@@ -96,7 +96,7 @@ class StampChecks:
                     ahead = duration_text(ahead_ns)
                     self.counts.outliers.cause = f", {ahead} ahead of those around it"
                 self.counts.outliers.add(np.flatnonzero(outliers), t_ns, rows)
-            if self.policy.on_backwards == "error":
+            if self.policy.on_backwards == "error" and (ahead_ns or back.any()):
                 self._refuse()
             yield Examined(batch, rows, outliers, back)
 

@@ -45,7 +45,7 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
     `target`: where to write; ``"-"`` is stdout
     `kind`: a key of :data:`WRITERS`; None takes it from the suffix of `target`. Stdout, pipes and
         devices get CSV; any other name without a suffix is a ROS 2 bag folder
-    `layout`: a name in :data:`quatprop.conventions.layout.LAYOUTS`; None is the layout that the
+    `layout`: a name in :data:`quatprop.settings.LAYOUTS`; None is the layout that the
         format prescribes, or scalar-first where there is a choice
     `sigma`: ``"body"`` or ``"reference"``: add columns of standard deviations about these axes.
         Messages with a covariance hold what the attitudes have, about reference axes, as ROS

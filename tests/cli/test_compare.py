@@ -101,7 +101,7 @@ def test_json_names_options(tmp_path):
     assert run("propagate", samples / "coning.mcap", "-o", made, "-q").exit_code == 0
     found = report(made, samples / "coning.truth.csv")
     assert found["likely_cause"]["remedy"] == (
-        "if A was propagated, propagate it with --method cubic; if B was, with --method start"
+        "if A was propagated, propagate it with --method quintic; if B was, with --method start"
     )
 
 

@@ -93,7 +93,7 @@ def test_the_examples_of_every_command_run(tmp_path, monkeypatch):
         (["propagate", "--metod", "x"], "No such option '--metod'; did you mean '--method'?"),
         (["propagate", "--on-gaps", "x"], "No such option '--on-gaps'; did you mean '--on-gap'?"),
         (["propagate", "--zzz"], "No such option '--zzz'"),
-        (["propagate", "x", "--method", "conning"], "'cubic'; did you mean 'coning'?"),
+        (["propagate", "x", "--method", "conning"], "'quintic'; did you mean 'coning'?"),
         (["info", "--frame", "x"], "No such option '--frame'"),
         (["compare", "--topic", "x"], "No such option '--topic'; did you mean '--topic-a'?"),
         (["compare", "-t", "x"], "No such option '-t'; did you mean '--topic-a'?"),

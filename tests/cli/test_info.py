@@ -14,6 +14,7 @@ from make.places import SAMPLE_LOGS
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from pyarrow import parquet as pq
+from rosbags.typesys import Stores, get_typestore
 
 from quatprop.cli.commands import cli
 from quatprop.containers import first_blocks
@@ -257,6 +258,27 @@ def test_a_topic_of_several_transforms_is_said_in_one_sentence(shared_logs):
     (facts,), _ = info(log)
     (said,) = [one["missing"] for one in facts["attitudes"] if one["source"] == "/tf"]
     assert str(said).startswith("topic '/tf' has several transforms: '/tilt_axis:/camera', ")
+
+
+def test_a_topic_without_transforms_is_said_to_be_so(tmp_path):
+    """`info` sent who looked at an empty /tf_static to `info`."""
+    log, kind = tmp_path / "log.mcap", "tf2_msgs/msg/TFMessage"
+    store = get_typestore(Stores.LATEST)
+    with log.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        definition, _ = store.generate_msgdef(kind, ros_version=2)
+        schema = writer.register_schema(kind, "ros2msg", definition.encode())
+        channel = writer.register_channel("/tf_static", "cdr", schema)
+        data = bytes(store.serialize_cdr(store.types[kind]([]), kind))
+        writer.add_message(channel, 1, data, 1)
+        writer.finish()
+    said = "the messages of topic '/tf_static' hold no transforms; choose another "
+    assert text(log)[-1] == f"  /tf_static: {said}--topic"
+    (facts,), _ = info(log)
+    assert facts["attitudes"][0]["missing"] == f"{said}topic"
+    result = CliRunner().invoke(cli, ["convert", str(log), str(tmp_path / "out.csv")])
+    assert (result.exit_code, result.stderr) == (2, f"Error: {log}: {said}--topic\n")
 
 
 def test_a_binary_log_on_stdin_is_listed_whole():

@@ -5,17 +5,17 @@ from itertools import chain
 import numpy as np
 import pytest
 
-from quatprop.conventions.layout import LAYOUTS
+from quatprop.conventions.layout import layout_named
 from quatprop.conversion.convert import convert
 from quatprop.conversion.job import Conversion
 from quatprop.errors import NotRotationsError
 from quatprop.logs.attitude_input import AttitudeInput
-from quatprop.logs.kinds import READERS
 from quatprop.logs.open_log import open_log
 from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.pipeline.settings import OutputSettings
 from quatprop.series import AttitudeSeries
 from quatprop.settings.selection import AttitudeSelection
+from quatprop.stores.kinds import READERS
 from quatprop.writers import open_writer
 from quatprop.writers.formats import WRITERS
 
@@ -95,14 +95,14 @@ def test_converted_to_any_other_format_it_is_the_same_to_the_bit(tmp_path, first
     (kind, layout), (other, other_layout) = first, second
     attitudes = series(other if other in ROS else kind)
     source = written(tmp_path, kind, layout, attitudes)
-    assert read(source)[2] == LAYOUTS[layout].name
+    assert read(source)[2] == layout_named(layout).name
     target = tmp_path / f"converted{SUFFIX.get(other, '.' + other)}"
     output = OutputSettings(str(target), to=other, layout=other_layout)
     convert(Conversion(AttitudeInput(str(source)), output))
     t_ns, wxyz, found = read(target)
     assert t_ns.tobytes() == attitudes.t_ns.tobytes()
     assert wxyz.tobytes() == attitudes.wxyz.tobytes()
-    assert found == LAYOUTS[other_layout].name
+    assert found == layout_named(other_layout).name
 
 
 class Unsound:

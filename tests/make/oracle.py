@@ -66,6 +66,36 @@ def curvature(dt, u, v):
     return np.array(rows, L)
 
 
+def quintic(t_ns, rate):
+    """Return rotation vectors ``(N - 1, 3)`` for products on the left, interval by interval.
+
+    Six samples are weighted by Lagrange's formula at the three nodes; intervals are not too unlike.
+    """
+    t, w = (t_ns - t_ns[0]).astype(L) / L(10) ** 9, rate.astype(L)
+    return np.array([_quintic_step(t, w, k) for k in range(len(t) - 1)], L)
+
+
+def _quintic_step(t, w, k):
+    six = next(
+        range(start, start + 6)
+        for start in (k - 2, k - 3, k - 1, k - 4, k)
+        if 0 <= start <= len(t) - 6 and np.ptp(np.log(np.diff(t[start : start + 6]))) <= np.log(2)
+    )
+    h = t[k + 1] - t[k]
+    first, middle, last = (
+        sum(
+            w[i] * np.prod([(t[k] + c * h - t[j]) / (t[i] - t[j]) for j in six if j != i])
+            for i in six
+        )
+        for c in (L(1) / 2 - np.sqrt(L(15)) / 10, L(1) / 2, L(1) / 2 + np.sqrt(L(15)) / 10)
+    )
+    a1, a2 = h * middle, h * np.sqrt(L(15)) / 3 * (last - first)
+    a3 = 10 * h / 3 * (last - 2 * middle + first)
+    c1 = np.cross(a1, a2)
+    c2 = -np.cross(a1, 2 * a3 + c1) / 60
+    return a1 + a3 / 12 + np.cross(-20 * a1 - a3 + c1, a2 + c2) / 240
+
+
 def increments(rotvec):
     """Return unit quaternions as a tuple of components ``(M,)``."""
     angle = np.sqrt((rotvec**2).sum(axis=1))
@@ -82,7 +112,10 @@ def unit(q):
 
 def serial(t_ns, rate, q0=(1, 0, 0, 0), method="start", rates="body"):
     """Return attitudes ``(N, 4)``, one step after the other."""
-    rotvec = rotation_vectors(t_ns, rate, method)
+    if method == "quintic":
+        rotvec = quintic(t_ns, rate) if rates == "inertial" else -quintic(t_ns, -rate)
+    else:
+        rotvec = rotation_vectors(t_ns, rate, method)
     if rates == "inertial" and method in {"coning", "cubic"}:
         # Left multiplication takes the commutator, which is the coning term, with the other sign.
         mean, coning = (rotation_vectors(t_ns, rate, each) for each in ("mean", "coning"))

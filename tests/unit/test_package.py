@@ -188,14 +188,6 @@ def test_a_plain_run_imports_what_it_uses(tmp_path):
     assert result.stdout == "[]\n"
 
 
-def test_the_kinds_of_the_command_line_are_those_of_the_table():
-    """--from lists exactly the kinds that have a reader."""
-    from quatprop.logs.kinds import READERS
-    from quatprop.settings import KINDS
-
-    assert tuple(READERS) == KINDS
-
-
 def test_every_dependency_is_pinned_for_development():
     """Tests and sample logs run on the versions of .ci/constraints.txt."""
     root = PACKAGE.parent

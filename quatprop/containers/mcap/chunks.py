@@ -14,6 +14,7 @@ from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import os_reason
+from quatprop.stores.byte_ranges import LARGE
 from quatprop.stores.checksum import crc32
 from quatprop.stores.compression import MAX_SIZE, UnreadableDataError, decompress, decompress_prefix
 from quatprop.stores.limits import CHECKSUMS, DecompressionBudget, checksums_matter
@@ -84,9 +85,10 @@ class Chunk:
         return self.start + self.length + self.index_length
 
     @property
-    def is_uncompressed(self) -> bool:
-        """Whether it is a chunk whose records are in the file as they are, by the index."""
-        return self.is_chunk and self.size == self.length - _UNCOMPRESSED_HEAD
+    def can_be_read_in_part(self) -> bool:
+        """Whether it is large, and its messages are indexed and in the file as they are."""
+        is_uncompressed = self.is_chunk and self.size == self.length - _UNCOMPRESSED_HEAD
+        return is_uncompressed and self.length >= LARGE and self.index_length > 0
 
     @property
     def place(self) -> str:

@@ -98,14 +98,14 @@ def read_definitions(
     define = partial(_define_from, source, index, DecompressionBudget(source.size))
     for chunk in index.chunks:
         if chunk.message_index_offsets is None or (chunk is index.chunks[-1] and not is_closed):
-            needed = not is_complete or not all(map(index.is_defined, index.channels))
+            needed = not (is_complete and index.defines(index.channels))
         else:
-            needed = not all(map(index.is_defined, chunk.ids))
+            needed = not index.defines(chunk.ids)
         if needed and not define(chunk, check=True):
             suspect.append(chunk)  # noted as a loss when its messages are read
     # Definitions in a chunk with a wrong checksum are better than none.
     for chunk in suspect:
-        if not (is_complete and all(map(index.is_defined, index.channels))):
+        if not (is_complete and index.defines(index.channels)):
             define(chunk, check=False)
 
 

@@ -18,7 +18,7 @@ from quatprop.containers.mcap.messages import (
 )
 from quatprop.containers.mcap.walk import MESSAGE_HEAD, walk_records
 from quatprop.errors import UnsupportedLogError
-from quatprop.stores.byte_ranges import LARGE, ranges_worth_reading
+from quatprop.stores.byte_ranges import ranges_worth_reading
 from quatprop.stores.compression import UnreadableDataError
 from quatprop.stores.limits import CHECKSUMS, checksums_matter
 
@@ -57,10 +57,14 @@ class McapReader(ChunkReader[Chunk, Loaded]):
         self.lost = 0
         self.unchecked = unchecked
 
-    def expected(self, chunk: Chunk) -> list[tuple[int, int]]:
+    def is_mixed(self, chunk: Chunk) -> bool:
+        """Return whether a chunk is known to hold other channels."""
+        return not {*chunk.ids} <= {*self.ids}
+
+    def expected(self, chunk: Chunk, *, is_mixed: bool) -> list[tuple[int, int]]:
         """Return the bytes of a chunk, or head and index of a chunk that is read in part."""
         head_end = chunk.start + PEEK
-        if self._is_read_in_part(chunk):
+        if is_mixed and chunk.can_be_read_in_part:
             return [(chunk.start, head_end), (chunk.start + chunk.length, chunk.end)]
         return [(chunk.start, max(chunk.end, head_end))]
 
@@ -68,18 +72,9 @@ class McapReader(ChunkReader[Chunk, Loaded]):
         """Return the bytes of the records of a chunk by the index."""
         return chunk.size
 
-    def is_mixed(self, chunk: Chunk) -> bool:
-        """Return whether a chunk is known to hold other channels."""
-        return not set(chunk.ids) <= set(self.ids)
-
-    def _is_read_in_part(self, chunk: Chunk) -> bool:
-        """Return whether a chunk is a large chunk with others whose messages are indexed."""
-        is_large = chunk.length >= LARGE and chunk.is_uncompressed
-        return is_large and chunk.index_length > 0 and self.is_mixed(chunk)
-
-    def load(self, chunk: Chunk) -> Loaded:
+    def load(self, chunk: Chunk, *, is_mixed: bool) -> Loaded:
         """Return the records of a chunk, or only the wanted messages of a large chunk."""
-        if self._is_read_in_part(chunk):
+        if is_mixed and chunk.can_be_read_in_part:
             with suppress(UnreadableDataError, OSError):
                 selected = self._load_messages(chunk)
                 if selected is not None:
@@ -134,9 +129,7 @@ class McapReader(ChunkReader[Chunk, Loaded]):
             self.unchecked.add(chunk.start)
             return selected.block
         index = index_of(self.source, chunk)
-        every = indexed_offsets(index, chunk)
-        has_others = not {*(chunk.message_index_offsets or ())} <= {*ids}
-        listed = indexed_offsets(index, chunk, ids) if has_others else every
+        every, listed = indexed_offsets(index, chunk), indexed_offsets(index, chunk, ids)
         messages = None if every is None else messages_at(data, every)
         walked = walk_records(data, stop_at={MESSAGE})
         # Among other records there may be messages that no index lists.

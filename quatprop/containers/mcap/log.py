@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from quatprop.containers.chunks import ChunkedLog
+from quatprop.containers.chunks import ChunkedLog, parts_within
 from quatprop.containers.compressed_messages import decompressed
 from quatprop.containers.mcap.chunks import Chunk, head_of
 from quatprop.containers.mcap.definitions import DefinitionCheck, ids_by_channel, read_definitions
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.stores.file_source import FileSource
+    from quatprop.tables.model import TimeRange
+
+_CLAMPED = "log times after the year 2262 do not fit int64 ns and are read as the last that does"
 
 
 class McapLog(ChunkedLog[Chunk]):
@@ -119,10 +122,11 @@ class McapLog(ChunkedLog[Chunk]):
             chunks = [chunk for chunk in chunks if not set(ids).isdisjoint(chunk.ids)]
         return sorted(chunks, key=lambda chunk: (chunk.first_ns, chunk.start))
 
-    def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
-        """Yield the messages of one channel, and compare their number with the file's."""
-        count = yield from self.read(channel, self.chunks_of(channel))
-        self._check_count(channel.topic, self._ids.get(channel, []), count)
+    def blocks(self, channel: Channel, within: TimeRange | None = None) -> Iterator[MessageBlock]:
+        """Yield the messages of one channel, and compare the number of all with the file's."""
+        count = yield from self.read(channel, parts_within(self.chunks_of(channel), within))
+        if within is None:
+            self._check_count(channel.topic, self._ids.get(channel, []), count)
 
     def read(self, channel: Channel, chunks: Sequence[Chunk]) -> Generator[MessageBlock, None, int]:
         """Yield the messages of one channel in some chunks; return how many are there or lost."""
@@ -156,11 +160,8 @@ class McapLog(ChunkedLog[Chunk]):
             raise self.unreadable(error) from error
 
     def _remark_on_clamped(self, block: MessageBlock) -> None:
-        remark = (
-            "log times after the year 2262 do not fit int64 ns and are read as the last that does"
-        )
-        if block.log_ns.max() == LATEST and remark not in self.remarks:
-            self.remarks = [*self.remarks, remark]
+        if block.log_ns.max() == LATEST and _CLAMPED not in self.remarks:
+            self.remarks = [*self.remarks, _CLAMPED]
 
     def _check_count(self, topic: str, ids: Sequence[int], count: int) -> None:
         """Note a loss if the file states more messages than were read or lost."""
@@ -197,8 +198,9 @@ def build_index(source: FileSource) -> McapIndex:
         index.define(opcode, content, place, id_offset)
     read_definitions(source, index, is_complete=summary.is_complete, is_closed=footer is not None)
     for chunk in index.chunks:
-        for id_ in chunk.local_ids([id_ for id_ in chunk.ids if id_ not in index.channels]):
-            index.losses.note(f"channel {id_}", UNDEFINED, chunk.count(id_), chunk.start)
+        for id_ in chunk.message_index_offsets or ():
+            if chunk.id_offset + id_ not in index.channels:
+                index.losses.note(f"channel {id_}", UNDEFINED, chunk.count(id_), chunk.start)
     return index
 
 

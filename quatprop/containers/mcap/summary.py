@@ -73,12 +73,10 @@ class McapIndex:
             what = "schema" if opcode == SCHEMA else "channel"
             self.losses.note(f"{what} {place}", "it is damaged")
 
-    def is_defined(self, channel: int) -> bool:
-        """Return whether a channel and its schema are defined."""
-        if channel not in self.channels:
-            return False
-        schema = self.channels[channel].schema_id
-        return schema == 0 or schema in self.schemas
+    def defines(self, ids: Iterable[int]) -> bool:
+        """Return whether some channels and their schemas are defined."""
+        channels = map(self.channels.get, ids)
+        return all(c and (not c.schema_id or c.schema_id in self.schemas) for c in channels)
 
 
 class Footer(NamedTuple):

@@ -53,10 +53,15 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         self.file, self.losses, self.topic, self.connections = file, losses, topic, connections
         self._is_plain: bool | None = None
 
-    def expected(self, chunk: BagChunk) -> list[tuple[int, int]]:
+    def is_mixed(self, chunk: BagChunk) -> bool:
+        """Return whether a chunk holds other connections."""
+        own = chunk.local_ids(self.connections)
+        return not chunk.is_unchunked and not chunk.counts.keys() <= own
+
+    def expected(self, chunk: BagChunk, *, is_mixed: bool) -> list[tuple[int, int]]:
         """Return the bytes of a chunk, or of the head of one that is read in part."""
         head_end = chunk.start + HEAD
-        if self.is_mixed(chunk) and chunk.end - chunk.start >= LARGE:
+        if is_mixed and chunk.end - chunk.start >= LARGE:
             if self._is_plain is None:
                 self._is_plain = _is_plain(record_of(self.file, chunk))
             if self._is_plain:
@@ -72,16 +77,10 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
             return 0
         return record.end - record.data if _is_plain(record) else record.number(b"size")
 
-    def is_mixed(self, chunk: BagChunk) -> bool:
-        """Return whether a chunk holds other connections."""
-        return not chunk.is_unchunked and not chunk.counts.keys() <= chunk.local_ids(
-            self.connections
-        )
-
-    def load(self, chunk: BagChunk) -> ChunkRecords:
+    def load(self, chunk: BagChunk, *, is_mixed: bool) -> ChunkRecords:
         """Return the records of a chunk, or only the wanted messages of a large one."""
         is_large = chunk.end - chunk.start >= LARGE
-        if is_large and self.is_mixed(chunk) and self._is_indexed(chunk, chunk.counts):
+        if is_large and is_mixed and self._is_indexed(chunk, chunk.counts):
             selected = self._load_messages(chunk)
             if selected is not None:
                 return selected

@@ -91,10 +91,6 @@ class Db3Log(TopicLog):
         """Return every channel, in order of topic; how many messages it has is not known."""
         return by_topic(set(self._topics.values()))
 
-    def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
-        """Yield the messages of one channel, in order of their log times."""
-        return self.blocks_within(channel, EVERY_TIME)
-
     def recorded_span(self, channel: Channel) -> TimeRange | None:  # noqa: ARG002  # of all topics
         """Return when the bag was recorded; None where it has no sound index of the times."""
         try:
@@ -115,9 +111,9 @@ class Db3Log(TopicLog):
             return None
         return TimeRange(first, last)
 
-    def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
-        """Yield the messages that were logged in a time range."""
-        fetches = self._fetches(channel, within)
+    def blocks(self, channel: Channel, within: TimeRange | None = None) -> Iterator[MessageBlock]:
+        """Yield the messages of one channel that were logged in a time range, in its order."""
+        fetches = self._fetches(channel, within or EVERY_TIME)
         damaged = 0
         while group := next_group(fetches):
             block, lost = decompressed(combined(group), channel.encoding, is_known=self._is_zstd)

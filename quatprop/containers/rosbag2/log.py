@@ -154,14 +154,6 @@ class Rosbag2Log(TopicLog):
         """Return every channel of any part, in order of topic."""
         return list(self._channels)
 
-    def blocks(self, channel: Channel) -> Iterator[MessageBlock]:
-        """Yield the messages of one channel, always from the part with the earliest next block.
-
-        Parts that follow each other in time are read one after another; parts that overlap are
-        read alternately.
-        """
-        return self._merged(channel, None)
-
     def recorded_span(self, channel: Channel) -> TimeRange | None:
         """Return when a channel was recorded; None where a part has no index of the times."""
         spans = []
@@ -174,10 +166,6 @@ class Rosbag2Log(TopicLog):
         ends = [span.first_ns for span in spans], [span.last_ns for span in spans]
         return TimeRange(min(ends[0]), max(ends[1])) if spans else None
 
-    def blocks_within(self, channel: Channel, within: TimeRange) -> Iterator[MessageBlock]:
-        """Yield the messages of a time range, of the parts that have it."""
-        return self._merged(channel, within)
-
     def _holding(self, channel: Channel) -> list[tuple[Part, Channel]]:
         """Return the parts that have a channel, and what it is in each."""
         return [
@@ -187,7 +175,12 @@ class Rosbag2Log(TopicLog):
             if whole == channel
         ]
 
-    def _merged(self, channel: Channel, within: TimeRange | None) -> Iterator[MessageBlock]:
+    def blocks(self, channel: Channel, within: TimeRange | None = None) -> Iterator[MessageBlock]:
+        """Yield the messages of one channel, always from the part with the earliest next block.
+
+        Parts that follow each other in time are read one after another; parts that overlap are
+        read alternately.
+        """
         streams = [(part, own, within) for part, own in self._holding(channel)]
         waiting = [(NO_BOUND, 0)] if len(streams) == 1 else self._starts(streams)
         heapq.heapify(waiting)
@@ -244,7 +237,7 @@ class Rosbag2Log(TopicLog):
             self._give_up(part, error)
             return
         with nullcontext() if part.log else log:
-            yield from log.blocks(own) if within is None else log.blocks_within(own, within)
+            yield from log.blocks(own, within)
             self._note(part, log.losses)
 
     def complete(self, completed: Callable[[Channel], Channel]) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.tables.base import OTHER_DATES
+from quatprop.tables.base import OTHER_DATES, numbers_of
 from quatprop.times import NS_PER_S, NS_PER_UNIT, duration_text
 
 if TYPE_CHECKING:
@@ -147,17 +147,6 @@ def first_times(cells: Sequence[Sequence[object]], clock: Clock) -> Float64 | No
     if np.isnan(times).all():
         times = _dates(cells[0], zoned=clock.zoned)
     return None if np.isnan(times).all() else times - clock.offset_ns
-
-
-def numbers_of(cells: Sequence[object]) -> Float64:
-    """Return the numbers in cells; NaN where there is none."""
-    numbers = np.full(len(cells), np.nan)
-    for k, cell in enumerate(cells):
-        try:
-            numbers[k] = float(f"{cell}".replace(",", "."))
-        except ValueError:
-            continue
-    return numbers
 
 
 def _dates(cells: Sequence[object], *, zoned: bool) -> Float64:

@@ -22,7 +22,7 @@ from quatprop.logs.clocks.choice import (
     with_fraction,
 )
 from quatprop.logs.clocks.series import SeriesChoice
-from quatprop.tables.base import OTHER_DATES
+from quatprop.tables.base import OTHER_DATES, numbers_of
 from quatprop.tables.column_names import TIME_UNITS
 from quatprop.tables.counters import counting
 from quatprop.tables.model import Stamp
@@ -82,7 +82,7 @@ def _holds_text(matcher: ColumnMatcher, time: Group) -> bool:
     if not time or matcher.declared(time[:1]) or matcher.selection.time_unit is not None:
         return False
     cells = [row[0] for row in matcher.first_rows(time[:1])]
-    return bool(cells) and bool(np.isnan(clocks.numbers_of(cells)).all())
+    return bool(cells) and bool(np.isnan(numbers_of(cells)).all())
 
 
 def _needs_rate(matcher: ColumnMatcher, k: int) -> bool:
@@ -195,7 +195,7 @@ def _countings(matcher: ColumnMatcher, pattern: str, numbers: Group) -> dict[int
     """Return the columns of some names that count, and how."""
     columns = [k for k in matcher.matching(pattern) if k not in numbers]
     cells = zip(*matcher.first_rows(columns), strict=True) if columns else ()
-    found = zip(columns, map(counting, map(clocks.numbers_of, cells)), strict=False)
+    found = zip(columns, map(counting, map(numbers_of, cells)), strict=False)
     return {k: how for k, how in found if how is not None}
 
 

@@ -34,7 +34,7 @@ class Found(NamedTuple):
 
 
 class Match(NamedTuple):
-    """A quantity of a table with all that is needed to read it.
+    """A quantity of a table with all that is needed to read it; the first fields are of `Found`.
 
     `factor`: what stored numbers are multiplied by
     `marks`: the column that is -1, or of a bias false, where the quantity is absent; empty if there
@@ -49,7 +49,11 @@ class Match(NamedTuple):
     `is_named`: whether the user names a rate, which is then read where it is marked as absent, too
     """
 
-    found: Found
+    table: Table
+    row: Row
+    part: TablePart
+    sets: tuple[Group, ...]
+    field: str
     stamp: Stamp
     factor: float = 1.0
     marks: Group = ()
@@ -58,16 +62,6 @@ class Match(NamedTuple):
     representation: str = "quaternion"
     layout: str = ""
     is_named: bool = False
-
-    @property
-    def table(self) -> Table:
-        """The table."""
-        return self.found.table
-
-    @property
-    def row(self) -> Row:
-        """What the columns are by the vocabulary."""
-        return self.found.row
 
 
 def marks_of(found: Found) -> Group:
@@ -180,7 +174,7 @@ def field_name(table: Table, sets: Sequence[Group]) -> str:
 
 def beside(match: Match, quantity: str) -> list[Found]:
     """Return what is in the same part of a table as a match."""
-    table, part = match.table, match.found.part
+    table, part = match.table, match.part
     row = match.row if match.table.is_typed or getattr(match.row, quantity) else GENERIC
     sets = sets_of(table, part, PARTS[quantity], getattr(row, quantity))
     return [Found(table, row, part, (one,), table.field_of(one)) for one in sets]

@@ -54,7 +54,7 @@ def match_attitudes(found: Found, selection: AttitudeSelection, recorded: str | 
     marks = marks_of(found)
     stamp, table = choose_time(matcher, found, marks, row)
     return Match(
-        found._replace(table=table, field=table.field_of(field)),
+        *found._replace(table=table, field=table.field_of(field)),
         stamp,
         marks=marks,
         remarks=(*matcher.remarks, *remarks),

@@ -73,7 +73,7 @@ class CovarianceColumns(NamedTuple):
 def covariance_beside(match: Match, provenance: JsonObject) -> CovarianceColumns:
     """Return the columns that say how certain matched attitudes are."""
     table = match.table
-    matrix = tuple(k for k, _ in matching(table, match.found.part, match.row.covariance))
+    matrix = tuple(k for k, _ in matching(table, match.part, match.row.covariance))
     if len(matrix) in SIZES:
         return CovarianceColumns(table, (matrix,), own=bool(provenance))
     keys = [column.key for column in table.columns]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.conventions import AttitudeConvention
-from quatprop.conventions.layout import LAYOUTS, layout_named
+from quatprop.conventions.layout import layout_named
 from quatprop.conventions.representations import REPRESENTATIONS
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.quaternion import IDENTITY
@@ -24,6 +24,7 @@ from quatprop.logs.signals.attitude_covariance import CONSTANT_MESSAGES, covaria
 from quatprop.logs.signals.choice import ATTITUDES, Candidate, candidates, choose
 from quatprop.logs.signals.signal import AttitudeSignal
 from quatprop.provenance import entry_of
+from quatprop.settings import LAYOUTS
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
@@ -84,9 +85,9 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
     meaning = meaning_of(table.path, selection, recorded)
     positions = beside(match, "position")
     signal = AttitudeSignal(
-        name=table.name or match.found.field,
+        name=table.name or match.field,
         type_name=table.type or row.name,
-        field=match.found.field,
+        field=match.field,
         clock=match.stamp.clock,
         remarks=match.remarks,
         match=match,

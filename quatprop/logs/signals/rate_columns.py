@@ -46,8 +46,8 @@ def match_rates(found: Found, selection: RateSelection) -> Match:
         matcher.remarks.append(_mount_remark(notes.mount))
     factor = scale * notes.rate_scale * RATES[unit]
     is_named = selection.rate_field is not None or selection.rate_cols is not None
-    found = found._replace(table=table)
-    return Match(found, stamp, factor, marks, tuple(matcher.remarks), unit, is_named=is_named)
+    found, remarks = found._replace(table=table), tuple(matcher.remarks)
+    return Match(*found, stamp, factor, marks, remarks, unit, is_named=is_named)
 
 
 def _in_file(matcher: ColumnMatcher, row: Row, named: Sequence[str] | None) -> Found:
@@ -114,7 +114,7 @@ def match_bias(found: Found, selection: SignalSelection) -> Match:
             "gyro_bias_x [rad/s]"
         )
     stamp, table = choose_time(matcher, found)
-    return Match(found._replace(table=table), stamp, RATES[unit], unit=unit)
+    return Match(*found._replace(table=table), stamp, RATES[unit], unit=unit)
 
 
 def _mount_remark(mount: str) -> str:

@@ -51,9 +51,9 @@ def _signal(found: Found, selection: RateSelection) -> RateSignal:
     refuse_marked(match)
     table, row = match.table, match.row
     return RateSignal(
-        name=table.name or match.found.field,
+        name=table.name or match.field,
         type_name=table.type or row.name,
-        field=match.found.field,
+        field=match.field,
         clock=match.stamp.clock,
         remarks=(*_sample_remarks(row), *match.remarks),
         unit=match.unit,

@@ -57,12 +57,12 @@ def _left_out(rows: RowBatch, error: MessageError) -> RowBatch:
 
 def rates_of(match: Match) -> Reading:
     """Return what reads stamps, ns, rates, rad/s, ``(N, 3)``, and integration times, ns."""
-    row, sets = match.row, match.found.sets
+    row, sets = match.row, match.sets
     if row.burst is not None:
         return _bursts_of(match, row.burst)
     groups: tuple[Group, ...] = (sets[0],)
     if row.span:
-        groups += (column_beside(match.table, match.found.part, row.span),)
+        groups += (column_beside(match.table, match.part, row.span),)
     elif match.marks:
         groups += (match.marks,)
 
@@ -88,8 +88,8 @@ def rates_of(match: Match) -> Reading:
 
 def _bursts_of(match: Match, burst: Burst) -> Reading:
     """Read many samples a message, evenly spaced up to the stamp; one row a sample."""
-    table, part = match.table, match.found.part
-    axes = [tuple(axis) for axis in zip(*match.found.sets, strict=True)]
+    table, part = match.table, match.part
+    axes = [tuple(axis) for axis in zip(*match.sets, strict=True)]
     groups = [*axes, *(column_beside(table, part, name) for name in burst)]
     ns_per_unit = NS_PER_UNIT[match.row.time_unit]
 
@@ -128,13 +128,13 @@ def refuse_marked(match: Match) -> None:
     """
     if match.is_named or not match.marks:
         return
-    table, (columns, *_) = match.table, match.found.sets
+    table, (columns, *_) = match.table, match.sets
     stamps = [match.stamp] if match.stamp.series else []
     first = first_batch(table, [match.stamp]).read(stamps, (columns, match.marks))
     pairs = (rows.values[-2:] for rows in first)
     marked = ((mark == ABSENT) & np.isfinite(rate).all(axis=1) for rate, mark in pairs)
     if are_all(marked, value=True):
-        setting = Setting("rate_field", match.found.field)
+        setting = Setting("rate_field", match.field)
         if not table.is_typed:
             names = [column.text for column in table.columns]
             setting = Setting("rate_cols", ",".join(as_option(names, k) for k in columns))
@@ -175,12 +175,12 @@ def attitudes_of(match: Match, beside: Sequence[Group] = ()) -> Reading:
                 stored = REPRESENTATIONS[form].attitudes(stored)
         return RowBatch(rows.log_ns, (t_ns, stored, *others), rows.watermark_ns)
 
-    return Reading(match, (*match.found.sets, *marks, *beside), convert)
+    return Reading(match, (*match.sets, *marks, *beside), convert)
 
 
 def read_vectors(match: Match) -> Iterator[tuple[Int64, Float64]]:
     """Yield stamps, ns, and specific forces or biases, ``(N, 3)``, NaN where they are absent."""
-    groups = (*match.found.sets, *([match.marks] if match.marks else ()))
+    groups = (*match.sets, *([match.marks] if match.marks else ()))
 
     def convert(rows: RowBatch) -> RowBatch:
         t_ns, vectors, *marks = rows.values

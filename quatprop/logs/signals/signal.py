@@ -9,6 +9,7 @@ from quatprop.conventions import HAMILTON
 from quatprop.errors import LogError
 from quatprop.logs.signals.reading import attitudes_of, rates_of
 from quatprop.series import GyroSeries
+from quatprop.settings import CORRECT_CONING
 from quatprop.tables.batches import merge_by_time
 from quatprop.text import quoted
 
@@ -127,7 +128,7 @@ class RateSignal(Signal):
         samples = self.samples
         if samples == "rates" or wanted in {None, "end"}:
             return []
-        if wanted in {"coning", "cubic"}:
+        if wanted in CORRECT_CONING:
             remark = (
                 f"method {wanted} adds to {samples} the coning that a sensor leaves out; method "
                 "end fits sensors that correct for it themselves, such as those of PX4"

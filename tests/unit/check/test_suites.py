@@ -115,7 +115,7 @@ def test_the_plugin_and_the_suites_need_no_command_line():
         ('start = "soon"', ", 'start'", "'soon' is not a time; write RFC 3339"),
         ('tol = "0.1"', ", 'tol'", "'0.1' is not an angle; write a number with its unit"),
         ("tol = 0.1", ", 'tol'", "'0.1' is not an angle; write a number with its unit"),
-        ('align = "best"', ", 'align'", "'best' is not one of 'none', 'first', 'mean', 'mount'"),
+        ('align = "best"', ", 'align'", "'best' is not one of 'none', 'first', 'yaw', "),
         ('q0 = "none.csv"', ", 'q0'", "none.csv' is neither four numbers W,X,Y,Z nor level or log"),
         ("heading = 90", "", 'heading goes with q0 = "level"'),
         ('reference-topic = "/a"', ", 'reference'", "goes without 'reference-topic'"),

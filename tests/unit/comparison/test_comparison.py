@@ -379,7 +379,7 @@ def test_settings_are_read_from_texts_and_numbers():
 @pytest.mark.parametrize(
     ("name", "value", "sentence"),
     [
-        ("align", "best", "align: 'best' is not one of 'none', 'first', 'mean', 'mount'"),
+        ("align", "best", "align: 'best' is not one of 'none', 'first', 'yaw'"),
         ("match", "fuzzy", "match: 'fuzzy' is not one of 'exact', 'nearest', 'interpolate'"),
         ("min_matched", 101, "min_matched: '101' is not a percentage from 0 to 100"),
         (

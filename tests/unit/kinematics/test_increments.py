@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from quatprop.errors import UsageError
-from quatprop.kinematics.increments import METHODS, rotation_vectors
+from quatprop.kinematics.increments import rotation_vectors
+from quatprop.settings import METHODS
 
 T_NS = np.array([0, 500_000_000, 750_000_000])
 RATE = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 4.0]])
@@ -69,7 +70,7 @@ def test_no_time_turns_nothing():
 
 def test_unknown_method_names_the_known_ones():
     """A method that does not exist is refused with those that do."""
-    choices = "'start', 'end', 'mean', 'coning', 'cubic'"
+    choices = "'start', 'end', 'mean', 'coning', 'cubic', 'quintic'"
     message = f"^there is no method 'rk4'; choose one of {choices}$"
     with pytest.raises(UsageError, match=message):
         rotation_vectors(T_NS, RATE, "rk4")

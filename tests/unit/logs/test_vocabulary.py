@@ -133,7 +133,7 @@ class NoRows(TableLog):
 
 def matched(columns):
     """Return what is said of the columns of a table: where they are, and their units."""
-    numbers, stamp = (*columns.found.sets[0], *columns.marks), columns.stamp
+    numbers, stamp = (*columns.sets[0], *columns.marks), columns.stamp
     units = (*stamp.units, "ns")
     return numbers, columns.unit, stamp.columns, units[0], columns.row.name
 
@@ -296,9 +296,9 @@ def test_measured_rates_come_before_estimated_ones():
     """In a file as in messages: those of an odometry do not compete, and are named."""
     estimated = [f"twist.twist.angular.{axis}" for axis in "xyz"]
     header = ["header.stamp.sec", "header.stamp.nanosec", *estimated]
-    assert chosen(",".join(header)).found.field == ",".join(estimated)
+    assert chosen(",".join(header)).field == ",".join(estimated)
     both = chosen(",".join([*header, *(f"imu.angular_velocity.{axis}" for axis in "xyz")]))
-    assert both.found.field == ",".join(f"imu.angular_velocity.{axis}" for axis in "xyz")
+    assert both.field == ",".join(f"imu.angular_velocity.{axis}" for axis in "xyz")
     assert both.remarks == (f"ignored estimated body rates: '{','.join(estimated)}'",)
 
 
@@ -334,7 +334,7 @@ def test_the_same_names_twice_are_refused(header, sets):
     """Nothing tells which of them is meant but their numbers."""
     with pytest.raises(UndeclaredError, match=f"which set of rates to use .*{sets}.*rate_cols="):
         chosen(header)
-    assert chosen(header, rate_cols=("1", "2", "3")).found.sets == ((1, 2, 3),)
+    assert chosen(header, rate_cols=("1", "2", "3")).sets == ((1, 2, 3),)
 
 
 def test_a_column_is_not_both_a_rate_and_the_time():
@@ -360,7 +360,7 @@ def test_columns_are_named_by_name_or_number(cols):
 def test_a_name_wins_over_a_number():
     """A column called "1" is found by its name, not as the second column."""
     found = chosen("1,2,3,0", **{**NAMED, "rate_cols": ("1", "2", "3"), "time_col": "0"})
-    assert (found.found.sets, found.stamp.columns) == (((0, 1, 2),), (3,))
+    assert (found.sets, found.stamp.columns) == (((0, 1, 2),), (3,))
 
 
 def test_a_column_that_is_not_there_is_told_with_those_that_are():

@@ -17,9 +17,8 @@ from quatprop.cli.options import options_of, with_options
 from quatprop.cli.propagate import command
 from quatprop.comparison.settings import COMPARE
 from quatprop.errors import UsageError
-from quatprop.kinematics.increments import METHODS as RULES
 from quatprop.pipeline.settings import PropagationSettings, propagation_settings
-from quatprop.settings import CHECKS, METHODS, ONE_SERIES, PROPAGATE, READ_ATTITUDES, READ_RATES
+from quatprop.settings import CHECKS, ONE_SERIES, PROPAGATE, READ_ATTITUDES, READ_RATES
 from quatprop.settings.keyword import Keyword, keywords_of, parameters
 from quatprop.settings.parsers import Choice, StaticBias, file_beside
 from quatprop.settings.spelling import in_keys, in_options
@@ -141,11 +140,6 @@ def test_every_interface_has_the_same_names():
               "extra_columns", "euler_unit",
               "report", "plot", "config", "quiet", "verbose"}  # fmt: skip
     assert {option.name for option in command.params} - output == set(PROPAGATE)
-
-
-def test_the_methods_are_those_of_the_kinematics():
-    """They are spelled out where nothing heavy may be imported."""
-    assert tuple(RULES) == METHODS
 
 
 @pytest.mark.parametrize("name", ["bias", "q0"])

@@ -1,0 +1,63 @@
+"""Errors of attitudes in parts: in heading, in inclination, and about the axes of the reference.
+
+Gravity shows roll and pitch; of a levelled attitude only the heading, about the vertical, is free.
+The error that turns B's attitudes into A's is resolved in the reference frame, of which z is taken
+as the vertical, and is a rotation about the vertical after one about a level axis.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from quatprop.kinematics.quaternion import conjugate, log, multiply, shorter
+from quatprop.series.blocks import blocks
+
+if TYPE_CHECKING:
+    from quatprop.comparison.alignment import Alignment
+    from quatprop.comparison.association import Pairs
+
+
+class Extent(NamedTuple):
+    """The largest size of an error and its root mean square, rad."""
+
+    max: float
+    rms: float
+
+
+class ErrorParts(NamedTuple):
+    """Parts of the errors.
+
+    `heading`: rotation about the vertical
+    `inclination`: the angle between the verticals
+    `about_x`, `about_y`, `about_z`: components of the rotation vector, about the reference's axes
+    """
+
+    heading: Extent
+    inclination: Extent
+    about_x: Extent
+    about_y: Extent
+    about_z: Extent
+
+
+def error_parts(pairs: Pairs, alignment: Alignment) -> ErrorParts:
+    """Return the parts of the errors.
+
+    References
+    ----------
+    D. Laidig et al., "BROAD - A benchmark for robust inertial orientation estimation", Data 6
+    (2021) 72: heading 2 atan |z / w|, inclination 2 acos sqrt(w^2 + z^2).
+    """
+    largest, squares = np.zeros(5), np.zeros(5)
+    for rows in blocks(len(pairs)):
+        step = shorter(multiply(pairs.a[rows], conjugate(alignment.apply(pairs.b[rows]))))
+        w, x, y, z = step.T
+        heading = 2 * np.arctan2(np.abs(z), w)
+        inclination = 2 * np.arctan2(np.hypot(x, y), np.hypot(w, z))
+        parts = np.column_stack([heading, inclination, np.abs(log(step))])
+        largest = np.maximum(largest, parts.max(axis=0))
+        squares += (parts**2).sum(axis=0)
+    rms = [math.sqrt(total / len(pairs)) for total in squares.tolist()]
+    return ErrorParts(*map(Extent, largest.tolist(), rms))

@@ -1,0 +1,104 @@
+"""Attitudes between the samples of a series: a polynomial through the neighbours of each interval.
+
+At a constant rate from sample k to sample k + 1, and beyond, a body would have other attitudes at
+the samples before and behind than it has. Those deviations, as rotation vectors, are zero at k and
+k + 1, and a polynomial through all of them is added to the attitude at the constant rate. So the
+polynomial is of small rotations however far the body turns, and without neighbours the attitude is
+that of slerp.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from quatprop.kinematics.quaternion import conjugate, exp, log, multiply, normalize, shorter
+from quatprop.kinematics.quintic import SAMPLES, windows_over
+from quatprop.series.blocks import blocks
+
+if TYPE_CHECKING:
+    from quatprop.arrays import Float64, Int64, Intp
+    from quatprop.series import AttitudeSeries
+
+MAX_DEVIATION: Final = 1.0
+"""Deviations above this, rad, are not those of smooth motion: then the rate is held constant."""
+
+
+class Interpolated(NamedTuple):
+    """Attitudes between samples.
+
+    `wxyz`: unit quaternions, shape ``(N, 4)``
+    `floor_rad`: what two neighbours fewer would change at most: the error that is left is smaller
+    """
+
+    wxyz: Float64
+    floor_rad: float
+
+
+def interpolate(series: AttitudeSeries, t_ns: Int64) -> Interpolated:
+    """Return the attitudes of a series at times within it.
+
+    `t_ns`: times, shape ``(N,)``, int64 ns; outside the series the nearest interval is continued
+    `Returns`: at a stamp exactly the sample's attitude
+    """
+    wxyz, floor = np.empty((len(t_ns), 4)), 0.0
+    for rows in blocks(len(t_ns)):
+        wxyz[rows], part = _interpolated(series, t_ns[rows])
+        floor = max(floor, part)
+    return Interpolated(wxyz, floor)
+
+
+def _interpolated(series: AttitudeSeries, t_ns: Int64) -> Interpolated:
+    before = np.clip(np.searchsorted(series.t_ns, t_ns, side="right") - 1, 0, len(series) - 2)
+    start, stop = series.t_ns[before], series.t_ns[before + 1]
+    fraction = (t_ns - start) / (stop - start)
+    turn = _between(series.wxyz[before], series.wxyz[before + 1])
+    steps = np.diff(series.t_ns)
+    windows = windows_over(steps, steps)
+    chosen = np.flatnonzero((fraction > 0) & (fraction < 1) & windows.usable[before])
+    six, four = _corrections(
+        series, before[chosen], windows.start[before[chosen]], fraction[chosen], turn[chosen]
+    )
+    correction = np.zeros((len(t_ns), 3))
+    correction[chosen] = six
+    step = multiply(exp(fraction[:, None] * turn), exp(correction))
+    wxyz = normalize(multiply(series.wxyz[before], step))
+    wxyz[t_ns == stop] = normalize(series.wxyz[before + 1][t_ns == stop])
+    return Interpolated(wxyz, float(np.linalg.norm(six - four, axis=1).max(initial=0.0)))
+
+
+def _corrections(
+    series: AttitudeSeries, before: Intp, start: Intp, fraction: Float64, turn: Float64
+) -> tuple[Float64, Float64]:
+    """Return what neighbours add to attitudes at a constant rate, rotation vectors ``(N, 3)``.
+
+    `before`, `fraction`: the samples before the wanted times, and how far these are from them to
+        the next samples, ``(N,)``
+    `start`: the first of the six samples, ``(N,)``
+    `turn`: the rotation vectors from the samples before to the next, ``(N, 3)``
+    `Returns`: by all six samples, and by the four that are nearest
+    """
+    begin, length = series.t_ns[before], series.t_ns[before + 1] - series.t_ns[before]
+    at = [(series.t_ns[start + node] - begin) / length for node in range(SAMPLES)]
+    inner = np.clip(before - 1, start, start + 2) - start
+    near = [(inner <= node) & (node < inner + 4) for node in range(SAMPLES)]
+    six, four, smooth = np.zeros(turn.shape), np.zeros(turn.shape), np.ones(len(turn), np.bool_)
+    for node in range(SAMPLES):
+        held = multiply(series.wxyz[before], exp(at[node][:, None] * turn))
+        deviation = _between(held, series.wxyz[start + node])
+        smooth &= np.linalg.norm(deviation, axis=1) <= MAX_DEVIATION
+        weights = np.ones(len(turn)), near[node].astype(float)
+        for other in set(range(SAMPLES)) - {node}:
+            factor = (fraction - at[other]) / (at[node] - at[other])
+            weights[0][:] *= factor
+            weights[1][near[other]] *= factor[near[other]]
+        six += weights[0][:, None] * deviation
+        four += weights[1][:, None] * deviation
+    six[~smooth] = four[~smooth] = 0.0
+    return six, four
+
+
+def _between(p: Float64, q: Float64) -> Float64:
+    """Return the rotation vectors from attitudes to others, ``(N, 3)``, the shorter way round."""
+    return log(shorter(multiply(conjugate(p), q)))

@@ -1,0 +1,132 @@
+"""Quantisation: the step in which a log gives rates, and what it leaves of a mean at rest.
+
+Where the noise is less than the step, the mean of many samples is not that of the rate: at one
+level it tells no more than the level.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import count
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from quatprop.arrays import Float64, Int64
+    from quatprop.conditioning.window_sums import Rows
+
+MAX_VALUES: Final = 20_000
+"""An axis that shows more values than this among those looked at is not taken as quantised."""
+
+HEAD: Final = 4_096
+"""Rows of each batch that are looked at."""
+
+IN_STEPS: Final = 0.02
+"""Values may be off the grid by this share of a step, as rounded numbers are."""
+
+FINE: Final = 2.0
+"""Noise of so many steps or more leaves nothing of the quantisation in a mean."""
+
+
+class Levels(NamedTuple):
+    """How the samples of a rest lie on the grid of a quantised axis.
+
+    `step`: of the grid, rad/s
+    `counts`: samples at each of the levels that occur, the most frequent first
+    """
+
+    step: float
+    counts: Int64
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the mean from the rate, beside that of the noise, rad/s.
+
+        The noise is at least that which takes as many samples off the two most frequent levels as
+        were found there. With noise s and steps Q the mean is off by a sum of sines of the rate,
+        with amplitudes Q / (pi k) exp(-2 pi^2 k^2 s^2 / Q^2); at one level that is Q / sqrt(12).
+
+        References
+        ----------
+        B. Widrow and I. Kollar, Quantization Noise, Cambridge University Press, 2008, chapter 4.
+        """
+        off = float(self.counts[2:].sum() / self.counts.sum())
+        if not off:
+            return self.step / math.sqrt(12)
+        from statistics import NormalDist
+
+        noise = math.inf if off >= 0.5 else -0.5 / NormalDist().inv_cdf(off)  # noqa: PLR2004
+        variance = 0.0
+        for k in count(1):
+            amplitude = self.step / (math.pi * k) * math.exp(-2 * (math.pi * k * noise) ** 2)
+            term = amplitude**2 / 2
+            variance += term
+            if term <= 1e-6 * variance or not term:
+                return math.sqrt(variance)
+        raise AssertionError
+
+
+class StepFinder:
+    """Finds the step of each axis of rates that pass."""
+
+    def __init__(self) -> None:
+        self._values: list[Float64 | None] = [np.empty(0)] * 3
+
+    def noted(self, rate: Float64) -> Float64:
+        """Note some rates, ``(N, 3)``, rad/s, and return all of them."""
+        for axis, known in enumerate(self._values):
+            if known is not None:
+                values = np.unique(np.concatenate([known, rate[:HEAD, axis]]))
+                values = values[np.isfinite(values)]
+                self._values[axis] = values if len(values) <= MAX_VALUES else None
+        return rate
+
+    def above(self, scatter: float) -> list[float]:
+        """Return the step of each axis, rad/s; 0 where there is none, or noise is far above it.
+
+        `scatter`: RMS deviation of the rates from the mean, over all three axes, rad/s
+        """
+        steps = [0.0 if values is None else step_of(values) for values in self._values]
+        return [step if scatter < FINE * step else 0.0 for step in steps]
+
+
+def step_of(values: Float64) -> float:
+    """Return the step of which all differences of values are multiples, or 0.
+
+    `values`: in any order, shape ``(N,)``
+    """
+    values = np.sort(values)
+    apart = np.diff(values)
+    apart = apart[apart > 0]
+    if len(apart) < 2:  # noqa: PLR2004  # differences that may agree
+        return 0.0
+    ratios = apart / apart.min()
+    steps = np.rint(ratios)
+    # Numbers whose differences are large multiples of the smallest are on every grid.
+    if (
+        np.sort(steps)[len(steps) // 2] > 1 / IN_STEPS
+        or (np.abs(ratios - steps) > IN_STEPS * steps).any()
+    ):
+        return 0.0
+    return float((values[-1] - values[0]) / steps.sum())
+
+
+def levels_of(rows: Rows, steps: list[float]) -> tuple[Levels, ...]:
+    """Return how the samples of a rest lie on the grids of the axes that have one.
+
+    `rows`: stamps, and rates, ``(N, 3)``, rad/s
+    """
+    tallies: list[dict[int, int]] = [{} for _ in steps]
+    for _, rate in rows:
+        for values, step, tally in zip(rate.T, steps, tallies, strict=True):
+            if not step:
+                continue
+            levels, numbers = np.unique(np.rint(values / step), return_counts=True)
+            for level, number in zip(levels.tolist(), numbers.tolist(), strict=True):
+                tally[level] = tally.get(level, 0) + number
+    return tuple(
+        Levels(step, np.array(sorted(tally.values(), reverse=True)))
+        for step, tally in zip(steps, tallies, strict=True)
+        if tally
+    )

@@ -1,0 +1,91 @@
+"""A period in which the sensor was at rest, and what it tells of the bias."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from quatprop.text import Setting
+
+if TYPE_CHECKING:
+    from quatprop.arrays import Float64
+    from quatprop.conditioning.quantisation import Levels
+
+
+class OtherRest(NamedTuple):
+    """Another period in which the sensor may have been at rest, whose mean rate differs most.
+
+    `difference_rad_s`: on the axis where it differs most
+    """
+
+    first_ns: int
+    last_ns: int
+    difference_rad_s: float
+
+
+class StaticPeriod(NamedTuple):
+    """The period of a log in which the sensor was at rest.
+
+    `first_ns`, `last_ns`: its first and last stamps, ns
+    `mean_rad_s`: the mean rate, shape ``(3,)``: the bias
+    `scatter_rad_s`: root mean square deviation of the rates from the mean, over all three axes
+    `steady`: which signals were found steady: ``"rate"``, ``"accelerometer"``, ``"orientation"``
+    `searched_first_ns`, `searched_last_ns`: the part of the log that was searched, ns: all of it,
+        whatever part is propagated; where the rest was given, that
+    `other`: the rest that differs most, by more than noise; None where there is none
+    `levels`: of the axes whose rates are quantised more coarsely than noise hides
+    """
+
+    first_ns: int
+    last_ns: int
+    samples: int
+    mean_rad_s: Float64
+    scatter_rad_s: float
+    steady: tuple[str, ...]
+    searched_first_ns: int
+    searched_last_ns: int
+    other: OtherRest | None = None
+    levels: tuple[Levels, ...] = ()
+
+    @property
+    def quantisation_rad_s(self) -> float:
+        """What the step of the rates leaves of the bias, of the worst axis, rad/s."""
+        return max((each.sigma for each in self.levels), default=0.0)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader should know."""
+        return tuple(filter(None, (self._unconfirmed(), self._differs(), self._coarse())))
+
+    def _unconfirmed(self) -> str:
+        if self.steady != ("rate",):
+            return ""
+        degrees = np.degrees(np.linalg.norm(self.mean_rad_s))
+        return (
+            "no accelerometer and no orientation confirms the rest from which the bias is taken: "
+            f"a steady rotation at {degrees:.3g} deg/s would look the same"
+        )
+
+    def _differs(self) -> str:
+        if self.other is None:
+            return ""
+        degrees = math.degrees(self.other.difference_rad_s)
+        way = Setting("bias", f"static@{self.other.first_ns}..{self.other.last_ns}")
+        return (
+            f"the rates at rest differ by {degrees:.3g} deg/s between {self.first_ns} to "
+            f"{self.last_ns} ns, from which the bias is taken, and {self.other.first_ns} to "
+            f"{self.other.last_ns} ns, which {way} takes: the bias changed, or the body turned "
+            "steadily in one of them"
+        )
+
+    def _coarse(self) -> str:
+        sigma = self.quantisation_rad_s
+        if sigma <= self.scatter_rad_s / math.sqrt(3 * self.samples):
+            return ""
+        step = math.degrees(max(each.step for each in self.levels))
+        return (
+            f"the rates are in steps of up to {step:.3g} deg/s, and the rest shows hardly more "
+            f"than one: the bias is known to {math.degrees(sigma):.2g} deg/s only (1 sigma)"
+        )

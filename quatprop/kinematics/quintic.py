@@ -1,0 +1,217 @@
+"""The quintic integration rule: the rate over an interval as a quintic through six samples.
+
+A polynomial through the samples k - 2 to k + 3 is evaluated at the three Gauss nodes of the
+interval from k to k + 1, and the Magnus series of sixth order (S. Blanes, F. Casas, J. Ros, BIT 40,
+2000) of the three rates gives the rotation vector. At ends and beside gaps the six samples lie more
+to one side. Where no six samples are alike in spacing, the rule is ``cubic``.
+
+Where samples are averages over the intervals, or increments, the polynomial passes through six
+values of the integral of the rate, which is known at the samples, and its slope is the rate.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from quatprop.kinematics.cubic import MAX_RATIO, MAX_RATIO_ONE_SIDED, MAX_SPAN_RATIO, cross
+from quatprop.times import NS_PER_S
+
+if TYPE_CHECKING:
+    from quatprop.arrays import Bool, Float64, Int64, Intp
+
+SAMPLES: Final = 6
+CENTRED: Final = 2
+"""Samples of the polynomial before the interval, where it has as many on both sides."""
+
+BEFORE, AFTER = SAMPLES - 1, SAMPLES - 2
+"""Samples on which the step to a sample may depend: so many before it, so many after it."""
+
+GAUSS: Final = (0.5 - math.sqrt(15) / 10, 0.5, 0.5 + math.sqrt(15) / 10)
+"""Gauss nodes of the sixth order in the unit interval."""
+
+
+class Quintic(NamedTuple):
+    """Polynomials of the rate in intervals, in Newton's form.
+
+    `nodes`: times of the first five of the six samples since the start of the interval, ``(5, M)``,
+        s
+    `terms`: divided differences that begin with the first sample, the lowest first: of the rates,
+        or, where the integral is what is known, of that, without the value itself; each ``(3, M)``
+    `usable`: whether there are six samples, ``(M,)``
+    `is_integral`: whether the polynomial is that of the integral of the rate
+    """
+
+    nodes: Float64
+    terms: list[Float64]
+    usable: Bool
+    is_integral: bool
+
+    def at(self, intervals: Intp) -> Quintic:
+        """Return the polynomials in some intervals."""
+        terms = [term[:, intervals] for term in self.terms]
+        return self._replace(
+            nodes=self.nodes[:, intervals], terms=terms, usable=self.usable[intervals]
+        )
+
+    def replace(self, rotvec: Float64, s: Float64) -> None:
+        """Put the rotation vectors in place of others, ``(3, M)``, where there are six samples."""
+        if self.usable.all():
+            rotvec[:] = self.rotation(s)
+        else:
+            chosen = np.flatnonzero(self.usable)
+            rotvec[:, chosen] = self.at(chosen).rotation(s[chosen])
+
+    def rotation(self, s: Float64) -> Float64:
+        """Return rotation vectors from the start of each interval, ``(3, M)``, rad.
+
+        `s`: time since the start of the interval, shape ``(M,)``, s
+        """
+        first, middle, last = (self._rate(node * s) for node in GAUSS)
+        a1 = middle * s
+        a2 = (last - first) * (s * (math.sqrt(15) / 3))
+        a3 = first
+        a3 += last
+        a3 -= middle
+        a3 -= middle
+        a3 *= s * (10 / 3)
+        # For q' = q w / 2; where the rate is multiplied on the left, cross products change sign.
+        c1 = cross(a1, a2)
+        a2 -= cross(a1, c1 - 2 * a3) / 60
+        rotvec = cross(20 * a1 + a3 + c1, a2)
+        rotvec /= 240
+        rotvec += a1 + a3 / 12
+        return rotvec
+
+    def _rate(self, s: Float64) -> Float64:
+        """Return the rates at a time in each interval, ``(3, M)``, rad/s."""
+        steps = list(s - self.nodes)
+        if self.is_integral:
+            return self._slope(steps)
+        value = self.terms[-1].copy()
+        for term in reversed(self.terms[:-1]):
+            value *= steps.pop()
+            value += term
+        return value
+
+    def _slope(self, steps: list[Float64]) -> Float64:
+        """Return the derivative of the polynomial, given the times since its nodes."""
+        value = self.terms[-1].copy()
+        slope = np.zeros(value.shape)
+        for term in reversed(self.terms[:-1]):
+            step = steps.pop()
+            slope *= step
+            slope += value
+            value *= step
+            value += term
+        slope *= steps.pop()
+        slope += value
+        return slope
+
+
+def quintic(t_ns: Int64, rate: Float64, gap_ns: int | None = None) -> Quintic:
+    """Return the polynomials through samples of the rate.
+
+    `t_ns`: time stamps, shape ``(N,)``, int64, ns; N is at least 2
+    `rate`: angular rates, shape ``(3, N)``, rad/s
+    `gap_ns`: intervals longer than this are gaps; None: none is
+    """
+    steps = np.diff(t_ns)
+    return _through(t_ns, np.ascontiguousarray(rate), windows_over(steps, steps, gap_ns))
+
+
+def quintic_of_averages(
+    t_ns: Int64,
+    rate: Float64,
+    integration_time_ns: Int64 | None = None,
+    gap_ns: int | None = None,
+) -> Quintic:
+    """Return the polynomials through the integral of the rate.
+
+    `rate`: average rates over the intervals that end at the stamps, shape ``(3, N)``, rad/s; that
+        of the first sample, whose interval begins earlier, does not count
+    `integration_time_ns`: for increments: the time over which each was integrated, shape ``(N,)``,
+        int64, ns
+    """
+    steps = lengths = np.diff(t_ns)
+    if integration_time_ns is not None:
+        # A repeated message is no interval of its own.
+        lengths = np.where(steps > 0, integration_time_ns[1:], 0)
+    nodes_ns = np.concatenate([[0], np.cumsum(lengths)])
+    average = np.ascontiguousarray(rate[:, 1:])
+    return _through(nodes_ns, average, windows_over(steps, lengths, gap_ns), is_integral=True)
+
+
+class Windows(NamedTuple):
+    """Where the six samples of each interval begin, and whether there are six, ``(M,)``."""
+
+    start: Intp
+    usable: Bool
+
+
+def windows_over(steps: Int64, lengths: Int64, gap_ns: int | None = None) -> Windows:
+    """Choose samples whose spacing is alike, as many on both sides if possible.
+
+    `steps`: between stamps, ``(M,)``, ns
+    `lengths`: of the intervals, which may be other than the steps, ``(M,)``, ns
+    `gap_ns`: steps longer than this are gaps; None: none is
+    """
+    first, count = np.arange(len(steps)), len(steps) - BEFORE + 1
+    if count < 1:
+        return Windows(np.zeros(len(steps), np.intp), np.zeros(len(steps), np.bool_))
+    shortest, longest = _over_windows(np.minimum, lengths), _over_windows(np.maximum, lengths)
+    whole = shortest > 0
+    if gap_ns is not None:
+        whole &= _over_windows(np.maximum, steps) <= gap_ns
+    if lengths is not steps:
+        # Where a message was lost, a rotation is missing before the one that follows.
+        follows = np.lib.stride_tricks.sliding_window_view(
+            steps <= MAX_SPAN_RATIO * lengths, BEFORE
+        )
+        whole &= follows[:, 1:].all(axis=1)
+    alike = whole & (longest <= MAX_RATIO * shortest)
+    even = alike & (longest <= MAX_RATIO_ONE_SIDED * shortest)
+    if even.all():
+        return Windows(np.clip(first - CENTRED, 0, count - 1), np.ones(len(steps), np.bool_))
+    start = np.full(len(steps), -1)
+    for before in (0, 4, 1, 3, CENTRED):  # the best last
+        begin = first - before
+        fits = (alike if before == CENTRED else even)[np.clip(begin, 0, count - 1)]
+        fits &= (begin >= 0) & (begin < count)
+        start[fits] = begin[fits]
+    return Windows(np.maximum(start, 0), start >= 0)
+
+
+def _over_windows(extreme: np.ufunc, lengths: Int64) -> Int64:
+    """Return the least or the largest length of each five neighbouring intervals."""
+    count = len(lengths) - BEFORE + 1
+    result = lengths[:count].copy()
+    for k in range(1, BEFORE):
+        extreme(result, lengths[k : k + count], out=result)
+    return result
+
+
+def _through(
+    nodes_ns: Int64, term: Float64, windows: Windows, *, is_integral: bool = False
+) -> Quintic:
+    """Return the polynomials through values, or through a sum of which the slopes are known."""
+    start, usable = windows
+    count = len(nodes_ns) - SAMPLES + 1
+    first = np.arange(len(start))
+    if count < 1:
+        return Quintic(np.zeros((BEFORE, len(start))), [np.zeros((3, len(start)))], usable, False)
+    lone = np.flatnonzero(start != first - CENTRED)
+    terms = []
+    for order in range(1 + is_integral, SAMPLES + 1):
+        chosen = np.empty((3, len(start)))
+        chosen[:, CENTRED : CENTRED + count] = term[:, :count]
+        chosen[:, lone] = term[:, start[lone]]
+        terms.append(chosen)
+        if order < SAMPLES:
+            span = (nodes_ns[order:] - nodes_ns[:-order]) / NS_PER_S
+            term = np.diff(term, axis=1)
+            term /= np.where(span > 0, span, 1.0)
+    nodes = [(nodes_ns[start + k] - nodes_ns[:-1]) / NS_PER_S for k in range(BEFORE)]
+    return Quintic(np.array(nodes), terms, usable, is_integral)

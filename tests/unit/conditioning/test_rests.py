@@ -1,0 +1,186 @@
+"""What a rest tells of the bias: where rests differ, and where the rates are quantised."""
+
+import math
+import re
+import warnings
+
+import numpy as np
+import pytest
+from make.commands import refused, run
+from make.tables import write_rates
+
+from quatprop import GyroSeries, propagate
+from quatprop.conditioning.quantisation import Levels, step_of
+from quatprop.kinematics.quaternion import conjugate, log, multiply
+
+HZ = 100
+DEG = math.pi / 180
+
+
+def noise(seed, seconds, sigma=1e-3):
+    """Return rates at rest, ``(N, 3)``, rad/s."""
+    return np.random.default_rng(seed).normal(0, sigma, (seconds * HZ, 3))
+
+
+def series(*parts):
+    """Return parts of rates one after the other, at 100 Hz."""
+    rate = np.concatenate(parts)
+    return GyroSeries(np.arange(len(rate)) * (10**9 // HZ), rate)
+
+
+def turning(seed, seconds=5):
+    """Return rates of a body that moves."""
+    t_s = np.arange(seconds * HZ)[:, None] / HZ
+    return np.sin(2 * np.pi * t_s + np.random.default_rng(seed).uniform(0, 6, 3))
+
+
+def found(samples, **options):
+    """Return the report of a run that takes the bias from a rest."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        report = propagate(samples, **{"bias": "static", "sigma": True, **options}).report
+    return report, [str(remark) for remark in report.remarks]
+
+
+# --- rests that differ
+
+
+def two_rests(change):
+    """Return 20 s of rest, motion, and 10 s of rest with another bias."""
+    return series(noise(1, 20), turning(2), noise(3, 10) + np.array(change))
+
+
+def test_the_bias_sigma_is_at_least_what_rests_differ_by():
+    """It was that of the noise of one rest: 0.08 deg/h where the rests differed by 400."""
+    report, remarks = found(two_rests([0, 0, 2e-3]))
+    assert report.uncertainty.errors.bias_sigma == pytest.approx(2e-3, rel=0.05)
+    (remark,) = (text for text in remarks if "differ" in text)
+    assert "the rates at rest differ by 0.11" in remark
+    assert remark.endswith("the bias changed, or the body turned steadily in one of them")
+
+
+def test_the_rest_that_the_remark_names_can_be_taken():
+    """Its remedy, applied, gives the mean of the other rest."""
+    samples = two_rests([0, 0, 2e-3])
+    _, remarks = found(samples)
+    remedy = re.search(r"bias='(static@[0-9.]+)'", " ".join(remarks))[1]
+    report = propagate(samples, bias=remedy).report
+    inside = samples.rate[25 * HZ :]
+    np.testing.assert_allclose(report.conditioning.bias_rad_s, inside.mean(axis=0), atol=3e-5)
+    assert report.conditioning.rest.first_ns >= 25 * 10**9
+
+
+def test_rests_that_are_alike_are_not_said_to_differ():
+    """Of a hundred logs whose rests differ by noise alone."""
+    for seed in range(100):
+        samples = series(noise(3 * seed, 4), turning(3 * seed + 1, 1), noise(3 * seed + 2, 4))
+        report, remarks = found(samples)
+        assert not [text for text in remarks if "differ" in text], seed
+        assert report.conditioning.rest.other is None
+
+
+# --- a rest that is given
+
+
+@pytest.mark.parametrize("given", ["+25s..+34s", "-9.99s..-990ms", "25000000000..34000000000"])
+def test_a_rest_can_be_given(tmp_path, given):
+    """By times in the log's clock, or counted from its first or last sample."""
+    samples = two_rests([0, 0, 2e-3])
+    given = f"static@{given}"
+    report = propagate(samples, bias=given).report
+    rest = report.conditioning.rest
+    inside = (samples.t_ns >= rest.first_ns) & (samples.t_ns <= rest.last_ns)
+    assert inside.sum() == rest.samples == 901
+    np.testing.assert_allclose(rest.mean_rad_s, samples.rate[inside].mean(axis=0), rtol=1e-12)
+    rows = ([t_ns, *rate] for t_ns, rate in zip(samples.t_ns, samples.rate.tolist(), strict=True))
+    path, out = write_rates(tmp_path / "log.csv", rows), tmp_path / "out.csv"
+    result = run("propagate", path, "-o", out, "--rate-unit", "rad/s", "--bias", given)
+    assert "from 901 samples at rest over 9 s" in result.stderr
+    assert "; as given" in result.stderr
+
+
+def test_a_rest_holds_the_same_for_every_part_that_is_propagated():
+    """Its times count from the log, not from the part."""
+    samples = two_rests([0, 0, 2e-3])
+    whole, part = (
+        propagate(samples, bias="static@+25s..+34s", **options).report.conditioning.rest.mean_rad_s
+        for options in ({}, {"start": "+20s", "end": "+30s"})
+    )
+    assert np.array_equal(whole, part)
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ("static@+1s", "'static@+1s' is no time range; write static@+10s..+20s"),
+        ("static@+1s..soon", "'soon'"),
+        (
+            "static@+9s..+1s",
+            "holds fewer than 2 samples; give a longer rest",
+        ),
+    ],
+)
+def test_a_rest_that_cannot_be_used_is_refused(tmp_path, given, sentence):
+    """In one sentence with the way out."""
+    path = write_rates(tmp_path / "log.csv", [(k * 10**7, 0, 0, 0.1 * k) for k in range(20)])
+    assert sentence in refused("propagate", path, "-o", tmp_path / "o.csv", "--bias", given)
+
+
+# --- quantisation
+
+
+@pytest.mark.parametrize("step", [1.0, 0.0152588, 1 / 16.4, 1e-6])
+def test_the_step_of_rates_is_found(step):
+    """Of numbers as sensors give them, rounded to float32 or to digits of text."""
+    levels = np.unique(np.random.default_rng(1).integers(-200, 200, 300)) * step
+    for values in (levels, levels.astype(np.float32), np.round(levels, 9)):
+        assert step_of(np.unique(values.astype(float))) == pytest.approx(step, rel=1e-3)
+
+
+def test_rates_that_are_not_quantised_have_no_step():
+    """Whatever their number; nor have two values."""
+    random = np.random.default_rng(2)
+    for count in (2, 10, 1000):
+        assert step_of(np.unique(random.normal(size=count))) == 0
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 0.8, 1.5])
+def test_the_mean_of_a_quantised_rest_is_as_good_as_stated(spread):
+    """A thousand rests of 500 samples each, of any rate: nowhere worse than stated.
+
+    By noise alone, which is what was stated, they are up to hundreds of times worse.
+    """
+    random = np.random.default_rng(3)
+    ratios, by_noise = [], []
+    for rate in random.uniform(-1, 1, 1000):
+        samples = np.rint(rate + spread * random.normal(size=500))
+        counts = np.sort(np.unique(samples, return_counts=True)[1])[::-1]
+        error, scatter = samples.mean() - rate, samples.std() / math.sqrt(500)
+        ratios.append(error / math.hypot(Levels(1.0, counts).sigma, scatter))
+        by_noise.append(error / max(scatter, 1e-9))
+    # The 99.9 % band of chi-square with 1000 degrees of freedom, where the model is exact.
+    rms = math.sqrt(np.square(ratios).mean())
+    assert rms < math.sqrt(1.143)
+    if spread in {0.0, 0.8, 1.5}:
+        assert rms > math.sqrt(0.866)
+    if spread <= 0.2:
+        assert math.sqrt(np.square(by_noise).mean()) > 5
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.05, 0.2, 0.5])
+def test_a_run_of_a_quantised_gyroscope_is_within_its_sigma(spread):
+    """Integer deg/s after 5 s at rest: at noise 0.05 of the step the error was 295 sigma."""
+    random = np.random.default_rng(4)
+    errors = []
+    for bias in random.uniform(-2, 2, (20, 3)):
+        truth = np.concatenate([np.zeros((500, 3)), 90 * turning(5, 2), np.zeros((500, 3))])
+        rate = np.rint(truth + bias + spread * random.normal(size=truth.shape)) * DEG
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            result = propagate(series(rate), bias="static@+0s..+4.99s", sigma=True)
+            exact = propagate(series(truth * DEG))
+        error = log(multiply(conjugate(exact.wxyz[-1]), result.wxyz[-1]))
+        errors.append(np.abs(error / result.sigma[-1]).max())
+        if spread < 0.2:
+            assert any("in steps of up to 1 deg/s" in str(each) for each in result.report.remarks)
+    assert max(errors) < 4
