@@ -49,12 +49,12 @@ def zeros(kind):
     return message
 
 
-def write_mcap(path, kind, messages):
+def write_mcap(path, kind, messages, definition=True):
     """Write messages, dictionaries of the fields that are not zero, as a ROS 2 MCAP file."""
     store = get_typestore(Stores.LATEST)
     name = f"px4_msgs/msg/{kind}"
     store.register(get_types_from_msg(DEFINITIONS[kind], name))
-    encoded = []
+    written = []
     for message in messages:
         filled = zeros(kind)
         for field, value in message.items():
@@ -63,6 +63,7 @@ def write_mcap(path, kind, messages):
             else:
                 filled[field] = type(filled[field])(value)
         data = bytes(store.serialize_cdr(store.types[name](**filled), name))
-        encoded.append((int(filled["timestamp"]) * 1000 + 77, data))
-    topic = Topic(name, encoded, DEFINITIONS[kind].encode(), "ros2msg", "cdr")
+        written.append((int(filled["timestamp"]) * 1000 + 77, data))
+    text = DEFINITIONS[kind].encode() if definition else b""
+    topic = Topic(name, written, text, "ros2msg", "cdr")
     return write_topics(path, {f"/fmu/out/{kind}": topic}, profile="ros2")
