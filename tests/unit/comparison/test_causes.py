@@ -1,11 +1,10 @@
-"""Mistakes put into recordings are named; where there is none, or none can be seen, none is."""
+"""Mistakes put into series are named; where there is none, or none can be seen, none is."""
 
 import re
-import warnings
 
 import numpy as np
 import pytest
-from make.mistakes import Recording, changed, delayed, mistakes, named_causes, verdict
+from make.mistakes import changed, delayed, named_causes, ppm_named
 from scipy.spatial.transform import Rotation
 
 import quatprop
@@ -29,26 +28,6 @@ def rates(seconds):
     """Return body rates of a tumbling body, rad/s."""
     phases = seconds[:, None] * [1.3, 2.1, 0.7] + [0.0, 1.0, 2.0]
     return np.sin(phases) + 0.4 * np.sin(3.3 * phases + 1)
-
-
-@pytest.fixture(scope="module", params=["xio3", "xsens-txt", "euroc"])
-def recording(request, shared_logs):
-    """Return a recording with a reference."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", quatprop.RemarkWarning)
-        return Recording(shared_logs, request.param)
-
-
-def test_mistakes_put_into_recordings_are_named(recording):
-    """Every mistake gets its name, and the recording as it is gets none."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", quatprop.RemarkWarning)
-        found = {
-            name: (wanted, {cause.name for cause in named_causes(a, b)})
-            for name, wanted, a, b in mistakes(recording)
-        }
-    missed = {name: case for name, case in found.items() if verdict(*case) != "right"}
-    assert (len(found), missed) == (26, {})
 
 
 @pytest.fixture(scope="module")
@@ -159,12 +138,6 @@ def test_an_offset_is_an_interval_only_within_its_uncertainty(noisy):
     assert in_options(late.remedy) == "--time-offset auto takes the offset out"
 
 
-def ppm_named(cause):
-    """Return the drift of B's clock and its standard deviation as a sentence has them, ppm."""
-    found = re.match(r"B's clock is (slow|fast) by ([\d.]+) \+- ([\d.]+) ppm", cause.sentence)
-    return (-1 if found[1] == "slow" else 1) * float(found[2]), float(found[3])
-
-
 @pytest.mark.parametrize("ppm", [-1000, 300, 1000])
 def test_a_clock_that_drifts_is_named_with_its_uncertainty(noisy, ppm):
     """Within three standard deviations; the offset changes by 18 or 60 ms in a minute."""
@@ -176,22 +149,6 @@ def test_a_clock_that_drifts_is_named_with_its_uncertainty(noisy, ppm):
     assert std < 0.1 * abs(ppm)
     assert found == pytest.approx(ppm, abs=3 * std)
     assert in_options(drift.remedy) == "correct the stamps; --time-offset auto leaves the change in"
-
-
-def test_a_clock_that_drifts_is_named_in_a_recording(shared_logs):
-    """What the clocks of EuRoC differ by already, some 65 ppm, is below one interval: not named."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", quatprop.RemarkWarning)
-        recording = Recording(shared_logs, "euroc")
-        a, b = recording.propagated(), recording.reference
-        named = {}
-        for ppm in (-800, 800):
-            t_ns = b.t_ns + (b.t_ns - b.t_ns[0]) * ppm // 1_000_000
-            causes = named_causes(a, AttitudeSeries(t_ns, b.wxyz))
-            named[ppm] = ppm_named(next(one for one in causes if one.name == "clock drift"))
-    (low, low_std), (high, high_std) = named[-800], named[800]
-    assert high - low == pytest.approx(1600, abs=3 * np.hypot(low_std, high_std))
-    assert abs(low + high) / 2 < 100
 
 
 @pytest.mark.parametrize("ms", [-55, -45, 37, 50])
@@ -273,24 +230,6 @@ def test_independent_motions_have_no_cause():
         for _ in range(2)
     )
     assert compare(a, b, align="mean").likely_cause is None
-
-
-def test_the_uncertainty_of_an_offset_is_honest():
-    """Over many noisy series the errors are as large as their standard deviations say."""
-    true_ns, squares = 12_300_000, []
-    t_ns = T_NS[:3000]
-    truth = quatprop.propagate(GyroSeries(t_ns, rates(SECONDS[:3000])), method="cubic").wxyz
-    turn = Rotation.from_rotvec([0.3, -2.0, 0.5]).as_quat(scalar_first=True)
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        measured = rates(SECONDS[:3000]) + 0.03 * rng.normal(size=(3000, 3)) + 0.01
-        a = quatprop.propagate(GyroSeries(t_ns, measured), method="mean")
-        noise = exp(np.radians(0.5) * rng.normal(size=(3000, 3)))
-        b = AttitudeSeries(t_ns + true_ns, multiply(multiply(truth, noise), turn))
-        offset = compare(a, b, time_offset="auto", tol=10.0).time_offset
-        squares.append(((offset.added_to_b_ns + true_ns) / offset.found.std_ns) ** 2)
-    # chi-squared of 12 degrees of freedom: 99 % between 3.1 and 28.3
-    assert 3.1 < np.sum(squares) < 28.3
 
 
 @pytest.mark.parametrize("shape", ["rest", "turn", "jumps", "step", "flip"])
