@@ -1,6 +1,6 @@
 """Mistakes put into recordings that have a reference: which cause is named for each.
 
-``python -m tests.mistakes`` (in the root of the repository) prints the table over all recordings.
+``python -m make.mistakes LOGS`` (in ``tests/``) prints the table over all recordings.
 """
 
 import re

@@ -188,16 +188,6 @@ def test_a_batch_takes_the_cores_that_it_may_use(tmp_path, monkeypatch):
     assert SETTINGS.with_threads(2).with_threads(4).job.settings.threads == 2
 
 
-def test_the_help_has_the_options_of_propagate(tmp_path):
-    """What holds for one log holds for many."""
-    shown = batch("--help-all").stdout
-    for option in ("--method", "--q0", "--bias", "--on-gap", "--rate-unit", "--every", "--layout"):
-        assert option in shown
-    assert "--into" not in shown
-    batch(spin(tmp_path / "a.csv"), "-o", tmp_path / "out", "--every", "2", "-q", code=0)
-    assert pyarrow.parquet.read_table(tmp_path / "out" / "a.parquet").num_rows == 3
-
-
 ONE_LOG = {"output", "to", "into", "report", "plot", "quiet", "verbose"}
 """Options of propagate that are about one log: batch has its own of some of them, or none."""
 

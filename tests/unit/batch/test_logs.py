@@ -100,15 +100,6 @@ def test_names_that_differ_in_case_only_are_refused(tmp_path):
         output_paths(search.logs, "out", ".npy")
 
 
-def test_logs_of_a_pattern_keep_their_folders(tmp_path):
-    """A folder for each run is how recordings are kept."""
-    for day in ("monday", "tuesday"):
-        spin(tmp_path / day / "imu.csv")
-    batch(tmp_path / "*" / "imu.csv", "-o", tmp_path / "out", "-q", code=0)
-    found = sorted((tmp_path / "out").rglob("imu.parquet"))
-    assert found == [tmp_path / "out" / day / "imu.parquet" for day in ("monday", "tuesday")]
-
-
 def test_logs_can_be_listed(tmp_path):
     """In a file or on stdin, one a line, beside others."""
     logs = [spin(tmp_path / f"{name}.csv") for name in "abc"]
