@@ -168,6 +168,7 @@ def test_a_log_in_write_ahead_mode_gets_no_files_beside_it(tmp_path, log):
     before = {path.name: path.read_bytes() for path in log.iterdir()}
     run("info", log, code=0)
     copied(log, tmp_path / "copy")
+    assert run("plot", log, "-o", tmp_path / "rates.png", "-q", code=0).output == ""
     assert {path.name: path.read_bytes() for path in log.iterdir()} == before
 
 
