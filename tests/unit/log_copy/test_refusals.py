@@ -2,12 +2,14 @@
 
 import errno
 import sys
+import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zstandard
 from make.commands import refused, run
-from make.into_logs import write_bag, write_mcap, write_rosbag2
+from make.into_logs import START, write_bag, write_mcap, write_rosbag2
 from make.mcap_doctor import examine
 from make.tables import write_rates
 from rosbags.rosbag2 import StoragePlugin
@@ -15,6 +17,7 @@ from rosbags.rosbag2 import StoragePlugin
 from quatprop.errors import OutputError, QuatpropError, UnreadableLogError, UsageError
 from quatprop.log_copy import open_into
 from quatprop.logs.open_log import open_log
+from quatprop.series import AttitudeSeries
 from quatprop.writers import open_writer
 from quatprop.writers.messages.kinds import Message
 
@@ -86,6 +89,19 @@ def test_a_disk_that_is_full_at_once(log, monkeypatch):
     ):
         monkeypatch.setattr(place, no_room)
     check_refused(log, "copy", OutputError, "cannot be written: No space left on device")
+
+
+def test_a_copy_that_fails_midway_leaves_nothing(tmp_path, log):
+    """Neither a file, nor one that is open, nor a thread."""
+    series = AttitudeSeries(START + np.arange(200) * 10_000_000, np.eye(4)[[0] * 200])
+    message = Message(frame="m" * 2000)
+    with open_log(log) as opened_log:
+        before, threads = opened(tmp_path), set(threading.enumerate())
+        with open_into(opened_log, str(tmp_path / "copy"), message=message) as writer:
+            writer.write(series)
+        assert opened(tmp_path) == before
+        assert set(threading.enumerate()) <= threads
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
 
 
 @pytest.mark.parametrize(
