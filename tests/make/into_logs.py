@@ -1,13 +1,11 @@
 """Logs to add attitudes to: rates beside other things, in the libraries' own writers."""
 
 import numpy as np
-from click.testing import CliRunner
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from quatprop.cli.commands import cli
 from quatprop.writers.messages.topics import ros2_types
 
 START = 1_700_000_000_000_000_000
@@ -15,11 +13,6 @@ BOOT = 5_000_000_000
 """The stamps count from when the recorder was switched on; log times do not."""
 IMU = "sensor_msgs/msg/Imu"
 RATE = 0.25
-
-
-def run(*arguments):
-    """Run the command as a user would."""
-    return CliRunner().invoke(cli, list(map(str, arguments)))
 
 
 def imu_message(store, stamp, ros1=False):

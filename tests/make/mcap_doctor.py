@@ -54,13 +54,7 @@ def read(opcode, content):
 
 
 class Doctor:
-    """Looks through a file.
-
-    Parameters
-    ----------
-    path
-        The file.
-    """
+    """Looks through a file."""
 
     def __init__(self, path):
         self.data = path.read_bytes()

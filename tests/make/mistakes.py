@@ -1,8 +1,9 @@
 """Mistakes put into recordings that have a reference: which cause is named for each.
 
-``python -m tests.mistakes`` (in the root of the repository) prints the table over all recordings.
+``python -m make.mistakes LOGS`` (in ``tests/``) prints the table over all recordings.
 """
 
+import re
 import sys
 from collections import Counter
 from pathlib import Path
@@ -144,6 +145,12 @@ def named_causes(a, b):
     """Return the causes that a comparison names."""
     cause = quatprop.compare(a, b, align="mean").likely_cause
     return [each for each in (cause, cause.also) if each] if cause else []
+
+
+def ppm_named(cause):
+    """Return the drift of B's clock and its standard deviation as a sentence has them, ppm."""
+    found = re.match(r"B's clock is (slow|fast) by ([\d.]+) \+- ([\d.]+) ppm", cause.sentence)
+    return (-1 if found[1] == "slow" else 1) * float(found[2]), float(found[3])
 
 
 def verdict(wanted, names):

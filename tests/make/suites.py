@@ -1,10 +1,50 @@
-"""Run `quatprop check` on a suite."""
+"""Suites, and `quatprop check` on them."""
+
+import json
 
 from click.testing import CliRunner
 
 from quatprop.cli.commands import cli
 
+TRUTH = """\
+[case.coning]
+log = "logs/coning.mcap"
+method = "coning"
+reference-log = "logs/coning.truth.csv"
+tol = "0.1deg"
+"""
+"""A case with an independent reference, which it passes."""
+
+STRICT = TRUTH.replace("0.1deg", "1e-9deg")
+"""The same case, which fails."""
+
 
 def check(suite, *options):
     """Run the command; errors come back as exit code and text."""
     return CliRunner().invoke(cli, ["check", str(suite), *map(str, options)])
+
+
+def stored(name="spin", log="spin.csv", *more):
+    """Return a case with a stored reference."""
+    lines = [f"[case.{name}]", f'log = "logs/{log}"', f'reference = "refs/{name}.parquet"', *more]
+    return "\n".join(lines) + "\n"
+
+
+def write_suite(folder, text):
+    """Write a suite."""
+    suite = folder / "suite.toml"
+    suite.write_text(text)
+    return suite
+
+
+def pinned(folder, text):
+    """Write a suite, all of whose cases are pinned."""
+    suite = write_suite(folder, text)
+    result = check(suite, "--update")
+    assert result.exit_code == 0, result.output
+    return suite
+
+
+def lock_of(suite):
+    """Return what the lock of a suite says of its cases."""
+    return json.loads(suite.with_suffix(".lock.json").read_text())["cases"]

@@ -3,22 +3,25 @@
 import errno
 import gc
 import os
-import re
+import random
 import stat
+import subprocess
+import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from make.commands import refused
+from make.tables import write_attitudes, write_rates
 
-from quatprop.cli.commands import cli
 from quatprop.errors import OutputError
 from quatprop.series import AttitudeSeries
 from quatprop.stores.temp_files import LockedTemp
 from quatprop.writers import open_writer
-from quatprop.writers.atomic import OutputPath, open_atomic
-from quatprop.writers.formats import WRITERS, kind_of
+from quatprop.writers.atomic import OutputFile, OutputPath, open_atomic
+from quatprop.writers.formats import WRITERS
 
 FOLDERS = ("rosbag2", "rosbag2-mcap")
 KINDS = tuple(kind for kind in WRITERS if kind not in FOLDERS)
@@ -26,46 +29,50 @@ STREAMED = tuple(kind for kind in KINDS if kind not in {"npy", "bag"})
 """Kinds whose beginning does not depend on their end."""
 
 
-def attitudes(n=3):
-    """Return a short series of identity attitudes."""
-    return AttitudeSeries(np.arange(n), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
-
-
-def write(target, kind=None):
-    """Write and commit a short series."""
+def write(target, kind=None, n=3):
+    """Write and commit a series of identity attitudes."""
     with open_writer(target, kind) as writer:
-        writer.write(attitudes())
-        writer.commit({})
+        writer.write(AttitudeSeries(np.arange(n), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))))
+        writer.commit({"n": n})
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_failed_run_leaves_the_old_file_and_nothing_else(tmp_path, kind):
-    """An exception before the commit leaves the old bytes and no stray file."""
-    target = tmp_path / f"a.{kind}"
-    target.write_bytes(b"old")
+def names(folder):
+    """Return the names in a folder."""
+    return sorted(path.name for path in folder.iterdir())
 
-    def fail_midway():
+
+def refusal(target, kind=None):
+    """Return what the sentence of a target that cannot be written says of it."""
+    with pytest.raises(OutputError) as raised:
+        write(target, kind)
+    return str(raised.value).removeprefix(f"{target}: ")
+
+
+# Until the commit
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+@pytest.mark.parametrize("mode", [None, 0o600, 0o604])
+def test_the_old_file_stands_until_the_commit(tmp_path, kind, mode):
+    """What is being written is private and beside it; then it has the permissions of the old."""
+    target = tmp_path / "a"
+    is_old = mode is not None and kind not in FOLDERS
+    if is_old:
+        target.write_bytes(b"old")
+        target.chmod(mode)
+    left, threads = names(tmp_path), set(threading.enumerate())
+    for fails in (True, False):
         with open_writer(target, kind) as writer:
-            writer.write(attitudes())
-            raise RuntimeError("midway")
-
-    with pytest.raises(RuntimeError, match="midway"):
-        fail_midway()
-    assert target.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [target]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_old_file_stands_until_the_commit(tmp_path, kind):
-    """While a run is under way, readers of the target see the old file whole."""
-    target = tmp_path / f"a.{kind}"
-    target.write_bytes(b"old")
-    with open_writer(target, kind) as writer:
-        writer.write(attitudes())
-        assert target.read_bytes() == b"old"
-        writer.commit({})
-    assert target.read_bytes() != b"old"
-    assert list(tmp_path.iterdir()) == [target]
+            writer.write(AttitudeSeries(np.arange(20_000), np.eye(4)[[0] * 20_000]))
+            (temp,) = set(tmp_path.iterdir()) - {target}
+            assert temp.stat().st_mode & 0o077 == 0
+            if not fails:
+                writer.commit({})
+        assert set(threading.enumerate()) <= threads
+        assert names(tmp_path) == (left if fails else ["a"])
+        if is_old:
+            assert (target.read_bytes() == b"old") == fails
+            assert stat.S_IMODE(target.stat().st_mode) == mode
 
 
 def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path):
@@ -78,70 +85,75 @@ def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path):
     assert stat.S_IMODE((tmp_path / "a.csv").stat().st_mode) == 0o640
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("mode", [0o600, 0o640, 0o604])
-def test_a_replaced_file_keeps_its_permissions(tmp_path, kind, mode):
-    """A file that was private stays private."""
-    target = tmp_path / f"a.{kind}"
-    target.touch()
-    target.chmod(mode)
-    write(target, kind)
-    assert stat.S_IMODE(target.stat().st_mode) == mode
+def test_small_files_are_replaced_whole(tmp_path):
+    """A block of writes replaces a file at its end; a block that fails leaves it as it was."""
+    target = tmp_path / "report.json"
+    with open_atomic(target) as file:
+        file.write(b"{}\n")
+        assert not target.exists()
+    with pytest.raises(RuntimeError, match="midway"), open_atomic(target) as file:  # noqa: PT012
+        file.write(b"half")
+        raise RuntimeError("midway")
+    assert target.read_bytes() == b"{}\n"
+    assert names(tmp_path) == ["report.json"]
 
 
-@pytest.mark.parametrize("kind", WRITERS)
-@pytest.mark.parametrize("exists", [False, True])
-def test_what_is_being_written_is_private(tmp_path, kind, exists):
-    """Others could read the temporary file of a private output, and lock it."""
-    target = tmp_path / f"a.{kind}"
-    if exists and kind not in FOLDERS:
-        target.touch(mode=0o600)
-    with open_writer(target, kind) as writer:
-        writer.write(attitudes())
-        (temp,) = set(tmp_path.iterdir()) - {target}
-        assert temp.stat().st_mode & 0o077 == 0
-        writer.commit({})
-    assert list(tmp_path.iterdir()) == [target]
+def test_a_folder_takes_its_place_only_when_committed(tmp_path):
+    """A library that makes its own folder makes it aside, under its own name; or it vanishes."""
+    for is_committed in (False, True):
+        output = OutputPath(tmp_path / "bag", folder=True)
+        output.path.mkdir()
+        (output.path / "half").touch()
+        assert output.path.name == "bag"
+        assert not (tmp_path / "bag").exists()
+        if is_committed:
+            output.publish()
+        output.discard()
+        assert names(tmp_path) == ["bag"] * is_committed
 
 
-def what_is_there(path, kind):
-    """Make what another user could have put in a shared folder."""
-    if kind == "link to a pipe":
-        os.mkfifo(path.with_name("pipe"))
-        path.symlink_to("pipe")
-    elif kind == "link to a file":
-        path.with_name("file").touch()
-        path.symlink_to("file")
-    elif kind == "file of another user":
-        path.touch()
+@pytest.mark.parametrize("kind", FOLDERS)
+@pytest.mark.parametrize("make", [Path.mkdir, Path.touch])
+def test_a_folder_replaces_nothing(tmp_path, kind, make):
+    """Where something is already, a folder is refused."""
+    make(tmp_path / "bag")
+    words = "exists already; choose another name, with a suffix unless it is to be a ROS 2 bag"
+    assert refusal(tmp_path / "bag", kind) == f"{words} folder"
+    assert names(tmp_path) == ["bag"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+@pytest.mark.parametrize("command", ["propagate", "convert"])
+@pytest.mark.parametrize("suffix", ["csv", "parquet", "feather", "npz", "mcap", "bag"])
+def test_a_report_that_cannot_be_written_leaves_the_old_output(tmp_path, command, suffix):
+    """Everything that can fail comes before the first output is put in its place."""
+    log, out = tmp_path / "log.csv", tmp_path / f"out.{suffix}"
+    if command == "propagate":
+        write_rates(log, [(0, 0, 0, 1), (10, 0, 0, 1)])
     else:
-        {"pipe": os.mkfifo, "socket": lambda name: os.mknod(name, stat.S_IFSOCK | 0o600)}[kind](
-            path
-        )
+        write_attitudes(log, [0, 10], np.eye(4)[[0, 0]])
+    out.write_text("old")
+    place = ["-o", out] if command == "propagate" else [out]
+    told = refused(command, log, *place, "--report", "/dev/full", "-q")
+    assert told == "Error: /dev/full: cannot be written: No space left on device"
+    assert out.read_text() == "old"
+    assert names(tmp_path) == ["log.csv", out.name]
 
 
-@pytest.mark.parametrize(
-    "kind", ["pipe", "socket", "link to a pipe", "link to a file", "file of another user"]
-)
-def test_what_others_put_in_a_shared_folder_is_left_alone(tmp_path, monkeypatch, kind):
-    """A pipe under the name of a temporary file was waited for, by every run in that folder."""
-    place = tmp_path / "out.csv"
-    first = LockedTemp(place, Path.touch)
-    name = first.path.name[:-12]
-    first.remove()
-    what_is_there(tmp_path / f"{name}00000000.part", kind)
-    before = sorted(tmp_path.iterdir())
-    if kind == "file of another user":
-        monkeypatch.setattr(os, "geteuid", lambda: -1)
-    done = threading.Event()
+def test_a_picture_that_cannot_be_drawn_leaves_the_old_output(tmp_path, monkeypatch):
+    """The picture of a run is drawn before the attitudes are put in their place."""
+    log, out = write_rates(tmp_path / "log.csv", [(0, 0, 0, 1), (10, 0, 0, 1)]), tmp_path / "a.csv"
+    out.write_text("old")
 
-    def run():
-        LockedTemp(place, Path.touch).remove()
-        done.set()
+    def fail(*_arguments):
+        raise OSError(errno.ENOSPC, "No space left on device")
 
-    threading.Thread(target=run, daemon=True).start()
-    assert done.wait(10)
-    assert sorted(tmp_path.iterdir()) == before
+    monkeypatch.setattr("quatprop.plot.target.render", fail)
+    refused("propagate", log, "-o", out, "--plot", tmp_path / "a.png", "-q")
+    assert out.read_text() == "old"
+
+
+# Places
 
 
 def test_a_link_stays_a_link(tmp_path):
@@ -168,24 +180,11 @@ def test_a_named_pipe_is_written_to(tmp_path):
 
 
 @pytest.mark.parametrize("kind", STREAMED)
-def test_a_device_is_written_to(kind):
-    """The null device takes everything and stays a device."""
+def test_devices_and_pipes_are_written_to_as_they_are(kind):
+    """The null device takes everything, one without room is named, a closed pipe ends quietly."""
     write("/dev/null", kind)
     assert Path("/dev/null").is_char_device()
-
-
-@pytest.mark.parametrize("kind", STREAMED)
-def test_a_full_disk_is_one_sentence(kind):
-    """A target without room is an error that names it."""
-    with pytest.raises(
-        OutputError, match=r"^/dev/full: cannot be written: No space left on device$"
-    ):
-        write("/dev/full", kind)
-
-
-@pytest.mark.parametrize("kind", STREAMED)
-def test_a_closed_pipe_stays_a_broken_pipe(kind):
-    """That the reader has gone is not an output error: the command line ends quietly."""
+    assert refusal("/dev/full", kind) == "cannot be written: No space left on device"
     reading, writing = os.pipe()
     os.close(reading)
     try:
@@ -206,25 +205,32 @@ def test_a_file_behind_a_descriptor_keeps_what_it_has(tmp_path):
     assert path.stat().st_ino == inode
 
 
-def test_a_folder_is_refused(tmp_path):
-    """A target that is a folder is refused before anything is written."""
-    target = tmp_path / "there.csv"
-    target.mkdir()
-    with pytest.raises(
-        OutputError, match=f"^{re.escape(str(target))}: is a folder; name a file in it$"
-    ):
-        write(target)
+@pytest.mark.parametrize("target", ["-", "/dev/null", "pipe"])
+@pytest.mark.parametrize(("kind", "what"), [("bag", "a ROS 1 bag"), ("npy", "a NumPy file")])
+def test_what_begins_with_its_end_refuses_pipes_and_devices(tmp_path, target, kind, what):
+    """The beginning is written last, so it must still be there."""
+    os.mkfifo(tmp_path / "pipe")
+    target = tmp_path / target if target == "pipe" else target
+    assert refusal(target, kind) == (
+        f"a pipe or a device cannot take {what}, whose beginning is written last; name a file"
+    )
 
 
-def test_a_missing_folder_is_refused(tmp_path):
-    """A target in a folder that does not exist names the folder."""
+def test_standard_output_takes_neither_folders_nor_what_a_terminal_cannot_show(monkeypatch):
+    """The sentences say what would do."""
+    for kind in FOLDERS:
+        assert refusal("-", kind) == "a ROS 2 bag is a folder; name one"
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    words = "a terminal cannot show parquet; send it to a file or a program"
+    assert refusal("-", "parquet") == words
+
+
+def test_folders_are_not_files(tmp_path):
+    """A target that is a folder, or lies in none, is refused before anything is written."""
+    (tmp_path / "there.csv").mkdir()
+    assert refusal(tmp_path / "there.csv") == "is a folder; name a file in it"
     folder = tmp_path / "none"
-    with pytest.raises(
-        OutputError,
-        match=f"^{re.escape(str(folder))}/a.csv: there is no folder {re.escape(str(folder))}; "
-        "create it first$",
-    ):
-        write(folder / "a.csv")
+    assert refusal(folder / "a.csv") == f"there is no folder {folder}; create it first"
 
 
 @pytest.mark.parametrize(
@@ -240,116 +246,124 @@ def test_missing_permission_is_refused(tmp_path, monkeypatch, mode, sentence):
     monkeypatch.setattr(os, "access", lambda _path, asked: asked != mode)
     target = tmp_path / "a.csv"
     target.write_bytes(b"old")
-    words = re.escape(sentence.format(folder=tmp_path))
-    with pytest.raises(OutputError, match=f"^{re.escape(str(target))}: {words}$"):
-        write(target)
+    assert refusal(target) == sentence.format(folder=tmp_path)
     assert target.read_bytes() == b"old"
 
 
-def test_an_unknown_suffix_lists_the_known_ones(tmp_path):
-    """A suffix that tells nothing is refused with what would help."""
-    target = tmp_path / "a.xyz"
-    suffixes = [suffix for form in WRITERS.values() for suffix in form.suffixes if suffix]
-    with pytest.raises(OutputError) as raised:
-        kind_of(target)
-    assert str(raised.value) == (
-        f"{target}: the suffix does not tell the output format; "
-        f"use one of {', '.join(suffixes)}, none for a ROS 2 bag folder, or say to="
-        + " or ".join(map(repr, WRITERS))
-    )
+# Temporary files, and those of others and of runs that were killed
+
+WRITE_FOREVER = """
+import sys
+import numpy as np
+from quatprop.series import AttitudeSeries
+from quatprop.writers import open_writer
+series = AttitudeSeries(np.arange(40_000), np.tile([1.0, 0.0, 0.0, 0.0], (40_000, 1)))
+while True:
+    for target in sys.argv[1:]:
+        with open_writer(target) as writer:
+            writer.write(series)
+            writer.commit({"n": 40_000})
+    print("written", flush=True)
+"""
 
 
-def test_an_unknown_kind_is_refused(tmp_path):
-    """A kind that does not exist is refused with those that do."""
-    with pytest.raises(
-        OutputError, match=rf": no output kind 'xls'; choose {'[|]'.join(WRITERS)}$"
-    ):
-        write(tmp_path / "a.csv", "xls")
+def test_a_killed_run_leaves_whole_files_and_the_next_run_tidies_up(tmp_path):
+    """Killed at any moment, every target is whole; writing it again leaves nothing beside it."""
+    targets = [tmp_path / f"a{WRITERS[kind].suffixes[0]}" for kind in
+               ("csv", "parquet", "feather", "npy", "npz", "mcap", "bag")]  # fmt: skip
+    for target in targets:
+        write(target, n=40_000)
+    whole = [target.read_bytes() for target in targets]
+    for _ in range(2):
+        with subprocess.Popen(
+            [sys.executable, "-c", WRITE_FOREVER, *targets], stdout=subprocess.PIPE
+        ) as process:
+            process.stdout.readline()
+            time.sleep(random.uniform(0, 0.2))
+            process.kill()
+        assert [target.read_bytes() for target in targets] == whole
+    other = tmp_path / ".quatprop-of-somebody-else.part"
+    other.touch()
+    for target in targets:
+        write(target)
+    assert sorted(tmp_path.iterdir()) == sorted([other, *targets])
 
 
-@pytest.mark.parametrize("kind", ["rosbag2", "rosbag2-mcap"])
-def test_a_folder_does_not_go_to_stdout(kind):
-    """Nor does what is written from its end, such as a NumPy file."""
-    with pytest.raises(OutputError, match=r"^-: a ROS 2 bag is a folder; name one$"):
-        write("-", kind)
-    with pytest.raises(OutputError, match=r"^-: a pipe or a device cannot take a NumPy file, "):
-        write("-", "npy")
+ABANDON = """
+import os, sys
+from quatprop.writers.atomic import OutputFile, OutputPath
+made = OutputPath(sys.argv[1]) if sys.argv[2:] else OutputFile(sys.argv[1])
+getattr(made, "path", None) and made.path.mkdir()
+os._exit(0)
+"""
 
 
-def test_binary_kinds_do_not_go_to_a_terminal(monkeypatch):
-    """It would show nothing readable."""
-    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
-    with pytest.raises(OutputError, match=r"^-: a terminal cannot show parquet; send it to a file"):
-        write("-", "parquet")
+@pytest.mark.parametrize("options", [[], ["folder"]])
+def test_what_was_abandoned_goes_when_the_same_target_is_written(tmp_path, options):
+    """Another target leaves it alone; the same one removes it, file or folder."""
+    subprocess.run([sys.executable, "-c", ABANDON, tmp_path / "a", *options], check=True)
+    (stray,) = names(tmp_path)
+    OutputFile(tmp_path / "b").discard()
+    assert names(tmp_path) == [stray]
+    OutputPath(tmp_path / "a", folder=True).discard()
+    assert names(tmp_path) == []
 
 
-@pytest.mark.parametrize(
-    ("target", "kind"),
-    [("a.csv", "csv"), ("A.CSV", "csv"), ("a.b.parquet", "parquet"), ("a.pq", "parquet")],
-)
-def test_the_suffix_tells_the_kind(target, kind):
-    """Suffixes are told in either case."""
-    assert kind_of(target) == kind
+def test_two_runs_on_one_target_do_not_disturb_each_other(tmp_path):
+    """What is under way is locked: the last to commit wins, and both are whole."""
+    first, second = OutputFile(tmp_path / "a"), OutputFile(tmp_path / "a")
+    assert len(names(tmp_path)) == 2
+    first.stream.write(b"first")
+    second.stream.write(b"second")
+    second.commit()
+    assert (tmp_path / "a").read_bytes() == b"second"
+    first.commit()
+    assert (tmp_path / "a").read_bytes() == b"first"
+    assert names(tmp_path) == ["a"]
 
 
-def test_a_kind_overrules_the_suffix(tmp_path):
-    """``--to`` is believed, whatever the name says."""
-    write(tmp_path / "a.csv", "parquet")
-    assert (tmp_path / "a.csv").read_bytes()[:4] == b"PAR1"
+def test_without_locks_files_are_written_all_the_same(tmp_path, monkeypatch):
+    """On a system or a disk without locks, only the tidying is missing."""
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    write(tmp_path / "a.csv")
+    assert names(tmp_path) == ["a.csv"]
 
 
-def test_small_files_are_replaced_whole(tmp_path):
-    """A block of writes replaces a file at its end; a block that fails leaves it as it was."""
-    target = tmp_path / "report.json"
-    with open_atomic(target) as file:
-        file.write(b"{}\n")
-        assert not target.exists()
-
-    def fail_midway():
-        with open_atomic(target) as file:
-            file.write(b"half")
-            raise RuntimeError("midway")
-
-    with pytest.raises(RuntimeError, match="midway"):
-        fail_midway()
-    assert target.read_bytes() == b"{}\n"
-    assert list(tmp_path.iterdir()) == [target]
+FOREIGN = {
+    "pipe": os.mkfifo,
+    "socket": lambda path: os.mknod(path, stat.S_IFSOCK | 0o600),
+    "link to a pipe": lambda path: path.symlink_to("pipe"),
+    "link to a file": lambda path: path.symlink_to("file"),
+    "file of another user": Path.touch,
+}
 
 
-def test_a_folder_takes_its_place_only_when_committed(tmp_path):
-    """A library that makes its own folder makes it temp, under its own name."""
-    target = tmp_path / "bag"
-    replacement = OutputPath(target, folder=True)
-    replacement.path.mkdir()
-    assert replacement.path.name == "bag"
-    assert not target.exists()
-    replacement.publish()
-    assert target.is_dir()
-    assert list(tmp_path.iterdir()) == [target]
+@pytest.mark.parametrize("kind", FOREIGN)
+def test_what_others_put_in_a_shared_folder_is_left_alone(tmp_path, monkeypatch, kind):
+    """A pipe under the name of a temporary file was waited for, by every run in that folder."""
+    place = tmp_path / "out.csv"
+    first = LockedTemp(place, Path.touch)
+    name = first.path.name[:-12]
+    first.remove()
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "file").touch()
+    FOREIGN[kind](tmp_path / f"{name}00000000.part")
+    before = names(tmp_path)
+    if kind == "file of another user":
+        monkeypatch.setattr(os, "geteuid", lambda: -1)
+    done = threading.Event()
 
+    def run():
+        LockedTemp(place, Path.touch).remove()
+        done.set()
 
-def test_a_folder_that_is_not_committed_vanishes(tmp_path):
-    """Leaving without a commit removes everything that was made temp."""
-    replacement = OutputPath(tmp_path / "bag")
-    replacement.path.mkdir()
-    (replacement.path / "half").touch()
-    replacement.discard()
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("make", [Path.mkdir, Path.touch])
-def test_a_folder_replaces_nothing(tmp_path, make):
-    """Where something is already, a folder is refused."""
-    target = tmp_path / "bag"
-    make(target)
-    words = f"^{re.escape(str(target))}: exists already; choose another name, with a suffix "
-    with pytest.raises(OutputError, match=words):
-        OutputPath(target, folder=True)
-    assert list(tmp_path.iterdir()) == [target]
+    threading.Thread(target=run, daemon=True).start()
+    assert done.wait(10)
+    assert names(tmp_path) == before
 
 
 def test_a_signal_while_a_file_is_made_leaves_nothing(tmp_path):
-    """Between making a file temp and knowing of it, the end of the run removes it all the same."""
+    """Between making a temporary file and knowing of it, the end of the run removes it."""
 
     def interrupted(path):
         path.touch()
@@ -358,46 +372,13 @@ def test_a_signal_while_a_file_is_made_leaves_nothing(tmp_path):
     with pytest.raises(SystemExit):
         LockedTemp(tmp_path / "out.csv", interrupted)
     gc.collect()
-    assert list(tmp_path.iterdir()) == []
+    assert names(tmp_path) == []
 
 
 def test_what_was_put_in_its_place_stays(tmp_path):
-    """Letting go of a file temp does not reach what has left its place."""
+    """Letting go of a temporary file does not reach what has left its place."""
     temp = LockedTemp(tmp_path / "out.csv", Path.touch)
     temp.path.replace(tmp_path / "out.csv")
     temp.remove()
     temp.remove()
-    assert [path.name for path in tmp_path.iterdir()] == ["out.csv"]
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-@pytest.mark.parametrize("command", ["propagate", "convert"])
-@pytest.mark.parametrize("suffix", ["csv", "parquet", "feather", "npz", "mcap", "bag"])
-def test_a_report_that_cannot_be_written_leaves_the_old_output(tmp_path, command, suffix):
-    """Everything that can fail comes before the first output is put in its place."""
-    log, out = tmp_path / "log.csv", tmp_path / f"out.{suffix}"
-    columns = {"propagate": "wx,wy,wz", "convert": "qw,qx,qy,qz"}[command]
-    values = {"propagate": "0,0,1", "convert": "1,0,0,0"}[command]
-    log.write_text(f"t_ns,{columns}\n" + "".join(f"{k},{values}\n" for k in range(3)))
-    out.write_text("old")
-    place = ["-o", str(out)] if command == "propagate" else [str(out)]
-    result = CliRunner().invoke(cli, [command, str(log), *place, "--report", "/dev/full", "-q"])
-    assert result.exit_code == 2
-    assert result.stderr == "Error: /dev/full: cannot be written: No space left on device\n"
-    assert out.read_text() == "old"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.csv", out.name]
-
-
-def test_a_picture_that_cannot_be_drawn_leaves_the_old_output(tmp_path, monkeypatch):
-    """The picture of a run is drawn before the attitudes are put in their place."""
-    log, out = tmp_path / "log.csv", tmp_path / "out.csv"
-    log.write_text("t_ns,wx,wy,wz\n0,0,0,1\n10,0,0,1\n")
-    out.write_text("old")
-
-    def fail(*_arguments):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("quatprop.plot.target.render", fail)
-    arguments = ["propagate", str(log), "-o", str(out), "--plot", str(tmp_path / "a.png"), "-q"]
-    result = CliRunner().invoke(cli, arguments)
-    assert (result.exit_code, out.read_text()) == (2, "old")
+    assert names(tmp_path) == ["out.csv"]

@@ -1,0 +1,217 @@
+"""Batches in several processes, that are killed, and on clusters."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+
+import pyarrow.parquet
+import pytest
+from make.batches import batch, entries, outputs_in, said, spin
+from make.commands import INSTALLED, installed, refused, run
+from make.places import SAMPLE_LOGS
+
+from quatprop.batch.cluster import on_a_cluster
+from quatprop.batch.entries import ManifestEntry
+from quatprop.batch.manifest import Manifest, write_table
+from quatprop.batch.tasks import BatchSettings, BatchTask
+from quatprop.errors import UsageError
+from quatprop.pipeline.job import Job
+from quatprop.pipeline.settings import OutputSettings
+from quatprop.stores.objects import list_objects
+from quatprop.stores.transfers import get, upload
+
+posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+
+
+def logs_in(folder, count):
+    """Write logs that turn at different rates; return their folder."""
+    for number in range(count):
+        spin(folder / f"{number}.csv", rate=number)
+    return folder
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_each_log_gives_what_propagate_gives(tmp_path, processes):
+    """The files are the same to the byte, however many are made at a time."""
+    logs, out = logs_in(tmp_path / "in", 3), tmp_path / "out"
+    options = ("--to", "csv", "--method", "mean")
+    done = run("batch", logs, "-o", out, "-j", processes, *options, code=0)
+    for log in logs.iterdir():
+        alone = tmp_path / "alone.csv"
+        run("propagate", log, "-o", alone, *options, code=0)
+        assert (out / log.name).read_bytes() == alone.read_bytes()
+    assert said(done) == "3 of 3 logs done, 15 samples"
+    assert done.stdout == ""
+
+
+def shards(folder, out):
+    """Run the two halves of a batch at once, as the machines of an array job do."""
+    parts = [
+        subprocess.Popen([INSTALLED, "batch", folder, "-o", out, "-q", "-j", "1", "--shard", part])
+        for part in ("1/2", "2/2")
+    ]
+    assert [part.wait(60) for part in parts] == [0, 0]
+
+
+def test_several_batches_write_to_one_folder(tmp_path):
+    """Each does its part, all of them are in one manifest."""
+    out = tmp_path / "out"
+    shards(logs_in(tmp_path / "in", 8), out)
+    assert len(outputs_in(out)) == len(entries(out)) == 8
+    assert len((out / "manifest.jsonl").read_text().splitlines()) == 8
+    assert pyarrow.parquet.read_table(out / "manifest.parquet").num_rows == 8
+
+
+def test_several_batches_write_to_one_prefix_of_a_store(bucket, tmp_path):
+    """Every log is done once, and the manifest has all of them."""
+    shards(logs_in(tmp_path / "in", 4), f"{bucket}/out")
+    lines = get(f"{bucket}/out/manifest.jsonl").splitlines()
+    names = [f"{number}.parquet" for number in range(4)]
+    assert [json.loads(line)["output"] for line in lines] == names
+    assert set(names) <= set(list_objects(f"{bucket}/out"))
+
+
+ANOTHER = """
+import sys
+from quatprop.batch.entries import ManifestEntry
+from quatprop.batch.manifest import Manifest
+manifest = Manifest(sys.argv[1])
+manifest.record(ManifestEntry("done", "/b.csv", "b.parquet"))
+manifest.write_table()
+"""
+
+
+def test_a_table_of_fewer_entries_does_not_replace_one_of_more(tmp_path, monkeypatch):
+    """A batch that ends while another one writes its table waits for it."""
+    others = []
+
+    def slow(entries, path):
+        others.append(subprocess.Popen([sys.executable, "-c", ANOTHER, tmp_path]))
+        with suppress(subprocess.TimeoutExpired):
+            others[0].wait(1.5)
+        write_table(entries, path)
+
+    manifest = Manifest(str(tmp_path))
+    manifest.record(ManifestEntry("done", "/a.csv", "a.parquet"))
+    monkeypatch.setattr("quatprop.batch.manifest.write_table", slow)
+    manifest.write_table()
+    assert others[0].wait(60) == 0
+    assert pyarrow.parquet.read_table(tmp_path / "manifest.parquet").num_rows == 2
+
+
+@pytest.mark.parametrize("name", ["coning.mcap", "rest.parquet"])
+def test_a_dropped_connection_is_one_sentence(bucket, tmp_path, store_server, name):
+    """It is neither damage of the log nor a bug, and there is no output."""
+    upload(SAMPLE_LOGS / name, f"{bucket}/{name}")
+    store_server.drop_after = store_server.sent
+    try:
+        words = refused("batch", f"{bucket}/{name}", "-o", tmp_path / "out", "-q")
+    finally:
+        store_server.drop_after = None
+    assert words.startswith(f"Error: {bucket}/{name}: its store does not answer (")
+    assert words.endswith("; check the network and the address of the store")
+    assert not list((tmp_path / "out").glob("[!m]*"))
+
+
+HOOK = """
+import multiprocessing, os, sys
+def kill(event, arguments):
+    if event == "open" and str(arguments[0]).endswith("crash.csv"):
+        if multiprocessing.parent_process() is not None:
+            os.kill(os.getpid(), 9)
+sys.addaudithook(kill)
+"""
+
+
+@posix
+@pytest.mark.parametrize("processes", ["1", "2"])
+def test_a_log_that_kills_its_process_fails_alone(tmp_path, processes):
+    """All others are done, and the batch says which was killed, at once and at the end."""
+    (tmp_path / "sitecustomize.py").write_text(HOOK)
+    logs, out = logs_in(tmp_path / "in", 5), tmp_path / "out"
+    crash = spin(logs / "crash.csv")
+    paths = f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+    done = installed("batch", logs, "-o", out, "-j", processes, env={"PYTHONPATH": paths})
+    assert done.returncode == 2, done.stderr
+    reason = f"{crash}: the process that ran it was killed; is there enough"
+    assert f"\nError: {reason}" in done.stderr
+    count, which, last = done.stderr.splitlines()[-3:]
+    assert (count, last) == ("1 failed:", "5 of 6 logs done, 25 samples")
+    assert which.startswith(f"  {reason}")
+    states = [entry["state"] for entry in entries(out).values()]
+    assert sorted(states) == ["done"] * 5 + ["failed"]
+
+
+@posix
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
+    """Nothing that was done is done again, nothing half-written stays, and no process either."""
+    logs, out = logs_in(tmp_path / "in", 30), tmp_path / "out"
+    command = [INSTALLED, "batch", logs, "-o", out, "-j", "2", "-q"]
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    end = time.monotonic() + 60
+    while not out.exists() or len(entries(out)) < 3:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    process.send_signal(number)
+    process.wait(30)
+    before = None if number == signal.SIGKILL else len(entries(out))
+    while before != (before := len(entries(out))):
+        time.sleep(0.5)  # until the processes of a killed batch have ended
+    # What was complete an instant before it was recorded is done again.
+    assert before <= len(outputs_in(out)) <= before + 2
+    assert before < 30
+    done = run("batch", logs, "-o", out, "-j", "2", "--skip-existing", code=0)
+    assert said(done).startswith(f"{30 - before} of {30 - before} logs done")
+    assert sorted(path.suffix for path in out.iterdir()) == [".jsonl", *[".parquet"] * 31]
+    again = tmp_path / "again"
+    batch(logs, "-o", again, "-q", code=0)
+    for name in outputs_in(out):
+        assert (out / name).read_bytes() == (again / name).read_bytes()
+
+
+CLUSTER = """
+import subprocess, sys
+from distributed import LocalCluster
+if __name__ == "__main__":
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        command = [*sys.argv[1:], "--dask", cluster.scheduler_address]
+        sys.exit(subprocess.run(command).returncode)
+"""
+
+
+def test_a_cluster_gives_the_same_files(tmp_path):
+    """The workers of a Dask cluster write what this machine writes, to the byte."""
+    pytest.importorskip("distributed")
+    logs, far, near = logs_in(tmp_path / "in", 3), tmp_path / "far", tmp_path / "near"
+    bad = tmp_path / "bad.csv"
+    bad.write_text("")
+    (tmp_path / "cluster.py").write_text(CLUSTER)
+    batch_there = [INSTALLED, "batch", logs, bad, "--to", "csv", "-o", far]
+    done = subprocess.run(
+        [sys.executable, tmp_path / "cluster.py", *batch_there],
+        capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 2, done.stderr
+    assert "3 of 4 logs done, 15 samples" in done.stderr
+    batch(logs, "--to", "csv", "-o", near, "-q", code=0)
+    for log in logs.iterdir():
+        assert (far / log.name).read_bytes() == (near / log.name).read_bytes()
+
+
+def test_a_cluster_that_is_not_there(tmp_path):
+    """The address is named."""
+    pytest.importorskip("distributed")
+    settings = BatchSettings.of(Job("LOG", OutputSettings("OUT")))
+    task = BatchTask(str(spin(tmp_path / "a.csv")), str(tmp_path / "a.npy"), "a.npy")
+    with pytest.raises(UsageError, match="no Dask scheduler answers at 'nonsense'"):
+        list(on_a_cluster([task], settings, "nonsense", Manifest(str(tmp_path))))
+    code = "from quatprop.batch.cluster import _client; _client('nonsense')"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=15, check=False
+    )
+    assert "Exception ignored" not in done.stderr

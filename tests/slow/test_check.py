@@ -1,0 +1,146 @@
+"""Suites in processes that are killed or interrupted, and under pytest."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+
+import pytest
+from make.commands import installed
+from make.places import SAMPLE_LOGS
+from make.suites import STRICT, TRUTH, check, lock_of, pinned, stored, write_suite
+from make.tables import write_rates
+
+posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+
+HOOK = """
+import multiprocessing, os, sys
+def kill(event, arguments):
+    if event == "open" and str(arguments[0]).endswith("rest.parquet"):
+        if multiprocessing.parent_process() is not None:
+            os.kill(os.getpid(), 9)
+sys.addaudithook(kill)
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Give a folder with sample logs."""
+    (tmp_path / "logs").mkdir()
+    for name in ("spin.csv", "coning.mcap", "coning.truth.csv", "rest.parquet"):
+        shutil.copy(SAMPLE_LOGS / name, tmp_path / "logs")
+    return tmp_path
+
+
+@posix
+def test_a_killed_process_is_an_error_of_its_case(folder):
+    """Where memory runs out, the system kills a process; this is an error of its case."""
+    (folder / "sitecustomize.py").write_text(HOOK)
+    suite = write_suite(folder, stored("rest", "rest.parquet") + TRUTH)
+    paths = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
+    result = installed("check", suite, "--update", "-j", "2", env={"PYTHONPATH": paths})
+    first, second, last = result.stdout.splitlines()
+    assert first.startswith("pass   coning  new  ")
+    assert second.startswith("ERROR  rest    the process that ran it was killed; is there enough")
+    assert (last, result.returncode) == ("2 cases: 1 passed, 1 error", 2)
+
+
+# Run in the background, the tests would have it ignore what interrupts it.
+LISTENING = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from quatprop.cli import main
+main()
+"""
+
+
+@posix
+@pytest.mark.parametrize("processes", ["1", "2"])
+def test_ctrl_c_ends_tidily(folder, processes):
+    """Interrupted, it says so and no more: what is pinned was written, and nothing half-written.
+
+    One process of two works on a case meanwhile, and is interrupted as well. It may just have
+    written a reference that it cannot report any more: the next update pins that.
+    """
+    write_rates(folder / "logs" / "long.csv", [f"{t}0000000,1,2,3" for t in range(1_000_000)])
+    suite = write_suite(folder, stored("short") + stored("long", "long.csv"))
+    process = subprocess.Popen(
+        [sys.executable, "-c", LISTENING, "check", suite, "--update", "-j", processes],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    assert process.stdout.readline().startswith("pass   short  new  ")
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == (130, "Interrupted.\n")
+    assert "short" in lock_of(suite)
+    written = {path.stem for path in (folder / "refs").iterdir()}
+    assert lock_of(suite).keys() <= written <= {"short", "long"}
+    assert check(suite, "--update").exit_code == 0
+    assert lock_of(suite).keys() == {"short", "long"}
+
+
+# pytest
+
+
+@pytest.fixture
+def mixed(folder):
+    """Give a folder with a suite of which one case passes, and two fail, and another test."""
+    others = stored() + stored("rest", "rest.parquet")
+    pinned(folder, TRUTH + others)
+    (folder / "logs" / "rest.parquet").unlink()
+    (folder / "test_other.py").write_text("def test_spinning(): pass\n")
+    write_suite(folder, STRICT + others)
+    return folder
+
+
+def run_pytest(folder, *options, code=0):
+    """Run pytest with the plugin, and no other; return what it says."""
+    command = [sys.executable, "-m", "pytest", "-p", "quatprop.pytest_plugin", "-p",
+               "no:cacheprovider", "-W", "error", "-rA", *options]  # fmt: skip
+    environment = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "COLUMNS": "200"}
+    result = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+    assert result.returncode == code, result.stdout
+    assert "Traceback" not in result.stdout
+    return result.stdout + result.stderr
+
+
+def test_pytest_collects_cases_beside_other_tests(mixed):
+    """Each case is a test; a failure is its reason, without a traceback; -k chooses among all."""
+    told = run_pytest(mixed, "--quatprop-suite", "suite.toml", code=1)
+    assert "2 failed, 2 passed" in told
+    assert "PASSED suite.toml::spin" in told
+    assert "FAILED suite.toml::coning" in told
+    assert "above the tolerance, first at +" in told
+    assert "no such file or folder; check the path" in told
+    told = run_pytest(mixed, "--quatprop-suite=suite.toml", "-k", "spin")
+    assert "2 passed, 2 deselected" in told
+
+
+def test_pytest_refuses_a_suite_that_is_not_there(mixed):
+    """It passed without its cases where other tests were collected."""
+    told = run_pytest(mixed, "--quatprop-suite=siute.toml", code=pytest.ExitCode.USAGE_ERROR)
+    name = mixed.resolve() / "siute.toml"
+    assert f"--quatprop-suite: {name}: no such file; check the path" in told
+
+
+def test_pytest_runs_one_case_by_its_name(mixed):
+    """A case that is named is run alone, also where the configuration names the suite."""
+    (mixed / "pytest.ini").write_text("[pytest]\naddopts = --quatprop-suite=suite.toml\n")
+    (mixed / "elsewhere").mkdir()
+    for place, name in ((mixed, "suite.toml"), (mixed / "elsewhere", "../suite.toml")):
+        told = run_pytest(place, f"{name}::spin")
+        assert "1 passed" in told
+        assert "deselected" not in told
+    told = run_pytest(mixed / "elsewhere", "--collect-only", "--rootdir=..")
+    assert "3 tests collected" in told
+
+
+def test_pytest_reports_a_broken_suite(folder):
+    """It is an error of the collection, in one sentence."""
+    write_suite(folder, "[case.a\n")
+    assert "it is not TOML: Expected ']'" in run_pytest(
+        folder, "--quatprop-suite=suite.toml", code=2
+    )

@@ -1,0 +1,173 @@
+"""Which logs a batch has, and the names of their outputs."""
+
+import pytest
+from make.batches import batch, entries, said, spin
+from make.commands import refused, run
+
+from quatprop.batch.execution import output_paths, shard
+from quatprop.batch.logs import LogSearch
+from quatprop.errors import UsageError
+
+
+def names(*given, root=None, output=""):
+    """Return the names of the outputs of what was found."""
+    search = LogSearch(root, output)
+    for name in given:
+        search.add(str(name))
+    return [log.name for log in search.logs]
+
+
+def test_a_folder_is_searched_for_logs(tmp_path):
+    """Bag folders are one log; what is no log is counted; the outputs are no logs."""
+    for name in (
+        "b/imu.csv", "b/c/imu.csv", "a.MCAP", "x.bag.zst", "rec.bag.active", "b/.imu.csv",
+        "ride/metadata.yaml", "ride/ride_0.db3", ".git/x.csv", "out/a.parquet", "README",
+    ):  # fmt: skip
+        spin(tmp_path / name)
+    (tmp_path / "unnamed").write_bytes(b"\x89MCAP0\r\n")
+    search = LogSearch(output=str(tmp_path / "out"))
+    search.add(str(tmp_path))
+    assert [found.name for found in search.logs] == [
+        "a", "rec", "unnamed", "x", "b/imu", "b/c/imu", "ride",
+    ]  # fmt: skip
+    assert search.other_files == 2  # one of them hidden
+    assert names(tmp_path / "ride") == ["ride"]
+    assert names(tmp_path / "b", tmp_path / "b" / "imu.csv") == ["imu", "c/imu"]
+
+
+def test_patterns_are_expanded(tmp_path):
+    """As a shell that knows ** does it; names are paths below the fixed part."""
+    for name in ("mon/1/imu.csv", "mon/2/imu.csv", "tue/imu.csv", "tue/gps.csv", "a[1].csv"):
+        spin(tmp_path / name)
+    assert names(tmp_path / "*" / "*" / "imu.csv") == ["mon/1/imu", "mon/2/imu"]
+    assert names(tmp_path / "**" / "imu.csv") == ["mon/1/imu", "mon/2/imu", "tue/imu"]
+    assert names(tmp_path / "mon" / "**") == ["1/imu", "2/imu"]
+    assert names(tmp_path / "t*") == ["tue/gps", "tue/imu"]
+    assert names(tmp_path / "a[1].csv") == ["a[1]"]
+    with pytest.raises(UsageError, match=r"nothing matches '.*nothing\*'; check the pattern"):
+        names(tmp_path / "nothing*")
+
+
+def test_a_root_keeps_folders_in_names(tmp_path):
+    """A log that is not below the root is refused."""
+    first, second = spin(tmp_path / "mon" / "imu.csv"), spin(tmp_path / "tue" / "imu.csv")
+    assert names(first, second) == ["imu", "imu"]
+    assert names(first, second, root=tmp_path) == ["mon/imu", "tue/imu"]
+    assert names(tmp_path / "mon", root=tmp_path) == ["mon/imu"]
+    words = (
+        r"does not lie in '.*mon'; choose another root \(names are relative to the current folder\)"
+    )
+    with pytest.raises(UsageError, match=words):
+        names(first, second, root=tmp_path / "mon")
+
+
+def test_a_name_depends_on_its_own_log_alone(tmp_path):
+    """The same log has the same name in a folder, a pattern, and in any part of them."""
+    for day in "abcdef":
+        spin(tmp_path / day / "imu.csv")
+    every = names(tmp_path)
+    assert every == names(tmp_path / "*" / "imu.csv") == [f"{day}/imu" for day in "abcdef"]
+    search = LogSearch()
+    search.add(str(tmp_path))
+    parts = [shard(search.logs, f"{part}/4") for part in (1, 2, 3, 4)]
+    assert sorted(found.name for part in parts for found in part) == every
+    assert [len(part) for part in parts] == [2, 2, 1, 1]
+
+
+@pytest.mark.parametrize("text", ["0/4", "5/4", "1", "-1/2", "a/b", "1/0"])
+def test_a_part_is_one_of_n(text):
+    """Anything else is refused."""
+    with pytest.raises(UsageError, match=r"is not I/N, from 1/N to N/N, for shard"):
+        shard([], text)
+
+
+def test_names_are_without_what_says_how_to_read(tmp_path):
+    """A folder keeps its whole name, a file loses all suffixes, an address what opens its store."""
+    spin(tmp_path / "bag.v2" / "metadata.yaml")
+    paths = [tmp_path / name for name in ("a.mcap.zst", "bag.v2", "b.bag")]
+    assert names(*paths) == ["a", "bag.v2", "b"]
+    logs = ["s3://key:secret@logs/a.mcap?chunk=eu.west/1", "s3://logs/d/b.bag.zst?a=b.c"]
+    assert names(*logs) == ["a", "b"]
+    assert names(*logs, root="s3://logs") == ["a", "d/b"]
+
+
+def test_names_that_differ_in_case_only_are_refused(tmp_path):
+    """On many disks they are one name."""
+    search = LogSearch()
+    for name in ("1/IMU.bag", "2/imu.bag"):
+        search.add(str(tmp_path / name))
+    with pytest.raises(UsageError, match=r"would both be written to 'out/imu\.npy'"):
+        output_paths(search.logs, "out", ".npy")
+
+
+def test_logs_can_be_listed(tmp_path):
+    """In a file or on stdin, one a line, beside others."""
+    logs = [spin(tmp_path / f"{name}.csv") for name in "abc"]
+    (tmp_path / "list").write_text(f"{logs[0]}\n\n{logs[1]}\n")
+    done = batch(logs[2], "--list", tmp_path / "list", "-o", tmp_path / "out")
+    assert said(done) == "3 of 3 logs done, 15 samples"
+    done = batch("--list", "-", "-o", tmp_path / "two", input=f"{logs[0]}\n{logs[1]}")
+    assert said(done) == "2 of 2 logs done, 10 samples"
+    assert refused("batch", "--list", tmp_path / "nope", "-o", tmp_path / "out") == (
+        f"Error: {tmp_path / 'nope'}: no such file or folder; check the path"
+    )
+
+
+def test_tables_without_rates_in_a_folder_are_no_logs(tmp_path):
+    """They are counted; one that is named is an error."""
+    spin(tmp_path / "in" / "imu.csv")
+    gps = tmp_path / "in" / "gps.csv"
+    gps.write_text("t,lat,lon\n0,1,2\n")
+    (tmp_path / "in" / "note.md").write_text("words")
+    done = batch(tmp_path / "in", "-o", tmp_path / "out", code=0)
+    words = "1 of 1 logs done, 5 samples; ignored 1 table without body rates and 1 other file"
+    assert said(done) == words
+    assert entries(tmp_path / "out")["gps.parquet"]["state"] == "no rates"
+    batch(gps, "-o", tmp_path / "out", code=2)
+
+
+def test_a_topic_is_no_matter_of_tables(tmp_path):
+    """Those in a folder are not meant; one that is named is refused before anything is done."""
+    table, recorded = spin(tmp_path / "logs" / "a.csv"), tmp_path / "logs" / "b.mcap"
+    run("simulate", recorded, "--samples", "5", "--truth", "none", code=0)
+    done = batch(tmp_path / "logs", "-o", tmp_path / "out", "--topic", "/imu", code=0)
+    assert said(done) == "1 of 1 logs done, 5 samples; ignored 1 other file"
+    words = refused("batch", recorded, table, "-o", tmp_path / "none", "--topic", "/imu")
+    assert words == (
+        f"Error: '{table}' is a table, and --topic is for logs of messages; propagate tables by "
+        "themselves"
+    )
+    assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.parametrize("command", ["propagate", "info"])
+def test_one_log_of_a_folder_is_not_taken_for_all(tmp_path, command):
+    """The other commands refuse a folder with several logs, and name them."""
+    for name in ("a.csv", "b.mcap", "b.truth.csv", "c/metadata.yaml"):
+        spin(tmp_path / "in" / name)
+    output = ["-o", tmp_path / "out.csv"] if command == "propagate" else []
+    assert refused(command, tmp_path / "in", *output) == (
+        f"Error: {tmp_path / 'in'}: the folder holds several logs: 'a.csv', 'b.mcap', 'c'; "
+        "name one, or use quatprop batch"
+    )
+
+
+def test_wrong_usage_is_one_sentence(tmp_path, monkeypatch):
+    """What cannot be is refused before any log is read or written."""
+    monkeypatch.chdir(tmp_path)
+    spin(tmp_path / "a.csv")
+    spin(tmp_path / "b.csv")
+    (tmp_path / "empty").mkdir()
+    for arguments, sentence in (
+        ("- -o out", "stdin is one log; give it to quatprop propagate"),
+        ("a.csv -o out -j 2 --dask tcp://x:1", "-j is for this machine; leave it out with"),
+        ("a.csv -o out --heading 5", "--heading goes with --q0 level"),
+        ("a.csv -o a.csv", "-o a.csv is a file; name a folder for the outputs"),
+        (". -o .", "outputs in '.' would lie among the logs; choose --output"),
+        ("a.csv -o . --to csv", "this is an input of the run; choose another output"),
+        (". -o out --sigma", "--sigma needs the errors of the gyroscope; give"),
+        ("-o out", "there are no logs; name files, folders or patterns"),
+        ("empty -o out", "there are no logs in 'empty'; name files"),
+    ):
+        assert sentence in refused("batch", *arguments.split())
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv", "b.csv", "empty"]

@@ -1,0 +1,227 @@
+"""What is said of cases: in the terminal, for CI, as evidence; and first steps."""
+
+import json
+import shlex
+import shutil
+from xml.etree import ElementTree as ET
+
+import pytest
+from make.commands import run
+from make.suites import STRICT, TRUTH, check, lock_of, pinned, stored, write_suite
+
+from quatprop import __version__
+from quatprop.errors import ComparisonError
+
+
+def test_of_many_cases_those_that_pass_are_counted(folder):
+    """Failures come last, and -v lists all."""
+    many = "".join(stored(f"case{number}") for number in range(9))
+    suite = write_suite(folder, many + stored("bad", "none.csv") + stored("z"))
+    first, second = check(suite, "--update").stdout.splitlines()
+    assert first.startswith("ERROR  bad    ")
+    assert second == "11 cases: 10 passed, 1 error"
+    lines = check(suite, "-v").stdout.splitlines()
+    assert [line.split()[0] for line in lines] == [*["pass"] * 10, "ERROR", "11"]
+
+
+def test_a_suite_can_be_written_for_logs(folder):
+    """With a case for each log, and their references; a suite that is there is not replaced."""
+    suite, log = folder / "ci" / "suite.toml", folder / "logs" / "spin.csv"
+    suite.parent.mkdir()
+    (folder / "more").mkdir()
+    logs = [log, shutil.copy(log, folder / "more"), shutil.copy(log, folder / "a b.csv")]
+    result = check(suite, "--init", *logs)
+    assert result.exit_code == 0, result.output
+    assert [line.split()[1] for line in result.stdout.splitlines()[:2]] == ["spin", "spin-2"]
+    lock = suite.with_name("suite.lock.json")
+    assert result.stderr.splitlines()[-1] == f"wrote {suite}, {lock} and the references"
+    assert '[case."a b"]\nlog = "../a b.csv"\nreference = "refs/a b.parquet"\n' in suite.read_text()
+    assert check(suite).stdout.splitlines()[-1] == "3 cases: 3 passed"
+    again = check(suite, "--init", *logs)
+    assert (again.exit_code, again.stderr) == (
+        2, f"Error: {suite}: there is a suite already; add cases to it, or name another file\n",
+    )  # fmt: skip
+    assert "--init needs a LOG for each case" in check(suite, log).stderr
+
+
+def test_a_suite_of_which_no_log_can_be_used_is_not_left_behind(folder):
+    """The command can be corrected and given again; of several logs it says how many were used."""
+    bad, good, suite = folder / "bad.csv", folder / "logs" / "spin.csv", folder / "ci.toml"
+    bad.write_text("a,b\n1,2\n")
+    before = sorted(folder.rglob("*"))
+    result = check(suite, "--init", bad)
+    assert result.exit_code == 2
+    assert result.stderr.splitlines()[-1] == "wrote nothing, as no log could be propagated"
+    assert check(suite, "--init", good, "-k", "none").exit_code == 2
+    assert sorted(folder.rglob("*")) == before
+    result = check(suite, "--init", bad, good)
+    assert result.exit_code == 2
+    lock = suite.with_name("ci.lock.json")
+    words = f"wrote {suite}, {lock} and the references of 1 of 2 cases"
+    assert result.stderr.splitlines()[-1] == words
+    assert suite.exists()
+    assert list(lock_of(suite)) == ["spin"]
+
+
+def test_a_case_can_be_explained(folder):
+    """What it depends on, what of it has changed, and how it is judged; nothing is run."""
+    suite = write_suite(folder, stored("spin", "spin.csv", 'method = "mean"') + TRUTH)
+    assert "lock       no entry" in check(suite, "--explain").stdout
+    assert check(suite, "--update").exit_code == 0
+    write_suite(folder, stored("spin", "spin.csv", 'method = "end"') + TRUTH)
+    (folder / "refs" / "spin.parquet").unlink()
+    lock = suite.with_suffix(".lock.json")
+    pins = json.loads(lock.read_text())
+    pins["cases"]["spin"]["every"] = 2
+    lock.write_text(json.dumps(pins))
+    result = check(suite, "--explain")
+    assert result.exit_code == 0
+    spin, coning = result.stdout.split("\n\n")
+    title, log, method, reference, judged, stamps, samples, last = spin.splitlines()
+    assert title == "spin (line 1 of the suite)"
+    assert log.startswith(f"  log        {folder / 'logs' / 'spin.csv'}: SHA-256 ")
+    assert log.endswith(", as pinned")
+    assert method == "  method     end, pinned as mean"
+    assert reference.endswith("spin.parquet: no such file or folder; check the path")
+    assert judged == "  judged by  worst error of at most 1e-09 rad, alignment none"
+    assert (stamps.strip(), samples.strip()) == ("equal timestamps", "1000 samples")
+    assert last == f"  lock       by quatprop {__version__}, one of every 2 attitudes"
+    assert "coning.truth.csv, an independent series" in coning
+    assert "worst error of at most 0.1 deg" in coning
+
+
+# Evidence
+
+
+@pytest.fixture
+def failing(folder):
+    """Give a suite of which one case fails, with a name that is no name of a folder."""
+    pinned(folder, TRUTH.replace("case.coning", 'case."a/b"') + stored())
+    return write_suite(folder, STRICT.replace("case.coning", 'case."a/b"') + stored())
+
+
+def test_the_evidence_of_a_failure_is_kept(failing, folder):
+    """The attitudes, a page, and commands that repeat the case."""
+    result = check(failing, "--artifacts", folder / "failed")
+    place = folder / "failed" / "a%2Fb"
+    assert result.exit_code == 1
+    assert f"; see {place}\n" in result.stdout
+    assert sorted(path.name for path in place.iterdir()) == [
+        "attitude.parquet", "commands.txt", "error.html",
+    ]  # fmt: skip
+    assert "<svg" in (place / "error.html").read_text()
+    commands = [shlex.split(line) for line in (place / "commands.txt").read_text().splitlines()]
+    assert [name for name, *_ in commands] == ["quatprop", "quatprop"]
+    assert [run(*arguments).exit_code for _, *arguments in commands] == [0, 1]
+    assert [path.name for path in (folder / "failed").iterdir()] == ["a%2Fb"]
+
+
+def test_evidence_without_a_comparison_says_why(failing, folder, monkeypatch):
+    """The sentence is text of the page, never markup."""
+
+    def fails(*_arguments):
+        raise ComparisonError("A turns <b>faster</b> & B does not")
+
+    monkeypatch.setattr("quatprop.check.artifacts.compare", fails)
+    assert check(failing, "--artifacts", folder / "failed").exit_code == 1
+    assert (folder / "failed" / "a%2Fb" / "error.html").read_text() == (
+        "<!doctype html>\n<p>A turns &lt;b&gt;faster&lt;/b&gt; &amp; B does not</p>\n"
+    )
+
+
+def test_a_failure_is_told_where_its_evidence_cannot_be_kept(failing, folder):
+    """The case has failed, and why, whatever the folder of artifacts is."""
+    (folder / "failed").write_text("a file")
+    result = check(failing, "--artifacts", folder / "failed")
+    assert result.exit_code == 1
+    assert "FAIL" in result.stdout
+    _, why = next(line for line in result.stdout.splitlines() if "above" in line).split("above ")
+    assert why.startswith("the tolerance, first at +")
+    sentence = f"; its artifacts cannot be kept: {folder / 'failed'}: cannot be written: "
+    assert why.partition(sentence)[2] == "Not a directory"
+
+
+# Reports for CI
+
+
+@pytest.fixture
+def mixed(folder):
+    """Give a suite of which one case passes, one fails, and one cannot be judged."""
+    others = stored() + stored("rest", "rest.parquet")
+    pinned(folder, TRUTH + others)
+    (folder / "logs" / "rest.parquet").unlink()
+    return write_suite(folder, STRICT + others)
+
+
+def test_junit_has_each_case(mixed, folder):
+    """Counts, failures with their reasons, and the line in the suite."""
+    target = folder / "junit.xml"
+    assert check(mixed, "--junit", target).exit_code == 2
+    root = ET.parse(target).getroot()  # noqa: S314  # our own file
+    assert root.tag == "testsuites"
+    assert [root.get(key) for key in ("tests", "failures", "errors", "skipped")] == list("3110")
+    (tests,) = root
+    assert [(case.get("name"), case.get("line")) for case in tests] == [
+        ("coning", "1"), ("spin", "6"), ("rest", "9"),
+    ]  # fmt: skip
+    failure, error = tests.find("./testcase/failure"), tests.find("./testcase/error")
+    assert failure.get("message").startswith("above the tolerance, first at +")
+    assert error.get("message").endswith("rest.parquet: no such file or folder; check the path")
+
+
+def test_a_place_where_junit_cannot_go_is_reported_before_anything_runs(mixed, folder):
+    """Not after an hour of cases; and a mistyped --junit does not cost a log."""
+    log = folder / "logs" / "spin.csv"
+    before = log.read_bytes()
+    for target, words in (
+        (folder / "none" / "junit.xml", f"there is no folder {folder / 'none'}; create it first"),
+        (log, "this is an input of the run; choose another output"),
+    ):
+        result = check(mixed, "--junit", target)
+        assert (result.exit_code, result.stdout) == (2, "")
+        assert words in result.stderr
+    assert log.read_bytes() == before
+
+
+@pytest.fixture
+def summary(folder, monkeypatch):
+    """Give the summary of GitHub's runner, on which the command runs."""
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(folder / "summary.md"))
+    monkeypatch.setenv("GITHUB_ACTIONS", "true")
+    monkeypatch.chdir(folder)
+    return folder / "summary.md"
+
+
+@pytest.mark.usefixtures("mixed")
+def test_github_gets_a_summary_and_annotations(summary):
+    """The summary is appended to; annotations go to stderr; stdout stays JSON."""
+    summary.write_text("before\n")
+    result = check("suite.toml", "--json")
+    counts = {"pass": 1, "fail": 1, "error": 1, "skip": 0, "xfail": 0, "xpass": 0}
+    report = json.loads(result.stdout)
+    assert (report["passed"], report["counts"]) == (False, counts)
+    first, second = result.stderr.splitlines()
+    assert first.startswith("::error file=suite.toml,line=1,title=coning%3A fail::")
+    assert second == (
+        "::error file=suite.toml,line=9,title=rest%3A error::logs/rest.parquet: no such file or "
+        "folder; check the path"
+    )
+    lines = summary.read_text().splitlines()
+    assert lines[:2] == ["before", "### suite.toml: 3 cases: 1 passed, 1 failed, 1 error"]
+    assert lines[3:5] == ["| case | verdict | worst error | why |", "|---|---|---|---|"]
+    assert [line.split(" | ")[:2] for line in lines[5:8]] == [
+        ["| rest", ":warning: error"], ["| coning", ":x: failed"], ["| spin", "passed"],
+    ]  # fmt: skip
+
+
+def test_names_cannot_command_what_shows_them(folder, summary):
+    """Line breaks, bars and escapes in a name stay text in the terminal, the summary, and XML."""
+    junit = folder / "junit.xml"
+    suite = write_suite(folder, '[case."a\\n::error::|<b>\\u001b[31m"]\nlog = "logs/none.csv"\n')
+    result = check(suite, "--junit", junit)
+    assert result.exit_code == 2
+    assert "\x1b" not in result.output
+    assert not any(line.startswith("::error::") for line in result.output.splitlines())
+    assert "| a\\\\n::error::\\|\\<b\\>\\\\x1b\\[31m |" in summary.read_text()
+    (case,) = ET.parse(junit).getroot().iter("testcase")  # noqa: S314  # our own file
+    assert case.get("name") == "a\\n::error::|<b>\\x1b[31m"

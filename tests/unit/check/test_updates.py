@@ -1,0 +1,257 @@
+"""What an update pins, what it leaves alone, and where it writes."""
+
+import json
+import shutil
+
+import pyarrow.parquet as pq
+import pytest
+from make.places import SAMPLE_LOGS
+from make.suites import STRICT, TRUTH, check, lock_of, pinned, stored, write_suite
+
+from quatprop.check.case_run import propagate_case
+from quatprop.errors.third_party import TRACEBACK
+
+
+def test_an_update_says_what_changed(folder):
+    """Options, SHA-256, samples, and how far the new reference is from the old one."""
+    suite = write_suite(folder, stored())
+    new = check(suite, "--update")
+    assert new.stdout.splitlines()[0] == (
+        f"pass   spin  new      1000 of 1000 attitudes in {folder / 'refs' / 'spin.parquet'}"
+    )
+    log = folder / "logs" / "spin.csv"
+    log.write_text("\n".join(log.read_text().splitlines()[:-1]) + "\n")
+    write_suite(folder, stored("spin", "spin.csv", 'mount = "x,-y,-z"'))
+    changed = check(suite, "--update")
+    assert changed.exit_code == 0
+    first, sha, mount, samples, attitudes, _ = changed.stdout.splitlines()
+    assert first.startswith("pass   spin  updated  999 of 999 attitudes in ")
+    assert sha.split()[:2] == ["log:", "SHA-256"]
+    assert mount == "       mount: the default -> 'x,-y,-z'"
+    assert samples == "       samples: 1000 -> 999"
+    assert attitudes.startswith("       attitudes: up to ")
+    assert "rad from the old reference, at +" in attitudes
+    assert check(suite).exit_code == 0
+
+
+def test_the_cause_of_an_update_names_the_log_and_the_reference(folder):
+    """A suite has no A and no B."""
+    suite = pinned(folder, stored("coning", "coning.mcap"))
+    write_suite(folder, stored("coning", "coning.mcap", 'method = "coning"'))
+    assert (
+        "likely cause: the same rates lead to the log's attitudes with method coning, and to the "
+        "reference with method start (method)"
+    ) in check(suite, "--update").stdout
+
+
+def test_only_what_changed_is_pinned_anew(folder):
+    """What passes is left as it is, -k leaves the others, and a case that is gone is forgotten."""
+    suite = pinned(folder, stored() + TRUTH)
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
+    again = check(suite, "--update")
+    assert again.stdout.splitlines()[0].startswith("pass   spin    kept     ")
+    assert check(suite, "--update", "-k", "spin").exit_code == 0
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()} == before
+    assert list(lock_of(suite)) == ["coning", "spin"]
+    pinned(folder, TRUTH)
+    assert list(lock_of(suite)) == ["coning"]
+
+
+def test_an_update_does_not_hide_a_failure_against_an_independent_series(folder):
+    """The truth stays the truth: the case fails in an update, too, which pins what it saw."""
+    suite = pinned(folder, TRUTH)
+    write_suite(folder, TRUTH.replace('"coning"\nref', '"end"\nref').replace("0.1deg", "0.01deg"))
+    result = check(suite, "--update")
+    assert result.exit_code == 1
+    assert result.stdout.startswith("FAIL   coning  updated  ")
+    assert "       method: 'coning' -> 'end'\n       worst error: " in result.stdout
+
+
+def test_an_update_replaces_only_what_an_update_wrote(folder):
+    """Neither a truth that somebody named as the reference, nor a log, also of another case."""
+    suite = write_suite(folder, stored())
+    (folder / "refs").mkdir()
+    reference = shutil.copy(SAMPLE_LOGS / "rest.truth.parquet", folder / "refs" / "spin.parquet")
+    log = folder / "logs" / "rest.parquet"
+    before = [reference.read_bytes(), log.read_bytes()]
+    result = check(suite, "--update")
+    assert result.exit_code == 2
+    assert f"{reference}: this was not written by check --update, which would" in result.stdout
+    write_suite(folder, stored("rest", log.name) + stored().replace("refs/spin", "logs/rest"))
+    result = check(suite, "--update")
+    assert result.exit_code == 2
+    assert "this is an input of the run; choose another output" in result.output
+    assert [reference.read_bytes(), log.read_bytes()] == before
+
+
+def test_a_case_chooses_its_rows(folder):
+    """`every` and `rate` of a case are those of its reference."""
+    rows = {"a": ("every = 100", 10), "b": ("rate = 7", 70)}
+    suite = pinned(
+        folder, "".join(stored(name, "spin.csv", key) for name, (key, _) in rows.items())
+    )
+    for name, (_, count) in rows.items():
+        assert len(pq.read_table(folder / "refs" / f"{name}.parquet")) == count
+    assert check(suite).exit_code == 0
+
+
+def test_pinned_options_are_compared_by_value(folder):
+    """Another way of writing a number is no change."""
+    suite = pinned(
+        folder, stored("spin", "spin.csv", "rate = 50", 'max-gap = "1s"', "bias=[0,0,1]")
+    )
+    same = stored("spin", "spin.csv", "rate = 50.0", 'max-gap = "1000ms"', "bias=[0,0,1.0]")
+    write_suite(folder, same)
+    assert check(suite).exit_code == 0
+    write_suite(folder, same.replace("50.0", "51"))
+    assert "rate was '50' and is now '51'; restore it" in check(suite).stdout
+
+
+# The lock
+
+
+def test_a_lock_that_is_none_is_refused(folder):
+    """An entry that was edited by hand, or is no JSON, is reported before anything is judged."""
+    suite = pinned(folder, stored())
+    lock = folder / "suite.lock.json"
+    intact = lock.read_text()
+    contents = [b"\xff"]
+    for key, value in (
+        ("final_wxyz", [1.0]),
+        ("final_wxyz", None),
+        ("final_wxyz", ["1", 0, 0, 0]),
+        ("samples", "1001"),
+        ("every", 1.5),
+        ("every", 0),
+        ("reference", 7),
+        ("quatprop", None),
+        ("error_rad", "small"),
+        ("inputs", {"log": 1}),
+        ("options", {"method": None}),
+    ):
+        told = json.loads(intact)
+        told["cases"]["spin"][key] = value
+        contents.append(json.dumps(told).encode())
+    words = "it is not the lock that --update writes; restore it, or remove it and update"
+    for content in contents:
+        lock.write_bytes(content)
+        result = check(suite)
+        assert result.exit_code == 2
+        assert result.stderr == f"Error: {lock}: {words}\n", content
+    lock.unlink()
+    words = "the reference is there, but not in the lock; restore the lock, or check with --update"
+    assert words in check(suite).stdout
+
+
+def test_a_deleted_case_is_named(folder):
+    """--strict fails on it; an update removes it from the lock, and names its reference."""
+    suite = pinned(folder, stored() + stored("rest", "rest.parquet") + TRUTH)
+    assert check(suite, "-k", "spin", "--strict").exit_code == 0
+    write_suite(folder, stored() + TRUTH)
+    result = check(suite)
+    assert result.exit_code == 0
+    assert result.stderr == (
+        "pinned, but not in the suite: 'rest'; restore them, or remove them from the lock with "
+        "--update\n"
+    )
+    assert json.loads(check(suite, "--json").stdout)["deleted"] == ["rest"]
+    assert check(suite, "--strict").exit_code == 1
+    result = check(suite, "--update", "--strict")
+    assert (result.exit_code, result.stderr.splitlines()) == (
+        0,
+        [
+            "removed from the lock: 'rest'",
+            f"no longer used, to be removed: {folder / 'refs' / 'rest.parquet'}",
+        ],
+    )
+    assert check(suite, "--strict").exit_code == 0
+
+
+# Errors of one case of many
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (ZeroDivisionError("by zero"), "This is a bug in quatprop (ZeroDivisionError: "),
+        (MemoryError(), "There is not enough memory; choose fewer columns or topics"),
+    ],
+)
+def test_what_nobody_expected_does_not_stop_the_other_cases(folder, monkeypatch, error, sentence):
+    """Errors that are none of a log, too, are those of one case of many."""
+
+    def fails(case, every):
+        if case.name == "bad":
+            raise error
+        return propagate_case(case, every)
+
+    monkeypatch.delenv(TRACEBACK, raising=False)
+    monkeypatch.setattr("quatprop.check.update.propagate_case", fails)
+    result = check(write_suite(folder, stored("bad") + stored("good")), "--update")
+    assert result.exit_code == 2
+    assert f"ERROR  bad   {sentence}" in result.stdout
+    assert "pass   good  new  " in result.stdout
+
+
+def test_a_reference_below_a_file_is_an_error_of_its_case(folder):
+    """Where its folder cannot be made, the others are updated all the same."""
+    (folder / "way").write_text("in it")
+    suite = write_suite(folder, stored("bad").replace("refs/", "way/") + stored("good"))
+    result = check(suite, "--update")
+    assert result.exit_code == 2
+    assert f"ERROR  bad   {folder / 'way'}: system error (" in result.stdout
+    assert (folder / "refs" / "good.parquet").exists()
+
+
+# Links
+
+
+@pytest.mark.parametrize("way", ["../{}", "{}/outside/r.parquet", "refs/r.parquet", "r.parquet"])
+def test_an_update_writes_only_in_the_folder_of_the_suite(folder, way):
+    """A reference with ../ or an absolute path, or behind a link, replaced any Parquet file."""
+    outside, inside = folder / "outside", folder / "suite"
+    outside.mkdir()
+    inside.mkdir()
+    shutil.move(folder / "logs", inside / "logs")
+    target = outside / "r.parquet"
+    reference = way.format("outside/r.parquet" if way.startswith("..") else folder)
+    if reference == "refs/r.parquet":
+        (inside / "refs").symlink_to(outside)
+    elif reference == "r.parquet":
+        (inside / "r.parquet").symlink_to(target)
+    suite = write_suite(inside, stored().replace("refs/spin.parquet", reference))
+    result = check(suite, "--update")
+    assert result.exit_code == 2
+    assert (
+        f"{inside / reference}: {target} is written to, which is not in {inside}; remove the link "
+        "or the path that leads there\n"
+    ) in result.output
+    assert list(outside.iterdir()) == []
+
+
+def test_a_lock_that_is_a_link_out_of_the_folder_is_refused(folder):
+    """An update would replace what it leads to."""
+    inside = folder / "suite"
+    inside.mkdir()
+    shutil.move(folder / "logs", inside / "logs")
+    (inside / "suite.lock.json").symlink_to(folder / "precious")
+    result = check(write_suite(inside, stored()), "--update")
+    assert result.exit_code == 2
+    assert result.output.startswith(f"Error: {inside / 'suite.lock.json'}: {folder / 'precious'} ")
+    assert not (folder / "precious").exists()
+
+
+@pytest.mark.parametrize("name", ["", "attitude.parquet", "error.html", "commands.txt"])
+def test_artifacts_are_not_written_through_links(folder, name):
+    """Links in their folder led anywhere."""
+    suite = pinned(folder, TRUTH)
+    write_suite(folder, STRICT)
+    place, outside = folder / "failed" / "coning", folder / "outside"
+    outside.mkdir()
+    (place if name else place.parent).mkdir(parents=True)
+    (place / name).symlink_to(outside / name)
+    result = check(suite, "--artifacts", folder / "failed")
+    assert result.exit_code == 1
+    words = f"its artifacts cannot be kept: {place / (name or 'attitude.parquet')}: "
+    assert words in result.output
+    assert list(outside.iterdir()) == []
