@@ -1,11 +1,13 @@
 """Rates of a table in one call, and why they are not read."""
 
 import io
+import warnings
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+from quatprop import read_rates
 from quatprop.errors import UnsupportedLogError
 from quatprop.logs.open_log import open_log
 from quatprop.logs.signals.rates import choose_rates
@@ -42,3 +44,11 @@ def refusal(source, error=UnsupportedLogError, **options):
         table_rates(source, **options)
     name = "-" if isinstance(source, str | bytes) else source
     return str(caught.value).removeprefix(f"{name}: ")
+
+
+def told(path, **options):
+    """Return the stamps of a table as users get them, and what they are warned of."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        t_ns = read_rates(path, **options).t_ns
+    return t_ns.tolist(), [str(warning.message).removeprefix(f"{path}: ") for warning in caught]
