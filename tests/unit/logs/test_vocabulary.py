@@ -4,6 +4,7 @@ import io
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from make.table_rates import refusal, table_rates
 
@@ -143,11 +144,10 @@ def test_a_header_that_names_columns_and_units_needs_no_options(header):
         ("t_s,ax,ay,az,gx,gy,gz,mag_x,mag_y,mag_z,temp", {}, (4, 5, 6)),
         ("t_s,p,q,r", {}, (1, 2, 3)),
         ("t,frame_id,gyro_x,gyro_y,gyro_z", {"time_unit": "s"}, (2, 3, 4)),
-        # As spelled, by the bare name, or by number; a name wins over a number.
+        # As spelled, by the bare name, or by number.
         ("t_s,x,y,z", {"rate_cols": ("x", "y", "z")}, (1, 2, 3)),
         ("t_s,x,y,z", {"rate_cols": ("1", "2", "3")}, (1, 2, 3)),
         ("t_s,x,y,z", {"rate_cols": ("X", "#y", "z [rad/s]")}, (1, 2, 3)),
-        ("t_s,2,1,3", {"rate_cols": ("1", "2", "3")}, (2, 1, 3)),
         # The second of two gyroscopes.
         (
             "t_s,wx (rad/s),wy (rad/s),wz (rad/s),gx,gy,gz",
@@ -163,6 +163,14 @@ def test_options_declare_what_the_header_does_not(header, options, numbers):
     _, t_ns, rate = chosen(header, rate_unit="deg/s", **options)
     assert t_ns == [10**9]
     assert rate.tolist() == [(k + 1) * RATES["deg/s"] for k in numbers]
+
+
+def test_a_name_wins_over_a_number(tmp_path):
+    """A column called "1" is found by its name, not as the second column."""
+    path = tmp_path / "log.parquet"
+    pd.DataFrame({"t_s": [1], "2": [1.0], "1": [2.0], "3": [3.0]}).to_parquet(path)
+    found = table_rates(path, rate_cols=("1", "2", "3"), rate_unit="rad/s")
+    assert found.rate.tolist() == [[2, 1, 3]]
 
 
 @pytest.mark.parametrize(
@@ -222,6 +230,11 @@ MIXED = (
     "convert them to one unit"
 )
 ANGLES = "Time (s),Roll rate (\u00b0/s),Pitch rate (\u00b0/s),Yaw rate (\u00b0/s)"
+ABOUT = (
+    "log.csv: about which axes 'Roll rate (\u00b0/s)', 'Pitch rate (\u00b0/s)', "
+    "'Yaw rate (\u00b0/s)' turn (those of the body, or others, as in OpenRocket) is not "
+    "declared; say it with rate_cols='X,Y,Z' if they are those of the body"
+)
 QUATPROP = "t_ns,wx,wy,wz"
 XYZ = {"rate_cols": ("x", "y", "z"), "time_col": "t", "rate_unit": "rad/s", "time_unit": "us"}
 
@@ -306,11 +319,7 @@ XYZ = {"rate_cols": ("x", "y", "z"), "time_col": "t", "rate_unit": "rad/s", "tim
             ANGLES,
             {},
             UndeclaredError,
-            (
-                "log.csv: about which axes 'Roll rate (\u00b0/s)', 'Pitch rate (\u00b0/s)', "
-                "'Yaw rate (\u00b0/s)' turn (those of the body, or others, as in OpenRocket) is not "
-                "declared; say it with rate_cols='X,Y,Z' if they are those of the body"
-            ),
+            ABOUT,
         ),
     ],
 )
