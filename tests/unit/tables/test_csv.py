@@ -53,16 +53,6 @@ def test_a_time_is_its_nearest_nanosecond(time, unit, t_ns):
     assert table_rates(rows, rate_unit="rad/s", time_unit=unit)[::2] == ([t_ns], [])
 
 
-@settings(max_examples=30)
-@given(st.lists(st.decimals(-(10**9), 10**9, allow_nan=False, places=12), min_size=1, max_size=20))
-def test_any_decimal_is_its_nearest_nanosecond(times):
-    """Whatever is written, the stamp is the nearest nanosecond of exact arithmetic."""
-    expected = [round(Fraction(time) * 10**9) for time in times]
-    rows = "".join(f"{time:f},1,2,3\n" for time in times)
-    assert table_rates(f"t,wx,wy,wz\n{rows}", **UNITS).t_ns == expected
-    assert [timestamps.from_text(str(time), "s") for time in times] == expected
-
-
 NUMBERS = st.from_regex(r"-?[0-9]{1,45}(\.[0-9]{0,45})?(e[+-]?[0-9]{1,2})?", fullmatch=True)
 
 
@@ -94,14 +84,6 @@ def test_counted_rows_do_not_drift(first, rate):
         return
     found = timestamps.row_stamps(first, 3, float(rate))
     assert found.tolist() == [round(k * period) for k in range(first, first + 3)]
-
-
-def test_seconds_and_nanoseconds_are_added_exactly():
-    """Two whole columns make one stamp, also where the nanoseconds exceed a second."""
-    names = "header.stamp.secs,header.stamp.nsecs,angular_velocity.{x,y,z}"
-    names = names.replace("{x,y,z}", "x,angular_velocity.y,angular_velocity.z")
-    text = f"{names}\n1432235497,988949113,1,2,3\n1432235498,1000000001,1,2,3\n"
-    assert table_rates(text).t_ns == [1432235497988949113, 1432235499000000001]
 
 
 def test_a_time_that_overflows_is_told_with_its_unit():
@@ -325,23 +307,6 @@ def test_rows_of_one_kind_have_the_header_of_their_kind():
     head = "# GYRO,t_ns,wx [rad/s],wy [rad/s],wz [rad/s]\n# ACC,t_ns,ax,ay,az\n"
     t_ns, rate, losses, _ = table_rates(head + rows)
     assert (t_ns, rate[0].tolist(), losses) == ([*range(9)], [1, 2, 3], [])
-
-
-@pytest.mark.parametrize(
-    ("option", "said"),
-    [
-        ("--time-unit=us", "--time-unit says us, but by header or convention 't_ns' is in ns"),
-        ("--rate-unit=rad/s", "--rate-unit says rad/s, but by header or convention 'wx_dps', 'wy_"),
-    ],
-)
-def test_a_unit_applies_where_the_header_says_otherwise(tmp_path, option, said):
-    """The summary says what the header says, whether or not the columns are named too."""
-    path = tmp_path / "a.csv"
-    path.write_text("t_ns,wx_dps,wy_dps,wz_dps\n0,.1,0,0\n10000000,.1,0,0\n")
-    for named in ([], ["--time-col", "t_ns", "--rate-cols", "1,2,3"]):
-        told = run("propagate", path, "-o", tmp_path / "out.csv", option, *named, code=0).stderr
-        assert f"warning: {said}" in told
-        assert f"; read in {option.partition('=')[2]}, as asked for" in told
 
 
 def test_a_unit_of_time_of_attitudes_that_the_header_contradicts_is_told(tmp_path):

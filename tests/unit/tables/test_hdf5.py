@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from make.commands import run
 from make.table_rates import refusal, table_rates
-from scipy.spatial.transform import Rotation
 
-from quatprop import propagate, read_attitudes, read_rates
+from quatprop import propagate, read_rates
 from quatprop.errors import UsageError
 
 h5py = pytest.importorskip("h5py")
@@ -26,13 +25,11 @@ def path(tmp_path):
 
 
 def broad(path, **options):
-    """Write a file as BROAD publishes them, with a turn of 0.5 rad/s about z as its truth."""
+    """Write a file as BROAD publishes them."""
     with h5py.File(path, "w") as file:
         file.attrs["sampling_rate"] = RATE_HZ
         file.create_dataset("imu_gyr", data=RATES, **options)
         file["imu_acc"] = np.tile([0.0, 0.0, 9.81], (COUNT, 1))
-        xyzw = Rotation.from_rotvec(np.outer(SECONDS, [0, 0, 0.5])).as_quat()
-        file["opt_quat"] = xyzw[:, [3, 0, 1, 2]]
         file["movement"] = np.ones(COUNT, np.bool_)
     return path
 
@@ -51,14 +48,6 @@ def test_a_file_of_broad_is_read_to_the_bit(path, options):
     columns = {"rate_cols": ["0", "1", "2"], "sample_rate": RATE_HZ}
     again = propagate(path.with_suffix(".npy"), **columns, **RAD)
     assert propagate(path, **RAD).wxyz.tobytes() == again.wxyz.tobytes()
-
-
-def test_the_truth_of_broad_is_read(path):
-    """Its columns have numbers, so which is the scalar must be said."""
-    columns = [f"opt_quat[{k}]" for k in range(4)]
-    truth = read_attitudes(broad(path), quat_cols=columns, from_layout="scalar-first")
-    expected = np.column_stack([np.cos(SECONDS / 4), np.sin(SECONDS / 4)])
-    assert np.abs(truth.wxyz[:, [0, 3]] - expected).max() < 1e-15
 
 
 def test_columns_are_named_by_groups_fields_and_attributes(path):
@@ -149,20 +138,6 @@ def test_what_follows_the_end_of_the_file_is_lost(path, version, before):
         assert found.rate.tobytes() == RATES.tobytes()
         assert [loss.place for loss in found.losses] == [f"byte {len(content)}"] * bool(rest)
         assert all(loss.reason.startswith(f"{len(rest)} bytes fol") for loss in found.losses)
-
-
-def test_a_damaged_chunk_loses_its_rows(path, tmp_path):
-    """What is before and behind it is kept, and the loss is counted."""
-    broad(path, compression="gzip", chunks=(100, 3))
-    with h5py.File(path) as file:
-        chunk = file["imu_gyr"].id.get_chunk_info(5)
-    data = bytearray(path.read_bytes())
-    data[chunk.byte_offset : chunk.byte_offset + chunk.size] = b"\xff" * chunk.size
-    path.write_bytes(data)
-    out = tmp_path / "out.csv"
-    told = run("propagate", path, "--rate-unit", "rad/s", "-o", out, code=3).stderr
-    assert "\nlost: rows 501 to 600: they are damaged: " in told
-    assert len(read_attitudes(out).t_ns) == 900
 
 
 def test_a_size_that_the_file_cannot_hold_is_not_believed(path):

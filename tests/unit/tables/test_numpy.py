@@ -1,6 +1,5 @@
 """NumPy arrays and archives: columns, types, orders, damage, what is never believed."""
 
-import io
 import struct
 import zipfile
 
@@ -13,7 +12,6 @@ from quatprop.errors import DamagedLogError, NoRatesError, UndeclaredError
 from quatprop.logs.open_log import open_log
 from quatprop.logs.signals.rates import choose_rates
 from quatprop.settings.selection import RateSelection
-from quatprop.tables.npy_format import HeaderError, read_header
 
 T_NS = np.array([1_700_000_000_123_456_789, 1_700_000_000_123_456_790, -5], np.int64)
 RATES = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [0.1, -0.0, 5e-324]])
@@ -83,19 +81,6 @@ def test_columns_without_names_are_numbered(path, order):
     assert found.rate.tobytes() == RATES.tobytes()
     counted = table_rates(path, sample_rate=4.0, **cols, **RAD)
     assert counted.t_ns == [0, 250_000_000, 500_000_000]
-
-
-def test_a_plain_array_of_quaternions_needs_layout_and_time(tmp_path):
-    """Neither which column is the scalar nor when the rows were is guessed."""
-    path, out = tmp_path / "q.npy", tmp_path / "out.csv"
-    np.save(path, np.array([[0.0, 0.0, 0.0, 1.0], [0.6, 0.0, 0.0, 0.8]]))
-    command = ["convert", path, out, "--quat-cols", "0,1,2,3"]
-    sentence = refused(*command)
-    assert "which of the columns '0', '1', '2', '3' is the scalar is not declared" in sentence
-    command += ["--from-layout", "xyzw"]
-    assert "--sample-rate HZ for rows at a steady rate" in refused(*command)
-    run(*command, "--sample-rate", "2", code=0)
-    assert out.read_text() == "t_ns,qw,qx,qy,qz\n0,1,0,0,0\n500000000,0.8,0.6,0,0\n"
 
 
 def test_nested_records_and_fields_that_are_arrays_are_opened(path):
@@ -257,12 +242,6 @@ def test_memory_does_not_grow_with_the_file(path):
         sizes = [len(batch) for batch in choose_rates(log, RateSelection()).batches()]
     assert sum(sizes) == 40
     assert max(sizes) * wide.itemsize <= 1 << 24
-
-
-def test_a_header_error_is_a_sentence_by_itself():
-    """The parser of headers can be used alone."""
-    with pytest.raises(HeaderError, match="it does not begin as a NumPy array"):
-        read_header(io.BytesIO(b"PK"))
 
 
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
