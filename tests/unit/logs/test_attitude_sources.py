@@ -111,74 +111,39 @@ def test_recordings_of_several_attitudes_ask_for_one(shared_logs):
 
 XSENS = "// Update Rate: 100.0Hz\nPacketCounter\t"
 MATRIX = "\t".join(f"Mat[{row}][{column}]" for column in (1, 2, 3) for row in (1, 2, 3))
+SENSOR_LOGGER = "time,seconds_elapsed,quaternionX,quaternionY,quaternionZ,quaternionW\n"
+ARDUPILOT = "timestamp,TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw\n"
+ARIA = "graph_uid,tracking_timestamp_us,utc_timestamp_ns," + ",".join(
+    f"q{axis}_world_device" for axis in "xyzw"
+)
+ABOUT_X, QUARTER_X, QUARTER_Z = [0.8, 0.6, 0, 0], [HALF, HALF, 0, 0], [HALF, 0, 0, HALF]
 
 
 @pytest.mark.parametrize(
     ("name", "text", "t_ns", "wxyz"),
     [
-        ("log.csv", "time,seconds_elapsed,qz,qy,qx,qw\n7,0.5,0.1,0.1,0.7,0.7\n", 7, [7, 7, 1, 1]),
+        ("log.csv", "time,seconds_elapsed,qz,qy,qx,qw\n7,0.5,0,0,0.6,0.8\n", 7, ABOUT_X),
         # Three decimals are as good as a table may have; they are not touched.
         ("log.csv", "t_ns,qw,qx,qy,qz\n1,0.5,0.5,0.5,0.501\n", 1, [0.5, 0.5, 0.5, 0.501]),
-        # The stamps of Sensor Logger are in ns, which x-io's would have to declare.
-        (
-            "WatchMotion.csv",
-            (
-                "time,seconds_elapsed,quaternionX,quaternionY,quaternionZ,quaternionW\n"
-                "10000000,0.01,0.6,0,0,0.8\n"
-            ),
-            10**7,
-            [0.8, 0.6, 0, 0],
-        ),
-        # Quat_q0 of Xsens is w, by its manual; the counter is the time.
-        (
-            "mt.txt",
-            f"{XSENS}Quat_q0\tQuat_q1\tQuat_q2\tQuat_q3\n0\t0.8\t0.6\t0.0\t0.0\n",
-            0,
-            [0.8, 0.6, 0, 0],
-        ),
+        # Its stamps are in ns, which x-io's would have to declare.
+        ("WatchMotion.csv", f"{SENSOR_LOGGER}10000000,0.01,0.6,0,0,0.8\n", 10**7, ABOUT_X),
+        # Quat_q0 is w, by the manual; the counter is the time.
+        ("mt.txt", f"{XSENS}Quat_q0\tQuat_q1\tQuat_q2\tQuat_q3\n0\t.8\t.6\t.0\t.0\n", 0, ABOUT_X),
         # Mat[2][1] is in the second row, wherever it stands.
-        (
-            "mt.txt",
-            f"{XSENS}{MATRIX}\n0\t1.0\t0.0\t0.0\t0.0\t0.0\t1.0\t0.0\t-1.0\t0.0\n",
-            0,
-            [HALF, HALF, 0, 0],
-        ),
+        ("mt.txt", f"{XSENS}{MATRIX}\n0\t1.\t0.\t0.\t0.\t0.\t1.\t0.\t-1.\t0.\n", 0, QUARTER_X),
         # DesRoll and the like are what was wanted; the unit is known by convention.
-        (
-            "att.csv",
-            (
-                "timestamp,TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw\n"
-                "1.7e9,10000,9,0,9,0,9,90,0,0\n"
-            ),
-            10**7,
-            [HALF, 0, 0, HALF],
-        ),
-        # Project Aria: those of the device in the world, at the time of tracking.
-        (
-            "closed_loop_trajectory.csv",
-            (
-                "graph_uid,tracking_timestamp_us,utc_timestamp_ns,qx_world_device,qy_world_device,"
-                "qz_world_device,qw_world_device\na,10000,-1,0.6,0,0,0.8\n"
-            ),
-            10**7,
-            [0.8, 0.6, 0, 0],
-        ),
+        ("att.csv", f"{ARDUPILOT}1.7e9,10000,9,0,9,0,9,90,0,0\n", 10**7, QUARTER_Z),
+        # Those of the device in the world, at the time of tracking.
+        ("closed_loop_trajectory.csv", f"{ARIA}\na,10000,-1,0.6,0,0,0.8\n", 10**7, ABOUT_X),
         # q[0] is the scalar in what ulog2csv writes.
-        (
-            "x_vehicle_attitude_0.csv",
-            "timestamp,q[0],q[1],q[2],q[3]\n1,0.8,0.6,0,0\n",
-            1000,
-            [0.8, 0.6, 0, 0],
-        ),
+        ("a_vehicle_attitude_0.csv", "timestamp,q[0],q[1],q[2],q[3]\n1,.8,.6,0,0\n", 1000, ABOUT_X),
     ],
 )
 def test_the_names_of_a_program_tell_the_components(table, name, text, t_ns, wxyz):
     """In any order, as quaternions, matrices or angles."""
-    rows = table(text, name)
-    _, found_ns, found, _ = attitudes(rows)
+    _, found_ns, found, _ = attitudes(table(text, name))
     assert found_ns.tolist() == [t_ns]
-    scale = 10 if wxyz[0] == 7 else 1
-    np.testing.assert_allclose(found[0] * scale, wxyz, rtol=0, atol=1e-15 * scale)
+    np.testing.assert_allclose(found[0], wxyz, rtol=0, atol=1e-15)
 
 
 def test_tum_trajectories_are_scalar_last_in_exact_seconds(table):
@@ -436,10 +401,3 @@ def test_the_orientation_of_a_log_is_that_of_the_message_of_the_rate(shared_logs
     log = write_imus(tmp_path / "log.mcap", imu(5, (1.0, 0.0, 0.0, 0.0), -1.0))
     with pytest.raises(LogError, match=r"the orientation of '/imu' is absent or invalid through"):
         own_orientation(log)
-
-
-def test_xsens_tables_carry_attitudes_beside_their_rates(shared_logs):
-    """Quat_w is the scalar, rows are counted at the rate of the comments."""
-    source, t_ns, wxyz, _ = attitudes(shared_logs / "csv" / "data_xsens.txt")
-    assert (t_ns[0], t_ns[1], source.clock) == (0, 20_000_000, "Counter at 50 Hz")
-    assert wxyz[0].tolist() == [0.567189, 0.769786, 0.003829, 0.292765]

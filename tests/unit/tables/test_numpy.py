@@ -223,7 +223,9 @@ def test_joined_archives_are_refused(path):
 
 
 def test_an_archive_of_something_else_is_refused(path):
-    """Any zip file begins like an archive of arrays."""
+    """Any zip file begins like an archive of arrays; one without files was one "of ;"."""
+    zipfile.ZipFile(path, "w").close()
+    assert refusal(path) == "it is a ZIP archive of nothing; was it written to the end?"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("readme.txt", "nothing")
     assert "it is a ZIP archive of 'readme.txt'; unpack" in refusal(path)
