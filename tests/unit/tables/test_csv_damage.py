@@ -5,6 +5,7 @@ import gzip
 import io
 import json
 import math
+import re
 import zlib
 
 import pytest
@@ -298,14 +299,13 @@ def test_a_header_without_end_is_refused():
     assert refusal("," * 50_000_000).startswith("its header is longer than 262144 bytes")
 
 
-@pytest.mark.parametrize(
-    "junk", ['"\n' + 200 * "x" + "\n", 200 * "a" + ",b\n"], ids=["open quotes", "words"]
-)
+@pytest.mark.parametrize("junk", ['"\n' + 200 * "x" + "\n", "a,b\n"], ids=["open quotes", "words"])
 def test_megabytes_of_rows_that_do_not_fit_are_refused_soon(junk):
     """A table is refused when most of its rows do not fit, without looking at all of them."""
     stream = io.BytesIO((HEADER + ROWS + junk * (20_000_000 // len(junk))).encode())
     with CsvLog(stream) as log:
         batches = choose_rates(log, RateSelection()).batches()
-        with pytest.raises(UnsupportedLogError, match=r"rows do not fit \(line"):
+        with pytest.raises(UnsupportedLogError, match=r"of its first (\d+) rows do not") as caught:
             list(batches)
         assert stream.tell() < 10_000_000
+    assert int(re.search(r"first (\d+) rows", str(caught.value))[1]) < 200_000

@@ -123,9 +123,9 @@ def test_text_beside_the_numbers_is_passed_over(written, block):
             "column 'wx' holds text, not numbers; convert it",
         ),
         (
-            ROW % (1, 1, 2, 3) + '{"t_ns":1,"wx":[],"wy":1,"wz":2}\n' * 1000,
+            ROW % (1, 1, 2, 3) + '{"t_ns":1,"wx":[],"wy":1,"wz":2}\n' * 3000,
             UnsupportedLogError,
-            "1000 of its first 1001 rows do not fit (l",
+            "1001 of its first 1002 rows do not fit (l",
         ),
         ('{"t":1,"a":{"b":2}}\n', NoRatesError, "no body rates found; its columns are 't', 'a.b';"),
         (
