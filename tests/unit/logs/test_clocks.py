@@ -100,17 +100,16 @@ def test_a_clock_that_stands_still_is_not_the_time(tmp_path, value, suffix):
     assert told(path) == (SINCE_1970, [remark])
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        *(f"{stem}_{unit}" for unit in ("s", "ms", "us") for stem in ("epoch", "unix", "elapsed")),
-        *("micros", "millis", "uptime_ms", "uptime_s", "lap (ms)", "boot_ms"),
-    ],
-)
-def test_a_clock_that_moves_is_used_in_its_unit_before_one_that_stands_still(tmp_path, name):
+PER_SECOND = {"s": 1, "ms": 1e3, "us": 1e6}
+MOVING = [(f"{stem}_{unit}", unit) for unit in PER_SECOND for stem in ("epoch", "unix", "elapsed")]
+MOVING += [("micros", "us"), ("millis", "ms"), ("uptime_ms", "ms"), ("uptime_s", "s")]
+MOVING += [("lap (ms)", "ms"), ("boot_ms", "ms")]
+
+
+@pytest.mark.parametrize(("name", "unit"), MOVING)
+def test_a_clock_that_moves_is_used_in_its_unit_before_one_that_stands_still(tmp_path, name, unit):
     """Names such as epoch_ms were unknown, so that a device's clock that was never set was used."""
-    scale = {"m": 1e3, "u": 1e6}.get(next(iter(re.findall("ms|us|millis", name)), "s")[0], 1)
-    moving = {name: np.round(TIMES * (1e6 if name == "micros" else scale), 3)}
+    moving = {name: np.round(TIMES * PER_SECOND[unit], 3)}
     path = table(tmp_path / "log.csv", moving)
     assert told(path) == (STEADY, [])
     remark = f"the times in 'device_timestamp_ms' are all the same; those in '{name}' are used"
@@ -290,39 +289,26 @@ def test_a_column_of_text_is_no_clock_of_a_typed_table(tmp_path, suffix):
 SAID = " is not declared; say it with "
 TIME_UNITS = "time_unit='s' or 'ms' or 'us' or 'ns'"
 STEADILY = "sample_rate='HZ' for rows at a steady rate"
+ONE_OF = f"{SAID}time_col='C', or {STEADILY}"
+HZ = "sample_rate='HZ'"
 
 
 @pytest.mark.parametrize(
     ("names", "options", "sentence"),
     [
-        (
-            "n",
-            {},
-            f"whether 'n' is the time{SAID}time_col='n' and {TIME_UNITS}, or {STEADILY}",
-        ),
-        ("a,b", {}, f"the time column (one of 'a', 'b'){SAID}time_col='C', or {STEADILY}"),
-        ("", {}, f"the time column{SAID}time_col='C', or {STEADILY}"),
+        ("n,", {}, f"whether 'n' is the time{SAID}time_col='n' and {TIME_UNITS}, or {STEADILY}"),
+        ("a,b,", {}, f"the time column (one of 'a', 'b'){ONE_OF}"),
+        ("", {}, f"the time column{ONE_OF}"),
         # An unknown name with a clock's ending may be better than an arrival.
-        (
-            "server_t,kit_t",
-            {},
-            f"the time column (one of 'server_t', 'kit_t'){SAID}time_col='C', or {STEADILY}",
-        ),
-        (
-            "PacketCounter",
-            {"time_col": "PacketCounter"},
-            f"the rate of the counter 'PacketCounter'{SAID}sample_rate='HZ'",
-        ),
+        ("server_t,kit_t,", {}, f"the time column (one of 'server_t', 'kit_t'){ONE_OF}"),
+        ("Counter,", {"time_col": "Counter"}, f"the rate of the counter 'Counter'{SAID}{HZ}"),
     ],
 )
-def test_a_refusal_offers_only_what_may_be_the_time(tmp_path, names, options, sentence):
+def test_a_refusal_offers_only_what_may_be_the_time(names, options, sentence):
     """Columns of the rates were offered, one column was one of several, a counter had a unit."""
-    columns = {name: [5, 5, 5] for name in names.split(",") if name}
-    path = table(tmp_path / "log.csv", {**columns, "wx_dps": [1] * 3}, ["wx_dps", *RATES[:2]])
-    path.write_text(path.read_text().replace(RATES[0], "wy_dps").replace(RATES[1], "wz_dps"))
-    assert refusal(path, UndeclaredError, **options) == sentence
-    if "kit_t" in columns:
-        assert told(path, time_col="kit_t", time_unit="s")[0] == [5 * 10**9] * 3
+    row = "5," * names.count(",") + "1,2,3\n"
+    text = f"{names}wx_dps,wy_dps,wz_dps\n{3 * row}"
+    assert refusal(text, UndeclaredError, **options) == sentence
 
 
 @pytest.mark.parametrize("options", [{}, {"start": "+1s"}])
