@@ -1,7 +1,7 @@
 """Definitions of PX4 messages, as far as they matter here, and logs of them."""
 
 import numpy as np
-from mcap.writer import Writer
+from make.mcap_files import Topic, write_topics
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 DEFINITIONS = {
@@ -54,21 +54,16 @@ def write_mcap(path, kind, messages, definition=True):
     store = get_typestore(Stores.LATEST)
     name = f"px4_msgs/msg/{kind}"
     store.register(get_types_from_msg(DEFINITIONS[kind], name))
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start("ros2")
-        text = DEFINITIONS[kind].encode() if definition else b""
-        schema = writer.register_schema(name, "ros2msg", text)
-        channel = writer.register_channel(f"/fmu/out/{kind}", "cdr", schema)
-        for message in messages:
-            filled = zeros(kind)
-            for field, value in message.items():
-                if isinstance(filled[field], np.ndarray):
-                    filled[field][: len(value)] = value
-                else:
-                    filled[field] = type(filled[field])(value)
-            data = bytes(store.serialize_cdr(store.types[name](**filled), name))
-            log_ns = int(filled["timestamp"]) * 1000 + 77
-            writer.add_message(channel, log_time=log_ns, publish_time=log_ns, data=data)
-        writer.finish()
-    return path
+    written = []
+    for message in messages:
+        filled = zeros(kind)
+        for field, value in message.items():
+            if isinstance(filled[field], np.ndarray):
+                filled[field][: len(value)] = value
+            else:
+                filled[field] = type(filled[field])(value)
+        data = bytes(store.serialize_cdr(store.types[name](**filled), name))
+        written.append((int(filled["timestamp"]) * 1000 + 77, data))
+    text = DEFINITIONS[kind].encode() if definition else b""
+    topic = Topic(name, written, text, "ros2msg", "cdr")
+    return write_topics(path, {f"/fmu/out/{kind}": topic}, profile="ros2")

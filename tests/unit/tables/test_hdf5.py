@@ -4,11 +4,10 @@ import sys
 
 import numpy as np
 import pytest
-from make.commands import run
 from make.table_rates import refusal, table_rates
 
 from quatprop import propagate, read_rates
-from quatprop.errors import UsageError
+from quatprop.errors import DamagedLogError, UsageError
 
 h5py = pytest.importorskip("h5py")
 
@@ -73,12 +72,11 @@ def test_columns_are_named_by_groups_fields_and_attributes(path):
 
 def test_a_cut_file_is_refused_in_a_sentence(path):
     """HDF5 says itself how long it should be."""
-    broad(path)
-    path.write_bytes(path.read_bytes()[:-1000])
-    error = run("propagate", path, "-o", "-", code=2).stderr
-    assert error.startswith(f"Error: {path}: its groups and datasets are damaged (")
-    assert "truncated file" in error
-    assert error.endswith("; was it closed and copied whole?\n")
+    path.write_bytes(broad(path).read_bytes()[:-1000])
+    sentence = refusal(path, DamagedLogError)
+    assert sentence.startswith("its groups and datasets are damaged (")
+    assert "truncated file" in sentence
+    assert sentence.endswith("; was it closed and copied whole?")
 
 
 def test_a_file_of_matlab_is_read_column_by_column(path):
