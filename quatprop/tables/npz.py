@@ -181,6 +181,8 @@ class NpzLog(NumpyTable):
     def _other_content(self) -> str:
         """Return what an archive without arrays of NumPy is."""
         names = self._archive.namelist()
+        if not names:
+            return "it is a ZIP archive of nothing; was it written to the end?"
         if "xl/workbook.xml" in names or "content.xml" in names:
             return "it is a workbook of a spreadsheet; save its table as CSV"
         return f"it is a ZIP archive of {listed(names)}; unpack it, and name a log of them"

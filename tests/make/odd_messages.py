@@ -227,22 +227,18 @@ def joined_ros2(rng, folder, path, count):
     """Join bags into one of several files, and change the databases' layout."""
     path.mkdir()
     yaml = YAML(typ="safe")
-    joined = None
+    joined = yaml.load(folder / "log_0" / "metadata.yaml")
+    total = joined["rosbag2_bagfile_information"]
     for number in range(count):
         part = folder / f"log_{number}"
-        content = yaml.load(part / "metadata.yaml")
-        told = content["rosbag2_bagfile_information"]
-        if joined is None:
-            joined = content
-            total = told
-        else:
+        told = yaml.load(part / "metadata.yaml")["rosbag2_bagfile_information"]
+        if number:
             total["relative_file_paths"] += told["relative_file_paths"]
             total.get("files", []).extend(told.get("files", []))
-            total["message_count"] += told["message_count"]
-            for topic, more in zip(
-                total["topics_with_message_count"], told["topics_with_message_count"], strict=True
-            ):
-                topic["message_count"] += more["message_count"]
+            topics = "topics_with_message_count"
+            pairs = zip(total[topics], told[topics], strict=True)
+            for one, more in ((total, told), *pairs):
+                one["message_count"] += more["message_count"]
         for file in part.iterdir():
             if file.suffix == ".db3":
                 edit_database(rng, file)

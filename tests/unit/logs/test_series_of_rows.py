@@ -1,49 +1,44 @@
 """Series that take turns in the rows of a table: found by their labels, and one is chosen."""
 
 import json
-from functools import partial
 
 import numpy as np
 import pandas as pd
 import pytest
-from click.testing import CliRunner
+from make.commands import run
+from make.table_rates import refusal, table_rates
+from make.tables import write_rates
 
-from quatprop import RemarkWarning, propagate, read_attitudes, read_rates
-from quatprop.cli.commands import cli
+from quatprop import propagate, read_attitudes
 from quatprop.errors import TimelineError, UndeclaredError, UsageError
 from quatprop.logs.clocks.series import labels_of, take_turns
 
 AXES = ["wx", "wy", "wz"]
 ROWS = 40
+SUFFIXES = ["csv", "jsonl", "parquet", "feather", "npy", "npz", "h5"]
 
 
-def save_h5(frame, path):
-    """Write a dataset of records."""
-    types = dict.fromkeys(frame.select_dtypes(exclude="number"), "S5")
-    with pytest.importorskip("h5py").File(path, "w") as file:
-        file["log"] = frame.to_records(index=False, column_dtypes=types)
+def save(frame, path):
+    """Write a table by the suffix of its name."""
+    suffix = path.suffix[1:]
+    text = frame.select_dtypes(exclude="number")
+    if suffix == "csv":
+        frame.to_csv(path, index=False)
+    elif suffix == "jsonl":
+        frame.to_json(path, orient="records", lines=True)
+    elif suffix in {"parquet", "feather"}:
+        getattr(frame, f"to_{suffix}")(path)
+    elif suffix == "npy":
+        np.save(path, frame.to_records(index=False, column_dtypes=dict.fromkeys(text, "U5")))
+    elif suffix == "npz":
+        np.savez(path, **{name: np.array(frame[name].tolist()) for name in frame})
+    else:
+        records = frame.to_records(index=False, column_dtypes=dict.fromkeys(text, "S5"))
+        with pytest.importorskip("h5py").File(path, "w") as file:
+            file["log"] = records
+    return path
 
 
-def save_npy(frame, path):
-    """Write an array of records."""
-    types = dict.fromkeys(frame.select_dtypes(exclude="number"), "U5")
-    np.save(path, frame.to_records(index=False, column_dtypes=types))
-
-
-def save_npz(frame, path):
-    """Write an array for each column."""
-    np.savez(path, **{name: np.array(frame[name].tolist()) for name in frame})
-
-
-WRITERS = {
-    "csv": partial(pd.DataFrame.to_csv, index=False),
-    "jsonl": partial(pd.DataFrame.to_json, orient="records", lines=True),
-    "parquet": pd.DataFrame.to_parquet,
-    "feather": pd.DataFrame.to_feather,
-    "npy": save_npy,
-    "npz": save_npz,
-    "h5": save_h5,
-}
 LABELS = {
     "imu_id": (0, 1),
     "I": (0, 1),
@@ -62,34 +57,34 @@ def table(path, name, labels, axes=AXES):
     frame = pd.DataFrame({"t_ns": range(len(labels)), name: labels})
     frame[axes] = 2.0
     frame[axes[0]] = [float(kinds.index(label)) for label in labels]
-    WRITERS[path.suffix[1:]](frame, path)
-    return path
+    return save(frame, path)
 
 
-@pytest.mark.parametrize("suffix", list(WRITERS)[:-1])
+@pytest.fixture
+def log(tmp_path):
+    """Return a log of the series acc and gyro."""
+    return table(tmp_path / "log.csv", "sensor", ["acc", "gyro"] * ROWS)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES[:-1])
 @pytest.mark.parametrize("name", LABELS)
 def test_one_of_the_series_that_take_turns_is_read(tmp_path, name, suffix):
     """Rates of two gyroscopes, or accelerations, were integrated as those of one, if named."""
     kinds = LABELS[name]
-    labels = [kinds[k % len(kinds)] for k in range(ROWS)]
-    path = table(tmp_path / f"log.{suffix}", name, labels)
+    path = table(tmp_path / f"log.{suffix}", name, [kinds[k % len(kinds)] for k in range(ROWS)])
     for named in ({}, {"rate_cols": AXES}):
-        with pytest.raises(
-            UndeclaredError, match=r"which series to read, of .* that take turns in"
-        ):
-            read_rates(path, **named, time_unit="ns")
+        sentence = refusal(path, UndeclaredError, **named, time_unit="ns")
+        assert sentence.startswith("which series to read, of ")
+        assert " that take turns in" in sentence
     for number, kind in enumerate(kinds):
         for wanted in (str(kind), f"{name}={kind}"):
-            with pytest.warns(RemarkWarning) as caught:
-                rates = read_rates(path, series=wanted)
-            assert rates.t_ns.tolist() == list(range(ROWS))[number :: len(kinds)]
-            assert {*rates.rate[:, 0].tolist()} == {number}
-            (remark,) = [str(warning.message) for warning in caught]
-            others = ROWS - len(rates.t_ns)
-            assert remark == (
-                f"{path}: {others} rows of other series than '{kind}' in column '{name}' were not "
-                "read"
-            )
+            found = table_rates(path, series=wanted)
+            assert found.t_ns == [*range(ROWS)][number :: len(kinds)]
+            assert {*found.rate[:, 0].tolist()} == {number}
+            others = ROWS - len(found.t_ns)
+            assert found.remarks == [
+                f"{others} rows of other series than '{kind}' in column '{name}' were not read"
+            ]
 
 
 def test_the_message_says_the_choices_and_each_of_them_works(tmp_path):
@@ -97,100 +92,75 @@ def test_the_message_says_the_choices_and_each_of_them_works(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("".join(f"acc,{k},0,0,9.8\ngyro,{k},1,2,3\n" for k in range(1001)))
     named = ["--rate-cols", "2,3,4", "--time-col", "1", "--rate-unit", "rad/s", "--time-unit", "ms"]
-    command = ["propagate", str(path), "-o", "-", "-q", *named]
-    result = CliRunner().invoke(cli, command)
-    assert result.stderr == (
+    command = ["propagate", path, "-o", "-", "-q", *named]
+    assert run(*command).stderr == (
         f"Error: {path}: which series to read, of 'acc', 'gyro' that take turns in column '0', is "
         "not declared; say it with --series acc|gyro, or if all rows are of one sensor, with "
         "--series all\n"
     )
-    counts = {}
-    for wanted in ("acc", "gyro", "all"):
-        done = CliRunner().invoke(cli, [*command, "--series", wanted])
-        assert done.exit_code == 0, done.stderr
-        counts[wanted] = done.stdout.count("\n") - 1
-    assert counts == {"acc": 1001, "gyro": 1001, "all": 2002}
+    for wanted, count in {"acc": 1001, "gyro": 1001, "all": 2002}.items():
+        assert run(*command, "--series", wanted, code=0).stdout.count("\n") == count + 1
 
 
-def test_rows_of_other_series_are_said_and_not_lost(tmp_path):
+def test_rows_of_other_series_are_said_and_not_lost(log, tmp_path):
     """The exit code is 0; summary and report say how many, and the output what was asked for."""
-    path = table(tmp_path / "log.csv", "sensor", ["acc", "gyro"] * ROWS)
     out, report = tmp_path / "a.parquet", tmp_path / "r.json"
-    arguments = [str(path), "-o", str(out), "--series", "gyro", "--report", str(report)]
-    result = CliRunner().invoke(cli, ["propagate", *arguments])
-    assert result.exit_code == 0, result.stderr
+    result = run("propagate", log, "-o", out, "--series", "gyro", "--report", report, code=0)
     remark = f"{ROWS} rows of other series than 'gyro' in column 'sensor' were not read"
     assert remark in " ".join(result.stderr.split())
     facts = json.loads(report.read_text())
     assert (facts["losses"], facts["settings"]["series"]) == ([], "gyro")
     assert remark in facts["remarks"]
-    made = read_attitudes(out)
-    assert len(made.t_ns) == ROWS
-    config = CliRunner().invoke(cli, ["info", str(out), "--as-config"]).stdout
-    assert 'series = "gyro"' in config
+    assert len(read_attitudes(out).t_ns) == ROWS
+    assert 'series = "gyro"' in run("info", out, "--as-config").stdout
 
 
-def test_info_names_the_option_and_takes_it(tmp_path):
+def test_info_names_the_option_and_takes_it(log):
     """It lists what is missing to read a source."""
-    path = table(tmp_path / "log.csv", "sensor", ["acc", "gyro"] * ROWS)
-    result = CliRunner().invoke(cli, ["info", str(path)])
-    assert "--series acc|gyro, or if all rows are of one sensor, with --series all" in result.stdout
-    result = CliRunner().invoke(cli, ["info", "--json", str(path), "--series", "gyro"])
-    assert json.loads(result.stdout)[0]["sources"][0]["samples"] == ROWS
-
-
-def attitudes(path):
-    """Write attitudes of two bodies that take turns."""
-    half = 0.5**0.5
-    rows = "".join(f"{k},left,1,0,0,0\n{k},right,{half},{half},0,0\n" for k in range(ROWS))
-    path.write_text(f"t_ns,body,qw,qx,qy,qz\n{rows}")
-    return str(path)
+    missing = "--series acc|gyro, or if all rows are of one sensor, with --series all"
+    assert missing in run("info", log).stdout
+    facts = json.loads(run("info", "--json", log, "--series", "gyro").stdout)
+    assert facts[0]["sources"][0]["samples"] == ROWS
 
 
 def test_attitudes_of_a_series_are_converted_and_compared(tmp_path):
     """By the same option, for each side of a comparison."""
-    path = attitudes(tmp_path / "two.csv")
-    result = CliRunner().invoke(cli, ["convert", path, "-", "--series", "right"])
-    assert (result.exit_code, result.stdout.count("\n")) == (0, ROWS + 1)
-    sides = ["--series-a", "left", "--series-b", "right", "--json"]
-    result = CliRunner().invoke(cli, ["compare", path, path, *sides])
+    half = 0.5**0.5
+    rows = [(k, *row) for k in range(ROWS) for row in (("l", 1, 0, 0, 0), ("r", half, half, 0, 0))]
+    path = write_rates(tmp_path / "two.csv", rows, "t_ns,body,qw,qx,qy,qz")
+    assert run("convert", path, "-", "--series", "r", code=0).stdout.count("\n") == ROWS + 1
+    result = run("compare", path, path, "--series-a", "l", "--series-b", "r", "--json")
     assert json.loads(result.stdout)["error_rad"]["max"] == pytest.approx(np.pi / 2)
-    result = CliRunner().invoke(cli, ["compare", path, path, "--series-a", "left"])
-    assert "say it with --series-b left|right" in result.stderr
+    result = run("compare", path, path, "--series-a", "l")
+    assert "say it with --series-b l|r" in result.stderr
 
 
-def test_a_batch_reads_the_same_series_of_every_log(tmp_path):
+def test_a_batch_reads_the_same_series_of_every_log(log, tmp_path):
     """Also of one that has no other."""
-    for name, labels in (("a", ["acc", "gyro"] * ROWS), ("b", ["gyro"] * ROWS)):
-        table(tmp_path / f"{name}.csv", "sensor", labels)
-    result = CliRunner().invoke(
-        cli, ["batch", str(tmp_path), "-o", str(tmp_path / "out"), "--series", "gyro", "-j", "1"]
-    )
-    assert result.exit_code == 0, result.stderr
-    made = [read_attitudes(tmp_path / "out" / f"{name}.parquet") for name in "ab"]
+    other = table(tmp_path / "b.csv", "sensor", ["gyro"] * ROWS)
+    run("batch", log, other, "-o", tmp_path / "out", "--series", "gyro", "-j", "1", code=0)
+    made = [read_attitudes(tmp_path / "out" / f"{name}.parquet") for name in ("log", "b")]
     assert [len(series.t_ns) for series in made] == [ROWS, ROWS]
 
 
-def test_rows_of_a_series_alone_have_to_fit(tmp_path, recwarn):
+def test_rows_of_a_series_alone_have_to_fit(tmp_path):
     """Text, blanks and other numbers of columns of others are not damage."""
-    path = tmp_path / "log.csv"
-    rows = [f"{k},gyro,1,2,3\n{k},gps,A,fix,,more\n,wifi,-\n" for k in range(ROWS)]
-    rows[7] = "7,gyro,1,x,3\n"
-    path.write_text(f"t_ns,sensor,wx,wy,wz\n{''.join(rows)}")
-    rates = read_rates(path, series="gyro")
-    assert rates.t_ns.tolist() == [k for k in range(ROWS) if k != 7]
-    lost, others = [str(warning.message).removeprefix(f"{path}: ") for warning in recwarn]
-    assert lost == "lost: line 23: 'x' in column 'wy' is not a number"
-    assert others.startswith(f"{2 * (ROWS - 1)} rows of other series than 'gyro' in column")
+    rows = [f"{k},gyro,1,2,3\n{k},gps,A,fix,,more\n,wifi,-" for k in range(ROWS)]
+    rows[7] = "7,gyro,1,x,3"
+    path = write_rates(tmp_path / "log.csv", rows, "t_ns,sensor,wx,wy,wz")
+    t_ns, _, losses, remarks = table_rates(path, series="gyro")
+    assert t_ns == [k for k in range(ROWS) if k != 7]
+    assert losses == [("line 23", "'x' in column 'wy' is not a number", 1)]
+    assert remarks[0].startswith(f"{2 * (ROWS - 1)} rows of other series than 'gyro' in column")
 
 
-@pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet"])
-@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+@pytest.mark.parametrize("suffix", SUFFIXES[:3])
 def test_rows_of_a_series_are_counted_at_a_sample_rate(tmp_path, suffix):
     """Those of others take no time."""
     path = table(tmp_path / f"log.{suffix}", "sensor", ["acc", "gyro"] * ROWS)
-    rates = read_rates(path, series="gyro", sample_rate=100)
-    assert rates.t_ns.tolist() == [k * 10**7 for k in range(ROWS)]
+    assert table_rates(path, series="gyro", sample_rate=100).t_ns == [
+        k * 10**7 for k in range(ROWS)
+    ]
 
 
 def test_anchors_of_relative_times_are_those_of_the_series(tmp_path):
@@ -206,14 +176,13 @@ def test_anchors_of_relative_times_are_those_of_the_series(tmp_path):
 
 def test_a_series_of_two_columns_is_chosen_with_a_comma(tmp_path):
     """What is left after the first still takes turns, and the message names it."""
-    rows = [(k, s, d) for k in range(ROWS) for s in ("acc", "gyro") for d in ("left", "right")]
-    frame = pd.DataFrame(rows, columns=["t_ns", "sensor", "side"])
-    frame[AXES] = 1.0
-    frame.to_csv(tmp_path / "log.csv", index=False)
-    with pytest.raises(UndeclaredError, match="series='gyro,left' or 'gyro,right'"):
-        read_rates(tmp_path / "log.csv", series="gyro")
-    with pytest.warns(match="'gyro' in column 'sensor' and 'left' in column 'side' were not read"):
-        assert len(read_rates(tmp_path / "log.csv", series="gyro,left").t_ns) == ROWS
+    rows = [(k, s, d, 1, 1, 1) for k in range(ROWS) for s in ("acc", "gyro") for d in "lr"]
+    path = write_rates(tmp_path / "log.csv", rows, "t_ns,sensor,side,wx,wy,wz")
+    assert "series='gyro,l' or 'gyro,r'" in refusal(path, UndeclaredError, series="gyro")
+    found = table_rates(path, series="gyro,l")
+    assert len(found.t_ns) == ROWS
+    others = "'gyro' in column 'sensor' and 'l' in column 'side' were not read"
+    assert found.remarks[0].endswith(others)
 
 
 MISSING = {
@@ -226,35 +195,33 @@ MISSING = {
 
 
 @pytest.mark.parametrize("wanted", MISSING)
-def test_a_series_that_is_not_there_is_refused(tmp_path, wanted):
+def test_a_series_that_is_not_there_is_refused(log, wanted):
     """The sentence says what is."""
-    path = table(tmp_path / "log.csv", "sensor", ["acc", "gyro"] * ROWS)
-    with pytest.raises(UsageError) as caught:
-        read_rates(path, series=wanted)
-    assert str(caught.value) == f"{path}: {MISSING[wanted]}"
+    assert refusal(log, UsageError, series=wanted) == MISSING[wanted]
 
 
-@pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet", "npy", "npz", "h5"])
+@pytest.mark.parametrize("suffix", [suffix for suffix in SUFFIXES if suffix != "feather"])
 def test_a_sensor_that_joins_later_is_found(tmp_path, suffix):
     """It may be connected only seconds after the first."""
     labels = [("left", "right")[k % 2 if k > 900 else 0] for k in range(1000)]
     axes = [f"gyro_{axis}" for axis in "xyz"]
     path = table(tmp_path / f"log.{suffix}", "sensor", labels, axes)
     units = {"rate_unit": "rad/s", "time_unit": "ns"}
-    with pytest.raises(UndeclaredError, match=r"of 'left', 'right' that take turns in column"):
-        read_rates(path, **units)
-    with pytest.warns(match="50 rows of other series than 'left' in"):
-        assert len(read_rates(path, series="left", **units).t_ns) == 950
+    sentence = refusal(path, UndeclaredError, **units)
+    assert "of 'left', 'right' that take turns in column" in sentence
+    found = table_rates(path, series="left", **units)
+    assert len(found.t_ns) == 950
+    assert found.remarks[0].startswith("50 rows of other series than 'left' in")
     table(path, "sensor", labels[:900], axes)
-    assert len(read_rates(path, **units).t_ns) == 900
+    assert len(table_rates(path, **units).t_ns) == 900
 
 
 @pytest.mark.parametrize("name", ["Source", "node_id", "name", "MAC Address", "unit", "hand"])
 def test_what_tells_two_instruments_apart_goes_by_many_names(tmp_path, name):
     """Where it comes and goes from row to row, the rows are of several."""
     path = table(tmp_path / "log.csv", name, ["l", "r", "l"] * 3)
-    with pytest.raises(UndeclaredError, match="which series to read, of 'l', 'r' that take turns"):
-        read_rates(path)
+    sentence = refusal(path, UndeclaredError)
+    assert sentence.startswith("which series to read, of 'l', 'r' that take turns")
 
 
 @pytest.mark.parametrize(
@@ -271,26 +238,22 @@ def test_what_tells_two_instruments_apart_goes_by_many_names(tmp_path, name):
         ("event", (["left", *[""] * 40, "right", *[""] * 40]) * 3),
     ],
 )
-@pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet"])
-def test_numbers_states_and_counters_are_no_series(tmp_path, recwarn, name, values, suffix):
+@pytest.mark.parametrize("suffix", SUFFIXES[:3])
+def test_numbers_states_and_counters_are_no_series(tmp_path, name, values, suffix):
     """Names of columns decide nothing: 25.0 and 25.1 of temp_imu were taken for two sensors."""
     frame = pd.DataFrame({"t_ns": range(len(values)), "wx": 1.0, "wy": 2.0, "wz": 3.0})
     frame[name] = values
-    WRITERS[suffix](frame, tmp_path / f"log.{suffix}")
-    assert len(read_rates(tmp_path / f"log.{suffix}").t_ns) == len(values)
-    assert not recwarn.list
+    found = table_rates(save(frame, tmp_path / f"log.{suffix}"))
+    assert (len(found.t_ns), found.remarks) == (len(values), [])
 
 
-@pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet"])
+@pytest.mark.parametrize("suffix", SUFFIXES[:3])
 def test_rows_without_rates_may_be_of_another_sensor(tmp_path, suffix):
     """The rates are all of one then."""
-    path = tmp_path / f"log.{suffix}"
     frame = pd.DataFrame({"t_ns": np.arange(18), "topic": ["imu", "odom"] * 9, "speed": 4.0})
     frame[AXES] = np.where(np.arange(18)[:, None] % 2, np.nan, [1.0, 2.0, 3.0])
-    WRITERS[suffix](frame, path)
-    rates = read_rates(path)
-    np.testing.assert_array_equal(rates.rate[::2], np.tile([1.0, 2.0, 3.0], (9, 1)))
-    assert np.isnan(rates.rate[1::2]).all()
+    found = table_rates(save(frame, tmp_path / f"log.{suffix}"))
+    np.testing.assert_array_equal(found.rate, frame[AXES])
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -309,22 +272,19 @@ def test_labels_that_alternate_are_a_series_and_decimals_never(seed):
 
 def test_messages_of_one_series_leave_nothing_to_choose(tmp_path):
     """The option is refused, and not ignored."""
-    log = str(tmp_path / "log.mcap")
-    assert CliRunner().invoke(cli, ["simulate", log]).exit_code == 0
-    with pytest.raises(UsageError, match="are one series, so 'gyro' cannot be chosen"):
-        read_rates(log, series="gyro")
+    path = tmp_path / "log.mcap"
+    run("simulate", path, code=0)
+    sentence = refusal(path, UsageError, series="gyro")
+    assert "are one series, so 'gyro' cannot be chosen" in sentence
 
 
 def test_a_bias_of_several_series_is_refused_with_a_way_out(tmp_path):
     """No option chooses among those of a file beside the log."""
     rates = table(tmp_path / "log.csv", "sensor", ["gyro"] * ROWS)
-    bias = tmp_path / "bias.csv"
-    rows = "".join(f"{k},a,0,0,0\n{k},b,1,1,1\n" for k in range(ROWS))
-    bias.write_text(
-        f"t_ns,unit,gyro_bias_x [rad/s],gyro_bias_y [rad/s],gyro_bias_z [rad/s]\n{rows}"
-    )
-    result = CliRunner().invoke(cli, ["propagate", str(rates), "-o", "-", "--bias", str(bias)])
-    assert result.stderr == (
+    names = ",".join(f"gyro_bias_{axis} [rad/s]" for axis in "xyz")
+    rows = [(k, unit, bias, bias, bias) for k in range(ROWS) for bias, unit in enumerate("ab")]
+    bias = write_rates(tmp_path / "bias.csv", rows, f"t_ns,unit,{names}")
+    assert run("propagate", rates, "-o", "-", "--bias", bias).stderr == (
         f"Error: {bias}: the rows of several series, 'a', 'b' in column 'unit', take turns; write "
         "each to a file of its own\n"
     )
@@ -332,15 +292,10 @@ def test_a_bias_of_several_series_is_refused_with_a_way_out(tmp_path):
 
 def test_rates_of_one_series_that_are_all_marked_as_absent_are_refused(tmp_path):
     """They became NaN, since the other series has rates."""
-    times = np.arange(ROWS)
-    rates = {f"angular_velocity.{axis}": 1.0 for axis in "xyz"}
-    is_b = times % 2 == 1
-    stamps = {"header.stamp.secs": times, "header.stamp.nsecs": 0}
-    columns = {**stamps, "header.frame_id": np.where(is_b, "b", "a"), **rates}
-    columns["angular_velocity_covariance[0]"] = np.where(is_b, 0.0, -1.0)
-    path = tmp_path / "log.csv"
-    pd.DataFrame(columns).to_csv(path, index=False)
-    with pytest.warns(RemarkWarning, match="rows of other series"):
-        assert np.isfinite(read_rates(path, series="b").rate).all()
-    with pytest.raises(TimelineError, match="all rates are marked as absent"):
-        read_rates(path, series="a")
+    names = ",".join(f"angular_velocity.{axis}" for axis in "xyz")
+    head = f"header.stamp.secs,header.stamp.nsecs,header.frame_id,{names}"
+    rows = [(k, 0, "ab"[k % 2], 1.0, 1.0, 1.0, k % 2 - 1.0) for k in range(ROWS)]
+    path = write_rates(tmp_path / "log.csv", rows, f"{head},angular_velocity_covariance[0]")
+    assert np.isfinite(table_rates(path, series="b").rate).all()
+    sentence = refusal(path, TimelineError, series="a")
+    assert "all rates are marked as absent" in sentence

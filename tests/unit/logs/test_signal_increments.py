@@ -124,43 +124,31 @@ def test_the_timeline_keeps_increments_whole(backwards):
     assert timeline.counts.integrated_ns == sum(kept[1:])
 
 
-def test_time_that_no_increment_covers_is_remarked_on():
-    """A lost message is a lost rotation, which no method can hold across."""
-    series = GyroSeries(np.array([0, 4, 8]) * 10**9, np.ones((3, 3)), np.full(3, 3 * 10**9))
+COVERED = "the increments cover {} s of the 8 s between the first timestamp and the last"
+
+
+@pytest.mark.parametrize(
+    ("integrated_ns", "said"),
+    [
+        # A lost message is a lost rotation, which no method can hold across.
+        ([3 * 10**9] * 3, COVERED.format(6) + ": no rotation is assumed for the rest"),
+        # Intervals that were integrated twice are not rest.
+        ([5 * 10**9] * 3, COVERED.format(10)),
+        # Less than a thousandth of the time may be missing, or covered twice.
+        *(([4 * 10**9] * 2 + [4 * 10**9 - missed], "") for missed in (0, 7_999_999, -7_999_999)),
+    ],
+)
+def test_time_that_increments_do_not_cover_once_is_remarked_on(integrated_ns, said):
+    """The path is what was integrated, whatever the stamps say."""
+    series = GyroSeries(
+        np.array([0, 4, 8]) * 10**9, np.ones((3, 3)), np.array(integrated_ns, np.int64)
+    )
     timeline = Timeline(OBSERVE, "log")
     list(timeline.apply([series]))
-    assert timeline.counts.path_angle_rad == pytest.approx(6 * 3**0.5)
-    (remark,) = remarks(timeline.counts, OBSERVE)
-    assert str(remark) == (
-        "the increments cover 6 s of the 8 s between the first timestamp "
-        "and the last: no rotation is assumed for the rest"
-    )
-
-
-@pytest.mark.parametrize("missed_ns", [0, 7_999_999, -7_999_999])
-def test_increments_that_cover_the_time_are_not_remarked_on(missed_ns):
-    """Less than a thousandth of the time may be missing, or covered twice."""
-    integration_time_ns = np.full(3, 4 * 10**9)
-    integration_time_ns[2] -= missed_ns
-    timeline = Timeline(OBSERVE, "log")
-    list(
-        timeline.apply(
-            [GyroSeries(np.array([0, 4, 8]) * 10**9, np.ones((3, 3)), integration_time_ns)]
-        )
-    )
-    assert timeline.counts.integrated_ns == 8 * 10**9 - missed_ns
-    assert not list(remarks(timeline.counts, OBSERVE))
-
-
-def test_increments_that_cover_more_than_the_time_are_remarked_on():
-    """Intervals that were integrated twice are not rest."""
-    timeline = Timeline(OBSERVE, "log")
-    spans = np.full(3, 5 * 10**9)
-    list(timeline.apply([GyroSeries(np.array([0, 4, 8]) * 10**9, np.ones((3, 3)), spans)]))
-    (remark,) = remarks(timeline.counts, OBSERVE)
-    assert str(remark) == (
-        "the increments cover 10 s of the 8 s between the first timestamp and the last"
-    )
+    assert timeline.counts.integrated_ns == sum(integrated_ns[1:])
+    turned = sum(integrated_ns[1:]) / 1e9 * 3**0.5
+    assert timeline.counts.path_angle_rad == pytest.approx(turned)
+    assert [str(remark) for remark in remarks(timeline.counts, OBSERVE)] == [said] * bool(said)
 
 
 def test_spans_have_one_row_a_sample():

@@ -88,38 +88,32 @@ def test_batches_in_order_pass_without_copies_and_one_at_a_time(promise):
         assert batch.values[1] is given_out[-1].values[1]
 
 
-def test_rows_at_the_bound_wait_for_an_earlier_stream():
-    """Equal times come in order of streams, even when the second stream has them first."""
-    first = [columns([1], 0, 5), columns([5, 5], 10, 9)]
-    second = [columns([2, 5], 100, 5), columns([5, 6], 200, 7)]
-    assert all_rows(merge_by_time([first, second])) == [
-        (1, 0),
-        (2, 100),
-        (5, 10),
-        (5, 11),
-        (5, 101),
-        (5, 200),
-        (6, 201),
-    ]
+LOW, HIGH = -(2**63), 2**63 - 1
 
 
-def test_rows_later_than_promised_come_out_late():
-    """A broken promise costs the order, not the rows."""
-    stream = [columns([1, 5], 0, 6), columns([2, 7], 10, 8), columns([9], 20, 9)]
-    assert all_rows(merge_by_time([stream])) == [(1, 0), (5, 1), (2, 10), (7, 11), (9, 20)]
-
-
-def test_times_at_the_ends_of_int64_are_merged():
-    """The first and last nanosecond of int64 are times like any other."""
-    low, high = -(2**63), 2**63 - 1
-    streams = [[columns([low, high], 0, high)], [columns([low, 0, high], 10, high)]]
-    assert all_rows(merge_by_time(streams)) == [
-        (low, 0),
-        (low, 10),
-        (0, 11),
-        (high, 1),
-        (high, 12),
-    ]
+@pytest.mark.parametrize(
+    ("streams", "rows"),
+    [
+        # Equal times come in order of streams, even when the second stream has them first.
+        (
+            [[([1], 0, 5), ([5, 5], 10, 9)], [([2, 5], 100, 5), ([5, 6], 200, 7)]],
+            [(1, 0), (2, 100), (5, 10), (5, 11), (5, 101), (5, 200), (6, 201)],
+        ),
+        # A broken promise costs the order, not the rows.
+        (
+            [[([1, 5], 0, 6), ([2, 7], 10, 8), ([9], 20, 9)]],
+            [(1, 0), (5, 1), (2, 10), (7, 11), (9, 20)],
+        ),
+        # The first and last nanosecond of int64 are times like any other.
+        (
+            [[([LOW, HIGH], 0, HIGH)], [([LOW, 0, HIGH], 10, HIGH)]],
+            [(LOW, 0), (LOW, 10), (0, 11), (HIGH, 1), (HIGH, 12)],
+        ),
+    ],
+)
+def test_rows_come_in_this_order(streams, rows):
+    """Rows at a bound wait for an earlier stream; those later than promised come out late."""
+    assert all_rows(merge_by_time([columns(*one) for one in stream] for stream in streams)) == rows
 
 
 def test_only_what_overlaps_is_held():
