@@ -104,18 +104,22 @@ DENSITY = "gyroscope_noise_density"
     [
         (None, "no such file or folder; check the path"),
         (b"\xff\xfe", "it is not UTF-8 text: byte 0"),
-        (b"a: [1", ("it is neither YAML nor JSON: line 1: expected ',' or ']', but got "
-                   "'<stream end>'")),
+        (
+            b"a: [1",
+            ("it is neither YAML nor JSON: line 1: expected ',' or ']', but got '<stream end>'"),
+        ),
         (b"- 1", "it holds no names with values"),
         (b"gyr_n: 1.0", f"it has none of the keys '{DENSITY}', 'gyroscope_random_walk'"),
-        (b"imu0: {gyroscope_noise_density: 1}\nimu1: {gyroscope_noise_density: 2}",
-         "it describes 2 IMUs"),
+        (
+            b"imu0: {gyroscope_noise_density: 1}\nimu1: {gyroscope_noise_density: 2}",
+            "it describes 2 IMUs",
+        ),
         # As a script prints them that ends sentences with a full stop.
         (b"gyroscope_noise_density: 0.005.", f"{DENSITY}: '0.005.' is not a finite number"),
         (b"gyroscope_noise_density: [1, 2]", f"{DENSITY}: '1,2' is not a finite number"),
         (b"gyroscope_noise_density: -1", f"{DENSITY} is below 0"),
     ],
-)  # fmt: skip
+)
 def test_other_files_are_refused(tmp_path, content, message):
     """In one sentence with the name of the file."""
     path = tmp_path / "imu.yaml"
@@ -349,10 +353,15 @@ def test_messages_have_the_covariance(tmp_path, arguments, name, message, frame)
     ("name", "sentence"),
     [
         ("out.tum", f"tum holds poses only; choose {', '.join(map(repr, TABLES))}"),
-        ("out.mcap", ("QuaternionStamped has no covariance; choose 'PoseWithCovarianceStamped', "
-                     "'Imu' with --message")),
+        (
+            "out.mcap",
+            (
+                "QuaternionStamped has no covariance; choose 'PoseWithCovarianceStamped', "
+                "'Imu' with --message"
+            ),
+        ),
     ],
-)  # fmt: skip
+)
 def test_outputs_without_a_place_for_them_are_refused(tmp_path, arguments, name, sentence):
     """Before anything is written; the library writes a trajectory without them."""
     out = tmp_path / name
