@@ -5,20 +5,17 @@ import numpy as np
 from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotate
 
 SECOND = 1_000_000_000
-
-
-IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
-
-
+RATES_HZ = (50, 100, 200, 400)
 Z_AXIS = np.array([0.0, 0.0, 1.0])
 
 
-def rotor(t_s):
-    """Return true attitudes and body rates of a precessing rotor."""
-    spin, precession, tilt = 4.1, 1.22, exp([1.2, 0, 0])
+def rotor(t_s, rates="body", spin=4.1, precession=1.22, tilt=1.2):
+    """Return true attitudes and rates of a rotor whose axis precesses about the reference's z."""
     t_s = t_s[:, None]
-    wxyz = multiply(multiply(exp(precession * t_s * Z_AXIS), tilt), exp(spin * t_s * Z_AXIS))
-    return wxyz, spin * Z_AXIS + rotate(conjugate(wxyz), precession * Z_AXIS)
+    turned, spun = exp(precession * t_s * Z_AXIS), exp(spin * t_s * Z_AXIS)
+    wxyz = multiply(multiply(turned, exp([tilt, 0, 0])), spun)
+    rate = spin * Z_AXIS + rotate(conjugate(wxyz), precession * Z_AXIS)
+    return wxyz, rate if rates == "body" else rotate(wxyz, rate)
 
 
 def stamps(hz, seconds, jitter=0.0):
