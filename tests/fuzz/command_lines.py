@@ -20,16 +20,13 @@ import pyarrow as pa
 import pyarrow.parquet
 from click.testing import CliRunner
 from make.options_reference import NS, Refused, ordered, part, propagated, recorded, used
-from mcap.writer import Writer as McapWriter
+from make.ros import imu_messages, write_messages
+from make.tables import write_attitudes, write_rates
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag1 import Writer as Rosbag1Writer
-from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from quatprop.cli.commands import cli
 
-IMU = "sensor_msgs/msg/Imu"
-ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 LOGGED = 7_000_000_000
 """Messages are recorded so much later than they are stamped, ns: on another clock."""
 GROUP = 30
@@ -113,11 +110,9 @@ def command_line(random, raw, folder, kind):
         given["bias"] = "static:100ms"
     elif bias == "series":
         known, biases = np.linspace(begin, last, 4).astype(np.int64), random.normal(0, 0.01, (4, 3))
-        rows = [
-            f"{t},{','.join(map(repr, row))}" for t, row in zip(known, biases.tolist(), strict=True)
-        ]
+        rows = [[t, *row] for t, row in zip(known, biases.tolist(), strict=True)]
         names = ",".join(f"gyro_bias_{axis} [rad/s]" for axis in "xyz")
-        given["bias"] = written(folder / "bias.csv", f"t_ns,{names}", rows)
+        given["bias"] = write_rates(folder / "bias.csv", rows, f"t_ns,{names}")
         after = (raw["t"] - begin) / NS
         axes = [np.interp(after, (known - begin) / NS, axis) for axis in biases.T]
         expected["bias"] = np.stack(axes, axis=1)
@@ -137,73 +132,33 @@ def command_line(random, raw, folder, kind):
     return given, expected
 
 
-def written(path, header, rows):
-    """Write a table; return its path."""
-    path.write_text("\n".join([header, *rows, ""]))
-    return path
-
-
 def series_file(path, t, q):
     """Write a series of attitudes; return its path."""
-    rows = q.as_quat(scalar_first=True).tolist()
-    lines = [f"{at},{','.join(map(repr, row))}" for at, row in zip(t.tolist(), rows, strict=True)]
-    return written(path, "t_ns,qw,qx,qy,qz", lines)
+    return write_attitudes(path, t, q.as_quat(scalar_first=True))
 
 
 def write_log(path, raw):
     """Write rows as a table or as messages; return the options that read it."""
-    if path.suffix in {".csv", ".parquet"}:
-        names = ["gx", "gy", "gz", "accel_x", "accel_y", "accel_z", "qw", "qx", "qy", "qz"]
-        values = np.column_stack([raw["w"], raw["f"], raw["q"].as_quat(scalar_first=True)])
-        columns = {"t_ns": raw["t"], **dict(zip(names, values.T, strict=True))}
-        if path.suffix == ".parquet":
-            pa.parquet.write_table(pa.table(columns), path, row_group_size=GROUP)
-        else:
-            rows = zip(raw["t"].tolist(), values.tolist(), strict=True)
-            lines = [",".join([str(t), *map(repr, row)]) for t, row in rows]
-            written(path, ",".join(columns), lines)
-        return ["--rate-cols=gx,gy,gz", "--rate-unit=rad/s"]
-    logged = zip(range(len(raw["t"])), recorded_ns(raw).tolist(), strict=True)
-    if path.suffix == ".bag":
-        with Rosbag1Writer(path) as writer:
-            imu = writer.add_connection("/imu", IMU, typestore=ROS1)
-            for k, log_ns in logged:
-                writer.write(imu, log_ns, bytes(ROS1.serialize_ros1(message(ROS1, raw, k), IMU)))
+    wxyz = raw["q"].as_quat(scalar_first=True)
+    if path.suffix not in {".csv", ".parquet"}:
+        times = {"recorded": recorded_ns(raw), "linear_acceleration": list(raw["f"])}
+        write_messages(path, imu_messages(raw["t"], raw["w"], wxyz, **times))
         return []
-    with path.open("wb") as stream:
-        writer = McapWriter(stream, chunk_size=8000)
-        writer.start("ros2")
-        definition, _ = ROS2.generate_msgdef(IMU, ros_version=2)
-        schema = writer.register_schema(IMU, "ros2msg", definition.encode())
-        channel = writer.register_channel("/imu", "cdr", schema)
-        for k, log_ns in logged:
-            data = bytes(ROS2.serialize_cdr(message(ROS2, raw, k), IMU))
-            writer.add_message(channel, log_ns, data, log_ns, k)
-        writer.finish()
-    return []
+    names = ["gx", "gy", "gz", "accel_x", "accel_y", "accel_z", "qw", "qx", "qy", "qz"]
+    values = np.column_stack([raw["w"], raw["f"], wxyz])
+    columns = {"t_ns": raw["t"], **dict(zip(names, values.T, strict=True))}
+    if path.suffix == ".parquet":
+        pa.parquet.write_table(pa.table(columns), path, row_group_size=GROUP)
+    else:
+        rows = zip(raw["t"].tolist(), values.tolist(), strict=True)
+        write_rates(path, [[t, *row] for t, row in rows], ",".join(columns))
+    return ["--rate-cols=gx,gy,gz", "--rate-unit=rad/s"]
 
 
 def recorded_ns(raw):
     """Return when the messages of rows are recorded: in their order."""
     n = len(raw["t"])
     return LOGGED + np.arange(n) * 10_000_000 + np.arange(n) % 7 * 1000
-
-
-def message(store, raw, k):
-    """Return row k as a message."""
-    types = store.types
-    vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
-    stamp = types["builtin_interfaces/msg/Time"](*map(int, divmod(raw["t"][k], NS)))
-    more = {"seq": k} if store is ROS1 else {}
-    return types[IMU](
-        header=types["std_msgs/msg/Header"](stamp=stamp, frame_id="imu", **more),
-        orientation=quaternion(*raw["q"][k].as_quat().tolist()),
-        orientation_covariance=np.zeros(9),
-        angular_velocity=vector(*raw["w"][k].tolist()),
-        angular_velocity_covariance=np.zeros(9),
-        linear_acceleration=vector(*raw["f"][k].tolist()),
-        linear_acceleration_covariance=np.zeros(9),
-    )
 
 
 def difference(seed, folder):
@@ -238,13 +193,10 @@ def read_in_part(raw, options, told):
     limits = {"start": told["start_ns"], "end": told["end_ns"]}
     options = options | {name: ("date", ns) for name, ns in limits.items() if ns is not None}
     low, high = limits["start"] or 0, limits["end"] or 2**62
-    groups = [slice(k, k + GROUP) for k in range(0, len(raw["t"]), GROUP)]
-    rows = [
-        np.arange(len(raw["t"]))[group]
-        for group in groups
-        if raw["t"][group].max() >= low and raw["t"][group].min() <= high
-    ]
-    rows = np.concatenate(rows)
+    every = np.arange(len(raw["t"]))
+    groups = [every[k : k + GROUP] for k in range(0, len(every), GROUP)]
+    inside = [g for g in groups if raw["t"][g].max() >= low and raw["t"][g].min() <= high]
+    rows = np.concatenate(inside)
     part = {name: values[rows] for name, values in raw.items()}
     if np.ndim(options.get("bias")) > 1:
         options["bias"] = options["bias"][rows]

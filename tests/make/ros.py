@@ -41,10 +41,11 @@ def _value(store, form, given):
     return np.zeros(count, kind[0]) if given is None else np.asarray(given, kind[0])
 
 
-def write_messages(path, messages, types=(ROS1, ROS2)):
+def write_messages(path, messages, types=(ROS1, ROS2), published_ns=0):
     """Write ``(topic, type, log time in ns, values)``, in order; return the path.
 
-    A bag of ROS 1 by its suffix, MCAP by its own, else a folder that is a bag of ROS 2.
+    A bag of ROS 1 by its suffix, MCAP by its own, else a folder that is a bag of ROS 2. Messages
+    are published so much after they are logged, which MCAP alone records.
     """
     store, channels = types[path.suffix != ".bag"], {}
     if path.suffix == ".mcap":
@@ -57,7 +58,7 @@ def write_messages(path, messages, types=(ROS1, ROS2)):
                     schema = writer.register_schema(kind, "ros2msg", text.encode())
                     channels[topic] = writer.register_channel(topic, "cdr", schema)
                 data = bytes(store.serialize_cdr(message(store, kind, values), kind))
-                writer.add_message(channels[topic], at, data, at, count)
+                writer.add_message(channels[topic], at, data, at + published_ns, count)
             writer.finish()
         return path
     ros1 = store is types[0]
