@@ -15,7 +15,6 @@ from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multi
 from quatprop.kinematics.resample import Listed, Steady
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK
-from quatprop.timeline.counts import Policy
 
 
 def rotor_error(t_ns, method="cubic", rates="body"):
@@ -84,13 +83,6 @@ def test_the_formula_is_the_integral_of_the_cubic():
         cross = (1e-2 * h) ** 2 / 12 * np.cross(rate[1], rate[2])
         rotvec = rotation_vectors(t_ns, rate, "cubic")[1]
         np.testing.assert_allclose(rotvec, integral + cross, rtol=0, atol=1e-13)
-
-
-def test_even_steps_have_the_weights_of_the_textbook():
-    """h/24 (-1, 13, 13, -1), where the rates are parallel."""
-    rate = np.array([[1.0], [2.0], [5.0], [-3.0]]) * [0.1, -0.2, 0.3]
-    rotvec = rotation_vectors(np.arange(4) * SECOND, rate, "cubic")[1]
-    np.testing.assert_allclose(rotvec, np.array([-1, 13, 13, -1]) / 24 @ rate, rtol=1e-14)
 
 
 # --- where neighbours are missing
@@ -165,42 +157,6 @@ def test_increments_have_gaps_and_lost_messages():
     assert limited.a.any(axis=0).tolist() == [True, True, False, True, True]
 
 
-def gapped(on_gap, times=None, size=1000):
-    """Return samples with gaps of 2.5 intervals, and the series that Segments makes of them."""
-    steps = np.where(np.arange(3 * size) % size == size - 1, 25, 10)
-    series = GyroSeries(
-        np.cumsum(steps) * 1_000_000, np.random.default_rng(5).normal(0, 3, (3 * size, 3))
-    )
-    policy = Policy(on_gap=on_gap, max_gap_ns=20_000_000)
-    batches = [series[k : k + 77] for k in range(0, len(series), 77)]
-    return series, *segmented(batches, times, policy, method="cubic")[1:]
-
-
-@pytest.mark.parametrize("on_gap", ["split", "zero"])
-def test_no_cubic_passes_through_a_gap(on_gap):
-    """Each segment is what its samples alone give, although the gap is short enough for a cubic."""
-    series, out_ns, wxyz = gapped(on_gap)
-    assert np.array_equal(out_ns, series.t_ns)
-    q0 = IDENTITY
-    gaps = np.flatnonzero(np.diff(series.t_ns) > 20_000_000) + 1
-    for part in np.split(np.arange(len(out_ns)), gaps):
-        alone = attitudes(series.t_ns[part], series.rate[part], q0=q0, method="cubic")
-        assert geodesic_angle(wxyz[part], alone).max() < 1e-14
-        q0 = IDENTITY if on_gap == "split" else alone[-1]
-
-
-@pytest.mark.parametrize("on_gap", ["split", "zero", "hold"])
-def test_times_just_before_samples_lead_up_to_them(on_gap):
-    """A nanosecond before each sample the attitude is the sample's, beside gaps too."""
-    series, _, wxyz = gapped(on_gap)
-    t_ns = series.t_ns
-    _, out_ns, before = gapped(on_gap, Listed(t_ns[1:] - 1))
-    at = np.searchsorted(t_ns, out_ns)
-    keep = (t_ns[at] - t_ns[at - 1] <= 20_000_000) | (on_gap == "hold")
-    assert keep.sum() >= len(t_ns) - 4
-    assert geodesic_angle(before[keep], wxyz[at[keep]]).max() < 2e-8
-
-
 # --- at other times
 
 
@@ -214,19 +170,6 @@ def test_a_rate_that_is_a_parabola_is_followed_exactly_at_any_time():
         _, out_ns, wxyz = segmented([samples], times, method="cubic")
         angle = polynomial.integ()(out_ns / 1e9)[:, None]
         assert geodesic_angle(wxyz, exp(angle * axis)).max() < 1e-13
-
-
-@pytest.mark.parametrize("rates", ["body", "inertial"])
-def test_other_times_are_of_fourth_order(rates):
-    """A steady rate of 997 Hz between samples of a precessing rotor, across blocks of the run."""
-    errors = []
-    for hz in RATES_HZ:
-        t_ns = stamps(hz, 5, jitter=0.3)
-        truth, rate = rotor(t_ns / 1e9, rates)
-        how = {"q0": truth[0], "method": "cubic", "rates": rates}
-        _, out_ns, wxyz = segmented([GyroSeries(t_ns, rate)], Steady(Fraction(997)), **how)
-        errors.append(geodesic_angle(wxyz, rotor(out_ns / 1e9)[0]).max())
-    assert np.log2(errors[0] / errors[-1]) / 3 > 3.8
 
 
 @pytest.mark.parametrize("count", [BLOCK - 1, BLOCK, BLOCK + 1, BLOCK + 2])

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from make import oracle
-from make.motion import SECOND, Z_AXIS, rotor
+from make.motion import SECOND, Z_AXIS
 from make.streams import propagated
 
 from quatprop.errors import SeriesError, UsageError
@@ -98,34 +98,6 @@ def test_coning_motion_is_approached(method, order, rates):
     assert fine < 1e-3
     # The coning term takes from the drift of the mean; with a wrong sign it would add.
     assert method != "coning" or fine < 0.6 * cone_error("mean", 250_000, rates)
-
-
-def ramp(method, dt_ns, rates="body"):
-    """Return the attitude after a second of a rate that grows linearly and turns."""
-    t_ns = np.arange(SECOND // dt_ns + 1) * dt_ns
-    rate = np.array([1.0, -2.0, 0.5]) + (t_ns / 1e9)[:, None] * [3.0, 2.0, -4.0]
-    return attitudes(t_ns, rate, method=method, rates=rates)[-1]
-
-
-@pytest.mark.parametrize("rates", ["body", "inertial"])
-@pytest.mark.parametrize(
-    ("method", "order"), [("start", 1), ("end", 1), ("mean", 2), ("coning", 4), ("cubic", 4)]
-)
-def test_linear_rates_are_followed_with_the_order_of_the_method(method, order, rates):
-    """Where the rate is linear between samples, the coning method is of fourth order."""
-    truth = ramp("coning", 100_000, rates)
-    coarse = geodesic_angle(ramp(method, 20_000_000, rates), truth)
-    fine = geodesic_angle(ramp(method, 10_000_000, rates), truth)
-    assert coarse / fine == pytest.approx(2**order, rel=0.02)
-
-
-def test_slow_precession():
-    """A fast spin whose axis precesses slowly has q = exp(k P t / 2) tilt exp(k S t / 2)."""
-    t_ns = np.arange(60_001) * 1_000_000
-    truth, rate = rotor(t_ns / 1e9, spin=5.0, precession=0.01, tilt=0.4)
-    q = attitudes(t_ns, rate, q0=truth[0], method="coning")
-    # Chords of the circle that the precession makes in the body are too short by (S dt)^2 / 12.
-    assert geodesic_angle(q, truth).max() < (5.0 * 1e-3) ** 2 / 12 * 0.01 * 60
 
 
 def test_earth_rate_at_8_khz():

@@ -1,4 +1,7 @@
-"""Attitudes at other times: exact under the method, wherever batches end."""
+"""Attitudes at other times, wherever batches end.
+
+What each method gives there is tested in ``contract/test_options_oracle.py``.
+"""
 
 from fractions import Fraction
 from itertools import pairwise
@@ -11,7 +14,7 @@ from make.streams import propagated
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, rotate
+from quatprop.kinematics.quaternion import conjugate, exp, rotate
 from quatprop.kinematics.resample import PIECE, Listed, Steady, at_times, every
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.series.blocks import reblock
@@ -37,29 +40,6 @@ def resampled(gyro, times, method="start", rates="body", size=1000):
     parts = [whole[start : start + size] for start in range(0, len(whole), size)]
     out = list(at_times(zip(blocks, parts, strict=True), times, method=method, rates=rates))
     return np.concatenate([o.t_ns for o in out]), np.concatenate([o.wxyz for o in out])
-
-
-@pytest.mark.parametrize("rates", ["body", "inertial"])
-@pytest.mark.parametrize("method", ["start", "end", "mean", "coning"])
-def test_a_time_between_samples_is_as_if_a_sample_were_there(method, rates):
-    """Propagating with one more sample, which follows the method's own model, gives the same."""
-    wxyz = attitudes(GYRO.t_ns, GYRO.rate, method=method, rates=rates)
-    for k in (0, 20, 48):
-        (t0, t1), (w0, w1) = GYRO.t_ns[k : k + 2], GYRO.rate[k : k + 2]
-        between = (2 * t0 + t1) // 3
-        share = (between - t0) / (t1 - t0)
-        ruling = {
-            "start": [w0, w0, w1],
-            "end": [w0, w1, w1],
-            "mean": [(w0 + w1) / 2] * 3,
-            "coning": [w0, w0 + share * (w1 - w0), w1],
-        }[method]
-        t_ns = np.array([t0, between, t1])
-        finer = attitudes(t_ns, np.array(ruling), q0=wxyz[k], method=method, rates=rates)
-        _, (found,) = resampled(GYRO, Listed(np.array([between])), method, rates)
-        assert geodesic_angle(found, finer[1]) < 1e-15
-        # For coning the two halves agree with the whole to the method's own order only.
-        assert geodesic_angle(finer[2], wxyz[k + 1]) < (1e-5 if method == "coning" else 2e-15)
 
 
 @pytest.mark.parametrize("rates", ["body", "inertial"])

@@ -184,19 +184,6 @@ def test_the_series_has_its_covariance():
     assert names == ["t_ns", "qw", "qx", "qy", "qz", "sigma_x", "sigma_y", "sigma_z"]
 
 
-def test_other_times_have_their_covariance():
-    """Of every tenth sample the same; at 997 Hz, between samples, N sqrt(t)."""
-    rate = [0.3, -0.2, 0.5] + np.arange(1001)[:, None] * 1e-6
-    series = GyroSeries(np.arange(1001) * SECOND // 100, rate)
-    settings = {"sigma": True, "noise_density": 1e-3}
-    whole = propagate(series, **settings)
-    tenth = propagate(series, every=10, **settings)
-    assert np.array_equal(tenth.covariance, whole.covariance[::10])
-    other = propagate(series, rate=997, **settings)
-    expected = 1e-3 * np.sqrt(other.t_ns / 1e9)
-    np.testing.assert_allclose(other.sigma, np.tile(expected[:, None], 3), rtol=1e-9, atol=1e-12)
-
-
 def test_a_restart_after_a_gap_is_certain_again():
     """With on_gap split the attitude after the gap is q0, and known."""
     t_ns = np.concatenate([np.arange(100), np.arange(100) + 500]) * SECOND // 100
