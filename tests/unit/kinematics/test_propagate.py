@@ -326,31 +326,38 @@ def test_blocks_are_whole_tiles():
     assert TILE % PADDING == 0
 
 
-def test_wider_registers_give_the_same_bytes():
-    """Attitudes do not depend on whether the processor has AVX-512."""
-    program = """
+WIDE = "X86_V4 AVX512_ICL AVX512_SPR AVX512F AVX512CD AVX512_SKX"
+PROGRAMS = {
+    WIDE: """
 import hashlib
 import numpy as np
 from quatprop.kinematics.increments import METHODS
 from quatprop.kinematics.propagate import attitudes
-
 rate = np.random.default_rng(1).normal(0, 3, (20_000, 3))
 rate[::7] *= 1000
-t_ns = np.arange(20_000) * 5_000_000
 for method in METHODS:
-    q = attitudes(t_ns, rate, method=method)
+    q = attitudes(np.arange(20_000) * 5_000_000, rate, method=method)
     print(method, hashlib.sha256(q.tobytes()).hexdigest())
-"""
-    digests = []
-    for features in ("", "X86_V4 AVX512_ICL AVX512_SPR AVX512F AVX512CD AVX512_SKX"):
-        # numpy warns of features that this processor lacks, or that it knows by other names.
-        run = subprocess.run(
-            [sys.executable, "-W", "ignore", "-c", program],
-            env={**os.environ, "NPY_DISABLE_CPU_FEATURES": features},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        digests.append(run.stdout.split())
-    assert len(digests[0]) == 2 * len(METHODS)
-    assert digests[0] == digests[1]
+""",
+    f"{WIDE} X86_V3 AVX2 FMA3": """
+import numpy as np
+from quatprop.kinematics.half_angle import half_angle
+angles = np.random.default_rng(6).uniform(0, 1, (5, 999)) * [[0.1], [0.8], [3.0], [50.0], [1e9]]
+print(np.array(half_angle(angles**2)).tobytes().hex())
+""",
+}
+
+
+@pytest.mark.parametrize("features", PROGRAMS)
+def test_the_same_bytes_on_every_processor(features):
+    """Attitudes do not depend on AVX-512, nor cosines and sines on any instructions."""
+    plain = {"NPY_DISABLE_CPU_FEATURES": features}
+    if "FMA3" in features:
+        plain["GLIBC_TUNABLES"] = "glibc.cpu.hwcaps=-FMA,-AVX2"
+    # numpy warns of features that this processor lacks, or that it knows by other names.
+    command = [sys.executable, "-W", "ignore", "-c", PROGRAMS[features]]
+    fast, slow = (
+        subprocess.check_output(command, env={**os.environ, **env}) for env in ({}, plain)
+    )
+    assert len(fast) > 300
+    assert fast == slow
