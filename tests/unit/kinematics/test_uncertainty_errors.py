@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 import pytest
 from make import oracle
-from make.simulated import FRAMES, simulated
+from make.motion import FRAMES, simulated
 from scipy.stats import chi2
 
 from quatprop.kinematics.propagate import attitudes

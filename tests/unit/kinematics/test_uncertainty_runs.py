@@ -4,7 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from make.simulated import FRAMES, simulated
+from make.motion import FRAMES, simulated
 from make.tables import write_rates
 
 from quatprop import GyroSeries, propagate
