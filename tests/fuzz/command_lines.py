@@ -155,7 +155,7 @@ def corrections(random, raw, folder, options):
 def beginning(random, raw, folder, options):
     """Choose where to begin."""
     given, expected = options
-    choice = random.choice(["none", "numbers", "scalar-last", "level", "log", "series"])
+    choice = random.choice(["none", "numbers", "scalar-last", "level", "level", "log", "series"])
     if choice in {"numbers", "scalar-last"}:
         given["q0"], expected["q0"] = "0.48,0.6,0.64,0", [0.48, 0.6, 0.64, 0]
         if choice == "scalar-last":

@@ -11,8 +11,9 @@ from make.tables import write_rates
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
-from quatprop import GyroSeries, propagate, read_attitudes, write
+from quatprop import AttitudeSeries, GyroSeries, compare, propagate, read_attitudes, write
 from quatprop.errors import RemarkWarning, UsageError
+from quatprop.kinematics.quaternion import multiply
 from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
 from quatprop.pipeline.gyro_errors import read_imu
 from quatprop.settings import PROPAGATE
@@ -334,6 +335,11 @@ def test_messages_have_the_covariance(tmp_path, arguments, name, message, frame)
     np.testing.assert_allclose(written, covariance, atol=1e-18)
     again = read_attitudes(out).covariance
     np.testing.assert_allclose(again, expected.covariance, rtol=1e-9, atol=1e-16)
+    # An error is as many sigma as of the series in memory.
+    turn = Rotation.from_rotvec([0.01, 0.02, -0.01]).as_quat(scalar_first=True)
+    other = AttitudeSeries(expected.t_ns, multiply(expected.wxyz, turn))
+    sigmas = compare(out, other).sigmas
+    assert sigmas.rms == pytest.approx(compare(expected, other).sigmas.rms, rel=1e-6)
 
 
 @pytest.mark.parametrize(
