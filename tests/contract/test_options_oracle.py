@@ -20,23 +20,21 @@ from quatprop import propagate
 from quatprop.errors import TimelineError
 from quatprop.settings import PROPAGATE
 
-BEGIN_NS = 1_700_000_000_123_456_789
 
-
-def log_at(seed, **events):
-    """Return the rows of a log that turns, some of them late by ns, and some rates missing."""
-    random = np.random.default_rng(seed)
-    t = BEGIN_NS + np.cumsum(random.integers(9_000_000, 11_000_000, 280))
-    t[events.get("late", [])] -= 31_000_000
+def log(late=(), missing=()):
+    """Return the rows of a log that rests, then turns; some of them late, and some without rates."""
+    random = np.random.default_rng(7)
+    t = 1_700_000_000_123_456_789 + np.cumsum(random.integers(9_000_000, 11_000_000, 280))
+    t[list(late)] -= 31_000_000
     w = 3 * np.sin(np.arange(280)[:, None] / 15 + np.arange(3))
-    w[events.get("missing", [])] = np.nan
+    w[list(missing)] = np.nan
     w[:130] *= 1e-3
     f = Rotation.from_euler("xyz", [0.4, -0.2, 0.0]).apply([0, 0, 9.81])
     q = Rotation.from_rotvec(random.normal(0, 1e-3, (280, 3))) * Rotation.random(rng=random)
     return {"t": t, "w": w, "f": f + random.normal(0, 1e-3, (280, 3)), "q": q}
 
 
-RAW = log_at(7)
+RAW = log()
 
 
 def agree(t_ns, wxyz, raw, options):
@@ -69,12 +67,12 @@ LATE, MISSING = [60, 160, 161, 240], [20, 140, 141, 215]
 @pytest.mark.parametrize("on_backwards", ["drop", "sort", "error"])
 def test_events_are_located_by_their_rows(on_backwards, on_nonfinite, tmp_path):
     """What is late or not finite is named by its row in the log, whatever was dropped before."""
-    log = as_table(tmp_path / "log.csv", log_at(7, late=LATE, missing=MISSING))
+    path = as_table(tmp_path / "log.csv", log(late=LATE, missing=MISSING))
     if on_backwards == "error":
         with pytest.raises(TimelineError, match=f"at sample {LATE[0]} "):
-            propagate(log, on_nonfinite=on_nonfinite)
+            propagate(path, on_nonfinite=on_nonfinite)
         return
-    counts = propagate(log, on_nonfinite=on_nonfinite, on_backwards=on_backwards).report.counts
+    counts = propagate(path, on_nonfinite=on_nonfinite, on_backwards=on_backwards).report.counts
     assert (counts.backwards.count, counts.backwards.first_index) == (len(LATE), LATE[0])
     assert (counts.nonfinite.count, counts.nonfinite.first_index) == (len(MISSING), MISSING[0])
 

@@ -19,9 +19,8 @@ from quatprop.kinematics.rates import (
     rates_between,
 )
 
-RNG = np.random.default_rng(8)
 Q = Rotation.random(50, random_state=9).as_quat(scalar_first=True)
-RATE = RNG.normal(0, 2, (50, 3))
+RATE = np.random.default_rng(8).normal(0, 2, (50, 3))
 FRAMES = ["body", "inertial"]
 
 
