@@ -22,7 +22,7 @@ from quatprop.settings import PROPAGATE
 
 
 def log(late=(), missing=()):
-    """Return the rows of a log that rests, then turns; some of them late, and some without rates."""
+    """Return the rows of a log that rests, then turns; some are late, some have no rates."""
     random = np.random.default_rng(7)
     t = 1_700_000_000_123_456_789 + np.cumsum(random.integers(9_000_000, 11_000_000, 280))
     t[list(late)] -= 31_000_000
