@@ -276,7 +276,7 @@ def compared(code, raw, options, out, told):
     if options["into"] and log_ns != expected_ns[order].tolist():
         return f"{told}; other log times"
     error = (expected_q[order].inv() * q).magnitude().max()
-    return None if error < 1e-10 else f"{told}; attitudes differ by {error:.3g} rad"
+    return None if error < 1e-11 else f"{told}; attitudes differ by {error:.3g} rad"
 
 
 def exit_code(raw, options):
