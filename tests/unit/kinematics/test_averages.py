@@ -204,3 +204,10 @@ def test_a_mean_rate_over_half_a_turn():
     """Averages about one axis are exact, however the rate varied: 20 ms at pi rad/s are 3.6 deg."""
     series = GyroSeries([0, SECOND // 50], [[0, 0, 7.0], [0, 0, np.pi]], is_interval_average=True)
     assert geodesic_angle(propagate(series).wxyz[-1], exp([0, 0, np.pi / 50])) < 1e-15
+
+
+def test_an_increment_is_turned_in_the_time_between_its_stamps():
+    """However long it was integrated: 0.5 rad in 2 s are 0.25 rad after 1 s."""
+    series = GyroSeries([0, 2 * SECOND], [[0, 0, 9.0], [0, 0, 0.5]], [SECOND, SECOND])
+    _, _, wxyz = segmented([series], Listed(np.array([1, 2]) * SECOND), method="end")
+    assert geodesic_angle(wxyz, exp([[0, 0, 0.25], [0, 0, 0.5]])).max() < 1e-15

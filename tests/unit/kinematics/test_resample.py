@@ -14,7 +14,7 @@ from make.streams import propagated
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import conjugate, exp, rotate
+from quatprop.kinematics.quaternion import conjugate, exp, rotate, rotation_matrix
 from quatprop.kinematics.resample import PIECE, Listed, Steady, at_times, every
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.series.blocks import reblock
@@ -43,19 +43,30 @@ def resampled(gyro, times, method="start", rates="body", size=1000):
 
 
 @pytest.mark.parametrize("rates", ["body", "inertial"])
-def test_rates_between_samples_are_linear_in_the_axes_in_which_they_are_resolved(rates):
-    """Those in reference axes were interpolated after they were turned to body axes."""
+def test_what_is_between_samples_is_linear_in_the_axes_in_which_it_grows(rates):
+    """Rates in reference axes were interpolated after they were turned to body axes.
+
+    Covariances are sums of integrals in the axes in which the rates are not resolved.
+    """
     t_ns = np.arange(51) * 20_000_000
     first, slope = np.array([[1.0, -2.0, 0.5], [3.0, 1.0, -2.0]])
     rate = first + np.outer(t_ns / 1e9, slope)
     wxyz = attitudes(t_ns, rate, method="coning", rates=rates)
     body = rate if rates == "body" else rotate(conjugate(wxyz), rate)
-    pairs = [(GyroSeries(t_ns, rate), AttitudeSeries(t_ns, wxyz, rate=body))]
+
+    def covariance(t_ns, wxyz):
+        grown = (t_ns / 1e9)[:, None, None] * np.diag([1.0, 2.0, 5.0])
+        turn = rotation_matrix(wxyz)
+        return turn.swapaxes(1, 2) @ grown @ turn if rates == "body" else grown
+
+    known = AttitudeSeries(t_ns, wxyz, rate=body, covariance=covariance(t_ns, wxyz))
+    pairs = [(GyroSeries(t_ns, rate), known)]
     (found,) = at_times(pairs, Steady(Fraction(333)), method="coning", rates=rates)
     expected = first + np.outer(found.t_ns / 1e9, slope)
     if rates == "inertial":
         expected = rotate(conjugate(found.wxyz), expected)
     np.testing.assert_allclose(found.rate, expected, rtol=1e-12)
+    np.testing.assert_allclose(found.covariance, covariance(found.t_ns, found.wxyz), atol=1e-13)
 
 
 def test_times_at_samples_are_the_samples():
