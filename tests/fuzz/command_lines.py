@@ -20,26 +20,35 @@ import pyarrow as pa
 import pyarrow.parquet
 from click.testing import CliRunner
 from make.options_reference import NS, Refused, ordered, part, propagated, recorded, used
-from mcap.writer import Writer as McapWriter
+from make.ros import imu_messages, write_messages
+from make.tables import write_attitudes, write_rates
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag1 import Writer as Rosbag1Writer
-from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from quatprop.cli.commands import cli
 
-IMU = "sensor_msgs/msg/Imu"
-ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 LOGGED = 7_000_000_000
 """Messages are recorded so much later than they are stamped, ns: on another clock."""
 GROUP = 30
 """Rows in a group of a Parquet file: those that may have the range are read alone."""
-KINDS = ("csv", "parquet", "mcap", "bag")
+KINDS = ("csv", "csv", "parquet", "mcap", "bag")
+BIAS = np.array([0.01, -0.02, 0.03])
+MOUNT = Rotation.from_euler("xyz", [0.3, -1.0, 2.0]).as_quat(scalar_first=True).tolist()
+CALIBRATION = np.eye(3) + np.random.default_rng(5).normal(0, 0.02, (3, 3))
+TIMES = {
+    "t_ns": ("ns", 0),
+    "t_us": ("us", 3),
+    "t_ms": ("ms", 6),
+    "t_s": ("s", 9),
+    "clock": ("us", 3),
+}
+"""Time columns: their unit, and the digits after the point that keep ns."""
 
 
 def recording(random):
     """Return the rows of a log that rests, then moves: stamps, rates, forces, orientations."""
-    resting, moving = int(random.integers(20, 60)), int(random.integers(20, 80))
+    resting = int(random.choice([130, random.integers(20, 60)]))
+    moving = int(random.integers(20, 80))
     n = resting + moving
     steps = random.integers(9_000_000, 11_000_000, n)
     for _ in range(random.choice([0, 0, 1, 3])):
@@ -53,7 +62,7 @@ def recording(random):
     if random.random() < 0.1 and t[0] < 60 * NS:
         t[0] = 0  # before the clock was set; a lasting jump from 1970 would ask for too many rows
     t = np.where(t < 0, intact, t)
-    w = random.normal(np.array([0.01, -0.02, 0.03]), 1e-3, (n, 3))
+    w = random.normal(BIAS, 1e-3, (n, 3))
     w[resting:] += 3 * np.sin(np.arange(moving)[:, None] / 15 + np.arange(3))
     for _ in range(random.choice([0, 0, 1, 3])):
         w[random.integers(n), random.integers(3)] = random.choice([np.nan, np.inf])
@@ -88,48 +97,25 @@ def command_line(random, raw, folder, kind):
     plain = {
         "method": one_of(None, "start", "end", "mean", "coning", "cubic"),
         "rates": one_of(None, None, "body", "inertial"),
-        "mount": one_of(None, None, "y,-x,z", "0.5,0.5,-0.5,0.5"),
-        "on_backwards": one_of(None, "drop", "drop", "sort", "sort"),
-        "on_nonfinite": one_of(None, "drop", "hold"),
+        "mount": one_of(None, None, "y,-x,z", ",".join(map(repr, MOUNT))),
+        "on_backwards": one_of(None, *["drop", "sort"] * 4),
+        "on_nonfinite": one_of(None, *["drop", "hold"] * 4),
         "on_gap": one_of(None, None, "hold", "zero", "split", "error"),
-        **one_of({}, {}, {"every": 3}, {"rate": "59.94"}, {"at": "series"}),
+        **one_of({}, {}, {"every": 3}, {"rate": "59.94"}, {"rate": "400"}, {"at": "series"}),
     }
     given = {name: value for name, value in plain.items() if value is not None}
     expected = dict(given)
     for name in ("start", "end"):
-        if random.random() < 0.4:
+        if random.random() < 0.3:
             given[name], expected[name] = moment(random, raw)
     if random.random() < 0.3:
-        given["max_gap"], expected["max_gap"] = one_of(("200ms", 200_000_000), ("15ms", 15_000_000))
-    begin, last = int(raw["t"].min()), int(np.quantile(raw["t"], 0.9))
-    bias, q0 = (
-        one_of(None, None, "given", "static", "series"),
-        one_of(None, "numbers", "log", "series"),
-    )
-    if bias == "given":
-        expected["bias"] = [0.01, -0.02, 0.03]
-        given["bias"] = "0.01,-0.02,0.03"
-    elif bias == "static":
-        given["bias"] = "static:100ms"
-    elif bias == "series":
-        known, biases = np.linspace(begin, last, 4).astype(np.int64), random.normal(0, 0.01, (4, 3))
-        rows = [
-            f"{t},{','.join(map(repr, row))}" for t, row in zip(known, biases.tolist(), strict=True)
-        ]
-        names = ",".join(f"gyro_bias_{axis} [rad/s]" for axis in "xyz")
-        given["bias"] = written(folder / "bias.csv", f"t_ns,{names}", rows)
-        after = (raw["t"] - begin) / NS
-        axes = [np.interp(after, (known - begin) / NS, axis) for axis in biases.T]
-        expected["bias"] = np.stack(axes, axis=1)
-    if q0 == "numbers":
-        given["q0"], expected["q0"] = "0.6,0,0.8,0", [0.6, 0, 0.8, 0]
-    elif q0 == "log":
-        given["q0"] = expected["q0"] = "log"
-    elif q0 == "series":
-        t = begin + np.arange(-1, 3) * NS
-        turns = Rotation.from_rotvec(np.arange(4)[:, None] * [0.3, -0.1, 0.2])
-        given["q0"], expected["q0"] = series_file(folder / "q0.csv", t, turns), (t, turns)
+        given["max_gap"], expected["max_gap"] = one_of(
+            ("200ms", 200_000_000), ("15ms", 15_000_000), ("10500us", 10_500_000)
+        )
+    corrections(random, raw, folder, (given, expected))
+    beginning(random, raw, folder, (given, expected))
     if "at" in given:
+        begin, last = span(raw)
         t = np.concatenate([random.integers(begin - NS // 2, last + NS // 2, 20), raw["t"][::7]])
         given["at"] = series_file(folder / "at.csv", t, Rotation.identity(len(t)))
         expected["at"] = (t, None)
@@ -137,50 +123,88 @@ def command_line(random, raw, folder, kind):
     return given, expected
 
 
-def written(path, header, rows):
-    """Write a table; return its path."""
-    path.write_text("\n".join([header, *rows, ""]))
-    return path
+def span(raw):
+    """Return from when to when a log is, but for stamps that jump."""
+    return int(raw["t"].min()), int(np.quantile(raw["t"], 0.9))
+
+
+def corrections(random, raw, folder, options):
+    """Choose a bias, and a calibration."""
+    given, expected = options
+    choice = random.choice(["none", "none", "given", "static", "series"])
+    if choice == "given":
+        given["bias"], expected["bias"] = ",".join(map(repr, BIAS.tolist())), BIAS
+    elif choice == "static":
+        given["bias"] = "static:100ms"
+    elif choice == "series":
+        begin, last = span(raw)
+        known, biases = np.linspace(begin, last, 4).astype(np.int64), random.normal(0, 0.01, (4, 3))
+        rows = [[t, *row] for t, row in zip(known, biases.tolist(), strict=True)]
+        names = ",".join(f"gyro_bias_{axis} [rad/s]" for axis in "xyz")
+        given["bias"] = write_rates(folder / "bias.csv", rows, f"t_ns,{names}")
+        after = (raw["t"] - begin) / NS
+        axes = [np.interp(after, (known - begin) / NS, axis) for axis in biases.T]
+        expected["bias"] = np.stack(axes, axis=1)
+    if random.random() < 0.2:
+        given["calibration"] = folder / "calibration.json"
+        content = {"matrix": CALIBRATION.tolist(), "bias": (BIAS / 2).tolist()}
+        given["calibration"].write_text(json.dumps(content))
+        expected["calibration"] = CALIBRATION, BIAS / 2
+
+
+def beginning(random, raw, folder, options):
+    """Choose where to begin."""
+    given, expected = options
+    choice = random.choice(["none", "numbers", "scalar-last", "level", "level", "log", "series"])
+    if choice in {"numbers", "scalar-last"}:
+        given["q0"], expected["q0"] = "0.48,0.6,0.64,0", [0.48, 0.6, 0.64, 0]
+        if choice == "scalar-last":
+            given["q0_layout"] = expected["q0_layout"] = random.choice(["xyzw", "scalar-last"])
+    elif choice == "level":
+        level = {"q0": "level", "heading": 30.0, "reference_z": str(random.choice(["up", "down"]))}
+        for name, value in level.items():
+            if name == "q0" or random.random() < 0.6:
+                given[name] = expected[name] = value
+    elif choice == "log":
+        given["q0"] = expected["q0"] = "log"
+    elif choice == "series":
+        t = span(raw)[0] + np.arange(-1, 3) * NS
+        turns = Rotation.from_rotvec(np.arange(4)[:, None] * [0.3, -0.1, 0.2])
+        given["q0"], expected["q0"] = series_file(folder / "q0.csv", t, turns), (t, turns)
 
 
 def series_file(path, t, q):
     """Write a series of attitudes; return its path."""
-    rows = q.as_quat(scalar_first=True).tolist()
-    lines = [f"{at},{','.join(map(repr, row))}" for at, row in zip(t.tolist(), rows, strict=True)]
-    return written(path, "t_ns,qw,qx,qy,qz", lines)
+    return write_attitudes(path, t, q.as_quat(scalar_first=True))
 
 
-def write_log(path, raw):
-    """Write rows as a table or as messages; return the options that read it."""
-    if path.suffix in {".csv", ".parquet"}:
-        names = ["gx", "gy", "gz", "accel_x", "accel_y", "accel_z", "qw", "qx", "qy", "qz"]
-        values = np.column_stack([raw["w"], raw["f"], raw["q"].as_quat(scalar_first=True)])
+def write_log(path, raw, random):
+    """Write rows as a table or as messages; return the options that read it.
+
+    In text, rates may be in deg/s, and times in any unit; a bias that is given is in that of rates.
+    """
+    wxyz = raw["q"].as_quat(scalar_first=True)
+    if path.suffix not in {".csv", ".parquet"}:
+        times = {"recorded": recorded_ns(raw), "linear_acceleration": list(raw["f"])}
+        write_messages(path, imu_messages(raw["t"], raw["w"], wxyz, **times))
+        return {}
+    names = ["gx", "gy", "gz", "accel_x", "accel_y", "accel_z", "qw", "qx", "qy", "qz"]
+    values = [raw["f"], wxyz]
+    if path.suffix == ".parquet":
+        values = np.column_stack([raw["w"], *values])
         columns = {"t_ns": raw["t"], **dict(zip(names, values.T, strict=True))}
-        if path.suffix == ".parquet":
-            pa.parquet.write_table(pa.table(columns), path, row_group_size=GROUP)
-        else:
-            rows = zip(raw["t"].tolist(), values.tolist(), strict=True)
-            lines = [",".join([str(t), *map(repr, row)]) for t, row in rows]
-            written(path, ",".join(columns), lines)
-        return ["--rate-cols=gx,gy,gz", "--rate-unit=rad/s"]
-    logged = zip(range(len(raw["t"])), recorded_ns(raw).tolist(), strict=True)
-    if path.suffix == ".bag":
-        with Rosbag1Writer(path) as writer:
-            imu = writer.add_connection("/imu", IMU, typestore=ROS1)
-            for k, log_ns in logged:
-                writer.write(imu, log_ns, bytes(ROS1.serialize_ros1(message(ROS1, raw, k), IMU)))
-        return []
-    with path.open("wb") as stream:
-        writer = McapWriter(stream, chunk_size=8000)
-        writer.start("ros2")
-        definition, _ = ROS2.generate_msgdef(IMU, ros_version=2)
-        schema = writer.register_schema(IMU, "ros2msg", definition.encode())
-        channel = writer.register_channel("/imu", "cdr", schema)
-        for k, log_ns in logged:
-            data = bytes(ROS2.serialize_cdr(message(ROS2, raw, k), IMU))
-            writer.add_message(channel, log_ns, data, log_ns, k)
-        writer.finish()
-    return []
+        pa.parquet.write_table(pa.table(columns), path, row_group_size=GROUP)
+        return {"rate_cols": "gx,gy,gz", "rate_unit": "rad/s"}
+    time, degrees = str(random.choice(list(TIMES))), bool(random.integers(2))
+    unit, digits = TIMES[time]
+    values = np.column_stack([np.degrees(raw["w"]) if degrees else raw["w"], *values])
+    stamps = [
+        f"{t // 10**digits}.{t % 10**digits:0{digits}d}" if digits else t for t in raw["t"].tolist()
+    ]
+    rows = zip(stamps, values.tolist(), strict=True)
+    write_rates(path, [[t, *row] for t, row in rows], ",".join([time, *names]))
+    units = {"rate_unit": "deg/s" if degrees else "rad/s", "time_unit": unit}
+    return {"rate_cols": "gx,gy,gz", "time_col": time, **units}
 
 
 def recorded_ns(raw):
@@ -189,40 +213,26 @@ def recorded_ns(raw):
     return LOGGED + np.arange(n) * 10_000_000 + np.arange(n) % 7 * 1000
 
 
-def message(store, raw, k):
-    """Return row k as a message."""
-    types = store.types
-    vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
-    stamp = types["builtin_interfaces/msg/Time"](*map(int, divmod(raw["t"][k], NS)))
-    more = {"seq": k} if store is ROS1 else {}
-    return types[IMU](
-        header=types["std_msgs/msg/Header"](stamp=stamp, frame_id="imu", **more),
-        orientation=quaternion(*raw["q"][k].as_quat().tolist()),
-        orientation_covariance=np.zeros(9),
-        angular_velocity=vector(*raw["w"][k].tolist()),
-        angular_velocity_covariance=np.zeros(9),
-        linear_acceleration=vector(*raw["f"][k].tolist()),
-        linear_acceleration_covariance=np.zeros(9),
-    )
-
-
 def difference(seed, folder):
     """Return the exit code of a command line, and what it does otherwise than the documents say."""
     random = np.random.default_rng(seed)
-    raw, kind = recording(random), KINDS[random.integers(4)]
+    raw, kind = recording(random), KINDS[random.integers(len(KINDS))]
     log, report = folder / f"log.{kind}", folder / "report.json"
     given, options = command_line(random, raw, folder, kind)
     out = folder / (f"out.{kind}" if options["into"] else "out.csv")
+    given |= write_log(log, raw, random)
+    if given.get("rate_unit") == "deg/s" and not np.ndim(options.get("bias", [[0]])) > 1:
+        given["bias"] = ",".join(map(repr, np.degrees(BIAS).tolist()))
+    given["into" if options["into"] else "output"] = out
     line = [f"--{name.replace('_', '-')}={value}" for name, value in given.items()]
-    line += [*write_log(log, raw), f"--{'into' if options['into'] else 'output'}={out}"]
     result = CliRunner().invoke(cli, ["propagate", str(log), *line, f"--report={report}"])
     told = f"propagate {' '.join(line)}: exit code {result.exit_code}, {result.stderr.strip()}"
     if result.exit_code == 1 or "This is a bug" in result.stderr:
         return result.exit_code, told
-    if given.get("bias") == "static:100ms":
+    if given.get("bias") == "static:100ms" or given.get("q0") == "level":
         if "rest" in result.stderr and result.exit_code == 2:
             return 2, None  # what counts as rest is tested elsewhere
-        if result.exit_code != 2:
+        if result.exit_code != 2 and "bias" not in options and "bias" in given:
             rest = json.loads(report.read_text())["conditioning"]["rest"]
             inside = (raw["t"] >= rest["first_ns"]) & (raw["t"] <= rest["last_ns"])
             inside &= np.isfinite(raw["w"]).all(axis=1)
@@ -238,13 +248,10 @@ def read_in_part(raw, options, told):
     limits = {"start": told["start_ns"], "end": told["end_ns"]}
     options = options | {name: ("date", ns) for name, ns in limits.items() if ns is not None}
     low, high = limits["start"] or 0, limits["end"] or 2**62
-    groups = [slice(k, k + GROUP) for k in range(0, len(raw["t"]), GROUP)]
-    rows = [
-        np.arange(len(raw["t"]))[group]
-        for group in groups
-        if raw["t"][group].max() >= low and raw["t"][group].min() <= high
-    ]
-    rows = np.concatenate(rows)
+    every = np.arange(len(raw["t"]))
+    groups = [every[k : k + GROUP] for k in range(0, len(every), GROUP)]
+    inside = [g for g in groups if raw["t"][g].max() >= low and raw["t"][g].min() <= high]
+    rows = np.concatenate(inside)
     part = {name: values[rows] for name, values in raw.items()}
     if np.ndim(options.get("bias")) > 1:
         options["bias"] = options["bias"][rows]
@@ -269,7 +276,7 @@ def compared(code, raw, options, out, told):
     if options["into"] and log_ns != expected_ns[order].tolist():
         return f"{told}; other log times"
     error = (expected_q[order].inv() * q).magnitude().max()
-    return None if error < 1e-10 else f"{told}; attitudes differ by {error:.3g} rad"
+    return None if error < 1e-11 else f"{told}; attitudes differ by {error:.3g} rad"
 
 
 def exit_code(raw, options):

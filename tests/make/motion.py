@@ -1,24 +1,24 @@
-"""A precessing rotor, of which attitudes and rates are known in closed form."""
+"""Motions of which attitudes and rates are known: a precessing rotor, and those to be simulated."""
+
+from fractions import Fraction
 
 import numpy as np
 
 from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotate
+from quatprop.simulate.motion import Shape, motion_named
 
 SECOND = 1_000_000_000
-
-
-IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
-
-
+RATES_HZ = (50, 100, 200, 400)
 Z_AXIS = np.array([0.0, 0.0, 1.0])
 
 
-def rotor(t_s):
-    """Return true attitudes and body rates of a precessing rotor."""
-    spin, precession, tilt = 4.1, 1.22, exp([1.2, 0, 0])
+def rotor(t_s, rates="body", spin=4.1, precession=1.22, tilt=1.2):
+    """Return true attitudes and rates of a rotor whose axis precesses about the reference's z."""
     t_s = t_s[:, None]
-    wxyz = multiply(multiply(exp(precession * t_s * Z_AXIS), tilt), exp(spin * t_s * Z_AXIS))
-    return wxyz, spin * Z_AXIS + rotate(conjugate(wxyz), precession * Z_AXIS)
+    turned, spun = exp(precession * t_s * Z_AXIS), exp(spin * t_s * Z_AXIS)
+    wxyz = multiply(multiply(turned, exp([tilt, 0, 0])), spun)
+    rate = spin * Z_AXIS + rotate(conjugate(wxyz), precession * Z_AXIS)
+    return wxyz, rate if rates == "body" else rotate(wxyz, rate)
 
 
 def stamps(hz, seconds, jitter=0.0):
@@ -32,3 +32,14 @@ def stamps(hz, seconds, jitter=0.0):
 def orders(errors):
     """Return the order of convergence from each error to that at twice the rate."""
     return np.log2(np.array(errors)[:-1] / errors[1:])
+
+
+FRAMES = ("body", "inertial")
+
+
+def simulated(motion, frame, count, interval_ns):
+    """Return stamps and the rates of a motion, resolved in body axes or in reference axes."""
+    t_ns = np.arange(count) * interval_ns
+    shape = Shape(Fraction(1, 4), axis=(1.0, 2.0, 3.0), angle=Fraction(40), walk=1.0)
+    rate, wxyz = motion_named(motion, shape)(t_ns)
+    return t_ns, rate if frame == "body" else rotate(wxyz, rate)

@@ -2,7 +2,8 @@
 
 Real components instead of complex pairs, libm instead of series, loops instead of a tree. The
 serial oracle is the definition; the blocked one is the same product, fast enough for millions of
-samples, and is itself checked against the serial one.
+samples, and is itself checked against the serial one. Products and increments are in the precision
+of what they are given.
 """
 
 from itertools import pairwise
@@ -99,8 +100,7 @@ def _quintic_step(t, w, k):
 def increments(rotvec):
     """Return unit quaternions as a tuple of components ``(M,)``."""
     angle = np.sqrt((rotvec**2).sum(axis=1))
-    safe = np.where(angle == 0, L(1), angle)
-    ratio = np.where(angle == 0, L(0.5), np.sin(angle / 2) / safe)
+    ratio = np.where(angle == 0, 0.5, np.sin(angle / 2) / np.where(angle == 0, 1, angle))
     return (np.cos(angle / 2), *(rotvec.T * ratio))
 
 

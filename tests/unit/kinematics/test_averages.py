@@ -4,56 +4,51 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from make.motion import IDENTITY, SECOND, orders, rotor, stamps
+from make.motion import RATES_HZ, SECOND, orders, rotor, stamps
+from make.streams import segmented
 
 from quatprop import propagate
 from quatprop.kinematics.cubic import MAX_SPAN_RATIO
 from quatprop.kinematics.increments import rotation_vectors
-from quatprop.kinematics.propagate import Propagation
+from quatprop.kinematics.propagate import TILE
 from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.kinematics.resample import Listed, Steady
-from quatprop.pipeline.segments import Segments
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK
-from quatprop.timeline import Timeline
-from quatprop.timeline.counts import Policy
 
-RATES_HZ = (50, 100, 200, 400)
 KINDS = ("averages", "increments")
 
 
-def rotor_integral(t_s):
-    """Return the integral of the body rate of test_cubic.rotor, whose constants these are."""
-    spin, precession, tilt = 4.1, 1.22, 1.2
+def rotor_integral(t_s, spin=4.1, precession=1.22, tilt=1.2):
+    """Return the integral of the body rate of make.motion.rotor."""
     across = precession * np.sin(tilt) / spin
     along = spin + precession * np.cos(tilt)
     return np.stack([-across * np.cos(spin * t_s), across * np.sin(spin * t_s), along * t_s], 1)
 
 
+def series_of(kind, t_ns, rate, spans=None):
+    """Return a series of samples of a kind; increments cover the intervals, or other spans."""
+    steps = np.diff(t_ns, prepend=2 * t_ns[0] - t_ns[1])
+    spans = steps if spans is None else np.full(len(t_ns), spans)
+    return GyroSeries(t_ns, rate, spans if kind == "increments" else None, kind == "averages")
+
+
 def integrated(t_ns, kind):
     """Return what a sensor on the rotor that integrates exactly gives at these stamps."""
-    steps = np.diff(t_ns)
-    rate = np.diff(rotor_integral(t_ns / 1e9), axis=0) / (steps / 1e9)[:, None]
+    rate = np.diff(rotor_integral(t_ns / 1e9), axis=0) / (np.diff(t_ns) / 1e9)[:, None]
     # The first sample is about time before the log; whatever it is, no result may depend on it.
-    rate = np.vstack([[9.0, -9.0, 9.0], rate])
-    integration_time_ns = np.concatenate([steps[:1], steps])
-    return GyroSeries(
-        t_ns, rate, integration_time_ns if kind == "increments" else None, kind == "averages"
-    )
+    return series_of(kind, t_ns, np.vstack([[9.0, -9.0, 9.0], rate]))
 
 
-def propagated(series, q0=IDENTITY, method="end", rates="body"):
-    """Return all attitudes."""
-    run = Propagation(q0, method, rates).run([series])
-    return np.concatenate([attitudes.wxyz for _, attitudes in run])
+def vectors(series, method):
+    """Return the rotation vectors of a series."""
+    how = series.integration_time_ns, series.is_interval_average
+    return rotation_vectors(series.t_ns, series.rate, method, how[0], is_interval_average=how[1])
 
 
-def at(series, times, q0, method):
-    """Return attitudes at other times, and those times."""
-    timeline = Timeline(Policy(), "log")
-    segments = Segments(timeline, q0, method=method, rates="body", times=times)
-    parts = list(segments.attitudes(timeline.apply([series])))
-    return (np.concatenate([getattr(part, name) for part in parts]) for name in ("t_ns", "wxyz"))
+def propagated(series, **how):
+    """Return the attitudes at the samples."""
+    return segmented([series], **{"method": "end", **how})[2]
 
 
 # --- accuracy
@@ -75,7 +70,7 @@ def test_a_precessing_rotor(kind, method, bounds, order, jitter):
     for hz in RATES_HZ:
         t_ns = stamps(hz, 20, jitter)
         truth, _ = rotor(t_ns / 1e9)
-        wxyz = propagated(integrated(t_ns, kind), truth[0], method)
+        wxyz = propagated(integrated(t_ns, kind), q0=truth[0], method=method)
         errors.append(geodesic_angle(wxyz, truth).max())
     assert (np.array(errors) <= bounds).all()
     assert orders(errors).min() > order
@@ -85,19 +80,14 @@ def test_a_precessing_rotor(kind, method, bounds, order, jitter):
 def test_even_intervals_have_the_weights_of_the_textbook(kind):
     """theta_k-1 x theta_k / 12 before, and half of that on each side; one-sided at the ends."""
     theta = np.random.default_rng(1).normal(size=(5, 3))
-    t_ns = np.arange(5) * SECOND
-    spans = np.full(5, SECOND) if kind == "increments" else None
-    coning, cubic = (
-        rotation_vectors(t_ns, theta, method, spans, is_interval_average=kind == "averages")
-        for method in ("coning", "cubic")
-    )
+    series = series_of(kind, np.arange(5) * SECOND, theta)
     term = np.cross(theta[1:-1], theta[2:]) / 12
     zero = np.zeros((1, 3))
     before, after = np.concatenate([zero, term]), np.concatenate([term, zero])
-    np.testing.assert_allclose(coning, theta[1:] + before, atol=1e-15)
+    np.testing.assert_allclose(vectors(series, "coning"), theta[1:] + before, atol=1e-15)
     both = (before + after) / 2
     both[[0, -1]] *= 2
-    np.testing.assert_allclose(cubic, theta[1:] + both, atol=1e-15)
+    np.testing.assert_allclose(vectors(series, "cubic"), theta[1:] + both, atol=1e-15)
 
 
 @pytest.mark.parametrize("method", ["coning", "cubic"])
@@ -107,27 +97,20 @@ def test_no_term_reaches_across_repeated_stamps_and_lost_messages(kind, method):
     theta = np.random.default_rng(2).normal(size=(4, 3))
     lost = int(4 * 1.1 * SECOND) if kind == "averages" else int(MAX_SPAN_RATIO * SECOND) + 1
     for steps in ([SECOND, 0, SECOND], [lost, SECOND, lost]):
-        t_ns = np.concatenate([[0], np.cumsum(steps)])
-        spans = np.full(4, SECOND) if kind == "increments" else None
-        options = {"integration_time_ns": spans, "is_interval_average": kind == "averages"}
-        plain, found = (rotation_vectors(t_ns, theta, m, **options) for m in ("end", method))
-        alike = (plain == found).all(axis=1).tolist()
-        if steps[1] or kind == "averages":
-            # Of a lost message the next increment is whole, and the one after it follows.
-            follows = kind == "increments" and steps[1]
-            assert alike == [not (follows and method == "cubic"), not follows, True]
-        else:
-            assert alike == [True, True, True]
+        series = series_of(kind, np.concatenate([[0], np.cumsum(steps)]), theta, SECOND)
+        plain, found = vectors(series, "end"), vectors(series, method)
+        # Of a lost message the next increment is whole, and the one after it follows.
+        follows = kind == "increments" and steps[1]
+        expected = [not (follows and method == "cubic"), not follows, True]
+        assert (plain == found).all(axis=1).tolist() == expected
 
 
 def test_increments_about_a_fixed_axis_have_no_coning():
     """There the increment is the rotation vector, to the last bit but one."""
     theta = np.outer(np.random.default_rng(3).normal(size=50), [2.0, -1.0, 2.0])
-    spans = np.full(50, SECOND)
-    t_ns = np.arange(50) * SECOND
+    series = series_of("increments", np.arange(50) * SECOND, theta)
     for method in ("coning", "cubic"):
-        found = rotation_vectors(t_ns, theta, method, spans)
-        np.testing.assert_allclose(found, theta[1:], rtol=0, atol=1e-14)
+        np.testing.assert_allclose(vectors(series, method), theta[1:], rtol=0, atol=1e-14)
 
 
 # --- at other times, in other batches
@@ -143,8 +126,8 @@ def test_other_times_are_of_the_same_order(kind, method, order):
     errors = []
     for hz in RATES_HZ:
         t_ns = stamps(hz, 5, jitter=0.3)
-        truth, _ = rotor(t_ns / 1e9)
-        out_ns, wxyz = at(integrated(t_ns, kind), Steady(Fraction(997)), truth[0], method)
+        how = {"q0": rotor(t_ns[:1] / 1e9)[0][0], "method": method}
+        _, out_ns, wxyz = segmented([integrated(t_ns, kind)], Steady(Fraction(997)), **how)
         inside = (out_ns > t_ns[1]) & (out_ns < t_ns[-2])
         errors.append(geodesic_angle(wxyz, rotor(out_ns / 1e9)[0])[inside].max())
     assert np.log2(errors[0] / errors[-1]) / 3 > order
@@ -158,10 +141,9 @@ def test_times_just_before_samples_lead_up_to_them(kind, method):
     if method == "cubic":
         t_ns = np.arange(BLOCK + 3) * 5_000_000
     series = integrated(t_ns, kind)
-    wxyz = propagated(series, method=method)
-    out_ns, before = at(series, Listed(t_ns[1:] - 1), IDENTITY, method)
+    _, out_ns, before = segmented([series], Listed(t_ns[1:] - 1), method=method)
     assert np.array_equal(out_ns, t_ns[1:] - 1)
-    assert geodesic_angle(before, wxyz[1:]).max() < 1.5e-8
+    assert geodesic_angle(before, propagated(series, method=method)[1:]).max() < 1.5e-8
 
 
 @pytest.mark.parametrize("rates", ["body", "inertial"])
@@ -169,26 +151,24 @@ def test_times_just_before_samples_lead_up_to_them(kind, method):
 @pytest.mark.parametrize("method", ["coning", "cubic"])
 def test_the_same_bits_for_any_batch_and_any_end(kind, method, rates):
     """A prefix of the log is a prefix of the result: of cubic, all but the last attitude."""
-    series = integrated(stamps(200, 200, jitter=0.3), kind)
-    whole = propagated(series, method=method, rates=rates)
-    run = Propagation(IDENTITY, method, rates)
+    series = integrated(stamps(200, 170, jitter=0.3), kind)
+    how = {"method": method, "rates": rates, "sensitivity": False}
+    whole = propagated(series, **how)
     batches = [series[start : start + 777] for start in range(0, len(series), 777)]
-    parts = [attitudes.wxyz for _, attitudes in run.run(batches)]
-    assert np.concatenate(parts).tobytes() == whole.tobytes()
+    assert segmented(batches, **how)[2].tobytes() == whole.tobytes()
     last = 1 if method == "cubic" else 0
-    for count in (2, 3, 16_384, 16_385, 16_386, 30_000):
-        part = propagated(series[:count], method=method, rates=rates)
+    for count in (2, 3, TILE, TILE + 1, TILE + 2):
+        part = propagated(series[:count], **how)
         assert part[: count - last].tobytes() == whole[: count - last].tobytes()
 
 
-def test_the_frames_agree():
+@pytest.mark.parametrize("method", ["end", "coning", "cubic"])
+def test_the_frames_agree(method):
     """The conjugate of body rates is inertial rates of the opposite sign, coning terms included."""
     series = integrated(stamps(50, 2), "averages")
-    for method in ("end", "coning", "cubic"):
-        body = propagated(series, method=method)
-        opposite = series.with_rate(-series.rate)
-        inertial = propagated(opposite, method=method, rates="inertial")
-        assert geodesic_angle(body, inertial * [1, -1, -1, -1]).max() < 1e-13
+    body = propagated(series, method=method)
+    inertial = propagated(series.with_rate(-series.rate), method=method, rates="inertial")
+    assert geodesic_angle(body, inertial * [1, -1, -1, -1]).max() < 1e-13
 
 
 # --- what is chosen
@@ -209,7 +189,6 @@ def test_the_frames_agree():
 def test_series_in_memory_have_the_default_that_fits(kind, method, used, method_from, warns):
     """What the samples are is kept in the series, and said of the result."""
     series = integrated(stamps(50, 1), kind)
-    expected = propagated(series, method=used)
     if warns is None:
         result = propagate(series, method=method)
     else:
@@ -218,10 +197,17 @@ def test_series_in_memory_have_the_default_that_fits(kind, method, used, method_
     convention = result.report.convention
     assert (convention.method, convention.method_from) == (used, method_from)
     assert convention.samples == kind
-    assert np.array_equal(result.wxyz, expected)
+    assert np.array_equal(result.wxyz, propagated(series, method=used))
 
 
 def test_a_mean_rate_over_half_a_turn():
     """Averages about one axis are exact, however the rate varied: 20 ms at pi rad/s are 3.6 deg."""
     series = GyroSeries([0, SECOND // 50], [[0, 0, 7.0], [0, 0, np.pi]], is_interval_average=True)
     assert geodesic_angle(propagate(series).wxyz[-1], exp([0, 0, np.pi / 50])) < 1e-15
+
+
+def test_an_increment_is_turned_in_the_time_between_its_stamps():
+    """However long it was integrated: 0.5 rad in 2 s are 0.25 rad after 1 s."""
+    series = GyroSeries([0, 2 * SECOND], [[0, 0, 9.0], [0, 0, 0.5]], [SECOND, SECOND])
+    _, _, wxyz = segmented([series], Listed(np.array([1, 2]) * SECOND), method="end")
+    assert geodesic_angle(wxyz, exp([[0, 0, 0.25], [0, 0, 0.5]])).max() < 1e-15

@@ -4,28 +4,22 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from make.motion import IDENTITY, SECOND, orders, rotor, stamps
+from make.motion import RATES_HZ, SECOND, orders, rotor, stamps
+from make.streams import IDENTITY, segmented
 from scipy.integrate import solve_ivp
 
 from quatprop.kinematics.cubic import curvature, curvature_of_averages
 from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply, rotate
+from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply
 from quatprop.kinematics.resample import Listed, Steady
-from quatprop.pipeline.segments import Segments
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK
-from quatprop.timeline import Timeline
-from quatprop.timeline.counts import Policy
-
-RATES_HZ = (50, 100, 200, 400)
 
 
 def rotor_error(t_ns, method="cubic", rates="body"):
     """Return the worst attitude error on the rotor, rad."""
-    truth, rate = rotor(t_ns / 1e9)
-    if rates == "inertial":
-        rate = rotate(truth, rate)
+    truth, rate = rotor(t_ns / 1e9, rates)
     wxyz = attitudes(t_ns, rate, q0=truth[0], method=method, rates=rates)
     return geodesic_angle(wxyz, truth).max()
 
@@ -91,52 +85,41 @@ def test_the_formula_is_the_integral_of_the_cubic():
         np.testing.assert_allclose(rotvec, integral + cross, rtol=0, atol=1e-13)
 
 
-def test_even_steps_have_the_weights_of_the_textbook():
-    """h/24 (-1, 13, 13, -1), where the rates are parallel."""
-    rate = np.array([[1.0], [2.0], [5.0], [-3.0]]) * [0.1, -0.2, 0.3]
-    rotvec = rotation_vectors(np.arange(4) * SECOND, rate, "cubic")[1]
-    np.testing.assert_allclose(rotvec, np.array([-1, 13, 13, -1]) / 24 @ rate, rtol=1e-14)
-
-
 # --- where neighbours are missing
 
 
 def test_the_ends_are_of_fourth_order_too():
     """Few intervals are mostly ends; as coning they would leave an error of third order."""
-    errors = []
-    for hz in RATES_HZ:
-        t_ns = np.arange(4) * (SECOND // hz)
-        errors.append(rotor_error(t_ns))
-        assert errors[-1] < rotor_error(t_ns, "coning") / 8
+    logs = [np.arange(4) * (SECOND // hz) for hz in RATES_HZ]
+    errors = [rotor_error(t_ns) for t_ns in logs]
     assert orders(errors).min() > 3.8
+    assert (errors < np.array([rotor_error(t_ns, "coning") for t_ns in logs]) / 8).all()
 
 
 def test_repeated_stamps_cost_no_order():
     """A sample that is there twice ends the parabolas on both of its sides."""
-    errors = []
-    for hz in RATES_HZ:
-        t_ns = stamps(hz, 4)
-        repeated = np.sort(np.concatenate([t_ns, t_ns[7::10]]))
-        errors.append(rotor_error(repeated))
+    logs = [stamps(hz, 4) for hz in RATES_HZ]
+    errors = [rotor_error(np.sort(np.concatenate([t_ns, t_ns[7::10]]))) for t_ns in logs]
     assert orders(errors).min() > 3.8
 
 
-def test_two_samples_and_neighbours_too_unlike_are_as_coning():
-    """Without three samples of similar spacing there is no parabola."""
-    rate = np.random.default_rng(3).normal(size=(4, 3))
-    for ratio in (1 / 4.1, 4.1):
-        t_ns = np.cumsum([0, ratio * 1e7, 1e7, ratio * 1e7]).astype(np.int64)
-        cubic, coning = (rotation_vectors(t_ns, rate, method) for method in ("cubic", "coning"))
-        assert np.array_equal(cubic, coning)
-        assert np.array_equal(rotation_vectors(t_ns[:2], rate[:2], "cubic"), coning[:1])
-
-
-def test_one_sided_parabolas_need_steps_more_alike():
-    """An end whose two intervals differ by more than a factor 2 is as coning, the middle is not."""
-    rate = np.random.default_rng(4).normal(size=(4, 3))
-    t_ns = np.cumsum([0, 1e7, 2.1e7, 1e7]).astype(np.int64)
+@pytest.mark.parametrize(
+    ("steps", "is_cubic"),
+    [
+        # Without three samples of similar spacing there is no parabola.
+        ([1 / 4.1, 1, 1 / 4.1], [False, False, False]),
+        ([4.1, 1, 4.1], [False, False, False]),
+        ([1], [False]),
+        # At an end, where there is one on one side alone, they must be more alike.
+        ([1, 2.1, 1], [False, True, False]),
+    ],
+)
+def test_neighbours_too_unlike_are_as_coning(steps, is_cubic):
+    """A factor of 4 in the middle, of 2 at an end."""
+    t_ns = np.cumsum([0, *np.array(steps) * 1e7]).astype(np.int64)
+    rate = np.random.default_rng(3).normal(size=(len(t_ns), 3))
     cubic, coning = (rotation_vectors(t_ns, rate, method) for method in ("cubic", "coning"))
-    assert (cubic == coning).all(axis=1).tolist() == [True, False, True]
+    assert (cubic != coning).any(axis=1).tolist() == is_cubic
 
 
 def test_an_interval_as_long_as_the_limit_is_no_gap():
@@ -156,9 +139,8 @@ def test_an_interval_as_long_as_the_limit_is_no_gap():
 def test_beside_a_lost_increment_there_is_no_cubic(stamp_ms, is_there):
     """Stamps more than half an integration too far apart mean that a rotation is missing."""
     t_ns = np.array([0, 10, 20, stamp_ms]) * 1_000_000
-    integration_time_ns = np.full(4, 10_000_000)
     rate = np.array([[9.0, 1, 2, 4]] * 3)
-    found = curvature_of_averages(t_ns, rate, integration_time_ns)
+    found = curvature_of_averages(t_ns, rate, np.full(4, 10_000_000))
     # The second divided difference of the angles, 1 and 2 rad/s over 10 ms each, is 50 rad/s^2.
     assert found.a[0, 0] == pytest.approx(50.0)
     assert (found.a[0, 2] != 0) == is_there
@@ -167,53 +149,12 @@ def test_beside_a_lost_increment_there_is_no_cubic(stamp_ms, is_there):
 def test_increments_have_gaps_and_lost_messages():
     """No parabola passes through either: a long integration is a gap, and no message is lost."""
     t_ns = np.array([0, 10, 20, 40, 50, 60]) * 1_000_000
-    integration_time_ns = np.array([10, 10, 10, 20, 10, 10]) * 1_000_000
+    spans = np.array([10, 10, 10, 20, 10, 10]) * 1_000_000
     rate = np.random.default_rng(5).normal(size=(3, 6))
-    free, limited = (
-        curvature_of_averages(t_ns, rate, integration_time_ns, gap_ns=gap_ns)
-        for gap_ns in (None, 15_000_000)
-    )
-    assert free.a[:, 2].all()
+    assert curvature_of_averages(t_ns, rate, spans).a[:, 2].all()
     # Only the ends, each with a parabola on its own side, are left.
+    limited = curvature_of_averages(t_ns, rate, spans, gap_ns=15_000_000)
     assert limited.a.any(axis=0).tolist() == [True, True, False, True, True]
-
-
-def gapped(on_gap, times=None, size=1000):
-    """Return samples with gaps of 2.5 intervals, and the series that Segments makes of them."""
-    random = np.random.default_rng(5)
-    t_ns = np.cumsum(np.where(np.arange(3 * size) % size == size - 1, 25, 10)) * 1_000_000
-    rate = random.normal(0, 3, (len(t_ns), 3))
-    timeline = Timeline(Policy(on_gap=on_gap, max_gap_ns=20_000_000), "log")
-    segments = Segments(timeline, IDENTITY, method="cubic", rates="body", times=times)
-    batches = [GyroSeries(t_ns[k : k + 77], rate[k : k + 77]) for k in range(0, len(t_ns), 77)]
-    series = list(segments.attitudes(timeline.apply(batches)))
-    wxyz = np.concatenate([part.wxyz for part in series])
-    return t_ns, rate, np.concatenate([part.t_ns for part in series]), wxyz
-
-
-@pytest.mark.parametrize("on_gap", ["split", "zero"])
-def test_no_cubic_passes_through_a_gap(on_gap):
-    """Each segment is what its samples alone give, although the gap is short enough for a cubic."""
-    t_ns, rate, out_ns, wxyz = gapped(on_gap)
-    assert np.array_equal(out_ns, t_ns)
-    q0 = IDENTITY
-    for part in np.split(np.arange(len(t_ns)), np.flatnonzero(np.diff(t_ns) > 20_000_000) + 1):
-        alone = attitudes(t_ns[part], rate[part], q0=q0, method="cubic")
-        assert geodesic_angle(wxyz[part], alone).max() < 1e-14
-        q0 = IDENTITY if on_gap == "split" else alone[-1]
-
-
-@pytest.mark.parametrize("on_gap", ["split", "zero", "hold"])
-def test_times_just_before_samples_lead_up_to_them(on_gap):
-    """A nanosecond before each sample the attitude is the sample's, beside gaps too."""
-    t_ns, _, _, wxyz = gapped(on_gap)
-    _, _, out_ns, before = gapped(on_gap, Listed(t_ns[1:] - 1))
-    at = np.searchsorted(t_ns, out_ns)
-    keep = np.ones(len(at), bool)
-    if on_gap != "hold":
-        keep = t_ns[at] - t_ns[at - 1] <= 20_000_000
-    assert keep.sum() >= len(t_ns) - 4
-    assert geodesic_angle(before[keep], wxyz[at[keep]]).max() < 2e-8
 
 
 # --- at other times
@@ -224,30 +165,11 @@ def test_a_rate_that_is_a_parabola_is_followed_exactly_at_any_time():
     t_ns = stamps(50, 4, jitter=0.3)
     polynomial = np.polynomial.Polynomial([1.0, -2.0, 1.5])
     axis = np.array([2.0, -1.0, 2.0]) / 3
+    samples = GyroSeries(t_ns, polynomial(t_ns / 1e9)[:, None] * axis)
     for times in (Steady(Fraction(997)), Listed(t_ns[1:] - 1_234_567)):
-        timeline = Timeline(Policy(), "log")
-        segments = Segments(timeline, IDENTITY, method="cubic", rates="body", times=times)
-        samples = GyroSeries(t_ns, polynomial(t_ns / 1e9)[:, None] * axis)
-        for part in segments.attitudes(timeline.apply([samples])):
-            angle = polynomial.integ()(part.t_ns / 1e9)[:, None]
-            assert geodesic_angle(part.wxyz, exp(angle * axis)).max() < 1e-13
-
-
-@pytest.mark.parametrize("rates", ["body", "inertial"])
-def test_other_times_are_of_fourth_order(rates):
-    """A steady rate of 997 Hz between samples of a precessing rotor, across blocks of the run."""
-    errors = []
-    for hz in RATES_HZ:
-        t_ns = stamps(hz, 5, jitter=0.3)
-        truth, rate = rotor(t_ns / 1e9)
-        if rates == "inertial":
-            rate = rotate(truth, rate)
-        timeline = Timeline(Policy(), "log")
-        times = Steady(Fraction(997))
-        segments = Segments(timeline, truth[0], method="cubic", rates=rates, times=times)
-        (series,) = segments.attitudes(timeline.apply([GyroSeries(t_ns, rate)]))
-        errors.append(geodesic_angle(series.wxyz, rotor(series.t_ns / 1e9)[0]).max())
-    assert np.log2(errors[0] / errors[-1]) / 3 > 3.8
+        _, out_ns, wxyz = segmented([samples], times, method="cubic")
+        angle = polynomial.integ()(out_ns / 1e9)[:, None]
+        assert geodesic_angle(wxyz, exp(angle * axis)).max() < 1e-13
 
 
 @pytest.mark.parametrize("count", [BLOCK - 1, BLOCK, BLOCK + 1, BLOCK + 2])
@@ -256,15 +178,12 @@ def test_intervals_between_blocks_have_their_neighbours(count):
     t_ns = np.arange(count) * 5_000_000
     truth, rate = rotor(t_ns / 1e9)
     for times in (None, Listed(t_ns[:-1] + 2_000_000)):
-        timeline = Timeline(Policy(), "log")
-        segments = Segments(timeline, truth[0], method="cubic", rates="body", times=times)
-        series = list(segments.attitudes(timeline.apply([GyroSeries(t_ns, rate)])))
-        out_ns, wxyz = (np.concatenate([getattr(s, n) for s in series]) for n in ("t_ns", "wxyz"))
+        how = {"q0": truth[0], "method": "cubic"}
+        _, out_ns, wxyz = segmented([GyroSeries(t_ns, rate)], times, **how)
         assert len(out_ns) == (count if times is None else count - 1)
-        true, _ = rotor(out_ns / 1e9)
         # Relative to the true motion, the attitude must not jump from one row to the next, as it
         # does by 2e-9 rad at the ends of the log, where neighbours are missing.
-        drift = multiply(wxyz, conjugate(true))
+        drift = multiply(wxyz, conjugate(rotor(out_ns / 1e9)[0]))
         jumps = geodesic_angle(drift[1:], drift[:-1])
         assert jumps[2:-2].max() < 1e-10
         assert jumps.max() > 1e-9

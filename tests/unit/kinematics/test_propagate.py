@@ -10,18 +10,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from make import oracle
+from make.motion import SECOND, Z_AXIS
 from make.streams import propagated
 
 from quatprop.errors import SeriesError, UsageError
 from quatprop.kinematics.product import PADDING
 from quatprop.kinematics.propagate import TILE, FinalAttitude, Propagation, attitudes
-from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
+from quatprop.kinematics.quaternion import exp, geodesic_angle, rotate
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK, reblock
 from quatprop.settings import METHODS
 
-SECOND = 1_000_000_000
-Z_AXIS = np.array([0.0, 0.0, 1.0])
 needs_80_bits = pytest.mark.skipif(not oracle.EXTENDED, reason="longdouble has no 80 bits here")
 
 
@@ -97,45 +96,8 @@ def test_coning_motion_is_approached(method, order, rates):
     coarse, fine = cone_error(method, 500_000, rates), cone_error(method, 250_000, rates)
     assert coarse / fine == pytest.approx(2**order, rel=0.01)
     assert fine < 1e-3
-
-
-@pytest.mark.parametrize("rates", ["body", "inertial"])
-def test_coning_term_has_the_right_sign(rates):
-    """The term takes from the drift of coning motion, in either frame; a wrong sign would add."""
-    assert cone_error("coning", 500_000, rates) < 0.6 * cone_error("mean", 500_000, rates)
-
-
-def ramp(method, dt_ns, rates="body"):
-    """Return the attitude after a second of a rate that grows linearly and turns."""
-    t_ns = np.arange(SECOND // dt_ns + 1) * dt_ns
-    rate = np.array([1.0, -2.0, 0.5]) + (t_ns / 1e9)[:, None] * [3.0, 2.0, -4.0]
-    return attitudes(t_ns, rate, method=method, rates=rates)[-1]
-
-
-@pytest.mark.parametrize("rates", ["body", "inertial"])
-@pytest.mark.parametrize(
-    ("method", "order"), [("start", 1), ("end", 1), ("mean", 2), ("coning", 4), ("cubic", 4)]
-)
-def test_linear_rates_are_followed_with_the_order_of_the_method(method, order, rates):
-    """Where the rate is linear between samples, the coning method is of fourth order."""
-    truth = ramp("coning", 100_000, rates)
-    coarse = geodesic_angle(ramp(method, 20_000_000, rates), truth)
-    fine = geodesic_angle(ramp(method, 10_000_000, rates), truth)
-    assert coarse / fine == pytest.approx(2**order, rel=0.02)
-
-
-def test_slow_precession():
-    """A fast spin whose axis precesses slowly has q = exp(k P t / 2) tilt exp(k S t / 2)."""
-    spin, precession, tilt = 5.0, 0.01, exp([0.4, 0, 0])
-    t_ns = np.arange(60_001) * 1_000_000
-    t_s = (t_ns / 1e9)[:, None]
-    turned, spun = exp(precession * t_s * Z_AXIS), exp(spin * t_s * Z_AXIS)
-    truth = multiply(multiply(turned, tilt), spun)
-    # The precession is about the reference's z axis, here resolved in the body.
-    rate = spin * Z_AXIS + rotate(truth * [1, -1, -1, -1], precession * Z_AXIS)
-    q = attitudes(t_ns, rate, q0=tilt, method="coning")
-    # Chords of the circle that the precession makes in the body are too short by (S dt)^2 / 12.
-    assert geodesic_angle(q, truth).max() < (spin * 1e-3) ** 2 / 12 * precession * 60
+    # The coning term takes from the drift of the mean; with a wrong sign it would add.
+    assert method != "coning" or fine < 0.6 * cone_error("mean", 250_000, rates)
 
 
 def test_earth_rate_at_8_khz():
@@ -146,18 +108,6 @@ def test_earth_rate_at_8_khz():
 
 
 # --- the 80-bit oracle
-
-
-@needs_80_bits
-def test_two_million_samples_against_the_oracle():
-    """Final and worst error of 2,000,000 samples stay below 2e-14 rad, rows at unit length."""
-    t_ns, rate = noisy(2, 2_000_000)
-    q = attitudes(t_ns, rate)
-    error = oracle.angle(oracle.blocked(t_ns, rate), q)
-    assert error[-1] < 2e-14
-    assert error.max() < 2e-14
-    length = np.sqrt((q.astype(oracle.L) ** 2).sum(axis=1))
-    assert np.abs(length - 1).max() <= 2 * np.finfo(float).eps
 
 
 @needs_80_bits
@@ -198,7 +148,7 @@ def batches(t_ns, rate, edges):
         yield GyroSeries(t_ns[begin:end], rate[begin:end])
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.data())
 def test_batches_do_not_matter(data):
     """However the stream is cut, every attitude is the same to the bit."""
@@ -218,7 +168,7 @@ def test_batches_do_not_matter(data):
     assert q.tobytes() == whole.tobytes()
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.data())
 def test_what_follows_does_not_matter(data):
     """The first attitudes of a series are those of any longer one, to the bit.
@@ -242,13 +192,6 @@ def test_what_follows_does_not_matter(data):
     assert q[:same].tobytes() == whole[:same].tobytes()
 
 
-def test_batches_of_one_sample_do_not_matter():
-    """A stream of single samples gives the same bits as the whole series."""
-    t_ns, rate = noisy(5, 3000)
-    _, q = joined(propagated(batches(t_ns, rate, range(3001))))
-    assert q.tobytes() == attitudes(t_ns, rate).tobytes()
-
-
 def test_memory_order_does_not_matter():
     """Rates that lie apart or backwards in memory give the same bits."""
     t_ns, rate = noisy(6, TILE + 100)
@@ -260,7 +203,7 @@ def test_memory_order_does_not_matter():
     assert attitudes(t_ns[::-1].copy()[::-1], rate[::-1].copy()[::-1]).tobytes() == same.tobytes()
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(st.data())
 def test_the_final_attitude_alone_is_that_of_the_series(data):
     """The reduction ends where the series does, to the bit at the end of a tile."""
@@ -309,26 +252,15 @@ def test_stream_is_lazy():
 # --- edges
 
 
-def test_nothing_gives_nothing():
-    """No batches, or only empty ones, give no series; no samples give no rows."""
+@pytest.mark.parametrize("rates", ["body", "inertial"])
+def test_few_samples(rates):
+    """No batches, or only empty ones, give no series; the first attitude is q0, at any rate."""
     empty = GyroSeries(np.empty(0, np.int64), np.empty((0, 3)))
     assert not list(propagated([]))
     assert not list(propagated([empty, empty]))
     assert attitudes(empty.t_ns, empty.rate).shape == (0, 4)
-
-
-@pytest.mark.parametrize("rates", ["body", "inertial"])
-def test_one_sample_gives_q0(rates):
-    """The first attitude is q0, whatever the rate."""
     q = attitudes(np.array([5]), np.array([[9.0, 9.0, 9.0]]), q0=[0.6, 0.0, 0.8, 0.0], rates=rates)
     assert np.allclose(q, [[0.6, 0.0, 0.8, 0.0]], rtol=0, atol=np.finfo(float).eps)
-
-
-def test_two_samples_give_one_step():
-    """Two samples give q0 and q0 dq."""
-    q0 = exp([0.3, -0.2, 0.1])
-    q = attitudes(np.array([0, SECOND]), np.array([[0, 0.5, 0], [7.0, 7.0, 7.0]]), q0=q0)
-    assert np.allclose(q, [q0, multiply(q0, exp([0, 0.5, 0]))], rtol=0, atol=2e-16)
 
 
 @pytest.mark.parametrize("rates", ["body", "inertial"])
@@ -396,31 +328,38 @@ def test_blocks_are_whole_tiles():
     assert TILE % PADDING == 0
 
 
-def test_wider_registers_give_the_same_bytes():
-    """Attitudes do not depend on whether the processor has AVX-512."""
-    program = """
+WIDE = "X86_V4 AVX512_ICL AVX512_SPR AVX512F AVX512CD AVX512_SKX"
+PROGRAMS = {
+    WIDE: """
 import hashlib
 import numpy as np
 from quatprop.settings import METHODS
 from quatprop.kinematics.propagate import attitudes
-
 rate = np.random.default_rng(1).normal(0, 3, (20_000, 3))
 rate[::7] *= 1000
-t_ns = np.arange(20_000) * 5_000_000
 for method in METHODS:
-    q = attitudes(t_ns, rate, method=method)
+    q = attitudes(np.arange(20_000) * 5_000_000, rate, method=method)
     print(method, hashlib.sha256(q.tobytes()).hexdigest())
-"""
-    digests = []
-    for features in ("", "X86_V4 AVX512_ICL AVX512_SPR AVX512F AVX512CD AVX512_SKX"):
-        # numpy warns of features that this processor lacks, or that it knows by other names.
-        run = subprocess.run(
-            [sys.executable, "-W", "ignore", "-c", program],
-            env={**os.environ, "NPY_DISABLE_CPU_FEATURES": features},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        digests.append(run.stdout.split())
-    assert len(digests[0]) == 2 * len(METHODS)
-    assert digests[0] == digests[1]
+""",
+    f"{WIDE} X86_V3 AVX2 FMA3": """
+import numpy as np
+from quatprop.kinematics.half_angle import half_angle
+angles = np.random.default_rng(6).uniform(0, 1, (5, 999)) * [[0.1], [0.8], [3.0], [50.0], [1e9]]
+print(np.array(half_angle(angles**2)).tobytes().hex())
+""",
+}
+
+
+@pytest.mark.parametrize("features", PROGRAMS)
+def test_the_same_bytes_on_every_processor(features):
+    """Attitudes do not depend on AVX-512, nor cosines and sines on any instructions."""
+    plain = {"NPY_DISABLE_CPU_FEATURES": features}
+    if "FMA3" in features:
+        plain["GLIBC_TUNABLES"] = "glibc.cpu.hwcaps=-FMA,-AVX2"
+    # numpy warns of features that this processor lacks, or that it knows by other names.
+    command = [sys.executable, "-W", "ignore", "-c", PROGRAMS[features]]
+    fast, slow = (
+        subprocess.check_output(command, env={**os.environ, **env}) for env in ({}, plain)
+    )
+    assert len(fast) > 300
+    assert fast == slow

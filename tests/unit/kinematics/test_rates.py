@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from make.commands import refused, run
+from make.tables import write_attitudes
 from scipy.spatial.transform import Rotation
 
 import quatprop
 from quatprop import AttitudeSeries
-from quatprop.cli.commands import cli
 from quatprop.errors import NoRatesError, SeriesError, UsageError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
@@ -19,24 +19,22 @@ from quatprop.kinematics.rates import (
     rates_between,
 )
 
-RNG = np.random.default_rng(8)
 Q = Rotation.random(50, random_state=9).as_quat(scalar_first=True)
-RATE = RNG.normal(0, 2, (50, 3))
+RATE = np.random.default_rng(8).normal(0, 2, (50, 3))
 FRAMES = ["body", "inertial"]
 
 
 @pytest.mark.parametrize("rates", FRAMES)
-def test_no_rotation_is_no_quaternion_rate(rates):
-    """Check 1 of the article: without a rate, q' = 0."""
+def test_checks_of_the_article(rates):
+    """1: without a rate q' = 0; 3: -q has -q'; 5: the length is preserved."""
     assert (quaternion_rate(Q, np.zeros(3), rates=rates) == 0).all()
-
-
-@pytest.mark.parametrize("rates", FRAMES)
-def test_the_opposite_quaternion_has_the_opposite_rate(rates):
-    """Check 3 of the article: -q has -q', so the trajectory of the attitude is the same."""
     q_rate = quaternion_rate(Q, RATE, rates=rates)
     assert (quaternion_rate(-Q, RATE, rates=rates) == -q_rate).all()
     np.testing.assert_allclose(rate_of(-Q, -q_rate, rates=rates), RATE, rtol=0, atol=1e-13)
+    # The matrices on q are skew-symmetric (eq. 29), so q' is perpendicular to q.
+    omega = omega_matrix(RATE, rates=rates)
+    assert (omega == -omega.swapaxes(-1, -2)).all()
+    np.testing.assert_allclose((Q * q_rate).sum(axis=1), 0, atol=1e-14)
 
 
 def test_both_rate_forms_agree():
@@ -57,15 +55,6 @@ def test_the_matrices_are_products_of_quaternions(rates):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize("rates", FRAMES)
-def test_the_length_is_preserved(rates):
-    """Check 5: the matrices on q are skew-symmetric (eq. 29), so q' is perpendicular to q."""
-    omega = omega_matrix(RATE, rates=rates)
-    assert (omega == -omega.swapaxes(-1, -2)).all()
-    q_rate = quaternion_rate(Q, RATE, rates=rates)
-    np.testing.assert_allclose((Q * q_rate).sum(axis=1), 0, atol=1e-14)
-
-
 def test_the_rate_is_the_derivative():
     """Central differences of a rotation at a constant rate agree with q'."""
     step = 1e-5
@@ -73,16 +62,12 @@ def test_the_rate_is_the_derivative():
     np.testing.assert_allclose((ahead - behind) / (2 * step), quaternion_rate(Q, RATE), atol=1e-8)
 
 
-def test_stamps_and_attitudes_in_the_wrong_order_are_refused():
-    """In a sentence that names the argument."""
+def test_arguments_that_make_no_sense_are_refused():
+    """In a sentence that names the argument; only the two frames of the article are known."""
     with pytest.raises(SeriesError, match=r"^Expected `t_ns` to have shape \(N,\), got \(2, 4\)$"):
         rates_between([[1, 0, 0, 0], [0, 0, 0, 1]], [0, 10])
     with pytest.raises(SeriesError, match=r"^Expected `wxyz` to have shape \(3, 4\), got"):
         rates_between([0, 10, 20], [[1, 0, 0, 0], [0, 0, 0, 1]])
-
-
-def test_an_unknown_frame_is_refused():
-    """Only the two frames of the article are known."""
     with pytest.raises(UsageError, match="there is no frame 'world'; choose one of 'body', 'iner"):
         quaternion_rate(Q, RATE, rates="world")
 
@@ -115,21 +100,15 @@ def test_propagated_rates_give_the_attitudes_back(tmp_path, rates, suffix):
     given = series()
     source, out = tmp_path / "attitudes.parquet", tmp_path / f"rates.{suffix}"
     quatprop.write(given, source)
-    options = ["convert", str(source), str(out), "--as", f"{rates}-rates"]
-    result = CliRunner().invoke(cli, options)
-    assert result.exit_code == 0, result.output
+    run("convert", source, out, "--as", f"{rates}-rates", code=0)
     columns = {}
     if rates == "inertial":
         with pytest.raises(NoRatesError, match="no body rates found; its columns are"):
             quatprop.read_rates(out)
         names = ("wx_ref_rad_s", "wy_ref_rad_s", "wz_ref_rad_s")
         columns = {"rate_cols": names, "rate_unit": "rad/s"}
-    again = quatprop.propagate(
-        quatprop.read_rates(out, **columns),
-        method="start",
-        rates=rates,
-        q0=given.wxyz[0].tolist(),
-    )
+    samples = quatprop.read_rates(out, **columns)
+    again = quatprop.propagate(samples, method="start", rates=rates, q0=given.wxyz[0].tolist())
     assert (again.t_ns == given.t_ns).all()
     assert geodesic_angle(again.wxyz, given.wxyz).max() < 1e-12
 
@@ -149,15 +128,12 @@ def test_the_row_of_the_last_attitude_repeats_its_rate(tmp_path):
 
 def test_what_rates_cannot_say_is_refused(tmp_path):
     """Repeated timestamps have no rate between them; rates have neither layout nor direction."""
-    source, out = tmp_path / "attitudes.csv", tmp_path / "rates.csv"
-    source.write_text("t_ns,qw,qx,qy,qz\n1,1,0,0,0\n1,0,0,0,1\n")
+    out, rows = tmp_path / "rates.csv", [[1, 0, 0, 0], [0, 0, 0, 1]]
+    source = write_attitudes(tmp_path / "attitudes.csv", [1, 1], rows)
     for options, words in (
         ([], "no rate between two attitudes whose timestamps do not rise: 1 ns and then 1 ns"),
         (["--layout", "wxyz"], "--layout is about quaternions and body-rates has none"),
         (["--direction", "ref-to-body"], "--direction is about attitudes, and body-rates are none"),
     ):
-        arguments = ["convert", str(source), str(out), "--as", "body-rates", *options]
-        result = CliRunner().invoke(cli, arguments)
-        assert result.exit_code == 2
-        assert words in result.stderr
+        assert words in refused("convert", source, out, "--as", "body-rates", *options)
         assert not out.exists()

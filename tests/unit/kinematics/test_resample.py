@@ -1,4 +1,7 @@
-"""Attitudes at other times: exact under the method, wherever batches end."""
+"""Attitudes at other times, wherever batches end.
+
+What each method gives there is tested in ``contract/test_options_oracle.py``.
+"""
 
 from fractions import Fraction
 from itertools import pairwise
@@ -11,7 +14,7 @@ from make.streams import propagated
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import conjugate, geodesic_angle, rotate
+from quatprop.kinematics.quaternion import conjugate, exp, rotate, rotation_matrix
 from quatprop.kinematics.resample import PIECE, Listed, Steady, at_times, every
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.series.blocks import reblock
@@ -19,157 +22,140 @@ from quatprop.series.blocks import reblock
 S = 1_000_000_000
 
 
-def series(seed=1, samples=50):
+def jittered():
     """Return rates that change direction, at jittered stamps with a duplicate."""
-    random = np.random.default_rng(seed)
-    t_ns = np.cumsum(random.integers(8_000_000, 12_000_000, samples))
+    random = np.random.default_rng(1)
+    t_ns = np.cumsum(random.integers(8_000_000, 12_000_000, 50))
     t_ns[7] = t_ns[6]
-    return GyroSeries(t_ns, random.normal(0, 3, (samples, 3)))
+    return GyroSeries(t_ns, random.normal(0, 3, (50, 3)))
+
+
+GYRO = jittered()
 
 
 def resampled(gyro, times, method="start", rates="body", size=1000):
     """Return stamps and attitudes at times, from blocks of a given size."""
     blocks = list(reblock([gyro], size))
-    pairs = zip(blocks, blocked(blocks, method, rates, size), strict=True)
-    out = list(at_times(pairs, times, method=method, rates=rates))
-    if not out:
-        return np.zeros(0, np.int64), np.zeros((0, 4))
+    (whole,) = propagated(blocks, method=method, rates=rates)
+    parts = [whole[start : start + size] for start in range(0, len(whole), size)]
+    out = list(at_times(zip(blocks, parts, strict=True), times, method=method, rates=rates))
     return np.concatenate([o.t_ns for o in out]), np.concatenate([o.wxyz for o in out])
 
 
-def blocked(blocks, method, rates, size):
-    """Propagate and give the attitudes in the same blocks as the samples."""
-    (joined,) = propagated(blocks, method=method, rates=rates)
-    for start in range(0, len(joined), size):
-        part = slice(start, start + size)
-        yield AttitudeSeries(joined.t_ns[part], joined.wxyz[part])
-
-
 @pytest.mark.parametrize("rates", ["body", "inertial"])
-@pytest.mark.parametrize("method", ["start", "end", "mean", "coning"])
-def test_a_time_between_samples_is_as_if_a_sample_were_there(method, rates):
-    """Propagating with one more sample, which follows the method's own model, gives the same."""
-    gyro = series()
-    wxyz = attitudes(gyro.t_ns, gyro.rate, method=method, rates=rates)
-    for k in (0, 20, 48):
-        (t0, t1), (w0, w1) = gyro.t_ns[k : k + 2], gyro.rate[k : k + 2]
-        between = (2 * t0 + t1) // 3
-        share = (between - t0) / (t1 - t0)
-        ruling = {
-            "start": [w0, w0, w1],
-            "end": [w0, w1, w1],
-            "mean": [(w0 + w1) / 2] * 3,
-            "coning": [w0, w0 + share * (w1 - w0), w1],
-        }[method]
-        finer = attitudes(
-            np.array([t0, between, t1]), np.array(ruling), q0=wxyz[k], method=method, rates=rates
-        )
-        _, (found,) = resampled(gyro, Listed(np.array([between])), method, rates)
-        assert geodesic_angle(found, finer[1]) < 1e-15
-        # For coning the two halves agree with the whole to the method's own order only.
-        assert geodesic_angle(finer[2], wxyz[k + 1]) < (1e-5 if method == "coning" else 2e-15)
+def test_what_is_between_samples_is_linear_in_the_axes_in_which_it_grows(rates):
+    """Rates in reference axes were interpolated after they were turned to body axes.
 
-
-@pytest.mark.parametrize("rates", ["body", "inertial"])
-def test_rates_between_samples_are_linear_in_the_axes_in_which_they_are_resolved(rates):
-    """Those in reference axes were interpolated after they were turned to body axes."""
+    Covariances are sums of integrals in the axes in which the rates are not resolved.
+    """
     t_ns = np.arange(51) * 20_000_000
     first, slope = np.array([[1.0, -2.0, 0.5], [3.0, 1.0, -2.0]])
     rate = first + np.outer(t_ns / 1e9, slope)
-    gyro = GyroSeries(t_ns, rate)
     wxyz = attitudes(t_ns, rate, method="coning", rates=rates)
     body = rate if rates == "body" else rotate(conjugate(wxyz), rate)
-    pairs = [(gyro, AttitudeSeries(t_ns, wxyz, rate=body))]
+
+    def covariance(t_ns, wxyz):
+        grown = (t_ns / 1e9)[:, None, None] * np.diag([1.0, 2.0, 5.0])
+        turn = rotation_matrix(wxyz)
+        return turn.swapaxes(1, 2) @ grown @ turn if rates == "body" else grown
+
+    known = AttitudeSeries(t_ns, wxyz, rate=body, covariance=covariance(t_ns, wxyz))
+    pairs = [(GyroSeries(t_ns, rate), known)]
     (found,) = at_times(pairs, Steady(Fraction(333)), method="coning", rates=rates)
     expected = first + np.outer(found.t_ns / 1e9, slope)
     if rates == "inertial":
         expected = rotate(conjugate(found.wxyz), expected)
     np.testing.assert_allclose(found.rate, expected, rtol=1e-12)
+    np.testing.assert_allclose(found.covariance, covariance(found.t_ns, found.wxyz), atol=1e-13)
 
 
 def test_times_at_samples_are_the_samples():
-    """At a stamp the attitude is that of the sample, to the bit; of equal stamps the later one."""
-    gyro = series()
-    wxyz = attitudes(gyro.t_ns, gyro.rate, method="end")
-    stamps, found = resampled(gyro, Listed(gyro.t_ns), "end")
-    assert (stamps == gyro.t_ns).all()
-    expected = wxyz.copy()
-    expected[6] = wxyz[7]
+    """To the bit; of equal stamps the later one; outside of them nothing is known."""
+    times = Listed(np.concatenate([[GYRO.t_ns[0] - 1], GYRO.t_ns, [GYRO.t_ns[-1] + 1]]))
+    stamps, found = resampled(GYRO, times, "end")
+    assert (stamps == GYRO.t_ns).all()
+    expected = attitudes(GYRO.t_ns, GYRO.rate, method="end")
+    expected[6] = expected[7]
     assert (found == expected).all()
 
 
-def test_times_outside_have_no_attitude():
-    """Before the first sample and after the last nothing is known."""
-    gyro = series()
-    first, last = gyro.t_ns[0], gyro.t_ns[-1]
-    stamps, _ = resampled(gyro, Listed(np.array([first - 1, first, last, last + 1])))
-    assert stamps.tolist() == [first, last]
+def test_a_time_one_second_after_its_sample():
+    """Half of a turn of 1 rad about x."""
+    gyro = GyroSeries([0, 2 * S], np.array([[0.5, 0, 0], [0.5, 0, 0]]))
+    _, q = resampled(gyro, Listed(np.array([0, S, 2 * S])))
+    np.testing.assert_allclose(q, exp(np.outer([0, 0.5, 1], [1, 0, 0])), rtol=0, atol=1e-16)
 
 
 @given(st.integers(1, 60), st.integers(1, 7), st.sampled_from(["start", "coning", "cubic"]))
 def test_batches_do_not_matter(size, rate, method):
     """The same times and the same attitudes, to the bit, come out of any blocks."""
-    gyro = series()
-    one = resampled(gyro, Steady(Fraction(1000, rate)), method, size=1000)
-    other = resampled(gyro, Steady(Fraction(1000, rate)), method, size=size)
+    one = resampled(GYRO, Steady(Fraction(1000, rate)), method, size=1000)
+    other = resampled(GYRO, Steady(Fraction(1000, rate)), method, size=size)
     assert (one[0] == other[0]).all()
     assert (one[1] == other[1]).all()
 
 
 def test_steady_times_do_not_drift():
     """The k-th of 29.97 times a second is k / 29.97 s to the nearest ns, after a million too."""
-    steady = Steady(Fraction(2997, 100))
-    pieces = [piece for end in (1, 2, 33_367) for piece in steady.up_to(5, 5 + end * S)]
-    t_ns = np.concatenate(pieces)
-    expected = [5 + round(Fraction(k * 100 * S, 2997)) for k in range(len(t_ns))]
-    assert t_ns.tolist() == expected
-    assert len(t_ns) == 33_367 * 2997 // 100 + 1
-
-
-def test_more_times_than_samples_could_mean_are_refused():
-    """Each interval alone may be short enough: ten thousand times a sample are the most."""
-    steady = Steady(Fraction(10**9))
-    steady.refuse_excess(np.arange(1001) * 9_999)
-    # Of more samples more are allowed.
-    steady.refuse_excess(np.arange(2001) * 9_999)
-    with pytest.raises(UsageError) as caught:
-        steady.refuse_excess(np.arange(1001) * 10_011)
-    assert str(caught.value) == (
-        "between 1001 samples from 0 to 10011000 ns there would be 10,011,000 attitudes at "
-        "1e+09 Hz; choose a lower rate"
+    steady, end_s = Steady(Fraction(2997, 100)), 33_367
+    t_ns = np.concatenate(
+        [piece for end in (1, 2, end_s) for piece in steady.up_to(5, 5 + end * S)]
     )
+    assert len(t_ns) == end_s * 2997 // 100 + 1
+    for k in (*range(100), *range(len(t_ns) - 20_000, len(t_ns))):
+        assert t_ns[k] == 5 + round(Fraction(k * 100 * S, 2997))
 
 
-def test_ten_million_times_between_two_samples_are_allowed():
-    """One more comes from a wrong timestamp: the interval is named, with every way out."""
-    steady = Steady(Fraction(1))
-    steady.refuse_excess(np.array([7]))
-    steady.refuse_excess(np.array([0, 10_000_000 * S]))
+@pytest.mark.parametrize(
+    ("hz", "stamps", "message"),
+    [
+        # Ten thousand times a sample are the most, though each interval may be short enough.
+        (10**9, np.arange(1001) * 9_999, None),
+        (10**9, np.arange(2001) * 9_999, None),
+        (
+            10**9,
+            np.arange(1001) * 10_011,
+            (
+                "between 1001 samples from 0 to 10011000 ns there would be 10,011,000 attitudes at "
+                "1e+09 Hz; choose a lower rate"
+            ),
+        ),
+        # Ten million between two samples; one more comes from a wrong timestamp.
+        (1, np.array([7]), None),
+        (1, np.array([0, 10_000_000 * S]), None),
+        (
+            1,
+            np.array([-S, 0, 10_000_001 * S, 10_000_002 * S]),
+            (
+                "between the samples at 0 and 10000001000000000 ns there would be 10,000,001 "
+                "attitudes at 1 Hz; is a timestamp wrong? Choose on_gap='split', a lower rate, or "
+                "leave a part out with start or end"
+            ),
+        ),
+    ],
+)
+def test_more_times_than_samples_could_mean_are_refused(hz, stamps, message):
+    """The interval is named, with every way out."""
+    if message is None:
+        Steady(Fraction(hz)).refuse_excess(stamps)
+        return
     with pytest.raises(UsageError) as caught:
-        steady.refuse_excess(np.array([-S, 0, 10_000_001 * S, 10_000_002 * S]))
-    assert str(caught.value) == (
-        "between the samples at 0 and 10000001000000000 ns there would be 10,000,001 attitudes at "
-        "1 Hz; is a timestamp wrong? Choose on_gap='split', a lower rate, or leave a part out with "
-        "start or end"
-    )
+        Steady(Fraction(hz)).refuse_excess(stamps)
+    assert str(caught.value) == message
+
+
+def test_a_rate_that_is_no_whole_number_is_counted_as_well():
+    """To the last of the times."""
     with pytest.raises(UsageError, match=r"10,000,003 attitudes at 333\.333 Hz"):
         Steady(Fraction(1000, 3)).refuse_excess(np.array([0, 30_000 * S + 9_000_000]))
-
-
-def test_a_time_one_second_after_its_sample():
-    """Half of a turn of 1 rad about x."""
-    gyro = GyroSeries(np.array([0, 2 * S]), np.array([[0.5, 0, 0], [0.5, 0, 0]]))
-    _, q = resampled(gyro, Listed(np.array([0, S, 2 * S])))
-    expected = [[np.cos(a / 2), np.sin(a / 2), 0, 0] for a in (0.0, 0.5, 1.0)]
-    np.testing.assert_allclose(q, expected, rtol=0, atol=1e-16)
 
 
 @pytest.mark.parametrize("times", [Steady(Fraction(10**9)), Listed(np.arange(1_000_000))])
 def test_however_many_times_come_in_pieces(times):
     """A thousand times a sample, and memory is bounded all the same."""
     gyro = GyroSeries(np.arange(0, 10**6, 1000), np.ones((1000, 3)))
-    propagated = [(gyro, AttitudeSeries(gyro.t_ns, np.tile([1.0, 0, 0, 0], (1000, 1))))]
-    sizes = [len(part) for part in at_times(propagated, times, method="start", rates="body")]
+    pairs = [(gyro, AttitudeSeries(gyro.t_ns, np.tile([1.0, 0, 0, 0], (1000, 1))))]
+    sizes = [len(part) for part in at_times(pairs, times, method="start", rates="body")]
     assert sum(sizes) == 10**6 - 999
     assert max(sizes) <= PIECE
 
@@ -178,9 +164,7 @@ def test_however_many_times_come_in_pieces(times):
 def test_every_nth_attitude(sizes, step):
     """Every n-th sample is kept, counted over all batches, the first among them."""
     total = sum(sizes)
-    t_ns = np.arange(total)
-    wxyz = np.tile([1.0, 0, 0, 0], (total, 1))
-    edges = np.cumsum([0, *sizes])
-    batches = [AttitudeSeries(t_ns[a:b], wxyz[a:b]) for a, b in pairwise(edges)]
+    whole = AttitudeSeries(np.arange(total), np.tile([1.0, 0, 0, 0], (total, 1)))
+    batches = [whole[a:b] for a, b in pairwise(np.cumsum([0, *sizes]))]
     kept = [int(t) for batch in every(batches, step) for t in batch.t_ns]
     assert kept == list(range(0, total, step))

@@ -135,19 +135,6 @@ def test_contributions_add_up(rates):
     assert (np.linalg.eigvalsh(together[1:]) > 0).all()
 
 
-def test_a_restart_begins_with_a_known_attitude():
-    """After it everything is as of a new log."""
-    t_ns = stamps(100, 2)
-    _, rate = rotor(t_ns / 1e9)
-    wxyz = attitudes(t_ns, rate)
-    growth = ErrorGrowth(EACH["together"])
-    series = GyroSeries(t_ns, rate)
-    first = growth.advance(series, wxyz)
-    assert not first[0].any()
-    growth.begin(restart=True)
-    assert growth.advance(series, wxyz).tobytes() == first.tobytes()
-
-
 def test_across_a_gap_without_rotation_only_the_bias_walks_on():
     """At rest, a second before and after a gap of three: what is not integrated adds nothing."""
     t_ns = np.concatenate([np.arange(0, 101), np.arange(400, 501)]) * SECOND // 100

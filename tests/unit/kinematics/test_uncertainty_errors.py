@@ -9,7 +9,8 @@ from itertools import product
 
 import numpy as np
 import pytest
-from make.simulated import FRAMES, simulated
+from make import oracle
+from make.motion import FRAMES, simulated
 from scipy.stats import chi2
 
 from quatprop.kinematics.propagate import attitudes
@@ -125,28 +126,11 @@ TOLD = [
 ]
 
 
-def turns(rotvec):
-    """Return the quaternions of rotation vectors ``(3, M)`` as columns ``(4, M)``."""
-    angle = np.sqrt((rotvec**2).sum(axis=0))
-    with np.errstate(invalid="ignore"):
-        half_sine = np.where(angle > 0, np.sin(angle / 2) / angle, 0.5)
-    return np.concatenate([np.cos(angle / 2)[None], half_sine * rotvec])
-
-
-def hamilton(p, q):
-    """Return the product of quaternions, columns ``(4, M)``."""
-    (a, b, c, d), (w, x, y, z) = p, q
-    return np.stack([
-        a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y,
-        a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w,
-    ])  # fmt: skip
-
-
 @cache
 def ensemble(motion, frame):
     """Return the samples of 2 s, and the errors of all runs at two of them, by what is wrong.
 
-    The product is written out here: nothing is shared with the propagation or the prediction.
+    By the oracle: nothing is shared with the propagation or the prediction.
     """
     interval_ns = 2 * 10**9 // STEPS
     t_ns, rate = simulated(motion, frame, STEPS + 1, interval_ns)
@@ -162,16 +146,18 @@ def ensemble(motion, frame):
 
     bias = bias * normal() + walk * np.sqrt(h / 2) * normal()  # that in the middle of an interval
     scale = 1 + scale * normal()
-    truth, wrong = np.eye(4)[:, :1], np.tile(np.eye(4)[:, :1], len(density))
+    truth = wrong = (1.0, 0.0, 0.0, 0.0)
     errors = []
     for k in range(STEPS):
         true = rate[k, :, None]
         measured = true * scale + bias + density / np.sqrt(h) * normal()
         bias += walk * np.sqrt(h) * normal()
-        pairs = (truth, turns(true * h)), (wrong, turns(measured * h))
-        truth, wrong = (hamilton(*(pair if frame == "body" else pair[::-1])) for pair in pairs)
+        pairs = (truth, oracle.increments(true.T * h)), (wrong, oracle.increments(measured.T * h))
+        truth, wrong = (
+            oracle.product(*(pair if frame == "body" else pair[::-1])) for pair in pairs
+        )
         if k + 1 in SEEN:
-            apart = hamilton(truth * [[1], [-1], [-1], [-1]], wrong)
+            apart = np.array(oracle.product((truth[0], *(-part for part in truth[1:])), wrong))
             errors.append(2 * apart[1:] * np.sign(apart[0]))
     by_name = np.reshape(errors, (len(SEEN), 3, len(EACH), RUNS))
     return t_ns, rate, dict(zip(EACH, np.moveaxis(by_name, 2, 0), strict=True))

@@ -3,16 +3,12 @@
 from itertools import product
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner
-from make.simulated import FRAMES, simulated
-from rosbags.highlevel import AnyReader
+from make.motion import FRAMES, simulated
+from make.tables import write_rates
 
-from quatprop import GyroSeries, propagate, read_attitudes
-from quatprop.cli.commands import cli
-from quatprop.kinematics.quaternion import conjugate, exp, log, multiply, rotation_matrix
-from quatprop.series import SIGMA_COLUMNS
+from quatprop import GyroSeries, propagate
+from quatprop.kinematics.quaternion import conjugate, exp, log, multiply
 
 CHANGE = 1e-6
 ERRORS = ("bias_sigma", "scale_sigma")
@@ -96,77 +92,13 @@ def test_errors_of_whole_runs(name, frame):
         assert_close(found, differences(series, error, **options))
 
 
-# --- outputs
-
-KNOWN = {"bias_sigma": 1e-3, "scale_sigma": 1e-3}
-
-
-@pytest.fixture
-def table(tmp_path):
-    """Return a function that writes rates, and attitudes beside them, as a table."""
-
-    def written(series, wxyz):
-        path = tmp_path / "log.csv"
-        header = "t_ns,wx,wy,wz,qw,qx,qy,qz"
-        rows = np.column_stack([series.rate, wxyz]).tolist()
-        lines = (
-            f"{t},{','.join(map(repr, row))}" for t, row in zip(series.t_ns, rows, strict=True)
-        )
-        path.write_text("\n".join([header, *lines, ""]))
-        return path
-
-    return written
-
-
-def run(log, out, *options):
-    """Propagate a table by the command line, with standard deviations."""
-    given = ["--rate-unit", "rad/s", "--bias-sigma", "1e-3rad/s", "--scale-sigma", "0.1%"]
-    arguments = ["propagate", str(log), "-o", str(out), *given, "--sigma", *options]
-    result = CliRunner().invoke(cli, arguments)
-    assert result.exit_code == 0, result.output
-    return result.stderr
-
-
-@pytest.mark.parametrize("frame", FRAMES)
-def test_outputs_of_whole_runs(tmp_path, table, frame):
-    """About body axes and reference axes, in columns and in messages, converted and read again."""
-    series = tumbling("", frame)
-    true = propagate(series, rates=frame)
-    body = sum(size**2 * differences(series, name, rates=frame) for name, size in KNOWN.items())
-    turn = rotation_matrix(true.wxyz)
-    reference = turn @ body @ turn.swapaxes(1, 2)
-    log = table(series, true.wxyz)
-    sigma = propagate(series, rates=frame, sigma=True, **KNOWN).sigma
-    for axes, expected in (("body", body), ("reference", reference)):
-        out = tmp_path / f"{axes}.parquet"
-        said = run(log, out, "--rates", frame, "--sigma-axes", axes)
-        assert "1 sigma     x {:.3g}  y {:.3g}  z {:.3g} deg".format(*np.degrees(sigma[-1])) in said
-        columns = pq.read_table(out).select(SIGMA_COLUMNS).to_pandas().to_numpy()
-        variances = np.diagonal(expected, axis1=1, axis2=2)
-        assert_close(columns[..., None] ** 2, variances[..., None])
-    for message in ("Imu", "PoseWithCovarianceStamped"):
-        out = tmp_path / f"{message}.mcap"
-        run(log, out, "--rates", frame, "--message", message)
-        with AnyReader([out]) as reader:
-            found = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()]
-        if message == "Imu":
-            numbers = [one.orientation_covariance.reshape(3, 3) for one in found]
-        else:
-            numbers = [one.pose.covariance.reshape(6, 6)[3:, 3:] for one in found]
-        assert_close(np.array(numbers), reference)
-        assert_close(read_attitudes(out).covariance, body)
-        assert CliRunner().invoke(cli, ["convert", str(out), str(out) + ".npz"]).exit_code == 0
-        assert_close(read_attitudes(str(out) + ".npz").sigma[..., None] ** 2,
-                     np.diagonal(body, axis1=1, axis2=2)[..., None])  # fmt: skip
-
-
-def test_the_mounting_of_a_logged_attitude_does_not_turn_inertial_rates(table):
+def test_the_mounting_of_a_logged_attitude_does_not_turn_inertial_rates(tmp_path):
     """It turns the attitude to begin from; scale factors belong to the axes of the rates."""
     series = tumbling("", "inertial")
-    options = {"rates": "inertial", "sigma": True, **KNOWN}
-    log = table(series, np.tile(Q0, (len(series), 1)))
+    options = {"rates": "inertial", "sigma": True, "bias_sigma": 1e-3, "scale_sigma": 1e-3}
+    rows = [[t, *rate, *Q0] for t, rate in zip(series.t_ns, series.rate.tolist(), strict=True)]
+    log = write_rates(tmp_path / "log.csv", rows, "t_ns,wx,wy,wz,qw,qx,qy,qz")
     mounted = propagate(log, q0="log", mount=OBLIQUE.tolist(), rate_unit="rad/s", **options)
-    q0 = multiply(Q0, conjugate(OBLIQUE))
-    expected = propagate(series, q0=q0, **options)
+    expected = propagate(series, q0=multiply(Q0, conjugate(OBLIQUE)), **options)
     np.testing.assert_allclose(mounted.wxyz, expected.wxyz, atol=1e-14)
     np.testing.assert_allclose(mounted.covariance, expected.covariance, rtol=1e-9, atol=1e-18)

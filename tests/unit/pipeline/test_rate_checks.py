@@ -1,61 +1,159 @@
-"""Every defect put into a recording is remarked on once, and nothing else is."""
+"""What looks wrong in rates is remarked on once; what is right is not."""
 
 import json
+import math
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from make.commands import run
 from make.mistakes import Recording
-from mcap.writer import Writer
-from rosbags.typesys import Stores, get_typestore
+from make.ros import imu_messages, write_messages
+from make.tables import write_rates
 
 import quatprop
-from quatprop.cli.commands import cli
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.series import GyroSeries
+from quatprop.text import in_python
 from quatprop.timeline.counts import Counts
 
-STORE = get_typestore(Stores.ROS2_HUMBLE)
-TYPES = STORE.types
-IMU = "sensor_msgs/msg/Imu"
 START_NS = 1_700_000_000_000_000_000
-UNKNOWN = np.array([-1.0] + [0.0] * 8)
-"""The covariance of an orientation that is not estimated, by the definition of the message."""
+SLOW = ": the sample rate is too low for this motion"
 
 
-def write_imu(path, t_ns, rate, wxyz, *, stamps=None, covariance=None):  # noqa: PLR0913
-    """Write Imu messages as an MCAP file, recorded at their times."""
-    vector, zeros = TYPES["geometry_msgs/msg/Vector3"], np.zeros(9)
-    stamps = t_ns if stamps is None else stamps
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start("ros2")
-        channel = writer.register_channel(
-            "/imu", "cdr", writer.register_schema(IMU, "ros2msg", b"")
+def remarks(rate, step_ns=10_000_000, size=10_000):
+    """Return the remarks on rates at regular times, which come in batches of a size."""
+    rate = np.asarray(rate, dtype=np.float64)
+    t_ns, checks = np.arange(len(rate)) * step_ns, RateChecks()
+    batches = [
+        GyroSeries(t_ns[k : k + size], rate[k : k + size]) for k in range(0, len(rate), size)
+    ]
+    passed = GyroSeries.joined(list(checks.observe(batches)))
+    assert (passed.t_ns == t_ns).all()
+    assert np.array_equal(passed.rate, rate, equal_nan=True)
+    counts = Counts(used=len(rate), first_ns=0, last_ns=int(t_ns[-1]), median_dt_ns=step_ns)
+    return list(map(in_python, checks.remarks(counts)))
+
+
+def noise(scale, samples=20_000):
+    """Return white noise."""
+    return np.random.default_rng(3).normal(0, scale, (samples, 3))
+
+
+def swinging(samples=20_000, peak=5.0):
+    """Return rates of a body that swings; all peaks of a sine are equal, and it dwells there."""
+    angle = np.arange(samples)[:, None] * 0.02 * [1.0, 1.5, 0.7] + [0, 1, 2]
+    return peak * np.sin(angle) + noise(5e-3, samples)
+
+
+def steps(size=1, samples=5000):
+    """Return rates of a coarse sensor at rest."""
+    return np.random.default_rng(5).integers(-1, 2, (samples, 3)) * 0.01 * size
+
+
+def with_run(rate, first, count, value, axis=0):
+    """Return rates with a run of equal ones."""
+    rate[first : first + count, axis] = value
+    return rate
+
+
+CAR = 0.2 * np.sin(np.cumsum(noise(0.1), axis=0) * [0, 0, 1])
+HELD = (
+    "75 % of the rows repeat the row before while the body turns: the log repeats samples, with a "
+    "new rate only every 4 rows"
+)
+EVERY_FOURTH = np.arange(20_000) // 4 * 4
+GOOD = {
+    "swinging": swinging(),
+    "missing rates": np.where(np.arange(20_000)[:, None] % 7 == 0, np.nan, swinging()),
+    "a coarse sensor at rest": steps(),
+    "one that repeats its steps": np.where(noise(1, 5000)[:, :1] < -0.5, 0, steps(0.1)),
+    "a steady turn about an axis": swinging() * [1, 1, 0] + [0, 0, 6],
+    "a turntable that is switched on and off": (
+        (np.arange(20_000) // 2000 % 2)[:, None] * [0, 0, 3.0] + noise(2e-3)
+    ),
+    "a larger extreme after a run": with_run(
+        with_run(noise(0.1), 100, 10, 3.0), 15_000, 1, 3.1
+    ),
+    "a car, often": (CAR, 20_000_000),
+}  # fmt: skip
+BAD = [
+    (np.zeros((5, 3)), ["every rate is zero: is this the right topic?"]),
+    (
+        np.tile([131.0, 132.0, 133.0], (200, 1)),
+        [
+            (
+                "rates up to 133 rad/s are beyond any gyroscope; if they are in deg/s, use "
+                "rate_unit='deg/s'"
+            ),
+            "every rate is the same, [131.0, 132.0, 133.0] rad/s: frozen, or simulated?",
+        ],
+    ),
+    (
+        (np.eye(3)[[2, 0, 0]] * [[math.pi / 4], [0], [0.1]], 1_000_000_000),
+        [f"the body rotates by up to 45 deg between two samples{SLOW}"],
+    ),
+    # Three rows of one held sample at an extreme are one sample, but a sensor that is read too
+    # often may be saturated as well.
+    (swinging()[EVERY_FOURTH], [HELD]),
+    (
+        np.clip(swinging()[EVERY_FOURTH], -4, np.inf),
+        [HELD, *(f"axis -{axis} stays at its extreme of -4" for axis in "xyz")],
+    ),
+    (with_run(GOOD["missing rates"].copy(), 400, 3, 6.0), ["axis +x stays at its extreme of 6"]),
+]
+
+
+@pytest.mark.parametrize("case", GOOD)
+def test_nothing_is_said_of_good_rates(case):
+    """Whatever the body does."""
+    rate, *step_ns = GOOD[case] if isinstance(GOOD[case], tuple) else (GOOD[case],)
+    assert remarks(rate, *step_ns) == []
+
+
+@pytest.mark.parametrize(("rate", "expected"), BAD)
+def test_each_finding_is_a_sentence(rate, expected):
+    """And there is no other one."""
+    rate, *step_ns = rate if isinstance(rate, tuple) else (rate,)
+    said = remarks(rate, *step_ns)
+    assert [one.split(" rad/s for")[0] for one in said] == expected
+
+
+def test_a_car_sampled_once_a_second_is_too_slow():
+    """Steps of few degrees, each of another rate: what lies between them is unknown."""
+    (said,) = remarks(CAR[::50], 1_000_000_000)
+    assert said.endswith(f" deg in the time between them{SLOW}")
+    change = np.sqrt((np.diff(CAR[::50], axis=0) ** 2).sum(axis=1).mean())
+    assert float(said.split(" ")[7]) == pytest.approx(np.degrees(change), rel=0.01)
+
+
+@pytest.mark.parametrize("size", [1, 2, 7, 10_000])
+def test_saturation(size):
+    """Three equal extremes in a row are saturation, wherever batches end; the side is named."""
+    limit = math.radians(250)
+    assert remarks(np.clip(swinging(1000), [-9, -9, -9], [9, limit, 9]), size=size) == [
+        (
+            "axis +y stays at its extreme of 4.36332 rad/s for 3 samples or more: saturated, so "
+            "larger rates are missing"
         )
-        for at, stamp, (x, y, z), (qw, qx, qy, qz) in zip(
-            t_ns.tolist(), stamps.tolist(), rate.tolist(), wxyz.tolist(), strict=True
-        ):
-            time = TYPES["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
-            message = TYPES[IMU](
-                TYPES["std_msgs/msg/Header"](time, "imu"),
-                TYPES["geometry_msgs/msg/Quaternion"](qx, qy, qz, qw),
-                zeros if covariance is None else covariance,
-                vector(x, y, z),
-                zeros,
-                vector(0.0, 0.0, 9.8),
-                zeros,
-            )
-            writer.add_message(channel, at, bytes(STORE.serialize_cdr(message, IMU)), at)
-        writer.finish()
-    return path
+    ]
+
+
+@pytest.mark.parametrize("at", [0, 16_380, 16_383, 16_384, 39_997])
+@pytest.mark.parametrize("size", [1000, 16_384, 40_000])
+def test_a_run_of_equal_extremes_is_seen_wherever_it_is(at, size):
+    """Three in a row are saturation and two are not, also where columns are cut."""
+    for count in (2, 3):
+        rate = with_run(noise(0.1, 40_000), at, count, -5.0, axis=2)
+        said = [one.split(" rad/s")[0] for one in remarks(rate, step_ns=1_000_000, size=size)]
+        assert said == ["axis -z stays at its extreme of -5"] * (count - 2)
+
+
+# --- in logs
 
 
 def remarks_of(path):
     """Return what info says of the rates and the attitudes of a log."""
-    result = CliRunner().invoke(cli, ["info", str(path), "--json"])
-    assert result.exit_code == 0, result.output
-    (log,) = json.loads(result.stdout)
+    (log,) = json.loads(run("info", path, "--json", code=0).stdout)
     signals = [*log["sources"], *log["attitudes"]]
     said = [[*signal["remarks"], signal["missing"]] for signal in signals]
     return [remark for one in said for remark in one if remark]
@@ -66,8 +164,7 @@ def saturated(rate):
     largest = 1.2 * np.abs(rate).max()
     clipped = np.clip(2 * rate, -largest, largest)
     calibration = [[1.01, 0.012, -0.008], [0.009, 0.99, 0.011], [-0.01, 0.007, 1.02]]
-    noise = np.random.default_rng(1).normal(0, 2e-3, rate.shape)
-    return clipped @ np.transpose(calibration) + [0.01, -0.02, 0.015] + noise
+    return clipped @ np.transpose(calibration) + [0.01, -0.02, 0.015] + noise(2e-3, len(rate))
 
 
 @pytest.fixture(scope="module", params=["xio3", "xsens-txt"])
@@ -78,143 +175,60 @@ def recording(request, shared_logs):
     return t_ns, found.rate, found.reference.wxyz
 
 
-def slow(t_ns, rate, wxyz):
-    """Return every 16th sample."""
-    return t_ns[::16], rate[::16], wxyz[::16]
+UNKNOWN = {"orientation_covariance": np.array([-1.0] + [0.0] * 8)}
+"""The covariance of an orientation that is not estimated, by the definition of the message."""
 
 
 @pytest.mark.parametrize(
     ("defect", "remark"),
     [
-        ("none", ""),
+        ("none", None),
+        ("covariance", None),
+        # The orientation is that of a slower body.
         ("saturated", "of its extreme of"),
         ("held", "67 % of the rows repeat the row before while the body turns: the log re"),
-        ("slow", "the sample rate is too low for this motion"),
+        ("slow", SLOW),
         ("whole seconds", "the timestamps are whole seconds"),
         ("zero stamps", "all header stamps of topic '/imu' are zero"),
         ("identity", "it is the identity in every message: a placeholder, not an attitude"),
-        ("covariance", ""),
     ],
 )
 def test_each_defect_of_a_recording_is_remarked_on_once(recording, tmp_path, defect, remark):
     """One defect gives one remark on each axis side, and none of the other remarks."""
-    t_ns, rate, wxyz = recording
-    options = {}
-    match defect:
-        case "saturated":
-            rate = saturated(rate)
-            # The orientation is that of the slower body.
-            options["covariance"] = UNKNOWN
-        case "held":
-            rate = rate[np.arange(len(rate)) // 3 * 3]
-        case "slow":
-            t_ns, rate, wxyz = slow(t_ns, rate, wxyz)
-        case "whole seconds":
-            options["stamps"] = t_ns // 10**9 * 10**9
-        case "zero stamps":
-            options["stamps"] = np.zeros_like(t_ns)
-        case "identity":
-            wxyz = np.tile([1.0, 0.0, 0.0, 0.0], (len(t_ns), 1))
-        case "covariance":
-            options["covariance"] = UNKNOWN
-    said = remarks_of(write_imu(tmp_path / "log.mcap", t_ns, rate, wxyz, **options))
-    if defect == "whole seconds":
-        said = [one for one in said if "repeated timestamps" not in one]
-    if not remark:
+    t_ns, rate, wxyz = (each[:: 16 if defect == "slow" else 1] for each in recording)
+    rate = {"saturated": saturated, "held": lambda r: r[np.arange(len(r)) // 3 * 3]}.get(
+        defect, np.asarray
+    )(rate)
+    stamps = {"whole seconds": t_ns // 10**9 * 10**9, "zero stamps": 0 * t_ns}.get(defect, t_ns)
+    wxyz = np.tile([1.0, 0, 0, 0], (len(t_ns), 1)) if defect == "identity" else wxyz
+    more = UNKNOWN if defect in {"covariance", "saturated"} else {}
+    messages = imu_messages(stamps, rate, wxyz, recorded=t_ns, **more)
+    said = remarks_of(write_messages(tmp_path / "log.mcap", messages))
+    if remark is None:
         assert said == []
         return
+    said = [one for one in said if "repeated timestamps" not in one or defect != "whole seconds"]
     assert all(remark in one for one in said), said
     # Each side of an axis may be saturated; without stamps neither signal can be read.
     assert len(said) == {"zero stamps": 2, "saturated": len(set(said)) or 1}.get(defect, 1)
 
 
-def remarks(rate, step_ns=5_000_000):
-    """Return the remarks on rates at regular times."""
-    checks, t_ns = RateChecks(), np.arange(len(rate)) * step_ns
-    list(checks.observe([GyroSeries(t_ns, np.asarray(rate, dtype=np.float64))]))
-    counts = Counts(used=len(rate), first_ns=0, last_ns=int(t_ns[-1]), median_dt_ns=step_ns)
-    return list(map(str, checks.remarks(counts)))
-
-
-def swinging(samples=20_000, peak=5.0):
-    """Return rates of a body that swings, with noise."""
-    t_s = np.arange(samples)[:, None] * 0.005
-    noise = np.random.default_rng(3).normal(0, 5e-3, (samples, 3))
-    return peak * np.sin(t_s * [3.1, 4.7, 2.3] + [0, 1, 2]) + noise
-
-
-def test_peaks_of_a_swinging_body_are_no_saturation():
-    """All peaks of a sine are equal, and it dwells there, but smoothly."""
-    assert remarks(swinging()) == []
-
-
-def test_a_steady_rotation_between_others_is_no_saturation():
-    """A turntable that is switched on and off stays at one rate for long."""
-    on = (np.arange(20_000) // 2000 % 2)[:, None] * [0, 0, 3.0]
-    assert remarks(on + np.random.default_rng(4).normal(0, 2e-3, on.shape)) == []
-
-
-def test_held_samples_at_an_extreme_are_no_saturation():
-    """Three rows of one held sample are one sample."""
-    rate = swinging()[np.arange(20_000) // 4 * 4]
-    (said,) = remarks(rate)
-    assert said == (
-        "75 % of the rows repeat the row before while the body turns: the log repeats samples, "
-        "with a new rate only every 4 rows"
-    )
-
-
-def test_held_samples_do_not_hide_saturation():
-    """A sensor may be read too often and be saturated as well."""
-    held, *others = remarks(np.clip(swinging()[np.arange(20_000) // 4 * 4], -4, np.inf))
-    assert held.startswith("75 % of the rows repeat the row before")
-    assert [one.split(" rad/s")[0] for one in others] == [
-        f"axis -{axis} stays at its extreme of -4" for axis in "xyz"
-    ]
-
-
-def test_a_resting_sensor_that_repeats_its_steps_is_not_held():
-    """At rest, a coarse sensor shows the same step again and again."""
-    steps = np.random.default_rng(5).integers(-1, 2, (5000, 3)) * 1e-3
-    assert remarks(np.where(np.random.default_rng(6).random((5000, 1)) < 0.3, 0.0, steps)) == []
-
-
-def test_a_car_sampled_once_a_second_is_too_slow():
-    """Steps of few degrees, each of another rate: what lies between them is unknown."""
-    rng = np.random.default_rng(7)
-    rate = np.cumsum(rng.normal(0, 0.1, (20_000, 3)), axis=0) * [0, 0, 1]
-    rate = 0.2 * np.sin(rate)
-    (said,) = remarks(rate[::50], step_ns=1_000_000_000)
-    assert said.endswith("deg in the time between them: the sample rate is too low for this motion")
-    assert remarks(rate, step_ns=20_000_000) == []
-
-
 def test_whole_seconds_are_not_fast_motion(tmp_path):
     """Of 100 samples to a second, none is taken to last a second."""
-    path = tmp_path / "log.csv"
-    rows = [f"{1_700_000_000 + k // 100},{3 + 0.1 * (k % 7)},0,0.1" for k in range(1000)]
-    path.write_text("t_s,wx_rad_s,wy_rad_s,wz_rad_s\n" + "\n".join(rows) + "\n")
-    said = remarks_of(path)
-    assert [one.split(" (")[0].split(":")[0] for one in said] == [
+    rows = [(START_NS // 10**9 + k // 100, 3 + 0.1 * (k % 7), 0, 0.1) for k in range(1000)]
+    path = write_rates(tmp_path / "log.csv", rows, "t_s,wx_rad_s,wy_rad_s,wz_rad_s")
+    assert [one.split(" (")[0].split(":")[0] for one in remarks_of(path)] == [
         "990 repeated timestamps",
         "the timestamps are whole seconds, each of several samples",
     ]
 
 
 @pytest.mark.filterwarnings("ignore:.*the times in '%time' differ:quatprop.RemarkWarning")
-def test_recordings_are_plausible(shared_logs):
+@pytest.mark.parametrize("name", ["xio3", "xsens-txt", "rostopic", "euroc"])
+def test_recordings_are_plausible(shared_logs, name):
     """Nothing is said against what real sensors measured."""
-    for name in ("xio3", "xsens-txt", "rostopic", "euroc"):
-        found = Recording(shared_logs, name)
-        checks = RateChecks()
-        list(checks.observe([GyroSeries(found.t_ns, found.rate)]))
-        counts = Counts(
-            used=len(found.t_ns),
-            first_ns=int(found.t_ns[0]),
-            last_ns=int(found.t_ns[-1]),
-            median_dt_ns=int(np.median(np.diff(found.t_ns))),
-        )
-        assert checks.remarks(counts) == [], name
+    found = Recording(shared_logs, name)
+    assert remarks(found.rate, step_ns=int(np.median(np.diff(found.t_ns)))) == []
 
 
 def test_a_log_that_clips_is_remarked_on_in_the_library():

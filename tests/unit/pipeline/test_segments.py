@@ -1,238 +1,211 @@
-"""Stretch after segment: the attitude reached, and memory that stays flat."""
+"""Stretch after segment: how far the end depends on the method, and memory that stays flat.
+
+Attitudes inside and beside gaps are tested in ``contract/test_options_oracle.py``.
+"""
 
 import tracemalloc
 from fractions import Fraction
 
 import numpy as np
 import pytest
+from make.commands import refused, run
+from make.streams import IDENTITY, segmented
+from make.tables import write_attitudes, write_rates
 
 from quatprop import propagate
-from quatprop.errors import RemarkWarning, TimelineError, UsageError
-from quatprop.kinematics.propagate import Propagation, attitudes
+from quatprop.errors import RemarkWarning
+from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.segments import Segments
-from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK
-from quatprop.settings import LOOK_AHEAD, METHODS
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Policy
 
-IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
-
-
-def peak_bytes(blocks):
-    """Return the most memory that a log of so many blocks takes on its way."""
-
-    def batches():
-        for k in range(blocks):
-            t_ns = np.arange(k * BLOCK, (k + 1) * BLOCK)
-            yield GyroSeries(t_ns, np.zeros((BLOCK, 3)))
-
-    timeline = Timeline(Policy(), "log")
-    segments = Segments(timeline, IDENTITY, method="start", rates="body")
-    tracemalloc.start()
-    for _ in segments.attitudes(timeline.apply(batches())):
-        pass
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    return peak
-
 
 def test_memory_does_not_grow_with_the_log():
-    """Five times the samples take no more memory."""
-    assert peak_bytes(15) < 1.1 * peak_bytes(3)
+    """Four times the samples take no more memory."""
+    peaks = []
+    for blocks in (2, 8):
+        timeline = Timeline(Policy(), "log")
+        segments = Segments(timeline, np.array(IDENTITY), method="start", rates="body")
+        batches = (
+            GyroSeries(np.arange(k * BLOCK, (k + 1) * BLOCK), np.zeros((BLOCK, 3)))
+            for k in range(blocks)
+        )
+        tracemalloc.start()
+        for _ in segments.attitudes(timeline.apply(batches)):
+            pass
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.1 * peaks[0]
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 500, BLOCK + 1, BLOCK + 2, 2 * BLOCK])
-@pytest.mark.parametrize(
-    ("method", "other"),
-    [
-        ("start", "mean"),
-        ("end", "mean"),
-        ("mean", "coning"),
-        ("coning", "cubic"),
-        ("cubic", "coning"),
-    ],
-)
-def test_the_sensitivity_is_the_difference_of_ends(method, other, count):
-    """It is the angle to the end of the next better method, and to that of every second sample."""
-    if count > BLOCK and method in {"start", "end"}:
-        return
-    random = np.random.default_rng(1)
-    t_ns, rate = np.arange(count) * 10_000_000, random.normal(0, 2, (count, 3))
-    timeline = Timeline(Policy(), "log")
-    segments = Segments(timeline, IDENTITY, method=method, rates="body")
-    for _ in segments.attitudes(timeline.apply([GyroSeries(t_ns, rate)])):
-        pass
-    own, next_better = (final_attitude(t_ns, rate, each) for each in (method, other))
-    kept = np.unique([*range(0, count, 2), count - 1])
-    sparse = final_attitude(t_ns[kept], rate[kept], method)
-    assert geodesic_angle(segments.final, own) < 1e-15
-    assert segments.sensitivity.next_method == other
-    expected = [float(geodesic_angle(own, end)) for end in (next_better, sparse)]
-    assert segments.sensitivity.angles(segments.final) == pytest.approx(expected, abs=1e-13)
+# --- how far the final attitude depends on the method and on the sampling
 
 
-def final_attitude(t_ns, rate, method):
+def random_rates(count):
+    """Return samples at even intervals."""
+    rate = np.random.default_rng(1).normal(0, 2, (count, 3))
+    return GyroSeries(np.arange(count) * 10_000_000, rate)
+
+
+def final_attitude(series, method, q0=IDENTITY):
     """Return the last attitude, in one go."""
-    ((*_, (_, last)),) = [list(Propagation(IDENTITY, method, "body").run([GyroSeries(t_ns, rate)]))]
-    return last.wxyz[-1]
+    return attitudes(series.t_ns, series.rate, q0=q0, method=method)[-1]
+
+
+NEXT = {"start": "mean", "end": "mean", "mean": "coning", "coning": "cubic", "cubic": "coning"}
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 500, BLOCK + 1, BLOCK + 2])
+@pytest.mark.parametrize("method", NEXT)
+def test_the_sensitivity_is_the_difference_of_ends(method, count):
+    """It is the angle to the end of the next better method, and to that of every second sample."""
+    series = random_rates(count)
+    segments, _, _ = segmented([series], method=method)
+    kept = np.unique([*range(0, count, 2), count - 1])
+    sparse = GyroSeries(series.t_ns[kept], series.rate[kept])
+    own = final_attitude(series, method)
+    assert geodesic_angle(segments.final, own) < 1e-15
+    assert segments.sensitivity.next_method == NEXT[method]
+    ends = final_attitude(series, NEXT[method]), final_attitude(sparse, method)
+    expected = [float(geodesic_angle(own, end)) for end in ends]
+    assert segments.sensitivity.angles(segments.final) == pytest.approx(expected, abs=1e-13)
 
 
 @pytest.mark.parametrize("kind", ["averages", "increments"])
 def test_the_sensitivity_of_averages_and_increments(kind):
     """The method end leads on to coning; two intervals become one, with the same integral."""
     random = np.random.default_rng(4)
-    steps = random.integers(8_000_000, 12_000_000, 500)
-    t_ns, rate = np.cumsum(steps), random.normal(0, 2, (500, 3))
+    steps, rate = random.integers(8_000_000, 12_000_000, 500), random.normal(0, 2, (500, 3))
     spans = steps if kind == "increments" else None
-    series = GyroSeries(t_ns, rate, spans, kind == "averages")
-    timeline = Timeline(Policy(), "log")
-    segments = Segments(timeline, IDENTITY, method="end", rates="body")
-    list(segments.attitudes(timeline.apply([series[:177], series[177:]])))
+    series = GyroSeries(np.cumsum(steps), rate, spans, kind == "averages")
+    segments, _, _ = segmented([series[:177], series[177:]], method="end")
     assert segments.sensitivity.next_method == "coning"
     theta = rate * (steps / 1e9)[:, None]
     pairs = np.concatenate([theta[1:-1:2] + theta[2::2], theta[-1:]])
-    ends = [attitudes(np.arange(len(t) + 1) * 1_000_000_000, np.concatenate([t, t[-1:]]))[-1]
-            for t in (theta[1:], pairs)]  # fmt: skip
-    sampling_rad = segments.sensitivity.angles(segments.final)[1]
+    ends = [
+        attitudes(np.arange(len(turns) + 1) * 10**9, np.concatenate([turns, turns[-1:]]))[-1]
+        for turns in (theta[1:], pairs)
+    ]
+    _, sampling_rad = segments.sensitivity.angles(segments.final)
     assert sampling_rad == pytest.approx(float(geodesic_angle(*ends)), abs=1e-13)
 
 
-def test_slow_sampling_is_not_reassured():
+@pytest.mark.parametrize("method", ["start", "mean", "coning", "cubic"])
+def test_slow_sampling_is_not_reassured(method):
     """Coning at 1.1 samples a turn: all methods agree to 1 deg, and all are far off."""
-    hz, seconds = 8, 60
-    t_ns = np.arange(hz * seconds + 1) * (1_000_000_000 // hz)
-    angle = 2 * np.pi * 7.3 * t_ns / 1e9
-    rate = np.stack([np.cos(angle), np.sin(angle), np.full(len(angle), 0.05)], axis=1)
-    dense_ns = np.arange(hz * seconds * 128 + 1) * (1_000_000_000 // hz // 128)
-    angle = 2 * np.pi * 7.3 * dense_ns / 1e9
-    dense = np.stack([np.cos(angle), np.sin(angle), np.full(len(angle), 0.05)], axis=1)
-    truth = attitudes(dense_ns, dense, method="cubic")[-1]
-    for method in ("start", "mean", "coning", "cubic"):
-        timeline = Timeline(Policy(), "log")
-        segments = Segments(timeline, IDENTITY, method=method, rates="body")
-        list(segments.attitudes(timeline.apply([GyroSeries(t_ns, rate)])))
-        _, sampling_rad = segments.sensitivity.angles(segments.final)
-        error_rad = geodesic_angle(segments.final, truth)
-        assert error_rad > np.radians(20)
-        assert sampling_rad > error_rad / 4
+
+    def coning(hz, seconds=60):
+        t_ns = np.arange(hz * seconds + 1) * (1_000_000_000 // hz)
+        angle = 2 * np.pi * 7.3 * t_ns / 1e9
+        rate = np.stack([np.cos(angle), np.sin(angle), np.full(len(angle), 0.05)], axis=1)
+        return GyroSeries(t_ns, rate)
+
+    segments, _, _ = segmented([coning(8)], method=method)
+    error_rad = geodesic_angle(segments.final, final_attitude(coning(1000), "cubic"))
+    assert error_rad > np.radians(20)
+    assert segments.sensitivity.angles(segments.final)[1] > error_rad / 4
 
 
 def test_the_sensitivity_is_computed_where_it_is_read():
     """Nobody pays for a second propagation whose result is not wanted."""
-    timeline = Timeline(Policy(), "log")
-    segments = Segments(timeline, IDENTITY, method="start", rates="body")
-    batch = GyroSeries(np.arange(9) * 10_000_000, np.ones((9, 3)))
-    for _ in segments.attitudes(timeline.apply([batch]), sensitivity=False):
-        pass
-    assert segments.sensitivity is None
+    assert segmented([random_rates(9)], sensitivity=False)[0].sensitivity is None
 
 
 @pytest.mark.parametrize("on_gap", ["hold", "zero", "split"])
 def test_the_sensitivity_spans_gaps_as_the_attitudes_do(on_gap):
     """It is the difference since the last restart, and no rotation is assumed inside gaps."""
-    random = np.random.default_rng(2)
-    t_ns, rate = np.arange(200) * 10_000_000, random.normal(0, 2, (200, 3))
-    t_ns[120:] += 10_000_000_000
-    policy = Policy(on_gap=on_gap)
-    timeline = Timeline(policy, "log")
-    segments = Segments(timeline, IDENTITY, method="start", rates="body")
-    list(segments.attitudes(timeline.apply([GyroSeries(t_ns, rate)])))
+    even = random_rates(200)
+    gap_ns = np.where(np.arange(200) < 120, 0, 10_000_000_000)
+    series = GyroSeries(even.t_ns + gap_ns, even.rate)
+    segments, _, _ = segmented([series], policy=Policy(on_gap=on_gap))
     ends = []
     for method in ("start", "mean"):
-        if on_gap == "hold":
-            ends.append(attitudes(t_ns, rate, method=method)[-1])
-            continue
-        before = attitudes(t_ns[:120], rate[:120], method=method)[-1]
+        before = final_attitude(series[:120], method)
         q0 = IDENTITY if on_gap == "split" else before
-        ends.append(attitudes(t_ns[120:], rate[120:], q0=q0, method=method)[-1])
+        after = final_attitude(series[120:], method, q0)
+        ends.append(final_attitude(series, method) if on_gap == "hold" else after)
     assert geodesic_angle(segments.final, ends[0]) < 1e-15
     expected = float(geodesic_angle(*ends))
     assert segments.sensitivity.angles(segments.final)[0] == pytest.approx(expected, abs=1e-15)
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("rate", [None, Fraction(2997, 100)])
-def test_the_output_of_a_cut_log_is_a_prefix(method, rate, tmp_path):
+# --- outputs
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """Return rates, one of them beyond any, as rows."""
+    random = np.random.default_rng(3)
+    t_ns = np.cumsum(random.integers(4_000_000, 6_000_000, 5000)).tolist()
+    rates = random.normal(0, 2, (len(t_ns), 3))
+    rates[-100] = 500.0
+    return [f"{t},{x},{y},{z}" for t, (x, y, z) in zip(t_ns, rates.tolist(), strict=True)]
+
+
+@pytest.mark.parametrize("method", ["start", "cubic", "quintic"])
+@pytest.mark.parametrize("rate", [(), ("--rate", "29.97")])
+def test_the_output_of_a_cut_log_is_a_prefix(method, rate, rows, tmp_path):
     """A CSV of the first samples gives, byte for byte, the first rows of the whole log's output.
 
     Methods that look ahead, cubic one sample and quintic two, agree up to the last but so many.
     """
-    random = np.random.default_rng(3)
-    t_ns = np.cumsum(random.integers(4_000_000, 6_000_000, 20_000))
-    rates = random.normal(0, 2, (len(t_ns), 3))
-    rates[19_000] = 500.0
-    rows = [f"{t},{x},{y},{z}\n" for t, (x, y, z) in zip(t_ns, rates, strict=True)]
-    settings = PropagationSettings(method=method, rate=rate)
     outputs = []
-    for count in (len(rows), 16_500, 3001, 2):
-        log, out = tmp_path / f"{count}.csv", tmp_path / f"{count}.out.csv"
-        log.write_text("t_ns,wx,wy,wz\n" + "".join(rows[:count]))
-        run(Job(str(log), OutputSettings(str(out)), settings))
-        outputs.append(out.read_bytes())
-        if method in LOOK_AHEAD:
-            lines = out.read_text().splitlines(keepends=True)
-            ahead = 1 if method == "cubic" else 2
-            known = t_ns[max(count - 1 - ahead, 0)]
-            kept = lines[:1] + [row for row in lines[1:] if int(row.split(",")[0]) <= known]
-            outputs[-1] = "".join(kept).encode()
-    whole = outputs[0]
-    assert all(whole.startswith(part) and len(part) < len(whole) for part in outputs[1:])
+    for count in (5000, 4097, 301, 2):
+        log, out = write_rates(tmp_path / "log.csv", rows[:count]), tmp_path / "out.csv"
+        options = ("--rate-unit", "rad/s", "--method", method, *rate)
+        run("propagate", log, "-o", out, *options, code=0)
+        head, *lines = out.read_text().splitlines(keepends=True)
+        ahead = {"cubic": 1, "quintic": 2}.get(method, 0)
+        known = int(rows[max(count - 1 - ahead, 0)].split(",")[0])
+        kept = [line for line in lines if int(line.split(",")[0]) <= known]
+        outputs.append("".join([head, *kept]))
+    assert all(outputs[0].startswith(part) and len(part) < len(outputs[0]) for part in outputs[1:])
 
 
-GAPPED = "t_ns,wx,wy,wz\n" + "".join(
-    f"{t}000000000,0,0,{w}\n" for t, w in [(0, 0.1), (1, 0.2), (11, 0.3), (12, 0.1), (13, 0.0)]
-)
-"""Rates about z, rad/s, with a gap from 1 s to 11 s."""
+def test_the_summary_of_one_sample_has_no_span(tmp_path):
+    """Nor a sample rate."""
+    log = write_rates(tmp_path / "log.csv", ["7,0,0,1"])
+    said = run("propagate", log, "-o", tmp_path / "out.csv", "--rate-unit", "rad/s", code=0).stderr
+    assert "samples     1\n" in said
 
 
-def angles(tmp_path, policy, **options):
-    """Return stamps, s, and angles about z, rad, of the log with a gap."""
-    log, out = tmp_path / "log.csv", tmp_path / "out.csv"
-    log.write_text(GAPPED)
-    settings = PropagationSettings(policy=policy, **options)
-    run(Job(str(log), OutputSettings(str(out)), settings))
-    rows = np.loadtxt(out, delimiter=",", skiprows=1, ndmin=2)
-    return rows[:, 0] / 1e9, 2 * np.arctan2(rows[:, 4], rows[:, 1])
+@pytest.fixture
+def gapped(tmp_path):
+    """Return a log with a gap from 1 s to 11 s."""
+    rows = [f"{t}000000000,0,0,0.1" for t in (0, 1, 11, 12, 13)]
+    return write_rates(tmp_path / "log.csv", rows)
 
 
 @pytest.mark.parametrize(
-    ("on_gap", "expected"),
+    ("wanted_s", "said"),
     [
-        ("hold", [0, 0.1, 0.5, 0.9, 1.3, 1.7, 2.25, 2.5]),
-        ("zero", [0, 0.1, 0.1, 0.1, 0.1, 0.1, 0.25, 0.5]),
+        ([14], "none of the times asked for with --at has an attitude: 1 outside the samples used"),
+        # All of them are between the first and the last sample, and were said not to be.
+        ([3, 4], "none of the times asked for with --at has an attitude: 2 in gaps"),
     ],
 )
-def test_attitudes_inside_a_gap_are_those_that_its_policy_assumes(on_gap, expected, tmp_path):
-    """Where no rotation is assumed the attitude stays; no wanted time is left out."""
-    times = tmp_path / "times.csv"
-    wanted = [0, 1, 3, 5, 7, 9, 11.5, 13]
-    times.write_text("t_ns,qw,qx,qy,qz\n" + "".join(f"{int(t * 1e9)},1,0,0,0\n" for t in wanted))
-    policy = Policy(on_gap=on_gap, max_gap_ns=5_000_000_000)
-    stamps, angle = angles(tmp_path, policy, at=str(times))
-    assert stamps.tolist() == wanted
-    np.testing.assert_allclose(angle, expected, atol=1e-14)
+def test_times_of_which_none_has_an_attitude_are_refused(gapped, wanted_s, said):
+    """An empty output with exit code 0 would look like success."""
+    stamps = [t * 10**9 for t in wanted_s]
+    times = write_attitudes(gapped.with_name("times.csv"), stamps, [IDENTITY] * len(stamps))
+    out = gapped.with_name("out.csv")
+    gaps = ("--on-gap", "split", "--max-gap", "5s", "--rate-unit", "rad/s")
+    assert refused("propagate", gapped, "-o", out, "--at", times, *gaps).endswith(
+        f"{said}; its samples are from 0 to 13000000000 ns: are both on the same clock?"
+    )
+    assert not out.exists()
 
 
-def test_a_split_log_has_no_attitudes_inside_gaps(tmp_path):
-    """There nothing is assumed; the next segment begins with q0."""
-    policy = Policy(on_gap="split", max_gap_ns=5_000_000_000)
-    stamps, angle = angles(tmp_path, policy, rate=Fraction(2))
-    assert stamps.tolist() == [0, 0.5, 1, 11, 11.5, 12, 12.5, 13]
-    np.testing.assert_allclose(angle, [0, 0.05, 0.1, 0, 0.15, 0.3, 0.35, 0.4], atol=1e-14)
-
-
-def test_times_inside_the_gaps_of_a_split_log_are_counted(tmp_path):
-    """They have no attitude, which nobody sees in the output."""
-    times = tmp_path / "times.csv"
-    times.write_text("t_ns,qw,qx,qy,qz\n0,1,0,0,0\n3000000000,1,0,0,0\n99000000000,1,0,0,0\n")
-    policy = Policy(on_gap="split", max_gap_ns=5_000_000_000)
-    assert angles(tmp_path, policy, at=str(times))[0].tolist() == [0]
+def test_times_without_an_attitude_are_counted(gapped):
+    """Nobody sees in the output that they are not there."""
+    stamps = [0, 3 * 10**9, 99 * 10**9]
+    times = write_attitudes(gapped.with_name("times.csv"), stamps, [IDENTITY] * 3)
     with pytest.warns(RemarkWarning) as caught:
-        propagate(tmp_path / "log.csv", at=times, on_gap="split", max_gap="5s")
+        series = propagate(gapped, at=times, on_gap="split", max_gap="5s", rate_unit="rad/s")
+    assert series.t_ns.tolist() == [0]
     assert any(
         "2 of the 3 times asked for with at have no attitude: 1 outside the samples used and 1 in "
         "gaps" in str(one.message)
@@ -240,45 +213,16 @@ def test_times_inside_the_gaps_of_a_split_log_are_counted(tmp_path):
     )
 
 
-def test_times_in_gaps_alone_are_not_said_to_be_outside_the_log(tmp_path):
-    """All of them are between the first and the last sample, and were said not to be."""
-    times = tmp_path / "times.csv"
-    times.write_text("t_ns,qw,qx,qy,qz\n3000000000,1,0,0,0\n4000000000,1,0,0,0\n")
-    with pytest.raises(
-        TimelineError,
-        match=r"none of the times asked for with at has an attitude: 2 in gaps; its samples are "
-        r"from 0 to 13000000000 ns: are both on the same clock\?$",
-    ):
-        angles(tmp_path, Policy("error", "error", "split", 5_000_000_000), at=str(times))
-
-
-def test_times_outside_the_log_are_refused(tmp_path):
-    """An empty output with exit code 0 would look like success."""
-    times = tmp_path / "times.csv"
-    times.write_text("t_ns,qw,qx,qy,qz\n14000000000,1,0,0,0\n")
-    with pytest.raises(
-        TimelineError,
-        match=r"none of the times asked for with at has an attitude: 1 outside the samples used; "
-        r"its samples are from 0 to 13000000000 ns: are both on the same clock\?$",
-    ):
-        angles(tmp_path, Policy(), at=str(times))
-    assert not (tmp_path / "out.csv").exists()
-
-
 def test_a_wrong_timestamp_does_not_fill_the_disk(tmp_path):
     """One stamp of another clock would ask for 1.7e11 rows: the two samples are named."""
-    log, out = tmp_path / "log.csv", tmp_path / "out.csv"
+    out = tmp_path / "out.csv"
     stamps = [0, 10_000_000, 20_000_000, 1_700_000_000_000_000_000]
-    log.write_text("t_ns,wx,wy,wz\n" + "".join(f"{t},0,0,1\n" for t in stamps))
-    settings = PropagationSettings(rate=Fraction(100))
-    with pytest.raises(
-        UsageError,
-        match=r"^between the samples at 20000000 and 1700000000000000000 ns there would be "
-        r"169,999,999,998 attitudes at 100 Hz; is a timestamp wrong\? Choose on_gap='split', a "
-        r"lower rate, or leave a part out with start or end$",
-    ):
-        run(Job(str(log), OutputSettings(str(out)), settings))
+    log = write_rates(tmp_path / "log.csv", [(t, 0, 0, 1) for t in stamps])
+    arguments = ("propagate", log, "-o", out, "--rate", Fraction(100), "--rate-unit", "rad/s")
+    assert refused(*arguments).startswith(
+        "Error: between the samples at 20000000 and 1700000000000000000 ns there would be "
+        "169,999,999,998 attitudes at 100 Hz; is a timestamp wrong? Choose --on-gap split, a "
+    )
     assert not out.exists()
-    split = PropagationSettings(rate=Fraction(100), policy=Policy(on_gap="split"))
-    run(Job(str(log), OutputSettings(str(out)), split))
+    run(*arguments, "--on-gap", "split", code=0)
     assert len(out.read_text().splitlines()) == 1 + 4

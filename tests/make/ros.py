@@ -1,0 +1,90 @@
+"""Messages of ROS with one call, in the container that the name of the path tells."""
+
+import numpy as np
+from mcap.writer import Writer as McapWriter
+from rosbags.interfaces import Nodetype
+from rosbags.rosbag1 import Writer as Rosbag1Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Rosbag2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+IMU, TIME, TF = "sensor_msgs/msg/Imu", "builtin_interfaces/msg/Time", "tf2_msgs/msg/TFMessage"
+ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
+ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+
+
+def message(store, kind, values=()):
+    """Return a message with some values, by name or in order; the others are zero or empty.
+
+    A stamp may be given in ns.
+    """
+    fields = store.fielddefs[kind][1]
+    if kind == TIME and isinstance(values, int):
+        values = divmod(values, 10**9)
+    elif not isinstance(values, dict) and fields[0][0] == "seq":
+        values = (0, *values)
+    names = (name for name, _ in fields)
+    given = values if isinstance(values, dict) else dict(zip(names, values, strict=False))
+    made = {name: _value(store, form, given.get(name)) for name, form in fields}
+    return store.types[kind](**made)
+
+
+def _value(store, form, given):
+    node, detail = form
+    if node == Nodetype.NAME:
+        return message(store, detail, () if given is None else given)
+    if node == Nodetype.BASE:
+        return given if given is not None else "" if detail[0] == "string" else 0
+    (part, kind), count = detail
+    if part == Nodetype.NAME:
+        return [message(store, kind, one) for one in given or ()]
+    return np.zeros(count, kind[0]) if given is None else np.asarray(given, kind[0])
+
+
+def write_messages(path, messages, types=(ROS1, ROS2), published_ns=0):
+    """Write ``(topic, type, log time in ns, values)``, in order; return the path.
+
+    A bag of ROS 1 by its suffix, MCAP by its own, else a folder that is a bag of ROS 2. Messages
+    are published so much after they are logged, which MCAP alone records.
+    """
+    store, channels = types[path.suffix != ".bag"], {}
+    if path.suffix == ".mcap":
+        with path.open("wb") as stream:
+            writer = McapWriter(stream, chunk_size=8000)
+            writer.start("ros2")
+            for count, (topic, kind, at, values) in enumerate(messages):
+                if topic not in channels:
+                    text, _ = store.generate_msgdef(kind, ros_version=2)
+                    schema = writer.register_schema(kind, "ros2msg", text.encode())
+                    channels[topic] = writer.register_channel(topic, "cdr", schema)
+                data = bytes(store.serialize_cdr(message(store, kind, values), kind))
+                writer.add_message(channels[topic], at, data, at + published_ns, count)
+            writer.finish()
+        return path
+    ros1 = store is types[0]
+    writer = (
+        Rosbag1Writer(path)
+        if ros1
+        else Rosbag2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
+    )
+    serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
+    with writer:
+        for topic, kind, at, values in messages:
+            if topic not in channels:
+                channels[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(channels[topic], at, bytes(serialize(message(store, kind, values), kind)))
+    return path
+
+
+def imu_messages(t_ns, rate=(), wxyz=(), *, recorded=None, frame="imu", **more):
+    """Yield Imu messages on /imu for `write_messages`; recorded when they are stamped, by default.
+
+    `more`: other fields, for all messages or, as a list, for each. Without attitudes orientations
+    are the identity, without rates zero.
+    """
+    for k, t in enumerate(np.asarray(t_ns).tolist()):
+        w, *xyz = wxyz[k] if len(wxyz) else (1.0, 0.0, 0.0, 0.0)
+        values = {name: each[k] if isinstance(each, list) else each for name, each in more.items()}
+        values |= {"header": {"stamp": t, "frame_id": frame}, "orientation": [*xyz, w]}
+        values["angular_velocity"] = rate[k] if len(rate) else ()
+        yield "/imu", IMU, t if recorded is None else int(recorded[k]), values
