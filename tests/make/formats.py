@@ -39,6 +39,7 @@ NS = 1_000_000_000
 SAMPLES = 200
 """Samples of a small log: damage meets its structure more often than its numbers."""
 TOPICS = ("/imu", "/other")
+FRAME = "imu"
 PACK = {
     "gz": lambda data: gzip.compress(data, mtime=0),
     "zst": zstandard.ZstdCompressor().compress,
@@ -62,7 +63,7 @@ def _imus(store, series):
         message = types[IMU](
             header=types["std_msgs/msg/Header"](
                 stamp=types["builtin_interfaces/msg/Time"](*divmod(t_ns, NS)),
-                frame_id="imu",
+                frame_id=FRAME,
                 **({"seq": k} if store is ROS1 else {}),
             ),
             orientation=quaternion(0.0, 0.0, 0.0, 1.0),
@@ -76,7 +77,8 @@ def _imus(store, series):
         yield t_ns, bytes(pack(message, IMU))
 
 
-def _ros_topic(series):
+def ros_topic(series):
+    """Return samples as messages of ROS 2."""
     definition, _ = ROS2.generate_msgdef(IMU, ros_version=2)
     return Topic(IMU, list(_imus(ROS2, series)), definition.encode(), "ros2msg", "cdr")
 
@@ -101,13 +103,13 @@ def _protobuf_topic(series):
     return Topic("foxglove.Odometry", messages, schema, "protobuf", "protobuf")
 
 
-def _mcap(topic=_ros_topic, **options):
+def _mcap(topic=ros_topic, **options):
     """Return a writer of MCAP; without checksums, so that damage gets further than they."""
     options = {"enable_crcs": False, "chunk_size": 20_000, **options}
 
     def write(path, *several):
         topics = {name: topic(one) for name, one in zip(TOPICS, several, strict=False)}
-        profile = "ros2" if topic is _ros_topic else ""
+        profile = "ros2" if topic is ros_topic else ""
         write_topics(path, topics, profile=profile, **options)
 
     return write
@@ -307,7 +309,7 @@ FORMATS = {
     "lz4.bag": _indexed(_bag("LZ4")),
     "sqlite.db3": _indexed(_db3, joined="lost"),
     "db3_ros2": _indexed(_folder(_sqlite)),
-    "mcap_ros2": _indexed(_folder(_folder_mcap)),
+    "mcap_ros2": _ros(_folder(_folder_mcap)),
     "split_ros2": _indexed(_split),
     "wal_ros2": _indexed(_wal),
     "gyro.ulg": Format(_ulog, ("sensor_gyro/0", "sensor_gyro/1"), "lost", single=True),
@@ -339,7 +341,7 @@ def _packed(name, suffix):
         path.write_bytes(PACK[suffix](inside.read_bytes()))
         inside.unlink()
 
-    return FORMATS[name]._replace(write=write, checked=True)
+    return FORMATS[name]._replace(write=write, checked=suffix in {"gz", "bz2"})
 
 
 PACKED = ("commas.csv", "none.mcap", "none.bag")
