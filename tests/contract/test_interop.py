@@ -1,19 +1,19 @@
-"""What is written opens in other people's software, and they see the same numbers."""
+"""What is written opens in other people's software with the same numbers, and theirs in ours."""
 
+import io
 import json
-import os
-import subprocess
-import sys
 import zipfile
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import polars as pl
 import pyarrow as pa
 import pytest
+from evo.core.trajectory import PosePath3D, PoseTrajectory3D
 from evo.tools import file_interface
+from make.commands import refused, run
+from make.places import SAMPLE_LOGS
 from mcap.reader import NonSeekingReader, SeekingReader
 from pyarrow import csv, feather, parquet
 from pyarrow import json as arrow_json
@@ -21,28 +21,19 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from quatprop.conversion.convert import convert
-from quatprop.conversion.job import Conversion
+from quatprop import RemarkWarning, read_attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.logs.attitude_input import AttitudeInput
-from quatprop.pipeline.settings import OutputSettings
 from quatprop.series import AttitudeSeries
 from quatprop.writers import open_writer
 
 ROWS = 2_000
 T_NS = 1_700_000_000_123_456_789 + np.arange(ROWS, dtype=np.int64) * 5_000_001
-
-
-def _wxyz():
-    q = np.random.default_rng(8).normal(size=(ROWS, 4))
-    return q / np.linalg.norm(q, axis=1, keepdims=True)
-
-
-WXYZ = _wxyz()
-XYZW = WXYZ[:, [1, 2, 3, 0]]
+WXYZ = Rotation.random(ROWS, rng=8).as_quat(scalar_first=True)
 NAMES = {"scalar-first": ["qw", "qx", "qy", "qz"], "scalar-last": ["qx", "qy", "qz", "qw"]}
-STORED = {"scalar-first": WXYZ, "scalar-last": XYZW}
+STORED = {"scalar-first": WXYZ, "scalar-last": np.roll(WXYZ, -1, axis=1)}
 VECTORS = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]])
+XYZ = np.arange(9.0).reshape(3, 3)
+PATH = PoseTrajectory3D(XYZ, WXYZ[:3], np.array([0.0, 0.1, 0.2]))
 
 
 def written(folder, kind, layout=None, name=None):
@@ -95,6 +86,7 @@ def _polars(read):
 EXACT = {"float_precision": "round_trip"} if pd.__version__ < "3" else {}
 """Reads numbers to the last bit, as pandas 3 does by itself."""
 
+
 READ = {
     ("csv", "numpy"): _numpy_text,
     ("csv", "pandas"): _pandas(partial(pd.read_csv, **EXACT)),
@@ -136,17 +128,32 @@ def test_scipy_turns_vectors_the_same_way(tmp_path, layout):
     stored = np.column_stack([table[name] for name in NAMES[layout]])
     rotation = Rotation.from_quat(stored, scalar_first=layout == "scalar-first")
     matrices = tmp_path / "matrices.npy"
-    convert(
-        Conversion(
-            AttitudeInput(str(tmp_path / "attitude.parquet")),
-            OutputSettings(str(matrices)),
-            representation="matrix",
-        )
-    )
+    run("convert", tmp_path / "attitude.parquet", matrices, "--as", "matrix", code=0)
     rows = np.load(matrices)
     expected = np.stack([rows[f"r{i}{j}"] for i in "123" for j in "123"], 1).reshape(-1, 3, 3)
     for vector in VECTORS:
         np.testing.assert_allclose(rotation.apply(vector), expected @ vector, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("form", "columns", "rebuild"),
+    [
+        ("euler-zyx", ("yaw_rad", "pitch_rad", "roll_rad"), partial(Rotation.from_euler, "ZYX")),
+        (
+            "euler-zyx --euler-unit deg",
+            ("yaw_deg", "pitch_deg", "roll_deg"),
+            partial(Rotation.from_euler, "ZYX", degrees=True),
+        ),
+        ("rotvec", [f"rotvec_{axis}_rad" for axis in "xyz"], Rotation.from_rotvec),
+    ],
+)
+def test_angles_and_vectors_mean_to_scipy_what_they_are_called(tmp_path, form, columns, rebuild):
+    """Columns yaw, pitch, roll are intrinsic ZYX; rotation vectors are scipy's."""
+    target = tmp_path / "out.parquet"
+    run("convert", written(tmp_path, "npz"), target, "--as", *form.split(), code=0)
+    table = parquet.read_table(target)
+    rows = np.column_stack([table[name] for name in columns])
+    assert geodesic_angle(rebuild(rows).as_quat(scalar_first=True), WXYZ).max() < 2e-14
 
 
 def test_evo_reads_trajectories(tmp_path):
@@ -159,21 +166,6 @@ def test_evo_reads_trajectories(tmp_path):
         np.testing.assert_array_equal(found.orientations_quat_wxyz, WXYZ)
         np.testing.assert_array_equal(found.positions_xyz, np.zeros((ROWS, 3)))
         np.testing.assert_allclose(found.timestamps, T_NS / 1e9, rtol=0, atol=2.4e-7)
-
-
-def test_the_command_of_evo_reads_a_trajectory(tmp_path):
-    """`evo_traj tum` finds nothing to complain about."""
-    command = Path(sys.executable).with_name("evo_traj")
-    path = written(tmp_path, "tum")
-    done = subprocess.run(
-        [command, "tum", path, "--full_check"], capture_output=True, text=True, check=False,
-        env={**os.environ, "HOME": str(tmp_path), "MPLBACKEND": "agg"},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    said = dict(line.split("\t")[1:] for line in done.stdout.splitlines() if line.count("\t") == 2)
-    assert said["nr. of poses"] == str(ROWS)
-    checked = ("SE(3) conform", "array shapes", "nr. of stamps", "quaternions", "timestamps")
-    assert [said[what] for what in checked] == ["yes", "ok", "ok", "ok", "ok"]
 
 
 @pytest.mark.parametrize("kind", ["bag", "rosbag2", "rosbag2-mcap"])
@@ -226,20 +218,91 @@ def test_provenance_is_where_other_software_finds_it(tmp_path):
     assert zipfile.ZipFile(path).testzip() is None
 
 
-def test_angles_and_vectors_mean_to_scipy_what_they_are_called(tmp_path):
-    """Columns yaw, pitch, roll are intrinsic ZYX; rotation vectors are scipy's."""
-    source = written(tmp_path, "npz")
-    for form, columns, rebuild in (
-        ("euler-zyx", ("yaw_rad", "pitch_rad", "roll_rad"),
-         lambda rows: Rotation.from_euler("ZYX", rows)),
-        ("euler-zyx-deg", ("yaw_deg", "pitch_deg", "roll_deg"),
-         lambda rows: Rotation.from_euler("ZYX", rows, degrees=True)),
-        ("rotvec", ("rotvec_x_rad", "rotvec_y_rad", "rotvec_z_rad"), Rotation.from_rotvec),
-    ):  # fmt: skip
-        target = tmp_path / f"{form}.parquet"
-        convert(
-            Conversion(AttitudeInput(str(source)), OutputSettings(str(target)), representation=form)
-        )
-        table = parquet.read_table(target)
-        rows = np.column_stack([table[name] for name in columns])
-        assert geodesic_angle(rebuild(rows).as_quat(scalar_first=True), WXYZ).max() < 2e-14
+def test_a_trajectory_of_evo_is_read_as_it_is(tmp_path):
+    """As TUM, and as KITTI has them: twelve numbers a row and no time, which a rate gives."""
+    path, kitti = tmp_path / "poses.tum", tmp_path / "poses.kitti"
+    file_interface.write_tum_trajectory_file(path, PATH)
+    np.testing.assert_allclose(read_attitudes(path).wxyz, WXYZ[:3], atol=1e-9)
+    file_interface.write_kitti_poses_file(kitti, PosePath3D(XYZ, WXYZ[:3]))
+    with pytest.warns(RemarkWarning, match="which of q and -q is meant is not stored"):
+        series = read_attitudes(kitti, sample_rate=10)
+    assert geodesic_angle(series.wxyz, WXYZ[:3]).max() < 1e-9
+    np.testing.assert_array_equal(series.t_ns, [0, 100_000_000, 200_000_000])
+    run("convert", kitti, path, "--sample-rate", "10", code=0)
+    again = file_interface.read_tum_trajectory_file(path)
+    np.testing.assert_allclose(again.positions_xyz, XYZ, atol=1e-9)
+    kitti.rename(tmp_path / "poses.txt")
+    with pytest.warns(RemarkWarning, match="which of q and -q is meant is not stored"):
+        other = read_attitudes(tmp_path / "poses.txt", kind="kitti", sample_rate=10)
+    np.testing.assert_array_equal(other.wxyz, series.wxyz)
+
+
+def test_a_trajectory_of_kitti_needs_a_rate_and_twelve_columns(tmp_path):
+    """What is missing is named."""
+    path = tmp_path / "poses.kitti"
+    path.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    rate = "or --sample-rate HZ for rows at a steady rate"
+    assert rate in refused("convert", path, "-")
+    path.write_text("1 0 0 0\n")
+    columns = "it has 4 columns, and a KITTI trajectory has 12: r11 r12 r13 tx"
+    assert columns in refused("convert", path, "-")
+
+
+def test_a_trajectory_is_written_as_kitti_has_them(tmp_path):
+    """It finds nothing to complain about; quatprop reads KITTI again, given a rate."""
+    source, path = tmp_path / "poses.tum", tmp_path / "poses.kitti"
+    file_interface.write_tum_trajectory_file(source, PATH)
+    lost = "the timestamps are not kept: kitti has no place for them"
+    assert lost in run("propagate", SAMPLE_LOGS / "spin.csv", "-o", path, code=0).stderr
+    assert lost in run("convert", source, path, code=0).stderr
+    found = file_interface.read_kitti_poses_file(path)
+    is_valid, said = found.check()
+    assert is_valid
+    assert said["SE(3) conform"] == "yes"
+    np.testing.assert_allclose(found.positions_xyz, XYZ, atol=1e-15)
+    expected = Rotation.from_quat(WXYZ[:3], scalar_first=True).as_matrix()
+    np.testing.assert_allclose(np.array(found.poses_se3)[:, :3, :3], expected, atol=1e-9)
+    again = tmp_path / "again.kitti"
+    run("convert", path, again, "--sample-rate", "10", code=0)
+    np.testing.assert_allclose(np.loadtxt(again), np.loadtxt(path), atol=1e-15)
+
+
+def test_attitudes_become_rows_of_kitti_at_the_origin(tmp_path):
+    """A quarter turn about z takes x to y; the rows of the matrix follow one another."""
+    log, path = tmp_path / "spin.csv", tmp_path / "spin.kitti"
+    run("simulate", log, "--frequency", "0.25", "--duration", "2s", "--rate", "1", code=0)
+    run("propagate", log, "-o", path, code=0)
+    rows = np.loadtxt(path).round(12) + 0.0
+    assert rows.tolist() == [
+        [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0],
+        [0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1, 0],
+    ]
+    truth = tmp_path / "spin.truth.csv"
+    sentence = refused("convert", truth, "-", "--to", "kitti", "--header-comment")
+    assert "kitti has no comments; leave --header-comment out" in sentence
+
+
+def test_columns_that_are_only_components_mean_a_quaternion_where_one_is_asked_for(tmp_path):
+    """As NGIMU's quaternion.csv has them; by themselves they are not taken for one."""
+    path = tmp_path / "quaternion.csv"
+    frame = pd.DataFrame(WXYZ[:3], columns=list("WXYZ"))
+    frame.insert(0, "Time (s)", [0.0, 0.1, 0.2])
+    frame.to_csv(path, index=False)
+    for columns in ("W,X,Y,Z", "X,Y,Z,W"):
+        series = read_attitudes(path, quat_cols=columns)
+        np.testing.assert_array_equal(series.wxyz, WXYZ[:3])
+    refused("convert", path, "-")
+
+
+@pytest.mark.parametrize("kind", ["parquet", "feather", "mcap", "csv"])
+def test_a_format_is_written_to_a_pipe(tmp_path, kind):
+    """The bytes are those of the file; tables open in pandas and polars without an option."""
+    log, out = SAMPLE_LOGS / "coning.mcap", tmp_path / f"a.{kind}"
+    run("propagate", log, "-o", out, "-q", code=0)
+    data = run("propagate", log, "-o", "-", "--to", kind, "-q", code=0).stdout_bytes
+    assert data == out.read_bytes()
+    if kind in {"parquet", "csv"}:
+        read = {"parquet": pl.read_parquet, "csv": pl.read_csv}[kind]
+        assert read(io.BytesIO(data)).schema["t_ns"] == pl.Int64
+        read = {"parquet": pd.read_parquet, "csv": pd.read_csv}[kind]
+        assert read(io.BytesIO(data))["t_ns"].dtype == np.int64
