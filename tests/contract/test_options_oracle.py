@@ -9,15 +9,14 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from fuzz.command_lines import difference
+from fuzz.command_lines import IMU, ROS2, difference, message, series_file, written
+from make.commands import run
 from make.options_reference import NS, ordered, propagated
 from mcap.writer import Writer as McapWriter
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import get_types_from_msg
 from scipy.spatial.transform import Rotation
 
 from quatprop import propagate
-from quatprop.cli.commands import cli
 from quatprop.errors import TimelineError, UsageError
 from quatprop.settings import PROPAGATE
 
@@ -53,14 +52,12 @@ def recording(*, trouble):
 RAW = {trouble: recording(trouble=trouble) for trouble in (False, True)}
 
 
-def series_file(path, t, q):
-    """Write a series of attitudes."""
-    rows = q.as_quat(scalar_first=True).tolist()
-    lines = [
-        f"{stamp},{','.join(map(repr, row))}" for stamp, row in zip(t.tolist(), rows, strict=True)
-    ]
-    path.write_text("\n".join(["t_ns,qw,qx,qy,qz", *lines, ""]))
-    return path
+def assert_attitudes(series, expected):
+    """Compare stamps, and attitudes to rounding."""
+    t, attitudes = expected
+    assert series.t_ns.tolist() == t.tolist()
+    ours = Rotation.from_quat(series.wxyz, scalar_first=True)
+    assert (attitudes.inv() * ours).magnitude().max() < 1e-11
 
 
 def decimal(ns, digits):
@@ -88,8 +85,7 @@ def files(tmp_path_factory):
                 ]
                 header = f"{time},gx,gy,gz,accel_x,accel_y,accel_z,qw,qx,qy,qz"
                 path = folder / f"{unit}_{time}_{trouble}.csv"
-                path.write_text("\n".join([header, *lines, ""]))
-                made[unit, time, trouble] = path
+                made[unit, time, trouble] = written(path, header, lines)
     return made
 
 
@@ -138,12 +134,11 @@ def both(options, raw, unit, folder):
     if options.get("bias") == "series":
         t = BEGIN_NS + np.arange(4) * 600_000_000
         biases = np.random.default_rng(6).normal(0, 0.01, (4, 3))
-        given["bias"] = folder / "bias.csv"
         names = ",".join(f"gyro_bias_{axis} [rad/s]" for axis in "xyz")
         rows = [
             f"{at},{','.join(map(repr, row))}" for at, row in zip(t, biases.tolist(), strict=True)
         ]
-        given["bias"].write_text("\n".join([f"t_ns,{names}", *rows, ""]))
+        given["bias"] = written(folder / "bias.csv", f"t_ns,{names}", rows)
         after = (raw["t"] - BEGIN_NS) / NS
         known = np.arange(4) * 0.6
         expected["bias"] = np.stack([np.interp(after, known, axis) for axis in biases.T], axis=1)
@@ -192,10 +187,7 @@ def test_options_together(seed, files, tmp_path):
         inside &= np.isin(np.arange(len(inside)), ordered(raw["t"], options))
         expected["bias"] = raw["w"][inside].mean(axis=0)
         assert BEGIN_NS < rest.first_ns < rest.last_ns < raw["t"][RESTING + 5]
-    t, attitudes = propagated(raw, expected)
-    assert series.t_ns.tolist() == t.tolist()
-    ours = Rotation.from_quat(series.wxyz, scalar_first=True)
-    assert (attitudes.inv() * ours).magnitude().max() < 1e-11
+    assert_attitudes(series, propagated(raw, expected))
 
 
 def refused(options):
@@ -227,58 +219,35 @@ def test_events_are_located_by_their_rows(on_backwards, on_nonfinite, files):
     assert (counts.nonfinite.count, counts.nonfinite.first_index) == (len(MISSING), MISSING[0])
 
 
+LOG_NS, PUBLISH_NS = 7_000_000, 3_000_000
+
+
 @pytest.fixture(scope="module")
 def messages(tmp_path_factory):
     """Write the log as messages on three topics, whose three times all differ; return its path."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    store.register(
-        get_types_from_msg("builtin_interfaces/Time when\nfloat64[3] gyro", "lab/msg/Gyro")
-    )
+    raw = RAW[False]
+    ROS2.register(get_types_from_msg("builtin_interfaces/Time when\nfloat64[3] gyro", LAB_TYPE))
     path = tmp_path_factory.mktemp("messages") / "log.mcap"
     with path.open("wb") as stream:
         writer = McapWriter(stream)
         writer.start()
-        topics = {}
-        for topic, kind in TOPICS.items():
-            text, _ = store.generate_msgdef(kind, ros_version=2)
+        for topic, kind in {"/imu": IMU, "/other": IMU, "/lab": LAB_TYPE}.items():
+            text, _ = ROS2.generate_msgdef(kind, ros_version=2)
             schema = writer.register_schema(kind, "ros2msg", text.encode())
-            topics[topic] = kind, writer.register_channel(topic, "cdr", schema)
-        for k, t in enumerate(RAW[False]["t"].tolist()):
-            for kind, channel in topics.values():
-                data = bytes(store.serialize_cdr(message(store, kind, k), kind))
-                times = {"log_time": t + LOG_NS, "publish_time": t + PUBLISH_NS}
-                writer.add_message(channel, data=data, sequence=k, **times)
+            channel = writer.register_channel(topic, "cdr", schema)
+            for k, t in enumerate(raw["t"].tolist()):
+                if kind == IMU:
+                    one = message(ROS2, raw, k)
+                else:  # in deg/s
+                    stamp = ROS2.types["builtin_interfaces/msg/Time"](*divmod(t, NS))
+                    one = ROS2.types[LAB_TYPE](when=stamp, gyro=np.degrees(raw["w"][k]))
+                data = bytes(ROS2.serialize_cdr(one, kind))
+                writer.add_message(channel, t + LOG_NS, data, t + PUBLISH_NS, k)
         writer.finish()
     return path
 
 
-TOPICS = {
-    "/imu": "sensor_msgs/msg/Imu",
-    "/other": "sensor_msgs/msg/Imu",
-    "/lab": "lab/msg/Gyro",
-}
-LOG_NS, PUBLISH_NS = 7_000_000, 3_000_000
-
-
-def message(store, kind, k):
-    """Return row k as a message; that of the topic of a laboratory is in deg/s."""
-    types, raw = store.types, RAW[False]
-    stamp = types["builtin_interfaces/msg/Time"](*map(int, divmod(raw["t"][k], NS)))
-    if kind == "lab/msg/Gyro":
-        return types[kind](when=stamp, gyro=np.degrees(raw["w"][k]))
-    header, vector = types["std_msgs/msg/Header"], types["geometry_msgs/msg/Vector3"]
-    x, y, z, w = raw["q"][k].as_quat().tolist()
-    return types[kind](
-        header=header(stamp=stamp, frame_id="imu"),
-        orientation=types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w),
-        orientation_covariance=np.zeros(9),
-        angular_velocity=vector(*raw["w"][k].tolist()),
-        angular_velocity_covariance=np.zeros(9),
-        linear_acceleration=vector(*raw["f"][k].tolist()),
-        linear_acceleration_covariance=np.zeros(9),
-    )
-
-
+LAB_TYPE = "lab/msg/Gyro"
 LAB = {"topic": "/lab", "rate_field": "gyro", "rate_unit": "deg/s"}
 
 
@@ -304,24 +273,17 @@ def test_which_messages_and_which_time(options, delay_ns, q0, messages):
     if q0 is not None and "rate_field" not in options:
         given["q0"] = q0  # messages of the laboratory have rates alone
     series = propagate(messages, **options, **given)
-    t, attitudes = propagated(raw, given)
-    assert series.t_ns.tolist() == t.tolist()
-    ours = Rotation.from_quat(series.wxyz, scalar_first=True)
-    assert (attitudes.inv() * ours).magnitude().max() < 1e-11
+    assert_attitudes(series, propagated(raw, given))
 
 
 @pytest.mark.parametrize("hz", ["100", "29.97", "30000/1001"])
 def test_rows_without_a_time(hz, files, tmp_path):
     """Row k of a table without a time is at k / --sample-rate, rounded to the nearest ns."""
     rows = [row.split(",")[1:4] for row in files["rad", "t_ns", False].read_text().splitlines()]
-    path = tmp_path / "rows.csv"
-    path.write_text("\n".join(map(",".join, rows)) + "\n")
+    path = written(tmp_path / "rows.csv", ",".join(rows[0]), map(",".join, rows[1:]))
     series = propagate(path, sample_rate=hz, rate_unit="rad/s", rate_cols=("gx", "gy", "gz"))
     t = np.array([round(k * NS / Fraction(hz)) for k in range(len(RAW[False]["t"]))])
-    expected_t, attitudes = propagated(RAW[False] | {"t": t}, {})
-    assert series.t_ns.tolist() == expected_t.tolist()
-    ours = Rotation.from_quat(series.wxyz, scalar_first=True)
-    assert (attitudes.inv() * ours).magnitude().max() < 1e-11
+    assert_attitudes(series, propagated(RAW[False] | {"t": t}, {}))
 
 
 @pytest.mark.parametrize("series", ["gyro", "kind=gyro"])
@@ -329,16 +291,12 @@ def test_rows_without_a_time(hz, files, tmp_path):
 def test_one_of_the_series_of_a_table(series, files, tmp_path):
     """Rows of others between its own change nothing."""
     header, *rows = files["rad", "t_ns", False].read_text().splitlines()
-    path = tmp_path / "two.csv"
     others = [",".join(["0", *row.split(",")[1:]]) for row in rows]
     turns = (line for pair in zip(rows, others, strict=True) for line in pair)
     kinds = (f"{line},{('gyro', 'acc')[k % 2]}" for k, line in enumerate(turns))
-    path.write_text("\n".join([f"{header},kind", *kinds]) + "\n")
+    path = written(tmp_path / "two.csv", f"{header},kind", kinds)
     made = propagate(path, series=series, **reading("rad", "t_ns"))
-    t, attitudes = propagated(RAW[False], {})
-    assert made.t_ns.tolist() == t.tolist()
-    ours = Rotation.from_quat(made.wxyz, scalar_first=True)
-    assert (attitudes.inv() * ours).magnitude().max() < 1e-11
+    assert_attitudes(made, propagated(RAW[False], {}))
 
 
 @pytest.mark.parametrize("layout", [None, "scalar-first", "wxyz", "scalar-last", "xyzw"])
@@ -347,16 +305,14 @@ def test_the_layout_that_is_written(layout, files, tmp_path):
     out = tmp_path / "out.csv"
     options = reading("rad", "t_ns") | {"output": out} | ({"layout": layout} if layout else {})
     arguments = [f"--{name.replace('_', '-')}={value}" for name, value in options.items()]
-    result = CliRunner().invoke(cli, ["propagate", str(files["rad", "t_ns", False]), *arguments])
-    assert result.exit_code == 0, result.output
+    run("propagate", files["rad", "t_ns", False], *arguments, code=0)
     header, *rows = out.read_text().splitlines()
     scalar_first = layout in {None, "scalar-first", "wxyz"}
     assert header == ("t_ns,qw,qx,qy,qz" if scalar_first else "t_ns,qx,qy,qz,qw")
-    written = Rotation.from_quat(
-        [list(map(float, row.split(",")[1:])) for row in rows], scalar_first=scalar_first
-    )
+    numbers = [list(map(float, row.split(",")[1:])) for row in rows]
     _, attitudes = propagated(RAW[False], {})
-    assert (attitudes.inv() * written).magnitude().max() < 1e-11
+    ours = Rotation.from_quat(numbers, scalar_first=scalar_first)
+    assert (attitudes.inv() * ours).magnitude().max() < 1e-11
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -370,7 +326,7 @@ def test_command_lines_do_what_the_documents_say(seed, tmp_path):
 
 def test_every_option_is_in_some_test():
     """A new option of propagate has to be tested here too, or to be named with where it is."""
-    elsewhere = {"msg_path": "test_containers_msg_files.py", "threads": "test_threads.py"}
+    elsewhere = {"msg_path": "test_msg_files.py", "threads": "test_threads.py"}
     errors = ("noise_density", "bias_sigma", "random_walk", "scale_sigma", "imu", "sigma")
     elsewhere |= dict.fromkeys((*errors, "sigma_axes"), "test_gyro_errors.py")
     here = {"rate_cols", "rate_unit", "time_col", "time_unit", "sample_rate", "q0_layout"}
