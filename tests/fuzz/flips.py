@@ -51,6 +51,12 @@ GOOD = {HARMLESS, DETECTED, REFUSED}
 """Verdicts that are right of any flip; the others are not."""
 
 
+def series():
+    """Return the samples of a log of messages."""
+    t_ns = 1_700_000_000_000_000_000 + SPACING_NS * np.arange(SAMPLES)
+    return quatprop.GyroSeries(t_ns, RATES[:, None] * [1.0, 0.0, 0.0])
+
+
 class Reading(NamedTuple):
     """What a user gets of a log: samples and warnings, or an error."""
 

@@ -55,7 +55,7 @@ def samples(count=SAMPLES, first=0):
     return GyroSeries(t_ns, np.sin(k[:, None] / 10 + np.arange(3)))
 
 
-def _imus(store, series):
+def imus(store, series):
     """Yield log time, and message, of samples; each is logged as it is stamped."""
     types, nothing = store.types, np.zeros(9)
     vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
@@ -80,7 +80,7 @@ def _imus(store, series):
 def ros_topic(series):
     """Return samples as messages of ROS 2."""
     definition, _ = ROS2.generate_msgdef(IMU, ros_version=2)
-    return Topic(IMU, list(_imus(ROS2, series)), definition.encode(), "ros2msg", "cdr")
+    return Topic(IMU, list(imus(ROS2, series)), definition.encode(), "ros2msg", "cdr")
 
 
 def _json_topic(series):
@@ -124,7 +124,7 @@ def _bag(compression=None):
         with writer:
             for topic, series in zip(TOPICS, several, strict=False):
                 connection = writer.add_connection(topic, IMU, typestore=ROS1)
-                for t_ns, data in _imus(ROS1, series):
+                for t_ns, data in imus(ROS1, series):
                     writer.write(connection, t_ns, data)
 
     return write
@@ -135,7 +135,7 @@ def _folder(storage):
         with FolderWriter(path, version=9, storage_plugin=storage) as writer:
             for topic, series in zip(TOPICS, several, strict=False):
                 connection = writer.add_connection(topic, IMU, typestore=ROS2)
-                for t_ns, data in _imus(ROS2, series):
+                for t_ns, data in imus(ROS2, series):
                     writer.write(connection, t_ns, data)
 
     return write
