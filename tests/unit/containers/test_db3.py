@@ -456,23 +456,6 @@ def test_a_query_that_takes_more_steps_than_its_rows_need_is_interrupted(tmp_pat
             database.execute("SELECT zeroblob(2000000)").fetchall()
 
 
-def test_an_index_that_leads_to_a_row_twice_is_not_followed(tmp_path):
-    """One row was read twice, and another one not at all, as the index has the right number."""
-    path = old_bag(tmp_path / "a.db3", [(T0 + k, HEADER + bytes([k])) for k in range(100)])
-    content = bytearray(path.read_bytes())
-    entry = (T0 + 40).to_bytes(8, "big") + bytes([41])
-    at = content.index(entry) + 8
-    content[at] = 43
-    path.write_bytes(content)
-    found, losses = messages(path)
-    assert found[IMU] == [(T0 + k, HEADER + bytes([k])) for k in range(100)]
-    (loss,) = losses
-    assert loss.reason == (
-        "its database is damaged (its index 'timestamp_idx' does not list all messages); "
-        "what intact pages hold is read"
-    )
-
-
 def test_a_bag_whose_first_rows_have_no_topic_gives_the_others(tmp_path):
     """A block without any message was a crash."""
     path = old_bag(tmp_path / "a.db3", [(k, HEADER) for k in range(3)])
