@@ -280,14 +280,14 @@ def test_tables_without_rowids_are_read(tmp_path):
     assert messages(path) == ({IMU: [(5, b"b"), (9, b"a")]}, [])
 
 
-def live_copy(tmp_path, count=3, cut=0, flip=None, checkpoint=None):
+def live_copy(tmp_path, count=3, cut=0, flip=None, checkpoint=None, before=1):
     """Write a database and its write-ahead log as a dead recorder leaves them."""
-    path = old_bag(tmp_path / "live.db3", [(0, b"\0" * 3000)])
+    path = old_bag(tmp_path / "live.db3", [(k, bytes([k]) * 3000) for k in range(before)])
     folder = tmp_path / "dead"
     folder.mkdir()
     with closing(sqlite3.connect(path)) as database:
         database.execute("PRAGMA journal_mode=WAL")
-        for k in range(1, count + 1):
+        for k in range(before, before + count):
             insert = "INSERT INTO messages (topic_id, timestamp, data) VALUES (4, ?, ?)"
             database.execute(insert, (k, bytes([k]) * 3000))
             database.commit()
@@ -342,12 +342,14 @@ def test_frames_of_an_earlier_use_of_a_write_ahead_log_are_none(tmp_path):
 
 def test_damaged_pages_beside_a_write_ahead_log(tmp_path):
     """Newer pages of the log are read instead of those in the database."""
-    path = live_copy(tmp_path, count=40)
+    path = live_copy(tmp_path, count=20, before=10)
     content = bytearray(path.read_bytes())
-    content[4096 * 3 :] = bytes(len(content) - 4096 * 3)
+    page = content.index(bytes([3]) * 2000) // 4096 * 4096
+    content[page : page + 12] = b"\xff" * 12
     path.write_bytes(content)
-    found, _ = messages(path)
-    assert [k for k, _ in found[IMU]][-39:] == list(range(2, 41))
+    found, (loss,) = messages(path)
+    assert [k for k, _ in found[IMU]] == [k for k in range(30) if k != 3]
+    assert loss.reason.endswith("and 1 messages of any topic between them are missing")
 
 
 @pytest.mark.parametrize(

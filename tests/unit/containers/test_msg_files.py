@@ -106,9 +106,11 @@ def test_a_package_that_is_named_is_used(log, tmp_path, which):
 
 
 def test_one_file_that_is_named_is_used(log, tmp_path):
-    """What it does not define is looked for nowhere else."""
+    """What it does not define is looked for nowhere else; one of 64 KiB defines nothing."""
     file = put(tmp_path / "elsewhere") / "msg" / "Gyro.msg"
     assert definitions(log, file)[0] == [GYRO]
+    file.write_text(GYRO + "#" * (1 << 16))
+    assert definitions(log, file)[0] == [""]
     shutil.rmtree(tmp_path / "elsewhere")
     with pytest.raises(UsageError, match=r"Gyro.msg: no such file or folder; check msg_path$"):
         definitions(log, file)
