@@ -10,6 +10,7 @@ from make.reading import rates
 
 import quatprop
 from quatprop.errors import AmbiguousTopicError, UnsupportedLogError
+from quatprop.logs.kinds import READERS
 from quatprop.logs.open_log import open_log
 from quatprop.logs.signals import range_readers
 
@@ -126,3 +127,12 @@ def test_what_cat_makes_of_two_logs_is_read_or_told(logs, tmp_path, name):
         assert_same(found, first)
         (loss,) = losses
         assert "bytes follow" in loss.reason
+
+
+def test_every_kind_of_log_has_a_row(logs):
+    """Those of rates: of trajectories, which hold attitudes alone, there is no log here."""
+    kinds = set()
+    for name in FORMATS:
+        with open_log(logs / name) as log:
+            kinds.add(log.kind)
+    assert kinds == set(READERS) - {"tum", "kitti"}

@@ -280,7 +280,7 @@ def test_tables_without_rowids_are_read(tmp_path):
     assert messages(path) == ({IMU: [(5, b"b"), (9, b"a")]}, [])
 
 
-def live_copy(tmp_path, count=3, cut=0, flip=None, checkpoint=None, before=1):
+def live_copy(tmp_path, count=3, checkpoint=None, before=1):
     """Write a database and its write-ahead log as a dead recorder leaves them."""
     path = old_bag(tmp_path / "live.db3", [(k, bytes([k]) * 3000) for k in range(before)])
     folder = tmp_path / "dead"
@@ -294,17 +294,25 @@ def live_copy(tmp_path, count=3, cut=0, flip=None, checkpoint=None, before=1):
             if k == checkpoint:
                 database.execute("PRAGMA wal_checkpoint(RESTART)")
         shutil.copy(path, folder / "log.db3")
-        wal = bytearray((tmp_path / "live.db3-wal").read_bytes())
+        shutil.copy(tmp_path / "live.db3-wal", folder / "log.db3-wal")
+    return folder / "log.db3"
+
+
+def damaged_copy(tmp_path, cut=0, flip=None):
+    """Write such a database, with its write-ahead log cut, or with a bit of it flipped."""
+    path = live_copy(tmp_path)
+    file = path.with_name("log.db3-wal")
+    wal = bytearray(file.read_bytes())
     if flip is not None:
         wal[flip] ^= 1
-    (folder / "log.db3-wal").write_bytes(wal[: len(wal) - cut])
-    return folder / "log.db3"
+    file.write_bytes(wal[: len(wal) - cut])
+    return path
 
 
 @pytest.mark.parametrize("damage", [{"cut": 100}, {"flip": -100}])
 def test_a_write_ahead_log_that_ends_in_a_transaction_says_so(tmp_path, damage):
     """What was committed before is read; the pages that SQLite passes over are a loss."""
-    path = live_copy(tmp_path, **damage)
+    path = damaged_copy(tmp_path, **damage)
     found, losses = messages(path)
     assert [k for k, _ in found[IMU]] == [0, 1, 2]
     (loss,) = losses
@@ -315,7 +323,7 @@ def test_a_write_ahead_log_that_ends_in_a_transaction_says_so(tmp_path, damage):
 @pytest.mark.parametrize(("flip", "count"), [(None, 4), (9000, 1), (-100, 3), (40, 1), (5, 1)])
 def test_reading_a_write_ahead_log_leaves_the_folder_as_it_is(tmp_path, flip, count):
     """SQLite's shared memory is not left, and a log that is all damaged is not deleted."""
-    path = live_copy(tmp_path, flip=flip)
+    path = damaged_copy(tmp_path, flip=flip)
     before = {file.name: file.read_bytes() for file in path.parent.iterdir()}
     assert len(before) == 2
     found, losses = messages(path)
@@ -327,7 +335,7 @@ def test_reading_a_write_ahead_log_leaves_the_folder_as_it_is(tmp_path, flip, co
 @pytest.mark.parametrize("flip", [1, 9, 17, 25, 31, 33, 40, 44, 50, 4200, 4200 + 8, 4200 + 4120])
 def test_a_damaged_write_ahead_log_is_reported(tmp_path, flip):
     """What SQLite does not apply is a loss: the head is damaged, that of a frame, or its page."""
-    path = live_copy(tmp_path, flip=flip)
+    path = damaged_copy(tmp_path, flip=flip)
     found, losses = messages(path)
     assert len(found[IMU]) < 4
     assert [loss.place for loss in losses] == ["log.db3-wal"]
