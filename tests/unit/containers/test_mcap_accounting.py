@@ -52,6 +52,19 @@ def test_no_index_hides_the_samples_of_a_chunk(tmp_path, layouts, layout, what):
     assert read(tmp_path / "log.mcap", data)[0] == mcap.COUNT
 
 
+@pytest.mark.parametrize("layout", ["full", "no statistics"])
+@pytest.mark.parametrize("field", range(5))
+def test_a_wrong_number_in_a_chunk_index_costs_nothing(tmp_path, layouts, layout, field):
+    """A wrong length in one of them made a file one of no topics with messages."""
+    for number in (0, mcap.CHUNKS - 1):
+        for value in (0, 100, (1 << 64) - 1):
+            data = bytearray(layouts[layout])
+            at = places(data, CHUNK_INDEX)[number] + 9
+            # Times, place and length of the chunk; then the length of its message indexes.
+            struct.pack_into("<Q", data, at + (8 * field if field < 4 else 36 + 20), value)
+            assert read(tmp_path / "log.mcap", data)[0] == mcap.COUNT
+
+
 @pytest.mark.parametrize("has_checksum", [True, False])
 @pytest.mark.parametrize("has_index", [True, False])
 def test_records_of_an_attached_log_are_no_samples(tmp_path, has_checksum, has_index):
