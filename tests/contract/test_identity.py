@@ -11,6 +11,7 @@ from make.formats import FORMATS, PACKED, samples
 from quatprop.concurrency import threads
 from quatprop.conditioning import GyroCorrection
 from quatprop.containers import chunks, first_blocks, ulog
+from quatprop.containers.mcap import chunks as mcap_chunks
 from quatprop.containers.mcap import scan as mcap_scan
 from quatprop.containers.rosbag1 import rebuild as rosbag1_rebuild
 from quatprop.containers.rosbag2 import fetches
@@ -49,6 +50,7 @@ SMALL = {
     (first_blocks, "ENOUGH_MESSAGES"): 10,
     (fetches, "FETCHES"): 1,
     (ulog, "BLOCK"): 51,
+    (mcap_chunks, "_AT_ONCE"): 200,
     (mcap_scan, "_LOOSE_SIZE"): 5000,
     (rosbag1_rebuild, "_LOOSE_SIZE"): 5000,
     (chunks, "GROUP"): 1,
