@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pyarrow.parquet
 import pytest
+from make.tables import write_rates
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
@@ -34,18 +35,9 @@ from quatprop.times import NS_PER_S, instant
 from quatprop.writers.rosbag1 import file as rosbag1_file
 
 SECONDS = 2000
-RATE = 20
+RATE = 10
 T0_NS = 1000 * NS_PER_S
 MARGIN_S = 10
-
-RANGES = (
-    ("-30s", None),
-    ("+500s", "+530s"),
-    (None, "+7s"),
-    ("-100s", "-90s"),
-    ("+1999.95s", None),
-    ("1970-01-01T00:25:00Z", "1970-01-01T00:25:01.5Z"),
-)
 
 
 @pytest.fixture(autouse=True)
@@ -57,38 +49,29 @@ def _narrow(monkeypatch):
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
-    """Return a folder with a log in many chunks, as MCAP, ROS 1 bag and Parquet."""
+    """Return a folder with a log in many chunks, as MCAP, ROS 1 bag and SQLite."""
     folder = tmp_path_factory.mktemp("logs")
     gyroscope = Gyroscope(RATE, SECONDS * RATE, noise=1e-3, start_ns=T0_NS)
     with pytest.MonkeyPatch.context() as patched:
-        small = partial(rosbag1_file.BagFile, chunk_bytes=50_000)
+        small = partial(rosbag1_file.BagFile, chunk_bytes=25_000)
         patched.setattr(rosbag1_file, "BagFile", small)
         for name, kind in {"one.mcap": "mcap", "log.bag": "bag"}.items():
             simulate(folder / name, "coning", Shape(), gyroscope, kind=kind, truth=None)
     rewrite(folder / "one.mcap", folder / "log.mcap")
-    table = read_rates(folder / "one.mcap").to_arrow()
-    pyarrow.parquet.write_table(table, folder / "log.parquet", row_group_size=1000)
     simulate(folder / "db3", "coning", Shape(), gyroscope, kind="rosbag2", truth=None)
-    (folder / "parts").mkdir()
-    for number in range(3):
-        begin, end = (T0_NS + SECONDS * NS_PER_S * k // 3 for k in (number, number + 1))
-        part = folder / "parts" / f"parts_{number}.mcap"
-        rewrite(folder / "one.mcap", part, keep=lambda t, begin=begin, end=end: begin <= t < end)
     return folder
 
 
-def rewrite(source, target, logged=lambda log_ns: log_ns, keep=lambda _: True):
+def rewrite(source, target, logged=lambda log_ns: log_ns):
     """Write messages of an MCAP file in small chunks, at other log times."""
     with source.open("rb") as stream, target.open("wb") as file:
-        writer = Writer(file, chunk_size=50_000, compression=CompressionType.ZSTD)
+        writer = Writer(file, chunk_size=25_000, compression=CompressionType.ZSTD)
         writer.start("ros2")
         ids = None
         for schema, channel, message in make_reader(stream).iter_messages():
             if ids is None:
                 one = writer.register_schema(schema.name, schema.encoding, schema.data)
                 ids = writer.register_channel(channel.topic, channel.message_encoding, one)
-            if not keep(message.log_time):
-                continue
             log_ns = logged(message.log_time)
             writer.add_message(ids, log_ns, message.data, log_ns)
         writer.finish()
@@ -98,13 +81,8 @@ def attitudes(log, folder, start, end, **settings):
     """Return the report of a run over a range, and its attitudes."""
     part = GyroCorrection(start=start and instant(start), end=end and instant(end))
     target = folder / "out.parquet"
-    report = run(
-        Job(
-            str(log),
-            OutputSettings(str(target)),
-            PropagationSettings(conditioning=part, **settings),
-        )
-    )
+    chosen = PropagationSettings(conditioning=part, **settings)
+    report = run(Job(str(log), OutputSettings(str(target)), chosen))
     return report, pyarrow.parquet.read_table(target)
 
 
@@ -115,21 +93,6 @@ def whole(log, folder, start, end):
         report, table = attitudes(log, folder, start, end)
     assert report.conditioning.part is None
     return report, table
-
-
-@pytest.mark.parametrize("name", ["log.mcap", "log.bag", "log.parquet", "db3", "parts"])
-@pytest.mark.parametrize(("start", "end"), RANGES)
-def test_a_range_gives_the_same_attitudes_as_the_whole_log(logs, tmp_path, name, start, end):
-    """Relative and absolute ranges, at the ends of the log and within it."""
-    expected, table = whole(logs / name, tmp_path, start, end)
-    report, part = attitudes(logs / name, tmp_path, start, end)
-    assert report.conditioning.part is not None
-    assert part.equals(table)
-    assert part.num_rows > 0
-    assert report.conditioning.start_ns == expected.conditioning.start_ns
-    assert report.conditioning.end_ns == expected.conditioning.end_ns
-    assert report.as_json()["result"] == expected.as_json()["result"]
-    assert report.source.digest.sha256 is None
 
 
 @pytest.mark.parametrize(
@@ -152,7 +115,7 @@ def test_little_of_the_log_is_read(logs, tmp_path, monkeypatch, name, reading):
     assert few < len(places) / 4
 
 
-@pytest.mark.parametrize("offset_s", [-0.3, 4.0, 1.7e9])
+@pytest.mark.parametrize("offset_s", [-0.3, 1.7e9])
 def test_log_times_of_another_recording_lead_to_the_stamps(logs, tmp_path, offset_s):
     """A log that was recorded again has stamps far from its log times, and always as far."""
     log, offset = tmp_path / "again.mcap", int(offset_s * NS_PER_S)
@@ -164,13 +127,8 @@ def test_log_times_of_another_recording_lead_to_the_stamps(logs, tmp_path, offse
 
 def test_delays_that_differ_let_the_whole_log_be_read(logs, tmp_path):
     """Where a recorder hung for longer than half the margin, no sample is missed."""
-    hung = T0_NS + 700 * NS_PER_S, T0_NS + 720 * NS_PER_S
-    log = tmp_path / "hung.mcap"
-    rewrite(
-        logs / "log.mcap",
-        log,
-        lambda log_ns: max(log_ns, hung[1]) if hung[0] <= log_ns <= hung[1] else log_ns,
-    )
+    log, (begin, end) = tmp_path / "hung.mcap", (T0_NS + s * NS_PER_S for s in (700, 720))
+    rewrite(logs / "log.mcap", log, lambda log_ns: end if begin <= log_ns <= end else log_ns)
     report, table = attitudes(log, tmp_path, "+700s", "+705s")
     assert report.conditioning.part is None
     assert table.num_rows == 5 * RATE + 1
@@ -180,7 +138,7 @@ def test_a_range_without_samples_is_refused_as_ever(logs, tmp_path):
     """The error counts the samples on both sides, of the whole log."""
     middle = T0_NS + 700 * NS_PER_S + 1
     settings = (str(middle), str(middle + 1))
-    with pytest.raises(NoSamplesError, match="14001 are before, 25999 after"):
+    with pytest.raises(NoSamplesError, match="7001 are before, 12999 after"):
         attitudes(logs / "log.mcap", tmp_path, *settings)
 
 
@@ -194,6 +152,7 @@ def test_the_report_says_what_was_not_read(logs, tmp_path):
     assert 0 < late < NS_PER_S // 100
     assert abs(part.first_ns - (last_ns - (30 + MARGIN_S) * NS_PER_S)) < NS_PER_S // 100
     assert part.leaves_out == (True, False)
+    assert report.source.digest.sha256 is None
     assert any("only the part of the log around" in str(remark) for remark in report.remarks)
     assert report.as_json()["conditioning"]["part"]["first_ns"] == part.first_ns
 
@@ -220,9 +179,8 @@ def test_damage_elsewhere_is_not_looked_for_and_damage_there_is(logs, tmp_path):
 
 def test_what_is_sorted_is_read_whole(logs, tmp_path):
     """Samples far out of order may belong to the range."""
-    report, _ = attitudes(
-        logs / "log.mcap", tmp_path, "-30s", None, policy=Policy(on_backwards="sort")
-    )
+    log, by_time = logs / "log.mcap", Policy(on_backwards="sort")
+    report, _ = attitudes(log, tmp_path, "-30s", None, policy=by_time)
     assert report.conditioning.part is None
 
 
@@ -349,15 +307,13 @@ def test_a_database_without_a_sound_index_of_times_is_read_whole(logs, tmp_path,
 
 def relative(tmp_path, stamps_ms, kind="csv", **options):
     """Return the stamps, in ms, that are used of a table of samples, and what was remarked."""
-    rows = len(stamps_ms)
-    columns = dict.fromkeys(("wx", "wy", "wz"), np.full(rows, 0.1))
-    columns = {"t_ns": np.array(stamps_ms, np.int64) * 10**6, **columns}
     path = tmp_path / f"log.{kind}"
     if kind == "csv":
-        lines = [",".join(map(str, row)) for row in zip(*columns.values(), strict=True)]
-        path.write_text("\n".join([",".join(columns), *lines, ""]))
+        write_rates(path, [(f"{stamp}000000", 0.1, 0.1, 0.1) for stamp in stamps_ms])
     else:
-        pyarrow.parquet.write_table(pyarrow.table(columns), path, row_group_size=20)
+        t_ns = np.array(stamps_ms, np.int64) * 10**6
+        series = GyroSeries(t_ns, np.full((len(t_ns), 3), 0.1))
+        pyarrow.parquet.write_table(series.to_arrow(), path, row_group_size=20)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         series = propagate(path, rate_unit="rad/s", **options)
@@ -367,8 +323,9 @@ def relative(tmp_path, stamps_ms, kind="csv", **options):
 TEN_S = range(10_000, 20_000, 100)
 
 
-@pytest.mark.parametrize("kind", ["csv", "parquet"])
-@pytest.mark.parametrize("place", [0, 1, 50, 98])
+@pytest.mark.parametrize(
+    ("kind", "place"), [("csv", 0), ("csv", 50), ("parquet", 1), ("parquet", 98)]
+)
 @pytest.mark.parametrize("option", ["end=-3s", "start=-2s", "start=+1s"])
 def test_relative_times_do_not_count_from_an_outlier(kind, place, option, tmp_path):
     """A stamp of 1000 s in a log of 10 to 20 s was the last: `--end -3s` cut nothing."""
@@ -421,15 +378,11 @@ def test_a_pause_beside_the_anchor_is_said_with_both_stamps(option, kind, tmp_pa
     assert f" from {before} to {after} ns; if a clock was wrong there, give an absol" in found
 
 
-def test_a_pause_at_an_end_is_never_refused(tmp_path):
-    """Without a relative range, the gap is said with both stamps."""
+def test_a_pause_is_never_refused_and_one_amid_the_log_is_no_anchor(tmp_path):
+    """Without a relative range, it is said with both stamps; amid the log no clock was wrong."""
     used, remarks = relative(tmp_path, [*TEN_S, 10**6])
     assert used == [*TEN_S, 10**6]
     assert any("t = 1000000000000 ns, 980.1 s after 19900000000 ns" in one for one in remarks)
-
-
-def test_a_pause_amid_the_log_is_no_anchor(tmp_path):
-    """Only one close to an end may be a clock that was wrong."""
     stamps = [*TEN_S, *(stamp + 10**6 for stamp in TEN_S)]
     used, remarks = relative(tmp_path, stamps, start="+1s")
     assert used == stamps[10:]
@@ -439,19 +392,18 @@ def test_a_pause_amid_the_log_is_no_anchor(tmp_path):
 def test_stamps_that_go_backwards_are_dropped_before_the_range_is_cut(tmp_path):
     """What is late is late, wherever the range begins; what is outside of it is not lost."""
     stamps = [*range(0, 1000, 10), 500, *range(1000, 2000, 10)]
-    used, remarks = relative(tmp_path, stamps, start=400_000_000, end=600_000_000, **DROP)
+    used, remarks = relative(
+        tmp_path, stamps, start=400_000_000, end=600_000_000, on_backwards="drop"
+    )
     assert used == [*range(400, 610, 10)]
     assert any("1 non-monotonic timestamp (dropped), first at sample 100" in one for one in remarks)
-
-
-DROP = {"on_backwards": "drop"}
 
 
 @pytest.mark.parametrize("option", ["start", "end"])
 def test_a_small_time_in_nanoseconds_is_taken_where_the_log_reaches_it(option, tmp_path):
     """A log may begin at 0 and last a millisecond: its times could not be written."""
-    path, stamps = tmp_path / "log.csv", range(0, 10**6, 25_000)
-    path.write_text("t_ns,wx,wy,wz\n" + "".join(f"{stamp},0,0,1\n" for stamp in stamps))
+    stamps = range(0, 10**6, 25_000)
+    path = write_rates(tmp_path / "log.csv", [(stamp, 0, 0, 1) for stamp in stamps])
     used = propagate(path, **{option: 714_036}).t_ns.tolist()
     assert used == [t for t in stamps if (t >= 714_036 if option == "start" else t <= 714_036)]
     for seconds in (5, "5"):
@@ -469,10 +421,9 @@ def test_an_outlier_in_the_last_minute_is_no_anchor(logs, tmp_path):
     stamps = series.t_ns.copy()
     stamps[-5] += 1000 * NS_PER_S
     table = GyroSeries(stamps, series.rate).to_arrow()
-    pyarrow.parquet.write_table(table, log, row_group_size=1000)
-    with pytest.raises(TimelineError, match=r"is an outlier, 1000.05 s ahead"):
+    pyarrow.parquet.write_table(table, log, row_group_size=500)
+    with pytest.raises(TimelineError, match=r"is an outlier, 1000.1 s ahead"):
         attitudes(log, tmp_path, "-30s", None)
-    drop = Policy(on_backwards="drop")
-    report, table = attitudes(log, tmp_path, "-30s", None, policy=drop)
+    report, table = attitudes(log, tmp_path, "-30s", None, policy=Policy(on_backwards="drop"))
     assert report.conditioning.start_ns == series.t_ns[-1] - 30 * NS_PER_S
     assert table.num_rows == 30 * RATE

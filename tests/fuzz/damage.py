@@ -94,7 +94,7 @@ class Worker:
 def _serve(pipe, intact):
     """Read damaged logs as seeds come in."""
     from fuzz.losses import unexplained_loss
-    from make.logs import write_damaged
+    from make.damaged_logs import write_damaged
 
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     os.environ["QUATPROP_TRACEBACK"] = "1"
@@ -202,7 +202,7 @@ def fuzz(seeds, workers, tell):
     tell
         Called with each seed and what was found.
     """
-    from make.logs import write_logs
+    from make.damaged_logs import write_logs
 
     seeds = iter(seeds)
     lock = threading.Lock()
@@ -240,7 +240,7 @@ def main():
     chosen = parser.parse_args()
     seeds = range(chosen.first, chosen.first + chosen.count)
     if chosen.keep:
-        from make.logs import write_damaged, write_logs
+        from make.damaged_logs import write_damaged, write_logs
 
         with tempfile.TemporaryDirectory() as folder:
             write_logs(Path(folder))

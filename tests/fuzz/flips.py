@@ -51,6 +51,12 @@ GOOD = {HARMLESS, DETECTED, REFUSED}
 """Verdicts that are right of any flip; the others are not."""
 
 
+def series():
+    """Return the samples of a log of messages."""
+    t_ns = 1_700_000_000_000_000_000 + SPACING_NS * np.arange(SAMPLES)
+    return quatprop.GyroSeries(t_ns, RATES[:, None] * [1.0, 0.0, 0.0])
+
+
 class Reading(NamedTuple):
     """What a user gets of a log: samples and warnings, or an error."""
 
@@ -199,10 +205,13 @@ def whole(reading):
 
 
 def sample(name, count):
-    """Return about so many flips of a format, spread evenly over its layouts and bytes."""
-    flips = list(Format.named(name).flips())
-    # A step that is odd meets every bit.
-    return flips[:: max(1, len(flips) // count) | 1]
+    """Return a flip of each thing that a byte of a format can be, and about so many of all."""
+    flips, things = list(Format.named(name).flips()), {}
+    for flip in flips:
+        things.setdefault(flip.name, []).append(flip)
+    # Steps that are odd meet every bit, and every layout.
+    one_each = [some[701 * k % len(some)] for k, some in enumerate(things.values())]
+    return one_each + flips[:: max(1, len(flips) // count) | 1]
 
 
 def unnoticed_table():

@@ -7,11 +7,9 @@ from contextlib import closing
 from functools import cache
 from pathlib import Path
 
-from fuzz.flips import RATES, SPACING_NS
-from rosbags.typesys import Stores, get_typestore
+from fuzz.flips import series
+from make.formats import ROS2, imus
 
-IMU = "sensor_msgs/msg/Imu"
-T0 = 1_700_000_000_000_000_000
 TITLE = "SQLite"
 COUNTED = ()
 LEAF_TABLE, INNER_TABLE, LEAF_INDEX, INNER_INDEX = 13, 5, 10, 2
@@ -45,28 +43,18 @@ def layouts():
 
 
 def _bag(tables, *, notes=False):
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    types = store.types
-    stamp, vector = types["builtin_interfaces/msg/Time"], types["geometry_msgs/msg/Vector3"]
-    orientation = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-    nothing = RATES[:9] * 0.0
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.db3"
-        with closing(sqlite3.connect(path)) as database:
+        with closing(sqlite3.connect(path)) as database, database:
             database.executescript(tables)
             if notes:
                 row = (2, "/note", "std_msgs/msg/UInt8", "cdr")
                 database.execute("INSERT INTO topics VALUES (?, ?, ?, ?)", row)
             insert = "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)"
-            for k, x in enumerate(RATES.tolist()):
-                t_ns = T0 + k * SPACING_NS
-                header = types["std_msgs/msg/Header"](stamp(*divmod(t_ns, 10**9)), "imu")
-                rate, force = vector(float(x), 0.0, 0.0), vector(0.0, 0.0, 9.81)
-                message = types[IMU](header, orientation, nothing, rate, nothing, force, nothing)
-                database.execute(insert, (3, t_ns, bytes(store.serialize_cdr(message, IMU))))
+            for k, (t_ns, data) in enumerate(imus(ROS2, series())):
+                database.execute(insert, (3, t_ns, data))
                 if notes and k % 10 == 0:
                     database.execute(insert, (2, t_ns, b"\0\1\0\0\0"))
-            database.commit()
         return path.read_bytes()
 
 

@@ -6,12 +6,10 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-from fuzz.flips import RATES, SPACING_NS
+from fuzz.flips import series
+from make.formats import IMU, ROS1, imus
 from rosbags.rosbag1 import Writer
-from rosbags.typesys import Stores, get_typestore
 
-IMU = "sensor_msgs/msg/Imu"
-T0 = 1_700_000_000_000_000_000
 OPS = {2: "message", 3: "bag header", 4: "index data", 5: "chunk", 6: "chunk info", 7: "connection"}
 MESSAGES = 3
 """Messages at each end of a chunk whose heads are structure to look at: the others are alike."""
@@ -45,11 +43,6 @@ COUNTED = ("none", "lz4", "bz2", "one topic")
 
 
 def _bag(compression, *, notes=True):
-    store = get_typestore(Stores.ROS1_NOETIC)
-    types = store.types
-    stamp, vector = types["builtin_interfaces/msg/Time"], types["geometry_msgs/msg/Vector3"]
-    orientation = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-    nothing = RATES[:9] * 0.0
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.bag"
         writer = Writer(path)
@@ -57,15 +50,10 @@ def _bag(compression, *, notes=True):
         if compression:
             writer.set_compression(Writer.CompressionFormat[compression])
         with writer:
-            imu = writer.add_connection("/imu", IMU, typestore=store)
-            note = notes and writer.add_connection("/note", "std_msgs/msg/UInt8", typestore=store)
-            for k, x in enumerate(RATES.tolist()):
-                t_ns = T0 + k * SPACING_NS
-                header = types["std_msgs/msg/Header"](k, stamp(*divmod(t_ns, 10**9)), "imu")
-                rate = vector(float(x), 0.0, 0.0)
-                force = vector(0.0, 0.0, 9.81)
-                message = types[IMU](header, orientation, nothing, rate, nothing, force, nothing)
-                writer.write(imu, t_ns, bytes(store.serialize_ros1(message, IMU)))
+            imu = writer.add_connection("/imu", IMU, typestore=ROS1)
+            note = notes and writer.add_connection("/note", "std_msgs/msg/UInt8", typestore=ROS1)
+            for k, (t_ns, data) in enumerate(imus(ROS1, series())):
+                writer.write(imu, t_ns, data)
                 if notes and k % 10 == 0:
                     writer.write(note, t_ns, b"\0")
         return path.read_bytes()

@@ -6,13 +6,19 @@ import zlib
 
 import pytest
 from make.numbered_mcap import BARE, MESSAGES, read, records, unclosed, written
-from mcap.stream_reader import StreamReader
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, IndexType, Writer
 
 from quatprop.containers.mcap.log import McapLog
 from quatprop.tables.log import Loss
 
+ALL = list(range(MESSAGES))
+PLAIN = {"compression": CompressionType.NONE}
 COMPRESSIONS = (CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD)
+LAYOUTS = {"whole": {}, "unclosed": {}, "bare": BARE}
+every_compression = pytest.mark.parametrize("compression", COMPRESSIONS)
+every_layout = pytest.mark.parametrize("layout", LAYOUTS)
 
 
 def chunks(content):
@@ -22,9 +28,6 @@ def chunks(content):
 
 def numbers_of_chunks(content):
     """Return the numbers of the messages in each chunk, by the library's own reader."""
-    from mcap.records import Chunk, Message
-    from mcap.stream_reader import breakup_chunk
-
     return [
         [record.sequence for record in breakup_chunk(chunk) if isinstance(record, Message)]
         for chunk in StreamReader(io.BytesIO(content), emit_chunks=True).records
@@ -37,10 +40,12 @@ def without(numbers):
     return [number for number in range(MESSAGES) if number not in set(numbers)]
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS)
+@every_compression
 @pytest.mark.parametrize("closed", [True, False])
-def test_a_chunk_whose_checksum_is_wrong_is_left_out_and_told(tmp_path, compression, closed):
-    """Nobody can tell which of its samples is wrong, so none is taken, and all are counted."""
+def test_a_chunk_whose_checksum_is_wrong_is_left_out_and_told(
+    tmp_path, monkeypatch, compression, closed
+):
+    """Nobody can tell which of its samples is wrong, so none is taken, unless the user says so."""
     content = bytearray(written(compression=compression))
     begin, _ = chunks(content)[3]
     content[begin + 9 + 24] ^= 1  # in the checksum: the same as a bit in the samples, for any code
@@ -53,44 +58,18 @@ def test_a_chunk_whose_checksum_is_wrong_is_left_out_and_told(tmp_path, compress
         "it is read all the same"
     )
     assert Loss(f"chunk at byte {begin}", reason, len(lost)) in losses
-
-
-def test_a_flipped_bit_in_a_sample_is_no_sample(tmp_path):
-    """A rate that is not the one recorded would turn every attitude after it."""
-    content = bytearray(written(compression=CompressionType.NONE))
-    begin, end = chunks(content)[5]
-    content[end - 3] ^= 0x40
-    numbers, losses = read(tmp_path, bytes(content))
-    lost = numbers_of_chunks(bytes(written(compression=CompressionType.NONE)))[5]
-    assert numbers == without(lost)
-    assert [(loss.place, loss.messages) for loss in losses] == [
-        (f"chunk at byte {begin}", len(lost))
-    ]
-
-
-def test_wrong_checksums_can_be_ignored(tmp_path, monkeypatch):
-    """Where the writer of a log computes them wrongly, the user can say so."""
     monkeypatch.setenv("QUATPROP_CHECKSUMS", "ignore")
-    content = bytearray(written())
-    for begin, _ in chunks(content):
-        content[begin + 9 + 24] ^= 1
-    assert read(tmp_path, bytes(content)) == (list(range(MESSAGES)), [])
-
-
-def test_a_checksum_of_zero_is_none(tmp_path):
-    """Writers that compute no checksum write 0."""
-    content = written(enable_crcs=False)
-    assert read(tmp_path, content) == (list(range(MESSAGES)), [])
+    assert read(tmp_path, content)[0] == ALL
 
 
 def test_a_wrong_checksum_of_the_data_section_is_told(tmp_path):
     """Messages outside chunks have no other checksum; it does not say where the damage is."""
     content = bytearray(written(use_chunking=False, enable_data_crcs=True))
-    assert read(tmp_path, bytes(content)) == (list(range(MESSAGES)), [])
+    assert read(tmp_path, bytes(content)) == (ALL, [])
     place = next(begin for opcode, begin, _ in records(content) if opcode == 5)
     content[place + 9 + 22 + 8] ^= 1
     numbers, losses = read(tmp_path, bytes(content))
-    assert numbers == list(range(MESSAGES))
+    assert numbers == ALL
     assert losses == [
         Loss(
             "data section",
@@ -99,12 +78,11 @@ def test_a_wrong_checksum_of_the_data_section_is_told(tmp_path):
     ]
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-@pytest.mark.parametrize("layout", ["whole", "unclosed", "bare"])
+@every_compression
+@every_layout
 def test_what_follows_a_hole_is_read(tmp_path, compression, layout):
     """Bytes that are missing in the middle cost the chunk they are missing in, and no other."""
-    options = BARE if layout == "bare" else {}
-    intact = written(compression=compression, **options)
+    intact = written(compression=compression, **LAYOUTS[layout])
     begin, _ = chunks(intact)[4]
     content = intact[: begin + 200] + intact[begin + 277 :]
     if layout != "whole":
@@ -117,13 +95,12 @@ def test_what_follows_a_hole_is_read(tmp_path, compression, layout):
         assert sum(loss.messages or 0 for loss in losses) == len(lost)
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-@pytest.mark.parametrize("layout", ["whole", "unclosed", "bare"])
+@every_compression
+@every_layout
 @pytest.mark.parametrize("field", ["opcode", "length", "packed size", "everything"])
 def test_what_follows_a_damaged_chunk_head_is_read(tmp_path, compression, layout, field):
     """A chunk that cannot be followed to its end does not hide those behind it."""
-    options = BARE if layout == "bare" else {}
-    intact = written(compression=compression, **options)
+    intact = written(compression=compression, **LAYOUTS[layout])
     begin, end = chunks(intact)[4]
     content = bytearray(intact)
     name = len({CompressionType.NONE: ""}.get(compression, compression.name))
@@ -142,16 +119,16 @@ def test_what_follows_a_damaged_chunk_head_is_read(tmp_path, compression, layout
     assert set(without(numbers_of_chunks(intact)[4])) <= set(numbers)
     assert numbers == sorted(set(numbers))
     # Of head and content, one is enough to tell where a chunk ends, if an index does not.
-    assert losses or numbers == list(range(MESSAGES))
+    assert losses or numbers == ALL
 
 
 def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path):
     """The records inside a chunk that is not compressed can be followed by themselves."""
-    content = bytearray(unclosed(written(compression=CompressionType.NONE)))
+    content = bytearray(unclosed(written(**PLAIN)))
     begin, _ = chunks(content)[4]
     content[begin : begin + 9] = b"\xff" * 9
     numbers, losses = read(tmp_path, bytes(content))
-    assert numbers == list(range(MESSAGES))
+    assert numbers == ALL
     assert losses[0].place == f"byte {begin}"
 
 
@@ -159,7 +136,7 @@ def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path):
 @pytest.mark.parametrize("length", [2**40, 63, 1000])
 def test_a_damaged_message_in_a_chunk_costs_itself(tmp_path, closed, length):
     """Where there is no checksum, the index tells where the messages of a chunk go on."""
-    intact = written(compression=CompressionType.NONE, enable_crcs=False)
+    intact = written(**PLAIN, enable_crcs=False)
     damaged = numbers_of_chunks(intact)[4][7]
     at = intact.index(struct.pack("<QQ", damaged, damaged), chunks(intact)[4][0]) - 15
     content = bytearray(intact)
@@ -176,7 +153,7 @@ def test_a_message_whose_channel_id_is_damaged_is_counted(tmp_path, layout):
         "bare": BARE,
         "without index": {"index_types": IndexType.NONE, "use_statistics": False},
     }.get(layout, {})
-    intact = written(compression=CompressionType.NONE, enable_crcs=False, **options)
+    intact = written(**PLAIN, enable_crcs=False, **options)
     begin, _ = chunks(intact)[4]
     damaged = numbers_of_chunks(intact)[4][7]
     at = intact.index(struct.pack("<QQ", damaged, damaged), begin) - 6
@@ -218,7 +195,7 @@ def test_bytes_that_look_like_a_record_are_not_one(tmp_path):
     _, end = chunks(intact)[7]
     content = intact[:end] + b"\0" * 100 + fake + b"\xff" * 100 + intact[end:]
     numbers, losses = read(tmp_path, content)
-    assert numbers == list(range(MESSAGES))
+    assert numbers == ALL
     skipped = 200 + len(fake)
     assert losses == [Loss(f"byte {end}", f"no record begins there; {skipped} bytes are skipped")]
 
@@ -236,33 +213,34 @@ def two_topics():
 
 
 def test_a_damaged_message_index_hides_no_channel(tmp_path):
-    """Where the index of one of two channels is damaged, the chunk is asked for both."""
-    content = bytearray(unclosed(two_topics()))
-    begin = [begin for opcode, begin, _ in records(content) if opcode == 7][9]
+    """Where that of one of two channels is damaged, or lists too few, the chunk is walked."""
+    intact = two_topics()
+    begin = [begin for opcode, begin, _ in records(intact) if opcode == 7][9]
+    content = bytearray(unclosed(intact))
     content[begin : begin + 15] = b"\xff" * 15
     numbers, losses = read(tmp_path, bytes(content))
-    assert sorted(numbers) == list(range(MESSAGES))
+    assert sorted(numbers) == ALL
     assert losses[0].place == f"byte {begin}"
+    content = bytearray(intact)
+    size = int.from_bytes(content[begin + 11 : begin + 15], "little")
+    content[begin + 11 : begin + 15] = (size - 16 * 5).to_bytes(4, "little")
+    numbers, losses = read(tmp_path, bytes(content))
+    assert (sorted(numbers), losses) == (ALL, [])
 
 
-def large(compression):
-    """Return a log of one chunk that takes several blocks of any compression, and its head."""
+@every_compression
+def test_a_torn_chunk_gives_what_can_be_unpacked_of_it(tmp_path, compression):
+    """Of the chunk that a dying recorder was writing, the front is read."""
     buffer = io.BytesIO()
     writer = Writer(buffer, chunk_size=1 << 30, compression=compression, **BARE)
     writer.start("ros2", "test")
     channel = writer.register_channel("/imu", "cdr", 0)
-    content = bytes(zlib.crc32(b"%d" % k) & 0xFF for k in range(1024))
+    data = bytes(zlib.crc32(b"%d" % k) & 0xFF for k in range(1024))
     for number in range(2000):
-        writer.add_message(channel, number, number.to_bytes(8, "little") + content, number)
+        writer.add_message(channel, number, number.to_bytes(8, "little") + data, number)
     writer.finish()
-    return buffer.getvalue()
-
-
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_a_torn_chunk_gives_what_can_be_unpacked_of_it(tmp_path, compression):
-    """Of the chunk that a dying recorder was writing, the front is read."""
-    content = large(compression)
-    begin, end = chunks(content)[0]
+    content = buffer.getvalue()
+    ((begin, end),) = chunks(content)
     numbers, losses = read(tmp_path, content[: begin + 9 * (end - begin) // 10])
     assert numbers == list(range(len(numbers)))
     assert 1000 < len(numbers) < 2000
@@ -281,7 +259,7 @@ def test_definitions_are_taken_from_a_chunk_whose_checksum_is_wrong(tmp_path):
 
 
 @pytest.mark.parametrize("size", [0, 1, 1 << 27, (1 << 64) - 1])
-@pytest.mark.parametrize("compression", COMPRESSIONS)
+@every_compression
 def test_a_chunk_of_another_size_than_the_index_says_is_read(tmp_path, compression, size):
     """The head of the chunk counts, whatever the summary says that it decompresses to."""
     content = bytearray(written(compression=compression))
@@ -292,17 +270,16 @@ def test_a_chunk_of_another_size_than_the_index_says_is_read(tmp_path, compressi
     crc = zlib.crc32(content[summary:-12])
     content[-12:-8] = crc.to_bytes(4, "little")
     assert len(ends) > 6
-    assert read(tmp_path, bytes(content)) == (list(range(MESSAGES)), [])
+    assert read(tmp_path, bytes(content)) == (ALL, [])
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-@pytest.mark.parametrize("layout", ["whole", "unclosed", "bare"])
+@every_compression
+@every_layout
 def test_a_chunk_whose_log_times_are_not_as_it_states_is_lost(
     tmp_path, monkeypatch, compression, layout
 ):
     """Without a checksum, they show that what was decompressed is not what was recorded."""
-    options = BARE if layout == "bare" else {}
-    intact = written(compression=compression, enable_crcs=False, **options)
+    intact = written(compression=compression, enable_crcs=False, **LAYOUTS[layout])
     begin, _ = chunks(intact)[4]
     content = bytearray(intact)
     lost = numbers_of_chunks(intact)[4]
@@ -320,7 +297,7 @@ def test_a_chunk_whose_log_times_are_not_as_it_states_is_lost(
     )
     assert Loss(f"chunk at byte {begin}", reason, len(lost)) in losses
     monkeypatch.setenv("QUATPROP_CHECKSUMS", "ignore")
-    assert read(tmp_path, content)[0] == list(range(MESSAGES))
+    assert read(tmp_path, content)[0] == ALL
 
 
 @pytest.mark.parametrize("checked", [True, False])
@@ -329,18 +306,7 @@ def test_times_that_a_chunk_does_not_state_or_that_its_checksum_refutes(tmp_path
     content = bytearray(written(enable_crcs=checked, **BARE))
     for begin, _ in chunks(content):
         content[begin + 9 : begin + 25] = struct.pack("<QQ", 0, 1 if checked else 0)
-    assert read(tmp_path, bytes(content)) == (list(range(MESSAGES)), [])
-
-
-def test_a_message_index_that_lists_too_few_is_not_used(tmp_path):
-    """Where the next one begins shows how many it had."""
-    content = bytearray(two_topics())
-    begin = [begin for opcode, begin, _ in records(content) if opcode == 7][9]
-    size = int.from_bytes(content[begin + 11 : begin + 15], "little")
-    content[begin + 11 : begin + 15] = (size - 16 * 5).to_bytes(4, "little")
-    numbers, losses = read(tmp_path, bytes(content))
-    assert sorted(numbers) == list(range(MESSAGES))
-    assert losses == []
+    assert read(tmp_path, bytes(content)) == (ALL, [])
 
 
 def test_no_part_of_an_unclosed_log_is_left_unread_for_the_times_in_heads_of_chunks(tmp_path):

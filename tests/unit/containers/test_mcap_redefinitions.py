@@ -2,24 +2,17 @@
 
 import struct
 import zlib
+from collections import defaultdict
 
 import pytest
+from fuzz.flips_mcap import MAGIC, message_index, record, text
 from mcap.reader import NonSeekingReader
 
 from quatprop.containers.mcap.log import McapLog
 from quatprop.errors import UnsupportedLogError
 
-MAGIC = b"\x89MCAP0\r\n"
-
-
-def record(opcode, content):
-    """Return a record."""
-    return struct.pack("<BQ", opcode, len(content)) + content
-
-
-def text(content):
-    """Return a string with its length before it."""
-    return struct.pack("<I", len(content)) + content.encode()
+HEADER, END = record(1, text("ros2") + text("test")), record(15, bytes(4)) + record(2, bytes(20))
+whether_indexed = pytest.mark.parametrize("indexed", [True, False])
 
 
 def schema(id_, name, definition="string data"):
@@ -27,9 +20,9 @@ def schema(id_, name, definition="string data"):
     return record(3, struct.pack("<H", id_) + text(name) + text("ros2msg") + text(definition))
 
 
-def channel(id_, topic, schema_id=1):
+def channel(id_, topic, schema_id=1, metadata=b""):
     """Return a channel record."""
-    content = struct.pack("<HH", id_, schema_id) + text(topic) + text("cdr") + bytes(4)
+    content = struct.pack("<HH", id_, schema_id) + text(topic) + text("cdr") + text(metadata)
     return record(4, content)
 
 
@@ -43,29 +36,23 @@ def messages(id_, *stamps):
 
 def chunk(*parts, indexed, checked=True):
     """Return a chunk, with a message index and a checksum where wanted."""
-    content = b"".join(parts)
-    head = struct.pack("<QQQII", 0, 99, len(content), zlib.crc32(content) if checked else 0, 0)
-    written = record(6, head + struct.pack("<Q", len(content)) + content)
-    entries, position = {}, 0
+    content, entries, position = b"".join(parts), defaultdict(list), 0
+    crc = zlib.crc32(content) if checked else 0
+    head = struct.pack("<QQQII", 0, 99, len(content), crc, 0)
     while position < len(content):
         opcode, length = struct.unpack_from("<BQ", content, position)
         if opcode == 5:
             id_, _, stamp = struct.unpack_from("<HIQ", content, position + 9)
-            entries.setdefault(id_, []).append(struct.pack("<QQ", stamp, position))
+            entries[id_].append((stamp, position))
         position += 9 + length
-    for id_, listed in entries.items() if indexed else ():
-        list_size = 16 * len(listed)
-        written += record(7, struct.pack("<HI", id_, list_size) + b"".join(listed))
-    return written
+    index = b"".join(message_index(*each) for each in entries.items()) if indexed else b""
+    return record(6, head + struct.pack("<Q", len(content)) + content) + index
 
 
 def saved(tmp_path, *parts):
     """Return the path of a file of these records, which has no summary."""
-    header = record(1, text("ros2") + text("test"))
     path = tmp_path / "log.mcap"
-    path.write_bytes(
-        MAGIC + header + b"".join(parts) + record(15, bytes(4)) + record(2, bytes(20)) + MAGIC
-    )
+    path.write_bytes(MAGIC + HEADER + b"".join(parts) + END + MAGIC)
     return path
 
 
@@ -81,17 +68,18 @@ def read(log):
 
 def truth(path):
     """Return the same by the library's own reader."""
-    found = {}
+    found = defaultdict(list)
     with path.open("rb") as stream:
         for kind, of, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
-            found.setdefault((of.topic, kind.name), []).append(message.log_time)
+            found[of.topic, kind.name].append(message.log_time)
     return found
 
 
 FIRST = (schema(1, "a/msg/A"), channel(1, "/a"), messages(1, 0, 1, 2, 3))
+OTHER = (schema(3, "a/msg/C"), channel(2, "/other", 3))
 
 
-@pytest.mark.parametrize("indexed", [True, False])
+@whether_indexed
 @pytest.mark.parametrize("anew", [channel(1, "/b"), schema(1, "a/msg/B")])
 @pytest.mark.parametrize("chunked", [True, False])
 def test_an_id_that_is_defined_anew_between_chunks_is_read_as_the_library_does(
@@ -108,7 +96,7 @@ def test_an_id_that_is_defined_anew_between_chunks_is_read_as_the_library_does(
     assert log.losses == []
 
 
-@pytest.mark.parametrize("indexed", [True, False])
+@whether_indexed
 @pytest.mark.parametrize("last", [(), (4, 5, 6)])
 @pytest.mark.parametrize(
     ("anew", "told"),
@@ -135,7 +123,7 @@ def test_an_id_that_is_defined_anew_inside_a_chunk_is_refused(tmp_path, anew, to
         )
 
 
-@pytest.mark.parametrize("indexed", [True, False])
+@whether_indexed
 def test_a_definition_that_may_be_damaged_costs_its_chunk(tmp_path, indexed):
     """Without a checksum, a new definition may be damage: the other chunks are read."""
     damaged = chunk(FIRST[0], FIRST[1], messages(1, 4, 5), channel(1, "/A"), messages(1, 6),
@@ -152,11 +140,10 @@ def test_a_definition_that_may_be_damaged_costs_its_chunk(tmp_path, indexed):
     assert loss.messages == 3
 
 
-@pytest.mark.parametrize("indexed", [True, False])
+@whether_indexed
 def test_topics_beside_an_id_that_is_defined_anew_are_read(tmp_path, indexed):
     """Whichever is read first, one topic is read and the other refused."""
-    other = (schema(3, "a/msg/C"), channel(2, "/other", 3), messages(2, 7))
-    parts = (*other, *FIRST, messages(2, 8), channel(1, "/b"), messages(1, 4))
+    parts = (*OTHER, messages(2, 7), *FIRST, messages(2, 8), channel(1, "/b"), messages(1, 4))
     path = saved(tmp_path, chunk(*parts, indexed=indexed))
     log = McapLog(path)
     first, second = log.channels()
@@ -167,29 +154,24 @@ def test_topics_beside_an_id_that_is_defined_anew_are_read(tmp_path, indexed):
             list(log.blocks(first))
 
 
-def test_definitions_that_are_repeated_are_no_new_ones(tmp_path):
+@whether_indexed
+def test_definitions_that_are_repeated_are_no_new_ones(tmp_path, indexed):
     """Writers repeat definitions in each chunk, and other metadata makes no other channel."""
-    again = channel(1, "/a")[:-4] + struct.pack("<I", 10) + text("k") + text("v")
-    again = again[:1] + struct.pack("<Q", len(again) - 9) + again[9:]
-    for indexed in (True, False):
-        path = saved(tmp_path, chunk(*FIRST, FIRST[0], again, messages(1, 4), indexed=indexed))
-        assert read(McapLog(path)) == truth(path) == {("/a", "a/msg/A"): [0, 1, 2, 3, 4]}
+    again = channel(1, "/a", metadata=text("k") + text("v"))
+    path = saved(tmp_path, chunk(*FIRST, FIRST[0], again, messages(1, 4), indexed=indexed))
+    assert read(McapLog(path)) == truth(path) == {("/a", "a/msg/A"): [0, 1, 2, 3, 4]}
 
 
-def picture(size=200_000):
-    """Return a large message of channel 2."""
-    return record(5, struct.pack("<HIQQ", 2, 0, 3, 3) + bytes(size))
-
-
-OTHER = (schema(3, "a/msg/C"), channel(2, "/other", 3))
+PICTURE = record(5, struct.pack("<HIQQ", 2, 0, 3, 3) + bytes(200_000))
+"""A large message of channel 2."""
 
 
 @pytest.mark.parametrize(
     "parts",
     [
-        (*FIRST, picture(), channel(1, "/b"), picture(), messages(1, 4)),
-        (*FIRST, channel(1, "/b"), picture(), picture(), messages(1, 4)),
-        (*FIRST, picture(), messages(1, 4), picture(), channel(1, "/b")),
+        (*FIRST, PICTURE, channel(1, "/b"), PICTURE, messages(1, 4)),
+        (*FIRST, channel(1, "/b"), PICTURE, PICTURE, messages(1, 4)),
+        (*FIRST, PICTURE, messages(1, 4), PICTURE, channel(1, "/b")),
     ],
 )
 def test_an_id_that_is_defined_anew_beside_pictures_is_refused(tmp_path, parts):
@@ -201,7 +183,7 @@ def test_an_id_that_is_defined_anew_beside_pictures_is_refused(tmp_path, parts):
 
 def test_pictures_are_passed_over_behind_definitions(tmp_path):
     """Definitions that a chunk begins with, as they were before, let messages be selected."""
-    later = chunk(*OTHER, *FIRST[:2], picture(), messages(1, 4), picture(), indexed=True)
+    later = chunk(*OTHER, *FIRST[:2], PICTURE, messages(1, 4), PICTURE, indexed=True)
     path = saved(tmp_path, chunk(*OTHER, *FIRST, indexed=True), later)
     log = McapLog(path)
     assert read(log)["/a", "a/msg/A"] == truth(path)["/a", "a/msg/A"] == [0, 1, 2, 3, 4]

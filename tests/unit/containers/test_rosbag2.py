@@ -5,39 +5,31 @@ import shutil
 import sqlite3
 import time
 from collections import defaultdict
-from pathlib import Path
+from contextlib import closing
 
 import numpy as np
 import pytest
 import zstandard
+from make.container_messages import messages_of, rosbags_messages
 from make.into_logs import write_mcap
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
 from quatprop.containers.mcap.log import McapLog
 from quatprop.containers.rosbag2.log import Rosbag2Log
-from quatprop.containers.rosbag2.parts import METADATA, folder
+from quatprop.containers.rosbag2.parts import folder
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.stores.file_source import FileSource
 from quatprop.tables.log import Loss
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
-AUK = [
-    "auk/auk_mcap_zstd",
-    "auk/auk_mcap_zstdfile",
-    "auk/auk_sqlite3",
-    "auk/auk_sqlite3_zstdfile",
-    "auk/auk_sqlite3_zstdmsg",
-]
-REAL = [
-    *AUK,
-    "nested_imu/kiran_11sec_motion",
-    "rosbag2/geocam_all_types",
-]
 T0 = 1_700_000_000_000_000_000
 HEADER = b"\x00\x01\x00\x00"
+IMU, TEXT = ("/imu", "sensor_msgs/msg/Imu"), ("/text", "std_msgs/msg/String")
 SQLITE, MCAP = StoragePlugin.SQLITE3, StoragePlugin.MCAP
+
+
 FORMS = [
     (SQLITE, CompressionMode.NONE),
     (SQLITE, CompressionMode.FILE),
@@ -49,42 +41,9 @@ FORMS = [
 ]
 
 
-def rows_of(log, channel):
-    """Return (log time, bytes) of a channel in time order; check what the blocks promise."""
-    rows = []
-    bound = None
-    for block in log.blocks(channel):
-        assert bound is None or block.log_ns.min() >= bound
-        bound = block.watermark_ns
-        data = block.data.tobytes()
-        rows += [
-            (log_ns, data[start:end])
-            for log_ns, start, end in zip(
-                block.log_ns.tolist(), block.starts.tolist(), block.ends.tolist(), strict=True
-            )
-        ]
-    return sorted(rows, key=lambda row: row[0])
-
-
-def messages(path):
-    """Return the messages of each topic, in time order, and what was lost."""
-    with Rosbag2Log(path) as log:
-        found = {}
-        for channel in log.channels():
-            rows = rows_of(log, channel)
-            assert log.losses or channel.count in (None, len(rows))
-            found[channel.topic, channel.type_name] = rows
-        return found, log.losses
-
-
-def oracle(path):
-    """Return the same from rosbags."""
-    found = defaultdict(list)
-    with Reader(path) as reader:
-        names = {(c.topic, c.msgtype) for c in reader.connections}
-        for connection, log_ns, data in reader.messages():
-            found[connection.topic, connection.msgtype].append((log_ns, bytes(data)))
-    return {name: sorted(found[name], key=lambda row: row[0]) for name in names}
+def messages(path, *options):
+    """Return the messages of each topic, sorted, and what was lost."""
+    return messages_of(Rosbag2Log(path, *options))
 
 
 def write_bag(path, form=FORMS[0], first=0, count=300, late=0):
@@ -124,7 +83,7 @@ def split_bag(path, form=FORMS[0], late=0, overlap=0, order=(0, 1, 2)):
     names = []
     for number in order:
         part = write_bag(path / f"part{number}", form, first=(300 - overlap) * number, late=late)
-        for name, rows in oracle(part).items():
+        for name, rows in rosbags_messages(part).items():
             expected[name] += rows
         metadata = metadata or metadata_of(part)
         (file,) = (one for one in part.iterdir() if one.name != "metadata.yaml")
@@ -141,54 +100,22 @@ def split_bag(path, form=FORMS[0], late=0, overlap=0, order=(0, 1, 2)):
     for topic in information["topics_with_message_count"]:
         topic["message_count"] *= 3
     write_metadata(path, metadata)
-    return path, {name: sorted(rows, key=lambda row: row[0]) for name, rows in expected.items()}
+    return path, {name: sorted(rows) for name, rows in expected.items()}
 
 
 @pytest.mark.parametrize("form", FORMS, ids=str)
 def test_every_form_gives_the_messages_of_rosbags(tmp_path, form):
     """Each storage and each compression gives the bytes and times that rosbags gives."""
-    path = write_bag(tmp_path / "bag", form)
-    assert messages(path) == (oracle(path), [])
+    path = write_bag(tmp_path / "bag", form, count=100)
+    assert messages(path) == (rosbags_messages(path), [])
 
 
-@pytest.mark.parametrize("name", REAL)
-def test_real_folders_are_read_as_rosbags_reads_them(shared_logs, name):
-    """Every message of a real folder has the bytes and the time that rosbags gives it."""
-    assert messages(shared_logs / name) == (oracle(shared_logs / name), [])
-
-
-def test_metadata_of_the_first_releases(shared_logs):
-    """Old metadata name the folder with the part, and databases then had no definitions."""
-    path = shared_logs / "rosbag2/plotjuggler_rosbag2_test"
-    assert messages(path) == (oracle(path), [])
-    with Rosbag2Log(path) as log:
-        imu = log.channels()[1]
-    assert (imu.topic, imu.schema_encoding, imu.count) == ("/imu", "", 1565)
-
-
-def test_all_forms_of_one_recording_are_the_same(shared_logs):
-    """A recording gives the same messages and channels however it is stored and packed."""
-    every = [messages(shared_logs / name) for name in AUK]
-    assert all(one == every[0] for one in every)
-    channels = []
-    for name in AUK:
-        with Rosbag2Log(shared_logs / name) as log:
-            channels.append(log.channels())
-    assert all(one == channels[0] for one in channels)
-
-
-@pytest.mark.parametrize("form", [FORMS[0], FORMS[1], FORMS[3], FORMS[5]], ids=str)
+@pytest.mark.parametrize("form", [FORMS[0], FORMS[1], FORMS[5]], ids=str)
 @pytest.mark.parametrize("overlap", [0, 200])
 def test_parts_are_one_log_in_time(tmp_path, form, overlap):
     """A split bag is one log, whatever the order of its parts and whether they overlap."""
     path, expected = split_bag(tmp_path / "bag", form, 5_000_000, overlap, order=(2, 0, 1))
-    found, losses = messages(path)
-    assert losses == []
-    assert {name: sorted(rows) for name, rows in found.items()} == {
-        name: sorted(rows) for name, rows in expected.items()
-    }
-    if not overlap:
-        assert found == expected
+    assert messages(path) == (expected, [])
 
 
 def test_blocks_of_overlapping_parts_alternate(tmp_path, monkeypatch):
@@ -205,28 +132,24 @@ def test_blocks_of_overlapping_parts_alternate(tmp_path, monkeypatch):
 def test_few_parts_stay_open_and_more_are_opened_again(tmp_path, monkeypatch, overlap):
     """A part is opened once, and however many stay open the messages are the same."""
     path, expected = split_bag(tmp_path / "bag", overlap=overlap)
-    expected = {name: sorted(rows) for name, rows in expected.items()}
-    opened = []
-
-    def source_of(part):
-        opened.append(part.name)
-        return FileSource(part)
-
     parts = sorted(part.name for part in path.glob("*.db3"))
     for count in (len(parts), 1):
+        opened = []
         monkeypatch.setattr("quatprop.containers.rosbag2.log.MAX_OPEN", count)
-        with Rosbag2Log(path, source_of) as log:
-            found = {
-                (channel.topic, channel.type_name): sorted(rows_of(log, channel))
-                for channel in log.channels()
-            }
-        assert (found, log.losses) == (expected, [])
+        found = messages(
+            path, lambda part, opened=opened: opened.append(part.name) or FileSource(part)
+        )
+        assert found == (expected, [])
         assert (sorted(opened) == parts) == (count == len(parts))
 
 
-def test_a_folder_without_metadata_is_read_by_the_names_of_its_parts(tmp_path):
-    """Without metadata.yaml, the numbered files of one bag are its parts."""
+def test_parts_are_found_by_their_names(tmp_path):
+    """Without metadata, the numbered files of one bag are its parts; with those of before, too."""
     path, expected = split_bag(tmp_path / "bag")
+    for part in path.glob("*.db3"):
+        part.rename(path / part.name.replace("bag", "drive"))
+    reason = "the parts that it names are not in the folder; they are found by their names"
+    assert messages(path) == (expected, [Loss("metadata.yaml", reason)])
     (path / "metadata.yaml").unlink()
     (path / "notes.txt").write_text("calibrated today")
     assert messages(path) == (expected, [])
@@ -244,58 +167,43 @@ def test_parts_are_counted_as_numbers(tmp_path):
         assert log.losses == [Loss("parts between 2 and 10", "they are not in the folder")]
 
 
-def test_several_bags_in_one_folder_are_not_mixed(shared_logs):
-    """A folder of several recordings is refused with their names."""
-    path = shared_logs / "rosbag2"
+def test_folders_that_are_not_one_bag_are_refused(tmp_path):
+    """Several bags are named, and what a bag needs is said."""
+    with pytest.raises(UnreadableLogError, match="no such folder; name a ROS 2 bag folder"):
+        Rosbag2Log(tmp_path / "missing")
+    reason = r"the folder holds no part of a ROS 2 bag \(\.mcap, \.db3\); name a log file"
+    with pytest.raises(UnsupportedLogError, match=reason):
+        Rosbag2Log(tmp_path)
+    for name in ("drive.mcap", "other.db3"):
+        (tmp_path / name).write_bytes(b"")
     with pytest.raises(UnsupportedLogError) as caught:
-        Rosbag2Log(path)
+        Rosbag2Log(tmp_path)
     assert str(caught.value) == (
-        f"{path}: the folder has no usable metadata.yaml and holds several bags: "
-        "'klintan_sample.db3', 'rerun_rosbag2_2025_09_10-13_03_56.mcap', 'test_bag_mcap.mcap'; "
-        "name one file"
+        f"{tmp_path}: the folder has no usable metadata.yaml and holds several bags: "
+        "'drive.mcap', 'other.db3'; name one file"
     )
 
 
-def test_a_folder_without_a_bag_is_refused(shared_logs, tmp_path):
-    """A folder of other files says what a bag folder needs."""
-    with pytest.raises(
-        UnsupportedLogError,
-        match=r"csv: the folder holds no part of a ROS 2 bag \(\.mcap, \.db3\); "
-        r"name a log file or a bag folder",
-    ):
-        Rosbag2Log(shared_logs / "csv")
-    with pytest.raises(UnreadableLogError, match="no such folder; name a ROS 2 bag folder"):
-        Rosbag2Log(tmp_path / "missing")
-
-
 def test_a_missing_part_is_a_loss(tmp_path):
-    """A part that is not there is named, with the messages that the metadata count in it."""
+    """It is named, with the messages that the metadata count in it; none at all is refused."""
     path, expected = split_bag(tmp_path / "bag")
     (path / "bag_1.db3").unlink()
     found, losses = messages(path)
     assert losses == [Loss("part 'bag_1.db3'", "it is not in the folder", 360)]
-    imu = "/imu", "sensor_msgs/msg/Imu"
-    assert found[imu] == expected[imu][:300] + expected[imu][600:]
-
-
-def test_parts_that_were_renamed_are_found_by_their_names(tmp_path):
-    """Metadata that name none of the files are those of before; that is said."""
-    path, expected = split_bag(tmp_path / "bag")
-    for part in path.glob("*.db3"):
-        part.rename(path / part.name.replace("bag", "drive"))
-    found, losses = messages(path)
-    reason = "the parts that it names are not in the folder; they are found by their names"
-    assert losses == [Loss("metadata.yaml", reason)]
-    assert found == expected
+    assert found[IMU] == expected[IMU][:300] + expected[IMU][600:]
+    for number in (0, 2):
+        (path / f"bag_{number}.db3").unlink()
+    reason = r"bag: none of its parts can be read; part 'bag_0\.db3': it is not in the folder"
+    with pytest.raises(DamagedLogError, match=reason):
+        Rosbag2Log(path)
 
 
 def test_metadata_that_count_no_messages_are_not_believed(tmp_path):
     """A recorder that died has not counted its messages; those of a database are there."""
     path = write_bag(tmp_path / "bag")
-    expected, _ = messages(path)
-    edited_counts = re.sub(r"message_count: \d+", "message_count: 0", (path / METADATA).read_text())
-    (path / METADATA).write_text(edited_counts)
-    assert messages(path) == (expected, [])
+    metadata = path / "metadata.yaml"
+    metadata.write_text(re.sub(r"message_count: \d+", "message_count: 0", metadata.read_text()))
+    assert messages(path) == (rosbags_messages(path), [])
     with Rosbag2Log(path) as log:
         assert {channel.count for channel in log.channels()} == {None}
 
@@ -303,35 +211,21 @@ def test_metadata_that_count_no_messages_are_not_believed(tmp_path):
 def test_a_part_by_itself_is_decompressed_message_by_message(tmp_path):
     """An MCAP file out of a folder, whose metadata say that messages are compressed."""
     path = write_bag(tmp_path / "bag", (MCAP, CompressionMode.MESSAGE))
-    expected, _ = messages(path)
-    with McapLog(path / "bag.mcap") as log:
-        for channel in log.channels():
-            rows = expected[channel.topic, channel.type_name]
-            assert rows_of(log, channel) == rows
-        assert not log.losses
+    assert messages_of(McapLog(path / "bag.mcap")) == (rosbags_messages(path), [])
 
 
 def test_a_part_that_the_metadata_do_not_name_is_a_loss(tmp_path):
     """A further part is not read, and that is said."""
     path = write_bag(tmp_path / "bag")
-    other = write_bag(tmp_path / "other", first=1000)
-    (other / "other.db3").rename(path / "other.db3")
-    expected = oracle(path)
-    assert messages(path) == (
-        expected,
-        [
-            Loss(
-                "part 'other.db3'",
-                "metadata.yaml does not name it and it is not read; name it by itself to read it",
-            )
-        ],
-    )
+    shutil.copy(path / "bag.db3", path / "other.db3")
+    reason = "metadata.yaml does not name it and it is not read; name it by itself to read it"
+    assert messages(path) == (rosbags_messages(path), [Loss("part 'other.db3'", reason)])
 
 
 def test_a_part_unpacked_by_hand_is_the_part(tmp_path):
     """A part beside its packed form is read once, and is no further part."""
     path = write_bag(tmp_path / "bag", (MCAP, CompressionMode.FILE))
-    expected = oracle(path)
+    expected = rosbags_messages(path)
     packed = path / "bag.mcap.zstd"
     with packed.open("rb") as source, (path / "bag.mcap").open("wb") as target:
         zstandard.ZstdDecompressor().copy_stream(source, target)
@@ -345,17 +239,13 @@ def test_a_part_unpacked_by_hand_is_the_part(tmp_path):
 @pytest.mark.parametrize("relative", ["../secret.db3", "/etc/secret.db3", "sub/../../secret.db3"])
 def test_nothing_outside_the_folder_is_read(tmp_path, relative):
     """A path that leaves the folder is looked for in the folder only."""
-    path = write_bag(tmp_path / "bag")
-    secret = write_bag(tmp_path / "secret", first=5000)
-    (secret / "secret.db3").rename(tmp_path / "secret.db3")
-    expected = oracle(path)
+    path = write_bag(tmp_path / "bag", count=20)
+    shutil.copy(path / "bag.db3", tmp_path / "secret.db3")
+    expected = rosbags_messages(path)
     metadata = metadata_of(path)
     metadata["rosbag2_bagfile_information"]["relative_file_paths"].append(relative)
     write_metadata(path, metadata)
-    assert messages(path) == (
-        expected,
-        [Loss(f"part '{relative}'", "it is not in the folder", None)],
-    )
+    assert messages(path) == (expected, [Loss(f"part '{relative}'", "it is not in the folder")])
 
 
 @pytest.mark.parametrize(
@@ -376,21 +266,19 @@ def test_nothing_outside_the_folder_is_read(tmp_path, relative):
 )
 def test_damaged_metadata_are_a_loss_and_nothing_runs(tmp_path, monkeypatch, content):
     """Metadata that say nothing of use are done without; what they ask to run does not run."""
-    path = write_bag(tmp_path / "bag")
-    expected = oracle(path)
+    path = write_bag(tmp_path / "bag", count=20)
+    expected = rosbags_messages(path)
     (path / "metadata.yaml").write_text(content)
     monkeypatch.chdir(tmp_path)
-    assert messages(path) == (
-        expected,
-        [Loss("metadata.yaml", "it is damaged; the parts are found by their names")],
-    )
+    reason = "it is damaged; the parts are found by their names"
+    assert messages(path) == (expected, [Loss("metadata.yaml", reason)])
     assert not (tmp_path / "owned").exists()
 
 
 def test_metadata_may_lack_keys(tmp_path):
     """Only the names of the parts are needed."""
     path = write_bag(tmp_path / "bag")
-    expected = oracle(path)
+    expected = rosbags_messages(path)
     write_metadata(path, {"rosbag2_bagfile_information": {"relative_file_paths": ["bag.db3"]}})
     assert messages(path) == (expected, [])
     with Rosbag2Log(path) as log:
@@ -401,9 +289,8 @@ def test_a_definition_may_be_in_one_part_only(tmp_path):
     """A part without the definition of a type takes that of another part."""
     path, expected = split_bag(tmp_path / "bag")
     for number in (0, 2):
-        with sqlite3.connect(path / f"bag_{number}.db3") as database:
+        with closing(sqlite3.connect(path / f"bag_{number}.db3")) as database, database:
             database.execute("DELETE FROM message_definitions")
-        database.close()
     with Rosbag2Log(path) as log:
         imu, _ = log.channels()
         assert (imu.topic, imu.count, imu.schema_encoding) == ("/imu", 900, "ros2msg")
@@ -415,46 +302,30 @@ def test_a_damaged_part_loses_only_itself(tmp_path):
     path, expected = split_bag(tmp_path / "bag", FORMS[3])
     (path / "bag_1.mcap").write_bytes(b"")
     found, losses = messages(path)
-    imu = "/imu", "sensor_msgs/msg/Imu"
-    text = "/text", "std_msgs/msg/String"
-    assert [(loss.place, loss.messages) for loss in losses] == [
+    assert found[IMU] == expected[IMU][:300] + expected[IMU][600:]
+    assert {(loss.place, loss.messages) for loss in losses} == {
         ("bag_1.mcap: the whole part", None),
         ("metadata.yaml", 300),
-        ("metadata.yaml", len(expected[text]) - len(found[text])),
-    ]
+        ("metadata.yaml", len(expected[TEXT]) - len(found[TEXT])),
+    }
     assert losses[1].reason == "it counts 300 messages of topic '/imu' more than there are"
-    assert found[imu] == expected[imu][:300] + expected[imu][600:]
 
 
 def test_a_packed_part_that_is_cut_gives_what_comes_before(tmp_path):
     """A packed part that ends early is read up to the cut, and the cut is a loss."""
-    path = write_bag(tmp_path / "bag", (MCAP, CompressionMode.FILE), count=9000)
-    expected = oracle(path)["/imu", "sensor_msgs/msg/Imu"]
-    part = path / "bag.mcap.zstd"
+    path = write_bag(tmp_path / "bag", (MCAP, CompressionMode.FILE), count=3000)
+    expected, part = rosbags_messages(path)[IMU], path / "bag.mcap.zstd"
     part.write_bytes(part.read_bytes()[: part.stat().st_size * 2 // 3])
     found, losses = messages(path)
-    rows = found["/imu", "sensor_msgs/msg/Imu"]
-    assert len(expected) // 4 < len(rows) < len(expected)
-    assert rows == expected[: len(rows)]
-    assert losses[0] == Loss(
-        "bag.mcap.zstd: end of the file", "its zstd data is damaged or cut off"
-    )
-
-
-def test_a_bag_with_no_readable_part_is_refused(tmp_path):
-    """A folder none of whose parts can be read is refused with the first reason."""
-    path = write_bag(tmp_path / "bag")
-    (path / "bag.db3").unlink()
-    with pytest.raises(
-        DamagedLogError,
-        match=r"bag: none of its parts can be read; part 'bag\.db3': it is not in the folder",
-    ):
-        Rosbag2Log(path)
+    assert len(expected) // 4 < len(found[IMU]) < len(expected)
+    assert found[IMU] == expected[: len(found[IMU])]
+    reason = "its zstd data is damaged or cut off"
+    assert losses[0] == Loss("bag.mcap.zstd: end of the file", reason)
 
 
 def test_other_message_compressions_are_refused(tmp_path):
     """A compression of messages that is not zstd is refused by name."""
-    path = write_bag(tmp_path / "bag")
+    path = write_bag(tmp_path / "bag", count=20)
     metadata = metadata_of(path)
     metadata["rosbag2_bagfile_information"] |= {
         "compression_mode": "MESSAGE",
@@ -475,7 +346,6 @@ def test_copies_are_removed(tmp_path, monkeypatch):
         assert len(list(copies.iterdir())) == 3
         assert sum(len(block) for block in log.blocks(log.channels()[0])) == 900
     assert list(copies.iterdir()) == []
-    assert Path.cwd() != copies
 
 
 @pytest.mark.parametrize("quote", ["", '"'])

@@ -5,7 +5,9 @@ import struct
 import numpy as np
 import pytest
 import pyulog
+from make.commands import run
 from make.px4_messages import write_mcap
+from make.reading import attitudes, rates
 from make.streams import propagated
 from make.ulog import TOPICS, added, data, fields_of, gyro, record, write
 
@@ -15,6 +17,7 @@ from quatprop.containers.ulog_records import SYNC
 from quatprop.errors import (
     AmbiguousTopicError,
     DamagedLogError,
+    NoSuchTopicError,
     SchemaError,
     TimelineError,
     UnsupportedLogError,
@@ -22,16 +25,27 @@ from quatprop.errors import (
 from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.logs.open_log import open_log
 from quatprop.logs.signals.rates import choose_rates, rate_candidates
-from quatprop.series import GyroSeries
 from quatprop.settings.selection import RateSelection
 from quatprop.tables.log import Loss
+
+BEGIN = b"ULog\x01\x12\x35\x01" + bytes(8)
+STAMPS = range(0, 100, 10)
 
 
 def read(path, **options):
     """Return the samples of the one source, and what was lost."""
-    with open_log(path) as log:
-        batches = list(choose_rates(log, RateSelection(**options)).batches())
-        return GyroSeries.joined(batches), log.losses
+    _, series, losses = rates(path, **options)
+    return series, losses
+
+
+def sensor(path, *records, topic="sensor_gyro"):
+    """Write a file of one topic, whose id is 1."""
+    return write(path, added(topic, 0, 1), *records)
+
+
+def ns_without(*stamps):
+    """Return the usual stamps in ns but some."""
+    return [1000 * t for t in STAMPS if t not in stamps]
 
 
 def test_what_the_library_of_PX4_reads_is_what_is_read(tmp_path):
@@ -57,22 +71,6 @@ def test_what_the_library_of_PX4_reads_is_what_is_read(tmp_path):
         assert (series.rate[:, axis] == expected.data[name]).all()
 
 
-def test_instances_are_sources_of_their_own(tmp_path):
-    """Which one is meant has to be said."""
-    path = write(
-        tmp_path / "log.ulg", added("sensor_gyro", 0, 1), added("sensor_gyro", 1, 2),
-        *gyro(1, [10, 20]), *gyro(2, [11, 21, 31]),
-    )  # fmt: skip
-    with open_log(path) as log:
-        assert log.kind == "ulog"
-        assert [(c.topic, c.count) for c in log.channels()] == [
-            ("sensor_gyro/0", 2),
-            ("sensor_gyro/1", 3),
-        ]
-        with pytest.raises(AmbiguousTopicError, match=r"'sensor_gyro/0', 'sensor_gyro/1'"):
-            choose_rates(log, RateSelection())
-
-
 @pytest.mark.parametrize("topic", TOPICS)
 def test_a_message_is_the_same_in_a_ULog_and_in_a_ROS_2_bag(tmp_path, topic):
     """One table tells the rates of both."""
@@ -90,12 +88,9 @@ def test_a_message_is_the_same_in_a_ULog_and_in_a_ROS_2_bag(tmp_path, topic):
     ]  # fmt: skip
     ulog = write(tmp_path / "log.ulg", added(topic, 0, 1), *[data(topic, 1, **m) for m in messages])
     bag = write_mcap(tmp_path / "log.mcap", TOPICS[topic], messages)
-    with open_log(ulog) as one, open_log(bag) as other:
-        first, second = choose_rates(one, RateSelection()), choose_rates(other, RateSelection())
-        found, expected = (GyroSeries.joined(list(s.batches())) for s in (first, second))
-        assert (first.field, first.unit, first.method, first.increments, first.remarks) == (
-            second.field, second.unit, second.method, second.increments, second.remarks
-        )  # fmt: skip
+    (first, found, _), (second, expected, _) = rates(ulog), rates(bag)
+    for name in ("field", "unit", "method", "increments", "remarks"):
+        assert getattr(first, name) == getattr(second, name)
     assert len(found) >= 8
     assert (found.t_ns == expected.t_ns).all()
     assert (found.rate == expected.rate).all()
@@ -110,96 +105,62 @@ def test_increments_lead_to_the_angle_they_add_up_to(tmp_path):
         data("vehicle_imu", 1, timestamp_sample=t, delta_angle=[0.25, 0, 0], delta_angle_dt=5000)
         for t in (0, 4000, 11_000, 15_000)
     ]
-    path = write(tmp_path / "log.ulg", added("vehicle_imu", 0, 1), *messages)
-    series, _ = read(path)
+    series, _ = read(sensor(tmp_path / "log.ulg", *messages, topic="vehicle_imu"))
     *_, last = propagated([series])
     assert geodesic_angle(last.wxyz[-1], exp([0.75, 0, 0])) < 1e-15
-
-
-def test_a_file_that_was_cut_gives_what_is_whole(tmp_path):
-    """The power went; the last record says so."""
-    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, range(0, 100, 10)))
-    path.write_bytes(path.read_bytes()[:-5])
-    series, losses = read(path)
-    assert len(series) == 9
-    assert len(losses) == 1
-    assert len(read(path)[1]) == 1
 
 
 @pytest.mark.parametrize("marks", [[record(b"S", SYNC)], []])
 def test_damage_is_passed_over_up_to_the_next_record_that_is_known(tmp_path, marks):
     """That is behind one that only serves to be found again, or a message like earlier ones."""
-    messages = gyro(1, range(0, 100, 10))
-    path = write(
-        tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *messages[:4], b"\xff\xff\xff garbage",
-        messages[4][3:], *marks, *messages[5:],
-    )  # fmt: skip
-    series, losses = read(path)
-    assert series.t_ns.tolist() == [t * 1000 for t in range(0, 100, 10) if t != 40]
-    (loss,) = losses
+    messages = gyro(1, STAMPS)
+    damage = b"\xff\xff\xff garbage", messages[4][3:]
+    path = sensor(tmp_path / "log.ulg", *messages[:4], *damage, *marks, *messages[5:])
+    series, (loss,) = read(path)
+    assert series.t_ns.tolist() == ns_without(40)
     assert "cannot be followed" in loss.reason
 
 
-@pytest.mark.parametrize("missing", [0, 5])
-def test_messages_of_a_file_that_follows_are_not_those_of_the_first(tmp_path, missing):
+def test_messages_of_a_file_that_follows_a_cut_one_are_not_those_of_the_first(tmp_path):
     """The same number may stand for another topic there."""
-    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, range(0, 100, 10)))
+    path = sensor(tmp_path / "log.ulg", *gyro(1, STAMPS))
     content = path.read_bytes()
-    first = content[: len(content) - missing]
-    path.write_bytes(first + content)
+    path.write_bytes(content[:-5] + content)
     series, losses = read(path)
-    assert series.t_ns.tolist() == [t * 1000 for t in range(0, 100, 10)][: 10 - bool(missing)]
-    (loss,) = losses
-    if missing:
-        cut = len(content) - len(gyro(1, [90])[0])
-        assert loss.place == f"byte {cut}"
-        assert (
-            loss.reason
-            == f"its records cannot be followed for {len(path.read_bytes()) - cut} bytes"
-        )
-    else:
-        reason = "bytes follow the log and are not read; was another joined to it?"
-        assert loss == (f"byte {len(content)}", f"{len(content)} {reason}", None)
+    assert series.t_ns.tolist() == ns_without(90)
+    cut = len(content) - len(gyro(1, [90])[0])
+    reason = f"its records cannot be followed for {2 * len(content) - 5 - cut} bytes"
+    assert losses == [Loss(f"byte {cut}", reason)]
 
 
 def test_data_that_was_appended_is_read_behind_a_cut_record(tmp_path):
     """The flags say where it begins."""
-    messages = gyro(1, range(0, 100, 10))
-    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *messages[:5], messages[5][:20])
+    messages = gyro(1, STAMPS)
+    path = sensor(tmp_path / "log.ulg", *messages[:5], messages[5][:20])
     content = bytearray(path.read_bytes())
-    offset = len(content)
-    content[16 + 3 : 16 + 3 + 40] = struct.pack("<8s8s3Q", b"", b"\x01", offset, 0, 0)
+    flags = struct.pack("<8s8s3Q", b"", b"\x01", len(content), 0, 0)
+    content[16 + 3 : 16 + 3 + 40] = flags
     path.write_bytes(bytes(content) + b"".join(messages[6:]))
-    series, _ = read(path)
-    assert series.t_ns.tolist() == [t * 1000 for t in range(0, 100, 10) if t != 50]
+    assert read(path)[0].t_ns.tolist() == ns_without(50)
 
 
-def test_unknown_features_are_refused(tmp_path):
+def test_what_is_no_whole_header_or_of_unknown_features_is_refused(tmp_path):
     """A flag that is not known may change everything behind it."""
     path = write(tmp_path / "log.ulg")
     content = bytearray(path.read_bytes())
     content[16 + 3 + 8] = 2
     path.write_bytes(bytes(content))
-    with (
-        pytest.raises(UnsupportedLogError, match=r"does not know \(flags 0200000000000000\); "),
-        open_log(path),
-    ):
-        pass
-
-
-def test_a_file_without_anything_is_refused(tmp_path):
-    """Less than a header is no log."""
-    path = tmp_path / "log.ulg"
-    path.write_bytes(b"ULog\x01\x12\x35\x01")
-    with pytest.raises(DamagedLogError, match=r"it ends within its header"), open_log(path):
-        pass
+    with pytest.raises(UnsupportedLogError, match=r"does not know \(flags 0200000000000000\); "):
+        read(path)
+    path.write_bytes(BEGIN[:8])
+    with pytest.raises(DamagedLogError, match=r"it ends within its header"):
+        read(path)
 
 
 def test_any_field_can_be_named(tmp_path):
     """Also of a message the table does not know, inside another type."""
     path = tmp_path / "log.ulg"
-    content = b"ULog\x01\x12\x35\x01" + bytes(8)
-    content += record(b"F", b"inner:float[2] pad;float[3] turn;uint8_t[2] _padding0;")
+    content = BEGIN + record(b"F", b"inner:float[2] pad;float[3] turn;uint8_t[2] _padding0;")
     content += record(b"F", b"outer:uint64_t timestamp;inner[2] pair;char[3] name;")
     content += added("outer", 0, 1)
     for k in range(3):
@@ -222,8 +183,7 @@ def test_definitions_that_make_no_sense_are_refused(tmp_path, text, reason):
     """The sentence names the topic."""
     path = tmp_path / "log.ulg"
     message = record(b"D", bytes(20))
-    content = b"ULog\x01\x12\x35\x01" + bytes(8) + record(b"F", text)
-    path.write_bytes(content + added("sensor_gyro", 0, 0) + message)
+    path.write_bytes(BEGIN + record(b"F", text) + added("sensor_gyro", 0, 0) + message)
     with (
         open_log(path) as log,
         pytest.raises(SchemaError, match=f"topic 'sensor_gyro/0': .*{reason}"),
@@ -261,11 +221,9 @@ def test_an_id_that_is_given_to_another_topic_keeps_the_messages_of_the_first(tm
 @pytest.mark.parametrize("topic", ["sensor_gyro", "vehicle_angular_velocity"])
 def test_a_clock_that_begins_again_steps_back(tmp_path, topic):
     """Messages are in the order in which they were recorded, whatever their stamps say."""
-    path = tmp_path / "log.ulg"
     stamps = [*range(5000, 9000, 10), *range(1000, 5000, 10)]
-    write(path, added(topic, 0, 1), *(
-        data(topic, 1, timestamp=stamp + 3, timestamp_sample=stamp) for stamp in stamps
-    ))  # fmt: skip
+    messages = [data(topic, 1, timestamp=stamp + 3, timestamp_sample=stamp) for stamp in stamps]
+    path = sensor(tmp_path / "log.ulg", *messages, topic=topic)
     for clock, late_us in (("header", 0), ("log", 3)):
         series, _ = read(path, clock=clock)
         assert series.t_ns.tolist() == [(stamp + late_us) * 1000 for stamp in stamps]
@@ -292,61 +250,66 @@ def test_windows_change_nothing(tmp_path, monkeypatch):
 
 def test_a_file_that_becomes_shorter_while_it_is_read_loses_its_end(tmp_path):
     """Nothing dies of it, and what is missing is counted."""
-    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, range(200_000)))
-    size = path.stat().st_size
+    path = sensor(tmp_path / "log.ulg", *gyro(1, range(1000)) * 150)
     with open_log(path) as log:
         batches = choose_rates(log, RateSelection()).batches()
         first = next(batches)
         with path.open("r+b") as file:
-            file.truncate(size // 2)
+            file.truncate(path.stat().st_size // 2)
         count = len(first) + sum(len(batch) for batch in batches)
-    assert 95_000 < count < 105_000
-    assert sum(loss.messages for loss in log.losses) == 200_000 - count
+    assert 70_000 < count < 90_000
+    assert sum(loss.messages for loss in log.losses) == 150_000 - count
     assert {loss.reason for loss in log.losses} == {"the file has become shorter"}
 
 
 def test_a_message_that_is_too_short_is_lost_alone(tmp_path):
     """The other messages of its topic are read."""
     short = record(b"D", struct.pack("<H", 1) + b"four")
-    messages = gyro(1, range(1000, 101_000, 1000))
-    path = write(tmp_path / "a.ulg", added("sensor_gyro", 0, 1), *messages, short, *messages)
-    series, losses = read(path)
-    assert len(series) == 200
-    (loss,) = losses
-    assert (loss.place, loss.messages) == ("topic sensor_gyro/0", 1)
-    assert loss.reason == "it ends before its time stamp; the log is damaged"
+    series, losses = read(sensor(tmp_path / "a.ulg", *gyro(1, STAMPS), short, *gyro(1, STAMPS)))
+    assert len(series) == 20
+    reason = "it ends before its time stamp; the log is damaged"
+    assert losses == [Loss("topic sensor_gyro/0", reason, 1)]
 
 
 def test_dropouts_are_losses(tmp_path, shared_logs):
     """What the recorder could not write is as lost as what cannot be read."""
-    dropouts = [record(b"O", (20).to_bytes(2, "little")), record(b"O", (300).to_bytes(2, "little"))]
-    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, [5, 10]), *dropouts)
-    with open_log(path) as log:
-        (loss,) = log.losses
-        assert loss.place == f"2 dropouts, first at byte {path.stat().st_size - 10}"
-        assert loss.reason == "the recorder lost all messages for 320 ms in total"
-    with open_log(shared_logs / "ulog" / "sample.ulg") as log:
-        (loss,) = log.losses
-        assert loss.place == "4 dropouts, first at byte 36590"
-        assert loss.reason == "the recorder lost all messages for 119 ms in total"
+    dropouts = [record(b"O", milliseconds.to_bytes(2, "little")) for milliseconds in (20, 300)]
+    path = sensor(tmp_path / "log.ulg", *gyro(1, [5, 10]), *dropouts)
+    for log, count, first, total in (
+        (path, 2, path.stat().st_size - 10, 320),
+        (shared_logs / "ulog" / "sample.ulg", 4, 36590, 119),
+    ):
+        with open_log(log) as opened:
+            reason = f"the recorder lost all messages for {total} ms in total"
+            assert opened.losses == [Loss(f"{count} dropouts, first at byte {first}", reason)]
 
 
-def test_a_message_of_an_id_that_was_not_subscribed_is_lost(tmp_path):
-    """A damaged bit of an id cost the message without a word."""
-    messages = gyro(1, range(0, 100, 10))
-    messages[4] = messages[4][:3] + b"\x05" + messages[4][4:]
-    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *messages)
+@pytest.mark.parametrize(
+    ("damage", "place", "reason"),
+    [
+        (
+            lambda m: m[:3] + b"\x05" + m[4:],
+            "1 messages, first at byte",
+            "no topic has their number",
+        ),
+        (lambda m: m[:2] + b"L" + m[3:], "byte", "a record is of no known kind"),
+    ],
+)
+def test_a_message_of_no_known_id_or_kind_is_lost(tmp_path, damage, place, reason):
+    """A damaged bit of an id, or of a kind, cost the message without a word."""
+    messages = gyro(1, STAMPS)
+    messages[4] = damage(messages[4])
+    path = sensor(tmp_path / "log.ulg", *messages)
     series, losses = read(path)
-    assert series.t_ns.tolist() == [t * 1000 for t in range(0, 100, 10) if t != 40]
-    place = path.read_bytes().index(messages[4])
-    assert losses == [Loss(f"1 messages, first at byte {place}", "no topic has their number", 1)]
+    assert series.t_ns.tolist() == ns_without(40)
+    at = path.read_bytes().index(messages[4])
+    assert losses == [Loss(f"{place} {at}", reason, 1)]
 
 
 def test_a_format_that_is_defined_again_is_refused(tmp_path):
     """The second definition was applied to all messages, those before it included."""
     again = record(b"F", b"sensor_gyro:uint64_t timestamp;float[3] x;")
-    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *gyro(1, range(0, 100, 10)),
-                 again, *gyro(1, range(100, 200, 10)))  # fmt: skip
+    path = sensor(tmp_path / "log.ulg", *gyro(1, STAMPS), again, *gyro(1, STAMPS))
     place = path.read_bytes().index(again)
     with pytest.raises(UnsupportedLogError) as refused:
         read(path)
@@ -357,12 +320,60 @@ def test_a_format_that_is_defined_again_is_refused(tmp_path):
     )
 
 
-def test_a_record_of_no_known_kind_costs_itself(tmp_path):
-    """A damaged bit of a kind made a message a text, which was passed over without a word."""
-    messages = gyro(1, range(0, 100, 10))
-    messages[4] = messages[4][:2] + b"L" + messages[4][3:]
-    path = write(tmp_path / "log.ulg", added("sensor_gyro", 0, 1), *messages)
-    series, losses = read(path)
-    assert len(series) == 9
-    place = path.read_bytes().index(messages[4])
-    assert losses == [Loss(f"byte {place}", "a record is of no known kind", 1)]
+def at_rest(path, *topics):
+    """Write attitudes at rest, one topic instance after the other, with their instance as z."""
+    begin = BEGIN + record(b"B", bytes(40))
+    for topic in dict.fromkeys(topic for topic, _ in topics):
+        fields = "uint64_t timestamp;uint64_t timestamp_sample;float[4] q;"
+        begin += record(b"F", f"{topic}:{fields}".encode())
+    for number, (topic, instance) in enumerate(topics):
+        begin += added(topic, instance, number)
+        for stamp in (4000, 8000):
+            q = (1.0, 0.0, 0.0, instance * 1e-4)
+            begin += record(b"D", struct.pack("<HQQ4f", number, stamp + 9, stamp, *q))
+    path.write_bytes(begin)
+    return path
+
+
+@pytest.mark.parametrize(
+    "topic", ["estimator_attitude", "external_ins_attitude", "vehicle_attitude_groundtruth"]
+)
+def test_attitudes_of_estimators_are_those_of_the_vehicle_s_message(tmp_path, topic):
+    """PX4 publishes one message under several names."""
+    source, t_ns, _, _ = attitudes(at_rest(tmp_path / "log.ulg", (topic, 0)))
+    assert (source.name, source.type_name) == (f"{topic}/0", "px4_msgs/msg/VehicleAttitude")
+    assert source.layout == "scalar-first"
+    assert t_ns.tolist() == [4_000_000, 8_000_000]
+
+
+def test_the_vehicle_s_attitude_comes_before_those_of_its_estimators(tmp_path):
+    """What is ignored is said; estimators among themselves are ambiguous, and can be chosen."""
+    path, two = tmp_path / "log.ulg", [("estimator_attitude", 0), ("estimator_attitude", 1)]
+    source, *_ = attitudes(at_rest(path, *two, ("vehicle_attitude", 0)))
+    assert source.name == "vehicle_attitude/0"
+    names = "'estimator_attitude/0', 'estimator_attitude/1'"
+    assert source.remarks[-1] == f"ignored secondary attitudes: {names}"
+    assert attitudes(path, topic="estimator_attitude/1")[0].name == "estimator_attitude/1"
+    with pytest.raises(AmbiguousTopicError, match=names):
+        attitudes(at_rest(path, *two))
+    with pytest.raises(
+        NoSuchTopicError,
+        match=f"no topic 'estimator_attitude' that carries attitudes; choose one of {names}; did "
+        r"you mean 'estimator_attitude/0'\?$",
+    ):
+        attitudes(path, topic="estimator_attitude")
+
+
+def test_the_only_instance_of_a_topic_need_not_be_named(tmp_path, shared_logs):
+    """Also where the log is read again, as for a copy with attitudes."""
+    log = at_rest(tmp_path / "one.ulg", ("vehicle_attitude", 3))
+    assert attitudes(log, topic="vehicle_attitude")[0].name == "vehicle_attitude/3"
+    flight, out = shared_logs / "ulog" / "sample.ulg", tmp_path / "out.csv"
+    for arguments in (
+        ("info", flight, "-t", "sensor_combined"),
+        ("propagate", flight, "-t", "sensor_combined", "-o", out),
+        ("convert", flight, out, "-t", "vehicle_attitude", "--layout", "wxyz"),
+        ("compare", flight, flight, "--topic-a", "vehicle_attitude", "--topic-b",
+         "vehicle_attitude/0", "--tol", "1e-9rad"),
+    ):  # fmt: skip
+        run(*arguments, code=3)  # the flight has dropouts

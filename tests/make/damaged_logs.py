@@ -1,45 +1,14 @@
 """Logs of every format, and ways to damage them; all told by seeds."""
 
-import bz2
-import gzip
-import json
 import random
 import shutil
-import sqlite3
-from contextlib import closing
-from fractions import Fraction
 from pathlib import Path
 from typing import NamedTuple
 
-import h5py
-import lz4.frame
-import numpy as np
-import pyarrow as pa
-import zstandard
-from make.message_logs import write_message_logs
+from make.formats import PACK, write_all
 from make.places import SAMPLE_LOGS
-from mcap.reader import make_reader
-from mcap.writer import CompressionType, IndexType
-from mcap.writer import Writer as McapWriter
-from pyarrow import feather, parquet
-from rosbags.rosbag1 import Reader as BagReader
-from rosbags.rosbag1 import Writer as BagWriter
-from scipy.io import savemat
 
 from quatprop import propagate, write
-from quatprop.simulate.gyroscope import Gyroscope
-from quatprop.simulate.motion import Shape
-from quatprop.simulate.simulate import simulate
-
-SAMPLES = 200
-"""Samples of the small logs: damage meets their structure more often than their numbers."""
-
-PACK = {
-    "gz": lambda data: gzip.compress(data, mtime=0),
-    "zst": zstandard.ZstdCompressor().compress,
-    "lz4": lz4.frame.compress,
-    "bz2": bz2.compress,
-}
 
 EXTREMES = [
     value.to_bytes(size, order)
@@ -99,156 +68,13 @@ def write_logs(folder):
 
     A folder among them is a ROS 2 bag.
     """
+    write_all(folder)
     for name in ("spin.csv", "coning.mcap", "tumbling.bag", "rest.parquet"):
         shutil.copy(SAMPLE_LOGS / name, folder)
     shutil.copytree(SAMPLE_LOGS / "tumbling_ros2", folder / "tumbling_ros2")
-    _write_mcaps(folder)
-    _write_bags(folder)
-    gyroscope = Gyroscope(Fraction(100), SAMPLES)
-    for name, kind in {"small_ros2": "rosbag2", "mcap_ros2": "rosbag2-mcap"}.items():
-        simulate(folder / name, "coning", Shape(), gyroscope, kind=kind, truth=None)
-    shutil.copy(folder / "small_ros2" / "small_ros2.db3", folder / "small.db3")
-    _write_wal_bag(folder / "wal_ros2", folder / "small_ros2")
-    _write_tables(folder)
-    write_message_logs(folder, SAMPLES)
     for name in ("a.csv", "a.tum", "a.jsonl", "a.npz", "a.parquet", "a.feather", "a.mcap", "a.bag"):
-        write(propagate(folder / "small.csv"), folder / f"attitudes-{name}")
-    for name in ("small.csv", "mcap-none.mcap", "bag-none.bag"):
-        for suffix, pack in PACK.items():
-            (folder / f"{name}.{suffix}").write_bytes(pack((folder / name).read_bytes()))
+        write(propagate(folder / "commas.csv"), folder / f"attitudes-{name}")
     return sorted(path.name for path in folder.iterdir())
-
-
-def _write_mcaps(folder):
-    with (SAMPLE_LOGS / "coning.mcap").open("rb") as file:
-        messages = list(make_reader(file).iter_messages())[:SAMPLES]
-    schema, channel, _ = messages[0]
-    for name, options in {
-        "none": {"compression": CompressionType.NONE},
-        "lz4": {"compression": CompressionType.LZ4},
-        "zstd": {},
-        "bare": {
-            "compression": CompressionType.NONE,
-            "index_types": IndexType.NONE,
-            "use_statistics": False,
-            "use_summary_offsets": False,
-            "repeat_channels": False,
-            "repeat_schemas": False,
-        },
-        "unchunked": {"use_chunking": False},
-    }.items():
-        with (folder / f"mcap-{name}.mcap").open("wb") as file:
-            # Without checksums: damage is to get further than they.
-            writer = McapWriter(file, chunk_size=20_000, enable_crcs=False, **options)
-            writer.start("ros2")
-            schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-            id_ = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
-            for _, _, message in messages:
-                writer.add_message(id_, message.log_time, message.data, message.publish_time)
-            writer.finish()
-
-
-def _write_bags(folder):
-    with BagReader(SAMPLE_LOGS / "tumbling.bag") as reader:
-        (connection,) = reader.connections
-        messages = list(reader.messages())[:SAMPLES]
-    for compression in (None, *BagWriter.CompressionFormat):
-        name = compression.name.lower() if compression else "none"
-        writer = BagWriter(folder / f"bag-{name}.bag")
-        writer.chunk_threshold = 20_000
-        if compression:
-            writer.set_compression(compression)
-        with writer:
-            target = writer.add_connection(
-                connection.topic,
-                connection.msgtype,
-                msgdef=connection.msgdef.data,
-                md5sum=connection.digest,
-            )
-            for _, log_ns, data in messages:
-                writer.write(target, log_ns, data)
-
-
-def _write_wal_bag(target, bag):
-    """Copy a ROS 2 bag whose last messages are still in the write-ahead log of SQLite."""
-    shutil.copytree(bag, target / "open")
-    file = target / "open" / "small_ros2.db3"
-    with closing(sqlite3.connect(file)) as database:
-        rows = database.execute("SELECT * FROM messages WHERE id > 100 ORDER BY id").fetchall()
-        database.execute("DELETE FROM messages WHERE id > 100")
-        database.commit()
-        database.execute("VACUUM")
-        database.execute("PRAGMA journal_mode=WAL")
-        database.execute("PRAGMA wal_autocheckpoint=0")
-        for first in range(0, len(rows), 20):
-            statement = "INSERT INTO messages VALUES (?, ?, ?, ?)"
-            database.executemany(statement, rows[first : first + 20])
-            database.commit()
-        for part in (target / "open").iterdir():
-            if part.suffix != ".db3-shm":
-                shutil.copy(part, target)
-    shutil.rmtree(target / "open")
-
-
-def _write_tables(folder):
-    k = np.arange(SAMPLES)
-    table = pa.table(
-        {
-            "t_ns": 1_700_000_000_000_000_000 + 10_000_000 * k,
-            **{name: np.sin(k / 10 + phase) for phase, name in enumerate(("wx", "wy", "wz"))},
-        }
-    )
-    parquet.write_table(
-        table,
-        folder / "small.parquet",
-        compression="zstd",
-        row_group_size=50,
-        write_statistics=True,
-    )
-    parquet.write_table(table, folder / "plain.parquet", compression="none", use_dictionary=False)
-    for compression in ("uncompressed", "lz4", "zstd"):
-        target = folder / f"{compression}.feather"
-        feather.write_feather(table, target, compression=compression, chunksize=50)
-    columns = {name: table[name].to_numpy() for name in table.column_names}
-    records = np.rec.fromarrays(list(columns.values()), names=list(columns))
-    np.save(folder / "records.npy", np.asarray(records))
-    np.savez(folder / "stored.npz", **columns)
-    np.savez_compressed(folder / "packed.npz", **columns)
-    rows = list(zip(*(column.to_pylist() for column in table.columns), strict=True))
-    _write_hdf5(folder, columns)
-    for name, is_packed in (("plain.mat", False), ("packed.mat", True)):
-        savemat(folder / name, columns, do_compression=is_packed)
-    lines = {
-        "small.csv": ["t_ns,wx,wy,wz", *(",".join(map(str, row)) for row in rows)],
-        "semicolons.csv": [
-            "# rates;of;a;gyroscope",
-            "time [s];gyro_x [deg/s];gyro_y [deg/s];gyro_z [deg/s]",
-            *(f"{row[0] / 1e9:.6f};" + ";".join(map(str, row[1:])) for row in rows),
-        ],
-        "quoted.tsv": [
-            '"t_ns"\t"note"\t"wx"\t"wy"\t"wz"',
-            *(f'{row[0]}\t"a ""b"" \n c"\t{row[1]}\t{row[2]}\t{row[3]}' for row in rows),
-        ],
-    }
-    lines["rows.jsonl"] = [
-        json.dumps({"header": {"stamp": {"sec": row[0] // 10**9, "nanosec": row[0] % 10**9}},
-                    "note": 'a "b" \\', "angular_velocity": dict(zip("xyz", row[1:], strict=True))})
-        for row in rows
-    ]  # fmt: skip
-    for name, text in lines.items():
-        (folder / name).write_bytes(("\n".join(text) + "\n").encode())
-
-
-def _write_hdf5(folder, columns):
-    """Write HDF5 files of a dataset a column, and of packed chunks with names of columns."""
-    with h5py.File(folder / "plain.h5", "w") as file:
-        file.update(columns)
-    with h5py.File(folder / "packed.h5", "w", libver="latest") as file:
-        file.attrs["sampling_rate"] = 100.0
-        rates = np.column_stack([columns[name] for name in ("wx", "wy", "wz")])
-        options = {"chunks": (50, 3), "compression": "gzip", "fletcher32": True}
-        gyro = file.create_dataset("imu/gyr", data=rates, **options)
-        gyro.attrs["columns"] = np.array([f"{axis} [rad/s]".encode() for axis in "xyz"])
 
 
 def damaged(data, rng):
