@@ -25,6 +25,9 @@ HEAD: Final = 4_096
 IN_STEPS: Final = 0.02
 """Values may be off the grid by this share of a step, as rounded numbers are."""
 
+LARGEST: Final = 1e100
+"""rad/s: numbers that are no rates."""
+
 FINE: Final = 2.0
 """Noise of so many steps or more leaves nothing of the quantisation in a mean."""
 
@@ -96,7 +99,8 @@ def step_of(values: Float64) -> float:
 
     `values`: in any order, shape ``(N,)``
     """
-    values = np.sort(values)
+    # Damaged numbers may be as far apart as there are numbers.
+    values = np.sort(values[np.abs(values) < LARGEST])
     apart = np.diff(values)
     apart = apart[apart > 0]
     if len(apart) < 2:  # noqa: PLR2004  # differences that may agree

@@ -118,7 +118,7 @@ def step_remarks(source: RateSignal) -> list[str]:
     first = next(source.batches(at_first=True), None)
     if first is None:
         return []
-    steps = [step_of(axis[np.isfinite(axis)]) for axis in first.rate[:STEPPED].T]
+    steps = [step_of(axis) for axis in first.rate[:STEPPED].T]
     for unit, factor, than in (
         ("deg/s", 1.0, "57.3 times as large as"),
         ("rad/s", math.radians(1.0) ** 2, "57.3 times smaller than"),

@@ -137,6 +137,13 @@ def test_the_step_of_rates_is_found(step):
         assert step_of(np.unique(values.astype(float))) == pytest.approx(step, rel=1e-3)
 
 
+@pytest.mark.parametrize("damaged", [np.nan, np.inf, -1e308, 1e300])
+def test_damaged_numbers_hide_no_step(damaged):
+    """The difference of two of them was an overflow."""
+    values = np.concatenate([np.arange(50) * 0.1, [damaged, -damaged]])
+    assert step_of(values) == pytest.approx(0.1)
+
+
 def test_rates_that_are_not_quantised_have_no_step():
     """Whatever their number; nor have two values."""
     random = np.random.default_rng(2)

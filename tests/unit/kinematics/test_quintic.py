@@ -4,7 +4,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from make.motion import IDENTITY, SECOND, orders, rotor, stamps
+from make.motion import SECOND, orders, rotor, stamps
+from make.streams import IDENTITY, segmented
 
 from quatprop.kinematics.cubic import MAX_RATIO
 from quatprop.kinematics.increments import rotation_vectors
@@ -12,23 +13,17 @@ from quatprop.kinematics.propagate import TILE, attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
 from quatprop.kinematics.quintic import quintic, quintic_of_averages
 from quatprop.kinematics.resample import Listed, Steady
-from quatprop.pipeline.segments import Segments
 from quatprop.series import GyroSeries
 from quatprop.simulate.motion import Shape, motion_named
-from quatprop.timeline import Timeline
-from quatprop.timeline.counts import Policy
 
 RATES_HZ = (16, 32, 64, 125)
 
 
 def propagated(series, times=None, q0=IDENTITY, rates="body", batch=None):
     """Return stamps and attitudes of a run with the method."""
-    timeline = Timeline(Policy(), "log")
-    segments = Segments(timeline, q0, method="quintic", rates=rates, times=times)
     size = batch or len(series)
     batches = [series[k : k + size] for k in range(0, len(series), size)]
-    parts = list(segments.attitudes(timeline.apply(batches)))
-    return np.concatenate([p.t_ns for p in parts]), np.concatenate([p.wxyz for p in parts])
+    return segmented(batches, times, q0=q0, method="quintic", rates=rates)[1:]
 
 
 def worst(t_ns, wxyz):
