@@ -1,10 +1,8 @@
 """Run `quatprop check` on a suite."""
 
-from click.testing import CliRunner
-
-from quatprop.cli.commands import cli
+from make.commands import run
 
 
 def check(suite, *options):
     """Run the command; errors come back as exit code and text."""
-    return CliRunner().invoke(cli, ["check", str(suite), *map(str, options)])
+    return run("check", suite, *options)
