@@ -140,6 +140,7 @@ NO_MESSAGES = "csv holds no messages; leave --message, --out-topic and --frames 
 CONVERT = {
     "q0.csv out.csv --report q0.csv": f"Error: q0.csv: {INPUT}",
     "q.csv q.csv": f"Error: q.csv: {INPUT}",
+    "q.csv link.csv": f"Error: link.csv: {INPUT}",
     "swapped.parquet out.csv": "the metadata say scalar-first, but the columns 'qx', 'qy', 'qz', "
     "'qw' are scalar-last by name; settle it with --from-layout scalar-last",
     "jpl.parquet out.csv --from-convention hamilton": JPL,

@@ -77,6 +77,7 @@ def write_small_files(folder):
     for name, text in TEXTS.items():
         (folder / name).write_text(text)
     (folder / "folder.csv").mkdir()
+    (folder / "link.csv").symlink_to("q.csv")
     shutil.copytree(SAMPLE_LOGS / "tumbling_ros2", folder / "bag")
     _two_gyroscopes(folder / "gyros.bag")
     run("convert", folder / "q.csv", folder / "jpl.parquet", "--convention", "jpl", code=0)
