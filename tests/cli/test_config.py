@@ -62,7 +62,7 @@ def test_a_file_gives_the_options_of_a_run(folder):
     (folder / "settings").mkdir()
     for name in ("run.toml", "first.csv"):
         shutil.move(name, "settings")
-    config = ("--config", "settings/run.toml")
+    config = ("--config", folder / "settings" / "run.toml")
     options = [*OPTIONS.split(), folder / "settings" / "first.csv"]
     run("propagate", "tumbling.bag", "-o", "a.parquet", *options, code=0)
     run("propagate", "tumbling.bag", "-o", "b.parquet", *config, code=0)
