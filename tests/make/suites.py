@@ -1,8 +1,10 @@
 """Run `quatprop check` on a suite."""
 
-from make.commands import run
+from click.testing import CliRunner
+
+from quatprop.cli.commands import cli
 
 
 def check(suite, *options):
     """Run the command; errors come back as exit code and text."""
-    return run("check", suite, *options)
+    return CliRunner().invoke(cli, ["check", str(suite), *map(str, options)])
