@@ -271,10 +271,13 @@ def test_a_file_that_is_not_what_it_was_is_an_error(ci, case, file, how, reason)
     path.unlink()
     if how != "missing":
         path.write_bytes(BREAK[how](content))
-    code, found = judged(ci, case)
-    assert (code, found["verdict"]) == (2, "error")
-    assert found["reason"].startswith(f"{path}: ")
-    assert reason in found["reason"]
+    # An update accepts what changed, but never takes a pointer for the file itself.
+    for options in ([], ["--update"]) if how == "pointer" else ([],):
+        code, found = judged(ci, case, *options)
+        assert (code, found["verdict"]) == (2, "error")
+        assert found["reason"].startswith(f"{path}: ")
+        assert reason in found["reason"]
+    assert how != "pointer" or path.read_bytes() == POINTER
 
 
 @pytest.mark.parametrize(

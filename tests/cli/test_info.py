@@ -11,8 +11,6 @@ from make.commands import run
 from make.places import SAMPLE_LOGS
 from make.small_files import EUROC
 from make.tables import write_rates
-from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
 from pyarrow import parquet as pq
 
 from quatprop.containers import first_blocks
@@ -241,21 +239,6 @@ def test_a_topic_of_several_transforms_is_said_in_one_sentence(shared_logs):
     assert str(said).startswith("topic '/tf' has several transforms: '/tilt_axis:/camera', ")
 
 
-def write_repeated(path, count):
-    """Write the first message of a log again and again, at stamps 10 ms apart."""
-    with path.open("wb") as file, CONING.open("rb") as stream:
-        (schema, channel, message), *_ = make_reader(stream).iter_messages()
-        writer = Writer(file, chunk_size=20_000, compression=CompressionType.ZSTD)
-        writer.start("ros2")
-        own = writer.register_schema(schema.name, schema.encoding, schema.data)
-        ids = writer.register_channel(channel.topic, channel.message_encoding, own)
-        for k in range(1, count + 1):
-            stamp = np.array(divmod(k * 10_000_000, 10**9), "<i4").tobytes()
-            data = message.data[:4] + stamp + message.data[12:]
-            writer.add_message(ids, k * 10_000_000, data, k * 10_000_000)
-        writer.finish()
-
-
 @pytest.mark.parametrize(
     ("room", "apart_whole"), [(1 << 21, [8000] * 2), (1 << 23, [8000])], ids=["long", "short"]
 )
@@ -265,7 +248,7 @@ def test_rates_and_attitudes_of_a_topic_are_read_together(tmp_path, monkeypatch,
     monkeypatch.setattr(first_blocks, "ROOM", room)
     monkeypatch.setattr(first_blocks, "ENOUGH_MESSAGES", 2000)
     log = tmp_path / "log.mcap"
-    write_repeated(log, 8000)
+    run("simulate", log, "--samples", "8000", "--truth", "none", code=0)
     read, original = [], McapLog.blocks
 
     def blocks(self, channel, *within):
