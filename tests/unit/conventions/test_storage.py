@@ -7,6 +7,8 @@ matrix follows from R = (w^2 - |v|^2) I + 2 w [v x] + 2 v v^T, all over 121:
     2 v v^T = 2 [[1, 2, 4], [2, 4, 8], [4, 8, 16]].
 """
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -95,14 +97,36 @@ def test_every_combination_becomes_every_other(tmp_path, first):
         np.testing.assert_allclose(turned, VECTORS @ matrix.T, atol=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("direction", "matrix"), [("body-to-ref", BODY_TO_REF), ("ref-to-body", BODY_TO_REF.T)]
-)
-def test_the_matrix_is_the_one_written_out(tmp_path, direction, matrix):
-    """--as matrix writes R row by row, and its transpose in the other direction."""
-    header, numbers = converted(tmp_path, CANONICAL, "--as", "matrix", "--direction", direction)
-    assert header == "t_ns,r11,r12,r13,r21,r22,r23,r31,r32,r33"
-    np.testing.assert_allclose(np.reshape(numbers, (3, 3)), matrix, atol=1e-15)
+def from_matrix(numbers):
+    """Return the rotation of a matrix row by row."""
+    return Rotation.from_matrix(np.reshape(numbers, (3, 3)))
+
+
+SCIPY = {
+    "--layout wxyz": ("qw,qx,qy,qz", partial(Rotation.from_quat, scalar_first=True)),
+    "--layout xyzw": ("qx,qy,qz,qw", Rotation.from_quat),
+    "--as rotvec": ("rotvec_x_rad,rotvec_y_rad,rotvec_z_rad", Rotation.from_rotvec),
+    "--as euler-zyx": ("yaw_rad,pitch_rad,roll_rad", partial(Rotation.from_euler, "ZYX")),
+    "--as euler-zyx --euler-unit deg": (
+        "yaw_deg,pitch_deg,roll_deg",
+        partial(Rotation.from_euler, "ZYX", degrees=True),
+    ),
+    "--as matrix": ("r11,r12,r13,r21,r22,r23,r31,r32,r33", from_matrix),
+}
+"""Options -> the columns, and what scipy makes of their numbers."""
+
+
+@pytest.mark.parametrize("direction", ["body-to-ref", "ref-to-body"])
+@pytest.mark.parametrize("options", SCIPY)
+def test_every_form_means_to_scipy_what_its_columns_are_called(tmp_path, options, direction):
+    """It turns vectors as the written-out matrix, or as its transpose in the other direction."""
+    names, rotation = SCIPY[options]
+    words = (*options.split(), "--direction", direction)
+    header, numbers = converted(tmp_path, CANONICAL, *words)
+    assert header == f"t_ns,{names}"
+    matrix = BODY_TO_REF if direction == "body-to-ref" else BODY_TO_REF.T
+    turned = rotation(numbers).apply(VECTORS)
+    np.testing.assert_allclose(turned, VECTORS @ matrix.T, atol=1e-14)
 
 
 quaternions = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(
