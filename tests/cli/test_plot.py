@@ -175,7 +175,14 @@ def test_a_picture_has_the_size_that_is_asked_for(turning, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "options", [["--size=40x30mm"], ["--size=2x1in", "--no-title"], ["--size=1in"]]
+    "options",
+    [
+        ["--size=40x30mm"],
+        ["--size=2x1in", "--no-title"],
+        ["--size=1in"],
+        ["--size=90x30mm"],
+        ["--font-size=72"],
+    ],
 )
 def test_a_picture_without_room_for_its_panels_names_the_size_that_does(turning, tmp_path, options):
     """One millimetre less would not do; a picture of that size is drawn."""
@@ -261,11 +268,16 @@ def test_standard_deviations_are_shaded_about_the_angles(tmp_path):
 
 def test_a_file_without_standard_deviations_lies_over_one_with_them(tmp_path):
     """What one of them expects is shown of that one; unknown and zero ones are not shown."""
-    series = spin(100)
+    series, target = spin(100), tmp_path / "a.svg"
     plain = write_attitudes(tmp_path / "a.csv", *series)
-    axes = axes_of(plain, with_sigmas(tmp_path / "b.csv", *series, [0.1, 0.1, 0.1]))
-    assert (len(axes), len(axes[3].get_lines())) == (4, 2)
-    assert len(axes_of(plain, with_sigmas(tmp_path / "c.csv", *series, [0.0, 0.0, 0.0]))) == 3
+    sure = with_sigmas(tmp_path / "b.csv", *series, [0.1, 0.1, 0.1])
+    exact = with_sigmas(tmp_path / "c.csv", *series, [0.0, 0.0, 0.0])
+    for other, panels in ((sure, 4), (exact, 3)):
+        axes = axes_of(plain, other)
+        assert len(axes) == panels
+        assert {len(one.get_lines()) for one in axes} == {2}
+        run("plot", other, "-o", target, code=0)
+        assert ("zyx angles (1 sigma shaded)" in target.read_text()) == (other == sure)
 
 
 def test_a_norm_that_is_off_is_drawn_as_it_is(tmp_path):
@@ -373,6 +385,7 @@ def test_propagate_draws_rates_and_the_attitudes_it_wrote(rates, tmp_path, drawn
     expected = ("--sigma", "--noise-density", "1deg/sqrt(s)")
     axes, _ = drawn("propagate", rates, "-o", out, *expected, "--plot", target)
     assert lines(axes)[-1][-1] == pytest.approx(np.sqrt(3 * 4.99), rel=1e-6)
+    assert "(1 sigma shaded)" in target.read_text()
 
 
 @pytest.mark.parametrize("suffix", ["svg", "html"])
