@@ -63,7 +63,7 @@ def test_long_examples_go_on_in_a_second_line():
 
 @pytest.mark.parametrize("name", ["propagate", "batch", "convert", "compare", "plot"])
 def test_help_all_shows_every_option(name):
-    """The common ones are among them."""
+    """The common ones are among them, with their defaults unless there are none."""
     command = cli.get_command(None, name)
     options = {option for p in command.params for option in p.opts if option.startswith("--")}
     common, whole = (shown(name, flag, NO_COLOR="1") for flag in ("--help", "--help-all"))
@@ -71,6 +71,7 @@ def test_help_all_shows_every_option(name):
     found = {option for option in options if f"{option} " in common}
     assert found
     assert found < options
+    assert "[default: none" not in common
 
 
 def test_help_is_coloured_unless_no_color_is_set():
