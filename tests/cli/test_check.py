@@ -1,20 +1,24 @@
 """`quatprop check`: what is judged and pinned, and the messages when something changed."""
 
 import json
+import os
 import shutil
+import subprocess
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner
-from make.places import SAMPLE_LOGS
+from make.commands import INSTALLED, run
+from make.places import ROOT, SAMPLE_LOGS
 from make.suites import check
+from make.tables import write_rates
+from ruamel.yaml import YAML
 
 from quatprop import __version__
 from quatprop.check.case import CaseResult, exit_code
+from quatprop.check.lock import sha256_of
 from quatprop.check.reference import decimation
-from quatprop.cli.commands import cli
 
 SUITE = """\
 [defaults]
@@ -23,6 +27,15 @@ method = "mean"
 [case.spin]
 log = "logs/spin.csv"
 reference = "refs/spin.parquet"
+
+[case.dos]
+log = "logs/dos.csv"
+reference = "refs/dos.parquet"
+
+[case.made]
+log = "logs/made.csv"
+pin-log = false
+reference = "refs/made.parquet"
 
 [case.rest]
 log = "logs/rest.parquet"
@@ -37,44 +50,40 @@ method = "coning"
 reference-log = "logs/tumbling.truth.csv"
 tol = "0.1deg"
 """
-NAMES = ["spin", "rest", "tumbling"]
-
-
-def outcomes(suite, *options):
-    """Return exit code and name -> report of each case."""
-    result = check(suite, "--json", *options)
-    assert result.stdout.startswith("{"), result.output
-    told = json.loads(result.stdout)
-    return result.exit_code, {case["name"]: case for case in told["cases"]}
-
-
-def verdicts(suite):
-    """Return exit code and name -> verdict."""
-    code, cases = outcomes(suite)
-    return code, {name: case["verdict"] for name, case in cases.items()}
-
-
-def only(name, verdict):
-    """Return the verdicts where one case alone does not pass."""
-    return {known: verdict if known == name else "pass" for known in NAMES}
+NAMES = ["spin", "dos", "made", "rest", "tumbling"]
 
 
 @pytest.fixture(scope="session")
-def made(tmp_path_factory):
+def pinned(tmp_path_factory):
     """Make a suite over sample logs, with its references and its lock."""
-    folder = tmp_path_factory.mktemp("made")
-    shutil.copytree(SAMPLE_LOGS, folder / "logs")
-    suite = folder / "suite.toml"
-    suite.write_text(SUITE)
-    result = check(suite, "--update")
+    folder = tmp_path_factory.mktemp("pinned")
+    unused = shutil.ignore_patterns("coning*", "*.bag", "spin.truth.csv", "rest.truth.parquet")
+    shutil.copytree(SAMPLE_LOGS, folder / "logs", ignore=unused)
+    run("simulate", folder / "logs/made.csv", "--motion", "tumbling", "--truth", "none", code=0)
+    rows = "".join(f"{k},0,0,1\r\n" for k in range(9))
+    (folder / "logs/dos.csv").write_bytes(f"t_ns,wx,wy,wz\r\n{rows}".encode())
+    (folder / "suite.toml").write_text(SUITE)
+    result = check(folder / "suite.toml", "--update")
     assert result.exit_code == 0, result.output
     return folder
 
 
 @pytest.fixture
-def suite(made, tmp_path):
-    """Give a copy of that suite that may be broken."""
-    return shutil.copytree(made, tmp_path / "ci") / "suite.toml"
+def ci(pinned, tmp_path):
+    """Give a copy of that folder, in which things may be broken."""
+    return shutil.copytree(pinned, tmp_path / "ci")
+
+
+def judged(ci, name, *options):
+    """Return the exit code and the report of a case, when all others pass."""
+    result = check(ci / "suite.toml", "--json", *options)
+    cases = {case["name"]: case for case in json.loads(result.stdout)["cases"]}
+    others = {other: case["verdict"] for other, case in cases.items() if other != name}
+    assert set(others.values()) == {"pass"}, others
+    case = cases[name]
+    case["said"] = "; ".join(filter(None, (case.get("summary"), case.get("reason"))))
+    case["said"] = case["said"].replace(f"{ci}/", "")
+    return result.exit_code, case
 
 
 def edit(path, old, new):
@@ -84,60 +93,64 @@ def edit(path, old, new):
     path.write_text(text.replace(old, new))
 
 
-def metadata(path):
-    """Return what a Parquet file keeps beside its columns."""
-    return pq.ParquetFile(path).metadata.metadata
-
-
-def rewrite(path, columns):
-    """Write other columns in a stored reference; its provenance stays."""
-    table = pa.table(columns, names=["t_ns", "qw", "qx", "qy", "qz"])
-    pq.write_table(table.replace_schema_metadata(metadata(path)), path)
-
-
-def turn(path, angle, rows=slice(None)):
-    """Turn attitudes of a stored reference about the body's x axis."""
-    t_ns, *wxyz = pq.read_table(path).columns
-    wxyz = np.column_stack([column.to_numpy() for column in wxyz])
-    c, s = np.cos(angle / 2), np.sin(angle / 2)
-    w, x, y, z = wxyz[rows].T
-    # q (c + s i), by the table of products.
-    wxyz[rows] = np.column_stack([w * c - x * s, x * c + w * s, y * c + z * s, z * c - y * s])
-    rewrite(path, [t_ns, *map(pa.array, wxyz.T)])
-
-
-def accept(suite, name):
-    """Pin a stored reference as it is now, as if an update had written it."""
-    from quatprop.check.lock import sha256_of
-
-    lock = suite.with_suffix(".lock.json")
+def pin(ci, name, **facts):
+    """Let the lock say something else of a case."""
+    lock = ci / "suite.lock.json"
     told = json.loads(lock.read_text())
-    told["cases"][name]["reference"] = sha256_of(str(suite.parent / "refs" / f"{name}.parquet"))
+    told["cases"][name].update(facts)
     lock.write_text(json.dumps(told))
+
+
+def rewrite(ci, name, change):
+    """Change the stamps and attitudes of a stored reference, and pin it as it is then."""
+    path = ci / "refs" / f"{name}.parquet"
+    table = pq.read_table(path)
+    t_ns, *wxyz = (column.to_numpy().copy() for column in table.columns)
+    wxyz = np.column_stack(wxyz)
+    change(t_ns, wxyz)
+    changed = pa.table([t_ns, *map(pa.array, wxyz.T)], names=table.column_names)
+    pq.write_table(changed.replace_schema_metadata(pq.read_metadata(path).metadata), path)
+    pin(ci, name, reference=sha256_of(str(path)))
+
+
+def turn(angle, rows=slice(None)):
+    """Return a change that turns attitudes about the body's x axis."""
+
+    def change(_, wxyz):
+        c, s = np.cos(angle / 2), np.sin(angle / 2)
+        w, x, y, z = wxyz[rows].T
+        # q (c + s i), by the table of products.
+        wxyz[rows] = np.column_stack([w * c - x * s, x * c + w * s, y * c + z * s, z * c - y * s])
+
+    return change
 
 
 # What passes.
 
 
-def test_a_suite_passes_against_its_own_references(suite):
+def test_a_suite_passes_against_its_own_references(ci):
     """Every case has a line: verdict, name, worst error against the tolerance, where."""
-    result = check(suite)
+    # What no reader reads does not count.
+    (ci / "logs/tumbling_ros2/notes.txt").write_text("windy")
+    moved = shutil.move(ci, ci.with_name("elsewhere"))
+    result = check(moved / "suite.toml")
     assert result.exit_code == 0, result.output
     lines = result.stdout.splitlines()
-    assert [line[:16].split() for line in lines[:3]] == [["pass", name] for name in NAMES]
+    assert [line.split()[:2] for line in lines[:5]] == [["pass", name] for name in NAMES]
     assert " rad of 1e-09 rad at +" in lines[0]
-    assert " rad of 1e-08 rad at +" in lines[1]
-    assert " deg of 0.1 deg at +" in lines[2]
-    assert lines[3] == "3 cases: 3 passed"
+    assert " rad of 1e-08 rad at +" in lines[3]
+    assert " deg of 0.1 deg at +" in lines[4]
+    assert lines[5:] == ["5 cases: 5 passed"]
     # Aligned: the figures begin in one column.
-    assert {len(line) - len(line[17:].lstrip()) for line in lines[:3]} == {17}
+    assert {len(line) - len(line[17:].lstrip()) for line in lines[:5]} == {17}
+    assert check(moved / "suite.toml", "-q").output == "5 cases: 5 passed\n"
 
 
-def test_references_are_small_and_say_how_they_came_about(suite):
+def test_references_are_small_and_say_how_they_came_about(ci):
     """Of 3000 samples 580 are kept, and the options, the source and the version with them."""
-    table = pq.read_table(suite.parent / "refs" / "rest.parquet")
-    told = json.loads(metadata(suite.parent / "refs" / "rest.parquet")[b"quatprop"])
-    assert len(table) == 580  # 2900 after the first second, every fifth
+    path = ci / "refs" / "rest.parquet"
+    told = json.loads(pq.read_metadata(path).metadata[b"quatprop"])
+    assert pq.read_metadata(path).num_rows == 580  # 2900 after the first second, every fifth
     assert told["check"]["options"] == {"bias": "static", "method": "mean", "start": "+1s"}
     assert told["check"]["every"] == 5
     assert told["convention"]["method"] == "mean"
@@ -146,120 +159,125 @@ def test_references_are_small_and_say_how_they_came_about(suite):
     assert len(told["source"]["sha256"]) == 64
 
 
-def test_references_do_not_depend_on_where_they_are_made(made, tmp_path):
-    """The same suite in another folder gives the same bytes, references and lock."""
-    folder = tmp_path / "elsewhere"
-    shutil.copytree(SAMPLE_LOGS, folder / "logs")
-    (folder / "suite.toml").write_text(SUITE)
-    assert check(folder / "suite.toml", "--update").exit_code == 0
-    for name in ("refs/spin.parquet", "refs/rest.parquet", "suite.lock.json"):
-        assert (folder / name).read_bytes() == (made / name).read_bytes()
-
-
-def test_references_do_not_depend_on_where_the_command_is_given(tmp_path, monkeypatch):
-    """Nor where cases name other files: their paths in the metadata are those of the suite."""
-    shutil.copyfile(SAMPLE_LOGS / "spin.csv", tmp_path / "spin.csv")
-    (tmp_path / "imu").mkdir()
-    (tmp_path / "imu" / "imu.yaml").write_text("gyroscope_noise_density: 1e-4\n")
+def test_references_do_not_depend_on_folders(pinned, tmp_path, monkeypatch):
+    """Neither on where the suite lies nor on where the command is given: same bytes, same lock."""
+    shutil.copytree(pinned / "logs", tmp_path / "logs")
+    (tmp_path / "imu.yaml").write_text("gyroscope_noise_density: 1e-4\n")
     (tmp_path / "suite.toml").write_text(
-        '[case.spin]\nlog = "spin.csv"\nreference = "spin.parquet"\nimu = "imu/imu.yaml"\n'
+        SUITE.replace("[case.dos]", 'imu = "imu.yaml"\n[case.dos]')
     )
     contents = []
-    for folder, suite in ((tmp_path, "suite.toml"), ("/", tmp_path / "suite.toml")):
+    for folder in (tmp_path, "/"):
         monkeypatch.chdir(folder)
-        assert check(suite, "--update").exit_code == 0
-        contents.append((tmp_path / "spin.parquet").read_bytes())
-        (tmp_path / "spin.parquet").unlink()
-        (tmp_path / "suite.lock.json").unlink()
+        assert check(tmp_path / "suite.toml", "--update").exit_code == 0
+        contents.append((tmp_path / "refs/spin.parquet").read_bytes())
+        (tmp_path / "refs/spin.parquet").unlink()
+        (tmp_path / "suite.lock.json").rename(tmp_path / "old.lock")
     assert contents[0] == contents[1]
-    (tmp_path / "imu" / "imu.yaml").write_text("gyroscope_noise_density: 2e-4\n")
-    assert check(suite, "--update").exit_code == 0
-    (tmp_path / "spin.parquet").write_bytes(contents[0])
-    assert "its metadata have imu of SHA-256 '3dc44c013510' instead of '" in check(suite).stdout
+    (tmp_path / "imu.yaml").write_text("gyroscope_noise_density: 2e-4\n")
+    assert check(tmp_path / "suite.toml", "--update").exit_code == 0
+    (tmp_path / "refs/spin.parquet").write_bytes(contents[0])
+    said = check(tmp_path / "suite.toml").stdout
+    assert "its metadata have imu of SHA-256 '3dc44c013510' instead of '" in said
+    (tmp_path / "suite.toml").write_text(SUITE)
+    assert check(tmp_path / "suite.toml", "--update").exit_code == 0
+    for name in ("refs/spin.parquet", "refs/rest.parquet", "suite.lock.json"):
+        assert (tmp_path / name).read_bytes() == (pinned / name).read_bytes()
 
 
-def test_the_output_is_the_same_for_any_number_of_processes(suite):
+def test_the_output_is_the_same_for_any_number_of_processes(ci):
     """With two processes the text is that of one, whatever finishes first."""
-    edit(suite, 'method = "coning"', 'method = "end"')
-    one, two = check(suite), check(suite, "-j", "2")
+    edit(ci / "suite.toml", 'method = "coning"', 'method = "end"')
+    one, two = (check(ci / "suite.toml", "-j", processes) for processes in "12")
     assert (two.exit_code, two.output) == (one.exit_code, one.output)
     assert one.exit_code == 2
 
 
 @pytest.mark.parametrize(
     ("patterns", "names"),
-    [(["spin"], ["spin"]), (["*in*"], ["spin", "tumbling"]), (["res", "spi"], ["spin", "rest"])],
+    [
+        (["spin"], ["spin"]),
+        (["*in*"], ["spin", "tumbling"]),
+        (["d?s", "spi"], ["spin", "dos"]),
+        (["spinn"], []),
+    ],
 )
-def test_cases_can_be_chosen(suite, patterns, names):
-    """-k takes parts of names or patterns, and can be repeated."""
+def test_cases_can_be_chosen(ci, patterns, names):
+    """-k takes parts of names or patterns, and can be repeated; choosing none is an error."""
     options = [part for pattern in patterns for part in ("-k", pattern)]
-    assert list(outcomes(suite, *options)[1]) == names
+    result = check(ci / "suite.toml", "-v", *options)
+    assert [line.split()[1] for line in result.stdout.splitlines()[:-1]] == names
+    if not names:
+        assert result.exit_code == 2
+        assert f"no case of {ci / 'suite.toml'} matches -k spinn" in result.stderr
 
 
-def test_choosing_no_case_is_an_error(suite):
-    """A pattern that matches nothing does not pass in silence."""
-    result = check(suite, "-k", "spinn")
-    assert result.exit_code == 2
-    assert f"no case of {suite} matches -k spinn" in result.stderr
+def test_a_log_that_is_made_anew_may_be_longer(ci):
+    """It passes where all of the reference is covered."""
+    log = ci / "logs/made.csv"
+    t_ns, rates = log.read_text().splitlines()[-1].split(",", 1)
+    log.write_text(f"{log.read_text()}{int(t_ns) + 10_000_000},{rates}\n")
+    assert judged(ci, "made")[0] == 0
+    shown = check(ci / "suite.toml").stdout.splitlines()[2]
+    assert shown == "pass   made      0 rad of 1e-09 rad at +0 ns, 100 % of the reference covered"
 
 
-def test_quiet_leaves_the_exit_code(suite):
-    """Only the totals and what failed are shown with -q."""
-    assert check(suite, "-q").output == "3 cases: 3 passed\n"
-    edit(suite, 'tol = "0.1deg"', 'tol = "0.001deg"')
-    first, _, last = check(suite, "-q").output.splitlines()
-    assert first.startswith("FAIL   tumbling  ")
-    assert last == "3 cases: 2 passed, 1 failed"
+# What cannot be judged, and why: an error of exactly that case.
 
-
-# What fails, and why: exactly that case.
+SHA = "its content changed since the reference was made (SHA-256 "
+POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
+NOT_THERE = "it is a Git LFS pointer, not the file itself; download the file with git lfs pull"
+LINE_ENDS = "only its line ends changed since the reference was made, from {}: Git converts them"
+BROKEN_FILES = {
+    ("spin", "logs/spin.csv"): {
+        "flip": SHA,
+        "lf to crlf": LINE_ENDS.format("LF to CRLF"),
+        "missing": "no such file or folder; check the path",
+        "pointer": NOT_THERE,
+    },
+    ("dos", "logs/dos.csv"): {"crlf to lf": LINE_ENDS.format("CRLF to LF")},
+    ("rest", "logs/rest.parquet"): {"flip": SHA},
+    ("tumbling", "logs/tumbling_ros2/tumbling_ros2.db3"): {"flip": SHA},
+    ("tumbling", "logs/tumbling_ros2/metadata.yaml"): {
+        "comment": SHA,
+        "missing": "it was there when the reference was made, and is missing",
+        "pointer": NOT_THERE,
+    },
+    ("tumbling", "logs/tumbling.truth.csv"): {"flip": SHA},
+    ("spin", "refs/spin.parquet"): {
+        "cut": ", and cannot be read; restore it",
+        "missing": "the reference is missing; restore it, or write it with --update",
+        "pointer": NOT_THERE,
+    },
+}
+BREAK = {
+    "flip": lambda data: data[:-2] + bytes([data[-2] ^ 1]) + data[-1:],
+    "lf to crlf": lambda data: data.replace(b"\n", b"\r\n"),
+    "crlf to lf": lambda data: data.replace(b"\r\n", b"\n"),
+    "comment": lambda data: data + b"# edited\n",
+    "cut": lambda data: data[:5000],
+    "pointer": lambda _: POINTER,
+}
 
 
 @pytest.mark.parametrize(
-    ("name", "log"),
-    [
-        ("spin", "spin.csv"),
-        ("rest", "rest.parquet"),
-        ("tumbling", "tumbling_ros2/tumbling_ros2.db3"),
-    ],
+    ("case", "file", "how", "reason"),
+    [(*place, *row) for place, rows in BROKEN_FILES.items() for row in rows.items()],
 )
-def test_a_changed_log_is_an_error(suite, name, log):
-    """One byte more or other in a log is an error of its case, which names the log."""
-    log = suite.parent / "logs" / log
-    content = bytearray(log.read_bytes())
-    content[-2] ^= 1
-    log.write_bytes(content)
-    assert verdicts(suite) == (2, only(name, "error"))
-    reason = outcomes(suite)[1][name]["reason"]
-    assert "its content changed since the reference was made (SHA-256 " in reason
-    assert reason.startswith(str(suite.parent / "logs"))
-
-
-def test_a_changed_independent_series_is_an_error(suite):
-    """What a case is compared with is pinned, too."""
-    truth = suite.parent / "logs" / "tumbling.truth.csv"
-    truth.write_text(truth.read_text() + "\n")
-    assert verdicts(suite) == (2, only("tumbling", "error"))
-    assert outcomes(suite)[1]["tumbling"]["reason"].startswith(f"{truth}: its content changed")
-
-
-def test_a_missing_log_is_an_error(suite):
-    """A log that is not there is no skip."""
-    log = suite.parent / "logs" / "spin.csv"
-    log.unlink()
-    assert verdicts(suite) == (2, only("spin", "error"))
-    reason = outcomes(suite)[1]["spin"]["reason"]
-    assert reason == f"{log}: no such file or folder; check the path"
-
-
-def test_a_pointer_of_git_lfs_in_place_of_a_log_is_named(suite):
-    """The pointer in its place is recognised, with the way out."""
-    log = suite.parent / "logs" / "spin.csv"
-    log.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
-    assert verdicts(suite) == (2, only("spin", "error"))
-    assert outcomes(suite)[1]["spin"]["reason"] == (
-        f"{log}: it is a Git LFS pointer, not the file itself; download the file with git lfs pull"
-    )
+def test_a_file_that_is_not_what_it_was_is_an_error(ci, case, file, how, reason):
+    """It is named, with what happened to it and the way out; nothing passes in silence."""
+    path = ci / file
+    content = path.read_bytes()
+    path.unlink()
+    if how != "missing":
+        path.write_bytes(BREAK[how](content))
+    # An update accepts what changed, but never takes a pointer for the file itself.
+    for options in ([], ["--update"]) if how == "pointer" else ([],):
+        code, found = judged(ci, case, *options)
+        assert (code, found["verdict"]) == (2, "error")
+        assert found["reason"].startswith(f"{path}: ")
+        assert reason in found["reason"]
+    assert how != "pointer" or path.read_bytes() == POINTER
 
 
 @pytest.mark.parametrize(
@@ -271,171 +289,162 @@ def test_a_pointer_of_git_lfs_in_place_of_a_log_is_named(suite):
         (
             "spin",
             'spin.csv"',
-            'spin.csv"\nmount = "x,-y,-z"',
-            "mount was the default and is now 'x,-y,-z'",
+            # Other ways of writing what was pinned change nothing.
+            'spin.csv"\nmethod = "mean"\nrates = "body"\nq0-layout = "wxyz"\nq0 = [1, 0, 0, 0]',
+            "pinned: q0 was the default and is now '1,0,0,0'; restore it, or accept it with --",
         ),
     ],
 )
-def test_a_changed_option_is_an_error(suite, name, old, new, words):
+def test_a_changed_option_is_an_error(ci, name, old, new, words):
     """An option that is not the pinned one is named, with both values."""
-    edit(suite, old, new)
-    assert verdicts(suite) == (2, only(name, "error"))
-    assert words in outcomes(suite)[1][name]["reason"]
+    edit(ci / "suite.toml", old, new)
+    code, case = judged(ci, name)
+    assert (code, case["verdict"]) == (2, "error")
+    assert words in case["reason"]
 
 
-def test_an_option_written_in_another_way_is_the_same(suite):
-    """The default may be written, and numbers may be a list."""
-    edit(suite, 'log = "logs/spin.csv"', 'log = "logs/spin.csv"\nrates = "body"\nmax-gap = "1s"')
-    edit(suite, 'max-gap = "1s"', 'q0-layout = "scalar-first"\nq0 = [1, 0, 0, 0]')
-    code, cases = outcomes(suite, "-k", "spin")
-    assert (code, cases["spin"]["reason"].split(": ")[-1]) == (
-        2,
-        "q0 was the default and is now '1,0,0,0'; restore it, or accept it with --update",
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ([], "case 'rest' instead of 'spin', every '5' instead of '1'"),
+        ([], "bias 'static' instead of 'the default'"),
+        (["--convention", "jpl"], "product 'JPL, ij = -k' instead of 'Hamilton, ij = k'"),
+    ],
+)
+def test_a_reference_that_is_not_the_pinned_one_is_an_error(ci, options, words):
+    """It is named, with what it says of itself and should not."""
+    reference, other = ci / "refs/spin.parquet", ci / "refs/rest.parquet"
+    if options:
+        run("convert", reference, ci / "other.parquet", *options, code=0)
+        other = ci / "other.parquet"
+    shutil.copy(other, reference)
+    code, case = judged(ci, "spin")
+    assert (code, case["verdict"]) == (2, "error")
+    assert "refs/spin.parquet: this is not the reference that was pinned (SHA-256 " in case["said"]
+    assert words in case["said"]
+
+
+def test_a_case_that_was_never_updated_is_an_error(ci):
+    """A new case does not pass before something was pinned."""
+    (ci / "suite.lock.json").unlink()
+    shutil.rmtree(ci / "refs")
+    result = check(ci / "suite.toml")
+    assert result.exit_code == 2
+    assert result.stdout.splitlines()[-1] == "5 cases: 0 passed, 5 errors"
+    assert "the lock has no entry for this case yet" in result.stdout
+
+
+def test_an_unfinished_merge_is_named(ci):
+    """The line of the marker and the way out."""
+    lock = ci / "suite.lock.json"
+    lines = lock.read_text().splitlines()
+    lock.write_text("\n".join([*lines[:3], "<<<<<<< HEAD", *lines[3:]]))
+    result = check(ci / "suite.toml")
+    assert result.exit_code == 2
+    assert result.stderr == (
+        f"Error: {lock}: line 4 is a conflict marker of a merge; remove the markers, "
+        "keeping one side of each case, and check with --update\n"
     )
+
+
+# What fails, and why: exactly that case.
 
 
 @pytest.mark.parametrize("row", [0, 250, 999])
-def test_a_moved_reference_fails_where_it_moved(suite, row):
+def test_a_moved_reference_fails_where_it_moved(ci, row):
     """A thousandth of a radian in one row is found there, and only its case fails."""
-    reference = suite.parent / "refs" / "spin.parquet"
-    turn(reference, 1e-3, slice(row, row + 1))
-    accept(suite, "spin")
-    assert verdicts(suite) == (1, only("spin", "fail"))
-    spin = outcomes(suite)[1]["spin"]
+    rewrite(ci, "spin", turn(1e-3, slice(row, row + 1)))
+    code, spin = judged(ci, "spin")
+    assert (code, spin["verdict"]) == (1, "fail")
     assert spin["error_rad"] == pytest.approx(1e-3, abs=1e-12)
     assert spin["comparison"]["worst"]["index"] == row
     assert "above the tolerance, first at +" in spin["reason"]
-    assert spin["reason"].endswith(
-        "likely cause: 1 of 1000 samples carry the error, and the others are right "
-        "(isolated samples)"
-    )
-    line = check(suite).stdout.splitlines()[2]  # failures come last
+    cause = "1 of 1000 samples carry the error, and the others are right (isolated samples)"
+    assert spin["reason"].endswith(f"likely cause: {cause}")
+    # Failures come last, and alone stand with -q.
+    line, *_, total = check(ci / "suite.toml", "-q").output.splitlines()
     assert line.startswith("FAIL   spin      0.001 rad of 1e-09 rad at +")
+    assert total == "5 cases: 4 passed, 1 failed"
 
 
-def test_a_tolerance_decides(suite):
+def test_a_tolerance_decides(ci):
     """An error of a millionth of a radian passes at two millionths, and fails at a half."""
-    turn(suite.parent / "refs" / "rest.parquet", 1e-6)
-    accept(suite, "rest")
-    edit(suite, 'tol = "1e-8rad"', 'tol = "2e-6rad"')
-    assert verdicts(suite) == (0, only("rest", "pass"))
-    edit(suite, 'tol = "2e-6rad"', 'tol = "5e-7rad"')
-    assert verdicts(suite) == (1, only("rest", "fail"))
-    reason = outcomes(suite)[1]["rest"]["reason"]
-    assert "the reference frames differ by" in reason or "the body frames differ" in reason
-    assert "takes" not in reason, "what would hide a regression is not advised"
+    rewrite(ci, "rest", turn(1e-6))
+    edit(ci / "suite.toml", 'tol = "1e-8rad"', 'tol = "2e-6rad"')
+    assert judged(ci, "rest")[0] == 0
+    edit(ci / "suite.toml", 'tol = "2e-6rad"', 'tol = "5e-7rad"')
+    code, case = judged(ci, "rest")
+    assert (code, case["verdict"]) == (1, "fail")
+    assert "frames differ" in case["reason"]
+    assert "takes" not in case["reason"], "what would hide a regression is not advised"
+    edit(ci / "suite.toml", 'tol = "5e-7rad"', "")
+    edit(ci / "suite.toml", 'tol = "0.1deg"', 'tol = "0.001deg"')  # coning is 0.01 deg off
+    assert "above the tolerance" in check(ci / "suite.toml", "-k", "tumbling").stdout
 
 
-def test_an_independent_series_fails_above_its_tolerance(suite):
-    """The truth is 0.01 deg from what coning gives: 0.001 deg is not kept."""
-    edit(suite, 'tol = "0.1deg"', 'tol = "0.001deg"')
-    assert verdicts(suite) == (1, only("tumbling", "fail"))
-
-
-def test_a_reference_that_is_not_the_pinned_one_is_an_error(suite):
-    """It is named, with what it says of itself and should not."""
-    reference = suite.parent / "refs" / "spin.parquet"
-    shutil.copy(suite.parent / "refs" / "rest.parquet", reference)
-    assert verdicts(suite) == (2, only("spin", "error"))
-    reason = outcomes(suite)[1]["spin"]["reason"]
-    assert reason.startswith(f"{reference}: this is not the reference that was pinned (SHA-256 ")
-    assert "case 'rest' instead of 'spin', every '5' instead of '1'" in reason
-    assert "bias 'static' instead of 'the default'" in reason
-
-
-def test_a_reference_of_another_convention_says_so(suite, tmp_path):
-    """A reference that was converted is not that of the case, and tells its convention."""
-    reference = suite.parent / "refs" / "spin.parquet"
-    converted = tmp_path / "jpl.parquet"
-    told = CliRunner().invoke(
-        cli, ["convert", str(reference), str(converted), "--convention", "jpl"]
-    )
-    assert told.exit_code == 0, told.output
-    shutil.copy(converted, reference)
-    assert verdicts(suite) == (2, only("spin", "error"))
-    assert (
-        "product 'JPL, ij = -k' instead of 'Hamilton, ij = k'"
-        in (outcomes(suite)[1]["spin"]["reason"])
-    )
-
-
-def test_a_torn_reference_is_an_error(suite):
-    """Half a file cannot be read, and the error names it."""
-    reference = suite.parent / "refs" / "spin.parquet"
-    reference.write_bytes(reference.read_bytes()[:5000])
-    assert verdicts(suite) == (2, only("spin", "error"))
-    assert ", and cannot be read; restore it" in outcomes(suite)[1]["spin"]["reason"]
-
-
-def test_a_missing_reference_is_an_error(suite):
-    """It is named, with the way out."""
-    reference = suite.parent / "refs" / "rest.parquet"
-    reference.unlink()
-    assert verdicts(suite) == (2, only("rest", "error"))
-    assert outcomes(suite)[1]["rest"]["reason"] == (
-        f"{reference}: the reference is missing; restore it, or write it with --update"
-    )
-
-
-def test_a_case_that_was_never_updated_is_an_error(suite):
-    """A new case does not pass before something was pinned."""
-    suite.with_suffix(".lock.json").unlink()
-    shutil.rmtree(suite.parent / "refs")
-    code, found = verdicts(suite)
-    assert (code, set(found.values())) == (2, {"error"})
-    assert "the lock has no entry for this case yet" in outcomes(suite)[1]["spin"]["reason"]
-
-
-def _pretend(suite, name, **facts):
-    """Let the lock say something else of a case."""
-    lock = suite.with_suffix(".lock.json")
-    told = json.loads(lock.read_text())
-    told["cases"][name].update(facts)
-    lock.write_text(json.dumps(told))
-
-
-def test_another_version_is_named_and_judged_all_the_same(suite):
-    """A reference of another version passes with a note; if it fails, the note says why, maybe."""
-    _pretend(suite, "spin", quatprop="0.0.9")
-    note = f"the reference was made by quatprop 0.0.9, this is {__version__}"
-    assert outcomes(suite)[1]["spin"]["notes"] == [note]
-    assert check(suite).stdout.splitlines()[-2] == f"note on spin: {note}"
-    _pretend(suite, "spin", final_wxyz=[0.0, 1.0, 0.0, 0.0])
-    assert outcomes(suite)[1]["spin"]["reason"].endswith(note)
-
-
-def test_another_count_of_samples_fails(suite):
-    """Attitudes that were thinned do not hide that samples are gone."""
-    _pretend(suite, "rest", samples=2901)
-    assert verdicts(suite) == (1, only("rest", "fail"))
-    assert outcomes(suite)[1]["rest"]["reason"].startswith(
-        "2900 samples were propagated, and 2901 when pinned"
-    )
-
-
-def test_another_end_fails(suite):
-    """The last attitude is compared, though the reference lacks it."""
-    _pretend(suite, "rest", final_wxyz=[0.0, 1.0, 0.0, 0.0])
-    assert verdicts(suite) == (1, only("rest", "fail"))
-    assert (
-        "the attitude at the last sample is 3.14 rad from the one that was pinned"
-        in (outcomes(suite)[1]["rest"]["reason"])
-    )
-
-
-def test_other_stamps_fail(suite):
-    """A stamp that moved by a nanosecond is not within any tolerance."""
-    reference = suite.parent / "refs" / "rest.parquet"
-    table = pq.read_table(reference)
-    t_ns = table["t_ns"].to_numpy().copy()
+def late(t_ns, _):
+    """Move a stamp by a nanosecond, which is not within any tolerance."""
     t_ns[7] += 1
-    rewrite(reference, [pa.array(t_ns), *table.columns[1:]])
-    accept(suite, "rest")
-    assert verdicts(suite) == (1, only("rest", "fail"))
-    assert outcomes(suite)[1]["rest"]["reason"].startswith(
-        "1 of 580 timestamps differ from the reference, the first at attitude 7: "
-        f"{t_ns[7] - 1} ns, not {t_ns[7]} ns"
-    )
+
+
+def biased(row):
+    """Return a row of a log whose rate about x is off by 0.01 rad/s, which are 2063 deg/h."""
+    t_ns, x, *others = row.split(",")
+    return ",".join([t_ns, repr(float(x) + 0.01), *others])
+
+
+def remade(ci, change):
+    """Make the log anew that is not pinned: what it leads to is judged."""
+    header, *rows = (ci / "logs/made.csv").read_text().splitlines()
+    write_rates(ci / "logs/made.csv", change(rows), header)
+
+
+ABOVE = "above the tolerance, first at"
+STAMP = (
+    "1 of 580 timestamps differ from the reference, the first at attitude 7: "
+    "1700000001350000000 ns, not 1700000001350000001 ns"
+)
+END = "the attitude at the last sample is 3.14 rad from the one that was pinned"
+FAILURES = {
+    # Attitudes that were thinned do not hide that samples are gone, nor another end.
+    "samples": (lambda ci: pin(ci, "rest", samples=2901), "2900 samples were propagated, and 2901"),
+    "end": (lambda ci: pin(ci, "rest", final_wxyz=[0.0, 1.0, 0.0, 0.0]), END),
+    "stamp": (lambda ci: rewrite(ci, "rest", late), STAMP),
+    "tenth": (
+        lambda ci: remade(ci, lambda rows: rows[: len(rows) // 10]),
+        "% of the samples of the reference, at least 99 %",
+    ),
+    "third": (lambda ci: remade(ci, lambda rows: rows[::3]), ABOVE),
+    "bias": (
+        lambda ci: remade(ci, lambda rows: map(biased, rows)),
+        "by a constant -2063, ",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FAILURES)
+def test_what_differs_fails(ci, name):
+    """The sentence says how, and where; a bias is named."""
+    change, words = FAILURES[name]
+    change(ci)
+    code, case = judged(ci, "made" if name in {"tenth", "third", "bias"} else "rest")
+    assert (code, case["verdict"]) == (1, "fail")
+    assert words in case["said"]
+
+
+def test_another_version_is_named_and_judged_all_the_same(ci):
+    """Noted once for all cases, in a failure too, until an update, which keeps the references."""
+    note = f"the reference was made by quatprop 0.0.9, this is {__version__}"
+    for name in NAMES:
+        pin(ci, name, quatprop="0.0.9")
+    assert judged(ci, "spin")[1]["notes"] == [note]
+    assert check(ci / "suite.toml").stdout.splitlines()[-2] == f"note on 5 cases: {note}"
+    before = {path: path.read_bytes() for path in (ci / "refs").iterdir()}
+    for options in (["--update"], []):
+        assert "note" not in check(ci / "suite.toml", *options).stdout
+    assert {path: path.read_bytes() for path in (ci / "refs").iterdir()} == before
+    pin(ci, "spin", quatprop="0.0.9", final_wxyz=[0.0, 1.0, 0.0, 0.0])
+    assert judged(ci, "spin")[1]["reason"].endswith(note)
 
 
 def test_trouble_comes_before_failure():
@@ -453,4 +462,39 @@ def test_trouble_comes_before_failure():
 def test_references_are_thinned_in_round_steps(samples, every):
     """At most 1000 attitudes are kept, and at least 400 of a long log."""
     assert decimation(samples) == every
-    assert samples <= 1000 or 400 <= samples / every <= 1000
+
+
+def steps_of(place):
+    """Return the shell commands of the action, or of the snippet for GitLab."""
+    yaml = YAML(typ="safe")
+    if place == "github":
+        action = yaml.load((ROOT / ".github/actions/quatprop-check/action.yml").read_text())
+        (step,) = [step for step in action["runs"]["steps"] if "Check" in step.get("name", "")]
+        return step["run"]
+    text = (ROOT / "quatprop" / "docs" / "ci.md").read_text().split("## GitLab")[1]
+    return "\n".join(yaml.load(text.split("```yaml\n")[1].split("```")[0])["attitude"]["script"])
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a shell of POSIX")
+@pytest.mark.parametrize("place", ["github", "gitlab"])
+def test_the_steps_for_ci_services_run(place, tmp_path):
+    """They check the suite, keep JUnit and evidence, and fail as the check does."""
+    log = write_rates(tmp_path / "ci/spin.csv", [(k, 0, 0, 1) for k in range(9)])
+    suite = tmp_path / "ci/suite.toml"
+    suite.write_text('[case.spin]\nlog = "spin.csv"\nreference = "spin.parquet"\n')
+    assert check(suite, "--update").exit_code == 0
+    path = f"{INSTALLED.parent}{os.pathsep}{os.environ['PATH']}"
+    environment = os.environ | {"PATH": path, "SUITES": "ci/suite.toml", "OPTIONS": "--strict"}
+    for expected in (0, 2):
+        done = subprocess.run(
+            ["/bin/bash", "-e", "-c", steps_of(place)],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == expected, done.stderr
+        (junit,) = tmp_path.rglob("*.xml")
+        assert f'errors="{min(expected, 1)}"' in junit.read_text()
+        log.write_text("changed\n")

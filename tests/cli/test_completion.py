@@ -7,18 +7,16 @@ import select
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from click.shell_completion import ShellComplete
-from make.places import ROOT
+from make.commands import INSTALLED
+from make.places import ROOT, SAMPLE_LOGS
 
 from quatprop.cli.bash_completion import Bash
 from quatprop.cli.commands import COMMANDS, cli
 
 pexpect = pytest.importorskip("pexpect")
-
-SAMPLES = ROOT / "sample_logs"
 
 START = {
     "bash": ["--norc", "--noprofile", "-i"],
@@ -32,59 +30,47 @@ ENABLE = {
 }
 
 
-def shell_in(folder, shell):
-    """Return a real shell in a folder that completes with the real ``quatprop``."""
-    if shutil.which(shell) is None:
-        pytest.skip(f"{shell} is not installed")
+def spawned(shell, folder, programs, **options):
+    """Start a shell in a folder that finds programs in another."""
     environment = {
-        "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
+        "PATH": f"{programs}:{os.environ['PATH']}",
         "PYTHONPATH": str(ROOT),
         "HOME": str(folder),
         "TERM": "xterm",
         "LANG": "C.UTF-8",
     }
-    terminal = pexpect.spawn(
-        shell, START[shell], cwd=folder, env=environment, dimensions=(40, 200), timeout=60
-    )
-    terminal.sendline(f"{ENABLE[shell]} && echo rea''dy")
-    terminal.expect("ready")
-    return terminal
+    return pexpect.spawn(shell, START[shell], cwd=folder, env=environment, timeout=60, **options)
 
 
 @pytest.mark.parametrize("shell", START)
 def test_a_line_is_completed_word_by_word(shell, tmp_path):
-    """Command, file, option, choice, and the topic from the file; then the line runs."""
-    shutil.copy(SAMPLES / "tumbling.bag", tmp_path / "walk.bag")
-    terminal = shell_in(tmp_path, shell)
-    for typed in ("quatprop propa", "wal", "--metho", "coni", "-t "):
-        terminal.send(typed + "\t")
-        terminal.expect(".+")
-    terminal.sendline("-o out.csv -q && echo do''ne")
-    terminal.expect("done")
-    terminal.close()
-    assert len((tmp_path / "out.csv").read_text().splitlines()) == 1001
+    """Command, file, option, choice, and the topic or columns of the file; then the line runs.
 
-
-@pytest.mark.parametrize("shell", START)
-def test_names_of_files_and_columns_are_not_executed(shell, tmp_path):
-    """A log whose name and columns are commands: what is completed is the name."""
+    Nothing of a log whose name and columns are commands is executed: what is completed is the name.
+    """
+    if shutil.which(shell) is None:
+        pytest.skip(f"{shell} is not installed")
     command = "$(touch PWNED)"
+    shutil.copy(SAMPLE_LOGS / "tumbling.bag", tmp_path / "walk.bag")
     rows = "".join(f"{k},0,0,1\n" for k in range(5))
-    (tmp_path / f"{command}.csv").write_text(f"{command},wx,wy,wz\n{rows}")
-    terminal = shell_in(tmp_path, shell)
-    units = "--rate-unit rad/s --time-unit ns"
-    for typed in (
-        "quatprop propagate ",
-        f"-q -o out.csv {units} --rate-cols wx,wy,wz --time-col '$(t",
+    (tmp_path / f"log{command}.csv").write_text(f"{command},wx,wy,wz\n{rows}")
+    terminal = spawned(shell, tmp_path, INSTALLED.parent, dimensions=(40, 200))
+    terminal.sendline(f"{ENABLE[shell]} && echo rea''dy")
+    terminal.expect("ready")
+    columns = "-q -o b.csv --rate-unit rad/s --time-unit ns --rate-cols wx,wy,wz --time-col '$(t"
+    for words, end in (
+        (("quatprop propa", "wal", "--metho", "coni", "-t "), "-o a.csv -q"),
+        (("quatprop propagate lo", columns), ""),
     ):
-        terminal.send(typed + "\t")
-        terminal.expect(".+")
-    terminal.sendline("; echo do''ne")
-    terminal.expect("done")
+        for typed in words:
+            terminal.send(typed + "\t")
+            terminal.expect(".+")
+        terminal.sendline(f"{end}; echo do''ne")
+        terminal.expect("done")
     terminal.close()
-    assert sorted(path.name for path in tmp_path.iterdir() if path.name[0] != ".") == [
-        f"{command}.csv", "out.csv"
-    ]  # fmt: skip
+    names = sorted(path.name for path in tmp_path.iterdir() if path.name[0] != ".")
+    assert names == ["a.csv", "b.csv", f"log{command}.csv", "walk.bag"]
+    assert len((tmp_path / "a.csv").read_text().splitlines()) == 1001
 
 
 def offered(*words):
@@ -94,35 +80,34 @@ def offered(*words):
     return [item.value if item.type == "plain" else item.type for item in found]
 
 
-@pytest.mark.parametrize(
-    ("words", "values"),
-    [
-        (["co"], ["convert", "compare", "completion"]),
-        (["propagate", "x"], ["file"]),
-        (["propagate", "x.bag", "-o", "y"], ["file"]),
-        (["propagate", "x.bag", "--on-g"], ["--on-gap"]),
-        (["propagate", "x.bag", "--q0", "w"], ["file"]),
-        (["propagate", "x.bag", "--start", ""], []),
-        (["propagate", "none.bag", "-t", ""], []),
-        (["propagate", "-", "-t", ""], []),
-        (["propagate", "s3://b/log.bag", "-t", ""], []),
-        (["propagate", "coning.mcap", "-t", ""], ["/imu"]),
-        (["propagate", "-t", ""], []),
-        (["info", "coning.mcap", "rest.parquet", "--rate-field", "ang"], ["angular_velocity"]),
-        (["plot", "coning.mcap", "-t", "/"], ["/imu"]),
-        (["propagate", "spin.csv", "-t", ""], []),
-        (["propagate", "spin.csv", "--time-col", ""], ["t_ns", "wx", "wy", "wz"]),
-        (["propagate", "spin.csv", "--rate-cols", "wx,w"], ["wx,wy", "wx,wz"]),
-        (["compare", "spin.csv", "spin.truth.csv", "--quat-cols-b", "qw,qx,"],
-         ["qw,qx,t_ns", "qw,qx,qy", "qw,qx,qz"]),
-        (["compare", "spin.csv", "spin.truth.csv", "--time-col-a", "w"], ["wx", "wy", "wz"]),
-        (["plot", "coning.mcap", "--reference", "spin.truth.csv", "--time-col-ref", "t"], ["t_ns"]),
-    ],
-)  # fmt: skip
-def test_what_is_offered(monkeypatch, words, values):
+OFFERED = {
+    "co": ["convert", "compare", "completion"],
+    "propagate x": ["file"],
+    "propagate x.bag -o y": ["file"],
+    "propagate x.bag --on-g": ["--on-gap"],
+    "propagate x.bag --q0 w": ["file"],
+    "propagate x.bag --start ": [],
+    "propagate none.bag -t ": [],
+    "propagate - -t ": [],
+    "propagate s3://b/log.bag -t ": [],
+    "propagate coning.mcap -t ": ["/imu"],
+    "propagate -t ": [],
+    "info coning.mcap rest.parquet --rate-field ang": ["angular_velocity"],
+    "plot coning.mcap -t /": ["/imu"],
+    "propagate spin.csv -t ": [],
+    "propagate spin.csv --time-col ": ["t_ns", "wx", "wy", "wz"],
+    "propagate spin.csv --rate-cols wx,w": ["wx,wy", "wx,wz"],
+    "compare spin.csv spin.truth.csv --quat-cols-b qw,qx,": ["qw,qx,t_ns", "qw,qx,qy", "qw,qx,qz"],
+    "compare spin.csv spin.truth.csv --time-col-a w": ["wx", "wy", "wz"],
+    "plot coning.mcap --reference spin.truth.csv --time-col-ref t": ["t_ns"],
+}
+
+
+@pytest.mark.parametrize(("line", "values"), OFFERED.items())
+def test_what_is_offered(monkeypatch, line, values):
     """Names come from the log on the line that the option is about; without one there are none."""
-    monkeypatch.chdir(SAMPLES)
-    assert offered(*words) == values
+    monkeypatch.chdir(SAMPLE_LOGS)
+    assert offered(*line.split(" ")) == values
 
 
 def test_commands_are_offered_without_importing_them():
@@ -153,6 +138,18 @@ HOSTILE = [
 ]  # fmt: skip
 """Names that mean something to a shell."""
 
+NAMES = HOSTILE + [
+    "".join(random.Random(seed).choices("ab$`(){}[]<>|&;*?!#~^=:,%@+-_./\\'\" é", k=8))
+    for seed in range(40)
+]
+QUOTES = pytest.mark.parametrize("quote", ["", "'", '"'], ids=["bare", "single", "double"])
+BASH = pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
+FAKE = """#!/bin/sh
+if [ -n "$_QUATPROP_COMPLETE" ]; then
+  printf "%s\\0" "$COMP_LINE" "$COMP_REPLACED" > asked; cat answer
+else printf "%s\\0" "$@" > asked; fi
+"""
+
 
 class Terminal:
     """An interactive bash whose ``quatprop`` is answered by this process, which is quick."""
@@ -161,30 +158,15 @@ class Terminal:
         self.folder = folder
         fake = folder / "bin" / "quatprop"
         fake.parent.mkdir()
-        fake.write_text(
-            "#!/bin/sh\n"
-            'if [ -n "$_QUATPROP_COMPLETE" ]; then\n'
-            '  printf "%s\\0" "$COMP_LINE" "$COMP_REPLACED" > asked; cat answer\n'
-            'else printf "%s\\0" "$@" > asked; fi\n'
-        )
+        fake.write_text(FAKE)
         fake.chmod(0o700)
         for name in ("asked", "answer"):
             os.mkfifo(folder / name)
         self.asked = os.open(folder / "asked", os.O_RDWR | os.O_NONBLOCK)
-        script = Bash(cli, {}, "quatprop", "_QUATPROP_COMPLETE").source_template % {
-            "complete_func": "_completion", "complete_var": "_QUATPROP_COMPLETE",
-            "prog_name": "quatprop",
-        }  # fmt: skip
-        (folder / "script").write_text(script)
-        environment = {
-            "PATH": f"{fake.parent}:{os.environ['PATH']}",
-            "HOME": str(folder),
-            "TERM": "dumb",
-            "LANG": "C.UTF-8",
-        }
-        self.bash = pexpect.spawn(
-            "bash", START["bash"], cwd=folder, env=environment, dimensions=(40, 500), timeout=20
-        )
+        variable = "_QUATPROP_COMPLETE"
+        names = {"complete_func": "_c", "complete_var": variable, "prog_name": "quatprop"}
+        (folder / "script").write_text(Bash(cli, {}, "quatprop", variable).source_template % names)
+        self.bash = spawned("bash", folder, fake.parent, dimensions=(40, 500))
         self.bash.delaybeforesend = None
         self.bash.sendline("source ./script; bind 'set bell-style none'; echo rea''dy")
         self.bash.expect("ready")
@@ -201,9 +183,7 @@ class Terminal:
         """Type something and a tab, and answer."""
         self.bash.send(typed + "\t")
         line, replaced = self.received()
-        monkeypatch.setenv("COMP_LINE", line)
-        monkeypatch.setenv("COMP_REPLACED", replaced)
-        answer = Bash(cli, {}, "quatprop", "_").complete()
+        answer = completed(monkeypatch, line, replaced)
         (self.folder / "answer").write_text(answer)
         return answer
 
@@ -211,6 +191,13 @@ class Terminal:
         """Run the line; return the arguments."""
         self.bash.send("\r")
         return self.received()
+
+
+def completed(monkeypatch, line, replaced):
+    """Return what bash is answered."""
+    monkeypatch.setenv("COMP_LINE", line)
+    monkeypatch.setenv("COMP_REPLACED", replaced)
+    return Bash(cli, {}, "quatprop", "_").complete()
 
 
 @pytest.fixture(scope="module")
@@ -231,14 +218,8 @@ def begun(name, count, quote):
     return quote + re.sub(special, r"\\\1" if quote != "'" else "", name[:count])
 
 
-NAMES = HOSTILE + [
-    "".join(random.Random(seed).choices("ab$`(){}[]<>|&;*?!#~^=:,%@+-_./\\'\" é", k=8))
-    for seed in range(40)
-]
-
-
-@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
-@pytest.mark.parametrize("quote", ["", "'", '"'], ids=["bare", "single", "double"])
+@BASH
+@QUOTES
 def test_bash_takes_a_completed_name_as_it_is(terminal, monkeypatch, quote):
     """Names from logs were inserted without quotes: completing ``$(command)`` ran the command."""
     for number, name in enumerate(NAMES):
@@ -250,14 +231,13 @@ def test_bash_takes_a_completed_name_as_it_is(terminal, monkeypatch, quote):
         answer = terminal.tab(f"quatprop propagate x.csv {option}{typed}", monkeypatch)
         assert answer, (name, typed)
         ran = terminal.enter()
-        given = f"--topic={name}" if number % 5 == 0 else name
-        assert ran[-1] == given, (name, typed, answer)
-        assert len(ran) == 3 + (number % 5 > 0)
+        given = [f"--topic={name}"] if number % 5 == 0 else ["-t", name]
+        assert ran == ["propagate", "x.csv", *given], (name, typed, answer)
     assert not (terminal.folder / "PWNED").exists()
 
 
-@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
-@pytest.mark.parametrize("quote", ["", "'", '"'], ids=["bare", "single", "double"])
+@BASH
+@QUOTES
 def test_bash_goes_on_where_names_differ(terminal, monkeypatch, quote):
     """What several names have in common is inserted, in the quote that is open."""
     names = ["$(touch PWNED) a", "$(touch PWNED) b'\"\\"]
@@ -272,11 +252,8 @@ def test_bash_goes_on_where_names_differ(terminal, monkeypatch, quote):
 def test_what_bash_would_expand_is_not_completed(monkeypatch, typed):
     """Which quotes are open in it is not known."""
     monkeypatch.setattr("quatprop.cli.completion._names_in", lambda *_: [typed + "y", "$x", "x"])
-    line = f"quatprop propagate x.csv -t {typed}"
     for replaced in ("", typed[-1:], typed):
-        monkeypatch.setenv("COMP_LINE", line)
-        monkeypatch.setenv("COMP_REPLACED", replaced)
-        assert Bash(cli, {}, "quatprop", "_").complete() == ""
+        assert completed(monkeypatch, f"quatprop propagate x.csv -t {typed}", replaced) == ""
 
 
 def test_names_that_would_command_the_terminal_are_not_offered(monkeypatch):
@@ -284,9 +261,8 @@ def test_names_that_would_command_the_terminal_are_not_offered(monkeypatch):
     names = ["", *(f"a{chr(code)}b" for code in range(256)), "a\u202eb", "a\u2028b", "a\udc80b"]
     monkeypatch.setattr("quatprop.cli.completion._names_in", lambda *_: names)
     found = offered("propagate", "x.csv", "-t", "")
-    assert "".join(name[1:-1] for name in found if name.isascii()) == "".join(
-        map(chr, range(32, 127))
-    )
+    ascii_letters = "".join(name[1:-1] for name in found if name.isascii())
+    assert ascii_letters == "".join(map(chr, range(32, 127)))
     assert all(name.isprintable() for name in found)
 
 

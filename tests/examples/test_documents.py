@@ -9,12 +9,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from make.commands import run
 from make.documents import GUIDES, ROOT, Document
+from make.places import SHARED_LOGS
 from make.reading import found_in, mark, stamps
 
 from quatprop import propagate, write
-from quatprop.cli.commands import cli
 from quatprop.cli.help import GROUPS
 from quatprop.logs.vocabulary import sources
 from quatprop.logs.vocabulary.sources import TYPES
@@ -27,31 +27,16 @@ DOCUMENTS = [README, *sorted(GUIDES.glob("*.md"))]
 
 
 @pytest.fixture
-def recordings(request):
-    """Return the folder of real recordings, or None where it is absent."""
-    try:
-        return request.getfixturevalue("shared_logs")
-    except pytest.skip.Exception:
-        return None
-
-
-@pytest.fixture
-def ran(tmp_path, monkeypatch, recordings):
+def ran(tmp_path, monkeypatch):
     """Return a function that runs a document and compares what is shown with what is printed."""
     monkeypatch.setenv("COLUMNS", "200")
 
-    def run(path):
-        document = Document(path, tmp_path, recordings)
+    def ran(path):
+        document = Document(path, tmp_path, SHARED_LOGS if SHARED_LOGS.is_dir() else None)
         assert document.run() == document.text
         return document
 
-    return run
-
-
-@pytest.mark.parametrize("name", ["conventions", "formats", "recipes"])
-def test_commands_print_what_is_shown(ran, name):
-    """To the letter; where nothing is shown, they end well."""
-    ran(GUIDES / f"{name}.md")
+    return ran
 
 
 def test_the_readme_teaches_what_is_true(ran):
@@ -119,8 +104,6 @@ def test_a_batch_of_one_machine_is_done(ran, tmp_path):
 
 def test_the_suite_gives_the_output_that_is_shown(tmp_path, monkeypatch):
     """Both commands of the example print what stands beneath them."""
-    for name in ("GITHUB_STEP_SUMMARY", "GITHUB_ACTIONS"):
-        monkeypatch.delenv(name, raising=False)
     text = (GUIDES / "ci.md").read_text()
     blocks = [re.findall(rf"```{kind}\n(.*?)```", text, re.DOTALL) for kind in ("toml", "console")]
     (suite,), (commands,) = blocks
@@ -129,40 +112,38 @@ def test_the_suite_gives_the_output_that_is_shown(tmp_path, monkeypatch):
     for part, method in zip(commands.split("$ ")[1:], ("coning", "end"), strict=True):
         command, shown = part.split("\n", 1)
         (tmp_path / "ci" / "suite.toml").write_text(suite.replace("coning", method))
-        result = CliRunner().invoke(cli, shlex.split(command, comments=True)[1:])
-        assert result.stdout == shown.rstrip("\n") + "\n"
+        assert run(*shlex.split(command, comments=True)[1:]).stdout.rstrip() == shown.rstrip()
+
+
+def headings(text, level="#+"):
+    """Return the headings of a document, with the anchors that they have."""
+    heads = re.findall(rf"^{level} (.*)$", text, re.MULTILINE)
+    return [(head, re.sub(r"[^a-z0-9 -]", "", head.lower()).replace(" ", "-")) for head in heads]
 
 
 def test_the_contents_name_every_section():
     """Each heading once, in order, with the anchor that it has."""
     readme = README.read_text()
     contents = readme.split("\nContents: ")[1].split("\n\n")[0]
-    heads = re.findall(r"^## (.*)$", readme, re.MULTILINE)
-    anchors = [re.sub(r"[^a-z0-9 -]", "", head.lower()).replace(" ", "-") for head in heads]
-    assert re.findall(r"\[(.*?)\]\(#(.*?)\)", contents) == list(zip(heads, anchors, strict=True))
+    assert re.findall(r"\[(.*?)\]\(#(.*?)\)", contents) == headings(readme, "##")
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.stem)
 def test_links_lead_somewhere(document):
     """To files of this repository, and to headings of the same document."""
     text = document.read_text()
-    heads = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
-    anchors = {re.sub(r"[^a-z0-9 -]", "", head.lower()).replace(" ", "-") for head in heads}
     for target in re.findall(r"\]\((.*?)\)", text):
         if target.startswith("#"):
-            assert target[1:] in anchors
+            assert target[1:] in dict(headings(text)).values()
         elif not target.startswith("http"):
             assert (document.parent / target).is_file(), target
 
 
 def test_every_guide_and_target_is_named():
-    """The README leads to every guide, and speaks of no target that make does not have."""
-    readme = README.read_text()
-    makefile = (ROOT / "Makefile").read_text()
+    """The README leads to every guide, and names no make target and no extra that is not there."""
+    readme, makefile = README.read_text(), (ROOT / "Makefile").read_text()
     assert all(f"(quatprop/docs/{path.name})" in readme for path in GUIDES.glob("*.md"))
-    for target in re.findall(r"[`\n]make ([\w-]+)", readme):
-        assert f"\n{target}:" in makefile
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
-        "optional-dependencies"
-    ]
-    assert set(re.findall(r"\.\[(\w+)\]", readme)) <= set(extras)
+    targets = re.findall(r"[`\n]make ([\w-]+)", readme)
+    assert [target for target in targets if f"\n{target}:" not in makefile] == []
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert {*re.findall(r"\.\[(\w+)\]", readme)} <= {*project["optional-dependencies"]}

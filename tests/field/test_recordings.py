@@ -9,11 +9,10 @@ import re
 import numpy as np
 import pyarrow.csv
 import pytest
-from click.testing import CliRunner
+from make.commands import refused, run
 from make.places import SHARED_LOGS
 
 from quatprop import propagate, read_rates
-from quatprop.cli.commands import cli
 from quatprop.kinematics.quaternion import geodesic_angle
 
 TOLERANCE_RAD = 1e-12
@@ -43,13 +42,10 @@ AUK_FORMS = (
 def propagated(tmp_path, *arguments):
     """Run `quatprop propagate` and return stamps and wxyz rows of its CSV."""
     out = tmp_path / "attitude.csv"
-    result = CliRunner().invoke(
-        cli, ["propagate", *map(str, arguments), "-o", str(out)], catch_exceptions=False
-    )
-    assert result.exit_code == 0, result.output
+    run("propagate", *arguments, "-o", out, code=0)
     table = pyarrow.csv.read_csv(out)
     assert table.column_names == ["t_ns", "qw", "qx", "qy", "qz"]
-    return table["t_ns"].to_numpy(), np.column_stack([table[i].to_numpy() for i in range(1, 5)])
+    return table["t_ns"].to_numpy(), np.column_stack(table.columns[1:])
 
 
 @pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
@@ -83,9 +79,7 @@ def test_attitudes_agree_with_the_oracle(shared_logs, tmp_path, name):
 def test_info_agrees_with_the_oracle(shared_logs, name):
     """`info --json` has the samples, the stamps, the intervals and the largest rate."""
     expected = EXPECTED[name]
-    result = CliRunner().invoke(cli, ["info", "--json", str(shared_logs / name)])
-    assert result.exit_code == 0, result.output
-    (survey,) = json.loads(result.output)
+    (survey,) = json.loads(run("info", "--json", shared_logs / name, code=0).stdout)
     sources = survey["sources"]
     (source,) = [s for s in sources if s["source"] == expected.get("topic", s["source"])]
     assert source["samples"] == expected["samples"]
@@ -106,41 +100,23 @@ def test_the_forms_of_one_recording_give_the_same_bytes(shared_logs, tmp_path):
 
 
 def test_several_topics_are_refused_by_name(shared_logs, tmp_path):
-    """Two gyroscopes in one log are ambiguous; the error lists both and writes nothing."""
-    out = tmp_path / "attitude.csv"
-    log = shared_logs / "two_imus" / "test1_2014_xsens.bag"
-    result = CliRunner().invoke(cli, ["propagate", str(log), "-o", str(out)])
-    assert result.exit_code == 2
-    assert result.stderr == (
+    """Two gyroscopes are ambiguous; the stamps of the derived one step back, first of 31 named."""
+    log, out = shared_logs / "two_imus" / "test1_2014_xsens.bag", tmp_path / "attitude.csv"
+    assert refused("propagate", log, "-o", out) == (
         f"Error: {log}: several topics carry body rates: '/my_odometry2imu/imu_data', "
-        "'/xsens/imu_data'; choose one with --topic\n"
+        "'/xsens/imu_data'; choose one with --topic"
     )
+    said = refused("propagate", log, "-t", "/my_odometry2imu/imu_data", "-o", out)
+    assert re.search(r"time steps back by .* at sample \d+ .* --on-backwards", said)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_backward_stamps_are_refused_where_they_first_occur(shared_logs, tmp_path):
-    """The derived topic steps back 31 times; the first is named."""
-    log = shared_logs / "two_imus" / "test1_2014_xsens.bag"
-    result = CliRunner().invoke(
-        cli,
-        ["propagate", str(log), "-t", "/my_odometry2imu/imu_data", "-o", str(tmp_path / "a.csv")],
-    )
-    assert result.exit_code == 2
-    assert re.search(r"time steps back by .* at sample \d+ .* --on-backwards", result.stderr)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_rates_scaled_once_too_often_are_flagged(shared_logs):
-    """A driver that multiplied by pi/180 twice is told by the log's own orientation, unasked."""
-    result = CliRunner().invoke(cli, ["info", str(shared_logs / "nested_imu/kiran_11sec_motion")])
-    assert "times as far as its rates: were they scaled by pi/180 once too often?" in result.stdout
 
 
 def test_nonsense_is_remarked_on(shared_logs, tmp_path):
-    """Rates of 131 rad/s and quaternions of length 196 are said, and propagated all the same."""
+    """Rates of 131 rad/s, scaled once too often, and quaternions of length 196, unasked."""
     log = shared_logs / "rosbag2" / "plotjuggler_rosbag2_test"
-    result = CliRunner().invoke(cli, ["propagate", str(log), "-o", str(tmp_path / "a.csv")])
-    assert result.exit_code == 0
-    assert "warning: rates up to 133 rad/s are beyond any gyroscope" in result.stderr
-    assert "warning: every rate is the same" in result.stderr
-    assert "off unit length by up to 195" in result.stderr
+    said = run("propagate", log, "-o", tmp_path / "a.csv", code=0).stderr
+    assert "warning: rates up to 133 rad/s are beyond any gyroscope" in said
+    assert "warning: every rate is the same" in said
+    assert "off unit length by up to 195" in said
+    shown = run("info", shared_logs / "nested_imu/kiran_11sec_motion", code=0).stdout
+    assert "times as far as its rates: were they scaled by pi/180 once too often?" in shown

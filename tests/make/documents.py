@@ -11,12 +11,11 @@ from contextlib import chdir, redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from click.testing import CliRunner
 from fuzz.flips import TABLE, unnoticed_table
+from make.commands import run
 from make.places import ROOT, SHARED_LOGS
 
 from quatprop import RemarkWarning
-from quatprop.cli.commands import cli
 
 GUIDES = ROOT / "quatprop" / "docs"
 
@@ -58,14 +57,13 @@ class Document:
 
     def _prepare(self, recordings):
         (self.folder / "sample_logs").symlink_to(ROOT / "sample_logs")
-        for name, options in SIMULATED.items():
+        for name in (*SIMULATED, *RECORDED):
             path = self.folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
-            CliRunner().invoke(cli, ["simulate", str(path), "--truth", "none", "-q", *options])
-        for name, recording in RECORDED.items() if recordings else ():
-            path = self.folder / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.symlink_to(recordings / recording)
+            if name in SIMULATED and name.partition("/")[0] in self.text:
+                run("simulate", path, "--truth", "none", "-q", *SIMULATED[name], code=0)
+            elif name in RECORDED and recordings:
+                path.symlink_to(recordings / RECORDED[name])
         rows = "".join(f"{number / 100},1,2,3\n" for number in range(100))
         (self.folder / "log.csv").write_text("t,gx,gy,gz\n" + rows)
         (self.folder / "names.txt").write_text("runs/1/imu.bag\n")
@@ -102,7 +100,7 @@ class Document:
         words, _, grep = command.partition(" | grep ")
         if words.startswith("quatprop ") and " > " not in words:
             # No process of its own: it is faster.
-            result = CliRunner().invoke(cli, shlex.split(words, comments=True)[1:])
+            result = run(*shlex.split(words, comments=True)[1:])
             lines = (result.stdout + result.stderr).splitlines()
             return result.exit_code, "\n".join(line for line in lines if grep in line)
         folders = (self.folder / ".bin", Path(sys.executable).parent, os.environ["PATH"])

@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from graphlib import TopologicalSorter
 from itertools import chain
 from pathlib import Path
@@ -19,13 +20,20 @@ from make.places import ROOT, SAMPLE_LOGS
 import quatprop
 
 PACKAGE = Path(quatprop.__file__).parent
+PATHS = sorted(PACKAGE.rglob("*.py"))
 MODULES = {module.name for module in pkgutil.walk_packages([str(PACKAGE)], "quatprop.")}
 
 
-def imported_by(path: Path) -> set[str]:
+@cache
+def nodes_of(path):
+    """Return all nodes of the syntax of a file."""
+    return list(ast.walk(ast.parse(path.read_text())))
+
+
+def imported_by(path):
     """Return every module that a file imports, wherever in the file it does so."""
     names = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -35,25 +43,30 @@ def imported_by(path: Path) -> set[str]:
 
 
 def test_public_names_are_sorted_and_there():
-    """Every name of __all__ can be imported, and the list is sorted."""
+    """Every name of __all__ can be imported; another one is an error, as of any module."""
     assert quatprop.__all__ == sorted(quatprop.__all__)
     for name in quatprop.__all__:
         assert getattr(quatprop, name).__module__.startswith("quatprop.")
-
-
-def test_an_unknown_name_is_an_attribute_error():
-    """The lazy import behaves as a module does."""
     with pytest.raises(AttributeError, match="module 'quatprop' has no attribute 'nonsense'"):
         _ = quatprop.nonsense
 
 
-@pytest.mark.parametrize("name", ["quatprop", *sorted(MODULES - {"quatprop.__main__"})])
-def test_every_module_says_what_it_is_with_examples_that_hold(name, monkeypatch):
+def part_of(module):
+    """Return the package or module in the root of the package that a module belongs to."""
+    return ".".join(module.split(".")[:2])
+
+
+PARTS = {part_of(name) for name in ("quatprop", *MODULES)} - {"quatprop.__main__"}
+
+
+@pytest.mark.parametrize("part", sorted(PARTS))
+def test_every_module_says_what_it_is_with_examples_that_hold(monkeypatch, part):
     """Each module has a docstring; what examples in it show is what they give."""
     monkeypatch.chdir(PACKAGE.parent)
-    module = importlib.import_module(name)
-    assert module.__doc__
-    assert not doctest.testmod(module).failed
+    for name in [name for name in {"quatprop", *MODULES} if part_of(name) == part]:
+        module = importlib.import_module(name)
+        assert module.__doc__, name
+        assert not doctest.testmod(module).failed, name
 
 
 LAYERS = (
@@ -77,17 +90,15 @@ LAYERS = (
 LAYER = {name: number for number, names in enumerate(LAYERS) for name in names}
 
 
-@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: path.stem)
-def test_layers_import_downwards_only(path):
+def test_layers_import_downwards_only():
     """Data flows one way, from containers and tables to writers; imports never go back."""
-    own = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
-    if own == "__init__":
-        return
-    for name in imported_by(path):
-        assert name != "quatprop", f"{path.relative_to(PACKAGE)} imports the public names"
-        if name.startswith("quatprop."):
-            other = name.split(".")[1]
-            assert LAYER[other] <= LAYER[own], f"{path.relative_to(PACKAGE)} imports {name}"
+    for path in PATHS:
+        own = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+        for name in imported_by(path) if own != "__init__" else ():
+            assert name != "quatprop", f"{path.relative_to(PACKAGE)} imports the public names"
+            if name.startswith("quatprop."):
+                other = name.split(".")[1]
+                assert LAYER[other] <= LAYER[own], f"{path.relative_to(PACKAGE)} imports {name}"
 
 
 def test_no_imports_lead_in_a_circle():
@@ -102,59 +113,28 @@ def test_no_imports_lead_in_a_circle():
     TopologicalSorter(imports).prepare()
 
 
-@pytest.mark.parametrize(
-    "path",
-    sorted(path for name in ("bench", "fuzz") for path in (ROOT / "tests" / name).glob("*.py")),
-    ids=lambda path: path.stem,
-)
-def test_programs_beside_the_tests_import_what_is_there(path):
+def test_programs_beside_the_tests_import_what_is_there():
     """The bench is not run here: what it imports of the package may have moved."""
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("quatprop"):
-            module = importlib.import_module(node.module)
-            for name in node.names:
-                assert hasattr(module, name.name), f"{node.module} has no {name.name}"
+    for path in chain.from_iterable(
+        (ROOT / "tests" / name).glob("*.py") for name in ("bench", "fuzz")
+    ):
+        for node in nodes_of(path):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("quatprop"):
+                module = importlib.import_module(node.module)
+                for name in node.names:
+                    assert hasattr(module, name.name), f"{path}: {node.module} has no {name.name}"
 
 
 def test_only_the_command_line_speaks_and_exits():
     """Below cli/ nothing prints, exits, prompts or asserts on input."""
-    for path in sorted(PACKAGE.rglob("*.py")):
+    for path in PATHS:
         if path.parent.name == "cli" or path.name == "__main__.py":
             continue
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in nodes_of(path):
             assert not isinstance(node, ast.Assert), f"assert in {path}:{node.lineno}"
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 assert node.func.id not in {"print", "input", "exit"}, f"{path}:{node.lineno}"
         assert not imported_by(path) & {"click"}, path
-
-
-def test_help_imports_nothing_heavy():
-    """`quatprop --help` needs click and nothing else."""
-    code = (
-        "import sys; sys.argv = ['quatprop', '--help']\n"
-        "from quatprop.cli import run\n"
-        "try: run()\n"
-        "except SystemExit: pass\n"
-        "print(sorted({'numpy', 'pyarrow', 'mcap', 'rosbags'} & set(sys.modules)))"
-    )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert out.stdout.splitlines()[-1] == "[]"
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="threads are listed in /proc")
-def test_a_short_run_has_one_thread():
-    """NumPy's threads for large matrices are not started."""
-    code = (
-        "import os, sys; from quatprop.cli import run; sys.argv = ['quatprop', *sys.argv[1:]]\n"
-        "try: run()\n"
-        "except SystemExit as end: assert not end.code\n"
-        "print(len(os.listdir('/proc/self/task')))"
-    )
-    environment = {name: value for name, value in os.environ.items() if "_NUM_THREADS" not in name}
-    log = SAMPLE_LOGS / "coning.mcap"
-    command = [sys.executable, "-c", code, "info", str(log)]
-    out = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    assert out.stdout.splitlines()[-1] == "1"
 
 
 UNUSED = {
@@ -167,34 +147,46 @@ UNUSED = {
 """What a plain run has no use for, and takes long to import or is easily imported by mistake."""
 
 
+def after(line, expression):
+    """Return what an expression is in a process that has run a command line."""
+    program = (
+        "import os, sys; from quatprop.cli import run; sys.argv = ['quatprop', *sys.argv[1:]]\n"
+        "try: run()\n"
+        "except SystemExit as end: assert not end.code\n"
+        f"print({expression})"
+    )
+    environment = {name: value for name, value in os.environ.items() if "_NUM_THREADS" not in name}
+    command = [sys.executable, "-c", program, *map(str, line)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    return done.stdout.splitlines()[-1]
+
+
+def test_help_imports_nothing_heavy():
+    """`quatprop --help` needs click and nothing else."""
+    heavy = {"numpy", "pyarrow", "mcap", "rosbags"}
+    assert after(["--help"], f"sorted({heavy!r} & set(sys.modules))") == "[]"
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="threads are listed in /proc")
+def test_a_short_run_has_one_thread():
+    """NumPy's threads for large matrices are not started."""
+    threads = "len(os.listdir('/proc/self/task'))"
+    assert after(["info", SAMPLE_LOGS / "coning.mcap"], threads) == "1"
+
+
 def test_a_plain_run_imports_what_it_uses(tmp_path):
     """A short log is propagated in the time that imports take."""
-    program = (
-        "import sys; from quatprop.cli.commands import cli\n"
-        "try: cli(sys.argv[1:])\n"
-        "except SystemExit as end: assert not end.code\n"
-        f"print(sorted({UNUSED!r} & set(sys.modules)))"
-    )
-    arguments = [
-        "propagate",
-        "-q",
-        PACKAGE.parent / "sample_logs/coning.mcap",
-        "-o",
-        tmp_path / "a.parquet",
-    ]
-    result = subprocess.run(
-        [sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True
-    )
-    assert result.stdout == "[]\n"
+    line = ["propagate", "-q", SAMPLE_LOGS / "coning.mcap", "-o", tmp_path / "a.parquet"]
+    assert after(line, f"sorted({UNUSED!r} & set(sys.modules))") == "[]"
 
 
 def test_every_dependency_is_pinned_for_development():
     """Tests and sample logs run on the versions of .ci/constraints.txt."""
-    root = PACKAGE.parent
-    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
-    pinned = {
-        line.split("==")[0].lower().replace("_", "-")
-        for line in (root / ".ci" / "constraints.txt").read_text().splitlines()
-    }
-    for requirement in chain(project["dependencies"], *project["optional-dependencies"].values()):
-        assert re.split(r"[\[>]", requirement)[0].lower().replace("_", "-") in pinned, requirement
+
+    def name_of(requirement):
+        return re.split(r"[\[>=]", requirement)[0].lower().replace("_", "-")
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    pins = (ROOT / ".ci" / "constraints.txt").read_text().splitlines()
+    needed = chain(project["dependencies"], *project["optional-dependencies"].values())
+    assert {name_of(one) for one in needed} <= {name_of(pin) for pin in pins}

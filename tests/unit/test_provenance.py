@@ -7,19 +7,17 @@ import threading
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet
 import pytest
-from click.testing import CliRunner
+from make.commands import refused, run
+from make.reading import attitudes
+from make.tables import write_rates
 from mcap.writer import Writer as McapWriter
 
 from quatprop import GyroSeries, propagate
-from quatprop.cli.commands import cli
 from quatprop.errors import DamagedLogError, UsageError
 from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.provenance import Digest, as_json, digest_ahead, digest_of
 from quatprop.series import AttitudeSeries
-from quatprop.settings.selection import AttitudeSelection
 from quatprop.text import Setting
 from quatprop.times import Instant
 from quatprop.writers import open_writer
@@ -27,21 +25,13 @@ from quatprop.writers.formats import WRITERS, keeps_provenance
 
 COMMENTED = {kind for kind, known in WRITERS.items() if known.comments}
 CARRIERS = sorted({kind for kind, known in WRITERS.items() if known.keeps_provenance} | COMMENTED)
-RATES = "t_ns,wx,wy,wz\n1000000000,0,0,1\n2000000000,0,0,1\n"
+ROS = ("mcap", "bag", "rosbag2", "rosbag2-mcap")
 ATTITUDES = AttitudeSeries(np.array([5, 6]), np.array([[1.0, 0, 0, 0], [0.6, 0.8, 0, 0]]))
-
-
-def run(*arguments, code=0):
-    """Run the command and return the result."""
-    result = CliRunner().invoke(cli, [str(argument) for argument in arguments])
-    assert result.exit_code == code, result.output
-    return result
 
 
 def told(path):
     """Return what a file says of itself, as its reader gives it."""
-    with open_log(path) as log:
-        return choose_attitudes(log, AttitudeSelection()).provenance
+    return attitudes(path)[0].provenance
 
 
 def written(path, kind, said):
@@ -61,19 +51,13 @@ def place(folder, number, kind):
 @pytest.fixture
 def rates(tmp_path):
     """Return a log of two samples."""
-    path = tmp_path / "rates.csv"
-    path.write_text(RATES)
-    return path
+    return write_rates(tmp_path / "rates.csv", ["1000000000,0,0,1", "2000000000,0,0,1"])
 
 
 @pytest.mark.parametrize("kind", CARRIERS)
 def test_every_format_with_room_keeps_it_word_for_word(tmp_path, kind):
     """What a writer was given is what the reader gives, whatever letters are in it."""
-    said = {
-        "quatprop": "1",
-        "source": {"path": "b\u00fcgel \u2028\n\t'\"#.bag"},
-        "numbers": [1.5, None],
-    }
+    said = {"quatprop": "1", "path": "b\u00fcgel \u2028\n\t'\"#.bag", "numbers": [1.5, None]}
     assert told(written(tmp_path / "file", kind, said)) == said
 
 
@@ -83,9 +67,9 @@ def test_conversions_are_added_one_after_the_other(tmp_path, rates, kind):
     first, second = place(tmp_path, 1, kind), place(tmp_path, 2, kind)
     last = tmp_path / "last.parquet"
     comment = ["--header-comment"] if kind in COMMENTED else []
-    run("propagate", rates, "-o", first, "--to", kind, "--method", "mean", *comment)
-    run("convert", first, second, "--to", kind, "--sign", "positive", *comment)
-    run("convert", second, last)
+    run("propagate", rates, "-o", first, "--to", kind, "--method", "mean", *comment, code=0)
+    run("convert", first, second, "--to", kind, "--sign", "positive", *comment, code=0)
+    run("convert", second, last, code=0)
     begun, end = told(first), told(last)
     for key in ("counts", "policy", "conditioning", "result", "source"):
         assert end[key] == begun[key]
@@ -98,58 +82,46 @@ def test_conversions_are_added_one_after_the_other(tmp_path, rates, kind):
     assert [step["to"]["sign"] for step in steps] == ["positive", "keep"]
 
 
-@pytest.mark.parametrize("kind", sorted(set(CARRIERS) - {"mcap", "bag", "tum", "euroc"}
-                                        - {"rosbag2", "rosbag2-mcap"}))  # fmt: skip
+@pytest.mark.parametrize("kind", sorted({*CARRIERS} - {*ROS, "tum", "euroc"}))
 def test_numbers_of_another_convention_need_no_options(tmp_path, kind):
     """A table says what its numbers mean; who says otherwise is refused."""
     source = written(place(tmp_path, 1, kind), kind, {})
     jpl, back = place(tmp_path, 2, kind), place(tmp_path, 3, kind)
     comment = ["--header-comment"] if kind in COMMENTED else []
-    run("convert", source, jpl, "--convention", "jpl", "--layout", "xyzw", *comment)
-    run("convert", jpl, back, *comment)
-    with open_log(back) as log:
-        (rows,) = choose_attitudes(log, AttitudeSelection()).rows()
-    assert rows[1].tolist() == ATTITUDES.wxyz.tolist()
-    result = run("convert", jpl, back, "--from-convention", "hamilton", code=2)
-    assert "--from-convention says hamilton, but the metadata of the file says jpl" in result.stderr
+    run("convert", source, jpl, "--convention", "jpl", "--layout", "xyzw", *comment, code=0)
+    run("convert", jpl, back, *comment, code=0)
+    assert attitudes(back)[2].tolist() == ATTITUDES.wxyz.tolist()
+    said = refused("convert", jpl, back, "--from-convention", "hamilton")
+    assert "--from-convention says hamilton, but the metadata of the file says jpl" in said
 
 
-@pytest.mark.parametrize("kind", ["mcap", "bag", "rosbag2", "rosbag2-mcap"])
-def test_metadata_that_contradict_a_definition_are_refused(tmp_path, kind):
-    """A ROS quaternion is scalar-last; metadata that say otherwise are settled by the user."""
-    path = written(tmp_path / "log", kind, {"convention": {"layout": "scalar-first"}})
+@pytest.mark.parametrize("kind", ROS)
+def test_metadata_of_messages_are_believed_but_not_against_their_definition(
+    tmp_path, monkeypatch, kind
+):
+    """They may be said to be JPL; scalar-first, or what is no JSON, is settled by the user."""
+    jpl = written(tmp_path / "jpl", kind, {"convention": {"convention": "jpl"}})
+    source, _, wxyz, _ = attitudes(jpl)
+    assert source.meaning.convention == "jpl"
+    assert wxyz.tolist() == [[1, 0, 0, 0], [0.6, -0.8, 0, 0]]
+    with pytest.raises(UsageError, match="from_convention says hamilton, but the metadata"):
+        attitudes(jpl, from_convention="hamilton")
+
+    first = written(tmp_path / "first", kind, {"convention": {"layout": "scalar-first"}})
     sentence = (
         "the metadata say scalar-first, but 'quaternion' of "
         "'geometry_msgs/msg/QuaternionStamped' is scalar-last by definition; settle it with "
         "from_layout='scalar-last'"
     )
-    with open_log(path) as log:
-        with pytest.raises(UsageError, match=sentence):
-            choose_attitudes(log, AttitudeSelection())
-        choose_attitudes(log, AttitudeSelection(from_layout="scalar-last"))
+    with pytest.raises(UsageError, match=sentence):
+        told(first)
+    assert len(attitudes(first, from_layout="scalar-last")[2]) == 2
 
-
-@pytest.mark.parametrize("kind", ["mcap", "bag", "rosbag2", "rosbag2-mcap"])
-def test_messages_said_to_be_jpl_are_read_as_jpl(tmp_path, kind):
-    """What the metadata of a topic say about the meaning is believed, and not overruled."""
-    path = written(tmp_path / "log", kind, {"convention": {"convention": "jpl"}})
-    with open_log(path) as log:
-        source = choose_attitudes(log, AttitudeSelection())
-        ((_, wxyz),) = source.rows()
-        with pytest.raises(UsageError, match="from_convention says hamilton, but the metadata"):
-            choose_attitudes(log, AttitudeSelection(from_convention="hamilton"))
-    assert source.meaning.convention == "jpl"
-    assert wxyz.tolist() == [[1, 0, 0, 0], [0.6, -0.8, 0, 0]]
-
-
-@pytest.mark.parametrize("kind", ["mcap", "bag", "rosbag2", "rosbag2-mcap"])
-def test_metadata_of_messages_that_are_damaged_are_refused(tmp_path, monkeypatch, kind):
-    """What stands under this package's key and is no JSON is damage."""
     for module in ("mcap.file", "rosbag1.file", "rosbag2.writer"):
         monkeypatch.setattr(f"quatprop.writers.{module}.provenance_json", lambda _provenance: "{")
-    path = written(tmp_path / "log", kind, {"method": "start"})
+    damaged = written(tmp_path / "damaged", kind, {"method": "start"})
     with pytest.raises(DamagedLogError, match="its metadata 'quatprop' is not the JSON it should"):
-        told(path)
+        told(damaged)
 
 
 def test_metadata_of_another_topic_are_not_taken(tmp_path):
@@ -185,19 +157,14 @@ def test_a_cut_mcap_file_has_no_provenance_but_its_messages(tmp_path):
 # By what a source can be told again.
 
 
-def test_a_propagation_tells_its_source(tmp_path, rates):
-    """Bytes and SHA-256 stand in the metadata of the output, and in the report."""
-    out, report = tmp_path / "out.parquet", tmp_path / "report.json"
-    run("propagate", rates, "-o", out, "--report", report)
-    kept = json.loads(pyarrow.parquet.read_metadata(out).metadata[b"quatprop"])
-    for said in (kept, json.loads(report.read_text())):
-        assert said["source"]["bytes"] == len(RATES)
-        assert said["source"]["sha256"] == hashlib.sha256(RATES.encode()).hexdigest()
-        assert "digest" not in said["source"]
+def facts(path):
+    """Return the size and the SHA-256 of a file."""
+    content = Path(path).read_bytes()
+    return {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
 
 
 def test_files_beside_the_log_are_told_like_it(tmp_path, monkeypatch):
-    """What a setting names is in metadata and reports with size and SHA-256; a topic is not."""
+    """The log, and what a setting names, are in metadata and reports with size and SHA-256."""
     monkeypatch.chdir(tmp_path)
     texts = {
         "q0.csv": "t_ns,qw,qx,qy,qz\n0,1,0,0,0\n3000000000,1,0,0,0\n",
@@ -209,15 +176,14 @@ def test_files_beside_the_log_are_told_like_it(tmp_path, monkeypatch):
     for name, text in texts.items():
         Path(name).write_text(text)
     settings = {name.partition(".")[0]: name for name in texts}
-    expected = {
-        name: {"bytes": len(text), "sha256": hashlib.sha256(text.encode()).hexdigest()}
-        for name, text in texts.items()
-    }
+    expected = {name: facts(name) for name in texts}
     options = [part for name, file in settings.items() for part in (f"--{name}", file)]
-    Path("rates.csv").write_text(RATES.replace("0,0,1", "0,0,0.1"))
-    run("propagate", "rates.csv", "-o", "out.parquet", "--report", "out.json", *options)
-    assert told("out.parquet")["files"] == json.loads(Path("out.json").read_text())["files"]
-    assert told("out.parquet")["files"] == expected
+    write_rates(Path("rates.csv"), ["1000000000,0,0,0.1", "2000000000,0,0,0.1"])
+    run("propagate", "rates.csv", "-o", "out.parquet", "--report", "out.json", *options, code=0)
+    for said in (told("out.parquet"), json.loads(Path("out.json").read_text())):
+        assert said["files"] == expected
+        assert said["source"].items() >= facts("rates.csv").items()
+        assert "digest" not in said["source"]
     rates = GyroSeries([10**9, 2 * 10**9], [[0, 0, 0.1], [0, 0, 0.2]])
     series = propagate(rates, **settings)
     assert as_json(series.report.files) == expected
@@ -236,11 +202,11 @@ def test_a_source_is_not_read_twice_for_nothing(tmp_path, rates, monkeypatch):
         monkeypatch.setattr(f"{module}.digest_ahead", begin)
     out = tmp_path / "out.csv"
     for options in ([], ["--header-comment"], ["--report", tmp_path / "report.json"]):
-        run("propagate", rates, "-o", out, *options)
-        run("convert", out, tmp_path / "converted.csv", *options)
+        run("propagate", rates, "-o", out, *options, code=0)
+        run("convert", out, tmp_path / "converted.csv", *options, code=0)
     assert began == [False, False, True, True, True, True]
     with digest_ahead(rates, hashed=False) as digest:
-        assert digest() == Digest(len(RATES))
+        assert digest() == Digest(rates.stat().st_size)
     assert not keeps_provenance("a.csv")
     assert keeps_provenance("a.csv", comment=True)
     assert keeps_provenance("a.npz")
@@ -248,29 +214,21 @@ def test_a_source_is_not_read_twice_for_nothing(tmp_path, rates, monkeypatch):
 
 def test_stdin_cannot_be_told_again():
     """The report says that there is nothing to say."""
-    result = CliRunner().invoke(
-        cli, ["propagate", "-", "-o", os.devnull, "--to", "csv", "-q", "--report", "-"], input=RATES
-    )
-    assert result.exit_code == 0, result.output
+    words = ("propagate", "-", "-o", os.devnull, "--to", "csv", "-q", "--report", "-")
+    result = run(*words, input="t_ns,wx,wy,wz\n1,0,0,1\n2,0,0,1\n", code=0)
     source = json.loads(result.stdout)["source"]
     assert (source["bytes"], source["sha256"]) == (None, None)
 
 
 def test_every_part_of_a_folder_is_told(tmp_path):
     """Each file has its own sum; that of all is what `sha256sum * | sha256sum` prints."""
-    (tmp_path / "b_0.db3").write_bytes(b"one")
-    (tmp_path / "a.yaml").write_bytes(b"two")
     (tmp_path / "inner").mkdir()
-    sums = {
-        "a.yaml": hashlib.sha256(b"two").hexdigest(),
-        "b_0.db3": hashlib.sha256(b"one").hexdigest(),
-    }
-    lines = "".join(f"{sums[name]}  {name}\n" for name in sorted(sums))
-    assert digest_of(tmp_path).as_json() == {
-        "bytes": 6,
-        "sha256": hashlib.sha256(lines.encode()).hexdigest(),
-        "files": {name: {"bytes": 3, "sha256": found} for name, found in sums.items()},
-    }
+    for name, text in (("b_0.db3", "one"), ("a.yaml", "two")):
+        (tmp_path / name).write_text(text)
+    parts = {name: facts(tmp_path / name) for name in ("a.yaml", "b_0.db3")}
+    lines = "".join(f"{part['sha256']}  {name}\n" for name, part in parts.items())
+    whole = {"bytes": 6, "sha256": hashlib.sha256(lines.encode()).hexdigest()}
+    assert digest_of(tmp_path).as_json() == {**whole, "files": parts}
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")

@@ -7,14 +7,16 @@ matrix follows from R = (w^2 - |v|^2) I + 2 w [v x] + 2 v v^T, all over 121:
     2 v v^T = 2 [[1, 2, 4], [2, 4, 8], [4, 8, 16]].
 """
 
+from functools import partial
+
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
+from make.commands import run
+from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
-from quatprop.cli.commands import cli
 from quatprop.conventions import AttitudeConvention, Signs
 from quatprop.conventions.representations import REPRESENTATIONS, euler_angles, from_euler
 from quatprop.errors import UsageError
@@ -35,7 +37,7 @@ STORED = {
 }
 """The same attitude in all eight combinations, times 11."""
 
-COLUMNS = {"scalar-first": "qw,qx,qy,qz", "scalar-last": "qx,qy,qz,qw"}
+COLUMNS = {"scalar-first": "t_ns,qw,qx,qy,qz", "scalar-last": "t_ns,qx,qy,qz,qw"}
 CANONICAL = ("scalar-first", "hamilton", "body-to-ref")
 VECTORS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [3.0, -5.0, 7.0]])
 
@@ -54,19 +56,14 @@ def textbook_matrix(convention, w, v):
     return (w**2 - v @ v) * np.eye(3) + 2 * w * cross_matrix(v) + 2 * np.outer(v, v)
 
 
-def run(*arguments):
-    """Run `quatprop convert` and return its stdout."""
-    result = CliRunner().invoke(cli, ["convert", *map(str, arguments), "-q"])
-    assert result.exit_code == 0, result.output
-    return result.stdout
-
-
-def written(tmp_path, combination):
-    """Write the attitude in a combination and return the file."""
-    numbers = ",".join(repr(number / 11) for number in STORED[combination])
-    path = tmp_path / "in.csv"
-    path.write_text(f"t_ns,{COLUMNS[combination[0]]}\n5,{numbers}\n")
-    return path
+def converted(tmp_path, combination, *options):
+    """Convert the attitude from a combination; return the header and the numbers of its row."""
+    numbers = [repr(number / 11) for number in STORED[combination]]
+    path = write_rates(tmp_path / "in.csv", [["5", *numbers]], COLUMNS[combination[0]])
+    header, row = run("convert", path, "-", *options, code=0).stdout.splitlines()
+    stamp, *numbers = map(float, row.split(","))
+    assert stamp == 5
+    return header, numbers
 
 
 def split(combination, numbers):
@@ -85,64 +82,51 @@ def test_the_table_worked_out_by_hand_turns_vectors_as_its_textbook_says(combina
     np.testing.assert_allclose(VECTORS @ matrix.T, VECTORS @ expected.T, atol=1e-14)
 
 
-@pytest.mark.parametrize("combination", STORED)
-def test_every_combination_is_written(tmp_path, combination):
-    """From scalar-first Hamilton body-to-ref, to the bit."""
-    layout, convention, direction = combination
-    out = run(written(tmp_path, CANONICAL), "-", "--layout", layout, "--convention", convention,
-              "--direction", direction)  # fmt: skip
-    header, row = out.splitlines()
-    assert header == f"t_ns,{COLUMNS[layout]}"
-    assert [float(cell) for cell in row.split(",")] == [5, *(k / 11 for k in STORED[combination])]
-
-
-@pytest.mark.parametrize("combination", STORED)
-def test_every_combination_is_read(tmp_path, combination):
-    """Into scalar-first Hamilton body-to-ref, to the bit."""
-    _, convention, direction = combination
-    out = run(written(tmp_path, combination), "-", "--from-convention", convention,
-              "--from-direction", direction)  # fmt: skip
-    row = out.splitlines()[1]
-    assert [float(cell) for cell in row.split(",")] == [5, *(k / 11 for k in STORED[CANONICAL])]
-
-
 @pytest.mark.parametrize("first", STORED)
 def test_every_combination_becomes_every_other(tmp_path, first):
     """All 64 pairs, to the bit, and each result turns vectors as its textbook says."""
-    source = written(tmp_path, first)
     said = ["--from-convention", first[1], "--from-direction", first[2]]
     for second, expected in STORED.items():
-        layout, convention, direction = second
-        out = run(source, "-", *said, "--layout", layout, "--convention", convention,
-                  "--direction", direction)  # fmt: skip
-        header, row = out.splitlines()
-        numbers = [float(cell) for cell in row.split(",")[1:]]
-        assert header == f"t_ns,{COLUMNS[layout]}"
+        names = ("--layout", "--convention", "--direction")
+        options = [word for pair in zip(names, second, strict=True) for word in pair]
+        header, numbers = converted(tmp_path, first, *said, *options)
+        assert header == COLUMNS[second[0]]
         assert numbers == [number / 11 for number in expected]
-        turned = VECTORS @ textbook_matrix(convention, *split(second, numbers)).T
-        matrix = BODY_TO_REF if direction == "body-to-ref" else BODY_TO_REF.T
+        turned = VECTORS @ textbook_matrix(second[1], *split(second, numbers)).T
+        matrix = BODY_TO_REF if second[2] == "body-to-ref" else BODY_TO_REF.T
         np.testing.assert_allclose(turned, VECTORS @ matrix.T, atol=1e-14)
 
 
-@pytest.mark.parametrize("layout", COLUMNS)
-def test_scipy_reads_both_layouts(tmp_path, layout):
-    """Rotation.from_quat with the right scalar_first turns vectors as the written-out matrix."""
-    out = run(written(tmp_path, CANONICAL), "-", "--layout", layout)
-    quaternion = [float(cell) for cell in out.splitlines()[1].split(",")[1:]]
-    rotation = Rotation.from_quat(quaternion, scalar_first=layout == "scalar-first")
-    np.testing.assert_allclose(rotation.apply(VECTORS), VECTORS @ BODY_TO_REF.T, atol=1e-14)
+def from_matrix(numbers):
+    """Return the rotation of a matrix row by row."""
+    return Rotation.from_matrix(np.reshape(numbers, (3, 3)))
 
 
-def test_the_matrix_is_the_one_written_out(tmp_path):
-    """--as matrix writes R row by row, and its transpose in the other direction."""
-    out = run(written(tmp_path, CANONICAL), "-", "--as", "matrix")
-    header, row = out.splitlines()
-    assert header == "t_ns,r11,r12,r13,r21,r22,r23,r31,r32,r33"
-    found = np.reshape([float(cell) for cell in row.split(",")[1:]], (3, 3))
-    np.testing.assert_allclose(found, BODY_TO_REF, atol=1e-15)
-    back = run(written(tmp_path, CANONICAL), "-", "--as", "matrix", "--direction", "ref-to-body")
-    found = np.reshape([float(cell) for cell in back.splitlines()[1].split(",")[1:]], (3, 3))
-    np.testing.assert_allclose(found, BODY_TO_REF.T, atol=1e-15)
+SCIPY = {
+    "--layout wxyz": ("qw,qx,qy,qz", partial(Rotation.from_quat, scalar_first=True)),
+    "--layout xyzw": ("qx,qy,qz,qw", Rotation.from_quat),
+    "--as rotvec": ("rotvec_x_rad,rotvec_y_rad,rotvec_z_rad", Rotation.from_rotvec),
+    "--as euler-zyx": ("yaw_rad,pitch_rad,roll_rad", partial(Rotation.from_euler, "ZYX")),
+    "--as euler-zyx --euler-unit deg": (
+        "yaw_deg,pitch_deg,roll_deg",
+        partial(Rotation.from_euler, "ZYX", degrees=True),
+    ),
+    "--as matrix": ("r11,r12,r13,r21,r22,r23,r31,r32,r33", from_matrix),
+}
+"""Options -> the columns, and what scipy makes of their numbers."""
+
+
+@pytest.mark.parametrize("direction", ["body-to-ref", "ref-to-body"])
+@pytest.mark.parametrize("options", SCIPY)
+def test_every_form_means_to_scipy_what_its_columns_are_called(tmp_path, options, direction):
+    """It turns vectors as the written-out matrix, or as its transpose in the other direction."""
+    names, rotation = SCIPY[options]
+    words = (*options.split(), "--direction", direction)
+    header, numbers = converted(tmp_path, CANONICAL, *words)
+    assert header == f"t_ns,{names}"
+    matrix = BODY_TO_REF if direction == "body-to-ref" else BODY_TO_REF.T
+    turned = rotation(numbers).apply(VECTORS)
+    np.testing.assert_allclose(turned, VECTORS @ matrix.T, atol=1e-14)
 
 
 quaternions = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(
@@ -240,16 +224,6 @@ def test_a_positive_sign_has_no_negative_scalar(rows):
     assert (kept | (positive == -wxyz).all(axis=1)).all()
 
 
-def test_unknown_words_are_refused():
-    """The error lists what there is."""
-    with pytest.raises(UsageError, match=r"no convention 'shuster'; choose one of 'hamilton', 'jp"):
-        AttitudeConvention("shuster")
-    with pytest.raises(UsageError, match=r"no direction 'up'; choose one of 'body-to-ref', 'ref-t"):
-        AttitudeConvention(direction="up")
-    with pytest.raises(UsageError, match=r"no sign 'any'; choose one of 'keep', 'continuous', 'po"):
-        Signs("any")
-
-
 def test_a_positive_sign_decides_half_turns_too():
     """With w = 0, the first component that is not zero is positive: q and -q give the same."""
     rows = np.array([[0, 0, -0.6, 0.8], [-0.0, -1, 0, 0], [0, 0, 0, -1], [-0.5, 0.5, 0.5, 0.5]])
@@ -257,3 +231,21 @@ def test_a_positive_sign_decides_half_turns_too():
     for signed in (Signs("positive").applied(rows), Signs("positive").applied(-rows)):
         assert signed.tolist() == expected
         assert not np.signbit(signed[:, 0]).any()
+
+
+@pytest.mark.parametrize(
+    ("make", "word", "sentence"),
+    [
+        (AttitudeConvention, "shuster", "no convention 'shuster'; choose one of 'hamilton', 'jp"),
+        (
+            lambda word: AttitudeConvention(direction=word),
+            "up",
+            "no direction 'up'; choose one of 'body-to-ref', 'ref-t",
+        ),
+        (Signs, "any", "no sign 'any'; choose one of 'keep', 'continuous', 'po"),
+    ],
+)
+def test_unknown_words_are_refused(make, word, sentence):
+    """The error lists what there is."""
+    with pytest.raises(UsageError, match=sentence):
+        make(word)

@@ -1,0 +1,249 @@
+"""What cannot be done is refused: exit code 2, one sentence, and no file is written or changed."""
+
+import shlex
+
+import pytest
+from make.commands import refused
+from make.small_files import ATTITUDES, write_small_files
+
+from quatprop.writers.formats import WRITERS
+
+INPUT = "this is an input of the run; choose another output"
+TWICE = "two outputs of the run would go here; choose another"
+RATE = "is not a rate from 1e-9 to 1e9 Hz; write 100, 29.97 or 30000/1001"
+NO_TIME = "is not a time; write RFC 3339 (2024-01-31T12:00:00Z) or integer nanoseconds"
+ODD = "neither its content nor its suffix is that of a log this version reads; if you know its kind"
+EUROC_COLUMNS = "'w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]'"
+COUNTED = (
+    "counts from the first sample, and no log is so long; write a Unix time as RFC 3339 "
+    "(2024-01-31T12:00:00Z) or in ns, without a unit"
+)
+IN_NS = "a number without a unit is in ns: write all digits, a date, or a duration from the first"
+KIND = "leave --from out, or name the log itself"
+ONCE = "Error: stdin can be read only once; name files for the others"
+TWO_TOPICS = "Error: two.mcap: several topics carry attitudes: '/one', '/two'; choose one with"
+SIMULATED = "|".join(kind for kind in WRITERS if kind not in {"tum", "euroc", "kitti"})
+
+PROPAGATE = {
+    "none.mcap": "Error: none.mcap: no such file or folder; check the path",
+    "empty.mcap": "Error: empty.mcap: the file is empty; was the recording closed?",
+    "odd.xyz": f"{ODD}, use --from mcap|bag|db3|rosbag2|ulog|parquet|feather|npy|npz|hdf5|matlab|",
+    "weather.csv": "no body rates found; its columns are 'time', 'temperature', 'pressure'; name "
+    "the columns with --rate-cols and --time-col",
+    "log.csv -o out.xls": "Error: out.xls: the suffix does not tell the output format; use one of",
+    "log.csv -o folder.csv": "Error: folder.csv: is a folder; name a file in it",
+    "log.csv -o log.csv": f"Error: log.csv: {INPUT}",
+    "log.csv --report log.csv": f"Error: log.csv: {INPUT}",
+    "log.csv -o q0.csv --q0 q0.csv": f"Error: q0.csv: {INPUT}",
+    "log.csv --report out.csv": f"Error: out.csv: {TWICE}",
+    "log.csv --plot out.svg --to csv -o out.svg": f"Error: out.svg: {TWICE}",
+    "bag -o bag/out.csv": "bag, which is an input; choose another output",
+    "log.csv -o old.csv --report none/report.json": "there is no folder",
+    "log.csv -o locked.csv": "Error: locked.csv: this file is read-only; choose another",
+    "log.csv -o locked/out.csv": "locked is not permitted; choose another",
+    "log.csv -o - --report -": "Error: -: two outputs of the run would go to stdout; name a file",
+    "log.csv -o s3://key:secret@bucket/out.csv": "Error: s3://...: outputs are files of this mach",
+    "nan.csv -o old.csv": "not finite",
+    **{f"nan.csv -o - --to {kind}": "not finite" for kind in ("csv", "tsv", "jsonl", "tum")},
+    "log.csv --heading 30": "--heading goes with --q0",
+    "log.csv --reference-z down": "--reference-z goes with --q0",
+    "log.csv --q0-layout xyzw": "--q0-layout goes with --q0",
+    "log.csv --q0 1,0,0": "for '--q0': '1,0,0' is not W,X,Y,Z, 4 finite numbers",
+    "log.csv --q0 0,0,0,0": "has the length 0, so it is not an attitude; the identity is 1,0,0,0",
+    "log.csv --q0 1,0,0,0.1": "--q0 1.0,0.0,0.0,0.1 has the length 1.00499, so it is not an attit",
+    "log.csv --max-gap 5": "Invalid value for '--max-gap': '5' is not a duration",
+    "log.csv --bias 1,2": "'1,2' is not X,Y,Z, 3 finite numbers, nor static[:DUR]",
+    "log.csv --start noon": "Invalid value for '--start': 'noon' is not a time",
+    "log.csv --rate 0": f"'0' {RATE}",
+    "log.csv --rate 3 --every 2": "--every, --rate and --at each say which attitudes to write; ch",
+    "log.csv --at ''": "Invalid value for '--at': ",
+    "log.csv --report ''": "Invalid value for '--report': the name is empty; is a variable of the",
+    "log.csv --method middle": "Invalid value for '--method': 'middle' is not one of",
+    "log.csv --method conning": "'quintic'; did you mean 'coning'?",
+    "log.csv --with euler-zyx,rotvec": "'euler-zyx,rotvec' names several, and only one is poss",
+    "log.csv --rate-cols x,y": "'x,y' does not name 3 columns X,Y,Z",
+    "log.csv --mount x,y,-z": "the mounting 'x,y,-z' is left-handed, so it is not a rotation",
+    "log.csv --mount 2,0,0,0": "the mounting '2,0,0,0' has the length 2, so it is not a rotation",
+    "log.csv --start 2000000000": f"Error: log.csv: no samples in {EUROC_COLUMNS} between --start "
+    "and --end: 11 are before, 0 after; a number without a unit is in ns",
+    # The units were doubted where they had been given.
+    "log.csv --start +500s": "11 are before, 0 after; the log is 1 s long",
+    "log.csv --start +2s --end 500000000": "--start is 1.5 s after --end; swap them, or check un",
+    # They counted from the first sample, 45 years, and left nothing out.
+    "log.csv --start 1408542250s": f"'1408542250s' {COUNTED}",
+    "log.csv --end +1408542250.25s": f"'+1408542250.25s' {COUNTED}",
+    "log.csv --end 391262h": f"'391262h' {COUNTED}",
+    "epoch.csv --start 1700000001": "Error: --start is at 1700000001 ns, and the first sample at "
+    f"1700000000000000000 ns; {IN_NS}",
+    "epoch.csv --start 1700000000001": "--start is at 1700000000001 ns, and the first sample at",
+    "log.csv -o out.bag --frames map": "--frames 'map' is not two names; write REFERENCE,BODY",
+    **{
+        f"log.csv -o out.{name} --layout {layout}": "scalar-last by its own definition"
+        for name in ("tum", "mcap", "bag")
+        for layout in ("scalar-first", "wxyz")
+    },
+    "log.csv --config typo.toml": "no such key 'metod'; did you mean 'method'?",
+    "log.csv --config output.toml": "no such key 'output'; ",
+    "log.csv --config method.toml": "Invalid value for '--method': 'rk4' is not one of",
+    "log.csv --config unit.toml": "Invalid value for '--max-gap': ",
+    "log.csv --config broken.toml": "it is not TOML: ",
+    "log.csv --config none.toml": "no such file or folder; check the path",
+    "log.csv --config number.toml": "Error: number.toml: 'sigma' is true or false, not 1",
+    "log.csv --config text.toml": "Error: text.toml: 'quiet' is true or false, not 'no'",
+    "log.csv --metod x": "Error: No such option '--metod'; did you mean '--method'?",
+    "log.csv --on-gaps x": "No such option '--on-gaps'; did you mean '--on-gap'?",
+    "log.csv --zzz": "Error: No such option '--zzz'",
+    "gyros.bag -t imu": "one of '/cam/imu', '/imu_raw'; did you mean '/cam/imu'?",
+    "gyros.bag -t /imuraw": "did you mean '/imu_raw'?",
+    "gyros.bag -t /imu_raw --time-field header.stmp": "has 'seq', 'stamp', 'frame_id'; did you me",
+    "nameless.csv --rate-unit rad/s --rate-cols gx,gy,gzz": "'gx', 'gy', 'gz'; did you mean 'gz'?",
+}
+
+SIMULATE = {
+    "s.csv --truth s.csv": f"Error: s.csv: {TWICE}",
+    "a.csv --rate fast": f"Invalid value for '--rate': 'fast' {RATE}",
+    "a.csv --rate 1e12": RATE,
+    "a.csv --rate 0": RATE,
+    "a.csv --angle wide": "Invalid value for '--angle': 'wide' is not a number",
+    "a.csv --seed -1": "Invalid value for '--seed': -1 is not in the range x>=0",
+    "a.csv --start +10s": f"'+10s' {NO_TIME}",
+    "a.csv --start noon": "'noon' is not a time",
+    "a.csv --duration 0s": "'0s' is not a duration above 0",
+    "a.csv --samples 5 --duration 1s": "--samples and --duration exclude each other; give one of",
+    "a.csv --motion coning --axis 1,0,0": "--axis goes with --motion spin",
+    "a.csv --angle 5": "--angle goes with --motion coning or tumbling",
+    "a.csv --motion rest --walk 1": "--walk goes with --motion random-walk",
+    "a.ulg": f".npz, .mcap, .bag, none for a ROS 2 bag folder, or say --to {SIMULATED}",
+}
+
+COMPARE = {
+    "spin.csv spin.csv --tol 0.1": "'0.1' is not an angle; write a number with its unit, such as ",
+    "spin.csv spin.csv --time-offset soon": "'soon' is not a duration; write a number with a unit",
+    "spin.csv spin.csv --time-offset auto": "A turns at a constant speed, which shows no time off",
+    "spin.csv spin.csv --align mount": "the body turns about one axis only",
+    "spin.csv spin.csv --window 1h": "no two pairs are 3600 s apart: they span 990 ms",
+    "spin.csv spin.csv --quat-cols-b qw,qx": "'qw,qx' does not name 3 or 4 columns A,B,C[,D]",
+    "spin.csv spin.csv --topic-b /imu": "is a table",
+    "spin.csv spin.csv --topic x": "No such option '--topic'; did you mean '--topic-a'?",
+    "spin.csv spin.csv -t x": "No such option '-t'; did you mean '--topic-a'?",
+    "q.csv zeros.csv": "1 of 3 rows are invalid quaternions (1 all zero), the first is row 2",
+    "q.csv plain.csv": "the columns with --quat-cols-b, --from-layout-b and --time-col-b",
+    "two.mcap q.csv": f"{TWO_TOPICS} --topic-a",
+    "q.csv two.mcap": f"{TWO_TOPICS} --topic-b",
+    # It is empty when it has been read: the log would not be to blame.
+    "- -": ONCE,
+}
+
+JPL = "--from-convention says hamilton, but the metadata of the file says jpl; leave it out"
+OF_MATRIX = "is about quaternions and matrix has none; leave it out"
+NO_MESSAGES = "csv holds no messages; leave --message, --out-topic and --frames out"
+CONVERT = {
+    "q0.csv out.csv --report q0.csv": f"Error: q0.csv: {INPUT}",
+    "q.csv q.csv": f"Error: q.csv: {INPUT}",
+    "q.csv link.csv": f"Error: link.csv: {INPUT}",
+    "swapped.parquet out.csv": "the metadata say scalar-first, but the columns 'qx', 'qy', 'qz', "
+    "'qw' are scalar-last by name; settle it with --from-layout scalar-last",
+    "jpl.parquet out.csv --from-convention hamilton": JPL,
+    "damaged.parquet -": "its metadata 'quatprop' is not the JSON it should be",
+    "zeros.csv old.csv": "1 of 3 rows are invalid quaternions (1 all zero), the first is row 2 at ",
+    "absent.csv out.csv": "none of 2 rows holds an attitude (they are absent, not finite or no "
+    "rotations); if the log holds body rates, propagate them first",
+    "header.csv out.csv": "no samples in 'qw,qx,qy,qz'",
+    "q.csv out.tum --convention jpl": "'tum' holds Hamilton quaternions body to reference by its",
+    "q.csv out.tum --as matrix": "kind 'tum' holds quaternions only",
+    "q.csv - --as matrix --layout wxyz": f"--layout {OF_MATRIX}",
+    "q.csv - --as matrix --convention jpl": f"--convention {OF_MATRIX}",
+    "q.csv - --as matrix --sign positive": f"--sign {OF_MATRIX}",
+    "q.csv - --as matrix --message TFMessage": f"--message {OF_MATRIX}",
+    "q.csv - --as matrix --euler-unit deg": "--euler-unit goes with euler-zyx and other",
+    "q.csv - --as euler": "did you mean 'euler-zyx'?",
+    "q.csv out.csv --message TFMessage": NO_MESSAGES,
+    "q.csv out.csv --message TFMessage --convention jpl": NO_MESSAGES,
+    "q.csv a.tum --with euler-zyx": "--with: tum has its own columns; choose 'csv', ",
+    "q.csv a.mcap --with euler-zyx": "--with: mcap has its own columns; choose 'csv', ",
+    "q.csv - --with euler-zyx --as rotvec": "--with is about quaternions and rotvec has none",
+    "q.csv - --with euler-zyx --direction ref-to-body": "--with goes with Hamilton quaternions bo",
+    "q.csv - --with rotvec --euler-unit deg": "--euler-unit goes with euler-zyx and other sequen",
+}
+
+SMALL = "the panels and their letters do not fit into this picture; give at least --size "
+SIZE = "is not a size from 1in to 100in; write 90mm or 16x9cm"
+PLOT = {
+    "q.csv -o a.jpg": "Error: a.jpg: the suffix is not one of a picture; use .png, .svg or .pdf, "
+    "or .html for a report",
+    "q.csv -o -": "Error: -: a picture goes to a file; name one that ends in .png",
+    "q.svg --from csv -o q.svg": f"Error: q.svg: {INPUT}",
+    "q.csv --reference q.svg -o q.svg": f"Error: q.svg: {INPUT}",
+    "q.csv none.csv -o old.png": "none.csv: no such file",
+    "q.csv --components --unwrap": "--unwrap does not go with --components, which have no turns",
+    "q.csv --tol 1deg": "Error: --tol goes with --reference",
+    "q.csv --topic-ref /a": "Error: --topic-ref goes with --reference",
+    "q.csv --reference q.csv --components": "--components does not go with --reference, which dra",
+    "both.csv --components --show rates": "Error: --components goes with --show attitude",
+    "q.csv --start +1h": "no samples in 'qw,qx,qy,qz' between --start and --end: 2 are before, 0 ",
+    "log.csv q.csv": "Error: log.csv shows rate x in rad/s and q.csv yaw in deg; draw them apart,",
+    "height.parquet": "no body rates or attitudes found; its columns are 't_ns', 'height'; name "
+    "the columns with --rate-cols or --quat-cols and --time-col",
+    "q.csv --reference two.mcap": f"{TWO_TOPICS} --topic-ref",
+    "two.mcap --reference q.csv": f"{TWO_TOPICS} --topic",
+    "- -": ONCE,
+    "- --reference -": ONCE,
+    **{
+        f"q.csv --size={size}": f"'{size}' {SIZE}"
+        for size in ("5", "0.5in", "3inx4in", "1e9mm", "10x", "-3in", "3x0in")
+    },
+    "q.csv --size 1in": SMALL,
+}
+
+INFO = {
+    "empty.mcap": "Error: empty.mcap: the file is empty; was the recording closed?",
+    "folder.csv --from bag": f"Error: folder.csv: a folder is no log of kind bag; {KIND}",
+    "log.csv --from rosbag2": f"Error: log.csv: a file is no log of kind rosbag2; {KIND}",
+    "escapes.parquet": "\\x1b[31mred",
+    "--frame x": "Error: No such option '--frame'",
+    "both.csv --rate-cols a,b,c": "--rate-cols asks for column 'a'",
+    "q.csv --as-config": "it does not say with which options it was made; outputs of",
+    "q.csv q.csv --as-config": "--as-config prints one file for one LOG",
+}
+
+OTHERS = {
+    "propagat": "Error: No such command 'propagat'; did you mean 'propagate'?",
+    "draw": "Error: No such command 'draw'; quatprop --help lists the commands",
+}
+
+OUTPUT = {"propagate": "out.csv", "plot": "a.png"}
+COMMANDS = {
+    "propagate": PROPAGATE, "simulate": SIMULATE, "compare": COMPARE, "convert": CONVERT,
+    "plot": PLOT, "info": INFO,
+}  # fmt: skip
+
+
+def command_lines():
+    """Yield every command line with its sentence; an output that is not named is a usual one."""
+    yield from OTHERS.items()
+    for command, lines in COMMANDS.items():
+        for line, sentence in lines.items():
+            output = f" -o {OUTPUT[command]}" if command in OUTPUT and " -o" not in line else ""
+            yield f"{command} {line}{output}", sentence
+
+
+@pytest.fixture(scope="session")
+def small_files(tmp_path_factory):
+    """Write the files that the command lines name."""
+    return write_small_files(tmp_path_factory.mktemp("small"))
+
+
+def contents(folder):
+    """Return every path below a folder, with the bytes of files."""
+    return {path: path.is_file() and path.read_bytes() for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize(("line", "sentence"), list(command_lines()))
+def test_it_is_one_sentence_and_nothing_is_written(small_files, monkeypatch, line, sentence):
+    """The sentence names the option or the file, and the way out."""
+    monkeypatch.chdir(small_files)
+    before = contents(small_files)
+    said = refused(*shlex.split(line), input=ATTITUDES)
+    assert said.startswith("Error: ")
+    assert sentence in said
+    assert contents(small_files) == before

@@ -1,0 +1,98 @@
+"""Small logs, attitudes and odd files, under the names that command lines of tests give them."""
+
+import json
+import shutil
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from make.commands import run
+from make.into_logs import IMU, imu_message, moments
+from make.mcap_files import Topic, write_topics
+from make.places import SAMPLE_LOGS
+from make.tables import write_attitudes, write_rates
+from mcap.reader import make_reader
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import Stores, get_typestore
+
+EUROC = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]"
+QUATERNION = "t_ns,qw,qx,qy,qz"
+ATTITUDES = f"{QUATERNION}\n1,1,0,0,0\n2,0.8,0.6,0,0\n"
+EPOCH_NS = 1_700_000_000_000_000_000
+
+TEXTS = {
+    "nan.csv": "t_ns,wx,wy,wz\n0,0,0,nan\n1000000,0,0,1\n",
+    "nameless.csv": "t_ns,gx,gy,gz\n0,0,0,1\n1000000,0,0,1\n",
+    "both.csv": "t_ns,wx,wy,wz,qw,qx,qy,qz\n0,0,0,1,1,0,0,0\n9,0,0,1,1,0,0,0\n",
+    "q.csv": ATTITUDES,
+    "q0.csv": f"{QUATERNION}\n-1,1,0,0,0\n1000000000000,1,0,0,0\n",
+    "zeros.csv": f"{ATTITUDES}3,0,0,0,0\n",
+    "absent.csv": f"{QUATERNION}\n1,nan,nan,nan,nan\n2,nan,nan,nan,nan\n",
+    "header.csv": f"{QUATERNION}\n",
+    "plain.csv": "1,1,0,0,0\n2,1,0,0,0\n",
+    "old.csv": "old",
+    "old.png": "old",
+    "q.svg": ATTITUDES,
+    "weather.csv": "time,temperature,pressure\n0,20,1\n1,21,1\n",
+    "empty.mcap": "",
+    "odd.xyz": "\x00\x01\x02 nonsense",
+    "locked.csv": "old",
+    "typo.toml": "metod = 'end'",
+    "output.toml": "output = 'x.csv'",
+    "method.toml": "method = 'rk4'",
+    "unit.toml": "max-gap = 5",
+    "broken.toml": "method",
+    "number.toml": "sigma = 1",
+    "text.toml": "quiet = 'no'",
+}
+
+
+def _two_topics(path, log):
+    """Write the messages of a log on two topics."""
+    with log.open("rb") as stream:
+        read = list(make_reader(stream).iter_messages())
+    schema, messages = read[0][0], [message.data for _, _, message in read]
+    topic = Topic(schema.name, messages, schema.data, schema.encoding, "cdr")
+    write_topics(path, {"/one": topic, "/two": topic})
+
+
+def _two_gyroscopes(path):
+    """Write a ROS 1 bag."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Writer(path) as writer:
+        for topic in ("/cam/imu", "/imu_raw"):
+            connection = writer.add_connection(topic, IMU, typestore=store)
+            for stamp, logged in moments(3):
+                writer.write(connection, logged, imu_message(store, stamp, ros1=True))
+
+
+def write_small_files(folder):
+    """Write all of them into a folder; return it."""
+    for name, first_ns in (("log.csv", 0), ("epoch.csv", EPOCH_NS)):
+        rows = [(first_ns + 100_000_000 * k, 0, 0, 1) for k in range(11)]
+        write_rates(folder / name, rows, EUROC)
+    angle = np.arange(100) * 0.01
+    wxyz = np.column_stack([np.cos(angle), 0 * angle, 0 * angle, np.sin(angle)])
+    write_attitudes(folder / "spin.csv", np.arange(100) * 10_000_000, wxyz)
+    for name, text in TEXTS.items():
+        (folder / name).write_text(text)
+    (folder / "folder.csv").mkdir()
+    (folder / "link.csv").symlink_to("q.csv")
+    shutil.copytree(SAMPLE_LOGS / "tumbling_ros2", folder / "bag")
+    _two_gyroscopes(folder / "gyros.bag")
+    run("convert", folder / "q.csv", folder / "jpl.parquet", "--convention", "jpl", code=0)
+    run("convert", folder / "q.csv", folder / "one.mcap", code=0)
+    _two_topics(folder / "two.mcap", folder / "one.mcap")
+    said = json.dumps({"convention": {"layout": "scalar-first"}})
+    for name, columns, metadata in (
+        ("swapped.parquet", ("qx", "qy", "qz", "qw"), said),
+        ("damaged.parquet", ("qw", "qx", "qy", "qz"), "{"),
+        ("height.parquet", ("height",), "{}"),
+        ("escapes.parquet", ("\x1b[31mred",), "{}"),
+    ):
+        table = pa.table({"t_ns": [0, 1], **{column: np.eye(2)[0] for column in columns}})
+        pq.write_table(table.replace_schema_metadata({"quatprop": metadata}), folder / name)
+    (folder / "locked").mkdir()
+    for name, mode in (("locked.csv", 0o444), ("locked", 0o555)):
+        (folder / name).chmod(mode)
+    return folder

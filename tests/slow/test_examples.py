@@ -1,0 +1,55 @@
+"""The examples of the commands and of the documents do what they show."""
+
+import math
+import os
+import shlex
+import shutil
+import subprocess
+
+import pytest
+from make.commands import INSTALLED, run
+from make.documents import GUIDES, Document
+from make.places import ROOT, SAMPLE_LOGS, SHARED_LOGS
+
+from quatprop.cli.commands import COMMANDS, cli
+
+
+def test_the_examples_of_every_command_run(tmp_path, monkeypatch):
+    """One after the other, in a folder that has the sample logs."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sample_logs").symlink_to(ROOT / "sample_logs")
+    for name in COMMANDS:
+        examples = cli.get_command(None, name).examples
+        assert examples, name
+        for line in examples:
+            program, *arguments = shlex.split(line)
+            assert program == "quatprop"
+            run(*arguments, code=0)
+
+
+@pytest.mark.parametrize("name", ["conventions", "formats", "recipes"])
+def test_commands_of_guides_print_what_is_shown(name, tmp_path, monkeypatch):
+    """To the letter; where nothing is shown, they end well."""
+    monkeypatch.setenv("COLUMNS", "200")
+    recordings = SHARED_LOGS if SHARED_LOGS.is_dir() else None
+    document = Document(GUIDES / f"{name}.md", tmp_path, recordings)
+    assert document.run() == document.text
+
+
+@pytest.mark.skipif(not shutil.which("awk"), reason="the demo needs a shell with awk")
+def test_the_demo_shows_the_error_of_every_log(tmp_path):
+    """Each line of its table has a log, a method, and the same angle in rad and in deg."""
+    shutil.copytree(SAMPLE_LOGS, tmp_path / "sample_logs")
+    done = subprocess.run(
+        [tmp_path / "sample_logs" / "demo.sh"],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": f"{INSTALLED.parent}{os.pathsep}{os.environ['PATH']}"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    rows = [line.split() for line in done.stdout.splitlines() if line.endswith(" deg")]
+    table = [row for row in rows if len(row) == 6 and row[1] != "%"]
+    assert len(table) == 9
+    for _log, _method, radians, _rad, degrees, _deg in table:
+        assert math.degrees(float(radians)) == pytest.approx(float(degrees), rel=1e-5, abs=1e-12)
