@@ -60,7 +60,7 @@ def spline(t_ns, rate, q0):
 INTEGRATORS = {
     **{
         f"quatprop {method}": lambda t, w, q0, method=method: attitudes(t, w, q0=q0, method=method)
-        for method in ("start", "mean", "coning", "cubic")
+        for method in ("start", "mean", "coning", "cubic", "quintic")
     },
     "scipy Rotation, start": lambda t, w, q0: scipy_loop(t, w, q0, "start"),
     "scipy Rotation, mean": lambda t, w, q0: scipy_loop(t, w, q0, "mean"),

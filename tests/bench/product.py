@@ -66,7 +66,7 @@ def measure(_folder: Path, samples: int) -> None:
     out = np.empty((samples, 4))
     fused_loop(t_ns[:2], rate[:2], out)
     table = Table(f"increments and product of {samples:,} samples, one thread")
-    for method in ("start", "coning", "cubic"):
+    for method in ("start", "coning", "cubic", "quintic"):
         seconds = best_of(5, lambda method=method: attitudes(t_ns, rate, method=method))
         table.row(f"quatprop, {method}", seconds, samples)
     table.row("numba serial loop", best_of(5, lambda: fused_loop(t_ns, rate, out)), samples)

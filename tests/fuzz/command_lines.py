@@ -95,7 +95,7 @@ def command_line(random, raw, folder, kind):
         return values[random.integers(len(values))]
 
     plain = {
-        "method": one_of(None, "start", "end", "mean", "coning", "cubic"),
+        "method": one_of(None, "start", "end", "mean", "coning", "cubic", "quintic"),
         "rates": one_of(None, None, "body", "inertial"),
         "mount": one_of(None, None, "y,-x,z", ",".join(map(repr, MOUNT))),
         "on_backwards": one_of(None, *["drop", "sort"] * 4),

@@ -290,9 +290,13 @@ def rotation(t, rate, k, s, options):
     method = options.get("method", "start")
     if method in {"start", "end", "mean"}:
         return {"start": u, "end": v, "mean": (u + v) / 2}[method] * s
+    six = six_around(t, k) if method == "quintic" else None
+    if six is not None:
+        at = s / 2 * (1 + np.polynomial.legendre.leggauss(3)[0])
+        return sixth_order(polynomial(t, rate, k, six, at), s, options)
     # Exact for a polynomial of third degree.
     at = np.append(s / 2 * (1 + GAUSS[0]), s)
-    rates = rates_after(t, rate, k, at, cubic=method == "cubic")
+    rates = rates_after(t, rate, k, at, cubic=method in {"cubic", "quintic"})
     integral = GAUSS[1] @ rates[:-1] * s / 2
     # The commutator of rotations that multiply on the left has the other sign.
     sign = 1 if options.get("rates", "body") == "body" else -1
@@ -320,7 +324,32 @@ def rates_after(t, rate, k, at, *, cubic):
         through = [k - 1, k, k + 1] if left <= right else [k, k + 1, k + 2]
     if step[k] == 0:
         return np.tile(rate[k], (len(at), 1))
-    nodes, rates = (t[through] - t[k]) / NS, np.zeros((len(at), 3))
+    return polynomial(t, rate, k, through, at)
+
+
+def six_around(t, k):
+    """Return six samples of similar spacing around an interval, or None."""
+    for start in (k - 2, k - 3, k - 1, k - 4, k):
+        step = np.diff(t[start : start + 6]) if start >= 0 else np.zeros(0)
+        if len(step) == 5 and 0 < step.max() <= (4 if start == k - 2 else 2) * step.min():
+            return range(start, start + 6)
+    return None
+
+
+def sixth_order(rates, s, options):
+    """Return the rotation vector by Magnus' series, of the rates at three Gauss nodes."""
+    left = 1 if options.get("rates", "body") == "inertial" else -1
+    first, middle, last = left * rates
+    a1, a2 = s * middle, s * np.sqrt(15) / 3 * (last - first)
+    a3 = 10 * s / 3 * (last - 2 * middle + first)
+    c1 = np.cross(a1, a2)
+    c2 = -np.cross(a1, 2 * a3 + c1) / 60
+    return left * (a1 + a3 / 12 + np.cross(-20 * a1 - a3 + c1, a2 + c2) / 240)
+
+
+def polynomial(t, rate, k, through, at):
+    """Return rates at times after sample k, s, on the polynomial through samples."""
+    nodes, rates = (t[list(through)] - t[k]) / NS, np.zeros((len(at), 3))
     for j, node in enumerate(nodes):
         others = np.delete(nodes, j)
         share = np.prod((at[:, None] - others) / (node - others), axis=1)
