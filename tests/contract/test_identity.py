@@ -6,7 +6,7 @@ from functools import partial
 import pyarrow as pa
 import pytest
 from make.commands import installed
-from make.formats import FORMATS, PACKED, samples
+from make.formats import FORMATS, PACK, samples
 
 from quatprop.concurrency import threads
 from quatprop.conditioning import GyroCorrection
@@ -58,7 +58,7 @@ SMALL = {
 """What decides how much is read at a time."""
 
 
-@pytest.mark.parametrize("name", [name for name in FORMATS if not name.startswith(PACKED)])
+@pytest.mark.parametrize("name", [name for name in FORMATS if not name.endswith(tuple(PACK))])
 def test_what_is_read_at_a_time_changes_nothing(tmp_path, monkeypatch, name):
     """Threads and sizes of batches leave every byte of the result as it is."""
     log, target = tmp_path / name, tmp_path / "out.parquet"

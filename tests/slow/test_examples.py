@@ -27,7 +27,11 @@ def test_the_examples_of_every_command_run(tmp_path, monkeypatch):
             run(*arguments, code=0)
 
 
-@pytest.mark.parametrize("name", ["conventions", "formats", "recipes"])
+ELSEWHERE = {"ci", "development", "fleets", "library"}
+"""Guides of which examples/test_documents.py runs what is in them."""
+
+
+@pytest.mark.parametrize("name", sorted({path.stem for path in GUIDES.glob("*.md")} - ELSEWHERE))
 def test_commands_of_guides_print_what_is_shown(name, tmp_path, monkeypatch):
     """To the letter; where nothing is shown, they end well."""
     monkeypatch.setenv("COLUMNS", "200")
