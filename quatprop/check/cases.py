@@ -30,6 +30,12 @@ if TYPE_CHECKING:
 DEFAULT_TOLERANCE = "1e-9rad"
 """Tolerance for a stored reference, unless the case has its own."""
 
+LIMITS = {
+    *("tol", "rms-tol", "final-tol", "p95-tol", "window-tol", "window-rms-tol"),
+    *("tol-heading", "tol-inclination", "max-sigma"),
+}
+"""Keys of limits on the error, of which a case with an independent reference needs one."""
+
 DEFAULT_COVERAGE = "99"
 """Percentage of a reference that a log must cover which need not have the same bytes."""
 
@@ -130,7 +136,7 @@ class _CaseParser:
             usual["min-coverage"] = DEFAULT_COVERAGE
         if stored:
             usual["tol"] = DEFAULT_TOLERANCE
-        elif not {"tol", "max-sigma"} & values.keys():
+        elif not LIMITS & values.keys():
             self._refuse('there is no tolerance; write tol = "0.5deg" or the like', "tol")
         compared, comparison_texts = self._settings(COMPARISON_KEYS, usual)
         return Case(

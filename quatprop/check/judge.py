@@ -9,7 +9,7 @@ import numpy as np
 
 from quatprop.check.case import Case, CaseNotRun, CaseResult
 from quatprop.check.case_run import compare_case, compare_timestamps, propagate_case, try_compare
-from quatprop.check.cases import same_option
+from quatprop.check.cases import LIMITS, same_option
 from quatprop.check.lock import DIGITS, Pin, describe_change, digests_of, sha256_of
 from quatprop.check.reference import DEFAULT, describe_provenance, read_reference
 from quatprop.comparison.settings import Sigmas
@@ -230,6 +230,10 @@ def _facts(case: Case, pin: Pin | None) -> Iterator[tuple[str, str]]:
     if (tolerance := comparison.tol) is not None:
         limit = str(tolerance) if isinstance(tolerance, Sigmas) else case.angle_text(tolerance)
         yield "judged by", f"worst error of at most {limit}, alignment {comparison.align}"
+    else:
+        yield "judged by", f"alignment {comparison.align}"
+    for key in sorted(LIMITS & case.comparison_options.keys() - {"tol"}):
+        yield "", f"{key} {plain(case.comparison_options[key])}"
     if case.external is None:
         yield "", "equal timestamps" if case.strict else "timestamps may differ"
     if pin is not None and (case.strict or case.pins_log):

@@ -94,10 +94,10 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
     remarks = [*remarks]
     window = parts = sigmas = None
     if pairs is not None:
-        if pairs.floor_rad > FLOOR_SHARE * settings.limit_rad:
+        if pairs.floor_rad > FLOOR_SHARE * settings.smallest_limit_rad:
             remarks.append(
-                f"attitudes were interpolated between samples, which may cause errors up to "
-                f"{math.degrees(pairs.floor_rad):.3g} deg: the motion is fast for their spacing"
+                f"attitudes were interpolated between samples, which may cause errors of about "
+                f"{math.degrees(pairs.floor_rad):.3g} deg"
             )
         if settings.window:
             window = window_statistics(pairs, measured.alignment, settings.window)

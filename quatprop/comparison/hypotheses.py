@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.arrays import Float64
+    from quatprop.comparison.alignment import Alignment
     from quatprop.comparison.association import Pairs
 
 
@@ -47,6 +49,9 @@ NOTICEABLE = 0.9
 ISOLATED = 0.01
 """Share of the samples that may be isolated errors."""
 
+
+LEVEL = 1e-3
+"""Share of a rotation that may be about a level axis where it is one of the heading."""
 
 ALIGN_MEAN = Setting("align", "mean")
 
@@ -106,8 +111,13 @@ def causes_of_errors(pairs: Pairs, alignment: str, before: float) -> Iterator[Ca
         turned = aligned if alignment == "yaw" else b
         mean = align("mean", a, turned)
         sentence = f"the reference frames differ by {degrees_text(mean.reference_rad)}"
-        remedy = f"{ALIGN_MEAN} takes it out"
-        yield Cause("reference frame", sentence, before, _rms(a, mean.apply(turned)), remedy)
+        yield Cause(
+            "reference frame",
+            sentence,
+            before,
+            _rms(a, mean.apply(turned)),
+            _frame_remedy(alignment, mean),
+        )
     if alignment != "mount":
         body = mean_rotation(multiply(conjugate(b), a))
         angle = degrees_text(float(geodesic_angle(IDENTITY, body)))
@@ -124,6 +134,16 @@ def causes_of_errors(pairs: Pairs, alignment: str, before: float) -> Iterator[Ca
         remedy, after = f"{ALIGN_MEAN} takes the frames out", _rms(a, mean.apply(unbiased))
         yield Cause("rate bias and reference frame", sentence, before, after, remedy)
     yield from _steady_drifts(pairs, aligned, before)
+
+
+def _frame_remedy(alignment: str, mean: Alignment) -> str | None:
+    """Return how reference frames are aligned; with the heading alone free, a tilt is an error."""
+    if alignment == "yaw":
+        return None
+    _, x, y, _ = mean.reference_wxyz
+    heading = math.hypot(x, y) < LEVEL * math.sin(mean.reference_rad / 2)
+    setting = Setting("align", "yaw") if heading else ALIGN_MEAN
+    return f"{setting} takes it out"
 
 
 def _rms(a: Float64, b: Float64) -> float:

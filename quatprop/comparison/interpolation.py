@@ -18,7 +18,7 @@ from quatprop.kinematics.quintic import SAMPLES, windows_over
 from quatprop.series.blocks import blocks
 
 if TYPE_CHECKING:
-    from quatprop.arrays import Float64, Int64, Intp
+    from quatprop.arrays import Bool, Float64, Int64, Intp
     from quatprop.series import AttitudeSeries
 
 MAX_DEVIATION: Final = 1.0
@@ -29,7 +29,8 @@ class Interpolated(NamedTuple):
     """Attitudes between samples.
 
     `wxyz`: unit quaternions, shape ``(N, 4)``
-    `floor_rad`: what two neighbours fewer would change at most: the error that is left is smaller
+    `floor_rad`: about the largest error that may be left: what two neighbours fewer would change;
+        where the rate is held constant, what a steady change of it leaves
     """
 
     wxyz: Float64
@@ -56,28 +57,53 @@ def _interpolated(series: AttitudeSeries, t_ns: Int64) -> Interpolated:
     turn = _between(series.wxyz[before], series.wxyz[before + 1])
     steps = np.diff(series.t_ns)
     windows = windows_over(steps, steps)
-    chosen = np.flatnonzero((fraction > 0) & (fraction < 1) & windows.usable[before])
-    six, four = _corrections(
+    inside = (fraction > 0) & (fraction < 1)
+    chosen = np.flatnonzero(inside & windows.usable[before])
+    six, four, smooth = _corrections(
         series, before[chosen], windows.start[before[chosen]], fraction[chosen], turn[chosen]
     )
     correction = np.zeros((len(t_ns), 3))
     correction[chosen] = six
+    left = np.linalg.norm(six - four, axis=1).max(initial=0.0)
+    inside[chosen[smooth]] = False
+    held = np.flatnonzero(inside)
+    bent = _bend(series, before[held], fraction[held], turn[held]).max(initial=0.0)
     step = multiply(exp(fraction[:, None] * turn), exp(correction))
     wxyz = normalize(multiply(series.wxyz[before], step))
     wxyz[t_ns == stop] = normalize(series.wxyz[before + 1][t_ns == stop])
-    return Interpolated(wxyz, float(np.linalg.norm(six - four, axis=1).max(initial=0.0)))
+    return Interpolated(wxyz, float(max(left, bent)))
+
+
+def _bend(series: AttitudeSeries, before: Intp, fraction: Float64, turn: Float64) -> Float64:
+    """Return what a constant rate leaves out, by the sample before and the one after, rad, (N,).
+
+    A rate that changes steadily leaves deviations that grow with the product of the times since
+    both ends of the interval.
+    """
+    begin, length = series.t_ns[before], series.t_ns[before + 1] - series.t_ns[before]
+    bend = np.zeros(len(before))
+    for beside in (-1, 2):
+        node = np.clip(before + beside, 0, len(series) - 1)
+        at = (series.t_ns[node] - begin) / length
+        held = multiply(series.wxyz[before], exp(at[:, None] * turn))
+        size = np.linalg.norm(_between(held, series.wxyz[node]), axis=1)
+        # At the ends of the series, the node is an end of the interval itself.
+        apart = np.where((at < 0) | (at > 1), at * (at - 1), np.inf)
+        bend = np.maximum(bend, size * fraction * (1 - fraction) / apart)
+    return bend
 
 
 def _corrections(
     series: AttitudeSeries, before: Intp, start: Intp, fraction: Float64, turn: Float64
-) -> tuple[Float64, Float64]:
+) -> tuple[Float64, Float64, Bool]:
     """Return what neighbours add to attitudes at a constant rate, rotation vectors ``(N, 3)``.
 
     `before`, `fraction`: the samples before the wanted times, and how far these are from them to
         the next samples, ``(N,)``
     `start`: the first of the six samples, ``(N,)``
     `turn`: the rotation vectors from the samples before to the next, ``(N, 3)``
-    `Returns`: by all six samples, and by the four that are nearest
+    `Returns`: by all six samples, and by the four that are nearest; and whether the motion is
+        smooth, ``(N,)``: otherwise both are zero
     """
     begin, length = series.t_ns[before], series.t_ns[before + 1] - series.t_ns[before]
     at = [(series.t_ns[start + node] - begin) / length for node in range(SAMPLES)]
@@ -96,7 +122,7 @@ def _corrections(
         six += weights[0][:, None] * deviation
         four += weights[1][:, None] * deviation
     six[~smooth] = four[~smooth] = 0.0
-    return six, four
+    return six, four, smooth
 
 
 def _between(p: Float64, q: Float64) -> Float64:

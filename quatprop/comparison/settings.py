@@ -89,6 +89,15 @@ class ComparisonSettings:
             )
 
     @property
+    def smallest_limit_rad(self) -> float:
+        """The smallest limit on an error, rad; infinite where there is none."""
+        limits = (
+            *(self.tol, self.rms_tol, self.final_tol, self.p95_tol),
+            *(self.window_tol, self.window_rms_tol, self.tol_heading, self.tol_inclination),
+        )
+        return min((each for each in limits if isinstance(each, float | int)), default=math.inf)
+
+    @property
     def in_parts(self) -> bool:
         """Whether errors in heading and in inclination are told apart."""
         return self.align == "yaw" or (self.tol_heading, self.tol_inclination) != (None, None)

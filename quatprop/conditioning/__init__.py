@@ -217,12 +217,12 @@ def _look_ahead(
         batches = timeline.looked_ahead(read(), lambda _: None)
         return between(((each.t_ns, each.rate) for each in batches), first_ns, last_ns)
 
+    sums = window_sums(rows, static.window_ns // 2 or 1)
     if static.start is not None and static.end is not None:
-        deque(rows, maxlen=0)
         part = (absolute_ns(instant, finder.ends()) for instant in (static.start, static.end))
-        rest = static_period_between(again(*part), static)
+        named = window_sums(again(*part), 1 << 62)
+        rest = static_period_between(named, static, sums, inputs, settings.rates)
     else:
-        sums = window_sums(rows, static.window_ns // 2 or 1)
         rest = find_static_period(sums, inputs, static.window_ns, settings.rates)
     if any(coarse := steps.above(rest.scatter_rad_s)):
         rest = rest._replace(levels=levels_of(again(rest.first_ns, rest.last_ns), coarse))

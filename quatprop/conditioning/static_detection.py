@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conditioning.static_period import OtherRest, StaticPeriod
+from quatprop.conditioning.static_period import AT_REST, OtherRest, StaticPeriod
 from quatprop.conditioning.window_sums import (
     aligned_window_sums,
     mean_of,
     merged,
     outer_products,
     scatter_of,
-    window_sums,
 )
 from quatprop.errors import UsageError
 from quatprop.kinematics.rates import rotation_vectors_between
@@ -29,12 +28,9 @@ from quatprop.times import duration_text
 if TYPE_CHECKING:
     from quatprop.arrays import Bool, Float64, Intp
     from quatprop.conditioning import GyroCorrectionInputs
-    from quatprop.conditioning.window_sums import Rows, WindowSums
+    from quatprop.conditioning.window_sums import WindowSums
     from quatprop.settings.parsers import StaticBias
 
-
-AT_REST = 0.05
-"""rad/s: rates that scatter more than this are not at rest."""
 
 FORCE_AT_REST = 0.1
 """Specific force that scatters by more than this share of its size is not at rest."""
@@ -73,6 +69,40 @@ def find_static_period(
 
     `frame`: ``"body"`` or ``"inertial"``: that in which the rates are resolved
     """
+    rests, steady = _rests(rates, inputs, shortest_ns, frame)
+    lengths = rests["last_ns"] - rests["first_ns"]
+    longest = int(np.argmax(np.where(_agreeing(rests), lengths, -1)))
+    return _period(rests, longest, rates, steady, steady)
+
+
+def static_period_between(
+    rest: WindowSums,
+    static: StaticBias,
+    rates: WindowSums,
+    inputs: GyroCorrectionInputs,
+    frame: str,
+) -> StaticPeriod:
+    """Return a rest that the user has named, compared with those that are found.
+
+    `rest`: the sums over that time
+    `rates`: the sums over the windows of the whole log
+    """
+    if not len(rest) or rest["count"][0] < MIN_SAMPLES:
+        raise UsageError(
+            f"{Setting('bias', str(static))} holds fewer than {MIN_SAMPLES} samples; info tells "
+            "where the log begins and ends"
+        )
+    try:
+        found, steady = _rests(rates, inputs, static.window_ns, frame)
+    except UsageError:
+        found, steady = rest[:0], ["rate"]
+    return _period(np.concatenate([rest, found]), 0, rates, steady, [])
+
+
+def _rests(
+    rates: WindowSums, inputs: GyroCorrectionInputs, shortest_ns: int, frame: str
+) -> tuple[WindowSums, list[str]]:
+    """Return the sums over each period of rest, and which signals were found steady."""
     window_ns = max(shortest_ns // 2, 1)
     quiet = _quiet_rates(rates)
     signals, steady = [(rates, AGREEMENT)], ["rate"]
@@ -90,46 +120,38 @@ def find_static_period(
     if orientations is not None:
         periods = _not_turning(rates, orientations, periods, frame)
         steady.append("orientation")
-    rests = np.concatenate([merged(rates[period], np.array([0])) for period in periods])
+    rests = [merged(rates[period], np.array([0])) for period in periods]
+    return np.concatenate(rests), steady
+
+
+def _agreeing(rests: WindowSums) -> Bool:
+    """Tell which rests have about the mean of the slowest."""
     mean = mean_of(rests)
     slowest = mean[np.argmin((mean**2).sum(axis=1))]
-    agrees = np.abs(mean - slowest).max(axis=1) <= AGREEMENT
-    longest = int(np.argmax(np.where(agrees, rests["last_ns"] - rests["first_ns"], -1)))
-    rest = rests[longest]
+    return np.asarray(np.abs(mean - slowest).max(axis=1) <= AGREEMENT)
+
+
+def _period(
+    rests: WindowSums, taken: int, rates: WindowSums, confirmed: list[str], steady: list[str]
+) -> StaticPeriod:
+    """Return one of several rests.
+
+    `confirmed`: by which signals the others are rests
+    `steady`: by which signals this one was found; empty where it was named
+    """
+    rest = rests[taken]
+    # By the rates alone, a rest whose mean is far off may as well be a steady rotation.
+    compared = _agreeing(rests) if confirmed == ["rate"] else np.ones(len(rests), np.bool_)
     return StaticPeriod(
         first_ns=int(rest["first_ns"]),
         last_ns=int(rest["last_ns"]),
         samples=int(rest["count"]),
-        mean_rad_s=mean[longest],
-        scatter_rad_s=float(scatter_of(rests)[longest]),
+        mean_rad_s=mean_of(rests)[taken],
+        scatter_rad_s=float(scatter_of(rests)[taken]),
         steady=tuple(steady),
         searched_first_ns=int(rates["first_ns"].min()),
         searched_last_ns=int(rates["last_ns"].max()),
-        other=_other(rests, longest, agrees if steady == ["rate"] else np.ones_like(agrees)),
-    )
-
-
-def static_period_between(rows: Rows, static: StaticBias) -> StaticPeriod:
-    """Return a rest that the user has named.
-
-    `rows`: stamps, and rates, ``(N, 3)``, rad/s, of that time
-    """
-    rest = window_sums(rows, 1 << 62)
-    if not len(rest) or rest["count"][0] < MIN_SAMPLES:
-        raise UsageError(
-            f"{Setting('bias', str(static))} holds fewer than {MIN_SAMPLES} samples; give a longer "
-            "rest"
-        )
-    first_ns, last_ns = int(rest["first_ns"][0]), int(rest["last_ns"][0])
-    return StaticPeriod(
-        first_ns=first_ns,
-        last_ns=last_ns,
-        samples=int(rest["count"][0]),
-        mean_rad_s=mean_of(rest)[0],
-        scatter_rad_s=float(scatter_of(rest)[0]),
-        steady=(),
-        searched_first_ns=first_ns,
-        searched_last_ns=last_ns,
+        other=_other(rests, taken, compared),
     )
 
 

@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from quatprop.conditioning.quantisation import Levels
 
 
+AT_REST = 0.05
+"""rad/s: rates that scatter more than this are not at rest."""
+
+
 class OtherRest(NamedTuple):
     """Another period in which the sensor may have been at rest, whose mean rate differs most.
 
@@ -57,7 +61,17 @@ class StaticPeriod(NamedTuple):
     @property
     def remarks(self) -> tuple[str, ...]:
         """What a reader should know."""
-        return tuple(filter(None, (self._unconfirmed(), self._differs(), self._coarse())))
+        return tuple(
+            filter(None, (self._moves(), self._unconfirmed(), self._differs(), self._coarse()))
+        )
+
+    def _moves(self) -> str:
+        if self.scatter_rad_s <= AT_REST:
+            return ""
+        return (
+            f"the rates from {self.first_ns} to {self.last_ns} ns, from which the bias is taken, "
+            f"scatter by {self.scatter_rad_s:.3g} rad/s: the body moves there"
+        )
 
     def _unconfirmed(self) -> str:
         if self.steady != ("rate",):
@@ -74,10 +88,9 @@ class StaticPeriod(NamedTuple):
         degrees = math.degrees(self.other.difference_rad_s)
         way = Setting("bias", f"static@{self.other.first_ns}..{self.other.last_ns}")
         return (
-            f"the rates at rest differ by {degrees:.3g} deg/s between {self.first_ns} to "
-            f"{self.last_ns} ns, from which the bias is taken, and {self.other.first_ns} to "
-            f"{self.other.last_ns} ns, which {way} takes: the bias changed, or the body turned "
-            "steadily in one of them"
+            f"the mean rate at rest from {self.first_ns} to {self.last_ns} ns, which is the bias, "
+            f"differs by {degrees:.3g} deg/s from that of another rest, {way}: the bias changed, "
+            "or the body turned steadily in one of them"
         )
 
     def _coarse(self) -> str:

@@ -121,7 +121,7 @@ def level(force: Float64, heading: float = 0.0, *, down: bool = False) -> Float6
 
 
 def _refuse_motion(first: GyroSeries, log: Log) -> None:
-    from quatprop.conditioning.static_detection import AT_REST
+    from quatprop.conditioning.static_period import AT_REST
 
     rate = first.rate[first.t_ns <= first.t_ns[0] + LEVEL_NS]
     scatter = float(np.sqrt(((rate - rate.mean(axis=0)) ** 2).sum(axis=1).mean()))

@@ -93,7 +93,7 @@ def _bias(bias_rad_s: Iterable[float], rest: StaticPeriod | None) -> str:
     if rest is None:
         return bias
     return (
-        f"{bias}, from {rest.samples} samples at rest over "
+        f"{bias}, from {rest.samples} samples {'at rest ' if rest.steady else ''}over "
         f"{duration_text(rest.last_ns - rest.first_ns)} from t = {rest.first_ns} ns, "
         f"scatter {rest.scatter_rad_s:.3g} rad/s; "
         + (

@@ -54,8 +54,8 @@ def test_the_bias_sigma_is_at_least_what_rests_differ_by():
     """It was that of the noise of one rest: 0.08 deg/h where the rests differed by 400."""
     report, remarks = found(two_rests([0, 0, 2e-3]))
     assert report.uncertainty.errors.bias_sigma == pytest.approx(2e-3, rel=0.05)
-    (remark,) = (text for text in remarks if "differ" in text)
-    assert "the rates at rest differ by 0.11" in remark
+    (remark,) = (text for text in remarks if "differs" in text)
+    assert "differs by 0.11" in remark
     assert remark.endswith("the bias changed, or the body turned steadily in one of them")
 
 
@@ -64,10 +64,25 @@ def test_the_rest_that_the_remark_names_can_be_taken():
     samples = two_rests([0, 0, 2e-3])
     _, remarks = found(samples)
     remedy = re.search(r"bias='(static@[0-9.]+)'", " ".join(remarks))[1]
-    report = propagate(samples, bias=remedy).report
+    report, _ = found(samples, bias=remedy)
     inside = samples.rate[25 * HZ :]
     np.testing.assert_allclose(report.conditioning.bias_rad_s, inside.mean(axis=0), atol=3e-5)
     assert report.conditioning.rest.first_ns >= 25 * 10**9
+
+
+def test_a_rest_that_is_named_is_compared_with_the_others():
+    """Its sigma was that of its noise: less than a hundredth of what rests differed by."""
+    for given in ("static@+1s..+19s", "static@+26s..+34s"):
+        report, remarks = found(two_rests([0, 0, 2e-3]), bias=given)
+        assert report.uncertainty.errors.bias_sigma == pytest.approx(2e-3, rel=0.1)
+        assert any("differs by 0.11" in remark for remark in remarks)
+
+
+def test_a_named_part_in_which_the_body_moves_is_said_to_be_no_rest():
+    """It was called rest, and its mean the bias, without a word."""
+    report, remarks = found(two_rests([0, 0, 0]), bias="static@+20s..+24s")
+    assert any(remark.endswith("rad/s: the body moves there") for remark in remarks)
+    assert report.conditioning.rest.scatter_rad_s > 1
 
 
 def test_rests_that_are_alike_are_not_said_to_differ():
@@ -75,7 +90,7 @@ def test_rests_that_are_alike_are_not_said_to_differ():
     for seed in range(100):
         samples = series(noise(3 * seed, 4), turning(3 * seed + 1, 1), noise(3 * seed + 2, 4))
         report, remarks = found(samples)
-        assert not [text for text in remarks if "differ" in text], seed
+        assert not [text for text in remarks if "differs" in text], seed
         assert report.conditioning.rest.other is None
 
 
@@ -85,7 +100,7 @@ def test_rests_that_are_alike_are_not_said_to_differ():
 @pytest.mark.parametrize("given", ["+25s..+34s", "-9.99s..-990ms", "25000000000..34000000000"])
 def test_a_rest_can_be_given(tmp_path, given):
     """By times in the log's clock, or counted from its first or last sample."""
-    samples = two_rests([0, 0, 2e-3])
+    samples = two_rests([0, 0, 0])
     given = f"static@{given}"
     report = propagate(samples, bias=given).report
     rest = report.conditioning.rest
@@ -95,13 +110,13 @@ def test_a_rest_can_be_given(tmp_path, given):
     rows = ([t_ns, *rate] for t_ns, rate in zip(samples.t_ns, samples.rate.tolist(), strict=True))
     path, out = write_rates(tmp_path / "log.csv", rows), tmp_path / "out.csv"
     result = run("propagate", path, "-o", out, "--rate-unit", "rad/s", "--bias", given)
-    assert "from 901 samples at rest over 9 s" in result.stderr
+    assert "from 901 samples over 9 s" in result.stderr
     assert "; as given" in result.stderr
 
 
 def test_a_rest_holds_the_same_for_every_part_that_is_propagated():
     """Its times count from the log, not from the part."""
-    samples = two_rests([0, 0, 2e-3])
+    samples = two_rests([0, 0, 0])
     whole, part = (
         propagate(samples, bias="static@+25s..+34s", **options).report.conditioning.rest.mean_rad_s
         for options in ({}, {"start": "+20s", "end": "+30s"})
@@ -116,7 +131,7 @@ def test_a_rest_holds_the_same_for_every_part_that_is_propagated():
         ("static@+1s..soon", "'soon'"),
         (
             "static@+9s..+1s",
-            "holds fewer than 2 samples; give a longer rest",
+            "holds fewer than 2 samples; info tells where the log begins and ends",
         ),
     ],
 )
