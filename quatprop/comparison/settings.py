@@ -154,8 +154,8 @@ class CompareOptions(TypedDict, total=False):
 
     # fmt: off
     tol: Annotated[float | str | None, Keyword(
-        error_limit, "Largest error that passes, such as 1e-9rad or 0.1deg (a number is in rad), "
-        "or 3sigma where a series has standard deviations; so for the next three.",
+        error_limit, "Largest error that passes, such as 1e-9rad or 0.1deg (in Python, a number is "
+        "in rad), or 3sigma where a series has standard deviations; so for the next three.",
         "none, all pass", "ANGLE", "Limits", common=True)]
     rms_tol: Annotated[float | str | None, Keyword(
         error_limit, "Largest RMS error that passes.", takes="ANGLE", group="Limits")]
