@@ -34,6 +34,9 @@ ROUNDING = 1e-14
 FLOOR_SHARE = 0.1
 """Share of the tolerance above which errors of the interpolation are remarked on."""
 
+OPPOSED = math.radians(175.0)
+"""Inclination, rad, at which heading means nothing."""
+
 SMALL_ERROR = 0.5
 """Error, rad, below which it makes sense to compare the signs of quaternions."""
 
@@ -103,6 +106,11 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
             window = window_statistics(pairs, measured.alignment, settings.window)
         if settings.in_parts:
             parts = error_parts(pairs, measured.alignment)
+            if parts.inclination.max > OPPOSED:
+                remarks.append(
+                    "the z axes of A and B point in opposite directions, where there is no error "
+                    "in heading to speak of: is one of them north-east-down, and the other one up?"
+                )
         sigmas = sigma_statistics(a, b, pairs, measured.alignment)
     errors = measured.errors()
     final, largest = float(errors[-1]), measured.worst.error_rad

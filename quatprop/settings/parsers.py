@@ -243,7 +243,7 @@ def bias(value: object) -> tuple[float, ...] | StaticBias | str:
         return StaticBias(duration_ns(window)) if window else StaticBias()
     if isinstance(value, str) and value.partition("@")[0].strip() == STATIC:
         start, dots, end = value.partition("@")[2].partition("..")
-        if not dots:
+        if not (start.strip() and dots and end.strip()):
             raise UsageError(f"{shown(value)} is no time range; write static@+10s..+20s")
         return StaticBias(start=moment(start.strip()), end=moment(end.strip()))
     # With commas, it may be an attempt at numbers.

@@ -98,6 +98,15 @@ def test_the_heading_is_the_best_there_is():
     assert chords(best) < min(chords(best - 1e-3), chords(best + 1e-3))
 
 
+def test_opposite_verticals_have_no_heading():
+    """Its error was 180 deg of noise, without a word."""
+    noise = np.random.default_rng(3).normal(0, 1e-4, (len(T_NS), 3))
+    a = AttitudeSeries(T_NS, multiply(exp(noise), turned(180, 0, 90).wxyz))
+    (said,) = compare(a, TRUTH, align="yaw").remarks
+    assert said.startswith("the z axes of A and B point in opposite directions")
+    assert not compare(turned(170, 0, 90), TRUTH, align="yaw").remarks
+
+
 def test_the_command_line_shows_the_parts(tmp_path):
     """Rows, criteria, JSON and the exit code."""
     a = write_attitudes(tmp_path / "a.csv", T_NS, turned(1, 0, 40).wxyz)

@@ -128,6 +128,7 @@ def test_a_rest_holds_the_same_for_every_part_that_is_propagated():
     ("given", "sentence"),
     [
         ("static@+1s", "'static@+1s' is no time range; write static@+10s..+20s"),
+        ("static@+1s..", "'static@+1s..' is no time range; write static@+10s..+20s"),
         ("static@+1s..soon", "'soon'"),
         (
             "static@+9s..+1s",
