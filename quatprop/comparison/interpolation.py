@@ -19,6 +19,7 @@ from quatprop.series.blocks import blocks
 
 if TYPE_CHECKING:
     from quatprop.arrays import Bool, Float64, Int64, Intp
+    from quatprop.kinematics.quintic import Windows
     from quatprop.series import AttitudeSeries
 
 MAX_DEVIATION: Final = 1.0
@@ -44,19 +45,19 @@ def interpolate(series: AttitudeSeries, t_ns: Int64) -> Interpolated:
     `Returns`: at a stamp exactly the sample's attitude
     """
     wxyz, floor = np.empty((len(t_ns), 4)), 0.0
+    steps = np.diff(series.t_ns)
+    windows = windows_over(steps, steps)
     for rows in blocks(len(t_ns)):
-        wxyz[rows], part = _interpolated(series, t_ns[rows])
+        wxyz[rows], part = _interpolated(series, windows, t_ns[rows])
         floor = max(floor, part)
     return Interpolated(wxyz, floor)
 
 
-def _interpolated(series: AttitudeSeries, t_ns: Int64) -> Interpolated:
+def _interpolated(series: AttitudeSeries, windows: Windows, t_ns: Int64) -> Interpolated:
     before = np.clip(np.searchsorted(series.t_ns, t_ns, side="right") - 1, 0, len(series) - 2)
     start, stop = series.t_ns[before], series.t_ns[before + 1]
     fraction = (t_ns - start) / (stop - start)
     turn = _between(series.wxyz[before], series.wxyz[before + 1])
-    steps = np.diff(series.t_ns)
-    windows = windows_over(steps, steps)
     inside = (fraction > 0) & (fraction < 1)
     chosen = np.flatnonzero(inside & windows.usable[before])
     six, four, smooth = _corrections(

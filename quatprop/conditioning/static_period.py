@@ -37,7 +37,7 @@ class StaticPeriod(NamedTuple):
     `scatter_rad_s`: root mean square deviation of the rates from the mean, over all three axes
     `steady`: which signals were found steady: ``"rate"``, ``"accelerometer"``, ``"orientation"``
     `searched_first_ns`, `searched_last_ns`: the part of the log that was searched, ns: all of it,
-        whatever part is propagated; where the rest was given, that
+        whatever part is propagated
     `other`: the rest that differs most, by more than noise; None where there is none
     `levels`: of the axes whose rates are quantised more coarsely than noise hides
     """
