@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from quatprop.check.case import Case, CaseNotRun
 from quatprop.check.suite import CaseTable, Suite, read_suite
-from quatprop.comparison.settings import COMPARE, comparison_settings
+from quatprop.comparison.settings import COMPARE, ERROR_LIMITS, comparison_settings
 from quatprop.errors import QuatpropError, SuiteError, UsageError
 from quatprop.logs.attitude_input import attitude_input
 from quatprop.pipeline.settings import propagation_settings
@@ -30,10 +30,7 @@ if TYPE_CHECKING:
 DEFAULT_TOLERANCE = "1e-9rad"
 """Tolerance for a stored reference, unless the case has its own."""
 
-LIMITS = {
-    *("tol", "rms-tol", "final-tol", "p95-tol", "window-tol", "window-rms-tol"),
-    *("tol-heading", "tol-inclination", "max-sigma"),
-}
+LIMITS = {name.replace("_", "-") for name in ERROR_LIMITS}
 """Keys of limits on the error, of which a case with an independent reference needs one."""
 
 DEFAULT_COVERAGE = "99"

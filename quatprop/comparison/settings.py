@@ -17,6 +17,12 @@ ALIGNMENTS = ("none", "first", "yaw", "mean", "mount")
 BY_ALL = {"yaw", "mean", "mount"}
 """Alignments by all pairs: the error of a steady drift falls to its middle, and then rises."""
 
+ERROR_LIMITS = (
+    *("tol", "rms_tol", "final_tol", "p95_tol", "window_tol", "window_rms_tol"),
+    *("tol_heading", "tol_inclination", "max_sigma"),
+)
+"""Settings that limit the error itself; others limit its drift, and what was compared."""
+
 MATCHES = ("exact", "nearest", "interpolate")
 """How attitudes are matched in time: equal stamps, the nearest sample, interpolation."""
 
@@ -91,10 +97,7 @@ class ComparisonSettings:
     @property
     def smallest_limit_rad(self) -> float:
         """The smallest limit on an error, rad; infinite where there is none."""
-        limits = (
-            *(self.tol, self.rms_tol, self.final_tol, self.p95_tol),
-            *(self.window_tol, self.window_rms_tol, self.tol_heading, self.tol_inclination),
-        )
+        limits = (getattr(self, name) for name in ERROR_LIMITS)
         return min((each for each in limits if isinstance(each, float | int)), default=math.inf)
 
     @property

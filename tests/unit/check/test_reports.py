@@ -63,6 +63,21 @@ def test_a_suite_of_which_no_log_can_be_used_is_not_left_behind(folder):
     assert list(lock_of(suite)) == ["spin"]
 
 
+@pytest.mark.parametrize(("limit", "code"), [("1deg", 0), ("1e-9deg", 1)])
+def test_any_limit_on_the_error_is_a_tolerance(folder, limit, code):
+    """Beside `tol` alone, a case was refused for having none; --explain left the others out."""
+    pinned(folder, TRUTH)
+    case = TRUTH.replace('tol = "0.1deg"', f'align = "yaw"\ntol-inclination = "{limit}"')
+    suite = write_suite(folder, case)
+    result = check(suite)
+    assert result.exit_code == code, result.output
+    assert ("error in inclination" in result.stdout) == bool(code)
+    explained = check(suite, "--explain").stdout
+    assert "judged by" in explained
+    assert " alignment yaw\n" in explained
+    assert f"tol-inclination {limit}\n" in explained
+
+
 def test_a_case_can_be_explained(folder):
     """What it depends on, what of it has changed, and how it is judged; nothing is run."""
     suite = write_suite(folder, stored("spin", "spin.csv", 'method = "mean"') + TRUTH)
