@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from contextlib import suppress
 from decimal import Decimal
 from functools import reduce
@@ -56,6 +57,8 @@ SAMPLED, SAMPLED_BYTES = 50, 1 << 20
 
 AXES = ("x", "y", "z", "w")
 """The order of components; JSON objects have none."""
+
+_MANY_PLACES = re.compile(rb"[eE]-\d{3}|\d{200}")
 
 
 def message_type(channel: Channel) -> Struct:
@@ -179,9 +182,14 @@ class JsonDecoder(ValueDecoder):
             )
             if len(table) != sum(map(len, blocks)):
                 return None
-            return [_stacked(table, wanted) for wanted in self.wanted]
+            columns = [_stacked(table, wanted) for wanted in self.wanted]
         except (pa.ArrowException, _MisreadError):
             return None
+        exact = (c for c, wanted in zip(columns, self.wanted, strict=True) if _is_exact(wanted))
+        # Arrow reads some decimals of more than 200 places as zero.
+        if any((column == 0).any() for column in exact) and _MANY_PLACES.search(document):
+            return None
+        return columns
 
     def _parsed(self, raw: bytes) -> Any:
         return json.loads(raw, parse_float=Decimal)

@@ -217,6 +217,14 @@ def test_all_at_once_is_one_by_one(messages):
         np.testing.assert_array_equal(found.astype(float), expected.astype(float))
 
 
+@pytest.mark.parametrize("number", ["2.1099891540908808e-206", "1E-267", f"-0.{'0' * 221}1"])
+def test_a_tiny_number_is_not_zero(number):
+    """Arrow reads a decimal of 222 to 224 or 267 places as zero, and so did the decoder."""
+    block = encoded([b'{"t": %s}' % number.encode(), b'{"t": 0}'])
+    decoder = JsonDecoder(channel_of({"t": 1.5}), ["t"], "log")
+    assert decoder.columns(block)[0].tolist() == [Decimal(number), 0]
+
+
 def test_numbers_by_themselves_are_exact_either_way():
     """They may be times."""
     block = encoded([b'{"t": 1700000000.123456789123}', b'{"t": 3}'])
