@@ -99,8 +99,8 @@ def remarks_on(
         first, second, third = (name.rpartition("_")[0] for name in form.columns)
         yield (
             f"{singular} rows are within {NEAR_LOCK_DEG} deg of {second} "
-            f"{' or '.join(map(str, form.lock_deg))} deg (gimbal lock), where {first} and {third} "
-            "cannot be distinguished: they share the rotation equally and jump from row to row; "
+            f"{' or '.join(map(str, form.lock_deg))} deg (gimbal lock), where only the sum or the "
+            f"difference of {first} and {third} is determined, and each jumps from row to row; "
             "together they are still the attitude"
         )
     output, meaning = job.output, job.meaning
