@@ -5,6 +5,8 @@ from __future__ import annotations
 from itertools import chain
 from typing import TYPE_CHECKING, Protocol
 
+import numpy as np
+
 from quatprop.conditioning import condition
 from quatprop.conditioning.time_range import clipping_remarks
 from quatprop.errors import NoSamplesError, SeriesError, TimelineError
@@ -96,7 +98,7 @@ class AttitudeStream:
 
     def __iter__(self) -> Iterator[AttitudeSeries]:
         """Yield the attitudes in batches, once."""
-        rates = self._checks.observe(self._batches)
+        rates, settings = self._checks.observe(self._batches), self._settings
         if self._observer is not None:
             rates = self._observer.rates(rates)
         used = self._timeline.measured(rates)
@@ -111,13 +113,15 @@ class AttitudeStream:
         attitudes = self._segments.attitudes(
             chain([first], used),
             sensitivity=self._sensitivity,
-            covariance=self._settings.errors.sigma,
+            covariance=settings.errors.sigma,
             rate=self._rate,
         )
+        if settings.earth_rate is not None:
+            attitudes = settings.earth_rate.taken_off(attitudes, int(first.t_ns[0]))
         if self._observer is not None:
             attitudes = self._observer.attitudes(attitudes)
         try:
-            for series in every(attitudes, self._settings.every or 1):
+            for series in every(attitudes, settings.every or 1):
                 self._rows += len(series)
                 yield series
         except SeriesError as error:
@@ -161,10 +165,15 @@ class AttitudeStream:
         settings, source, log = self._settings, self._source, self._log
         counts = self._timeline.counts
         span_s = counts.span_ns * 1e-9
-        sensitivity = self._segments.sensitivity
+        sensitivity, final = self._segments.sensitivity, self._segments.final
         method_rad, sampling_rad = (
-            (None, None) if sensitivity is None else sensitivity.angles(self._segments.final)
+            (None, None) if sensitivity is None else sensitivity.angles(final)
         )
+        if (earth := settings.earth_rate) is not None:
+            # Of one attitude; the method makes the same difference against either reference.
+            (final,) = earth.against_ground(
+                final[None], np.array([counts.last_ns]), counts.first_ns or 0
+            )
         return RunReport(
             source=SourceReport(
                 path=without_secret(self._path),
@@ -184,6 +193,7 @@ class AttitudeStream:
                 layout=layout,
                 q0_wxyz=self._q0,
                 q0_from=settings.q0.origin,
+                earth_rate_rad_s=None if earth is None else earth.rate,
             ),
             policy=settings.policy,
             counts=counts,
@@ -200,8 +210,8 @@ class AttitudeStream:
                 span_s=span_s,
                 sample_rate_hz=(counts.used - 1) / span_s if span_s > 0 else None,
                 rows=self._rows,
-                final_wxyz=self._segments.final,
-                net_rotation_rad=float(geodesic_angle(self._q0, self._segments.final)),
+                final_wxyz=final,
+                net_rotation_rad=float(geodesic_angle(self._q0, final)),
                 method_sensitivity_rad=method_rad,
                 next_method=None if sensitivity is None else sensitivity.next_method,
                 sampling_sensitivity_rad=sampling_rad,

@@ -27,6 +27,7 @@ from quatprop.settings.parsers import (
     mounting,
     number,
     path,
+    place,
     text,
 )
 from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES, RATIOS, quantity_of
@@ -164,19 +165,25 @@ class PropagateOptions(RateOptions, total=False):
         "start; end where the log's samples are averages or increments",
         group="Integration", common=True)]
     rates: Annotated[str | None, Keyword(
-        Choice(*FRAMES), "Frame the rates are resolved in: body multiplies right, inertial left.",
-        "body", group="Integration")]
+        Choice(*FRAMES), "Frame the rates are resolved in: body multiplies right, inertial (or "
+        "reference: in the axes of the reference) left.", "body", group="Integration")]
+    earth_rate: Annotated[float | Collection[float] | None, Keyword(
+        place, "Take off the rotation of the Earth at this latitude, deg: attitudes against the "
+        "ground. The reference is east-north-up, or north-east-down if its z axis points down; "
+        "AZIMUTH is that of another x axis, deg clockwise from north.", "attitudes against a "
+        "reference that does not turn", "LAT[,AZIMUTH]", "Integration")]
     q0: Annotated[str | PathLike[str] | Collection[float] | None, Keyword(
         initial_attitude, "First attitude, body-to-ref: four numbers; level, roll and pitch from "
         "gravity at rest; log, the orientation beside the rates; or FILE, an attitude series, or "
         "TOPIC of the log, at that time.", "identity", "W,X,Y,Z|level|log|FILE|TOPIC", "Initial "
         "attitude", common=True)]
     heading: Annotated[float | None, Keyword(
-        number, f"For {Setting('q0', 'level')}: rotation about the reference's z axis, deg.", "0",
-        "DEG", "Initial attitude")]
+        number, f"For {Setting('q0', 'level')}: rotation about the reference's z axis, deg, right-"
+        f"handed: 90 points body x along the reference's y.", "0", "DEG", "Initial attitude")]
     reference_z: Annotated[str | None, Keyword(
-        Choice("up", "down"), f"For {Setting('q0', 'level')}: where the reference's z axis points "
-        f"(down for north-east-down).", "up", group="Initial attitude")]
+        Choice("up", "down"), f"For {Setting('q0', 'level')} and {Setting('earth_rate')}: where "
+        f"the reference's z axis points (down for north-east-down).", "up", group="Initial "
+        "attitude")]
     q0_layout: Annotated[str | None, Keyword(
         Choice(*LAYOUTS), f"Order of the four numbers of {Setting('q0')}.", "scalar-first",
         group="Initial attitude")]

@@ -81,7 +81,9 @@ def path(value: object) -> str:
 
 def choice_named(value: str, names: Iterable[str]) -> str:
     """Return the one of some names that is meant, in capitals or not; else the value itself."""
-    name = {"dps": "deg/s"}.get(value.lower(), value.lower())
+    name = value.lower()
+    if name not in names:
+        name = {"dps": "deg/s", "reference": "inertial"}.get(name, name)
     return name if name in names else value
 
 
@@ -118,6 +120,15 @@ def column_list(names: str) -> Callable[[object], tuple[str, ...]]:
         return parts
 
     return parse_columns
+
+
+def place(value: object) -> tuple[float, ...]:
+    """Return a latitude, and the azimuth of the reference's x axis where it is given, deg."""
+    names = "LAT,AZIMUTH" if len(_parts(value)) > 1 else "LAT"
+    numbers = number_list(names)(value)
+    if abs(numbers[0]) > 90:  # noqa: PLR2004  # the poles
+        raise UsageError(f"{shown(value)} is no latitude: it is from -90 to 90 deg, north positive")
+    return numbers
 
 
 def number_list(names: str) -> Callable[[object], tuple[float, ...]]:
