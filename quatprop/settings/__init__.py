@@ -11,7 +11,7 @@ from collections.abc import Collection, Sequence
 from datetime import datetime, timedelta
 from fractions import Fraction
 from os import PathLike
-from typing import Annotated, TypedDict
+from typing import Annotated, Any, Protocol, TypedDict
 
 from quatprop.settings.keyword import Keyword, keywords_of
 from quatprop.settings.parsers import (
@@ -33,6 +33,14 @@ from quatprop.settings.parsers import (
 from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES, RATIOS, quantity_of
 from quatprop.stores.kinds import READERS
 from quatprop.text import Setting
+
+
+class Rotated(Protocol):
+    """A rotation, such as scipy's."""
+
+    def as_matrix(self) -> Any:
+        """Return its matrix, shape ``(3, 3)``."""
+
 
 LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
 RATE_UNITS = ("rad/s", "deg/s")
@@ -197,10 +205,11 @@ class PropagateOptions(RateOptions, total=False):
         path, "Scale, misalignment and bias of the gyroscope: YAML or JSON with matrix (3x3) and "
         "bias (rad/s), applied as matrix (w - bias), or kalibr's file of an IMU.", takes="FILE",
         group="Rates")]
-    mount: Annotated[str | Collection[float] | None, Keyword(
+    mount: Annotated[str | Collection[float] | Rotated | None, Keyword(
         mounting, "Sensor axes to body axes: a quaternion with v_body = m v_sensor m*, the sensor "
-        "axes that become x, y and z, or those of a frame by the log's own /tf_static.", "the same",
-        "W,X,Y,Z|x,-y,-z|tf:FRAME", "Rates", common=True)]
+        "axes that become x, y and z, roll, pitch and yaw of the sensor in the body (deg, as in "
+        "URDF), a name such as frd-to-flu, or those of a frame by the log's own /tf_static.", "the "
+        "same", "W,X,Y,Z|x,-y,-z|rpy:R,P,Y|NAME|tf:FRAME", "Rates", common=True)]
     on_backwards: Annotated[str | None, Keyword(
         Choice("error", "drop", "sort"), "Timestamps that go backwards: refuse, drop until the "
         "clock has caught up, or sort (holds the log in memory); drop and sort leave out "

@@ -267,8 +267,17 @@ def bias(value: object) -> tuple[float, ...] | StaticBias | str:
 
 
 def mounting(value: object) -> str:
-    """Return three signed axes or a quaternion as text, for the conditioning to read."""
-    return value if isinstance(value, str) else ",".join(str(part) for part in _parts(value))
+    """Return axes, a name or a quaternion as text, for the conditioning to read.
+
+    `value`: text, four numbers, a matrix of shape ``(3, 3)``, or a rotation of scipy
+    """
+    if isinstance(value, str):
+        return value
+    as_matrix = getattr(value, "as_matrix", None)
+    parts = _parts(value if as_matrix is None else as_matrix())
+    # The rows of a matrix one after the other.
+    rows = [_parts(part) if not isinstance(part, str) else [part] for part in parts]
+    return ",".join(str(part) for row in rows for part in row)
 
 
 def _parts(value: object) -> list[object]:
