@@ -20,6 +20,8 @@ from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
+from quatprop.series.columns import stamps_of
+from quatprop.settings.parsers import InMemory
 from quatprop.settings.quantities import RATES
 from quatprop.stores.objects import without_secret
 from quatprop.tables.base import TableLog
@@ -256,6 +258,9 @@ class AttitudeStream:
 
 def _times(settings: PropagationSettings) -> Times | None:
     """Return when attitudes are wanted; None is at the samples."""
+    if isinstance(settings.at, InMemory):
+        at = settings.at.value
+        return Listed(np.sort(stamps_of("at", getattr(at, "t_ns", at))))
     if settings.at is not None:
         from quatprop.logs.interpolation import stamps_in
 

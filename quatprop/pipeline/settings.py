@@ -17,7 +17,7 @@ from quatprop.errors import UsageError
 from quatprop.pipeline.earth_rate import EarthRate
 from quatprop.pipeline.gyro_errors import ErrorSettings
 from quatprop.pipeline.initial_attitude import InitialAttitude
-from quatprop.settings.parsers import FROM_THE_LOG, StaticBias, file_beside
+from quatprop.settings.parsers import FROM_THE_LOG, InMemory, StaticBias, file_beside
 from quatprop.settings.selection import RateSelection
 from quatprop.settings.values import as_text, parse_all
 from quatprop.stores.objects import is_address, without_secret
@@ -64,7 +64,7 @@ class PropagationSettings:
     conditioning: GyroCorrection = field(default_factory=GyroCorrection)
     every: int | None = None
     rate: Fraction | None = None
-    at: str | None = None
+    at: str | InMemory | None = None
     threads: int | None = field(default=None, repr=False, compare=False)
     errors: ErrorSettings = field(default_factory=ErrorSettings)
     given: Mapping[str, str | bool] = field(default_factory=dict, repr=False, compare=False)
@@ -111,7 +111,8 @@ class PropagationSettings:
     @property
     def needs_second_read(self) -> bool:
         """Whether the log has to be read before it is propagated; stdin cannot be."""
-        is_topic = bool(self.q0.source) and "q0" not in self.inputs
+        source = self.q0.source
+        is_topic = isinstance(source, str) and bool(source) and "q0" not in self.inputs
         return self.conditioning.looks_ahead or is_topic
 
     @property
@@ -127,7 +128,9 @@ class PropagationSettings:
         return {
             name: path
             for name, path in named.items()
-            if path and (is_address(path) or file_beside(name, path, Path()))
+            if path
+            and isinstance(path, str)
+            and (is_address(path) or file_beside(name, path, Path()))
         }
 
 
@@ -204,11 +207,11 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
         selection=RateSelection.of(values),
         policy=Policy(max_gap_ns=values.get("max_gap"), **_named(Policy, values)),
         conditioning=GyroCorrection(
-            bias_from=bias if isinstance(bias, str) else None,
+            bias_from=bias if isinstance(bias, str | InMemory) else None,
             static=bias if isinstance(bias, StaticBias) else None,
             **{
                 **_named(GyroCorrection, values),
-                "bias": None if isinstance(bias, str | StaticBias) else bias,
+                "bias": None if isinstance(bias, str | StaticBias | InMemory) else bias,
             },
         ),
         errors=ErrorSettings(**_named(ErrorSettings, values)),

@@ -29,6 +29,7 @@ from quatprop.settings.parsers import (
     path,
     place,
     text,
+    times,
 )
 from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES, RATIOS, quantity_of
 from quatprop.stores.kinds import READERS
@@ -40,6 +41,14 @@ class Rotated(Protocol):
 
     def as_matrix(self) -> Any:
         """Return its matrix, shape ``(3, 3)``."""
+
+
+class Timed(Protocol):
+    """A series of rates or of attitudes."""
+
+    @property
+    def t_ns(self) -> Any:
+        """Its stamps, shape ``(N,)``, ns."""
 
 
 LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
@@ -180,7 +189,8 @@ class PropagateOptions(RateOptions, total=False):
         "ground. The reference is east-north-up, or north-east-down if its z axis points down; "
         "AZIMUTH is that of another x axis, deg clockwise from north.", "attitudes against a "
         "reference that does not turn", "LAT[,AZIMUTH]", "Integration")]
-    q0: Annotated[str | PathLike[str] | Collection[float] | None, Keyword(
+    q0: Annotated[
+        str | PathLike[str] | Collection[float] | Rotated | Timed | None, Keyword(
         initial_attitude, "First attitude, body-to-ref: four numbers; level, roll and pitch from "
         "gravity at rest; log, the orientation beside the rates; or FILE, an attitude series, or "
         "TOPIC of the log, at that time.", "identity", "W,X,Y,Z|level|log|FILE|TOPIC", "Initial "
@@ -195,7 +205,7 @@ class PropagateOptions(RateOptions, total=False):
     q0_layout: Annotated[str | None, Keyword(
         Choice(*LAYOUTS), f"Order of the four numbers of {Setting('q0')}.", "scalar-first",
         group="Initial attitude")]
-    bias: Annotated[str | PathLike[str] | Collection[float] | None, Keyword(
+    bias: Annotated[str | PathLike[str] | Collection[float] | Timed | None, Keyword(
         bias, f"Subtracted from the rates; in {Setting('rate_unit')}. static takes the mean rate "
         f"over a rest of at least DUR (1s), found in the whole log by rate, accelerometer and "
         f"orientation, or over the rest from START to END; FILE or TOPIC is a series of biases, "
@@ -231,9 +241,9 @@ class PropagateOptions(RateOptions, total=False):
     rate: Annotated[float | Fraction | str | None, Keyword(
         frequency, "Rate of the attitudes: exact at its times under the method.", "at the samples",
         "HZ", "Output", common=True)]
-    at: Annotated[str | PathLike[str] | None, Keyword(
-        path, "Write attitudes at the stamps of this series of attitudes or rates, exact under the "
-        "method; times outside the log are left out.", "at the samples", "FILE", "Output")]
+    at: Annotated[str | PathLike[str] | Timed | Collection[Any] | None, Keyword(
+        times, "Write attitudes at the stamps of this series of attitudes or rates, exact under "
+        "the method; times outside the log are left out.", "at the samples", "FILE", "Output")]
     threads: Annotated[int | None, Keyword(
         count, "Threads that compute at a time; the output is the same for any number.", "the "
         "cores of this machine", "N", "Execution")]

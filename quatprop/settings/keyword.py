@@ -16,6 +16,8 @@ PYTHON_TYPES = {
     "Fraction": "float",
     "Collection": "sequence",
     "Sequence": "sequence",
+    "Rotated": "Rotation",
+    "Timed": "series",
 }
 """What documents call types, where that is not their own name."""
 

@@ -40,6 +40,17 @@ MIN_FREQUENCY = Decimal("1e-9")
 """Hz: an interval of 31 years."""
 
 
+class InMemory:
+    """A value that has no text: times, or a series, in a program that uses the library."""
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+    def __str__(self) -> str:
+        """Return it as it is recorded."""
+        return "in memory"
+
+
 class StaticBias(NamedTuple):
     """Take the mean rate at rest as the bias.
 
@@ -230,8 +241,22 @@ def file_beside(name: str, text: str, folder: Path) -> Path | None:
     return path if path.exists() or not (words or "," in text) else None
 
 
-def initial_attitude(value: object) -> tuple[float, ...] | str:
-    """Return four numbers, ``"level"``, ``"log"``, or an attitude series: a path or a topic."""
+def times(value: object) -> str | InMemory:
+    """Return the path of a series, or times in memory."""
+    is_times = isinstance(value, Iterable) and not isinstance(value, str)
+    return InMemory(value) if is_times else path(value)
+
+
+def initial_attitude(value: object) -> tuple[float, ...] | str | InMemory:
+    """Return four numbers, ``"level"``, ``"log"``, or an attitude series: a path or a topic.
+
+    `value`: text, four numbers, a series in memory, or a rotation of scipy
+    """
+    if hasattr(value, "t_ns"):
+        return InMemory(value)
+    if (as_quat := getattr(value, "as_quat", None)) is not None:
+        x, y, z, w = _parts(as_quat())
+        value = (w, x, y, z)
     if isinstance(value, str) and value in FROM_THE_LOG:
         return value
     if not _is_name(value):
@@ -245,8 +270,10 @@ def initial_attitude(value: object) -> tuple[float, ...] | str:
     return path(value)
 
 
-def bias(value: object) -> tuple[float, ...] | StaticBias | str:
-    """Return three rates, rest, or a series of biases: a path or a topic."""
+def bias(value: object) -> tuple[float, ...] | StaticBias | InMemory | str:
+    """Return three rates, rest, or a series of biases: a path, a topic or a series in memory."""
+    if hasattr(value, "t_ns"):
+        return InMemory(value)
     if isinstance(value, StaticBias):
         return value
     if isinstance(value, str) and value.partition(":")[0].strip() == STATIC:
