@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.result import Comparison
     from quatprop.conversion.job import ConversionReport
-    from quatprop.settings import Rotated
+    from quatprop.settings import Convention, Direction, Layout, Rotated, Sign
 
 
 @with_keywords_of(CompareOptions, log="`b`")
@@ -72,7 +72,7 @@ def write(
     path: StrPath,
     *,
     to: str | None = None,
-    layout: str | None = None,
+    layout: Layout | None = None,
     extra_columns: str | None = None,
     **unknown: object,
 ) -> None:
@@ -135,11 +135,11 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     output: StrPath,
     *,
     to: str | None = None,
-    layout: str | None = None,
+    layout: Layout | None = None,
     extra_columns: str | None = None,
-    convention: str = "hamilton",
-    direction: str = "body-to-ref",
-    sign: str = "keep",
+    convention: Convention = "hamilton",
+    direction: Direction = "body-to-ref",
+    sign: Sign = "keep",
     representation: str = "quaternion",
     left: str | Collection[float] | Rotated | None = None,
     right: str | Collection[float] | Rotated | None = None,

@@ -15,6 +15,7 @@ PYTHON_TYPES = {
     "PathLike": "path",
     "Fraction": "float",
     "Collection": "sequence",
+    "Literal": "str",
     "Sequence": "sequence",
     "Rotated": "Rotation",
     "Timed": "series",
