@@ -73,6 +73,18 @@ def test_a_file_gives_the_options_of_a_run(folder):
     assert "method      mean" in again.stderr
 
 
+def test_none_takes_back_what_a_configuration_gives(folder):
+    """A rate in a file could be replaced, but not left out."""
+    Path("more.toml").write_text(
+        'rate = "50 Hz"\non-gap = "zero"\nmax-gap = "1s"\ntopic = "/imu"\n'
+    )
+    line = ("propagate", "tumbling.bag", "-o", "a.parquet", "--config", "more.toml")
+    assert "500 of them written" in run(*line, code=0).stderr
+    run(*line, *(text for name in settings for text in (f"--{name}", "none")), code=0)
+    run("propagate", "tumbling.bag", "-o", "b.parquet", code=0)
+    assert Path("a.parquet").read_bytes() == Path("b.parquet").read_bytes()
+
+
 @pytest.mark.parametrize("name", ["bias.toml", "imu.toml", "mark.toml"])
 def test_a_file_that_a_key_names_is_beside_the_configuration(folder, monkeypatch, name):
     """Wherever the command is started: not there, it cannot be read."""
