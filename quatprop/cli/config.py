@@ -122,5 +122,6 @@ config_option = click.option(
     expose_value=False,
     callback=_read,
     help="Take options from a TOML file: its keys are their names, as in a suite, and paths are "
-    "relative to it. What is on the command line comes first; none takes an option back.  [default: none]",
+    "relative to it. What is on the command line comes first; none takes an option back.  "
+    "[default: none]",
 )

@@ -73,11 +73,11 @@ def test_a_file_gives_the_options_of_a_run(folder):
     assert "method      mean" in again.stderr
 
 
-def test_none_takes_back_what_a_configuration_gives(folder):
+@pytest.mark.usefixtures("folder")
+def test_none_takes_back_what_a_configuration_gives():
     """A rate in a file could be replaced, but not left out."""
-    Path("more.toml").write_text(
-        'rate = "50 Hz"\non-gap = "zero"\nmax-gap = "1s"\ntopic = "/imu"\n'
-    )
+    settings = {"rate": "50 Hz", "on-gap": "zero", "max-gap": "1s", "topic": "/imu"}
+    Path("more.toml").write_text("".join(f'{key} = "{settings[key]}"\n' for key in settings))
     line = ("propagate", "tumbling.bag", "-o", "a.parquet", "--config", "more.toml")
     assert "500 of them written" in run(*line, code=0).stderr
     run(*line, *(text for name in settings for text in (f"--{name}", "none")), code=0)
