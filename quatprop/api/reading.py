@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 from inspect import cleandoc
-from typing import TYPE_CHECKING, TypeAlias, TypeVar, Unpack
+from typing import TYPE_CHECKING, TypeAlias, TypeVar, Unpack, cast
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from quatprop.settings.values import parse_all
 from quatprop.text import Setting, spelled
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
     from os import PathLike
 
     from quatprop.tables.log import Loss
@@ -44,13 +44,14 @@ def with_keywords_of(
 
 
 @with_keywords_of(RateOptions)
-def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
+def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[RateOptions]) -> GyroSeries:
     """Read the body rates of a log.
 
     Parameters
     ----------
     log
-        A file, a ROS 2 bag folder, or the address of one in an object store.
+        A file, a ROS 2 bag folder, or the address of one in an object store; several files of one
+        recording are read as one log, in the order of their times.
     **options
         What to read of it, and what its numbers mean.
 
@@ -72,12 +73,13 @@ def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
     RemarkWarning
         Something was inferred, or looks wrong.
     """
-    from quatprop.logs.open_log import open_log
+    from quatprop.logs.joined import open_logs
     from quatprop.logs.signals.rates import choose_rates
     from quatprop.settings.selection import RateSelection
 
-    path, values = path_text("log", log), parse_all(options, READ_RATES)
-    with open_log(path, values.get("kind"), msg_path=values.get("msg_path")) as opened:
+    paths, values = paths_of("log", log), parse_all(options, READ_RATES)
+    path = " + ".join(paths)
+    with open_logs(paths, values.get("kind"), msg_path=values.get("msg_path")) as opened:
         signal = choose_rates(opened, RateSelection.of(values))
         batches = list(signal.batches())
         warn(path, opened.losses, (*signal.remarks, *opened.remarks))
@@ -128,6 +130,12 @@ def path_text(name: str, path: StrPath, hint: str = "") -> str:
     except UsageError as error:
         hint = f"; {hint}" if hint and not isinstance(path, str) else ""
         raise UsageError(f"{Setting(name)}: {error.text}{hint}") from None
+
+
+def paths_of(name: str, paths: StrPath | Sequence[StrPath], hint: str = "") -> list[str]:
+    """Return one path, or several, as texts."""
+    several = paths if isinstance(paths, list | tuple) and paths else [paths]
+    return [path_text(name, path, hint) for path in cast("Sequence[StrPath]", several)]
 
 
 def warn(

@@ -204,7 +204,8 @@ EVERY_LOG = {
     "--rate": "50", "--at": __file__, "--from": "csv", "--topic": "/imu",
     "--msg-path": __file__, "--rate-field": "a.b", "--series": "gyro",
     "--time-field": "a.t", "--rate-cols": "1,2,3", "--time-col": "0", "--rate-unit": "deg/s",
-    "--time-unit": "ms", "--sample-rate": "10", "--clock": "log",
+    "--time-unit": "ms", "--sample-rate": "10", "--clock": "log", "--earth-rate": "45",
+    "--accel-cols": "4,5,6",
 }  # fmt: skip
 """Option of propagate that holds for every log -> a value that is not its default."""
 
