@@ -32,7 +32,7 @@ would amplify noise, and a long interval is likely to be a gap."""
 
 MAX_RATIO_ONE_SIDED: Final = 2.0
 """The same for a parabola through the samples of one side alone, which extrapolates more. Where
-samples are averages, only the coning depends on it, and :data:`MAX_RATIO` is the limit there too."""
+samples are averages, only the coning depends on it: there too, the limit is :data:`MAX_RATIO`."""
 
 MAX_SPAN_RATIO: Final = 1.5
 """Stamps further apart than this many times the integration of an increment: one is missing."""

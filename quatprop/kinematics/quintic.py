@@ -135,13 +135,19 @@ def quintic_of_averages(
     `integration_time_ns`: for increments: the time over which each was integrated, shape ``(N,)``,
         int64, ns
     """
-    steps = lengths = np.diff(t_ns)
-    if integration_time_ns is not None:
-        # A repeated message is no interval of its own.
-        lengths = np.where(steps > 0, integration_time_ns[1:], 0)
+    steps, lengths = steps_and_lengths(t_ns, integration_time_ns)
     nodes_ns = np.concatenate([[0], np.cumsum(lengths)])
     average = np.ascontiguousarray(rate[:, 1:])
     return _through(nodes_ns, average, windows_over(steps, lengths, gap_ns), is_integral=True)
+
+
+def steps_and_lengths(t_ns: Int64, integration_time_ns: Int64 | None) -> tuple[Int64, Int64]:
+    """Return the times between stamps, and those over which is integrated, ``(M,)``, ns."""
+    steps = np.diff(t_ns)
+    if integration_time_ns is None:
+        return steps, steps
+    # A repeated message is no interval of its own.
+    return steps, np.where(steps > 0, integration_time_ns[1:], 0)
 
 
 class Windows(NamedTuple):
