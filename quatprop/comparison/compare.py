@@ -14,6 +14,7 @@ from quatprop.comparison.association import Matching, Pairs, associate, shifted
 from quatprop.comparison.clocks import find_offset
 from quatprop.comparison.diagnosis import NO_ERROR, likely_cause
 from quatprop.comparison.heading import error_parts
+from quatprop.comparison.judged import Judged, judged
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judge
 from quatprop.comparison.settings import ComparisonSettings
 from quatprop.comparison.statistics import sigma_statistics, window_statistics
@@ -52,26 +53,31 @@ def compare(
     offset = AppliedOffset(found.ns if found else int(settings.time_offset), found)
     b = shifted(b, offset.added_to_b_ns)
     pairs = associate(a, b, settings)
+    matching, part = Matching.from_pairs(pairs), None
+    if settings.judge:
+        pairs, part = judged(pairs, settings.judge)
     measured = ErrorAccumulator(
         pairs.at, align(settings.align, pairs.a, pairs.b), settings.limit_rad
     )
     measured.add(pairs.t_ns, pairs.index, pairs.a, pairs.b)
+    wanted = b if part is None else part.part_of(b)
     reference = CoveredTime()
-    for rows in blocks(len(b)):
-        reference.add(b.t_ns[rows])
+    for rows in blocks(len(wanted)):
+        reference.add(wanted.t_ns[rows])
     counted = pairs.match == "exact" or pairs.at == "B"
     coverage = Coverage(
-        measured.covered.share_of(reference), 100 * len(pairs) / len(b) if counted else None
+        measured.covered.share_of(reference), 100 * len(pairs) / len(wanted) if counted else None
     )
     return build_comparison(
         a,
         b,
         settings,
         measured,
-        Matching.from_pairs(pairs),
+        matching,
         offset,
         coverage,
         pairs=pairs,
+        part=part,
         left_out=lost_of_a + lost_of_b,
         remarks=remarks,
     )
@@ -87,12 +93,14 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
     coverage: Coverage,
     *,
     pairs: Pairs | None = None,
+    part: Judged | None = None,
     left_out: int = 0,
     remarks: Sequence[str] = (),
 ) -> Comparison:
     """Judge and explain errors, once all are measured.
 
     `pairs`: what was compared; None where the result need not have it, nor the errors
+    `part`: which pairs are judged; None: all
     """
     remarks = [*remarks]
     window = parts = sigmas = None
@@ -132,6 +140,7 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
         pairs=pairs,
         errors=np.empty(0) if pairs is None else errors,
         association=association,
+        judged=part,
         time_offset=time_offset,
         alignment=measured.alignment,
         error_rad=measured.statistics(rising, final),
@@ -148,6 +157,8 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
     )
     criteria = tuple(judge(settings, comparison))
     passed = all(criterion.passed for criterion in criteria) if criteria else None
+    if part is not None:
+        a, b = part.part_of(a), part.part_of(b)
     cause = None if passed else likely_cause(a, b, settings, rising)
     return replace(comparison, criteria=criteria, passed=passed, likely_cause=cause)
 

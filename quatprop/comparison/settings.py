@@ -1,15 +1,18 @@
 """How two attitude series are compared: the settings, and the texts in which users write them."""
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal, TypedDict, Unpack
+from datetime import datetime
+from typing import Annotated, Literal, NamedTuple, TypedDict, Unpack
 
 from quatprop.errors import UsageError
 from quatprop.settings.keyword import Keyword, keywords_of
-from quatprop.settings.parsers import Choice, duration, length, number
+from quatprop.settings.parsers import Choice, duration, length, moment, number
 from quatprop.settings.quantities import RAD_PER_UNIT, quantity, quantity_of
 from quatprop.settings.values import parse_all
 from quatprop.text import Setting, quoted, shown
+from quatprop.times import Instant
 
 ALIGNMENTS = ("none", "first", "yaw", "mean", "mount")
 """Which frames of B are rotated before the comparison."""
@@ -40,6 +43,16 @@ class Sigmas:
         return f"{self.count:g}sigma"
 
 
+class TimeRange(NamedTuple):
+    """A time range, ends included."""
+
+    start: Instant
+    end: Instant
+
+    def __str__(self) -> str:
+        return f"{self.start}..{self.end}"
+
+
 @dataclass(frozen=True, slots=True)
 class ComparisonSettings:
     """How to compare two attitude series A and B.
@@ -62,6 +75,7 @@ class ComparisonSettings:
     `max_dt`: how far a sample may be from its partner, ns; None: depends on the median interval
     `min_matched`: percentage of the samples in the common time that must be matched, 0 to 100
     `window`: also compare the rotations over windows of this length, ns; None: no windows
+    `judge`: only pairs in these time ranges count; none: all do
     """
 
     tol: float | Sigmas | None = None
@@ -81,6 +95,7 @@ class ComparisonSettings:
     max_dt: int | None = None
     min_matched: float = 50.0
     window: int | None = None
+    judge: tuple[TimeRange, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("window_tol", "window_rms_tol"):
@@ -138,6 +153,22 @@ def _percentage(value: object) -> float:
     if not 0 <= percentage <= 100:  # noqa: PLR2004  # percent
         raise UsageError(f"{quoted(value)} is not a percentage from 0 to 100")
     return percentage
+
+
+def time_ranges(value: object) -> tuple[TimeRange, ...]:
+    """Return time ranges: text such as ``"+10s..+20s,+30s..+40s"``, or pairs of instants."""
+    ranges = []
+    for part in value.split(",") if isinstance(value, str) else _items(value):
+        ends = part.split("..") if isinstance(part, str) else _items(part)
+        if len(ends) != 2:  # noqa: PLR2004  # start and end
+            raise UsageError(f"{shown(part)} is no time range; write START..END, as +10s..+20s")
+        first, last = (end.strip() if isinstance(end, str) else end for end in ends)
+        ranges.append(TimeRange(moment(first), moment(last)))
+    return tuple(ranges)
+
+
+def _items(value: object) -> list[object]:
+    return list(value) if isinstance(value, Iterable) else [value]
 
 
 def _sigmas(value: object) -> Sigmas:
@@ -209,6 +240,10 @@ class CompareOptions(TypedDict, total=False):
     window: Annotated[int | str | None, Keyword(
         length, "Also compare the rotations over windows of this length.", takes="DUR",
         group="Alignment", common=True)]
+    judge: Annotated[str | Sequence[Sequence[str | int | datetime]] | None, Keyword(
+        time_ranges, "Judge these times alone, such as +10s..+20s,+45s..-5s: of all pairs, those "
+        "from the first to the last of each range; +10s is after the first pair, -5s before the "
+        "last.", "all", "START..END,...", "Alignment")]
     # fmt: on
 
 
