@@ -58,11 +58,13 @@ class Quintic(NamedTuple):
 
     def replace(self, rotvec: Float64, s: Float64) -> None:
         """Put the rotation vectors in place of others, ``(3, M)``, where there are six samples."""
-        if self.usable.all():
-            rotvec[:] = self.rotation(s)
-        else:
-            chosen = np.flatnonzero(self.usable)
+        chosen = np.flatnonzero(self.usable)
+        if 2 * len(chosen) < len(s):
             rotvec[:, chosen] = self.at(chosen).rotation(s[chosen])
+            return
+        # Faster than to choose nearly all. Other polynomials may be far from where they are used.
+        with np.errstate(over="ignore", invalid="ignore"):
+            np.copyto(rotvec, self.rotation(s), where=self.usable)
 
     def rotation(self, s: Float64) -> Float64:
         """Return rotation vectors from the start of each interval, ``(3, M)``, rad.
@@ -182,11 +184,13 @@ def windows_over(steps: Int64, lengths: Int64, gap_ns: int | None = None) -> Win
     if even.all():
         return Windows(np.clip(first - CENTRED, 0, count - 1), np.ones(len(steps), np.bool_))
     start = np.full(len(steps), -1)
-    for before in (0, 4, 1, 3, CENTRED):  # the best last
-        begin = first - before
-        fits = (alike if before == CENTRED else even)[np.clip(begin, 0, count - 1)]
-        fits &= (begin >= 0) & (begin < count)
-        start[fits] = begin[fits]
+    start[CENTRED : CENTRED + count][alike] = first[:count][alike]
+    left = np.flatnonzero(start < 0)
+    for before in (3, 1, 4, 0):  # the best first
+        begin = left - before
+        fits = even[np.clip(begin, 0, count - 1)] & (begin >= 0) & (begin < count)
+        start[left[fits]] = begin[fits]
+        left = left[~fits]
     return Windows(np.maximum(start, 0), start >= 0)
 
 
