@@ -1,10 +1,9 @@
 """How two attitude series are compared: the settings, and the texts in which users write them."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from datetime import datetime
-from typing import Annotated, Literal, NamedTuple, TypeAlias, TypedDict, Unpack, get_args
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypedDict, Unpack, get_args
 
 from quatprop.errors import UsageError
 from quatprop.settings.keyword import Keyword, keywords_of
@@ -242,7 +241,7 @@ class CompareOptions(TypedDict, total=False):
     window: Annotated[int | str | None, Keyword(
         length, "Also compare the rotations over windows of this length.", takes="DUR",
         group="Alignment", common=True)]
-    judge: Annotated[str | Sequence[Sequence[str | int | datetime]] | None, Keyword(
+    judge: Annotated[str | Collection[Any] | None, Keyword(
         time_ranges, "Judge these times alone, such as +10s..+20s,+45s..-5s: of all pairs, those "
         "from the first to the last of each range; +10s is after the first pair, -5s before the "
         "last.", "all", "START..END,...", "Alignment")]
