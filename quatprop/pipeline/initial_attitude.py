@@ -144,7 +144,7 @@ def _force(log: Log, context: LogContext, first_ns: int) -> Float64:
     """Return the mean specific force over the first second from a stamp on, shape ``(3,)``."""
     from quatprop.logs.beside_rates import specific_forces
 
-    rows = specific_forces(context.source)
+    rows = specific_forces(context.source, context.selection)
     if rows is None:
         raise LogError(
             log.path, f"it has no accelerations to take roll and pitch from; give {Setting('q0')}"

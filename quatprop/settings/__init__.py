@@ -212,6 +212,10 @@ class PropagateOptions(RateOptions, total=False):
         Choice("up", "down"), f"For {Setting('q0', 'level')} and {Setting('earth_rate')}: where "
         f"the reference's z axis points (down for north-east-down).", "up", group="Initial "
         "attitude")]
+    accel_cols: Annotated[str | Sequence[str | int] | None, Keyword(
+        column_list("X,Y,Z"), f"Columns of the accelerometer beside the rates, in any unit, for "
+        f"{Setting('q0', 'level')} and {Setting('bias', 'static')}; by name or number from 0.",
+        "by their names", "X,Y,Z", "Initial attitude")]
     q0_layout: Annotated[Layout | None, Keyword(
         Choice(*LAYOUTS), f"Order of the four numbers of {Setting('q0')}.", "scalar-first",
         group="Initial attitude")]
