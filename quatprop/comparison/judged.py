@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Bool, Int64
     from quatprop.comparison.association import Pairs
-    from quatprop.comparison.settings import TimeRange
+    from quatprop.comparison.settings import InstantRange
     from quatprop.series import AttitudeSeries
 
 
@@ -41,7 +41,7 @@ class Judged(NamedTuple):
         return series[self.contains(series.t_ns)]
 
 
-def judged(pairs: Pairs, ranges: Sequence[TimeRange]) -> tuple[Pairs, Judged]:
+def judged(pairs: Pairs, ranges: Sequence[InstantRange]) -> tuple[Pairs, Judged]:
     """Return the pairs in time ranges; relative times count from the first and the last pair."""
     ends = Ends(int(pairs.t_ns[0]), int(pairs.t_ns[-1]))
     ranges_ns = tuple((absolute_ns(one.start, ends), absolute_ns(one.end, ends)) for one in ranges)

@@ -44,7 +44,7 @@ class Sigmas:
         return f"{self.count:g}sigma"
 
 
-class TimeRange(NamedTuple):
+class InstantRange(NamedTuple):
     """A time range, ends included."""
 
     start: Instant
@@ -96,7 +96,7 @@ class ComparisonSettings:
     max_dt: int | None = None
     min_matched: float = 50.0
     window: int | None = None
-    judge: tuple[TimeRange, ...] = ()
+    judge: tuple[InstantRange, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("window_tol", "window_rms_tol"):
@@ -156,7 +156,7 @@ def _percentage(value: object) -> float:
     return percentage
 
 
-def time_ranges(value: object) -> tuple[TimeRange, ...]:
+def time_ranges(value: object) -> tuple[InstantRange, ...]:
     """Return time ranges: text such as ``"+10s..+20s,+30s..+40s"``, or pairs of instants."""
     ranges = []
     for part in value.split(",") if isinstance(value, str) else _items(value):
@@ -164,7 +164,7 @@ def time_ranges(value: object) -> tuple[TimeRange, ...]:
         if len(ends) != 2:  # noqa: PLR2004  # start and end
             raise UsageError(f"{shown(part)} is no time range; write START..END, as +10s..+20s")
         first, last = (end.strip() if isinstance(end, str) else end for end in ends)
-        ranges.append(TimeRange(moment(first), moment(last)))
+        ranges.append(InstantRange(moment(first), moment(last)))
     return tuple(ranges)
 
 
