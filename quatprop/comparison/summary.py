@@ -106,6 +106,9 @@ def _series(operand: ReadAttitudes) -> str:
 def _method(comparison: Comparison) -> Iterator[Row]:
     offset, alignment = comparison.time_offset, comparison.alignment
     yield "matched", _matching(comparison.association)
+    if part := comparison.judged:
+        ranges = count_text(len(part.ranges_ns), "time range")
+        yield "judged", f"{part.pairs} of them, in {ranges}"
     shifted = f"{duration_text(offset.added_to_b_ns)} added to B's stamps"
     if found := offset.found:
         shifted += (
