@@ -74,7 +74,7 @@ class AttitudeStream:
             [] if log is None or str(log.path) == "-" else log_remarks(log, source, settings.rates)
         )
         chosen_by = "time_col" if isinstance(log, TableLog) else "clock"
-        self._timeline = Timeline(settings.policy, path, chosen_by)
+        self._timeline = Timeline(settings.policy, path, chosen_by, settings.rates)
         self._checks = RateChecks()
         self._batches, self._conditioned = condition(
             source.batches,

@@ -18,6 +18,7 @@ from quatprop.series import GyroSeries
 from quatprop.series.blocks import reblock
 from quatprop.text import Setting
 from quatprop.timeline.outliers import outliers_in_order
+from quatprop.timeline.regular import RegularTime
 from quatprop.timeline.stamps import LONGEST_NS, StampChecks
 
 if TYPE_CHECKING:
@@ -37,10 +38,14 @@ class Timeline(StampChecks):
 
     `policy`: how each kind of irregularity is handled
     `chosen_by`: the setting that chooses other stamps: ``"clock"``, or of a table ``"time_col"``
+    `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved
     """
 
-    def __init__(self, policy: Policy, path: Path | str, chosen_by: str = "clock") -> None:
+    def __init__(
+        self, policy: Policy, path: Path | str, chosen_by: str = "clock", rates: str = "body"
+    ) -> None:
         super().__init__(path, policy, chosen_by)
+        self._regular_time = RegularTime(path, rates)
         self._last_finite: Float64 | None = None
         self._last_magnitude = np.float64(0.0)
 
@@ -107,9 +112,12 @@ class Timeline(StampChecks):
 
         Sums of floats depend on where they are cut: so they are cut at fixed sample indices.
         """
-        for block in reblock(self.with_gap_limit(batches, attrgetter("t_ns"))):
+        regular = self._regular_time
+        timed = regular.replaced if self.policy.regular_time else regular.observed
+        for block in self.with_gap_limit(timed(reblock(batches)), attrgetter("t_ns")):
             self._measure(block, self.intervals(block.t_ns))
             yield block
+        self.counts.steady_clock = regular.clock
 
     def segments(self, blocks: Iterable[GyroSeries]) -> Iterator[Iterator[GyroSeries]]:
         """Cut samples at the gaps that are not propagated across."""

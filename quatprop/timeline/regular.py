@@ -1,0 +1,185 @@
+"""Timestamps against steady clocks: found to jitter about one, or replaced by its times.
+
+The clock is found in each block of samples by itself, so that memory stays constant and a clock
+that drifts over hours is followed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.errors import TimelineError
+from quatprop.kinematics.propagate import attitudes
+from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply
+from quatprop.series import GyroSeries
+from quatprop.text import Setting
+from quatprop.timeline.counts import SteadyClock
+from quatprop.timeline.steady_clock import SHORTEST, Clock, clock_of, is_regular, stretches
+from quatprop.times import NS_PER_S
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from pathlib import Path
+
+    from quatprop.arrays import Float64
+
+_FASTEST = 1e4
+"""rad/s: larger rates are damaged, and hide what the others show."""
+
+
+@dataclass(slots=True)
+class _Sums:
+    """Sums over the stretches of a log, so far.
+
+    `fitted`: samples that jitter; `kept` those that do not, or are too few to tell
+    `carried`: mean square of the error that earlier stretches leave, rad^2
+    """
+
+    fitted: int = 0
+    kept: int = 0
+    judged: bool = False
+    missing: int = 0
+    offset_ns: int | None = None
+    intervals: float = 0.0
+    span_ns: float = 0.0
+    squares: float = 0.0
+    largest_ns: int = 0
+    error_squares: float = 0.0
+    carried: float = 0.0
+
+    def keep(self, samples: int) -> None:
+        """Add samples whose stamps are left as they are."""
+        self.kept += samples
+        self.error_squares += samples * self.carried
+
+    def add(self, samples: GyroSeries, clock: Clock, rates: str) -> None:
+        """Add a stretch whose stamps jitter about a clock."""
+        rest = samples.t_ns - clock.t_ns
+        self.offset_ns = int(clock.t_ns[0]) if self.offset_ns is None else self.offset_ns
+        self.fitted += len(rest)
+        self.missing += clock.missing
+        span = int(clock.t_ns[-1] - clock.t_ns[0])
+        self.span_ns += span
+        self.intervals += span / clock.period_ns
+        self.squares += float(np.var(rest)) * len(rest)
+        self.largest_ns = max(self.largest_ns, int(np.abs(rest).max()))
+        error = _error_rad(samples, clock, rates)
+        self.error_squares += len(rest) * self.carried + float((error**2).sum())
+        self.carried += float(error[-1]) ** 2
+
+    def clock(self) -> SteadyClock | None:
+        """Return the clock; None where nothing jitters."""
+        if self.offset_ns is None:
+            return None
+        return SteadyClock(
+            rate_hz=self.intervals * NS_PER_S / self.span_ns,
+            offset_ns=self.offset_ns,
+            residual_rms_ns=(self.squares / self.fitted) ** 0.5,
+            residual_max_ns=self.largest_ns,
+            missing=self.missing,
+            kept=self.kept,
+            error_rad=(self.error_squares / (self.fitted + self.kept)) ** 0.5,
+        )
+
+
+class RegularTime:
+    """Compares stamps with a steady clock, or replaces them by its times.
+
+    `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved
+    """
+
+    def __init__(self, path: Path | str, rates: str) -> None:
+        self._path, self._rates = path, rates
+        self._sums: _Sums | None = _Sums()
+
+    @property
+    def clock(self) -> SteadyClock | None:
+        """The clock about which the stamps jitter; None where they do not, or not throughout."""
+        return self._sums.clock() if self._sums is not None else None
+
+    def observed(self, blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+        """Yield blocks unchanged, and look for the clock while there may be one."""
+        for block in blocks:
+            if self._sums is not None:
+                self._sums = self._judged(block, self._sums)
+            yield block
+
+    def replaced(self, blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+        """Yield blocks at the times of their clocks; refuse stamps that have none."""
+        sums = self._sums = _Sums()
+        for block in _no_short_end(blocks):
+            t_ns = block.t_ns.copy()
+            for samples, part, clock in _clocks(block):
+                if clock is not None and clock.why_not:
+                    self._refuse(f"from {samples.t_ns[0]} to {samples.t_ns[-1]} ns", clock.why_not)
+                sums.judged |= clock is not None
+                if clock is None or not clock.jitters:
+                    sums.keep(len(samples))
+                    continue
+                sums.add(samples, clock, self._rates)
+                t_ns[part] = clock.t_ns
+            yield replace(block, t_ns=t_ns)
+        if not sums.judged:
+            self._refuse("of this log", f"there are no {SHORTEST} samples without a pause")
+
+    def _judged(self, block: GyroSeries, sums: _Sums) -> _Sums | None:
+        if block.integration_time_ns is not None or (np.diff(block.t_ns) < 0).any():
+            return None  # increments do not depend on their stamps
+        for samples, _, clock in _clocks(block):
+            if clock is None or not clock.jitters:
+                sums.keep(len(samples))
+            elif clock.why_not:
+                return None
+            else:
+                sums.add(samples, clock, self._rates)
+        return sums
+
+    def _refuse(self, which: str, why: str) -> None:
+        raise TimelineError(
+            self._path,
+            f"the timestamps {which} do not jitter about a steady clock: {why}; leave "
+            f"{Setting('regular_time')} out, or choose another part with {Setting('start')} and "
+            f"{Setting('end')}",
+        )
+
+
+def _clocks(block: GyroSeries) -> Iterator[tuple[GyroSeries, slice, Clock | None]]:
+    """Yield the stretches of a block with their clocks; None where the samples are too few."""
+    if is_regular(block.t_ns):
+        yield block, slice(None), Clock(0.0, block.t_ns, jitters=False)
+        return
+    for part in stretches(block.t_ns):
+        samples = block[part]
+        enough = len(samples) >= SHORTEST
+        yield samples, part, clock_of(samples.t_ns, samples.rate) if enough else None
+
+
+def _no_short_end(blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+    """Yield blocks, the last with the one before it if it is short: few samples show no clock."""
+    held: GyroSeries | None = None
+    for block in blocks:
+        if held is not None and len(block) < len(held) // 2:
+            block = GyroSeries.joined([held, block])  # noqa: PLW2901
+        elif held is not None:
+            yield held
+        held = block
+    if held is not None:
+        yield held
+
+
+def _error_rad(samples: GyroSeries, clock: Clock, rates: str) -> Float64:
+    """Return how far attitudes by the stamps are from those by the clock at the same times, rad.
+
+    `Returns`: shape ``(N,)``
+    """
+    rate = np.clip(np.nan_to_num(samples.rate), -_FASTEST, _FASTEST)
+    method = "end" if samples.is_interval_average else "mean"
+    by_stamps, by_clock = (
+        attitudes(t_ns, rate, method=method, rates=rates) for t_ns in (samples.t_ns, clock.t_ns)
+    )
+    since = exp(rate * ((samples.t_ns - clock.t_ns) * 1e-9)[:, None])
+    factors = (since, by_clock) if rates == "inertial" else (by_clock, since)
+    return geodesic_angle(by_stamps, multiply(*factors))
