@@ -67,7 +67,7 @@ def facts(report: RunReport) -> Iterator[Row]:
 def _clock(clock: SteadyClock | None) -> str:
     """Return what the times of a steady clock were taken for."""
     if clock is None:
-        return "the timestamps do not jitter: used as they are"
+        return "the timestamps do not jitter about a steady clock: they are used as they are"
     text = (
         f"the timestamps are replaced by those of a steady clock of {clock.rate_hz:.9g} Hz from "
         f"t = {clock.offset_ns} ns, from which they were {duration_text(clock.residual_max_ns)} "

@@ -38,16 +38,27 @@ class Timeline(StampChecks):
 
     `policy`: how each kind of irregularity is handled
     `chosen_by`: the setting that chooses other stamps: ``"clock"``, or of a table ``"time_col"``
-    `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved
+    `method`, `rates`: how the samples are propagated, for what jitter of their stamps costs
     """
 
-    def __init__(
-        self, policy: Policy, path: Path | str, chosen_by: str = "clock", rates: str = "body"
+    def __init__(  # what is done to samples, and what will be
+        self,
+        policy: Policy,
+        path: Path | str,
+        chosen_by: str = "clock",
+        *,
+        method: str = "start",
+        rates: str = "body",
     ) -> None:
         super().__init__(path, policy, chosen_by)
-        self._regular_time = RegularTime(path, rates)
+        self._regular_time = RegularTime(path, method, rates)
         self._last_finite: Float64 | None = None
         self._last_magnitude = np.float64(0.0)
+
+    @property
+    def first_stamp_ns(self) -> int | None:
+        """The stamp in the log of the first sample used, ns; None where it was not replaced."""
+        return self._regular_time.first_ns
 
     def apply(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Yield the samples that are used, in blocks."""

@@ -213,8 +213,8 @@ def remarks(counts: Counts, policy: Policy) -> Iterator[str]:
         yield (
             f"the timestamps jitter about a steady clock of {clock.rate_hz:.6g} Hz, by "
             f"{duration_text(round(clock.residual_rms_ns))} RMS and at most "
-            f"{duration_text(clock.residual_max_ns)}: if they are times of arrival, or rounded, "
-            f"the attitudes are off by {math.degrees(clock.error_rad):.2g} deg RMS for it; "
+            f"{duration_text(clock.residual_max_ns)}: if they are times of arrival or rounded, "
+            f"that puts the attitudes off by {math.degrees(clock.error_rad):.2g} deg RMS; "
             f"{Setting('regular_time')} takes the times of that clock"
         )
 

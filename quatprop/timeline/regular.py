@@ -7,6 +7,7 @@ that drifts over hours is followed.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
-    from quatprop.arrays import Float64
+    from quatprop.arrays import Float64, Int64
 
 _FASTEST = 1e4
 """rad/s: larger rates are damaged, and hide what the others show."""
@@ -55,9 +56,9 @@ class _Sums:
         self.kept += samples
         self.error_squares += samples * self.carried
 
-    def add(self, samples: GyroSeries, clock: Clock, rates: str) -> None:
-        """Add a stretch whose stamps jitter about a clock."""
-        rest = samples.t_ns - clock.t_ns
+    def add(self, t_ns: Int64, clock: Clock, error: Float64) -> None:
+        """Add stamps that jitter about a clock, and the error of the attitudes for it, rad."""
+        rest = t_ns - clock.t_ns
         self.offset_ns = int(clock.t_ns[0]) if self.offset_ns is None else self.offset_ns
         self.fitted += len(rest)
         self.missing += clock.missing
@@ -66,7 +67,6 @@ class _Sums:
         self.intervals += span / clock.period_ns
         self.squares += float(np.var(rest)) * len(rest)
         self.largest_ns = max(self.largest_ns, int(np.abs(rest).max()))
-        error = _error_rad(samples, clock, rates)
         self.error_squares += len(rest) * self.carried + float((error**2).sum())
         self.carried += float(error[-1]) ** 2
 
@@ -88,11 +88,14 @@ class _Sums:
 class RegularTime:
     """Compares stamps with a steady clock, or replaces them by its times.
 
-    `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved
+    `method`, `rates`: how the samples are propagated, for what jitter costs
+    `first_ns`: the first stamp before it was replaced, ns; None where it is not
     """
 
-    def __init__(self, path: Path | str, rates: str) -> None:
+    def __init__(self, path: Path | str, method: str, rates: str) -> None:
         self._path, self._rates = path, rates
+        self._propagated = partial(attitudes, method=method, rates=rates)
+        self.first_ns: int | None = None
         self._sums: _Sums | None = _Sums()
 
     @property
@@ -112,6 +115,7 @@ class RegularTime:
         sums = self._sums = _Sums()
         for block in _no_short_end(blocks):
             t_ns = block.t_ns.copy()
+            self.first_ns = int(t_ns[0]) if self.first_ns is None else self.first_ns
             for samples, part, clock in _clocks(block):
                 if clock is not None and clock.why_not:
                     self._refuse(f"from {samples.t_ns[0]} to {samples.t_ns[-1]} ns", clock.why_not)
@@ -119,7 +123,7 @@ class RegularTime:
                 if clock is None or not clock.jitters:
                     sums.keep(len(samples))
                     continue
-                sums.add(samples, clock, self._rates)
+                sums.add(samples.t_ns, clock, self._error_rad(samples, clock))
                 t_ns[part] = clock.t_ns
             yield replace(block, t_ns=t_ns)
         if not sums.judged:
@@ -134,8 +138,16 @@ class RegularTime:
             elif clock.why_not:
                 return None
             else:
-                sums.add(samples, clock, self._rates)
+                sums.add(samples.t_ns, clock, self._error_rad(samples, clock))
         return sums
+
+    def _error_rad(self, samples: GyroSeries, clock: Clock) -> Float64:
+        """Return how far attitudes by the stamps are from those by the clock at the same times."""
+        rate = np.clip(np.nan_to_num(samples.rate), -_FASTEST, _FASTEST)
+        by_stamps, by_clock = (self._propagated(t_ns, rate) for t_ns in (samples.t_ns, clock.t_ns))
+        since = exp(rate * ((samples.t_ns - clock.t_ns) * 1e-9)[:, None])
+        factors = (by_clock, since) if self._rates == "body" else (since, by_clock)
+        return geodesic_angle(by_stamps, multiply(*factors))
 
     def _refuse(self, which: str, why: str) -> None:
         raise TimelineError(
@@ -168,18 +180,3 @@ def _no_short_end(blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         held = block
     if held is not None:
         yield held
-
-
-def _error_rad(samples: GyroSeries, clock: Clock, rates: str) -> Float64:
-    """Return how far attitudes by the stamps are from those by the clock at the same times, rad.
-
-    `Returns`: shape ``(N,)``
-    """
-    rate = np.clip(np.nan_to_num(samples.rate), -_FASTEST, _FASTEST)
-    method = "end" if samples.is_interval_average else "mean"
-    by_stamps, by_clock = (
-        attitudes(t_ns, rate, method=method, rates=rates) for t_ns in (samples.t_ns, clock.t_ns)
-    )
-    since = exp(rate * ((samples.t_ns - clock.t_ns) * 1e-9)[:, None])
-    factors = (since, by_clock) if rates == "inertial" else (by_clock, since)
-    return geodesic_angle(by_stamps, multiply(*factors))

@@ -58,6 +58,9 @@ _PATTERN = 8
 _REPEATED = 0.4
 """Residuals that repeat after so many samples or fewer have this share of the variance."""
 
+_TONE = 0.8
+"""Those that swing at one frequency have this share of it. A sawtooth, as of polling, has 0.61."""
+
 _ROUNDED = 0.35
 """Ticks by which rounding errors scatter at most; 0.29 where they are evenly distributed."""
 
@@ -248,7 +251,9 @@ def _judged(rest: Float64, tick: float) -> str:
         pattern = rest[: len(rest) // count * count].reshape(-1, count).mean(axis=0)
         if np.mean(pattern**2) > _REPEATED * variance:
             return REPEATS
-    return ""
+    power = np.abs(np.fft.rfft(rest * np.hanning(len(rest)))) ** 2
+    peak = max(int(np.argmax(power)), 2)
+    return REPEATS if power[peak - 2 : peak + 3].sum() > _TONE * power.sum() else ""
 
 
 def _follows(t_ns: Int64, regular: Int64, rate: Float64) -> bool:
