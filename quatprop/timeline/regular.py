@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
 
 _FASTEST = 1e4
-"""rad/s: larger rates are damaged, and hide what the others show."""
+"""rad/s: larger rates are damaged, and would hide what the others show."""
 
 
 @dataclass(slots=True)
@@ -143,7 +143,7 @@ class RegularTime:
 
     def _error_rad(self, samples: GyroSeries, clock: Clock) -> Float64:
         """Return how far attitudes by the stamps are from those by the clock at the same times."""
-        rate = np.clip(np.nan_to_num(samples.rate), -_FASTEST, _FASTEST)
+        rate = _undamaged(samples.rate)
         by_stamps, by_clock = (self._propagated(t_ns, rate) for t_ns in (samples.t_ns, clock.t_ns))
         since = exp(rate * ((samples.t_ns - clock.t_ns) * 1e-9)[:, None])
         factors = (by_clock, since) if self._rates == "body" else (since, by_clock)
@@ -166,7 +166,13 @@ def _clocks(block: GyroSeries) -> Iterator[tuple[GyroSeries, slice, Clock | None
     for part in stretches(block.t_ns):
         samples = block[part]
         enough = len(samples) >= SHORTEST
-        yield samples, part, clock_of(samples.t_ns, samples.rate) if enough else None
+        rate = _undamaged(samples.rate)
+        yield samples, part, clock_of(samples.t_ns, rate) if enough else None
+
+
+def _undamaged(rate: Float64) -> Float64:
+    """Return rates with zeros for what is no rate."""
+    return np.where(np.abs(rate) < _FASTEST, rate, 0.0)
 
 
 def _no_short_end(blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:

@@ -74,6 +74,9 @@ DRIFTS: Final = (
 REPEATS: Final = "the deviations repeat"
 UNCLEAR: Final = "they are too far from one to tell late samples from missing ones"
 MISSING: Final = f"more than {MOST_MISSING:.0%} of the samples would be missing"
+REASONS: Final = ("", REPEATS, DRIFTS, MISSING, UNCLEAR)
+"""Why there is no clock, the better estimates of the interval first."""
+
 FOLLOWED: Final = "the rates change as the timestamps say: the samples were taken at those times"
 
 
@@ -120,7 +123,7 @@ def clock_of(t_ns: Int64, rate: Float64) -> Clock:
     if np.quantile(np.abs(np.diff(t_ns, 2)), 0.9) <= _STEADY * periods[0]:
         return Clock(periods[0], t_ns, jitters=False)
     clocks = [_clock(t_ns, period) for period in periods]
-    clock = next((clock for clock in clocks if not clock.why_not), clocks[-1])
+    clock = min(clocks, key=lambda clock: REASONS.index(clock.why_not))
     if not clock.why_not and _follows(t_ns, clock.t_ns, rate):
         return clock._replace(why_not=FOLLOWED)
     return clock
@@ -136,10 +139,8 @@ def _periods(t_ns: Int64) -> list[float]:
 def _clock(t_ns: Int64, period: float) -> Clock:
     t = (t_ns - t_ns[0]).astype(np.float64)
     missing = _missing(t, period)
-    if missing is None:
-        return Clock(period, t_ns, why_not=UNCLEAR)
-    if missing[-1] > MOST_MISSING * len(t):
-        return Clock(period, t_ns, int(missing[-1]), MISSING)
+    if isinstance(missing, str):
+        return Clock(period, t_ns, why_not=missing)
     number = np.arange(len(t)) + missing
     slope, offset = _line(number, t)
     regular = t_ns[0] + np.rint(slope * number + offset).astype(np.int64)
@@ -149,8 +150,8 @@ def _clock(t_ns: Int64, period: float) -> Clock:
     )
 
 
-def _missing(t: Float64, period: float) -> Int64 | None:
-    """Return how many samples are missing before each; None where that is not clear."""
+def _missing(t: Float64, period: float) -> Int64 | str:
+    """Return how many samples are missing before each, or why that cannot be told."""
     phase = t / period - np.arange(len(t))
     # Not the mean of the two in the middle: half of a missing sample.
     whole = np.sort(phase[: len(t) // _WINDOW * _WINDOW].reshape(-1, _WINDOW), axis=1)
@@ -167,7 +168,9 @@ def _missing(t: Float64, period: float) -> Int64 | None:
     steps = np.diff(levels)
     before = np.concatenate([[0], np.cumsum(np.rint(steps))])
     if (np.abs(steps - np.rint(steps)) > _CLEAR).any() or (np.diff(before) < 0).any():
-        return None
+        return UNCLEAR
+    if before[-1] > MOST_MISSING * len(t):
+        return MISSING
     starts = np.concatenate([[0], np.arange(len(middles)) * _WINDOW, [len(t) - _ENDS]])
     stops = np.concatenate([[_ENDS], starts[1:-1] + _WINDOW, [len(t)]])
     gains = np.zeros(len(t), np.int64)
