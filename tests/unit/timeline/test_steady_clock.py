@@ -92,8 +92,14 @@ def test_what_jitter_costs_is_what_the_attitudes_are_off():
 
 @pytest.mark.parametrize(
     ("hz", "tick", "rounding"),
-    [(128, MS, np.rint), (128, MS, np.floor), (150, MS, np.rint), (400, MS, np.floor)]
-    + [(60, 10 * MS, np.floor), (1600, 100_000, np.rint)],
+    [
+        (128, MS, np.rint),
+        (128, MS, np.floor),
+        (150, MS, np.rint),
+        (400, MS, np.floor),
+        (60, 10 * MS, np.floor),
+        (1600, 100_000, np.rint),
+    ],
 )
 def test_rounded_stamps_are_jitter_however_they_repeat(hz, tick, rounding):
     """Whole milliseconds of a steady clock are a pattern that repeats, and still rounded."""
