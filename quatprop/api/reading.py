@@ -76,15 +76,14 @@ def read_rates(log: StrPath, **options: Unpack[ReadOptions]) -> GyroSeries:
     from quatprop.logs.signals.rates import choose_rates
     from quatprop.settings.selection import RateSelection
     from quatprop.timeline import Timeline
-    from quatprop.timeline.counts import Policy
+    from quatprop.timeline.counts import OBSERVE
 
     path, values = path_text("log", log), parse_all(options, RATES_IN_MEMORY)
     with open_log(path, values.get("kind"), msg_path=values.get("msg_path")) as opened:
         signal = choose_rates(opened, RateSelection.of(values))
         batches = signal.batches()
         if values.get("regular_time"):
-            policy = Policy(on_nonfinite="keep", regular_time=True)
-            batches = Timeline(policy, path).apply(batches)
+            batches = Timeline(OBSERVE._replace(regular_time=True), path).apply(batches)
         parts = list(batches)
         warn(path, opened.losses, (*signal.remarks, *opened.remarks))
     return GyroSeries.joined(parts or [GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))])

@@ -65,16 +65,16 @@ def facts(report: RunReport) -> Iterator[Row]:
 
 
 def _clock(clock: SteadyClock | None) -> str:
-    """Return what the times of a steady clock were taken for."""
+    """Return which steady clock took the place of the timestamps."""
     if clock is None:
-        return "the timestamps do not jitter about a steady clock: they are used as they are"
+        return "the timestamps do not jitter about a steady clock: used as they are"
     text = (
-        f"the timestamps are replaced by those of a steady clock of {clock.rate_hz:.9g} Hz from "
-        f"t = {clock.offset_ns} ns, from which they were {duration_text(clock.residual_max_ns)} "
-        f"at most; they scattered by {duration_text(round(clock.residual_rms_ns))} RMS"
+        f"steady at {clock.rate_hz:.9g} Hz from t = {clock.offset_ns} ns, in place of timestamps "
+        f"that scatter about it by {duration_text(round(clock.residual_rms_ns))} RMS and are at "
+        f"most {duration_text(clock.residual_max_ns)} away"
     )
     if clock.missing:
-        text += f"; {count_text(clock.missing, 'time')} without a sample"
+        text += f"; {count_text(clock.missing, 'sample')} missing"
     return f"{text}; {count_text(clock.kept, 'timestamp')} kept" if clock.kept else text
 
 

@@ -130,7 +130,7 @@ class RegularTime:
             self._refuse("of this log", f"there are no {SHORTEST} samples without a pause")
 
     def _judged(self, block: GyroSeries, sums: _Sums) -> _Sums | None:
-        if block.integration_time_ns is not None or (np.diff(block.t_ns) < 0).any():
+        if block.integration_time_ns is not None:
             return None  # increments do not depend on their stamps
         for samples, _, clock in _clocks(block):
             if clock is None or not clock.jitters:
@@ -153,14 +153,17 @@ class RegularTime:
         raise TimelineError(
             self._path,
             f"the timestamps {which} do not jitter about a steady clock: {why}; leave "
-            f"{Setting('regular_time')} out, or choose another part with {Setting('start')} and "
-            f"{Setting('end')}",
+            f"{Setting('regular_time')} out",
         )
 
 
 def _clocks(block: GyroSeries) -> Iterator[tuple[GyroSeries, slice, Clock | None]]:
     """Yield the stretches of a block with their clocks; None where the samples are too few."""
-    if is_regular(block.t_ns):
+    intervals = np.diff(block.t_ns)
+    if (intervals < 0).any():
+        yield block, slice(None), Clock(0.0, block.t_ns, why_not="they step back")
+        return
+    if is_regular(intervals):
         yield block, slice(None), Clock(0.0, block.t_ns, jitters=False)
         return
     for part in stretches(block.t_ns):

@@ -97,9 +97,8 @@ class Clock(NamedTuple):
     jitters: bool = True
 
 
-def is_regular(t_ns: Int64) -> bool:
+def is_regular(intervals: Int64) -> bool:
     """Tell whether all intervals are about the same."""
-    intervals = np.diff(t_ns)
     return not len(intervals) or bool(np.ptp(intervals) <= _STEADY * intervals.min())
 
 

@@ -1,7 +1,10 @@
 """Timestamps that jitter about a steady clock: found, what they cost, and replaced by its times."""
 
+import json
+
 import numpy as np
 import pytest
+from make.commands import run
 from make.motion import rotor
 from make.places import SAMPLE_LOGS
 
@@ -184,7 +187,7 @@ def test_irregular_stamps_are_left_alone(name, moves):
     with pytest.raises(TimelineError, match="do not jitter about a steady clock") as error:
         propagate(series, regular_time=True)
     assert why in str(error.value)
-    assert "leave regular_time out" in str(error.value)
+    assert str(error.value).endswith("; leave regular_time out")
 
 
 STEADY = {
@@ -231,7 +234,7 @@ def test_jitter_that_costs_next_to_nothing_is_not_remarked_on():
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
-def test_damaged_rates_and_stamps_hide_no_clock_and_raise_nothing(value):
+def test_damaged_rates_and_stamps_hide_no_clock_and_raise_nothing(tmp_path, value):
     """What is not finite is for its own policy; stamps that step back show no clock."""
     series, _ = tumbling(TRUE, TRUE + LATE)
     rate = series.rate.copy()
@@ -240,6 +243,49 @@ def test_damaged_rates_and_stamps_hide_no_clock_and_raise_nothing(value):
     t_ns = series.t_ns.copy()
     t_ns[100] = 0
     assert observed(GyroSeries(t_ns, rate)) == (None, [])
+    np.savez(tmp_path / "back.npz", t_ns=t_ns, wx=rate[:, 0], wy=rate[:, 1], wz=rate[:, 2])
+    with pytest.raises(TimelineError, match="they step back; leave regular_time out"):
+        read_rates(tmp_path / "back.npz", regular_time=True)
+
+
+@pytest.mark.parametrize("name", ["coning.mcap", "rest.parquet", "spin.csv", "tumbling_ros2"])
+def test_the_sample_logs_have_no_jitter(name):
+    """Logs of a sensor with its own clock are not remarked on."""
+    assert observed(read_rates(SAMPLE_LOGS / name)) == (None, [])
+
+
+def test_the_clock_is_in_the_summary_the_report_and_the_configuration(tmp_path):
+    """What was done to the stamps can be read, and done again."""
+    series, _ = tumbling(TRUE, TRUE + LATE)
+    wx, wy, wz = series.rate.T
+    np.savez(tmp_path / "log.npz", t_ns=series.t_ns, wx=wx, wy=wy, wz=wz)
+    out = tmp_path / "out.parquet"
+    words = "propagate", tmp_path / "log.npz", "-o", out, "--regular-time", "--report", "-"
+    done = run(*words, code=0)
+    assert (
+        "clock       the timestamps are replaced by those of a steady clock of 200" in done.stderr
+    )
+    report = json.loads(done.stdout)
+    clock = report["counts"]["steady_clock"]
+    assert clock["rate_hz"] == pytest.approx(200, rel=1e-6)
+    assert clock["offset_ns"] == pytest.approx(TRUE[0], abs=5000)
+    assert clock["residual_rms_ns"] == pytest.approx(0.603 * MS, rel=0.05)
+    assert report["policy"]["regular_time"] is True
+    assert "regular-time = true" in run("info", out, "--as-config", code=0).stdout
+    assert "steady clock of 200 Hz" in run("info", tmp_path / "log.npz", code=0).stdout
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+def test_the_first_attitude_is_that_beside_the_first_sample(tmp_path):
+    """Its time by the clock was before the first orientation of the log, and so refused."""
+    series, truth = tumbling(TRUE, TRUE + LATE)
+    columns = zip(
+        ("wx", "wy", "wz", "qw", "qx", "qy", "qz"), (*series.rate.T, *truth.T), strict=True
+    )
+    np.savez(tmp_path / "log.npz", t_ns=series.t_ns, **dict(columns))
+    attitudes = propagate(tmp_path / "log.npz", q0="log", method="cubic", regular_time=True)
+    assert attitudes.t_ns[0] < series.t_ns[0]
+    assert geodesic_angle(attitudes.wxyz, truth).max() < 1e-5
 
 
 @pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
