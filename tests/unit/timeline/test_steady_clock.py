@@ -262,9 +262,7 @@ def test_the_clock_is_in_the_summary_the_report_and_the_configuration(tmp_path):
     out = tmp_path / "out.parquet"
     words = "propagate", tmp_path / "log.npz", "-o", out, "--regular-time", "--report", "-"
     done = run(*words, code=0)
-    assert (
-        "clock       the timestamps are replaced by those of a steady clock of 200" in done.stderr
-    )
+    assert "clock       steady at " in done.stderr
     report = json.loads(done.stdout)
     clock = report["counts"]["steady_clock"]
     assert clock["rate_hz"] == pytest.approx(200, rel=1e-6)
