@@ -18,7 +18,7 @@ from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply
 from quatprop.series import GyroSeries
 from quatprop.text import Setting
 from quatprop.timeline.counts import SteadyClock
-from quatprop.timeline.steady_clock import SHORTEST, Clock, clock_of, is_regular, stretches
+from quatprop.timeline.steady_clock import SHORTEST, FittedClock, clock_of, is_regular, stretches
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class _Sums:
         self.kept += samples
         self.error_squares += samples * self.carried
 
-    def add(self, t_ns: Int64, clock: Clock, error: Float64) -> None:
+    def add(self, t_ns: Int64, clock: FittedClock, error: Float64) -> None:
         """Add stamps that jitter about a clock, and the error of the attitudes for it, rad."""
         rest = t_ns - clock.t_ns
         self.offset_ns = int(clock.t_ns[0]) if self.offset_ns is None else self.offset_ns
@@ -157,14 +157,14 @@ class RegularTime:
         )
 
 
-def _clocks(block: GyroSeries) -> Iterator[tuple[GyroSeries, slice, Clock | None]]:
+def _clocks(block: GyroSeries) -> Iterator[tuple[GyroSeries, slice, FittedClock | None]]:
     """Yield the stretches of a block with their clocks; None where the samples are too few."""
     intervals = np.diff(block.t_ns)
     if (intervals < 0).any():
-        yield block, slice(None), Clock(0.0, block.t_ns, why_not="they step back")
+        yield block, slice(None), FittedClock(0.0, block.t_ns, why_not="they step back")
         return
     if is_regular(intervals):
-        yield block, slice(None), Clock(0.0, block.t_ns, jitters=False)
+        yield block, slice(None), FittedClock(0.0, block.t_ns, jitters=False)
         return
     for part in stretches(block.t_ns):
         samples = block[part]

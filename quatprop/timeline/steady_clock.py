@@ -80,7 +80,7 @@ REASONS: Final = ("", REPEATS, DRIFTS, MISSING, UNCLEAR)
 FOLLOWED: Final = "the rates change as the timestamps say: the samples were taken at those times"
 
 
-class Clock(NamedTuple):
+class FittedClock(NamedTuple):
     """What the stamps of a stretch show.
 
     `period_ns`: interval of the steady clock, ns
@@ -118,9 +118,9 @@ def clock_of(t_ns: Int64, rate: Float64) -> Clock:
     """
     periods = _periods(t_ns)
     if not periods:
-        return Clock(0.0, t_ns, why_not=UNCLEAR)
+        return FittedClock(0.0, t_ns, why_not=UNCLEAR)
     if np.quantile(np.abs(np.diff(t_ns, 2)), 0.9) <= _STEADY * periods[0]:
-        return Clock(periods[0], t_ns, jitters=False)
+        return FittedClock(periods[0], t_ns, jitters=False)
     clocks = [_clock(t_ns, period) for period in periods]
     clock = min(clocks, key=lambda clock: REASONS.index(clock.why_not))
     if not clock.why_not and _follows(t_ns, clock.t_ns, rate):
@@ -139,12 +139,12 @@ def _clock(t_ns: Int64, period: float) -> Clock:
     t = (t_ns - t_ns[0]).astype(np.float64)
     missing = _missing(t, period)
     if isinstance(missing, str):
-        return Clock(period, t_ns, why_not=missing)
+        return FittedClock(period, t_ns, why_not=missing)
     number = np.arange(len(t)) + missing
     slope, offset = _line(number, t)
     regular = t_ns[0] + np.rint(slope * number + offset).astype(np.int64)
     rest = t - slope * number
-    return Clock(
+    return FittedClock(
         slope, regular, int(missing[-1]), _judged(rest, float(np.gcd.reduce(t_ns - t_ns[0])))
     )
 
