@@ -36,6 +36,7 @@ class _Sums:
     """Sums over the stretches of a log, so far.
 
     `fitted`: samples that jitter; `kept` those that do not, or are too few to tell
+    `judged`: whether there were samples enough to tell
     `carried`: mean square of the error that earlier stretches leave, rad^2
     """
 
@@ -51,8 +52,9 @@ class _Sums:
     error_squares: float = 0.0
     carried: float = 0.0
 
-    def keep(self, samples: int) -> None:
+    def keep(self, samples: int, *, judged: bool) -> None:
         """Add samples whose stamps are left as they are."""
+        self.judged |= judged
         self.kept += samples
         self.error_squares += samples * self.carried
 
@@ -60,6 +62,7 @@ class _Sums:
         """Add stamps that jitter about a clock, and the error of the attitudes for it, rad."""
         rest = t_ns - clock.t_ns
         self.offset_ns = int(clock.t_ns[0]) if self.offset_ns is None else self.offset_ns
+        self.judged = True
         self.fitted += len(rest)
         self.missing += clock.missing
         span = int(clock.t_ns[-1] - clock.t_ns[0])
@@ -106,42 +109,38 @@ class RegularTime:
     def observed(self, blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Yield blocks unchanged, and look for the clock while there may be one."""
         for block in blocks:
-            if self._sums is not None:
-                self._sums = self._judged(block, self._sums)
+            # Increments do not depend on their stamps.
+            if self._sums is not None and block.integration_time_ns is None:
+                try:
+                    self._times(block, self._sums)
+                except TimelineError:
+                    self._sums = None
             yield block
 
     def replaced(self, blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Yield blocks at the times of their clocks; refuse stamps that have none."""
         sums = self._sums = _Sums()
         for block in _no_short_end(blocks):
-            t_ns = block.t_ns.copy()
-            self.first_ns = int(t_ns[0]) if self.first_ns is None else self.first_ns
-            for samples, part, clock in _clocks(block):
-                if clock is not None and clock.why_not:
-                    self._refuse(f"from {samples.t_ns[0]} to {samples.t_ns[-1]} ns", clock.why_not)
-                sums.judged |= clock is not None
-                if clock is None or not clock.jitters:
-                    sums.keep(len(samples))
-                    continue
-                sums.add(samples.t_ns, clock, self._error_rad(samples, clock))
-                t_ns[part] = clock.t_ns
-            yield replace(block, t_ns=t_ns)
+            self.first_ns = int(block.t_ns[0]) if self.first_ns is None else self.first_ns
+            yield replace(block, t_ns=self._times(block, sums))
         if not sums.judged:
-            self._refuse("of this log", f"there are no {SHORTEST} samples without a pause")
+            raise self._refusal("of this log", f"no {SHORTEST} of them are without a pause")
 
-    def _judged(self, block: GyroSeries, sums: _Sums) -> _Sums | None:
-        if block.integration_time_ns is not None:
-            return None  # increments do not depend on their stamps
-        for samples, _, clock in _clocks(block):
+    def _times(self, block: GyroSeries, sums: _Sums) -> Int64:
+        """Return the times of a block, and add to the sums."""
+        times = block.t_ns.copy()
+        for samples, part, clock in _clocks(block):
             if clock is None or not clock.jitters:
-                sums.keep(len(samples))
+                sums.keep(len(samples), judged=clock is not None)
             elif clock.why_not:
-                return None
+                which = f"from {samples.t_ns[0]} to {samples.t_ns[-1]} ns"
+                raise self._refusal(which, clock.why_not)
             else:
                 sums.add(samples.t_ns, clock, self._error_rad(samples, clock))
-        return sums
+                times[part] = clock.t_ns
+        return times
 
-    def _error_rad(self, samples: GyroSeries, clock: Clock) -> Float64:
+    def _error_rad(self, samples: GyroSeries, clock: FittedClock) -> Float64:
         """Return how far attitudes by the stamps are from those by the clock at the same times."""
         rate = _undamaged(samples.rate)
         by_stamps, by_clock = (self._propagated(t_ns, rate) for t_ns in (samples.t_ns, clock.t_ns))
@@ -149,8 +148,8 @@ class RegularTime:
         factors = (by_clock, since) if self._rates == "body" else (since, by_clock)
         return geodesic_angle(by_stamps, multiply(*factors))
 
-    def _refuse(self, which: str, why: str) -> None:
-        raise TimelineError(
+    def _refusal(self, which: str, why: str) -> TimelineError:
+        return TimelineError(
             self._path,
             f"the timestamps {which} do not jitter about a steady clock: {why}; leave "
             f"{Setting('regular_time')} out",

@@ -34,11 +34,11 @@ _STEADY = 2e-3
 _WINDOW = 15
 """Samples, an odd number, whose median tells late samples from missing ones."""
 
-_HELD_UP = 8
-"""Samples are late, not missing before, where within so many windows others are in time again."""
-
 _ENDS = 5
 """The same at the first and the last samples."""
+
+_HELD_UP = 8
+"""Samples are late, not missing before, where within so many windows others are in time again."""
 
 _CLEAR = 0.3
 """Intervals that a median may be off a whole number of them."""
@@ -110,7 +110,7 @@ def stretches(t_ns: Int64) -> Iterator[slice]:
         yield slice(start, stop)
 
 
-def clock_of(t_ns: Int64, rate: Float64) -> Clock:
+def clock_of(t_ns: Int64, rate: Float64) -> FittedClock:
     """Return the clock of a stretch of at least :data:`SHORTEST` samples.
 
     `t_ns`: stamps that do not go backwards, shape ``(N,)``, int64
@@ -135,7 +135,7 @@ def _periods(t_ns: Int64) -> list[float]:
     return [period for period in dict.fromkeys(usual) if period > 0]
 
 
-def _clock(t_ns: Int64, period: float) -> Clock:
+def _clock(t_ns: Int64, period: float) -> FittedClock:
     t = (t_ns - t_ns[0]).astype(np.float64)
     missing = _missing(t, period)
     if isinstance(missing, str):
@@ -143,10 +143,8 @@ def _clock(t_ns: Int64, period: float) -> Clock:
     number = np.arange(len(t)) + missing
     slope, offset = _line(number, t)
     regular = t_ns[0] + np.rint(slope * number + offset).astype(np.int64)
-    rest = t - slope * number
-    return FittedClock(
-        slope, regular, int(missing[-1]), _judged(rest, float(np.gcd.reduce(t_ns - t_ns[0])))
-    )
+    why_not = _judged(t - slope * number, float(np.gcd.reduce(t_ns - t_ns[0])))
+    return FittedClock(slope, regular, int(missing[-1]), why_not)
 
 
 def _missing(t: Float64, period: float) -> Int64 | str:
@@ -245,9 +243,7 @@ def _judged(rest: Float64, tick: float) -> str:
     parts = np.median(rest[: size * _PARTS].reshape(_PARTS, size), axis=1)
     rest = rest - rest.mean()
     variance = float(np.mean(rest**2))
-    if np.std(parts) ** 2 > _SLOW**2 * variance:
-        return DRIFTS
-    if np.mean(np.diff(rest) ** 2) < _SMOOTH * 2 * variance:
+    if np.var(parts) > _SLOW**2 * variance or np.mean(np.diff(rest) ** 2) < _SMOOTH * 2 * variance:
         return DRIFTS
     for count in range(2, _PATTERN + 1):
         pattern = rest[: len(rest) // count * count].reshape(-1, count).mean(axis=0)

@@ -169,7 +169,7 @@ IRREGULAR = {
     "half the rate": (_walk(np.where(HALF, 5, 10)) + LATE, UNCLEAR),
     "many missing": (TRUE[RANDOM.random(COUNT) > 0.2], MISSING),
     "bursts": (TRUE // (20 * MS) * 20 * MS + TRUE % (20 * MS) // 50, REPEATS),
-    "few": (TRUE[: SHORTEST - 1] + LATE[: SHORTEST - 1], "there are no 256 samples"),
+    "few": (TRUE[: SHORTEST - 1] + LATE[: SHORTEST - 1], "no 256 of them are without a pause"),
 }
 """Stamps that are true, and why they have no steady clock."""
 
