@@ -11,7 +11,7 @@ import numpy as np
 
 from quatprop.errors import DataLossWarning, RemarkWarning, UsageError
 from quatprop.series import AttitudeSeries, GyroSeries
-from quatprop.settings import READ_RATES, AttitudeOptions, RateOptions
+from quatprop.settings import RATES_IN_MEMORY, AttitudeOptions, ReadOptions
 from quatprop.settings.keyword import parameters
 from quatprop.settings.parsers import path as parse_path
 from quatprop.settings.values import parse_all
@@ -43,8 +43,8 @@ def with_keywords_of(
     return documented
 
 
-@with_keywords_of(RateOptions)
-def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[RateOptions]) -> GyroSeries:
+@with_keywords_of(ReadOptions)
+def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions]) -> GyroSeries:
     """Read the body rates of a log.
 
     Parameters
@@ -59,7 +59,7 @@ def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[RateOptions])
     -------
     GyroSeries
         All samples in the order of the log: stamps in ns, rates in rad/s. Irregular timestamps are
-        left as they are; :func:`propagate` handles them.
+        left as they are, unless `regular_time` is asked for; :func:`propagate` handles them.
 
     Raises
     ------
@@ -76,14 +76,19 @@ def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[RateOptions])
     from quatprop.logs.joined import open_logs
     from quatprop.logs.signals.rates import choose_rates
     from quatprop.settings.selection import RateSelection
+    from quatprop.timeline import Timeline
+    from quatprop.timeline.counts import OBSERVE
 
-    paths, values = paths_of("log", log), parse_all(options, READ_RATES)
+    paths, values = paths_of("log", log), parse_all(options, RATES_IN_MEMORY)
     path = " + ".join(paths)
     with open_logs(paths, values.get("kind"), msg_path=values.get("msg_path")) as opened:
         signal = choose_rates(opened, RateSelection.of(values))
-        batches = list(signal.batches())
+        batches = signal.batches()
+        if values.get("regular_time"):
+            batches = Timeline(OBSERVE._replace(regular_time=True), path).apply(batches)
+        parts = list(batches)
         warn(path, opened.losses, (*signal.remarks, *opened.remarks))
-    return GyroSeries.joined(batches or [GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))])
+    return GyroSeries.joined(parts or [GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))])
 
 
 @with_keywords_of(AttitudeOptions, "attitudes")

@@ -233,7 +233,8 @@ class CompareOptions(TypedDict, total=False):
         f"least half have equal stamps, else nearest if there is {Setting('max_dt')}, else "
         f"interpolate", group="Alignment")]
     max_dt: Annotated[int | str | None, Keyword(
-        length, "Largest distance in time of samples that are matched or interpolated between.",
+        length, f"Largest distance in time of samples that are matched or interpolated between. "
+        f"Without {Setting('match')}, it also means nearest instead of interpolate.",
         "half the median interval to the nearest, 10 to interpolate", "DUR", "Alignment")]
     min_matched: Annotated[float | None, Keyword(
         _percentage, "Percentage of the shorter series that must be matched.", "50", "PERCENT",

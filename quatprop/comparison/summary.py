@@ -134,7 +134,7 @@ def _matching(matching: Matching) -> str:
     other = "A" if matching.at == "B" else "B"
     method = {
         "exact": "equal stamps",
-        "nearest": f"nearest to {matching.at} within {reach}",
+        "nearest": f"{other} nearest to {matching.at} within {reach}, not interpolated",
         "interpolate": f"{other} interpolated at the stamps of {matching.at}, over at most {reach}",
     }
     span = duration_text(matching.last_ns - matching.first_ns)

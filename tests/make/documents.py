@@ -31,6 +31,7 @@ SIMULATED = {
 BROAD = "broad/05_undisturbed_slow_rotation_with_breaks_B.hdf5"
 RECORDED = {
     "flight.ulg": "ulog/sample.ulg",
+    "robot.bag": "auk/auk.bag",
     "euroc/imu0/data.csv": "csv/euroc_v102/imu0_data.csv",
     BROAD: BROAD,
     "euroc/truth.csv": "csv/euroc_v102/state_groundtruth_data.csv",
@@ -102,7 +103,7 @@ class Document:
         words, _, grep = command.partition(" | grep ")
         if words.startswith("quatprop ") and " > " not in words:
             # No process of its own: it is faster.
-            result = run(*shlex.split(words, comments=True)[1:])
+            result = run(*shlex.split(words.removesuffix(" 2>&1"), comments=True)[1:])
             lines = (result.stdout + result.stderr).splitlines()
             return result.exit_code, "\n".join(line for line in lines if grep in line)
         folders = (self.folder / ".bin", Path(sys.executable).parent, os.environ["PATH"])
