@@ -64,14 +64,20 @@ if TYPE_CHECKING:
     from quatprop.api.propagation import PropagatedSeries, propagate
     from quatprop.api.reading import read_attitudes, read_rates
     from quatprop.comparison.result import Comparison
+    from quatprop.comparison.statistics import ErrorStatistics
+    from quatprop.conversion.job import ConversionReport
     from quatprop.errors import DataLossWarning, QuatpropError, QuatpropWarning, RemarkWarning
     from quatprop.pipeline.report import RunReport
     from quatprop.series import AttitudeSeries, GyroSeries
+    from quatprop.timeline.counts import Counts
 
 __all__ = [
     "AttitudeSeries",
     "Comparison",
+    "ConversionReport",
+    "Counts",
     "DataLossWarning",
+    "ErrorStatistics",
     "GyroSeries",
     "PropagatedSeries",
     "QuatpropError",
@@ -89,7 +95,10 @@ __all__ = [
 _MODULES = {
     "AttitudeSeries": "quatprop.series",
     "Comparison": "quatprop.comparison.result",
+    "ConversionReport": "quatprop.conversion.job",
+    "Counts": "quatprop.timeline.counts",
     "DataLossWarning": "quatprop.errors",
+    "ErrorStatistics": "quatprop.comparison.statistics",
     "GyroSeries": "quatprop.series",
     "PropagatedSeries": "quatprop.api.propagation",
     "QuatpropError": "quatprop.errors",

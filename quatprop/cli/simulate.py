@@ -62,7 +62,7 @@ EXAMPLES = (
 OPTIONS = {
     "--to kind": Keyword(
         Choice(*GENERAL_KINDS), "Kind of the log.",
-        "by the suffix; without one a ROS 2 bag folder"),
+        "by the suffix, else a ROS 2 bag"),
     "--compression": Keyword(
         Choice("none", "lz4", "zstd", "bz2"), "Compression of a message log.",
         "zstd for mcap, else none"),
@@ -79,7 +79,7 @@ OPTIONS = {
     "--seed": Keyword(
         click.IntRange(min=0), "Of noise and random walk: the same seed gives the same log.", "0",
         "N"),
-    "--noise": Keyword(click.FloatRange(min=0), "Angular random walk, rad/s/sqrt(Hz).", "0", "X"),
+    "--noise": Keyword(click.FloatRange(min=0), "Angle random walk, rad/s/sqrt(Hz).", "0", "X"),
     "--bias": Keyword(
         number_list("X,Y,Z"), "Constant error of the rates, rad/s.", "0,0,0", "X,Y,Z"),
     "--q0": Keyword(

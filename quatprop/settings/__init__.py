@@ -201,7 +201,7 @@ class PropagateOptions(RateOptions, total=False):
         "its start, of the one at its end, their mean, linear between them (coning), a cubic "
         "through four samples (cubic) or a quintic through six (quintic, for sensors with next to "
         "no noise). The last three also correct averages and increments for coning.",
-        "start; end where the log's samples are averages or increments",
+        "start (averages: end)",
         group="Integration", common=True)]
     rates: Annotated[Frame | None, Keyword(
         Choice(*FRAMES), "Frame the rates are resolved in: body multiplies right, inertial (or "
@@ -281,8 +281,8 @@ class PropagateOptions(RateOptions, total=False):
         "Uncertainty")]
     bias_sigma: Annotated[str | float | None, Keyword(
         quantity_of(RATES, "a rate", "20deg/h"), "Standard deviation of its constant bias, such as "
-        "20deg/h; a bias instability counts as this.", f"by {Setting('bias', 'static')}, else 0",
-        "X", "Uncertainty")]
+        "20deg/h: how well the bias is known, as turn-on repeatability says; bias instability says "
+        "less.", f"by {Setting('bias', 'static')}, else 0", "X", "Uncertainty")]
     random_walk: Annotated[str | float | None, Keyword(
         quantity_of(RATE_WALKS, "a rate random walk", "1e-5rad/s^2/sqrt(Hz)"), "Rate random walk "
         "of its bias, such as 1e-5rad/s^2/sqrt(Hz) or 3deg/h/sqrt(h).", f"by {Setting('imu')}, "
