@@ -13,6 +13,7 @@ from make.commands import run
 from make.documents import GUIDES, ROOT, Document
 from make.places import SHARED_LOGS
 from make.reading import found_in, mark, stamps
+from make.reference import python_reference, reference
 
 from quatprop import propagate, write
 from quatprop.cli.help import GROUPS
@@ -119,6 +120,12 @@ def headings(text, level="#+"):
     """Return the headings of a document, with the anchors that they have."""
     heads = re.findall(rf"^{level} (.*)$", text, re.MULTILINE)
     return [(head, re.sub(r"[^a-z0-9 -]", "", head.lower()).replace(" ", "-")) for head in heads]
+
+
+def test_references_say_what_the_program_says_of_itself():
+    """`make documents` writes them from options, docstrings and reports."""
+    assert (GUIDES / "reference.md").read_text() == reference()
+    assert (GUIDES / "api.md").read_text() == python_reference()
 
 
 def test_the_contents_name_every_section():
