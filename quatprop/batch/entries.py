@@ -21,7 +21,10 @@ class ManifestEntry(NamedTuple):
 
     `state`: ``"done"``; ``"data lost"``: done, but some data of the log were lost or left out;
         ``"no rates"``: a table found in a folder, without body rates; ``"failed"``
-    `log`: absolute path or address
+    `log`, `output`: absolute path or address; name of the output below the folder
+    `samples`, `rows`: samples propagated, attitudes written
+    `seconds`: how long it took, s
+    `remarks`, `losses`: what should be known of; what could not be read
     `error`: why there is no output
     `log_bytes`, `log_sha256`, `log_etag`, `output_bytes`, `output_sha256`: sizes and digests; None
         where there are none. A log in an object store has the ETag that the store gives it

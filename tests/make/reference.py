@@ -14,6 +14,8 @@ from quatprop.batch.entries import ManifestEntry
 from quatprop.cli.commands import COMMANDS, cli
 from quatprop.cli.help import GROUPS, OWN, GroupedOption
 from quatprop.comparison.result import Comparison
+from quatprop.conventions import AttitudeConvention
+from quatprop.logs.signals.quaternion_check import QuaternionCounts
 from quatprop.pipeline.report import RunReport
 
 HEAD = "This page is written by `make documents`, from what the program says of itself.\n"
@@ -94,7 +96,7 @@ def _options():
             for text, commands in texts.items()
         ]
         if rows:
-            yield f"### {title}\n"
+            yield f"### {'One command alone' if title == OWN else title}\n"
             yield _table(("option", "of", "meaning"), rows)
 
 
@@ -110,10 +112,14 @@ JSON = """## JSON
 
 `propagate --report`, `batch --json` and the metadata of outputs have a RunReport, `compare --json`
 a Comparison, each line of a batch's `manifest.jsonl` a ManifestEntry. Keys are the fields below.
-Beside them stand `quatprop`, the version that wrote it; in a RunReport `data_lost`; in a Comparison
-`a` and `b`, its inputs. Arrays and tuples are lists; None is null, and so is a number that is not
-finite. A digest's fields stand where `digest` would.
+Beside them stand `quatprop`, the version that wrote it; in a RunReport `data_lost`, `timings`, and
+`side` of its convention; in a Comparison its inputs `a` and `b`, each with `path`, `kind`, `name`,
+`type`, `quaternion` (field or columns), `layout`, `meaning` (AttitudeConvention), `clock`,
+`samples`, `rows` (QuaternionCounts), `losses` and `remarks`. Arrays and tuples are lists; None is
+null, and so is a number that is not finite. The fields of a digest stand beside the others.
 """
+
+ROOTS = (RunReport, Comparison, ManifestEntry, AttitudeConvention, QuaternionCounts)
 
 
 @cache
@@ -132,7 +138,7 @@ def _classes():
 def _json():
     """Yield the keys of the reports, class by class."""
     yield JSON
-    waiting, seen = [RunReport, Comparison, ManifestEntry], set()
+    waiting, seen = [*ROOTS], set()
     while waiting:
         one = waiting.pop(0)
         if one in seen:
@@ -141,8 +147,12 @@ def _json():
         described = _described(one)
         rows = []
         for key, hint in _keys(one):
-            waiting += [_classes()[word] for word in re.findall(r"\w+", hint) if _is_part(word)]
-            rows.append((f"`{key}`", f"`{hint}`", described.get(key, "")))
+            parts = [_classes()[word] for word in re.findall(r"\w+", hint) if _is_part(word)]
+            waiting += parts
+            says = described.get(key, "")
+            if parts and list(described.values()).count(says) != 1:
+                says = inspect.getdoc(parts[0]).split("\n")[0]
+            rows.append((f"`{key}`", f"`{hint}`", says))
         yield f"### {one.__name__}\n"
         yield _table(("key", "type", "meaning"), rows)
 
@@ -169,7 +179,8 @@ def _described(one):
     found = {}
     for names, says, numpy_names, numpy_says in re.findall(pattern, text, re.MULTILINE):
         for name in re.findall(r"\w+", names or numpy_names):
-            found[name] = " ".join((says or numpy_says).split())
+            text = re.sub(r":\w+:`~?(?:[\w.]*\.)?(\w+)`", r"`\1`", says or numpy_says)
+            found[name] = " ".join(text.replace("``", "`").split())
     return found
 
 
