@@ -59,7 +59,7 @@ def compare(
 
     settings = comparison_settings(**options)
     result = compare_series(_side("a", a), _side("b", b), settings)
-    remarks = tuple(map(in_python, result.remarks))
+    remarks = tuple(one.spelled(in_python) for one in result.remarks)
     return replace(result, remarks=remarks, likely_cause=_in_python(result.likely_cause))
 
 
@@ -197,7 +197,8 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     )
     if report.data_lost:
         warnings.warn(f"{wanted.path}: rows were lost or dropped", DataLossWarning, stacklevel=2)
-    return replace(report, remarks=tuple(map(in_python, report.remarks)))
+    remarks = tuple(one.spelled(in_python) for one in report.remarks)
+    return replace(report, remarks=remarks)
 
 
 def _in_python(cause: Cause | None) -> Cause | None:

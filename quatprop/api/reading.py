@@ -15,7 +15,7 @@ from quatprop.settings import READ_RATES, AttitudeOptions, RateOptions
 from quatprop.settings.keyword import parameters
 from quatprop.settings.parsers import path as parse_path
 from quatprop.settings.values import parse_all
-from quatprop.text import Setting, spelled
+from quatprop.text import Remark, Setting, spelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -133,7 +133,7 @@ def path_text(name: str, path: StrPath, hint: str = "") -> str:
 def warn(
     path: str,
     losses: Iterable[Loss],
-    remarks: Iterable[str],
+    remarks: Iterable[Remark],
     *,
     dropped: int = 0,
 ) -> None:
@@ -145,4 +145,5 @@ def warn(
         message = f"{path}: {dropped} rows were dropped"
         warnings.warn(DataLossWarning(message, dropped), stacklevel=3)
     for remark in remarks:
-        warnings.warn(f"{path}: {spelled(remark)}", RemarkWarning, stacklevel=3)
+        message = f"{path}: {spelled(remark)}"
+        warnings.warn(RemarkWarning(message, remark.code), stacklevel=3)

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from quatprop.conditioning.window_sums import Rows
     from quatprop.series import GyroSeries
     from quatprop.settings.parsers import StaticBias
+    from quatprop.text import Remark
     from quatprop.timeline import Timeline
     from quatprop.times import Instant
 
@@ -114,12 +115,12 @@ class GyroCorrectionReport(NamedTuple):
     start_ns: int | None
     end_ns: int | None
     outside: list[int]
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
     part: PartOfLog | None = None
     length: str = ""
 
     @property
-    def all_remarks(self) -> list[str]:
+    def all_remarks(self) -> list[Remark]:
         """What a reader should know, once all samples have passed."""
         return [*self.remarks, *(self.bias_series.remarks() if self.bias_series else ())]
 
@@ -178,7 +179,7 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
 
 def _calibration_of(
     settings: GyroCorrection, inputs: GyroCorrectionInputs
-) -> tuple[Float64 | None, Float64 | None, tuple[str, ...]]:
+) -> tuple[Float64 | None, Float64 | None, tuple[Remark, ...]]:
     """Return the matrix and the bias of a calibration, and remarks about it."""
     if settings.calibration is None:
         return None, None, ()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.text import Setting
+from quatprop.text import Remark, Setting
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
@@ -59,11 +59,15 @@ class StaticPeriod(NamedTuple):
         return max((each.sigma for each in self.levels), default=0.0)
 
     @property
-    def remarks(self) -> tuple[str, ...]:
+    def remarks(self) -> tuple[Remark, ...]:
         """What a reader should know."""
-        return tuple(
-            filter(None, (self._moves(), self._unconfirmed(), self._differs(), self._coarse()))
-        )
+        found = {
+            "rest-moves": self._moves(),
+            "rest-unconfirmed": self._unconfirmed(),
+            "rests-differ": self._differs(),
+            "rest-coarse": self._coarse(),
+        }
+        return tuple(Remark(code, text) for code, text in found.items() if text)
 
     def _moves(self) -> str:
         if self.scatter_rad_s <= AT_REST:

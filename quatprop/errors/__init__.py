@@ -61,7 +61,17 @@ class DataLossWarning(QuatpropWarning):
 
 
 class RemarkWarning(QuatpropWarning):
-    """Something was inferred, or looks wrong."""
+    """Something was inferred, or looks wrong.
+
+    Attributes
+    ----------
+    code
+        Names what is said, such as ``"saturated"``; it stays when the sentence changes.
+    """
+
+    def __init__(self, message: str, code: str = "") -> None:
+        super().__init__(message)
+        self.code = code
 
 
 class QuatpropError(Exception):

@@ -21,7 +21,7 @@ from quatprop.provenance import Digest
 from quatprop.settings.quantities import RATES
 from quatprop.stores.objects import without_secret
 from quatprop.tables.base import TableLog
-from quatprop.text import Setting
+from quatprop.text import Remark, Setting
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
 
@@ -70,12 +70,11 @@ class AttitudeStream:
         self._observer, self._sensitivity, self._rate = observer, sensitivity, rate
         self._rows = 0
         # First, since the beginning of the log may be kept until it is read for good.
-        self._log_remarks = (
-            [] if log is None or str(log.path) == "-" else log_remarks(log, source, settings.rates)
-        )
+        read_once = log is not None and str(log.path) == "-"
+        self._log_remarks = [] if read_once else log_remarks(log, source, settings.rates)
         chosen_by = "time_col" if isinstance(log, TableLog) else "clock"
         self._timeline = Timeline(settings.policy, path, chosen_by)
-        self._checks = RateChecks()
+        self._checks = RateChecks(source.unit, is_given=source.unit_is_given)
         self._batches, self._conditioned = condition(
             source.batches,
             self._timeline,
@@ -209,7 +208,7 @@ class AttitudeStream:
             ),
         )
 
-    def _remarks(self) -> Iterator[str]:
+    def _remarks(self) -> Iterator[Remark]:
         settings, counts = self._settings, self._timeline.counts
         yield from self._source.remarks
         yield from self._source.method_remarks(settings.method)
@@ -217,7 +216,8 @@ class AttitudeStream:
         yield from clipping_remarks(settings.conditioning, self._conditioned)
         yield from self._conditioned.all_remarks
         yield from self._checks.remarks(counts)
-        yield from filter(None, [self._times_left_out()])
+        if left_out := self._times_left_out():
+            yield Remark("times-left-out", left_out)
         yield from self._log_remarks
         yield from () if self._log is None else self._log.remarks
 

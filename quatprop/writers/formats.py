@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.errors import OutputError, UsageError
-from quatprop.text import Setting, quoted
+from quatprop.text import Remark, Setting, quoted
 from quatprop.writers.targets import is_stdout, is_stream
 
 if TYPE_CHECKING:
@@ -145,12 +145,12 @@ def kind_of(target: Path | str, kind: str | None = None, choices: Collection[str
     )
 
 
-def format_remarks(target: Path | str, kind: str | None = None) -> tuple[str, ...]:
+def format_remarks(target: Path | str, kind: str | None = None) -> tuple[Remark, ...]:
     """Return what a file has no place for, though every attitude has it."""
     kind = kind_of(target, kind)
     if WRITERS[kind].has_stamps:
         return ()
-    return (f"the timestamps are not kept: {kind} has no place for them",)
+    return (Remark("stamps-lost", f"the timestamps are not kept: {kind} has no place for them"),)
 
 
 def keeps_provenance(target: Path | str, kind: str | None = None, *, comment: bool = False) -> bool:

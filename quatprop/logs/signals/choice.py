@@ -21,7 +21,7 @@ from quatprop.errors import (
 )
 from quatprop.logs.matching.find import Found, find
 from quatprop.logs.signals.signal import RateSignal, Signal
-from quatprop.text import Setting, did_you_mean, listed, plain, quoted
+from quatprop.text import Remark, Setting, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -111,7 +111,7 @@ def choose(log: Log, candidates: Sequence[Candidate[SignalT]], kind: SignalKind)
     ignored = [candidate.topic for candidate in candidates if candidate not in preferred]
     if not ignored:
         return signal
-    remark = f"ignored {kind.secondary}: {listed(ignored)}"
+    remark = Remark("ignored-signals", f"ignored {kind.secondary}: {listed(ignored)}")
     return replace(signal, remarks=(*signal.remarks, remark))
 
 
@@ -136,9 +136,10 @@ def _joined(log: Log, signals: list[SignalT]) -> SignalT:
             f"definitions, and some have no header stamp; choose {Setting('clock', 'log')}",
         )
 
-    remark = (
+    remark = Remark(
+        "several-definitions",
         f"topic {quoted(first.name)} was recorded with {len(signals)} different message "
-        "definitions, each of which was read by its own"
+        "definitions, each of which was read by its own",
     )
     return replace(
         first,
