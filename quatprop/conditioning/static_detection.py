@@ -168,10 +168,9 @@ def _other(rests: WindowSums, taken: int, compared: Bool) -> OtherRest | None:
 
 def _quiet_rates(rates: WindowSums) -> Intp:
     """Return the windows whose rates by themselves could be those of a gyroscope at rest."""
-    # A window that is not full, or of a sensor that has not begun to measure, is no evidence.
+    # A window that is not full is no evidence.
     full = rates["count"] >= max(2.0, np.median(rates["count"]) / 2 if len(rates) else 0.0)
-    measured = full & (rates["squares"] > 0) if rates["squares"].any() else full
-    windows = np.flatnonzero(measured)
+    windows = np.flatnonzero(full)
     if not len(windows):
         raise _no_rest(": too few samples")
     scatter, speed = scatter_of(rates[windows]), np.linalg.norm(mean_of(rates[windows]), axis=1)
@@ -184,6 +183,9 @@ def _quiet_rates(rates: WindowSums) -> Intp:
             f"the steadiest period of the log has a mean rate of {speed[steady].min():.3g} rad/s, "
             f"more than the bias of a gyroscope: the body turns; give {Setting('bias', 'X,Y,Z')}"
         )
+    # Nor is one of a sensor that has not begun to measure, unless it is at rest nowhere else.
+    measured = slow & (rates["squares"][windows] > 0)
+    slow = measured if measured.any() else slow
     windows = windows[slow]
     return np.asarray(windows[_quiet(rates[windows], scatter[slow], QUIET)])
 

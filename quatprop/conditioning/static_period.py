@@ -18,6 +18,11 @@ AT_REST = 0.05
 """rad/s: rates that scatter more than this are not at rest."""
 
 
+ORDINARY_CHANGE = math.radians(0.1)
+"""rad/s: between rests, the bias of a MEMS gyroscope changes by hundredths of a deg/s as
+it warms up. The sigma of the bias knows of that; it is no reason to look into the log."""
+
+
 class OtherRest(NamedTuple):
     """Another period in which the sensor may have been at rest, whose mean rate differs most.
 
@@ -78,16 +83,16 @@ class StaticPeriod(NamedTuple):
         )
 
     def _unconfirmed(self) -> str:
-        if self.steady != ("rate",):
-            return ""
         degrees = np.degrees(np.linalg.norm(self.mean_rad_s))
+        if self.steady != ("rate",) or not degrees:
+            return ""
         return (
             "no accelerometer and no orientation confirms the rest from which the bias is taken: "
             f"a steady rotation at {degrees:.3g} deg/s would look the same"
         )
 
     def _differs(self) -> str:
-        if self.other is None:
+        if self.other is None or self.other.difference_rad_s <= ORDINARY_CHANGE:
             return ""
         degrees = math.degrees(self.other.difference_rad_s)
         way = Setting("bias", f"static@{self.other.first_ns}..{self.other.last_ns}")

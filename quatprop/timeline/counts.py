@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from quatprop.text import Remark, Setting
-from quatprop.times import NS_PER_S, duration_text
+from quatprop.times import NS_PER_S, duration_text, utc_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -21,6 +21,12 @@ INTEGRATED_SHARE = 0.001
 
 FASTEST = 50_000
 """Hz: no gyroscope gives more samples a second."""
+
+EPOCH_US = (1_000_000_000_000_000, 2_000_000_000_000_000)
+"""Microseconds from 1970 to 2001 and to 2033: of a clock in ns, the 12th to 23rd day of its run."""
+
+FASTEST_IN_US = 5_000
+"""Hz: with such stamps even 5 Hz would be as fast as this."""
 
 LONGEST_S = 2
 """s: longer intervals are rather those of another unit of time."""
@@ -219,16 +225,19 @@ def _time_remarks(counts: Counts) -> Iterator[Remark]:
             f"time column, or are they in another {Setting('time_unit')}?",
         )
     elif counts.used >= MIN_SAMPLES and counts.span_ns > 0:
-        rate = (counts.used - 1) * NS_PER_S / counts.span_ns
-        slow = (counts.median_dt_ns or 0) > LONGEST_S * NS_PER_S
-        if slow or rate > FASTEST:
+        first_ns, rate = counts.first_ns or 0, (counts.used - 1) * NS_PER_S / counts.span_ns
+        oddity = ""
+        if (counts.median_dt_ns or 0) > LONGEST_S * NS_PER_S:
+            oddity = f"{rate:.3g} samples per second are few for a gyroscope"
+        elif rate > FASTEST:
+            oddity = f"{rate:,.0f} samples per second are beyond any gyroscope"
+        elif EPOCH_US[0] <= first_ns < EPOCH_US[1] and rate > FASTEST_IN_US:
             oddity = (
-                f"{rate:.3g} samples per second are few for a"
-                if slow
-                else (f"{rate:,.0f} samples per second are beyond any")
+                f"{rate:,.0f} samples per second that begin on {utc_text(first_ns)[:10]} are odd"
             )
+        if oddity:
             yield Remark(
                 "sample-rate",
-                f"{oddity} gyroscope; if the timestamps are in another unit, use "
+                f"{oddity}; if the timestamps are in another unit, use "
                 f"{Setting('time_unit', 's|ms|us|ns')}",
             )
