@@ -15,7 +15,7 @@ from quatprop.errors import DataLossWarning, SeriesError
 from quatprop.series import AttitudeSeries
 from quatprop.settings import READ_ATTITUDES, AttitudeOptions
 from quatprop.settings.values import refuse_unknown
-from quatprop.text import in_python
+from quatprop.text import Setting, in_python
 
 if TYPE_CHECKING:
     from quatprop.api.reading import StrPath
@@ -197,8 +197,10 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     )
     if report.data_lost:
         warnings.warn(f"{wanted.path}: rows were lost or dropped", DataLossWarning, stacklevel=2)
-    remarks = tuple(one.spelled(in_python) for one in report.remarks)
-    return replace(report, remarks=remarks)
+    # Python has no such setting.
+    comment = Setting("header_comment"), "--header-comment on the command line"
+    remarks = (one.spelled(lambda text: text.replace(*comment)) for one in report.remarks)
+    return replace(report, remarks=tuple(one.spelled(in_python) for one in remarks))
 
 
 def _in_python(cause: Cause | None) -> Cause | None:

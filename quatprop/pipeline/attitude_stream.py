@@ -210,7 +210,10 @@ class AttitudeStream:
 
     def _remarks(self) -> Iterator[Remark]:
         settings, counts = self._settings, self._timeline.counts
-        yield from self._source.remarks
+        is_mounted = settings.conditioning.mount is not None
+        for remark in self._source.remarks:
+            if not (is_mounted and remark.code == "stated-mount"):
+                yield remark
         yield from self._source.method_remarks(settings.method)
         yield from remarks(counts, settings.policy)
         yield from clipping_remarks(settings.conditioning, self._conditioned)

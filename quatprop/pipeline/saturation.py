@@ -24,10 +24,10 @@ HAS_RUN = 3
 HIGHEST = 64
 """Values next to the extreme that are counted, to tell saturation from a rounded peak."""
 
-NEXT_STEPS = 6.5
-"""Below the extreme a smooth peak passes so many steps of quantised values more slowly than half
-as many samples as it has at the extreme: of the parabola y = -x^2, 1.45 times as many samples are
-from -6 to -1 as are above -1, and if only three are above -1, two are from -6 to -1."""
+NEXT_STEPS = 10.5
+"""A smooth peak of quantised values has more samples within so many steps below its top than at its
+top: of the parabola y = -x^2, 2.3 times as many are from -11 to -1 as are above -1. Where at least
+half as many are there as at the extreme, with :data:`HAS_RUN` more or less by noise, it is one."""
 
 TOP = 0.95
 """Samples above this share of the extreme are at the end of the range. Calibration with scale
@@ -174,7 +174,6 @@ class Saturation:
             return False
         near = values[-1] - values <= NEXT_STEPS * np.diff(values).min()
         beside = numbers[near][:-1].sum()
-        # Noise may take a few samples to the extreme.
         return bool(beside and numbers[-1] <= 2 * beside + HAS_RUN)
 
     def _piles_up(self, place: tuple[int, int], hold: float) -> bool:
