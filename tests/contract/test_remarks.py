@@ -10,7 +10,8 @@ from itertools import product
 import h5py
 import numpy as np
 import pytest
-from make.places import ROOT
+from fuzz.remarks import false_remarks
+from make.places import ROOT, SAMPLE_LOGS
 from make.remarked import (
     EPOCH,
     MS,
@@ -60,6 +61,8 @@ import quatprop
 from quatprop import AttitudeSeries
 from quatprop.comparison.compare import compare as compare_series
 from quatprop.kinematics.quaternion import exp, multiply
+from quatprop.pipeline.survey import survey
+from quatprop.settings.selection import RateSelection
 
 DEG = np.pi / 180
 STATIC = {"bias": "static"}
@@ -486,3 +489,67 @@ def test_every_remark_has_a_row():
         r'"(rest[a-z-]+)": self',
     )
     assert {code for pattern in made for code in re.findall(pattern, source)} == TABLE.keys()
+
+
+# --- logs that are well, and recordings
+
+RECORDINGS = {
+    "auk/auk.bag": set(),
+    "broad/18_undisturbed_fast_translation_with_breaks_B.hdf5": set(),
+    "csv/data_xsens.txt": set(),
+    "csv/euroc_v102/imu0_data.csv": set(),
+    "csv/euroc_v102/state_groundtruth_data.csv": set(),
+    # A dropout of 65 ms.
+    "csv/px4/sample_sensor_combined_0.csv": {"gaps"},
+    "csv/px4/sample_vehicle_attitude_0.csv": set(),
+    "csv/rostopic_echo.csv": set(),
+    "csv/xio3/Inertial.csv": set(),
+    "csv/xio3/Quaternion.csv": set(),
+    "csv/xio_fusion_degs.csv": set(),
+    "csv/xio_gait_duplicates_degs.csv": {"repeated-stamps"},
+    "irregular/tilt_laser.bag": {"repeated-stamps"},
+    "json_imu/demo.mcap": {"placeholder"},
+    # Its driver scaled the rates twice.
+    "nested_imu/kiran_11sec_motion/11sec_motion_0.mcap": {"rates-off-scale"},
+    # One message, of zeros.
+    "rosbag2/klintan_sample.db3": {"zero-rates"},
+    # A program that publishes 131, 132, 133 and a quaternion of length 196.
+    "rosbag2/plotjuggler_rosbag2_test/rosbag2_test_0.db3": {
+        "beyond-range",
+        "frozen",
+        "invalid-quaternions",
+        "orientation-invalid",
+    },
+    "rosbag2/rerun_rosbag2_2025_09_10-13_03_56_0.mcap": set(),
+    "ulog/sample.ulg": {"frames-by-type", "gaps"},
+}
+"""Recordings, and what is true of them: each remark was checked against the log by hand."""
+
+
+def codes_of(path, **options):
+    """Return the codes of all remarks on the signals of a log."""
+    found = survey(str(path), None, RateSelection(**options))
+    return {one.code for signal in (*found.sources, *found.attitudes) for one in signal.remarks}
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_what_is_said_of_a_recording_is_true(shared_logs, name):
+    """And there is nothing else."""
+    no_unit = name.endswith((".hdf5", ".txt"))
+    options = {"rate_unit": "rad/s"} if no_unit else {}
+    assert codes_of(shared_logs / name, **options) == RECORDINGS[name]
+
+
+@pytest.mark.parametrize(
+    "name", ["spin.csv", "coning.mcap", "tumbling.bag", "tumbling_ros2", "rest.parquet"]
+)
+def test_of_the_sample_logs_one_is_said_to_be_simulated(name):
+    """As it is: a spin without noise has one rate."""
+    assert codes_of(SAMPLE_LOGS / name) == ({"frozen"} if name == "spin.csv" else set())
+
+
+def test_nothing_false_is_said_of_logs_that_are_well():
+    """Rounded peaks were saturated, rounded rates were held, of 25 of 120 such logs."""
+    for seed in range(60):
+        said, how = false_remarks(seed)
+        assert not said, (seed, how, said)
