@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Unpack
 import numpy as np
 
 from quatprop.api.propagation import PropagatedSeries
-from quatprop.api.reading import path_text, read_attitudes, with_keywords_of
+from quatprop.api.reading import path_text, read_attitudes, warn, with_keywords_of
 from quatprop.comparison.settings import CompareOptions
 from quatprop.errors import DataLossWarning, SeriesError
 from quatprop.series import AttitudeSeries
@@ -99,11 +99,18 @@ def write(
     Warns
     -----
     RemarkWarning
-        The series has positions, and the format has no place for them.
+        The format has no place for the timestamps, the positions or the covariances.
     """
     from quatprop.pipeline.report import convention_of
     from quatprop.writers import open_writer
-    from quatprop.writers.formats import WRITERS, kind_of, layout_of
+    from quatprop.writers.formats import (
+        POSITIONS_LOST,
+        SIGMA_LOST,
+        WRITERS,
+        format_remarks,
+        kind_of,
+        layout_of,
+    )
 
     refuse_unknown(unknown, ("to", "layout", "extra_columns"))
     if not isinstance(series, AttitudeSeries):
@@ -122,8 +129,12 @@ def write(
     else:
         provenance = convention_of(order)
     with open_writer(place, to, layout=order, sigma=sigma, extra_columns=extra_columns) as writer:
+        positions_lost = series.position is not None and not writer.holds_positions
         writer.write(series)
         writer.commit(provenance)
+    remarks = [*format_remarks(place, to), *[POSITIONS_LOST] * positions_lost]
+    remarks += [SIGMA_LOST] * (series.covariance is not None and sigma is None)
+    warn(place, (), remarks)
 
 
 def convert(  # noqa: PLR0913  # one keyword for each option

@@ -12,7 +12,7 @@ from quatprop.pipeline.job import open_output
 from quatprop.text import Remark, Setting, listed, quoted
 from quatprop.writers import holds_covariances, open_table, refuse_message
 from quatprop.writers.attitudes import AttitudeWriter, column_table
-from quatprop.writers.formats import WRITERS, format_remarks
+from quatprop.writers.formats import POSITIONS_LOST, SIGMA_LOST, WRITERS, format_remarks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -83,17 +83,9 @@ def remarks_on(
     """
     yield from format_remarks(job.output.path, job.output.to)
     if positions_lost:
-        yield Remark(
-            "positions-lost",
-            "the positions beside the attitudes are not kept: the output has no place for them",
-        )
+        yield POSITIONS_LOST
     if sigma_lost:
-        yield Remark(
-            "sigma-lost",
-            "the standard deviations or covariances of the attitudes are not kept: they need an "
-            "output with a place for them, and Hamilton quaternions body to reference on both "
-            "sides",
-        )
+        yield SIGMA_LOST
     if lost_columns:
         yield Remark(
             "columns-lost",

@@ -100,6 +100,17 @@ WRITERS: Mapping[str, Format] = {
 GENERAL_KINDS = tuple(kind for kind, form in WRITERS.items() if form.columns or form.encodings)
 """The kinds that can hold other series than attitudes."""
 
+POSITIONS_LOST = Remark(
+    "positions-lost",
+    "the positions beside the attitudes are not kept: the output has no place for them",
+)
+SIGMA_LOST = Remark(
+    "sigma-lost",
+    "the standard deviations or covariances of the attitudes are not kept: they need an output "
+    "with a place for them, and Hamilton quaternions body to reference on both sides",
+)
+"""What is said of an output that has no place for what a source has."""
+
 DEFAULT_LAYOUT = "scalar-first"
 
 

@@ -85,6 +85,21 @@ def test_a_named_part_in_which_the_body_moves_is_said_to_be_no_rest():
     assert report.conditioning.rest.scatter_rad_s > 1
 
 
+def test_a_rest_of_zeros_is_a_rest():
+    """Of a coarse sensor, or one with a dead band, which shows 0, there was said to be none.
+
+    Zeros before a sensor begins to measure are none where it rests later.
+    """
+    zeros, moving = np.zeros((10 * HZ, 3)), turning(2)
+    report, remarks = found(series(zeros, moving))
+    assert report.conditioning.rest.samples == 10 * HZ
+    assert not report.conditioning.bias_rad_s.any()
+    assert not [text for text in remarks if "would look the same" in text]
+    later = noise(1, 10) + np.array([0, 0, 0.01])
+    report, _ = found(series(zeros, moving, later))
+    np.testing.assert_allclose(report.conditioning.bias_rad_s, later.mean(axis=0), atol=1e-5)
+
+
 def test_rests_that_are_alike_are_not_said_to_differ():
     """Of a hundred logs whose rests differ by noise alone."""
     for seed in range(100):
