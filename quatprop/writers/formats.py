@@ -107,7 +107,8 @@ POSITIONS_LOST = Remark(
 SIGMA_LOST = Remark(
     "sigma-lost",
     "the standard deviations or covariances of the attitudes are not kept: they need an output "
-    "with a place for them, and Hamilton quaternions body to reference on both sides",
+    "with a place for them, and Hamilton quaternions body to reference on both sides; "
+    "standard deviations also need axes that stay axes",
 )
 """What is said of an output that has no place for what a source has."""
 
