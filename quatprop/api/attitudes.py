@@ -16,7 +16,7 @@ from quatprop.series import AttitudeSeries
 from quatprop.settings import READ_ATTITUDES, AttitudeOptions
 from quatprop.settings.parsers import mounting
 from quatprop.settings.values import parse_all, refuse_unknown
-from quatprop.text import Setting, in_python
+from quatprop.text import in_python
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -107,14 +107,7 @@ def write(
     """
     from quatprop.pipeline.report import convention_of
     from quatprop.writers import open_writer
-    from quatprop.writers.formats import (
-        POSITIONS_LOST,
-        SIGMA_LOST,
-        WRITERS,
-        format_remarks,
-        kind_of,
-        layout_of,
-    )
+    from quatprop.writers.formats import WRITERS, format_remarks, kind_of, layout_of
 
     refuse_unknown(unknown, ("to", "layout", "extra_columns"))
     if not isinstance(series, AttitudeSeries):
@@ -133,12 +126,13 @@ def write(
     else:
         provenance = convention_of(order)
     with open_writer(place, to, layout=order, sigma=sigma, extra_columns=extra_columns) as writer:
-        positions_lost = series.position is not None and not writer.holds_positions
         writer.write(series)
         writer.commit(provenance)
-    remarks = [*format_remarks(place, to), *[POSITIONS_LOST] * positions_lost]
-    remarks += [SIGMA_LOST] * (series.covariance is not None and sigma is None)
-    warn(place, (), remarks)
+    lost = {
+        "positions_lost": series.position is not None and not writer.holds_positions,
+        "sigma_lost": series.covariance is not None and sigma is None,
+    }
+    warn(place, (), format_remarks(place, to, **lost))
 
 
 def convert(  # noqa: PLR0913  # one keyword for each option
@@ -221,10 +215,7 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     )
     if report.data_lost:
         warnings.warn(f"{wanted.path}: rows were lost or dropped", DataLossWarning, stacklevel=2)
-    # Python has no such setting.
-    comment = Setting("header_comment"), "--header-comment on the command line"
-    remarks = (one.spelled(lambda text: text.replace(*comment)) for one in report.remarks)
-    return replace(report, remarks=tuple(one.spelled(in_python) for one in remarks))
+    return replace(report, remarks=tuple(one.spelled(in_python) for one in report.remarks))
 
 
 def _in_python(cause: Cause | None) -> Cause | None:

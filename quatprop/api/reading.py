@@ -138,12 +138,12 @@ def warn(
     dropped: int = 0,
 ) -> None:
     """Warn of losses and remarks at the line where the user calls the function that calls this."""
-    for loss in losses:
-        message = f"{path}: lost: {loss.place}: {spelled(loss.reason)}"
-        warnings.warn(DataLossWarning(message, loss.messages), stacklevel=3)
-    if dropped:
-        message = f"{path}: {dropped} rows were dropped"
-        warnings.warn(DataLossWarning(message, dropped), stacklevel=3)
+    lost = [(f"lost: {loss.place}: {spelled(loss.reason)}", loss.messages) for loss in losses]
+    for text, messages in [*lost, *[(f"{dropped} rows were dropped", dropped)] * bool(dropped)]:
+        loss_warning = DataLossWarning(f"{path}: {text}")
+        loss_warning.messages = messages
+        warnings.warn(loss_warning, stacklevel=3)
     for remark in remarks:
-        message = f"{path}: {spelled(remark)}"
-        warnings.warn(RemarkWarning(message, remark.code), stacklevel=3)
+        warning = RemarkWarning(f"{path}: {spelled(remark)}")
+        warning.code = remark.code
+        warnings.warn(warning, stacklevel=3)

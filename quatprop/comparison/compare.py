@@ -23,7 +23,7 @@ from quatprop.series.blocks import blocks
 from quatprop.text import Remark
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from quatprop.arrays import Float64
     from quatprop.series import AttitudeSeries
@@ -95,53 +95,18 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
 
     `pairs`: what was compared; None where the result need not have it, nor the errors
     """
-    remarks = [*remarks]
     window = parts = sigmas = None
     if pairs is not None:
-        if pairs.floor_rad > FLOOR_SHARE * settings.smallest_limit_rad:
-            remarks.append(
-                Remark(
-                    "interpolated",
-                    "attitudes were interpolated between samples, which may cause errors of "
-                    f"about {math.degrees(pairs.floor_rad):.3g} deg",
-                )
-            )
         if settings.window:
             window = window_statistics(pairs, measured.alignment, settings.window)
         if settings.in_parts:
             parts = error_parts(pairs, measured.alignment)
-            if parts.inclination.max > OPPOSED:
-                remarks.append(
-                    Remark(
-                        "opposed-verticals",
-                        "the z axes of A and B point in opposite directions, where there is no "
-                        "error in heading to speak of: is one of them north-east-down, and the "
-                        "other one up?",
-                    )
-                )
         sigmas = sigma_statistics(a, b, pairs, measured.alignment)
     errors = measured.errors()
-    final, largest = float(errors[-1]), measured.worst.error_rad
+    final = float(errors[-1])
     if pairs is None:
         errors.sort()
     rising = errors if pairs is None else np.sort(errors)
-    exact = association.match == "exact"
-    if exact and measured.opposite and largest <= SMALL_ERROR:
-        remarks.append(
-            Remark(
-                "opposite-signs",
-                f"B has the opposite sign in {measured.opposite} of {len(errors)} samples: q and "
-                "-q are the same attitude, so this is no error",
-            )
-        )
-    if sigmas and math.isinf(sigmas.max):
-        remarks.append(
-            Remark(
-                "exact-sigma",
-                f"the error at {sigmas.max_ns} ns is infinitely many sigma: the attitude is given "
-                "as exact, with sigma 0, and the error is beyond rounding",
-            )
-        )
     comparison = Comparison(
         pairs=pairs,
         errors=np.empty(0) if pairs is None else errors,
@@ -160,10 +125,44 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
         first_exceeding=measured.first_exceeding,
         remarks=tuple(remarks),
     )
+    remarks = (*remarks, *_remarks(settings, comparison, measured))
+    comparison = replace(comparison, remarks=remarks)
     criteria = tuple(judge(settings, comparison))
     passed = all(criterion.passed for criterion in criteria) if criteria else None
     cause = None if passed else likely_cause(a, b, settings, rising)
     return replace(comparison, criteria=criteria, passed=passed, likely_cause=cause)
+
+
+def _remarks(
+    settings: ComparisonSettings, comparison: Comparison, measured: ErrorAccumulator
+) -> Iterator[Remark]:
+    """Yield what a reader of a comparison should know."""
+    floor_rad = 0.0 if comparison.pairs is None else comparison.pairs.floor_rad
+    if floor_rad > FLOOR_SHARE * settings.smallest_limit_rad:
+        yield Remark(
+            "interpolated",
+            "attitudes were interpolated between samples, which may cause errors of about "
+            f"{math.degrees(floor_rad):.3g} deg",
+        )
+    if comparison.parts and comparison.parts.inclination.max > OPPOSED:
+        yield Remark(
+            "opposed-verticals",
+            "the z axes of A and B point in opposite directions, where there is no error in "
+            "heading to speak of: is one of them north-east-down, and the other one up?",
+        )
+    exact = comparison.association.match == "exact"
+    if exact and measured.opposite and measured.worst.error_rad <= SMALL_ERROR:
+        yield Remark(
+            "opposite-signs",
+            f"B has the opposite sign in {measured.opposite} of {comparison.association.matched} "
+            "samples: q and -q are the same attitude, so this is no error",
+        )
+    if comparison.sigmas and math.isinf(comparison.sigmas.max):
+        yield Remark(
+            "exact-sigma",
+            f"the error at {comparison.sigmas.max_ns} ns is infinitely many sigma: the attitude is "
+            "given as exact, with sigma 0, and the error is beyond rounding",
+        )
 
 
 def unit(wxyz: Float64) -> Float64:

@@ -270,8 +270,7 @@ class TopicTable(Table):
 
     def remark(self, code: str, text: str) -> None:
         """Add a remark on the log, as the last one."""
-        others = (one for one in self.log.remarks if one != text)
-        self.log.remarks = [*others, Remark(code, text)]
+        self.log.remarks = [*(one for one in self.log.remarks if one != text), Remark(code, text)]
 
 
 def _left_out(blocks: Sequence[MessageBlock], error: MessageError) -> list[MessageBlock]:

@@ -12,7 +12,7 @@ from quatprop.pipeline.job import open_output
 from quatprop.text import Remark, Setting, listed, quoted
 from quatprop.writers import holds_covariances, open_table, refuse_message
 from quatprop.writers.attitudes import AttitudeWriter, column_table
-from quatprop.writers.formats import POSITIONS_LOST, SIGMA_LOST, WRITERS, format_remarks
+from quatprop.writers.formats import WRITERS, format_remarks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -86,11 +86,9 @@ def remarks_on(
     `positions_lost`: whether the source has positions and the output none
     `sigma_lost`: whether the source has standard deviations or covariances and the output none
     """
-    yield from format_remarks(job.output.path, job.output.to)
-    if positions_lost:
-        yield POSITIONS_LOST
-    if sigma_lost:
-        yield SIGMA_LOST
+    yield from format_remarks(
+        job.output.path, job.output.to, positions_lost=positions_lost, sigma_lost=sigma_lost
+    )
     if lost_columns:
         yield Remark(
             "columns-lost",
