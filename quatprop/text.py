@@ -84,8 +84,6 @@ def in_python(text: str, side: str = "") -> str:
     elsewhere = _ELSEWHERE.get(side, "")
 
     def spell(name: str, value: str, _own: str) -> str:
-        if name == "header_comment":
-            return "a comment in its header"  # which the command line alone writes
         values = " or ".join(map(repr, filter(None, value.split("|"))))
         return name + "=" * bool(value) + values + elsewhere * (name != "start")
 

@@ -16,7 +16,7 @@ from quatprop.series import AttitudeSeries
 from quatprop.settings import READ_ATTITUDES, AttitudeOptions
 from quatprop.settings.parsers import mounting
 from quatprop.settings.values import parse_all, refuse_unknown
-from quatprop.text import in_python
+from quatprop.text import Remark, Setting, in_python
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -215,7 +215,10 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     )
     if report.data_lost:
         warnings.warn(f"{wanted.path}: rows were lost or dropped", DataLossWarning, stacklevel=2)
-    return replace(report, remarks=tuple(one.spelled(in_python) for one in report.remarks))
+    # The command line alone has that setting.
+    comment = Setting("header_comment"), "a comment in its header"
+    remarks = (Remark(one.code, one.replace(*comment)) for one in report.remarks)
+    return replace(report, remarks=tuple(one.spelled(in_python) for one in remarks))
 
 
 def _in_python(cause: Cause | None) -> Cause | None:

@@ -210,7 +210,7 @@ class RateChecks:
         # Of rounded rates many are equal, too: what tells them is by how much the others change.
         sizes = np.abs(self._jumps)
         step = np.where(sizes > 0, sizes, np.inf).min(axis=1, initial=np.inf, keepdims=True)
-        ways = np.unique(np.rint(2 * self._jumps / step), axis=1).shape[1]
+        ways = len({*zip(*np.rint(2 * self._jumps / step).tolist(), strict=True)})
         enough &= ways > FEW_JUMPS + DISTINCT * self._jumps.shape[1]
         return hold if enough and hold <= LONGEST_HOLD else 1.0
 

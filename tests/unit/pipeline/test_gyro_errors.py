@@ -356,11 +356,12 @@ def test_messages_have_the_covariance(tmp_path, arguments, name, message, frame)
     ],
 )
 def test_outputs_without_a_place_for_them_are_refused(tmp_path, arguments, name, sentence):
-    """Before anything is written; the library writes a trajectory without them."""
+    """Before anything is written; the library writes a trajectory without them, and says so."""
     out = tmp_path / name
     assert refused(*arguments, "-o", out) == f"Error: --sigma: {sentence}"
     assert not out.exists()
-    write(expected_of()[0], tmp_path / "out.tum")
+    with pytest.warns(RemarkWarning, match="or covariances of the attitudes are not kept"):
+        write(expected_of()[0], tmp_path / "out.tum")
     assert len((tmp_path / "out.tum").read_text().splitlines()[1].split()) == 8
 
 
