@@ -77,7 +77,10 @@ class AttitudeStream:
         read_once = log is not None and str(log.path) == "-"
         self._log_remarks = [] if read_once else log_remarks(log, source, settings.rates)
         chosen_by = "time_col" if isinstance(log, TableLog) else "clock"
-        self._timeline = Timeline(settings.policy, path, chosen_by)
+        self._method, self._method_from = source.method_used(settings.method)
+        self._timeline = Timeline(
+            settings.policy, path, chosen_by, method=self._method, rates=settings.rates
+        )
         self._checks = RateChecks(source.unit, is_given=source.unit_is_given)
         self._batches, self._conditioned = condition(
             source.batches,
@@ -88,7 +91,6 @@ class AttitudeStream:
             # Sorted, samples may belong to the range wherever they are in the log.
             part_reader=None if settings.policy.on_backwards == "sort" else source.part_reader,
         )
-        self._method, self._method_from = source.method_used(settings.method)
         self._errors = known_errors(settings.errors, self._conditioned.rest)
         self._times = _times(settings)
 
@@ -147,6 +149,7 @@ class AttitudeStream:
             settings.selection,
             self._conditioned.mount,
             in_order=settings.policy.on_backwards != "sort",
+            first_ns=self._timeline.first_stamp_ns,
         )
         self._q0 = first_attitude(settings.q0, context, first)
         needs_growth = self._sensitivity or settings.errors.sigma

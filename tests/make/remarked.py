@@ -34,8 +34,14 @@ def noise(scale, count=2000):
 
 def swinging(hz=100, count=2000, peak=5.0, hertz=0.5):
     """Return the rates of a body that swings, ``(count, 3)``, rad/s."""
-    t_s = np.arange(count)[:, None] / hz
-    return peak * np.sin(2 * np.pi * hertz * t_s * [1.0, 1.3, 0.7] + [0, 1, 2])
+    t_ns = np.arange(count) * (SECOND / hz)
+    return swinging_at(t_ns, peak, hertz)
+
+
+def swinging_at(t_ns, peak=5.0, hertz=0.5):
+    """Return the rates of that body at given times, rad/s."""
+    angle = 2 * np.pi * hertz * np.asarray(t_ns - t_ns[0])[:, None] / SECOND
+    return peak * np.sin(angle * [1.0, 1.3, 0.7] + [0, 1, 2])
 
 
 def with_value(array, at, value):
@@ -93,6 +99,19 @@ def of_table(text, name="log.csv", **options):
 def rows(count=30, cells="{k},0.1,0.2,{k}\n", head="t_ms,wx_rad_s,wy_rad_s,wz_rad_s\n"):
     """Return a table as text."""
     return head + "".join(cells.format(k=k) for k in range(count))
+
+
+def of_parts(count):
+    """Propagate a table that is in so many files."""
+
+    def made(folder):
+        lines = rows().splitlines(keepends=True)
+        paths = [folder / f"{number}.csv" for number in range(count)]
+        for number, path in enumerate(paths):
+            path.write_text(lines[0] + "".join(lines[1:][number::count]))
+        return propagate(paths).report.remarks
+
+    return made
 
 
 def of_messages(name="log.mcap", *, options=None, edit=bytes, each=None, count=200, **given):
