@@ -24,7 +24,7 @@ for name in ("GITHUB_STEP_SUMMARY", "GITHUB_ACTIONS", "PYTHONDONTWRITEBYTECODE")
 sys.dont_write_bytecode = False
 
 # How long an example takes depends on what else the machine does.
-hypothesis.settings.register_profile("quatprop", deadline=None)
+hypothesis.settings.register_profile("quatprop", deadline=None, max_examples=50)
 hypothesis.settings.load_profile("quatprop")
 
 

@@ -1,12 +1,10 @@
 """Logs to add attitudes to: rates beside other things, in the libraries' own writers."""
 
 import numpy as np
+from make.ros import ROS1, ROS2
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import Writer as Rosbag2Writer
-from rosbags.typesys import Stores, get_typestore
-
-from quatprop.writers.messages.topics import ros2_types
 
 START = 1_700_000_000_000_000_000
 BOOT = 5_000_000_000
@@ -48,7 +46,7 @@ def write_mcap(path, count=300, profile="ros2", start=0, times=None, **options):
     Stamps and log times are those of `times`, or of :func:`moments`. Every other option is that of
     the library's writer.
     """
-    store = get_typestore(Stores.ROS1_NOETIC) if profile == "ros1" else ros2_types()
+    store = ROS1 if profile == "ros1" else ROS2
     ros1 = profile == "ros1"
     definition, _ = store.generate_msgdef(IMU, ros_version=1 if ros1 else 2)
     options = {"chunk_size": 4000, "compression": CompressionType.ZSTD, **options}
@@ -76,7 +74,7 @@ def write_mcap(path, count=300, profile="ros2", start=0, times=None, **options):
 
 def write_bag(path, count=300, compression=None, chunk_size=4000, times=None):
     """Write a ROS 1 bag of rates and of a camera's shutter."""
-    store = get_typestore(Stores.ROS1_NOETIC)
+    store = ROS1
     writer = Rosbag1Writer(path)
     writer.chunk_threshold = chunk_size
     if compression is not None:
@@ -99,7 +97,7 @@ def write_bag(path, count=300, compression=None, chunk_size=4000, times=None):
 
 def write_rosbag2(path, storage, count=300, version=9):
     """Write a ROS 2 bag of rates and of a camera's shutter, with a note beside its files."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    store = ROS2
     with Rosbag2Writer(path, version=version, storage_plugin=storage) as writer:
         imu = writer.add_connection("/imu", IMU, typestore=store)
         shutter = writer.add_connection("/shutter", "std_msgs/msg/Header", typestore=store)

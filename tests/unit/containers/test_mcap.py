@@ -234,7 +234,7 @@ GARBLED = [{}, {"use_chunking": False}, PLAIN, {"enable_crcs": False},
            {"enable_crcs": False, **PLAIN}, {"index_types": IndexType.NONE}]  # fmt: skip
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=200)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=100)
 @given(
     options=st.sampled_from(GARBLED),
     changes=st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), min_size=1, max_size=4),
