@@ -1,5 +1,6 @@
 """What the tests share: where the real recordings are, and that they are what they were."""
 
+import gc
 import json
 import os
 import sys
@@ -26,6 +27,11 @@ sys.dont_write_bytecode = False
 # How long an example takes depends on what else the machine does.
 hypothesis.settings.register_profile("quatprop", deadline=None, max_examples=50)
 hypothesis.settings.load_profile("quatprop")
+
+
+def pytest_collection_finish():
+    """Let garbage collections pass over what stays: modules, and thousands of tests."""
+    gc.freeze()
 
 
 class SpelledRunner(click.testing.CliRunner):

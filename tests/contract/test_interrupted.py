@@ -66,10 +66,14 @@ def never_done(log, out, **environment):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["long.csv", "long.mcap"])
 @pytest.mark.parametrize(
-    ("number", "wait"),
-    [(signal.SIGINT, 0.02), (signal.SIGINT, 0.2), (signal.SIGTERM, 0.1), (signal.SIGHUP, 0.1)],
+    ("name", "number", "wait"),
+    [
+        ("long.csv", signal.SIGINT, 0.02),
+        ("long.mcap", signal.SIGINT, 0.2),
+        ("long.csv", signal.SIGTERM, 0.1),
+        ("long.mcap", signal.SIGHUP, 0.1),
+    ],
 )
 def test_an_interrupted_run_leaves_the_old_result_and_nothing_else(
     logs, tmp_path, name, number, wait
