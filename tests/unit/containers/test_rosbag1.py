@@ -182,6 +182,16 @@ def test_messages_outside_any_chunk_are_read(tmp_path):
     assert messages(path) == (expected, [])
 
 
+def test_a_bag_that_ends_behind_its_header_is_cut_there(tmp_path):
+    """The header has a record of 4096 bytes, most of which is padding and holds no records."""
+    path = write_bag(tmp_path / "log.bag")
+    path.write_bytes(path.read_bytes()[: 13 + 4096])
+    log = Rosbag1Log(path)
+    assert log.channels() == []
+    assert [loss.place for loss in log.losses] == ["byte 4109"]
+    assert log.losses[0].reason.startswith("it ends before its index")
+
+
 @pytest.mark.parametrize("index_pos", [5, 1 << 60])
 def test_an_index_that_is_not_there_is_done_without(tmp_path, index_pos):
     """An index position that points nowhere is not believed."""

@@ -244,6 +244,12 @@ def test_stray_quotes_between_cells_with_line_breaks_are_counted():
     assert count + sum(loss.messages for loss in losses) >= 6_000
 
 
+def test_lines_of_as_many_words_as_columns_are_text():
+    """A text with line breaks and commas holds no row, as its words are no numbers."""
+    rows = [f'{k},"on\nleft, right, up, down, {k}",1,2,3' for k in range(9)]
+    assert read("\n".join(rows) + "\n", "t_ns,raw,wx,wy,wz\n")[1:] == (9, [], [])
+
+
 def test_quotes_in_comments_and_within_cells_are_no_damage():
     """A quote has a meaning only at the beginning of a cell, and none in a comment."""
     text = '# "paused\n0,a,1,2,3,5"\n#,"stop\n1,3" disk,1,2,3,z\n'
