@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from make.commands import refused, run
-from make.mcap_files import Topic, write_topics
+from make.mcap import Topic, write_topics
 from make.places import SAMPLE_LOGS
 from make.small_files import EUROC
 from make.tables import write_rates

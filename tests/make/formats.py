@@ -19,8 +19,7 @@ import pyarrow as pa
 import zstandard
 from make import ulog
 from make.json_messages import imu as json_imu
-from make.mcap_files import Topic, write_topics
-from make.numbered_mcap import BARE
+from make.mcap import BARE, Topic, write_topics
 from make.protobuf import FOXGLOVE, described, made, stamp_file
 from make.ros import ROS1, ROS2
 from mcap.writer import CompressionType

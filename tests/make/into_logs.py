@@ -1,8 +1,9 @@
 """Logs to add attitudes to: rates beside other things, in the libraries' own writers."""
 
 import numpy as np
+from make.mcap import Topic, build
 from make.ros import ROS1, ROS2
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import Writer as Rosbag2Writer
 
@@ -49,26 +50,23 @@ def write_mcap(path, count=300, profile="ros2", start=0, times=None, **options):
     store = ROS1 if profile == "ros1" else ROS2
     ros1 = profile == "ros1"
     definition, _ = store.generate_msgdef(IMU, ros_version=1 if ros1 else 2)
-    options = {"chunk_size": 4000, "compression": CompressionType.ZSTD, **options}
-    with path.open("wb") as stream:
-        writer = Writer(stream, **options)
-        writer.start(profile=profile, library="a recorder")
-        schema = writer.register_schema(
-            IMU.replace("/msg/", "/") if ros1 else IMU,
-            "ros1msg" if ros1 else "ros2msg",
-            definition.encode(),
-        )
-        imu = writer.register_channel("/imu", "ros1" if ros1 else "cdr", schema)
-        camera = writer.register_channel("/camera", "jpeg", 0, {"lens": "wide"})
-        writer.add_metadata("vehicle", {"name": "truck"})
+    kind = (IMU.replace("/msg/", "/"), "ros1msg", "ros1") if ros1 else (IMU, "ros2msg", "cdr")
+    imu = Topic(kind[0], (), definition.encode(), *kind[1:])
+    topics = [("/imu", imu), ("/camera", Topic("", encoding="jpeg", metadata=[("lens", "wide")]))]
+
+    def events():
+        yield lambda writer: writer.add_metadata("vehicle", {"name": "truck"})
         for k, (stamp, logged) in enumerate(times or moments(count, start)):
-            writer.add_message(imu, logged, imu_message(store, stamp, ros1), logged + 1, k)
+            yield 0, logged, imu_message(store, stamp, ros1), logged + 1
             if k % 10 == 0:
-                writer.add_message(camera, logged, bytes([k % 256]) * 500, logged, k)
+                yield 1, logged, bytes([k % 256]) * 500
             if k == count // 2:
-                writer.add_attachment(logged, 7, "calibration.yaml", "text/yaml", b"k: [1, 2]")
-        writer.add_metadata("end", {"why": "stopped"})
-        writer.finish()
+                note = (logged, 7, "calibration.yaml", "text/yaml", b"k: [1, 2]")
+                yield lambda writer, note=note: writer.add_attachment(*note)
+        yield lambda writer: writer.add_metadata("end", {"why": "stopped"})
+
+    options = {"chunk_size": 4000, "compression": CompressionType.ZSTD, **options}
+    path.write_bytes(build(topics, events(), profile=profile, **options))
     return path
 
 

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from make.commands import run
 from make.into_logs import IMU, imu_message, moments
-from make.mcap_files import Topic, write_topics
+from make.mcap import Topic, write_topics
 from make.places import SAMPLE_LOGS
 from make.ros import ROS1
 from make.tables import write_attitudes, write_rates

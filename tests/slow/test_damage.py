@@ -5,7 +5,7 @@ import time
 
 import pytest
 from fuzz.damage import fuzz
-from make.numbered_mcap import unclosed, written
+from make.mcap import numbered, unclosed
 
 from quatprop.logs.open_log import open_log
 
@@ -27,7 +27,7 @@ def test_ten_thousand_damaged_chunks_cost_little_time(tmp_path, kind):
     count = 10_000
     if kind == "mcap":
         chunk = struct.pack("<QQQII", 0, 1, 40, 7, 0) + struct.pack("<Q", 40) + bytes(40)
-        content = unclosed(written()) + (struct.pack("<BQ", 6, len(chunk)) + chunk) * count
+        content = unclosed(numbered()) + (struct.pack("<BQ", 6, len(chunk)) + chunk) * count
     else:
         fields = (b"op=\x05", b"compression=bz2", b"size=" + struct.pack("<I", 40))
         header = b"".join(struct.pack("<I", len(field)) + field for field in fields)

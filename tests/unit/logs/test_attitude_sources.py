@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from make.mcap_files import Topic, write_topics
+from make.mcap import Topic, write_topics
 from make.reading import attitudes
 from make.ros import ROS2
 

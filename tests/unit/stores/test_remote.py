@@ -15,8 +15,9 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 from make.commands import refused, run
+from make.mcap import Topic, build
 from make.places import SAMPLE_LOGS
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 from pyarrow import feather
 
 from quatprop.errors import LogError, OutputError, StoreError
@@ -73,21 +74,15 @@ def test_a_log_in_a_store_is_the_log(tmp_path, bucket, name):
 
 def beside_images(path, compression, count=500, step_ns=10_000_000):
     """Write an MCAP of which body rates are 5 %, beside images."""
-    with path.open("wb") as file:
-        writer = Writer(file, chunk_size=1 << 20, compression=compression)
-        writer.start()
-        image = writer.register_channel("/camera", "json", writer.register_schema("", "", b""))
-        imu = writer.register_channel(
-            "/imu", "json", writer.register_schema("", "jsonschema", b"{}")
-        )
-        noise = np.random.default_rng(1)
-        for k in range(count):
-            ns = 10**18 + step_ns * k
-            if k % 5 == 0:
-                writer.add_message(image, ns, noise.bytes(50_000), ns)
-            message = {"w": [0.1, 0.2, np.sin(k)], "pad": "." * 400}
-            writer.add_message(imu, ns, json.dumps(message).encode(), ns)
-        writer.finish()
+    noise, events = np.random.default_rng(1), []
+    for k in range(count):
+        ns = 10**18 + step_ns * k
+        if k % 5 == 0:
+            events.append((0, ns, noise.bytes(50_000)))
+        message = {"w": [0.1, 0.2, np.sin(k)], "pad": "." * 400}
+        events.append((1, ns, json.dumps(message).encode()))
+    topics = [("/camera", Topic("")), ("/imu", Topic(""))]
+    path.write_bytes(build(topics, events, chunk_size=1 << 20, compression=compression))
 
 
 BESIDE = ["--topic", "/imu", "--rate-field", "w", "--rate-unit", "rad/s"]

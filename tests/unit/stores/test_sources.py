@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from make.commands import refused, run
 from make.into_logs import write_mcap
-from make.mcap_files import Topic, write_topics
+from make.mcap import Topic, write_topics
 from make.places import SAMPLE_LOGS
 from make.reading import rates
 from make.ulog import added, gyro, write
