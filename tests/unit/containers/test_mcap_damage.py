@@ -40,26 +40,32 @@ def without(numbers):
     return [number for number in range(MESSAGES) if number not in set(numbers)]
 
 
+@pytest.fixture
+def is_left_out(tmp_path, monkeypatch):
+    """Tell whether a chunk is lost with the reason, and read where the user says so."""
+
+    def is_left_out(content, begin, lost, why):
+        numbers, losses = read_numbers(tmp_path, content)
+        monkeypatch.setenv("QUATPROP_CHECKSUMS", "ignore")
+        everything, _ = read_numbers(tmp_path, content)
+        way = "with QUATPROP_CHECKSUMS=ignore it is read all the same"
+        reason = f"{why}, so it is not what was recorded; {way}"
+        is_told = Loss(f"chunk at byte {begin}", reason, len(lost)) in losses
+        return is_told and (numbers, everything) == (without(lost), ALL)
+
+    return is_left_out
+
+
 @every_compression
 @pytest.mark.parametrize("closed", [True, False])
-def test_a_chunk_whose_checksum_is_wrong_is_left_out_and_told(
-    tmp_path, monkeypatch, compression, closed
-):
+def test_a_chunk_whose_checksum_is_wrong_is_left_out_and_told(is_left_out, compression, closed):
     """Nobody can tell which of its samples is wrong, so none is taken, unless the user says so."""
     content = bytearray(numbered(compression=compression))
     begin, _ = chunks(content)[3]
     content[begin + 9 + 24] ^= 1  # in the checksum: the same as a bit in the samples, for any code
     content = bytes(content) if closed else unclosed(content)
-    numbers, losses = read_numbers(tmp_path, content)
     lost = numbers_of_chunks(numbered(compression=compression))[3]
-    assert numbers == without(lost)
-    reason = (
-        "its checksum is wrong, so it is not what was recorded; with QUATPROP_CHECKSUMS=ignore "
-        "it is read all the same"
-    )
-    assert Loss(f"chunk at byte {begin}", reason, len(lost)) in losses
-    monkeypatch.setenv("QUATPROP_CHECKSUMS", "ignore")
-    assert read_numbers(tmp_path, content)[0] == ALL
+    assert is_left_out(content, begin, lost, "its checksum is wrong")
 
 
 def test_a_wrong_checksum_of_the_data_section_is_told(tmp_path):
@@ -265,9 +271,7 @@ def test_a_chunk_of_another_size_than_the_index_says_is_read(tmp_path, compressi
 
 @every_compression
 @every_layout
-def test_a_chunk_whose_log_times_are_not_as_it_states_is_lost(
-    tmp_path, monkeypatch, compression, layout
-):
+def test_a_chunk_whose_log_times_are_not_as_it_states_is_lost(is_left_out, compression, layout):
     """Without a checksum, they show that what was decompressed is not what was recorded."""
     intact = numbered(compression=compression, enable_crcs=False, **LAYOUTS[layout])
     begin, _ = chunks(intact)[4]
@@ -279,15 +283,8 @@ def test_a_chunk_whose_log_times_are_not_as_it_states_is_lost(
         content[at : at + 16] = struct.pack("<QQ", lost[0], lost[-1] - 1)
         at = content.find(stated, at)
     content = unclosed(bytes(content)) if layout == "unclosed" else bytes(content)
-    numbers, losses = read_numbers(tmp_path, content)
-    assert numbers == without(lost)
-    reason = (
-        "its log times are outside the range that it states, so it is not what was recorded; "
-        "with QUATPROP_CHECKSUMS=ignore it is read all the same"
-    )
-    assert Loss(f"chunk at byte {begin}", reason, len(lost)) in losses
-    monkeypatch.setenv("QUATPROP_CHECKSUMS", "ignore")
-    assert read_numbers(tmp_path, content)[0] == ALL
+    why = "its log times are outside the range that it states"
+    assert is_left_out(content, begin, lost, why)
 
 
 @pytest.mark.parametrize("checked", [True, False])

@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 from pathlib import Path
 
@@ -28,15 +27,7 @@ from quatprop.stores.objects import _with_retry_limit, find, without_secret
 from quatprop.stores.transfers import local_copy, put, upload
 from quatprop.times import NS_PER_S
 
-
-@pytest.fixture(autouse=True)
-def temporary(tmp_path, monkeypatch):
-    """Keep temporary copies in a folder of the test, where none may stay."""
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    yield folder
-    assert list(folder.iterdir()) == []
+pytestmark = pytest.mark.usefixtures("temporary")
 
 
 def assert_the_same(folder, near, far, *options):
