@@ -24,9 +24,11 @@ for name in ("GITHUB_STEP_SUMMARY", "GITHUB_ACTIONS", "PYTHONDONTWRITEBYTECODE")
     os.environ.pop(name, None)
 sys.dont_write_bytecode = False
 
-# How long an example takes depends on what else the machine does.
-hypothesis.settings.register_profile("quatprop", deadline=None, max_examples=50)
-hypothesis.settings.load_profile("quatprop")
+# How long an example takes depends on what else the machine does. Each change is judged by the
+# same examples; `make fuzz` draws new ones, and more of them.
+hypothesis.settings.register_profile("fuzz", deadline=None)
+hypothesis.settings.register_profile("tests", deadline=None, derandomize=True, max_examples=50)
+hypothesis.settings.load_profile("tests")
 
 
 def pytest_collection_finish():
