@@ -125,17 +125,26 @@ def kill(event, arguments):
             os.kill(os.getpid(), 9)
 sys.addaudithook(kill)
 """
+UNHURRIED = """
+import sys, time
+sys.addaudithook(lambda event, _: event == "os.rename" and time.sleep(0.1))
+"""
+"""Lets each output take so long that a batch does not end before it is to be ended."""
+
+
+def hooked(folder, code):
+    """Return an environment whose processes run some code when they start."""
+    (folder / "sitecustomize.py").write_text(code)
+    return {"PYTHONPATH": f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
 
 
 @posix
 @pytest.mark.parametrize("processes", ["1", "2"])
 def test_a_log_that_kills_its_process_fails_alone(tmp_path, processes):
     """All others are done, and the batch says which was killed, at once and at the end."""
-    (tmp_path / "sitecustomize.py").write_text(HOOK)
     logs, out = logs_in(tmp_path / "in", 5), tmp_path / "out"
     crash = spin(logs / "crash.csv")
-    paths = f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
-    done = installed("batch", logs, "-o", out, "-j", processes, env={"PYTHONPATH": paths})
+    done = installed("batch", logs, "-o", out, "-j", processes, env=hooked(tmp_path, HOOK))
     assert done.returncode == 2, done.stderr
     reason = f"{crash}: the process that ran it was killed; is there enough"
     assert f"\nError: {reason}" in done.stderr
@@ -152,7 +161,8 @@ def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
     """Nothing that was done is done again, nothing half-written stays, and no process either."""
     logs, out = logs_in(tmp_path / "in", 30), tmp_path / "out"
     command = [INSTALLED, "batch", logs, "-o", out, "-j", "2", "-q"]
-    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    environment = {**os.environ, **hooked(tmp_path, UNHURRIED)}
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, env=environment)
     end = time.monotonic() + 240
     while not out.exists() or len(entries(out)) < 3:
         assert time.monotonic() < end
