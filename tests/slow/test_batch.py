@@ -125,11 +125,16 @@ def kill(event, arguments):
             os.kill(os.getpid(), 9)
 sys.addaudithook(kill)
 """
-UNHURRIED = """
-import sys, time
-sys.addaudithook(lambda event, _: event == "os.rename" and time.sleep(0.1))
+HELD = """
+import os, sys, time
+def hold(event, arguments):
+    while event == "os.rename" and os.path.basename(arguments[1])[0].isdigit():
+        if len(os.listdir(os.path.dirname(arguments[1]))) < 9:
+            break
+        time.sleep(0.05)
+sys.addaudithook(hold)
 """
-"""Lets each output take so long that a batch does not end before it is to be ended."""
+"""Lets a batch go no further than some outputs: it does not end before it is to be ended."""
 
 
 def hooked(folder, code):
@@ -161,7 +166,7 @@ def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
     """Nothing that was done is done again, nothing half-written stays, and no process either."""
     logs, out = logs_in(tmp_path / "in", 30), tmp_path / "out"
     command = [INSTALLED, "batch", logs, "-o", out, "-j", "2", "-q"]
-    environment = {**os.environ, **hooked(tmp_path, UNHURRIED)}
+    environment = {**os.environ, **hooked(tmp_path, HELD)}
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL, env=environment)
     end = time.monotonic() + 240
     while not out.exists() or len(entries(out)) < 3:
