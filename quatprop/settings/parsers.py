@@ -183,11 +183,12 @@ def count(value: object) -> int:
 def frequency(value: object) -> Fraction:
     """Return a frequency in Hz as the decimal or the fraction it is written as."""
     # By its text: 29.97 is meant, not the binary fraction nearest to it.
-    numerator, _, denominator = str(value).partition("/")
+    text = str(value).removesuffix("Hz").strip()
+    numerator, _, denominator = text.partition("/")
     try:
         # The size first: the exact value of 1e-99999999 would fill the memory.
         if MIN_FREQUENCY <= Decimal(numerator) / Decimal(denominator or 1) <= MAX_FREQUENCY:
-            return Fraction(str(value))
+            return Fraction(text)
     except (ValueError, ArithmeticError):
         pass
     raise UsageError(
