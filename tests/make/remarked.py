@@ -9,7 +9,7 @@ import warnings
 
 import h5py
 import numpy as np
-from make.mcap_files import Topic, write_topics
+from make.mcap import Topic, write_topics
 from make.ros import IMU, ROS1, ROS2, imu_messages, message, write_messages
 from make.tables import write_attitudes, write_rates
 from rosbags.typesys import get_types_from_msg, get_typestore
