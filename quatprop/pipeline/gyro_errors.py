@@ -29,10 +29,15 @@ IMU_KEYS: Final = {
 rad/s^2/sqrt(Hz), and what they are here."""
 
 
+BY_ACCELEROMETER: Final = "accelerometer noise, without its bias and without that of the heading"
+"""Where the standard deviation of a levelled attitude comes from."""
+
+
 @dataclass(frozen=True, slots=True)
 class ErrorSettings:
     """What is known of a gyroscope's errors, and whether their growth is wanted.
 
+    `q0_sigma`: of the first attitude, rad: one number for all axes, or those of roll, pitch, yaw
     `imu`: a file in YAML with the keys of :data:`IMU_KEYS`; what is given goes before it
     `sigma`: whether every attitude is to have its standard deviations
     `sigma_axes`: ``"body"`` or ``"reference"``: the axes of the columns of standard deviations
@@ -42,6 +47,8 @@ class ErrorSettings:
     bias_sigma: float | None = None
     random_walk: float | None = None
     scale_sigma: float | None = None
+    misalignment_sigma: float | None = None
+    q0_sigma: tuple[float, ...] | None = None
     imu: str | None = None
     sigma: bool = False
     sigma_axes: str | None = None
@@ -52,13 +59,13 @@ class ErrorSettings:
 
     def refuse_unknown_errors(self) -> None:
         """Refuse to give standard deviations where nothing is known of the gyroscope's errors."""
-        known = (self.imu, *(getattr(self, name) for name in SensorErrors._fields))
+        known = (self.imu, self.q0_sigma, *(getattr(self, name) for name in SensorErrors._fields))
         if self.sigma and all(value is None for value in known):
             raise UsageError(
                 f"{Setting('sigma')} needs the errors of the gyroscope; give "
-                f"{Setting('noise_density')}, {Setting('bias_sigma')}, {Setting('random_walk')} or "
-                f"{Setting('scale_sigma')}, a file with {Setting('imu')}, or "
-                f"{Setting('bias', 'static')}"
+                f"{Setting('noise_density')}, {Setting('bias_sigma')}, {Setting('random_walk')}, "
+                f"{Setting('scale_sigma')} or {Setting('misalignment_sigma')}, a file with "
+                f"{Setting('imu')}, or {Setting('bias', 'static')}"
             )
 
     @property
@@ -71,7 +78,10 @@ class UncertaintyReport(NamedTuple):
     """How far the final attitude can be trusted, as far as the gyroscope's errors are known.
 
     `errors`: standard deviations of the gyroscope's errors
-    `origins`: where each of them comes from: ``"given"``, a file, or ``"rest"``
+    `origins`: where each of them comes from: ``"given"``, a file, ``"rest"``, or for the first
+        attitude :data:`BY_ACCELEROMETER`
+    `q0_sigma_rad`: standard deviations of the first attitude about body axes, shape ``(3,)``, rad;
+        None where it is taken as exact
     `columns_axes`: the axes of the columns of standard deviations; None where there are none
     `sigma_rad`: standard deviations of the final attitude about body axes, shape ``(3,)``, rad
     `largest`: the error that contributes most
@@ -80,6 +90,7 @@ class UncertaintyReport(NamedTuple):
 
     errors: SensorErrors
     origins: Mapping[str, str]
+    q0_sigma_rad: NDArray[np.float64] | None
     columns_axes: str | None
     sigma_rad: NDArray[np.float64]
     largest: str
@@ -109,7 +120,7 @@ def known_errors(
         bias = math.hypot(density / math.sqrt(span_s), rest.quantisation_rad_s)
         spread = rest.other.difference_rad_s if rest.other else 0.0
         found.setdefault("bias_sigma", (max(bias, spread), "rest"))
-    if not found:
+    if not found and settings.q0_sigma is None:
         return None
     errors = SensorErrors(**{name: value for name, (value, _) in found.items()})
     return errors, {name: origin for name, (_, origin) in found.items()}
@@ -117,15 +128,26 @@ def known_errors(
 
 def uncertainty_report(
     known: tuple[SensorErrors, Mapping[str, str]],
+    q0: NDArray[np.float64] | None,
     growth: ErrorGrowth,
-    columns_axes: str | None,
+    settings: ErrorSettings,
 ) -> UncertaintyReport:
-    """Return what known errors have led to at the last sample."""
+    """Return what known errors have led to at the last sample.
+
+    `q0`: covariance of the first attitude about body axes, shape ``(3, 3)``, rad^2, where it is
+        known
+    """
+    errors, origins = known
+    if q0 is not None:
+        from_level = settings.q0_sigma is None
+        origins = {**origins, "q0_sigma": BY_ACCELEROMETER if from_level else "given"}
     largest = max(growth.variances, key=lambda name: growth.variances[name])
     total = sum(growth.variances.values())
     return UncertaintyReport(
-        *known,
-        columns_axes,
+        errors,
+        origins,
+        None if q0 is None else q0.diagonal() ** 0.5,
+        settings.columns_axes,
         growth.final.diagonal() ** 0.5,
         largest,
         growth.variances[largest] / total if total else 0.0,

@@ -71,6 +71,8 @@ ERRORS = {
     "bias_sigma": ("bias", "deg/h", 3600 * 180 / math.pi),
     "random_walk": ("random walk of the bias", "deg/h/sqrt(h)", 60 * 3600 * 180 / math.pi),
     "scale_sigma": ("scale factors", "ppm", 1e6),
+    "misalignment_sigma": ("misalignments", "mrad", 1e3),
+    "q0_sigma": ("q0", "deg", 180 / math.pi),
 }
 """What each error of a gyroscope is called, its usual unit, and how many of it one SI unit is."""
 
@@ -79,9 +81,11 @@ def _uncertainty(uncertainty: UncertaintyReport) -> Iterator[Row]:
     sigma = "x {:.3g}  y {:.3g}  z {:.3g} deg".format(*map(math.degrees, uncertainty.sigma_rad))
     share = f"{uncertainty.largest_share:.0%} of the variance by {ERRORS[uncertainty.largest][0]}"
     yield "1 sigma", f"{sigma} about the body axes of the final attitude, {share}"
+    sizes = uncertainty.errors._asdict()
+    if (q0 := uncertainty.q0_sigma_rad) is not None:
+        sizes["q0_sigma"] = q0.max()
     known = (
-        f"{name} {getattr(uncertainty.errors, key) * factor:.3g} {unit} "
-        f"({plain(uncertainty.origins[key])})"
+        f"{name} {sizes[key] * factor:.3g} {unit} ({plain(uncertainty.origins[key])})"
         for key, (name, unit, factor) in ERRORS.items()
         if key in uncertainty.origins
     )

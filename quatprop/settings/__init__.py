@@ -29,7 +29,15 @@ from quatprop.settings.parsers import (
     path,
     text,
 )
-from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES, RATIOS, quantity_of
+from quatprop.settings.quantities import (
+    NOISE_DENSITIES,
+    RAD_PER_UNIT,
+    RATE_WALKS,
+    RATES,
+    RATIOS,
+    angles,
+    quantity_of,
+)
 from quatprop.stores.kinds import READERS
 from quatprop.text import Setting
 
@@ -237,6 +245,14 @@ class PropagateOptions(RateOptions, total=False):
     scale_sigma: Annotated[str | float | None, Keyword(
         quantity_of(RATIOS, "a ratio", "1000ppm or 0.1%"), "Standard deviation of its scale "
         "factors, such as 1000ppm or 0.1%.", "0", "X", "Uncertainty")]
+    misalignment_sigma: Annotated[str | float | None, Keyword(
+        quantity_of(RAD_PER_UNIT, "an angle", "5mrad"), "Standard deviation of the six small "
+        "angles by which each of its axes leans to the two others, such as 5mrad; of 1% of "
+        "cross-axis sensitivity, 10mrad.", "0", "X", "Uncertainty")]
+    q0_sigma: Annotated[str | float | Collection[float] | None, Keyword(
+        angles, f"Standard deviation of {Setting('q0')}: one angle for every axis, or those of "
+        "roll, pitch and yaw, such as 0.2deg,0.2deg,1deg.", f"that by the accelerometer's noise "
+        f"after {Setting('q0', 'level')}, else 0", "X|ROLL,PITCH,YAW", "Uncertainty")]
     imu: Annotated[str | PathLike[str] | None, Keyword(
         path, "Noise density and random walk from a file: Kalibr's, or that of an Allan variance "
         "tool.", takes="FILE.yaml", group="Uncertainty")]

@@ -109,7 +109,7 @@ def column_list(names: str) -> Callable[[object], tuple[str, ...]]:
     counts = range(names.partition("[")[0].count(",") + 1, names.count(",") + 2)
 
     def parse_columns(value: object) -> tuple[str, ...]:
-        parts = tuple(str(part).strip() for part in _parts(value))
+        parts = tuple(str(part).strip() for part in parts_of(value))
         if len(parts) not in counts or not all(parts):
             number = " or ".join(map(str, counts))
             raise UsageError(f"{shown(value)} does not name {number} columns {names}")
@@ -126,7 +126,7 @@ def number_list(names: str) -> Callable[[object], tuple[float, ...]]:
 
     def parse_numbers(value: object) -> tuple[float, ...]:
         try:
-            parts = tuple(float(str(part)) for part in _parts(value))
+            parts = tuple(float(str(part)) for part in parts_of(value))
         except ValueError:
             parts = ()
         if len(parts) != count or not all(map(math.isfinite, parts)):
@@ -257,10 +257,10 @@ def bias(value: object) -> tuple[float, ...] | StaticBias | str:
 
 def mounting(value: object) -> str:
     """Return three signed axes or a quaternion as text, for the conditioning to read."""
-    return value if isinstance(value, str) else ",".join(str(part) for part in _parts(value))
+    return value if isinstance(value, str) else ",".join(str(part) for part in parts_of(value))
 
 
-def _parts(value: object) -> list[object]:
+def parts_of(value: object) -> list[object]:
     """Return the parts of text with commas, of a list, or of an array."""
     if isinstance(value, str):
         return list(value.split(","))

@@ -52,6 +52,13 @@ update_rate:                 200.0      #Hz (for discretization of the values ab
         ("scale_sigma", "1000ppm", 1e-3),
         ("scale_sigma", "0.1 %", 1e-3),
         ("scale_sigma", 0.0, 0.0),
+        ("misalignment_sigma", "5mrad", 5e-3),
+        ("misalignment_sigma", "0.5deg", math.radians(0.5)),
+        ("misalignment_sigma", 5e-3, 5e-3),
+        ("q0_sigma", "0.5deg", (math.radians(0.5),)),
+        ("q0_sigma", "1mrad, 2mrad,0.1rad", (1e-3, 2e-3, 0.1)),
+        ("q0_sigma", np.array([1e-3, 2e-3, 0.1]), (1e-3, 2e-3, 0.1)),
+        ("q0_sigma", 0.01, (0.01,)),
     ],
 )
 def test_quantities_have_the_units_of_data_sheets(name, value, expected):
@@ -69,6 +76,9 @@ def test_quantities_have_the_units_of_data_sheets(name, value, expected):
         ("scale_sigma", "5", "is not a ratio{}1000ppm or 0.1%"),
         ("scale_sigma", -1, "is below 0"),
         ("bias_sigma", "-1deg/h", "is not a rate{}20deg/h"),
+        ("misalignment_sigma", "5", "is not an angle{}5mrad"),
+        ("q0_sigma", "5", "is not an angle{}0.5deg or 5mrad"),
+        ("q0_sigma", "1deg,5deg", "is neither one angle nor ROLL,PITCH,YAW"),
     ],
 )
 def test_other_quantities_are_refused(name, value, message):
@@ -218,8 +228,8 @@ def test_settings_that_say_nothing_are_refused():
     with pytest.raises(UsageError) as error:
         propagate(noisy(1), sigma=True)
     assert str(error.value) == (
-        "sigma needs the errors of the gyroscope; give noise_density, bias_sigma, random_walk or "
-        "scale_sigma, a file with imu, or bias='static'"
+        "sigma needs the errors of the gyroscope; give noise_density, bias_sigma, random_walk, "
+        "scale_sigma or misalignment_sigma, a file with imu, or bias='static'"
     )
     with pytest.raises(UsageError, match=r"^sigma_axes goes with sigma$"):
         propagate(noisy(1), sigma_axes="reference")
