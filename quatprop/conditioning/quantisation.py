@@ -82,13 +82,13 @@ class StepFinder:
                 self._values[axis] = values if len(values) <= MAX_VALUES else None
         return rate
 
-    def above(self, scatter: float) -> list[float]:
-        """Return the step of each axis, rad/s; 0 where there is none, or noise is far above it.
+    def above(self, scatters: list[float]) -> list[list[float]]:
+        """Return the step of each axis in each rest, rad/s; 0 for none, or where noise hides it.
 
-        `scatter`: RMS deviation of the rates from the mean, over all three axes, rad/s
+        `scatters`: RMS deviations of the rates from the mean, over all three axes, rad/s
         """
         steps = [0.0 if values is None else step_of(values) for values in self._values]
-        return [step if scatter < FINE * step else 0.0 for step in steps]
+        return [[step if scatter < FINE * step else 0.0 for step in steps] for scatter in scatters]
 
 
 def step_of(values: Float64) -> float:
@@ -113,21 +113,30 @@ def step_of(values: Float64) -> float:
     return float((values[-1] - values[0]) / steps.sum())
 
 
-def levels_of(rows: Rows, steps: list[float]) -> tuple[Levels, ...]:
-    """Return how the samples of a rest lie on the grids of the axes that have one.
+def levels_of(
+    rows: Rows, ranges: list[tuple[int, int]], steps: list[list[float]]
+) -> list[tuple[Levels, ...]]:
+    """Return how the samples of each rest lie on the grids of the axes that have one.
 
     `rows`: stamps, and rates, ``(N, 3)``, rad/s
+    `ranges`: where the rests are, ends included, ns
+    `steps`: of each axis in each of them, rad/s; 0 for none
     """
-    tallies: list[dict[int, int]] = [{} for _ in steps]
-    for _, rate in rows:
-        for values, step, tally in zip(rate.T, steps, tallies, strict=True):
-            if not step:
-                continue
-            levels, numbers = np.unique(np.rint(values / step), return_counts=True)
-            for level, number in zip(levels.tolist(), numbers.tolist(), strict=True):
-                tally[level] = tally.get(level, 0) + number
-    return tuple(
-        Levels(step, np.array(sorted(tally.values(), reverse=True)))
-        for step, tally in zip(steps, tallies, strict=True)
-        if tally
-    )
+    tallies: list[list[dict[int, int]]] = [[{} for _ in each] for each in steps]
+    for t_ns, rate in rows:
+        for (first_ns, last_ns), of_rest, of_axes in zip(ranges, steps, tallies, strict=True):
+            inside = (t_ns >= first_ns) & (t_ns <= last_ns)
+            for values, step, tally in zip(rate[inside].T, of_rest, of_axes, strict=True):
+                if not step:
+                    continue
+                levels, numbers = np.unique(np.rint(values / step), return_counts=True)
+                for level, number in zip(levels.tolist(), numbers.tolist(), strict=True):
+                    tally[level] = tally.get(level, 0) + number
+    return [
+        tuple(
+            Levels(step, np.array(sorted(tally.values(), reverse=True)))
+            for step, tally in zip(of_rest, of_axes, strict=True)
+            if tally
+        )
+        for of_rest, of_axes in zip(steps, tallies, strict=True)
+    ]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.text import Setting
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
@@ -16,6 +17,10 @@ if TYPE_CHECKING:
 
 AT_REST = 0.05
 """rad/s: rates that scatter more than this are not at rest."""
+
+
+WIDENS = 3.0
+"""Means that differ by so many standard errors widen that of the bias, said to differ or not."""
 
 
 class OtherRest(NamedTuple):
@@ -39,6 +44,8 @@ class StaticPeriod(NamedTuple):
     `searched_first_ns`, `searched_last_ns`: the part of the log that was searched, ns: all of it,
         whatever part is propagated
     `other`: the rest that differs most, by more than noise; None where there is none
+    `spread_rad_s`: by how much the bias may be off because other rests have another mean, on the
+        axis where they differ most
     `levels`: of the axes whose rates are quantised more coarsely than noise hides
     """
 
@@ -51,7 +58,27 @@ class StaticPeriod(NamedTuple):
     searched_first_ns: int
     searched_last_ns: int
     other: OtherRest | None = None
+    spread_rad_s: float = 0.0
     levels: tuple[Levels, ...] = ()
+
+    @property
+    def span_s(self) -> float:
+        """How long it was, s."""
+        return (self.last_ns - self.first_ns) / NS_PER_S
+
+    @property
+    def noise_density(self) -> float:
+        """The density of the noise that it shows, rad/s/sqrt(Hz)."""
+        coarsest = max((each.step for each in self.levels), default=0.0)
+        scatter = max(self.scatter_rad_s / math.sqrt(3), coarsest / math.sqrt(12))
+        return scatter * math.sqrt(self.span_s / (self.samples - 1))
+
+    def bias_sigma(self, density: float) -> float:
+        """Return the standard deviation of its mean by noise and by the step of the rates, rad/s.
+
+        `density`: of the noise, rad/s/sqrt(Hz)
+        """
+        return math.hypot(density / math.sqrt(self.span_s), self.quantisation_rad_s)
 
     @property
     def quantisation_rad_s(self) -> float:

@@ -87,7 +87,7 @@ class AttitudeStream:
             part_reader=None if settings.policy.on_backwards == "sort" else source.part_reader,
         )
         self._method, self._method_from = source.method_used(settings.method)
-        self._errors = known_errors(settings.errors, self._conditioned.rest)
+        self._errors = known_errors(settings.errors, self._conditioned)
         self._times = _times(settings)
 
     @property
@@ -161,16 +161,18 @@ class AttitudeStream:
         settings, q0 = self._settings, self._q0_covariance
         if self._errors is None or not (self._sensitivity or settings.errors.sigma):
             return None
+        errors, _, rests = self._errors
         if settings.rates == "inertial":
             # Rates in the reference frame are not turned by the mounting.
-            return ErrorGrowth(self._errors[0], settings.rates, self._method, q0=q0)
+            return ErrorGrowth(errors, settings.rates, self._method, q0=q0, rests=rests)
         turn = rotation_matrix(self._q0)
         return ErrorGrowth(
-            self._errors[0],
+            errors,
             settings.rates,
             self._method,
             self._conditioned.mount,
             q0=None if q0 is None else turn @ q0 @ turn.T,
+            rests=rests,
         )
 
     def report(self, *, layout: str | None = None, digest: Digest | None = None) -> RunReport:

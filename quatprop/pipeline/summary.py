@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from quatprop.rendering import Row, degrees_text, quaternion_text, rate_text, source_text
 from quatprop.text import plain
 from quatprop.times import duration_text
@@ -13,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from quatprop.arrays import Float64
+    from quatprop.conditioning import GyroCorrectionReport
     from quatprop.conditioning.static_period import StaticPeriod
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.pipeline.report import ResultReport, RunReport
@@ -32,6 +35,8 @@ def facts(report: RunReport) -> Iterator[Row]:
     yield "method", f"{convention.method}{why}, {convention.rates} rates: {convention.side}"
     if (bias := report.conditioning.bias_rad_s) is not None:
         yield "bias", _bias(bias, report.conditioning.rest)
+    if report.conditioning.rests:
+        yield "bias", _bias_of_rests(report.conditioning)
     if (series := report.conditioning.bias_series) is not None:
         origin = f"{plain(series.source)} ({plain(series.field)})"
         yield "bias", f"{series.values} values of {origin}, interpolated in time"
@@ -105,6 +110,21 @@ def _bias(bias_rad_s: Iterable[float], rest: StaticPeriod | None) -> str:
             if rest.steady
             else "as given"
         )
+    )
+
+
+def _bias_of_rests(conditioning: GyroCorrectionReport) -> str:
+    rests = conditioning.rests
+    means = np.array([rest.mean_rad_s for rest in rests])
+    ranges = "  ".join(
+        f"{axis} {low:+.6g} to {high:+.6g}"
+        for axis, low, high in zip("xyz", means.min(axis=0), means.max(axis=0), strict=True)
+    )
+    way = "interpolated between" if conditioning.interpolated else "of the nearest in time of"
+    length = duration_text(sum(rest.last_ns - rest.first_ns for rest in rests))
+    return (
+        f"{way} {len(rests)} rests of {length} together, {ranges} rad/s; "
+        f"steady by {', '.join(rests[0].steady)}; the whole log was searched"
     )
 
 

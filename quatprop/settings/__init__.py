@@ -191,9 +191,11 @@ class PropagateOptions(RateOptions, total=False):
     bias: Annotated[str | PathLike[str] | Collection[float] | None, Keyword(
         bias, f"Subtracted from the rates; in {Setting('rate_unit')}. static takes the mean rate "
         f"over a rest of at least DUR (1s), found in the whole log by rate, accelerometer and "
-        f"orientation, or over the rest from START to END; FILE or TOPIC is a series of biases, "
-        f"interpolated in time.",
-        takes="X,Y,Z|static[:DUR|@START..END]|FILE|TOPIC", group="Rates", common=True)]
+        f"orientation, or over the rest from START to END; static:nearest takes that of the rest "
+        f"nearest in time, static:interpolate interpolates between rests (or with :DUR); FILE or "
+        f"TOPIC is a series of biases, interpolated in time.",
+        takes="X,Y,Z|static[:nearest|:interpolate][:DUR]|static@START..END|FILE|TOPIC",
+        group="Rates", common=True)]
     calibration: Annotated[str | PathLike[str] | None, Keyword(
         path, "Scale, misalignment and bias of the gyroscope: YAML or JSON with matrix (3x3) and "
         "bias (rad/s), applied as matrix (w - bias), or kalibr's file of an IMU.", takes="FILE",

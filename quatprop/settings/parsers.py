@@ -33,6 +33,9 @@ FILE_SETTINGS = frozenset({"at", "bias", "calibration", "imu", "msg_path", "q0"}
 STATIC = "static"
 """The bias is the mean rate at rest."""
 
+BETWEEN_RESTS = ("nearest", "interpolate")
+"""How the bias follows from several rests."""
+
 MAX_FREQUENCY = 1_000_000_000
 """Hz: stamps are whole nanoseconds."""
 
@@ -45,17 +48,21 @@ class StaticBias(NamedTuple):
 
     `window_ns`: rest is looked for in windows of this length, ns
     `start`, `end`: where the rest is, ends included; None: it is looked for
+    `between`: how the bias follows from several rests, one of :data:`BETWEEN_RESTS`; None: it is
+        that of one
     """
 
     window_ns: int = 1_000_000_000
     start: Instant | None = None
     end: Instant | None = None
+    between: str | None = None
 
     def __str__(self) -> str:
         """Return it as :func:`bias` reads it."""
         if self.start is not None:
             return f"{STATIC}@{self.start}..{self.end}"
-        return f"{STATIC}:{self.window_ns}ns"
+        way = f"{self.between}:" if self.between else ""
+        return f"{STATIC}:{way}{self.window_ns}ns"
 
 
 def text(value: object) -> str:
@@ -239,8 +246,12 @@ def bias(value: object) -> tuple[float, ...] | StaticBias | str:
     if isinstance(value, StaticBias):
         return value
     if isinstance(value, str) and value.partition(":")[0].strip() == STATIC:
-        window = value.partition(":")[2]
-        return StaticBias(duration_ns(window)) if window else StaticBias()
+        way, colon, window = value.partition(":")[2].partition(":")
+        if not colon and way.strip() not in BETWEEN_RESTS:
+            way, window = "", way
+        between = Choice(*BETWEEN_RESTS)(way.strip()) if way else None
+        window_ns = duration_ns(window) if window else StaticBias().window_ns
+        return StaticBias(window_ns, between=between)
     if isinstance(value, str) and value.partition("@")[0].strip() == STATIC:
         start, dots, end = value.partition("@")[2].partition("..")
         if not (start.strip() and dots and end.strip()):

@@ -165,7 +165,8 @@ def test_rest_gives_the_noise_and_what_is_left_of_the_bias(tmp_path):
     density, bias = uncertainty.errors.noise_density, uncertainty.errors.bias_sigma
     assert density == pytest.approx(2e-3, rel=4 / math.sqrt(6 * rest.samples))
     assert bias == pytest.approx(density / math.sqrt(rest_s), rel=1e-12)
-    sigma = math.hypot(density * math.sqrt(100), bias * 100)
+    # Over the rest itself its mean takes the noise away.
+    sigma = math.hypot(density * math.sqrt(100 - rest_s), bias * (100 - rest_s))
     assert uncertainty.sigma_rad == pytest.approx([sigma] * 3, rel=0.02)
     # What is given goes before the file, and the file before rest.
     path = tmp_path / "imu.yaml"
