@@ -14,7 +14,8 @@ with the time u since the stretch of length T began, the rotation matrix R body 
 errors b and b' of the means at both ends, and the rate random walk K; V is S with what the same
 mean has led to before. Between two rests the bias is interpolated, and what remains of the walk is
 a Brownian bridge. That is also what a bias leaves that jumps at any moment between two rests, with
-K^2 T the square of the jump. A bias that was not measured at rest is known at the first sample.
+K^2 T the square of the jump. Before the first and after the last rest the bias walks as it did
+between them. A bias that was not measured at rest is known at the first sample.
 
 While the sensor is at rest, the errors of its mean and of the rates cancel: the mean is that of the
 same rates. What is left on the way is a Brownian bridge of their noise.
@@ -22,6 +23,7 @@ same rates. What is left on the way is a Brownian bridge of their noise.
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -44,7 +46,7 @@ class RestErrors(NamedTuple):
 
     `first_ns`, `last_ns`: their first and last stamps in the order of time, ``(N,)``, ns
     `sigma`: standard deviations of their mean rates, ``(N,)``, rad/s
-    `walk`: rate random walk between neighbours, ``(N - 1,)``, rad/s/sqrt(s)
+    `walk`: rate random walk that explains how neighbours differ, ``(N - 1,)``, rad/s/sqrt(s)
     `interpolated`: whether the bias is interpolated between them, or that of the nearest
     """
 
@@ -53,6 +55,12 @@ class RestErrors(NamedTuple):
     sigma: Float64
     walk: Float64
     interpolated: bool = False
+
+    @property
+    def mean_walk(self) -> float:
+        """The random walk that explains all differences together, rad/s/sqrt(s)."""
+        times = self.first_ns[1:] - self.last_ns[:-1]
+        return math.sqrt(np.average(self.walk**2, weights=times)) if times.sum() > 0 else 0.0
 
     def inside(self, before_ns: Int64, t_ns: Int64) -> Bool:
         """Tell which intervals are within a rest."""
@@ -93,7 +101,8 @@ def stretches(rests: RestErrors, walk: float, begin_ns: int) -> Iterator[Stretch
     `begin_ns`: where the log begins
     """
     first, last = rests.first_ns.tolist(), rests.last_ns.tolist()
-    yield Stretch(min(begin_ns, first[0]), first[0], 0, "until", walk)
+    beyond = max(walk, rests.mean_walk)
+    yield Stretch(min(begin_ns, first[0]), first[0], 0, "until", beyond)
     for rest, known in enumerate(rests.walk.tolist()):
         begin, end, between = last[rest], first[rest + 1], max(known, walk)
         if rests.interpolated:
@@ -102,7 +111,7 @@ def stretches(rests: RestErrors, walk: float, begin_ns: int) -> Iterator[Stretch
             middle = (begin + end) // 2
             yield Stretch(begin, middle, rest, "since", between)
             yield Stretch(middle, end, rest + 1, "until", between)
-    yield Stretch(last[-1], LAST_NS, len(first) - 1, "since", walk)
+    yield Stretch(last[-1], LAST_NS, len(first) - 1, "since", beyond)
 
 
 class Integrals(NamedTuple):
