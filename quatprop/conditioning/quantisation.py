@@ -34,6 +34,14 @@ FINE: Final = 2.0
 """Noise of so many steps or more leaves nothing of the quantisation in a mean."""
 
 
+FEW, MAX_SHARED = 2, 100
+"""An axis of so many values or fewer has the step that all axes share, if they show few, too."""
+
+SAME, FEWEST_STEPS, MOST_STEPS = 1e-6, 8, 1e5
+"""Numbers that differ by less than this share of the largest are the same; and how many steps that
+has to be at least and at most: two numbers are multiples of some step by chance."""
+
+
 class Levels(NamedTuple):
     """How the samples of a rest lie on the grid of a quantised axis.
 
@@ -87,7 +95,12 @@ class StepFinder:
 
         `scatters`: RMS deviations of the rates from the mean, over all three axes, rad/s
         """
-        steps = [0.0 if values is None else step_of(values) for values in self._values]
+        known = [values for values in self._values if values is not None]
+        shared = shared_step(np.concatenate(known)) if known else 0.0
+        steps = [
+            0.0 if values is None else (shared if len(values) <= FEW else step_of(values))
+            for values in self._values
+        ]
         return [[step if scatter < FINE * step else 0.0 for step in steps] for scatter in scatters]
 
 
@@ -111,6 +124,26 @@ def step_of(values: Float64) -> float:
     ):
         return 0.0
     return float((values[-1] - values[0]) / steps.sum())
+
+
+def shared_step(values: Float64) -> float:
+    """Return the step of which all values of a gyroscope are multiples, or 0.
+
+    That of an axis that shows too few values to have one of its own.
+
+    `values`: of all axes, in any order, shape ``(N,)``
+    """
+    values = np.unique(np.abs(values[np.abs(values) < LARGEST]))
+    if not FEW <= len(values) <= MAX_SHARED:
+        return 0.0
+    largest = float(values[-1])
+    step = 0.0
+    for value in values.tolist():
+        # Euclid's algorithm, of numbers that are rounded.
+        rest = value
+        while rest > SAME * largest:
+            step, rest = rest, abs(step - rest * round(step / rest))
+    return step if FEWEST_STEPS * step <= largest <= MOST_STEPS * step else 0.0
 
 
 def levels_of(
