@@ -45,6 +45,9 @@ AGREEMENT, FORCE_AGREEMENT = 3e-3, 0.01
 """Means that differ by more, and by more than their noise explains, are not of the same rest: rad/s
 on an axis, and share of the size of the specific force (of its direction, rad)."""
 
+COMPARED = 0.035
+"""rad/s on an axis: rests that only the rates show are compared if they differ by less: 2 deg/s."""
+
 NOISE = 4.0
 """Means may differ by so many standard errors."""
 
@@ -67,7 +70,7 @@ def find_static_periods(
     Of periods whose means do not agree the slowest shows the bias: a body that turns steadily is
     as quiet as one at rest. Of those that agree with it the longest is taken.
 
-    `frame`: that in which the rates are resolved, ``"body"`` or ``"inertial"``
+    `frame`: ``"body"`` or ``"inertial"``
     """
     rests, steady = _rests(rates, inputs, static.window_ns, frame)
     if static.between is not None:
@@ -127,11 +130,11 @@ def _rests(
     return np.concatenate(rests), steady
 
 
-def _agreeing(rests: WindowSums) -> Bool:
+def _agreeing(rests: WindowSums, agreement: float = AGREEMENT) -> Bool:
     """Tell which rests have about the mean of the slowest."""
     mean = mean_of(rests)
     slowest = mean[np.argmin((mean**2).sum(axis=1))]
-    return np.asarray(np.abs(mean - slowest).max(axis=1) <= AGREEMENT)
+    return np.asarray(np.abs(mean - slowest).max(axis=1) <= agreement)
 
 
 def _period(
@@ -162,16 +165,15 @@ def _period(
 
 
 def _comparable(rests: WindowSums, confirmed: list[str]) -> Bool:
-    """Tell which rests are rests: by the rates alone, one far off may be a steady rotation."""
-    return _agreeing(rests) if confirmed == ["rate"] else np.ones(len(rests), np.bool_)
+    """Tell which rests are rests: by the rates alone, one far off is a steady rotation."""
+    return _agreeing(rests, math.inf if confirmed != ["rate"] else COMPARED)
 
 
 def _other(rests: WindowSums, apart: Float64) -> OtherRest | None:
     """Return the rest that is furthest apart from one, where any is."""
     most = int(np.argmax(apart))
-    if not apart[most]:
-        return None
-    return OtherRest(int(rests["first_ns"][most]), int(rests["last_ns"][most]), float(apart[most]))
+    ends = int(rests["first_ns"][most]), int(rests["last_ns"][most])
+    return OtherRest(*ends, float(apart[most])) if apart[most] else None
 
 
 def _quiet_rates(rates: WindowSums) -> Intp:

@@ -5,6 +5,7 @@ The truth is integrated by the oracle, all runs at once: nothing is shared with 
 
 import math
 import warnings
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -121,7 +122,7 @@ def ensemble(motion, way, *, runs, jump=0.0, rotated=False, **sigmas):
     settings = {"noise_density": density, **sigmas}
     if jump:
         rests = rests_of(stated(measured[..., 0], "static:nearest"))
-        for (_, begin), (end, _) in zip(rests, rests[1:], strict=False):
+        for (_, begin), (end, _) in pairwise(rests):
             when = begin + (end - begin) * random.uniform(size=(3, runs))
             sign = random.choice([-1, 1], size=(3, runs))
             measured += jump * sign * (np.arange(len(true))[:, None, None] > when)
@@ -134,11 +135,12 @@ def ensemble(motion, way, *, runs, jump=0.0, rotated=False, **sigmas):
     return Ensemble(2 * apart[1:] * np.sign(apart[0]), result.covariance[-1])
 
 
-def quantised(motion, spread, *, runs, step=math.radians(1)):
+def quantised(motion, spread, *, runs):
     """Return errors ``(runs, 3)`` and stated standard deviations of logs with quantised rates.
 
-    `spread`: of the noise, in steps, rad/s each
+    `spread`: of the noise, in steps of 1 deg/s
     """
+    step = math.radians(1)
     _, true = true_rates(motion)
     random = np.random.default_rng([31, *map(ord, motion), int(100 * spread)])
     truth = stated(true, (0, 0, 0), noise_density=NOISE).wxyz[-1]
@@ -146,6 +148,28 @@ def quantised(motion, spread, *, runs, step=math.radians(1)):
     for bias in random.uniform(-2, 2, (runs, 3)):
         rate = np.rint(true / step + bias + spread * random.normal(size=true.shape)) * step
         result = stated(rate, WAYS[0])
+        errors.append(log(multiply(conjugate(truth), result.wxyz[-1])))
+        sigmas.append(result.sigma[-1])
+    return np.array(errors), np.array(sigmas)
+
+
+def jumping(motion, way, jump, *, runs):
+    """Return errors ``(runs, 3)`` and stated standard deviations of logs whose bias jumps twice.
+
+    `jump`: in standard deviations of what the means of two rests differ by
+    """
+    _, true = true_rates(motion)
+    random = np.random.default_rng([32, int(10 * jump)])
+    size = jump * NOISE * math.sqrt(2 / REST_S)
+    begins = np.array([REST_S, 2 * REST_S + MOTION_S]) * HZ
+    truth = stated(true, (0, 0, 0), noise_density=NOISE).wxyz[-1]
+    errors, sigmas = [], []
+    for _ in range(runs):
+        rate = true + NOISE * math.sqrt(HZ) * random.normal(size=true.shape)
+        when = begins + MOTION_S * HZ * random.uniform(size=(3, 2))
+        after = np.arange(len(true))[:, None, None] > when
+        rate += size * (random.choice([-1, 1], size=(3, 2)) * after).sum(axis=2)
+        result = stated(rate, way, noise_density=NOISE)
         errors.append(log(multiply(conjugate(truth), result.wxyz[-1])))
         sigmas.append(result.sigma[-1])
     return np.array(errors), np.array(sigmas)
