@@ -37,6 +37,8 @@ from quatprop.times import Instant
         ("bias", ["0.1,-2,3e-3", [0.1, -2, 0.003]], (0.1, -2.0, 0.003)),
         ("bias", ["static", "static:1s", StaticBias()], StaticBias(1_000_000_000)),
         ("bias", ["static:250ms"], StaticBias(250_000_000)),
+        ("bias", ["static:nearest"], StaticBias(between="nearest")),
+        ("bias", ["static:interpolate:2s"], StaticBias(2_000_000_000, between="interpolate")),
         ("mount", ["x,-y,-z", ("x", "-y", "-z")], "x,-y,-z"),
         ("end", ["0", 0], Instant(0, "clock")),
         ("end", ["1000000", 1_000_000], Instant(1_000_000, "clock")),
