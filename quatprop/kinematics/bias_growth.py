@@ -48,6 +48,7 @@ class RestErrors(NamedTuple):
     `sigma`: standard deviations of their mean rates, ``(N,)``, rad/s
     `walk`: rate random walk that explains how neighbours differ, ``(N - 1,)``, rad/s/sqrt(s)
     `interpolated`: whether the bias is interpolated between them, or that of the nearest
+    `interval_ns`: between samples: a mean is that of one more interval than there are in the rest
     """
 
     first_ns: Int64
@@ -55,6 +56,7 @@ class RestErrors(NamedTuple):
     sigma: Float64
     walk: Float64
     interpolated: bool = False
+    interval_ns: float = 0.0
 
     @property
     def mean_walk(self) -> float:
@@ -70,12 +72,13 @@ class RestErrors(NamedTuple):
     def noise_ns(self, before_ns: Int64, t_ns: Int64, begin_ns: np.int64) -> Int64:
         """Return how much longer noise has acted after intervals within rests, less the mean's, ns.
 
-        After the part L of a rest of length T that is L - L^2 / T.
+        After the part L of a rest whose mean is that over the time T, it is L - L^2 / T.
         """
         rest = np.searchsorted(self.first_ns, before_ns, side="right") - 1
-        first_ns, length_ns = self.first_ns[rest], self.last_ns[rest] - self.first_ns[rest]
+        first_ns = self.first_ns[rest]
+        mean_ns = self.last_ns[rest] - first_ns + self.interval_ns
         since_ns = np.maximum(first_ns, begin_ns)
-        share = 1 - (before_ns - since_ns + t_ns - since_ns) / np.maximum(length_ns, 1)
+        share = 1 - (before_ns - since_ns + t_ns - since_ns) / np.maximum(mean_ns, 1)
         return np.asarray(np.rint(share * (t_ns - before_ns)), np.int64)
 
 

@@ -150,6 +150,7 @@ def known_errors(settings: ErrorSettings, report: GyroCorrectionReport) -> Known
         sigmas if origin == "rest" else np.full(len(rests), bias_sigma),
         walks,
         report.interpolated,
+        float(np.median([rest.span_s / (rest.samples - 1) for rest in rests])) * NS_PER_S,
     )
     return KnownErrors.of(found, known)
 

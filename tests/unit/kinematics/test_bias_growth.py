@@ -121,16 +121,21 @@ def test_the_same_bits_wherever_batches_end(interpolated):
     assert part.tobytes() == whole[:count].tobytes()
 
 
-def test_noise_within_a_rest_is_less_its_mean():
-    """N^2 (L - L^2 / T) after the part L of a rest of length T, wherever the log begins."""
+@pytest.mark.parametrize("interval", [0, 1])
+def test_noise_within_a_rest_is_less_its_mean(interval):
+    """N^2 (L - L^2 / T) after the part L of a rest of mean time T, wherever the log begins.
+
+    A mean of samples is over one interval more: at the end the noise of one sample is left.
+    """
     t_ns = np.arange(201) * 10_000_000
     series, wxyz = GyroSeries(t_ns, np.zeros((201, 3))), np.tile([1.0, 0, 0, 0], (201, 1))
     for begin in (-50, 0, 40):
         known = RestErrors(*np.array([[begin], [120]]) * 10_000_000, np.zeros(1), np.zeros(0))
+        known = known._replace(interval_ns=interval * 10_000_000)
         growth = ErrorGrowth(SensorErrors(noise_density=2e-3), rests=known)
         found = growth.advance(series, wxyz)[:, 0, 0]
         part = np.clip(np.arange(201) - max(begin, 0), 0, 120 - max(begin, 0)) / 100
         before, after = min(max(begin, 0), 200) / 100, np.clip(np.arange(201) - 120, 0, None) / 100
         outside = np.minimum(np.arange(201) / 100, before) + after
-        expected = 4e-6 * (outside + part - part**2 / ((120 - begin) / 100))
+        expected = 4e-6 * (outside + part - part**2 / ((120 - begin + interval) / 100))
         np.testing.assert_allclose(found, expected, atol=1e-14)

@@ -33,6 +33,11 @@ def test_all_errors_together(motion, way):
     assert is_found_right(ensemble(motion, way, runs=RUNS, **SIGMAS))
 
 
+def test_a_log_that_is_its_own_rest():
+    """The error of the bias and the noise of the rates were added; they cancel at rest."""
+    assert is_found_right(ensemble("rest", "static@+0s..+16950ms", runs=RUNS))
+
+
 @pytest.mark.parametrize(("motion", "way"), OVER_TIME)
 def test_a_bias_that_jumps_between_rests(motion, way):
     """At any moment: what it may have been in between was left out."""
