@@ -24,7 +24,7 @@ axes, and R P R' that about reference axes.
 References
 ----------
 P. D. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed.,
-Artech House, 2013, section 4.4.2, on scale factor and cross-coupling errors.
+Artech House, 2013, section 4.4, on scale factor and cross-coupling errors.
 """
 
 from __future__ import annotations

@@ -166,8 +166,13 @@ def test_rest_gives_the_noise_and_what_is_left_of_the_bias(tmp_path):
     assert density == pytest.approx(2e-3, rel=4 / math.sqrt(6 * rest.samples))
     assert bias == pytest.approx(density / math.sqrt(rest_s), rel=1e-12)
     # Over the rest itself its mean takes the noise away.
-    sigma = math.hypot(density * math.sqrt(100 - rest_s), bias * (100 - rest_s))
-    assert uncertainty.sigma_rad == pytest.approx([sigma] * 3, rel=0.02)
+    for given in ("static", "static@+20s..+60s", "static@+0s..+5s"):
+        report = propagate(noisy(), bias=given).report
+        uncertainty, rest = report.uncertainty, report.conditioning.rest
+        density, bias = uncertainty.errors.noise_density, uncertainty.errors.bias_sigma
+        away_s = 100 - (rest.last_ns - rest.first_ns) / 1e9
+        sigma = math.hypot(density * math.sqrt(away_s + 0.01), bias * away_s)
+        assert uncertainty.sigma_rad == pytest.approx([sigma] * 3, rel=0.02)
     # What is given goes before the file, and the file before rest.
     path = tmp_path / "imu.yaml"
     path.write_text(KALIBR)
