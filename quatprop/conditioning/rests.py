@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from quatprop.conditioning.time_range import EndsFinder
     from quatprop.conditioning.window_sums import Rows
     from quatprop.series import GyroSeries
-    from quatprop.settings.parsers import StaticBias
+    from quatprop.settings.static_bias import StaticBias
 
 
 def find_rests(

@@ -20,8 +20,9 @@ from quatprop.errors import UsageError
 from quatprop.pipeline.settings import PropagationSettings, propagation_settings
 from quatprop.settings import CHECKS, ONE_SERIES, PROPAGATE, READ_ATTITUDES, READ_RATES
 from quatprop.settings.keyword import Keyword, keywords_of, parameters
-from quatprop.settings.parsers import Choice, StaticBias, file_beside
+from quatprop.settings.parsers import Choice, file_beside
 from quatprop.settings.spelling import in_keys, in_options
+from quatprop.settings.static_bias import StaticBias
 from quatprop.settings.values import parse_all
 from quatprop.text import Setting, in_python
 from quatprop.times import Instant
@@ -49,7 +50,7 @@ from quatprop.times import Instant
             Instant(1_000_000_000, "clock"),
         ),
         ("max_gap", ["20ms", 20_000_000, dt.timedelta(milliseconds=20)], 20_000_000),
-        ("rate", ["29.97", 29.97, Fraction(2997, 100)], Fraction(2997, 100)),
+        ("rate", ["29.97", "29.97Hz", "29.97 Hz", 29.97, Fraction(2997, 100)], Fraction(2997, 100)),
         ("rate", ["30000/1001", Fraction(30000, 1001)], Fraction(30000, 1001)),
         ("rate", ["50", 50, np.int64(50), 50.0], Fraction(50)),
         ("every", ["3", 3], 3),
