@@ -80,6 +80,8 @@ class LogContext(NamedTuple):
     `mount`: sensor axes to body axes, shape ``(3, 3)``, for accelerometer and orientation too; None
         for the same
     `in_order`: whether samples are used in the order of the log, not sorted
+    `first_ns`: the stamp in the log of the first sample that is propagated, ns; None where it has
+        kept it
     """
 
     log: Log | None
@@ -87,6 +89,7 @@ class LogContext(NamedTuple):
     selection: RateSelection
     mount: Float64 | None
     in_order: bool = True
+    first_ns: int | None = None
 
 
 class FirstAttitude(NamedTuple):
@@ -126,17 +129,23 @@ def first_attitude(
     `first`: the first samples that are propagated, in body axes: those that the timestamp handling
         leaves, so that the attitude is that of the first one
     """
+    first_ns = int(first.t_ns[0])
+    # What is beside the rates has their stamps.
+    logged_ns = first_ns if context.first_ns is None else context.first_ns
     if wanted.source == "level" and context.log is not None:
         _refuse_motion(first, context.log)
-        force, variance = _force(context.log, context, int(first.t_ns[0]))
+        force, variance = _force(context.log, context, logged_ns)
         force = force if context.mount is None else context.mount @ force
         wxyz = level(force, wanted.heading, down=wanted.down)
         return FirstAttitude(wxyz, _level_noise(force, variance))
-    return FirstAttitude(_given(wanted, context, int(first.t_ns[0])))
+    return FirstAttitude(_given(wanted, context, first_ns, logged_ns))
 
 
-def _given(wanted: InitialAttitude, context: LogContext, first_ns: int) -> Float64:
-    """Return an attitude that is given, or that the log or another series has at a stamp."""
+def _given(wanted: InitialAttitude, context: LogContext, first_ns: int, logged_ns: int) -> Float64:
+    """Return an attitude that is given, or that the log or another series has at a stamp.
+
+    `logged_ns`: that stamp in the log
+    """
     if not wanted.source:
         return unit_q0(wanted.wxyz)
     from quatprop.logs.interpolation import attitude_at, attitude_in, first_orientation
@@ -151,7 +160,7 @@ def _given(wanted: InitialAttitude, context: LogContext, first_ns: int) -> Float
         return unit_q0(attitude_at(wanted.source, first_ns, log, context.selection))
     if log is None:
         raise UsageError(f"{Setting('q0', wanted.source)} needs a log, not rates in memory")
-    wxyz = unit_q0(first_orientation(log, context.source, context.selection, first_ns))
+    wxyz = unit_q0(first_orientation(log, context.source, context.selection, logged_ns))
     # The orientation is that of the sensor: v_ref = q_log v_sensor, v_body = m v_sensor.
     return wxyz if mount is None else multiply(wxyz, conjugate(from_matrix(mount)))
 

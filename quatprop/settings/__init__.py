@@ -115,7 +115,7 @@ class SelectOptions(TypedDict, total=False):
 
 
 class RateOptions(SelectOptions, total=False):
-    """Keywords of :func:`quatprop.read_rates`, beside those of :class:`SelectOptions`."""
+    """Keywords that say which rates to read, beside those of :class:`SelectOptions`."""
 
     # fmt: off
     rate_field: Annotated[str | None, Keyword(
@@ -126,6 +126,18 @@ class RateOptions(SelectOptions, total=False):
     rate_unit: Annotated[RateUnit | None, Keyword(
         Choice(*RATE_UNITS), "Unit of the rates.", "as the log says", common=True)]
     # fmt: on
+
+
+RegularTime = Annotated[bool | None, Keyword(
+    flag, "Replace timestamps that jitter about a steady clock, as times of arrival and rounded "
+    "ones do, by the times of that clock. Gaps stay, as whole numbers of its intervals; timestamps "
+    "without such a clock are refused.", "timestamps as they are", group="Timestamps")]  # fmt: skip
+
+
+class ReadOptions(RateOptions, total=False):
+    """Keywords of :func:`quatprop.read_rates`, beside those of :class:`RateOptions`."""
+
+    regular_time: RegularTime
 
 
 class SeriesOptions(SelectOptions, total=False):
@@ -220,9 +232,8 @@ class RunOptions(RateOptions, total=False):
     bias: Annotated[str | PathLike[str] | Collection[float] | Timed | None, Keyword(
         bias, f"Subtracted from the rates; in {Setting('rate_unit')}. static takes the mean rate "
         f"over a rest of at least DUR (1s), found in the whole log by rate, accelerometer and "
-        f"orientation, or over the rest from START to END; static:nearest takes that of the rest "
-        f"nearest in time, static:interpolate interpolates between rests (or with :DUR); FILE or "
-        f"TOPIC is a series of biases, interpolated in time.",
+        f"orientation, or over that from START to END; static:nearest that of the nearest in time, "
+        f"static:interpolate what is between them; FILE or TOPIC is a series, interpolated in time.",
         takes="X,Y,Z|static[:nearest|:interpolate][:DUR]|static@START..END|FILE|TOPIC",
         group="Rates", common=True)]
     calibration: Annotated[str | PathLike[str] | None, Keyword(
@@ -242,6 +253,7 @@ class RunOptions(RateOptions, total=False):
     on_nonfinite: Annotated[Literal["error", "drop", "hold"] | None, Keyword(
         Choice("error", "drop", "hold"), "Rates that are NaN or infinite: refuse, drop, or hold "
         "the previous rate.", "error", group="Timestamps")]
+    regular_time: RegularTime
     max_gap: Annotated[str | int | timedelta | None, Keyword(
         length, "Intervals longer than this count as gaps.", "10 median intervals", "DUR",
         "Timestamps")]
@@ -270,6 +282,9 @@ class PropagateOptions(RunOptions, ErrorOptions, total=False):
 
 READ_RATES = keywords_of(RateOptions)
 """How rates are read: name -> its row."""
+
+RATES_IN_MEMORY = keywords_of(ReadOptions)
+"""The same, and what is done to their stamps where nothing else is done to them."""
 
 ONE_SERIES = keywords_of(SeriesOptions)
 """What has to be known of each series where several are read: name -> its row."""
