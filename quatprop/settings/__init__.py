@@ -233,7 +233,7 @@ class RunOptions(RateOptions, total=False):
         bias, f"Subtracted from the rates; in {Setting('rate_unit')}. static takes the mean rate "
         f"over a rest of at least DUR (1s), found in the whole log by rate, accelerometer and "
         f"orientation, or over that from START to END; static:nearest that of the nearest in time, "
-        f"static:interpolate what is between them; FILE or TOPIC is a series, interpolated in time.",
+        f"static:interpolate what is between them; FILE or TOPIC is a series, interpolated.",
         takes="X,Y,Z|static[:nearest|:interpolate][:DUR]|static@START..END|FILE|TOPIC",
         group="Rates", common=True)]
     calibration: Annotated[str | PathLike[str] | None, Keyword(
