@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.text import Remark, Setting
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
@@ -21,6 +22,9 @@ AT_REST = 0.05
 ORDINARY_CHANGE = math.radians(0.1)
 """rad/s: between rests, the bias of a MEMS gyroscope changes by hundredths of a deg/s as
 it warms up. The sigma of the bias knows of that; it is no reason to look into the log."""
+
+WIDENS = 3.0
+"""Means that differ by so many standard errors widen that of the bias, said to differ or not."""
 
 
 class OtherRest(NamedTuple):
@@ -44,6 +48,8 @@ class StaticPeriod(NamedTuple):
     `searched_first_ns`, `searched_last_ns`: the part of the log that was searched, ns: all of it,
         whatever part is propagated
     `other`: the rest that differs most, by more than noise; None where there is none
+    `spread_rad_s`: by how much the bias may be off because other rests have another mean, on the
+        axis where they differ most
     `levels`: of the axes whose rates are quantised more coarsely than noise hides
     """
 
@@ -56,7 +62,27 @@ class StaticPeriod(NamedTuple):
     searched_first_ns: int
     searched_last_ns: int
     other: OtherRest | None = None
+    spread_rad_s: float = 0.0
     levels: tuple[Levels, ...] = ()
+
+    @property
+    def span_s(self) -> float:
+        """How long it was, s."""
+        return (self.last_ns - self.first_ns) / NS_PER_S
+
+    @property
+    def noise_density(self) -> float:
+        """The density of the noise that it shows, rad/s/sqrt(Hz)."""
+        coarsest = max((each.step for each in self.levels), default=0.0)
+        scatter = max(self.scatter_rad_s / math.sqrt(3), coarsest / math.sqrt(12))
+        return scatter * math.sqrt(self.span_s / (self.samples - 1))
+
+    def bias_sigma(self, density: float) -> float:
+        """Return the standard deviation of its mean by noise and by the step of the rates, rad/s.
+
+        `density`: of the noise, rad/s/sqrt(Hz)
+        """
+        return math.hypot(density / math.sqrt(self.span_s), self.quantisation_rad_s)
 
     @property
     def quantisation_rad_s(self) -> float:

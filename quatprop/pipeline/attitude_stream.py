@@ -10,8 +10,9 @@ import numpy as np
 from quatprop.conditioning import condition
 from quatprop.conditioning.time_range import clipping_remarks
 from quatprop.errors import NoSamplesError, SeriesError, TimelineError
-from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.kinematics.quaternion import geodesic_angle, rotation_matrix
 from quatprop.kinematics.resample import Listed, Steady, Times, every
+from quatprop.kinematics.uncertainty import ErrorGrowth
 from quatprop.logs.beside_rates import conditioning_inputs
 from quatprop.pipeline.gyro_errors import UncertaintyReport, known_errors, uncertainty_report
 from quatprop.pipeline.initial_attitude import LogContext, first_attitude
@@ -91,7 +92,7 @@ class AttitudeStream:
             # Sorted, samples may belong to the range wherever they are in the log.
             part_reader=None if settings.policy.on_backwards == "sort" else source.part_reader,
         )
-        self._errors = known_errors(settings.errors, self._conditioned.rest)
+        self._errors = known_errors(settings.errors, self._conditioned)
         self._times = _times(settings)
 
     @property
@@ -151,17 +152,35 @@ class AttitudeStream:
             in_order=settings.policy.on_backwards != "sort",
             first_ns=self._timeline.first_stamp_ns,
         )
-        self._q0 = first_attitude(settings.q0, context, first)
-        needs_growth = self._sensitivity or settings.errors.sigma
+        begin = first_attitude(settings.q0, context, first)
+        self._q0 = begin.wxyz
+        self._q0_covariance = begin.covariance(settings.errors.q0_sigma)
         return Segments(
             self._timeline,
             self._q0,
             method=self._method,
             rates=settings.rates,
             times=self._times,
-            errors=self._errors[0] if self._errors and needs_growth else None,
+            growth=self._growth(),
+        )
+
+    def _growth(self) -> ErrorGrowth | None:
+        """Return the growth of the errors, where they are known and wanted."""
+        settings, q0 = self._settings, self._q0_covariance
+        if self._errors is None or not (self._sensitivity or settings.errors.sigma):
+            return None
+        errors, _, rests = self._errors
+        if settings.rates == "inertial":
             # Rates in the reference frame are not turned by the mounting.
-            mount=self._conditioned.mount if settings.rates == "body" else None,
+            return ErrorGrowth(errors, settings.rates, self._method, q0=q0, rests=rests)
+        turn = rotation_matrix(self._q0)
+        return ErrorGrowth(
+            errors,
+            settings.rates,
+            self._method,
+            self._conditioned.mount,
+            q0=None if q0 is None else turn @ q0 @ turn.T,
+            rests=rests,
         )
 
     def report(self, *, layout: str | None = None, digest: Digest | None = None) -> RunReport:
@@ -259,7 +278,7 @@ class AttitudeStream:
         growth = self._segments.growth
         if self._errors is None or growth is None:
             return None
-        return uncertainty_report(self._errors, growth, self._settings.errors.columns_axes)
+        return uncertainty_report(self._errors, self._q0_covariance, growth, self._settings.errors)
 
 
 def _times(settings: PropagationSettings) -> Times | None:
