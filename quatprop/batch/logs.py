@@ -13,7 +13,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.errors import UnreadableLogError, UsageError, os_reason
 from quatprop.stores.kinds import COMPRESSION_SUFFIXES, READERS
-from quatprop.stores.objects import below, exists, find, is_address, list_objects, without_secret
+from quatprop.stores.objects import (
+    below,
+    exists,
+    find,
+    has_address,
+    is_address,
+    list_objects,
+    split_address,
+    without_secret,
+)
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
@@ -30,7 +39,7 @@ METADATA = "metadata.yaml"
 TABLES = {kind for kind, reader in READERS.items() if reader.load.startswith("quatprop.tables.")}
 """Kinds of files that hold many other things, too."""
 
-REFUSED = "its key has an empty part, '.', '..' or '?', which no address can have; rename it"
+REFUSED = "its key has an empty part, '.', '..' or parameters; no address can have these: rename it"
 
 
 class FoundLog(NamedTuple):
@@ -131,7 +140,7 @@ class LogSearch:
 
     def _is_usable(self, address: str, name: str) -> bool:
         """Return whether a key can be part of an address; note a log if it cannot."""
-        usable = not {"", ".", ".."} & {*name.split("/")} and not {"?", "\0"} & {*name}
+        usable = has_address(address, name)
         if not usable and _kind_by_suffix(name):
             self.logs.append(FoundLog(below(address, name), name, refused=REFUSED))
         return usable
@@ -258,7 +267,8 @@ def _stem(name: str) -> str:
 
 def _split(name: str) -> tuple[str, str, str]:
     """Return a path, or an address without its parameters; then their mark, and they."""
-    return name.partition("?") if is_address(name) else (name, "", "")
+    base, query = split_address(name) if is_address(name) else (name, "")
+    return base, "?" if query else "", query
 
 
 def _absolute(path: str) -> str:

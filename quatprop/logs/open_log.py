@@ -16,6 +16,8 @@ from quatprop.errors import (
     DamagedLogError,
     LogError,
     QuatpropError,
+    ReplacedError,
+    StoreError,
     UnreadableLogError,
     UnsupportedLogError,
     UsageError,
@@ -26,7 +28,16 @@ from quatprop.stores.compressed_files import DecompressedCopy, file_compression
 from quatprop.stores.compression import UnreadableDataError
 from quatprop.stores.file_source import FileSource
 from quatprop.stores.kinds import READERS, TEXT_KINDS, head_of, kind_of
-from quatprop.stores.objects import below, find, is_address, without_secret
+from quatprop.stores.objects import (
+    StoredLog,
+    below,
+    find,
+    is_address,
+    is_transient,
+    locate,
+    reading,
+    without_secret,
+)
 from quatprop.stores.temp_files import temp_folder
 from quatprop.text import Setting, listed, plain, quoted
 
@@ -69,7 +80,11 @@ def open_log(
         if is_stream(path):
             yield _open_stream(str(path), kind, msg_path, stack)
         elif is_address(path):
-            yield _open_remote(str(path), kind, msg_path, stack, copied=copied)
+            stored = StoredLog(str(path))
+            stack.enter_context(_unchanged(stored))
+            log = _open_remote(str(path), kind, msg_path, stack, stored, copied=copied)
+            log.stored = stored
+            yield log
         else:
             place = Path(path)
             is_folder = place.is_dir()
@@ -87,46 +102,91 @@ def _open_folder(folder: Path, kind: str | None, stack: ExitStack, **options: An
     return _enter("rosbag2", folder, stack, **options)
 
 
-def _open_remote(
+@contextmanager
+def _unchanged(stored: StoredLog) -> Iterator[None]:
+    """Refuse what was read in this block of a log that is another one at its end."""
+    try:
+        yield
+    except QuatpropError as error:
+        if isinstance(error, ReplacedError) or is_transient(error):
+            raise
+        try:
+            stored.confirm()
+        except ReplacedError as replaced:
+            raise replaced from error
+        except StoreError:
+            raise error from None
+        raise
+    stored.confirm()
+
+
+def _open_remote(  # noqa: PLR0913  # as open_log
     address: str,
     kind: str | None,
     msg_path: str | Path | None,
     stack: ExitStack,
+    stored: StoredLog,
     *,
     copied: bool,
 ) -> Log:
     """Open a log in an object store; `stack` closes it, and removes what was copied."""
     from quatprop.stores.remote import RemoteSource
-    from quatprop.stores.transfers import bag_files, local_copy
 
+    with reading(address):
+        file = Path(PurePosixPath(locate(address)[1]).name)
     name = without_secret(address)
-    _, found = find(address)
-    if copied or (kind == "rosbag2" and found.is_file):
-        copy = stack.enter_context(local_copy(address))
-        stack.enter_context(_renamed_errors(copy, name))
-        return stack.enter_context(open_log(copy, kind, msg_path=msg_path))
-    if not found.is_file:
-        files = bag_files(address)
-        indexed = {name for name in files if Path(name).suffix in READERS["mcap"].suffixes}
-        copy = stack.enter_context(local_copy(address, set(files) - indexed))
-        stack.enter_context(_renamed_errors(copy, name))
-
-        def source_of_part(part: Path) -> FileSource:
-            if part.name in indexed:
-                return RemoteSource(below(address, part.name), part)
-            return FileSource(part)
-
-        log = _open_folder(copy, kind, stack, source_of_part=source_of_part)
-    else:
-        file = Path(PurePosixPath(found.path).name)
-        stack.enter_context(_renamed_errors(file, name))
+    try:
         source = stack.enter_context(RemoteSource(address, file))
+    except StoreError:
+        if find(address)[1].is_file:
+            raise
+        return _open_remote_folder(address, kind, msg_path, stack, stored, copied=copied)
+    stored.objects.append(source.stored)
+    with _renamed_errors(file, name):
         head = head_of(source)
         told = kind or ("" if file_compression(head) else kind_of(file, head))
-        if told not in _INDEXED_KINDS:
-            source.close()
-            return _open_remote(address, kind, msg_path, stack, copied=True)
+    if told in _INDEXED_KINDS and not copied:
+        stack.enter_context(_renamed_errors(file, name))
         log = _open_source(source, told, stack)
+        _complete(log, [], msg_path)
+        return log
+    temp = temp_folder()
+    stack.callback(temp.remove)
+    copy = temp.path / file
+    source.copy_to(copy)
+    source.close()
+    stack.enter_context(_renamed_errors(copy, name))
+    return stack.enter_context(open_log(copy, kind, msg_path=msg_path))
+
+
+def _open_remote_folder(  # noqa: PLR0913  # as open_log
+    address: str,
+    kind: str | None,
+    msg_path: str | Path | None,
+    stack: ExitStack,
+    stored: StoredLog,
+    *,
+    copied: bool,
+) -> Log:
+    """Open a ROS 2 bag in an object store."""
+    from quatprop.stores.remote import RemoteSource, bag_files, local_copy
+
+    files = bag_files(address)
+    indexed = {name for name in files if Path(name).suffix in READERS["mcap"].suffixes}
+    names = files if copied else set(files) - indexed
+    copy = stack.enter_context(local_copy(address, stored.objects, names))
+    stack.enter_context(_renamed_errors(copy, without_secret(address)))
+    if copied:
+        return stack.enter_context(open_log(copy, kind, msg_path=msg_path))
+
+    def source_of_part(part: Path) -> FileSource:
+        if part.name not in indexed:
+            return FileSource(part)
+        source = RemoteSource(below(address, part.name), part)
+        stored.objects.append(source.stored._replace(name=part.name))
+        return source
+
+    log = _open_folder(copy, kind, stack, source_of_part=source_of_part)
     _complete(log, [], msg_path)
     return log
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.concurrency.threads import in_background, use_threads
-from quatprop.errors import UsageError
+from quatprop.errors import ReplacedError, UsageError
 from quatprop.logs.open_log import is_stream, open_log
 from quatprop.logs.signals.rates import choose_rates
 from quatprop.pipeline.attitude_stream import AttitudeStream
@@ -20,7 +20,6 @@ from quatprop.pipeline.report import ReportFile, RunReport, digests_of_inputs
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.provenance import digest_ahead
 from quatprop.series import AttitudeSeries
-from quatprop.stores.objects import digest_of_object, is_address
 from quatprop.text import Setting
 from quatprop.writers import open_writer
 from quatprop.writers.formats import format_remarks, layout_of
@@ -33,6 +32,9 @@ if TYPE_CHECKING:
     from quatprop.tables.log import Log
     from quatprop.writers.attitudes import AttitudeWriter
 
+
+ATTEMPTS = 3
+"""How often a log is read that is replaced meanwhile."""
 
 SMALL_BYTES = 1 << 18
 """A smaller log is not worth a thread."""
@@ -50,7 +52,14 @@ class Job(NamedTuple):
 
 
 def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> RunReport:
-    """Propagate one log and write its attitude series."""
+    """Propagate one log and write its attitude series; one that is replaced meanwhile, again."""
+    for _ in range(ATTEMPTS - 1):
+        with suppress(ReplacedError):
+            return _run(job, observer, summary=summary)
+    return _run(job, observer, summary=summary)
+
+
+def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
     began = time.perf_counter()
     settings = job.settings
     _refuse_contradictions(job)
@@ -86,6 +95,8 @@ def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> 
                 report_file.finish(report.as_json())
             if observer is not None:
                 observer.draw(report)
+            if log.stored is not None:
+                log.stored.confirm()
             writer.publish()
             report_file.publish()
     return report
@@ -94,7 +105,6 @@ def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> 
 def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log) -> RunReport:
     """Write the attitudes of a log and return the report on them."""
     output = job.output
-    stored = digest_of_object(job.log) if is_address(job.log) else None
     with (
         digest_ahead(job.log, hashed=output.keeps_report and stream.reads_all) as digest,
         closing(in_background(stream)) as attitudes,
@@ -102,6 +112,7 @@ def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log)
         is_sorted = job.settings.policy.on_backwards == "sort"
         for series in _as_logged(attitudes) if output.into and is_sorted else attitudes:
             writer.write(series)
+        stored = None if log.stored is None else log.stored.digest
         report = stream.report(layout=output.layout, digest=stored or digest())
     return replace(
         report,

@@ -11,15 +11,15 @@ import re
 from contextlib import contextmanager
 from functools import lru_cache
 from textwrap import shorten
-from typing import TYPE_CHECKING, NamedTuple
-from urllib.parse import parse_qs, unquote, urlsplit
+from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import parse_qs, quote, unquote, urlsplit
 
-from quatprop.errors import StoreError
+from quatprop.errors import ReplacedError, StoreError
 from quatprop.provenance import Digest
 from quatprop.text import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from pyarrow import NativeFile
@@ -29,11 +29,26 @@ if TYPE_CHECKING:
 RETRY_S = 10
 """Seconds for which a store that does not answer is retried."""
 
+ATTEMPTS = 8
+"""Times that a request of S3 is tried, unless ``AWS_MAX_ATTEMPTS`` says otherwise.
+
+The pauses double; those between eight attempts outlast a burst of 5 s.
+"""
+
+ANONYMOUS = "anonymous"
+"""In the place of a key, as in ``s3://anonymous@bucket``: requests are not signed."""
+
 MAX_REASON = 240
 """Characters of a store library's message that are shown; the rest repeats itself."""
 
 S3_PARAMETERS = {"endpoint_override", "region", "scheme", "tls_ca_file_path"}
-"""Parameters that an address of S3 may have."""
+"""Parameters that an address of S3 may have; any other ``?`` is part of a key."""
+
+_TRANSIENT = (
+    r"NETWORK_CONNECTION|curlCode|REQUEST_TIMEOUT|SLOW_DOWN|SERVICE_UNAVAILABLE|resolve host"
+    r"|HTTP status (?:429|5\d\d)\b"
+)
+"""What the messages of stores' libraries contain where the same request may succeed later."""
 
 _REASONS = (
     (
@@ -44,13 +59,17 @@ _REASONS = (
         r"OAuth2 access token|AuthenticationException",
         "no credentials for its store were found; log in with the store's own tools",
     ),
+    (
+        r"SLOW_DOWN|SERVICE_UNAVAILABLE|HTTP status (?:429|5\d\d)\b",
+        "its store has too much to do; try again later, or with fewer processes",
+    ),
     (r"NO_SUCH_BUCKET|Bucket '.*' not found", "there is no such bucket; check the address"),
     (
         r"ACCESS_DENIED|INVALID_ACCESS_KEY|SIGNATURE_DOES_NOT_MATCH|\b40[13]\b|[Pp]ermission",
         "its store does not permit that; check the credentials and their rights",
     ),
     (
-        r"NETWORK_CONNECTION|curlCode|REQUEST_TIMEOUT|SLOW_DOWN|SERVICE_UNAVAILABLE|resolve host",
+        _TRANSIENT,
         "its store does not answer; check the network and the address of the store",
     ),
 )
@@ -70,10 +89,35 @@ def without_secret(path: Path | str) -> str:
     return re.sub(r"(?<=://)[^/?#]*@", "", text) if is_address(text) else text
 
 
+def split_address(address: str) -> tuple[str, str]:
+    """Return an address without its parameters, and these."""
+    base, _, query = address.partition("?")
+    if address.startswith("s3://"):
+        base, query = _S3_PARAMETERS.fullmatch(address).groups("")  # type: ignore[union-attr]
+    return base, query
+
+
+_S3_PARAMETER = rf"(?:{'|'.join(sorted(S3_PARAMETERS))})=[^&]*"
+_S3_PARAMETERS = re.compile(rf"(?s)(.*?)(?:\?({_S3_PARAMETER}(?:&{_S3_PARAMETER})*))?")
+
+
 def below(address: str, name: str) -> str:
-    """Return the address of an object below another one, with the same parameters."""
-    base, mark, parameters = address.partition("?")
-    return f"{base.rstrip('/')}/{name}{mark}{parameters}"
+    """Return the address of an object below another one, with the same parameters.
+
+    `name`: its key below the address, which is never taken for parameters
+    """
+    base, query = split_address(address)
+    if not address.startswith("s3://"):
+        name = quote(name, errors="surrogateescape")
+    return f"{base.rstrip('/')}/{name}{'?' if query else ''}{query}"
+
+
+def has_address(address: str, name: str) -> bool:
+    """Return whether a key below an address can be asked for: Arrow takes no empty parts."""
+    parts = {*name.split("/")}
+    if parts & {"", ".", ".."} or "\0" in name:
+        return False
+    return not address.startswith("s3://") or split_address(below(address, name))[0].endswith(name)
 
 
 def locate(address: str) -> tuple[FileSystem, str]:
@@ -81,8 +125,8 @@ def locate(address: str) -> tuple[FileSystem, str]:
 
     Credentials that the address does not carry are looked up as the store's own tools do.
     """
+    base, query = split_address(address)
     if address.startswith("s3://"):
-        base, _, query = address.partition("?")
         host, slash, path = base.removeprefix("s3://").partition("/")
         user, _, bucket = host.rpartition("@")
         return _s3(user, bucket, query), f"{bucket}{slash}{path}".rstrip("/")
@@ -95,12 +139,12 @@ def locate(address: str) -> tuple[FileSystem, str]:
 @lru_cache(maxsize=16)
 def _s3(user: str, bucket: str, query: str) -> FileSystem:
     """Return the store of a bucket, whose requests are not tried for minutes."""
-    from pyarrow.fs import S3FileSystem, resolve_s3_region
+    from pyarrow.fs import AwsDefaultS3RetryStrategy, S3FileSystem, resolve_s3_region
 
-    options: dict[str, str] = {name: values[-1] for name, values in parse_qs(query).items()}
-    if unknown := options.keys() - S3_PARAMETERS:
-        raise ValueError(f"s3:// has no parameter {min(unknown)}")
-    if user:
+    options: dict[str, Any] = {name: values[-1] for name, values in parse_qs(query).items()}
+    if user == ANONYMOUS:
+        options["anonymous"] = True
+    elif user:
         key, _, secret = user.partition(":")
         options |= {"access_key": unquote(key), "secret_key": unquote(secret)}
     endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
@@ -110,8 +154,15 @@ def _s3(user: str, bucket: str, query: str) -> FileSystem:
     region = os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION")
     if "region" not in options and (region or "endpoint_override" not in options):
         options["region"] = region or resolve_s3_region(bucket)
+    attempts = os.environ.get("AWS_MAX_ATTEMPTS", "")
     return S3FileSystem(
-        connect_timeout=RETRY_S, request_timeout=RETRY_S, allow_delayed_open=True, **options
+        connect_timeout=RETRY_S,
+        request_timeout=RETRY_S,
+        allow_delayed_open=True,
+        retry_strategy=AwsDefaultS3RetryStrategy(
+            max_attempts=int(attempts) if attempts.isdecimal() else ATTEMPTS
+        ),
+        **options,
     )
 
 
@@ -120,6 +171,11 @@ def _with_retry_limit(address: str) -> str:
     if not address.startswith(("gs://", "gcs://")) or "retry_limit_seconds" in address:
         return address
     return f"{address}{'&' if '?' in address else '?'}retry_limit_seconds={RETRY_S}"
+
+
+def is_transient(error: BaseException) -> bool:
+    """Return whether an error of a store may not come again when the same is tried later."""
+    return re.search(_TRANSIENT, str(error.__cause__)) is not None
 
 
 def store_reason(error: Exception, address: str) -> str:
@@ -187,41 +243,80 @@ def list_objects(address: str, *, missing_ok: bool = False) -> dict[str, FileInf
     return {path[top:]: found[path] for path in sorted(found)}
 
 
-def etag_of(file: NativeFile) -> str | None:
-    """Return by what a store recognises the content of an open object; None if it does not say."""
-    metadata = file.metadata() or {}
-    tag = metadata.get("ETag") or metadata.get(b"ETag")
-    return tag.decode().strip('"') if tag else None
-
-
 class StoredObject(NamedTuple):
     """By what an object is recognised.
 
     `name`: its path below the prefix that was asked for; empty for the object itself
     `size`: bytes
-    `mtime_ns`: when it was written, ns; None if its store does not say
     `etag`: by what its store recognises its content; None if it does not say
+    `changed`: when it was written, as its store says it
     """
 
     name: str
     size: int
-    mtime_ns: int | None
     etag: str | None
+    changed: str
 
 
-def objects_of(address: str) -> list[StoredObject]:
-    """Return what is known of an object, or of each object of a prefix."""
-    store, found = find(address)
+def stored_object(file: NativeFile, store: FileSystem, place: str, name: str = "") -> StoredObject:
+    """Return by what an open object is recognised."""
+    known = {
+        str(key, "utf-8") if isinstance(key, bytes) else key: value.decode()
+        for key, value in (file.metadata() or {}).items()
+    }
+    etag, changed = known.get("ETag"), known.get("Last-Modified")
+    if changed is None:  # no request in a file system of this machine
+        changed = str(store.get_file_info(place).mtime_ns)
+    return StoredObject(name, file.size(), etag.strip('"') if etag else None, changed)
+
+
+def objects_of(address: str, names: Iterable[str] = ("",)) -> list[StoredObject]:
+    """Return what is known of some objects below an address, or of itself: one request each."""
     objects = []
-    for name, info in ({"": found} if found.is_file else list_objects(address)).items():
-        with reading(address), store.open_input_file(info.path) as file:
-            objects.append(StoredObject(name, file.size(), info.mtime_ns, etag_of(file)))
+    with reading(address):
+        store, place = locate(address)
+        for name in names:
+            path = f"{place}/{name}" if name else place
+            with store.open_input_file(path) as file:
+                objects.append(stored_object(file, store, path, name))
     return objects
+
+
+class StoredLog:
+    """What a log in a store was when it was opened.
+
+    `objects`: those that are read; grows while the log is opened
+    """
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+        self.objects: list[StoredObject] = []
+        self._is_confirmed = False
+
+    @property
+    def digest(self) -> Digest:
+        """Size and ETag of its object, or of each of its objects."""
+        digests = {one.name: Digest(one.size, etag=one.etag) for one in self.objects}
+        if "" in digests:
+            return digests[""]
+        return Digest(sum(digest.bytes or 0 for digest in digests.values()), files=digests)
+
+    def confirm(self) -> None:
+        """Ask the store, once, whether it still has the same: Arrow's ranges have no If-Match."""
+        if self._is_confirmed:
+            return
+        if self.objects != objects_of(self._address, [one.name for one in self.objects]):
+            raise ReplacedError(
+                f"{plain(without_secret(self._address))}: it was replaced while it was read; try "
+                "again when nobody writes it"
+            )
+        self._is_confirmed = True
 
 
 def digest_of_object(address: str) -> Digest:
     """Return size and ETag of an object, and those of each object of a prefix."""
-    digests = {one.name: Digest(one.size, etag=one.etag) for one in objects_of(address)}
-    if "" in digests:
-        return digests[""]
-    return Digest(sum(digest.bytes or 0 for digest in digests.values()), files=digests)
+    found = find(address)[1]
+    names = [""] if found.is_file else list(list_objects(address))
+    log = StoredLog(address)
+    log.objects += objects_of(address, names)
+    return log.digest

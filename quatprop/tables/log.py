@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
     from pathlib import Path
 
+    from quatprop.stores.objects import StoredLog
     from quatprop.tables.model import Table
 
 
@@ -60,9 +61,11 @@ class Log(ABC):
     `definition_files`: files beside the log that message definitions were taken from
     `unchecked_chunks`: chunks that were read in part and so not compared with their checksum; grows
         likewise
+    `stored`: by what an object store recognises it; None for a file of this machine
     """
 
     kind: str
+    stored: StoredLog | None = None
     remarks: Sequence[str] = ()
     definition_files: Sequence[Path] = ()
     unchecked_chunks: int = 0

@@ -86,7 +86,7 @@ def test_names_are_without_what_says_how_to_read(tmp_path):
     spin(tmp_path / "bag.v2" / "metadata.yaml")
     paths = [tmp_path / name for name in ("a.mcap.zst", "bag.v2", "b.bag")]
     assert names(*paths) == ["a", "bag.v2", "b"]
-    logs = ["s3://key:secret@logs/a.mcap?chunk=eu.west/1", "s3://logs/d/b.bag.zst?a=b.c"]
+    logs = ["s3://key:secret@logs/a.mcap?region=eu.west/1", "s3://logs/d/b.bag.zst?region=b.c"]
     assert names(*logs) == ["a", "b"]
     assert names(*logs, root="s3://logs") == ["a", "d/b"]
 
