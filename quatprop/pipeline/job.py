@@ -44,11 +44,14 @@ class Job(NamedTuple):
     """What to do with one log.
 
     `log`: path of the log, or ``"-"`` for CSV on stdin
+    `name`: what the output says of where it is from, so that it has the same bytes wherever it is
+        made; None for the path, with digests
     """
 
     log: str
     output: OutputSettings
     settings: PropagationSettings = PropagationSettings()
+    name: str | None = None
 
 
 def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> RunReport:
@@ -89,7 +92,7 @@ def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
         ):
             report = _written(stream, writer, job, log)
             # Everything that can fail comes before the first output is put in its place.
-            writer.finish(report.as_json())
+            writer.finish((report if job.name is None else report.named(job.name)).as_json())
             report = replace(report, seconds=time.perf_counter() - began)
             if output.report is not None:
                 report_file.finish(report.as_json())

@@ -13,6 +13,7 @@ from functools import lru_cache
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import parse_qs, quote, unquote, urlsplit
+from urllib.request import url2pathname
 
 from quatprop.errors import ReplacedError, StoreError
 from quatprop.provenance import Digest
@@ -79,6 +80,12 @@ _REASONS = (
 def is_address(path: Path | str) -> bool:
     """Tell whether a path is an address such as ``s3://bucket/log.mcap``."""
     return "://" in str(path)
+
+
+def without_file_scheme(path: str) -> str:
+    """Return an address of this machine, ``file://``, as a path; others as they are."""
+    parts = urlsplit(path) if path.startswith("file://") else None
+    return url2pathname(parts.path) if parts else path
 
 
 def without_secret(path: Path | str) -> str:

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from concurrent.futures import Future, wait
 from typing import TYPE_CHECKING, TypeVar
 
 from quatprop.errors import OutputError
-from quatprop.stores.objects import below, locate, reading, store_reason, without_secret
+from quatprop.stores.objects import (
+    below,
+    exists,
+    find,
+    is_address,
+    list_objects,
+    locate,
+    reading,
+    store_reason,
+    without_secret,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,6 +51,28 @@ def upload(source: Path, address: str) -> None:
         if source.is_dir():
             target = below(address, file.relative_to(source).as_posix())
         put(target, pa.memory_map(str(file)).read_buffer() if file.stat().st_size else b"")
+
+
+def move(source: str, target: str) -> None:
+    """Move a file, a folder or an object, in place of what is there; nothing if there is none."""
+    import shutil
+
+    if is_address(source):
+        names = [""] if exists(source) and find(source)[1].is_file else None
+        for name in names if names is not None else list_objects(source, missing_ok=True):
+            one, other = (below(place, name) if name else place for place in (source, target))
+            put(other, get(one))
+            with reading(one):
+                store, place = locate(one)
+                store.delete_file(place)
+        return
+    try:
+        if os.path.isdir(target):  # noqa: PTH112
+            shutil.rmtree(target)
+        os.makedirs(os.path.dirname(target), exist_ok=True)  # noqa: PTH103, PTH120
+        os.replace(source, target)  # noqa: PTH105
+    except OSError as error:
+        raise OutputError(target, f"cannot be written: {error.strerror}") from error
 
 
 def put(address: str, data: Buffer) -> None:
