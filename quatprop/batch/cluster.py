@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.batch.entries import COMPLETE
 from quatprop.batch.execution import output_size_of, propagate_log, record
-from quatprop.batch.tasks import BatchResult, BatchSettings, BatchTask, failed
+from quatprop.batch.tasks import BatchResult, BatchSettings, failed
 from quatprop.errors import QuatpropError, UsageError
 from quatprop.stores.objects import is_address
 from quatprop.text import Setting, plain, quoted
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
     from quatprop.batch.entries import ManifestEntry
+    from quatprop.batch.logs import BatchTask
     from quatprop.batch.manifest import Manifest
 
 AHEAD = 1000

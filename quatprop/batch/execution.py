@@ -8,8 +8,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from quatprop.batch.entries import COMPLETE, ManifestEntry
-from quatprop.batch.logs import absolute
-from quatprop.batch.tasks import BatchResult, BatchSettings, BatchTask, failed, output_size
+from quatprop.batch.logs import BatchTask, absolute
+from quatprop.batch.tasks import BatchResult, BatchSettings, failed, output_size
 from quatprop.concurrency.processes import KILLED, map_processes
 from quatprop.concurrency.threads import available_cores
 from quatprop.errors import (
@@ -177,7 +177,7 @@ def _set_aside(task: BatchTask, settings: BatchSettings) -> None:
     """Move an earlier output of a log that fails now: it would look like one of today."""
     output = settings.output_of(task)
     if is_address(output) or os.path.lexists(output):
-        move(output, settings.output_of(task._replace(name=f"{STALE}/{task.name}.old")))
+        move(output, settings.output_of(task._replace(named=f"{STALE}/{task.name}.old")))
 
 
 def propagate_and_record(

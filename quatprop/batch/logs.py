@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.batch.listing import METADATA, Pattern, tree_of
-from quatprop.batch.origins import origin_of_parts
-from quatprop.errors import UsageError, os_reason
+from quatprop.batch.origins import origin_of, origin_of_parts
+from quatprop.errors import StoreError, UsageError, os_reason
 from quatprop.stores.kinds import COMPRESSION_SUFFIXES, READERS
 from quatprop.stores.objects import below, exists, find, is_address, split_address, without_secret
 from quatprop.text import Setting, quoted
@@ -30,23 +30,28 @@ TABLES = {kind for kind, reader in READERS.items() if reader.load.startswith("qu
 REFUSED = "its key has an empty part, '.', '..' or parameters; no address can have these: rename it"
 
 
-class FoundLog(NamedTuple):
-    """A log of a batch.
+class BatchTask(NamedTuple):
+    """A log of a batch; small, as there may be a million.
 
     `root`: the folder or the address below which it lies
     `log`: its path below that, with ``/``
+    `suffix`: that of its output
     `is_folder`: whether it is a ROS 2 bag
     `maybe`: whether it is a table that was found in a folder: one without body rates is no log
     `refused`: why it cannot be read, or its output be written; empty where it can
     `origin`: by what a store's listing tells that it is another log; empty if it was not listed
+    `named`: path of its output in the folder of the batch, where that is another one than usually;
+        empty where there cannot be any
     """
 
     root: str
     log: str
+    suffix: str = ""
     is_folder: bool = False
     maybe: bool = False
     refused: str = ""
     origin: str = ""
+    named: str | None = None
 
     @property
     def path(self) -> str:
@@ -54,13 +59,30 @@ class FoundLog(NamedTuple):
         return place_below(self.root, self.log)
 
     @property
-    def name(self) -> str:
-        """The name of its output without the suffix: its path without its own suffixes."""
+    def shown(self) -> str:
+        """The same as it may be shown."""
+        return without_secret(self.path)
+
+    @property
+    def stem(self) -> str:
+        """Its path without its own suffixes."""
         if self.is_folder:
             return self.log
         stem, suffix = os.path.splitext(self.log)
         is_packed = suffix.lower() in (*COMPRESSION_SUFFIXES, ".active")
         return os.path.splitext(stem)[0] if is_packed else stem
+
+    @property
+    def name(self) -> str:
+        """The path of its output in the folder of the batch."""
+        return f"{self.stem}{self.suffix}" if self.named is None else self.named
+
+    def origin_now(self) -> str:
+        """Return by what it is told that the log is another one; empty if that is not known."""
+        try:
+            return self.origin or origin_of(self.path)
+        except (OSError, StoreError):
+            return ""
 
 
 @dataclass(slots=True)
@@ -72,6 +94,7 @@ class LogSearch:
     `output`: the folder of the outputs, which is not searched
     `of_messages`: a setting, such as ``"topic"``, that only logs of messages can follow: tables in
         folders are no logs then. None: there is no such setting
+    `suffix`: that of the outputs
     `logs`: the logs, each once, in the order of the names, and of their paths within a folder
     `searched`: the folders of which all was searched
     `other_files`, `links`: number of files in the searched folders that are no logs, and of links
@@ -81,7 +104,8 @@ class LogSearch:
     root: str | None = None
     output: str = ""
     of_messages: str | None = None
-    logs: list[FoundLog] = field(default_factory=list)
+    suffix: str = ""
+    logs: list[BatchTask] = field(default_factory=list)
     searched: set[str] = field(default_factory=set)
     other_files: int = 0
     links: int = 0
@@ -198,7 +222,7 @@ class LogSearch:
             )
         if not log or self.root is not None:
             root, log = self._below_root(absolute(place_below(root, log)), root)
-        found = FoundLog(root, log, is_folder, maybe, refused, origin)
+        found = BatchTask(root, log, self.suffix, is_folder, maybe, refused, origin)
         if self._places is not None:
             place = absolute(found.path)
             if place in self._places:

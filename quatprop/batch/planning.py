@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.batch.entries import COMPLETE, ManifestEntry, as_text, bucket_of, hash_of
-from quatprop.batch.logs import TABLES, FoundLog, absolute, kind_by_suffix, place_below
+from quatprop.batch.logs import TABLES, BatchTask, absolute, kind_by_suffix, place_below
 from quatprop.batch.origins import changed_ns
-from quatprop.batch.tasks import BatchTask, output_size
+from quatprop.batch.tasks import output_size
 from quatprop.errors import StoreError, UsageError
 from quatprop.provenance import digest_of
 from quatprop.stores.objects import exists, is_address, list_objects, objects_of, without_secret
@@ -76,7 +76,7 @@ class Plan(NamedTuple):
     lost: int = 0
 
 
-def shard(logs: Iterable[FoundLog], text: str) -> list[FoundLog]:
+def shard(logs: Iterable[BatchTask], text: str) -> list[BatchTask]:
     """Return one part of N of the logs: that of one machine of many, as in an array job.
 
     A log is in the same part whatever other logs there are.
@@ -87,62 +87,53 @@ def shard(logs: Iterable[FoundLog], text: str) -> list[FoundLog]:
     part, parts = map(int, match.groups()) if match else (0, 0)
     if not 1 <= part <= parts:
         raise UsageError(f"{quoted(text)} is not I/N, from 1/N to N/N, for {Setting('shard')}")
-    return [log for log in logs if hash_of(log.name.lower()) % parts == part - 1]
+    return [log for log in logs if hash_of(log.stem.lower()) % parts == part - 1]
 
 
-def tasks_of(logs: Sequence[FoundLog], folder: str, suffix: str) -> list[BatchTask]:
-    """Return the task of each log; of several with the same output, others keep their suffixes."""
+def with_names(tasks: list[BatchTask], folder: str) -> None:
+    """Let no two logs have one output: a table beside a recording keeps its suffix in the name."""
+    # Hashes, as there may be a million names.
     seen, twice = set[int](), set[int]()
-    for log in logs:
-        number = hash_of(log.name.lower())
+    for task in tasks:
+        number = hash(task.stem.lower())
         (twice if number in seen else seen).add(number)
-    groups = defaultdict[str, list[FoundLog]](list)
-    if twice:
-        for log in logs:
-            if hash_of(log.name.lower()) in twice:
-                groups[log.name.lower()].append(log)
-    owners: dict[str, FoundLog] = {}
-    names: dict[FoundLog, str] = {}
-    for group in groups.values():
-        for log in sorted(group, key=_rank):
-            owner = owners.get(log.name.lower(), log)
-            beside = owner is not log and absolute(owner.root) == absolute(log.root)
-            name = log.log if beside else log.name
-            if owners.setdefault(name.lower(), log) is log:
-                names[log] = name
-    tasks = []
-    for log in logs:
-        name = names.get(log, log.name)
-        owner, refused = owners.get(name.lower(), log), log.refused
-        if owner is not log and not refused:
-            refused = _same_output(owner.path, place_below(folder, name + suffix))
-            name = suffix = ""
-        named = f"{name}{suffix}" if name else ""
-        tasks.append(BatchTask(log.root, log.log, named, log.maybe, refused, log.origin))
-    return tasks
+    groups = defaultdict[str, list[int]](list)
+    for place, task in enumerate(tasks if twice else ()):
+        if hash(task.stem.lower()) in twice:
+            groups[task.stem.lower()].append(place)
+    owners: dict[str, BatchTask] = {}
+    for stem, places in groups.items():
+        for place in sorted(places, key=lambda place: _rank(tasks[place])):
+            task = tasks[place]
+            owner = owners.setdefault(stem, task)
+            if owner is not task and absolute(owner.root) == absolute(task.root):
+                tasks[place] = task = task._replace(named=f"{task.log}{task.suffix}")
+                owner = owners.setdefault(task.log.lower(), task)
+            if owner is not task:
+                tasks[place] = _refused(task, owner.path, place_below(folder, task.name))
 
 
-def _rank(log: FoundLog) -> tuple[bool, bool, str, str]:
+def _rank(log: BatchTask) -> tuple[bool, bool, str, str]:
     """Return by what the first of several logs is told: recordings come before tables."""
     return not log.is_folder, kind_by_suffix(log.log) in TABLES, log.log, log.path
 
 
-def _same_output(owner: str, output: str) -> str:
+def _refused(task: BatchTask, owner: str, output: str) -> BatchTask:
+    """Return a task that fails, as another log has its output."""
     name, place = quoted(without_secret(owner)), quoted(without_secret(output))
-    return f"its output {place} is that of {name}; {OTHER_OUTPUT}"
+    return task._replace(named="", refused=f"its output {place} is that of {name}; {OTHER_OUTPUT}")
 
 
-def plan(  # noqa: PLR0913  # what the command line says
-    logs: Sequence[FoundLog],
+def plan(
+    tasks: list[BatchTask],
     settings: BatchSettings,
-    suffix: str,
     manifest: Manifest,
     *,
     skip: bool,
     verify: bool = False,
 ) -> Plan:
     """Return the tasks of the logs whose outputs are not up to date, or of all logs."""
-    tasks = tasks_of(logs, settings.folder, suffix)
+    with_names(tasks, settings.folder)
     _refuse_replaced(tasks, settings)
     buckets = np.array([bucket_of(task.name) for task in tasks], np.uint8)
     is_due, lost = np.ones(len(tasks), bool), 0
@@ -156,8 +147,8 @@ def plan(  # noqa: PLR0913  # what the command line says
         }
         for place, entry in known.items():
             if (owner := _other_owner(tasks[place], entry)) is not None:
-                refused = _same_output(owner, settings.output_of(tasks[place]))
-                tasks[place] = tasks[place]._replace(name="", refused=refused)
+                output = settings.output_of(tasks[place])
+                tasks[place] = _refused(tasks[place], owner, output)
         if size_of is None:
             continue
 
@@ -250,7 +241,7 @@ def _sha256(output: str) -> str | None:
 
 
 def deleted(
-    manifest: Manifest, logs: Iterable[FoundLog], searched: Iterable[str], part: str | None
+    manifest: Manifest, logs: Iterable[BatchTask], searched: Iterable[str], part: str | None
 ) -> list[ManifestEntry]:
     """Return entries for logs that are no longer in the folders that were searched.
 
@@ -265,7 +256,7 @@ def deleted(
         for output, (state, root, log) in entries.items():
             if state == "deleted" or log in found.get(root, {log}):
                 continue
-            if not part or shard([FoundLog(root, log)], part):
+            if not part or shard([BatchTask(root, log)], part):
                 place = place_below(root, log)
                 if not (exists(place) if is_address(place) else os.path.lexists(place)):
                     gone.append(ManifestEntry("deleted", root, log, output))

@@ -8,48 +8,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.batch.entries import ManifestEntry
-from quatprop.batch.logs import absolute, place_below
+from quatprop.batch.logs import BatchTask, absolute, place_below
 from quatprop.batch.origins import origin_of
 from quatprop.errors import StoreError
-from quatprop.stores.objects import without_secret
 from quatprop.text import spelled
 
 if TYPE_CHECKING:
     from quatprop.pipeline.job import Job
     from quatprop.tables.log import Loss
-
-
-class BatchTask(NamedTuple):
-    """One log of a batch; small, as there may be a million.
-
-    `root`, `log`: the folder or address below which it lies, and its path there
-    `name`: path of the output in the folder of the batch; empty where another log has it
-    `maybe`, `refused`, `origin`: as of :class:`quatprop.batch.logs.FoundLog`
-    """
-
-    root: str
-    log: str
-    name: str
-    maybe: bool = False
-    refused: str = ""
-    origin: str = ""
-
-    @property
-    def path(self) -> str:
-        """The log's path or address."""
-        return place_below(self.root, self.log)
-
-    @property
-    def shown(self) -> str:
-        """The log as it may be shown."""
-        return without_secret(self.path)
-
-    def origin_now(self) -> str:
-        """Return by what it is told that the log is another one; empty if that is not known."""
-        try:
-            return self.origin or origin_of(self.path)
-        except (OSError, StoreError):
-            return ""
 
 
 class BatchSettings(NamedTuple):

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
     from tqdm import tqdm
 
-    from quatprop.batch.logs import FoundLog, LogSearch
+    from quatprop.batch.logs import BatchTask, LogSearch
     from quatprop.batch.manifest import Manifest
     from quatprop.batch.planning import Plan
-    from quatprop.batch.tasks import BatchResult, BatchSettings, BatchTask
+    from quatprop.batch.tasks import BatchResult, BatchSettings
 
 ONE_LOG = {"log", "output", "to", "into", "plot", "report", "quiet", "verbose"}
 """Parameters of ``propagate`` that are about one log."""
@@ -120,17 +120,15 @@ def command(
         raise click.UsageError(f"-o {folder} is a file; name a folder for the outputs")
     search, logs = _search(names, folder, chosen)
     manifest = Manifest(folder)
-    suffix = next((s for s in WRITERS[chosen["to"]].suffixes if s), "")
     paths = {"report": None, "into": None, "log": "LOG", "output": "OUT"}
     # Whoever propagates a log may do so in another folder.
     job = propagate.job_of({**chosen, **paths}, Path.cwd())
     settings = BatchSettings.of(job, folder, reports=as_json, retries=chosen["retries"])
-    planned = plan(
-        logs, settings, suffix, manifest, skip=chosen["skip_existing"], verify=chosen["verify"]
-    )
-    _warn_of_unused(manifest)
     gone = deleted(manifest, search.logs, search.searched, chosen["shard"])
     search.logs.clear()
+    skip, verify = chosen["skip_existing"], chosen["verify"]
+    planned = plan(logs, settings, manifest, skip=skip, verify=verify)
+    _warn_of_unused(manifest)
     logs.clear()
     tasks = planned.tasks
     if tasks or gone:
@@ -177,7 +175,7 @@ command.params += SHARED
 
 def _search(
     names: Iterable[str], folder: str, chosen: Mapping[str, Any]
-) -> tuple[LogSearch, list[FoundLog]]:
+) -> tuple[LogSearch, list[BatchTask]]:
     """Return the search for all names, and its logs, or one part of them."""
     from quatprop.batch.logs import LogSearch
     from quatprop.batch.planning import shard
@@ -188,7 +186,8 @@ def _search(
         text = content_of(chosen["list_file"]).decode("utf-8-sig", "surrogateescape")
         given += [name for line in text.split("\n") if (name := line.rstrip("\r"))]
     of_messages = next(filter(chosen.get, OF_MESSAGES), None) if chosen["kind"] is None else None
-    search = LogSearch(chosen["root"], folder, of_messages)
+    suffix = next((s for s in WRITERS[chosen["to"]].suffixes if s), "")
+    search = LogSearch(chosen["root"], folder, of_messages, suffix)
     for name in given:
         search.add(name)
     if not search.logs:

@@ -12,8 +12,9 @@ from make.commands import INSTALLED, installed, refused, run
 from make.places import SAMPLE_LOGS
 
 from quatprop.batch.cluster import on_a_cluster
+from quatprop.batch.logs import BatchTask
 from quatprop.batch.manifest import Manifest
-from quatprop.batch.tasks import BatchSettings, BatchTask
+from quatprop.batch.tasks import BatchSettings
 from quatprop.errors import UsageError
 from quatprop.pipeline.job import Job
 from quatprop.pipeline.settings import OutputSettings
@@ -174,7 +175,7 @@ def test_a_cluster_that_is_not_there(tmp_path):
     pytest.importorskip("distributed")
     spin(tmp_path / "a.csv")
     settings = BatchSettings.of(Job("LOG", OutputSettings("OUT")), str(tmp_path))
-    task = BatchTask(str(tmp_path), "a.csv", "a.npy")
+    task = BatchTask(str(tmp_path), "a.csv", ".npy")
     with pytest.raises(UsageError, match="no Dask scheduler answers at 'nonsense'"):
         list(on_a_cluster([task], settings, "nonsense", Manifest(str(tmp_path))))
     code = "from quatprop.batch.cluster import _client; _client('nonsense')"

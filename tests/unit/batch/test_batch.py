@@ -13,8 +13,9 @@ from quatprop import __version__
 from quatprop.batch import execution
 from quatprop.batch.cluster import on_a_cluster, propagate_on_worker
 from quatprop.batch.execution import propagate_log
+from quatprop.batch.logs import BatchTask
 from quatprop.batch.manifest import Manifest
-from quatprop.batch.tasks import BatchSettings, BatchTask
+from quatprop.batch.tasks import BatchSettings
 from quatprop.cli.batch import command
 from quatprop.cli.propagate import command as propagate
 from quatprop.errors import LogError, QuatpropError, UsageError
@@ -304,7 +305,7 @@ def tasks_of(folder, *names):
     """Return the tasks of new logs."""
     for name in names:
         spin(folder / f"{name}.csv")
-    return [BatchTask(str(folder), f"{name}.csv", f"{name}.npy") for name in names]
+    return [BatchTask(str(folder), f"{name}.csv", ".npy") for name in names]
 
 
 def prepared(folder):
@@ -374,7 +375,7 @@ def test_a_cluster_without_workers_or_scheduler(tmp_path, monkeypatch):
 
 def test_a_worker_of_another_version_is_refused():
     """Its outputs would be those of another version."""
-    there = BatchTask("", "a.csv", "a.csv")
+    there = BatchTask("", "a.csv", ".csv")
     assert propagate_on_worker(there, SETTINGS, "0.0.1").entry.error == (
         f"a.csv: its worker has quatprop {__version__}, not 0.0.1; install the same version"
     )

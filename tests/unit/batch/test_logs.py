@@ -4,8 +4,8 @@ import pytest
 from make.batches import batch, entries, said, spin
 from make.commands import refused, run
 
-from quatprop.batch.logs import FoundLog, LogSearch
-from quatprop.batch.planning import shard, tasks_of
+from quatprop.batch.logs import BatchTask, LogSearch
+from quatprop.batch.planning import shard, with_names
 from quatprop.errors import UsageError
 
 
@@ -76,14 +76,14 @@ def test_a_name_depends_on_its_own_log_alone(tmp_path):
 
 def test_a_part_of_a_folder_that_grows_keeps_its_logs():
     """Parts were counted off: a new log between two tasks moved others, that were done by none."""
-    few = [FoundLog("in", f"{number}.csv") for number in range(0, 60, 2)]
-    many = [FoundLog("in", f"{number}.csv") for number in range(60)]
+    few = [BatchTask("in", f"{number}.csv") for number in range(0, 60, 2)]
+    many = [BatchTask("in", f"{number}.csv") for number in range(60)]
     for part in ("1/3", "2/3", "3/3"):
         before, after = set(shard(few, part)), set(shard(many, part))
         assert after & set(few) == before
         assert 5 < len(after) < 40
         # Logs that have an output together are in one part.
-        assert shard([FoundLog("in", f"{log.name}.mcap.zst") for log in before], part)
+        assert shard([BatchTask("in", f"{log.name}.mcap.zst") for log in before], part)
 
 
 @pytest.mark.parametrize("text", ["0/4", "5/4", "1", "-1/2", "a/b", "1/0"])
@@ -106,10 +106,11 @@ def test_names_are_without_what_says_how_to_read(tmp_path):
 
 def test_names_that_differ_in_case_only_are_refused(tmp_path):
     """On many disks they are one name."""
-    search = LogSearch()
+    search = LogSearch(suffix=".npy")
     for name in ("1/IMU.bag", "2/imu.bag"):
         search.add(str(tmp_path / name))
-    first, second = tasks_of(search.logs, "out", ".npy")
+    with_names(search.logs, "out")
+    first, second = search.logs
     assert (first.name, first.refused) == ("IMU.npy", "")
     assert second.refused.startswith(f"its output 'out/imu.npy' is that of '{tmp_path / '1'}")
 

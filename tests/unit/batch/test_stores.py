@@ -12,7 +12,7 @@ from make.commands import refused
 from make.places import SAMPLE_LOGS
 
 import quatprop
-from quatprop.batch.logs import FoundLog, LogSearch
+from quatprop.batch.logs import BatchTask, LogSearch
 from quatprop.batch.planning import shard
 from quatprop.stores.objects import list_objects
 from quatprop.stores.transfers import get, upload
@@ -152,7 +152,7 @@ def test_the_examples_of_array_jobs_divide_the_logs(scheduler, variables, tmp_pa
     shim = tmp_path / "quatprop"
     shim.write_text('#!/bin/sh\nfor each; do last=$each; done\necho "$last"\n')
     shim.chmod(0o755)
-    every = [FoundLog("in", f"{number}.csv") for number in range(50)]
+    every = [BatchTask("in", f"{number}.csv") for number in range(50)]
     parts, (first, begin) = [], next(iter(variables.items()))
     for job in range(20 if len(variables) == 1 else 7):
         values = {name: str(value) for name, value in {**variables, first: begin + job}.items()}
