@@ -67,7 +67,7 @@ ABANDONED_S = 7 * 86_400
 
 def new_run() -> str:
     """Return a name for a batch, by its time."""
-    return f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{secrets.token_hex(4)}"
+    return f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}-{secrets.token_hex(4)}"
 
 
 class Manifest:

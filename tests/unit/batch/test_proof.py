@@ -2,7 +2,9 @@
 
 import errno
 import os
+import re
 import shutil
+from pathlib import Path
 
 import pyarrow.dataset
 import pytest
@@ -10,9 +12,13 @@ from make.batches import batch, entries, outputs_in, said, spin
 from make.commands import refused
 from make.places import SAMPLE_LOGS
 
+import quatprop
+from quatprop import __version__
 from quatprop.batch import execution, listing
 from quatprop.batch.manifest import Manifest
 from quatprop.stores.transfers import get, upload
+
+FLEETS = Path(quatprop.__file__).parent / "docs" / "fleets.md"
 
 UP_TO_DATE = "nothing to do: its output is up to date\n"
 
@@ -236,6 +242,33 @@ def test_the_outputs_are_one_dataset(tmp_path):
     assert pyarrow.dataset.dataset(out).count_rows() == 12
     assert len(pandas.read_parquet(out)) == 12
     assert len(polars.scan_parquet(out / "**" / "*.parquet").collect()) == 12
+
+
+SQL = re.findall(r"```sql\n(.*?)```", FLEETS.read_text(), re.DOTALL)
+
+
+def test_the_queries_of_the_document_answer_what_they_ask(tmp_path, monkeypatch):
+    """The manifest had neither times nor batches, nor what it had said before."""
+    duckdb = pytest.importorskip("duckdb")
+    monkeypatch.chdir(tmp_path)
+    for name in ("changed", "new", "same", "torn"):
+        log = spin(tmp_path / "in" / f"{name}.csv")
+    log.write_text(log.read_text() + "500000000,0\n")
+    batch("in", "-o", "before", code=3)
+    manifest = Manifest("attitudes")
+    manifest.prepare()
+    for name in ("changed.parquet", "same.parquet"):
+        digest = "0" if name.startswith("c") else entries("before")[name]["output_sha256"]
+        before = execution.ManifestEntry("done", "in", "x", name, output_sha256=digest)
+        manifest.record(before._replace(quatprop="0.0.9"))
+    manifest.collect()
+    batch("in", "-o", "attitudes", code=3)
+    lost, new, changed = (duckdb.sql(query).fetchall() for query in SQL)
+    assert lost == [("torn.parquet", ["line 7: it has 2 columns instead of 4"])]
+    assert sorted(new) == [("new.parquet",), ("torn.parquet",)]
+    assert [(name, sorted(versions)) for name, versions in changed] == [
+        ("changed.parquet", sorted(["0.0.9", __version__])),
+    ]
 
 
 def test_many_batches_leave_few_files(tmp_path):
