@@ -13,7 +13,6 @@ from functools import lru_cache
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import parse_qs, quote, unquote, urlsplit
-from urllib.request import url2pathname
 
 from quatprop.errors import ReplacedError, StoreError
 from quatprop.provenance import Digest
@@ -84,8 +83,11 @@ def is_address(path: Path | str) -> bool:
 
 def without_file_scheme(path: str) -> str:
     """Return an address of this machine, ``file://``, as a path; others as they are."""
-    parts = urlsplit(path) if path.startswith("file://") else None
-    return url2pathname(parts.path) if parts else path
+    if not path.startswith("file://"):
+        return path
+    from urllib.request import url2pathname  # brings in much that few runs need
+
+    return url2pathname(urlsplit(path).path)
 
 
 def without_secret(path: Path | str) -> str:

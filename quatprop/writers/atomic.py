@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, BinaryIO, cast
 from quatprop.errors import OutputError
 from quatprop.stores.objects import exists, is_address, split_address, without_secret
 from quatprop.stores.temp_files import LockedTemp, take_mode_of, temp_file, temp_folder
-from quatprop.stores.transfers import upload
 from quatprop.writers.targets import checked_place, is_stdout, is_stream, output_errors
 
 if TYPE_CHECKING:
@@ -66,7 +65,7 @@ class OutputFile:
         try:
             with output_errors(self.target):
                 if self._temp is not None and self._address:
-                    upload(self._temp.path, self._address)
+                    _upload(self._temp.path, self._address)
                 elif self._temp is not None:
                     take_mode_of(self._temp.path, self._place)
                     self._temp.path.replace(self._place)
@@ -115,6 +114,12 @@ def scratch_file(target: Path | str) -> BinaryIO:
         return cast("BinaryIO", tempfile.TemporaryFile(dir=folder))
 
 
+def _upload(path: Path, address: str) -> None:
+    from quatprop.stores.transfers import upload  # brings in much that few runs need
+
+    upload(path, address)
+
+
 def _scratch_place() -> Path:
     """Return beside what temporary files are made that belong to no place."""
     import tempfile
@@ -153,7 +158,7 @@ class OutputPath:
         try:
             with output_errors(self.target):
                 if self._address:
-                    upload(self.path, self._address)
+                    _upload(self.path, self._address)
                     return
                 if self._place.exists():  # a file: folders replace nothing
                     take_mode_of(self.path, self._place)
