@@ -158,9 +158,9 @@ class Pattern:
                 following.add(place + 1)
         return self._closed(following)
 
-    def matches(self, state: frozenset[int]) -> bool:
-        """Return whether the path is a match."""
-        return len(self._parts) in state
+    def matches(self, state: frozenset[int], *, file: bool = False) -> bool:
+        """Return whether the path is a match; that of a file is none of ``**`` at the end."""
+        return len(self._parts) in state and not (file and self._parts[-1:] == ["**"])
 
     def reaches(self, path: str) -> bool:
         """Return whether a path is a match, or lies below one."""

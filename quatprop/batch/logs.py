@@ -187,7 +187,7 @@ class LogSearch:
                     self.links += 1
                 elif after and not self._is_output(root, path):
                     yield path, after
-            elif not whole and pattern.matches(after):
+            elif not whole and pattern.matches(after, file=True):
                 self._add_log(root, path, is_named=True, origin=origin)
             elif whole and not is_bag:
                 self._add_file(tree, root, path, kind, origin)

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 FOLDER = "_manifest"
 """Readers of data sets skip what begins with an underscore."""
 
-PART = ".part"
+PART = ".pq"
 """Suffix of a part in Parquet: not that of outputs, which ``DIR/**/*.parquet`` stands for."""
 
 LINES = ".jsonl"
@@ -68,6 +68,10 @@ ABANDONED_S = 7 * 86_400
 def new_run() -> str:
     """Return a name for a batch, by its time."""
     return f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}-{secrets.token_hex(4)}"
+
+
+class _MergedError(Exception):
+    """A file is no longer there: another batch has just merged it into a part."""
 
 
 class Manifest:
@@ -159,7 +163,7 @@ class Manifest:
 
         part = self._new_name(PART)
         with (
-            suppress(FileNotFoundError),  # another batch has just merged them
+            suppress(_MergedError),
             open_atomic(part) as stream,
             pq.ParquetWriter(stream, schema(), compression="zstd") as writer,
         ):
@@ -202,10 +206,18 @@ class Manifest:
         if names is not None:
             return self._read_files(names, buckets, columns)
         while True:
-            with suppress(FileNotFoundError):  # another batch has just merged it
+            with suppress(_MergedError):
                 return self._read_files([name for name, _, _ in self._files()], buckets, columns)
 
     def _read_files(
+        self, names: Sequence[str], buckets: range, columns: Sequence[str] | None
+    ) -> pa.Table:
+        try:
+            return self._tables(names, buckets, columns)
+        except FileNotFoundError as error:
+            raise _MergedError from error
+
+    def _tables(
         self, names: Sequence[str], buckets: range, columns: Sequence[str] | None
     ) -> pa.Table:
         import pyarrow as pa

@@ -116,6 +116,8 @@ def command(
     folder = without_file_scheme(folder)
     if chosen["dask"] and chosen["processes"]:
         raise click.UsageError("-j is for this machine; leave it out with --dask")
+    if chosen["verify"] and not chosen["skip_existing"]:
+        raise click.UsageError("--verify goes with --skip-existing")
     if Path(folder).is_file():
         raise click.UsageError(f"-o {folder} is a file; name a folder for the outputs")
     search, logs = _search(names, folder, chosen)

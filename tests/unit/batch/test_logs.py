@@ -1,5 +1,9 @@
 """Which logs a batch has, and the names of their outputs."""
 
+import glob
+import os
+from pathlib import Path
+
 import pytest
 from make.batches import batch, entries, said, spin
 from make.commands import refused, run
@@ -47,6 +51,35 @@ def test_patterns_are_expanded(tmp_path):
     assert names(tmp_path / "a[1].csv") == ["a[1]"]
     with pytest.raises(UsageError, match=r"nothing matches '.*nothing\*'; check the pattern"):
         names(tmp_path / "nothing*")
+
+
+TREE = ("a.csv", ".b.csv", "p/other/a.csv", "p/run1/a.csv", "p/run1/deep/b.csv", "p/run2/c.csv",
+        "p/.run3/d.csv", "p/run1/.e/f.csv", "p/run[1].csv", "run/run/run.csv")  # fmt: skip
+
+PATTERNS = (
+    "*", "**", "p/*", "p/**", "p/run*/**", "p/run*", "**/*.csv", "**/run*/**", "p/**/*.csv",
+    "*/*/*", "**/deep", "**/run/*", "p/run[[]1].csv", "p/[!r]*/*", "p/run?/?.csv", "p/.*/*", ".b*",
+    "**/**/c.csv", "*/**/run*", "p/run1/**/**", "**/run/**/run*",
+)  # fmt: skip
+
+
+def files_of(pattern):
+    """Return what glob finds, and all that it finds below folders."""
+    for match in glob.glob(pattern, recursive=True):  # noqa: PTH207  # it is what is compared with
+        below = glob.glob(f"{glob.escape(match)}/**/*.csv", recursive=True)  # noqa: PTH207
+        yield from below if Path(match).is_dir() else [match]
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_a_pattern_means_what_it_means_to_glob(tmp_path, monkeypatch, pattern):
+    """'p/run*/**' took p/other: what came before the last part was forgotten."""
+    for name in TREE:
+        spin(tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    search = LogSearch()
+    search.add(pattern)
+    found = [os.path.normpath(log.path) for log in search.logs]
+    assert sorted(found) == sorted({os.path.normpath(path) for path in files_of(pattern)})
 
 
 def test_a_root_keeps_folders_in_names(tmp_path):
@@ -176,6 +209,7 @@ def test_wrong_usage_is_one_sentence(tmp_path, monkeypatch):
     for arguments, sentence in (
         ("- -o out", "stdin is one log; give it to quatprop propagate"),
         ("a.csv -o out -j 2 --dask tcp://x:1", "-j is for this machine; leave it out with"),
+        ("a.csv -o out --verify", "--verify goes with --skip-existing"),
         ("a.csv -o out --heading 5", "--heading goes with --q0 level"),
         ("a.csv -o a.csv", "-o a.csv is a file; name a folder for the outputs"),
         (". -o .", "outputs in '.' would lie among the logs; choose --output"),

@@ -41,7 +41,7 @@ def test_the_manifest_has_a_line_for_each_log(tmp_path):
     assert found["torn.parquet"]["losses"] == ["line 7: it has 2 columns instead of 4"]
     assert found["bad.parquet"]["error"].endswith("the file is empty; was the recording closed?")
     assert entry["root"] == str(tmp_path / "in")
-    assert {path.suffix for path in (out / "_manifest").iterdir()} == {".part"}
+    assert {path.suffix for path in (out / "_manifest").iterdir()} == {".pq"}
 
 
 def test_the_manifest_is_written_without_pandas(tmp_path):

@@ -4,6 +4,7 @@ import errno
 import os
 import re
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pyarrow.dataset
@@ -287,3 +288,22 @@ def test_many_batches_leave_few_files(tmp_path):
     assert len(entries(out)) == 31
     assert entries(out)["a.parquet"] == first
     assert refused("batch", log, "-o", out / "_manifest", "--shard", "2/1").startswith("Error: ")
+
+
+def test_batches_that_end_at_once_lose_nothing(tmp_path):
+    """One merges what another one reads, or merges as well."""
+
+    def end(number):
+        for turn in range(12):
+            manifest = Manifest(str(tmp_path))
+            name = f"{number}-{turn}"
+            manifest.record(execution.ManifestEntry("done", "/in", f"{name}.csv", f"{name}.npy"))
+            ((_, known),) = manifest.slices(["state"])
+            assert f"{name}.npy" in known
+            manifest.collect()
+
+    Manifest(str(tmp_path)).prepare()
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(end, range(4)))
+    history = Manifest(str(tmp_path)).history()["output"].to_pylist()
+    assert history == sorted(f"{number}-{turn}.npy" for number in range(4) for turn in range(12))

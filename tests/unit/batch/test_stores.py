@@ -178,4 +178,4 @@ def test_a_key_that_is_no_path_fails_alone(monkeypatch, tmp_path, key):
         ) in done.stderr
         assert done.stderr.endswith("1 of 2 logs done, 5 samples\n")
     files = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
-    assert [name for name in files if not name.endswith(".part")] == ["good.csv", "good.csv"]
+    assert [name for name in files if not name.endswith(".pq")] == ["good.csv", "good.csv"]
