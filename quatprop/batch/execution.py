@@ -91,7 +91,7 @@ def _done(task: BatchTask, settings: BatchSettings) -> BatchResult:
 def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchResult:
     """Propagate one log into a file of this machine."""
     job = settings.job
-    job = job._replace(log=task.path, name=task.log, output=job.output._replace(path=path))
+    job = job._replace(log=task.path, known_as=task.log, output=job.output._replace(path=path))
     for _ in range(ATTEMPTS):
         origin = task.origin_now()
         report = run(job, summary=False)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from quatprop.batch.planning import Plan
     from quatprop.batch.tasks import BatchResult, BatchSettings
 
-ONE_LOG = {"log", "output", "to", "into", "plot", "report", "quiet", "verbose"}
+ONE_LOG = {"log", "logs", "output", "to", "into", "plot", "report", "quiet", "verbose"}
 """Parameters of ``propagate`` that are about one log."""
 
 OF_MESSAGES = ("topic", "rate_field", "time_field")

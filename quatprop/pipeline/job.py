@@ -13,7 +13,8 @@ import numpy as np
 
 from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.errors import ReplacedError, UsageError
-from quatprop.logs.open_log import is_stream, open_log
+from quatprop.logs.joined import open_logs
+from quatprop.logs.open_log import is_stream
 from quatprop.logs.signals.rates import choose_rates
 from quatprop.pipeline.attitude_stream import AttitudeStream
 from quatprop.pipeline.report import ReportFile, RunReport, digests_of_inputs
@@ -44,14 +45,26 @@ class Job(NamedTuple):
     """What to do with one log.
 
     `log`: path of the log, or ``"-"`` for CSV on stdin
-    `name`: what the output says of where it is from, so that it has the same bytes wherever it is
-        made; None for the path, with digests
+    `more`: further files of the same recording, read as one log with it
+    `known_as`: what the output says of where it is from, so that it has the same bytes wherever it
+        is made; None for the path, with digests
     """
 
     log: str
     output: OutputSettings
     settings: PropagationSettings = PropagationSettings()
-    name: str | None = None
+    more: tuple[str, ...] = ()
+    known_as: str | None = None
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """All files that are read as one log."""
+        return (self.log, *self.more)
+
+    @property
+    def name(self) -> str:
+        """What errors and reports call the log."""
+        return " + ".join(self.paths)
 
 
 def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> RunReport:
@@ -68,8 +81,8 @@ def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
     _refuse_contradictions(job)
     with (
         use_threads(1 if _is_small(job.log) else settings.threads),
-        open_log(
-            job.log, settings.kind, msg_path=settings.selection.msg_path, copied=job.output.into
+        open_logs(
+            job.paths, settings.kind, msg_path=settings.selection.msg_path, copied=job.output.into
         ) as log,
     ):
         output = with_format(job.output, log)
@@ -78,7 +91,7 @@ def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
         if output.into:
             source = source.with_log_times()
         stream = AttitudeStream(
-            job.log,
+            job.name,
             source,
             settings,
             log,
@@ -92,14 +105,14 @@ def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
         ):
             report = _written(stream, writer, job, log)
             # Everything that can fail comes before the first output is put in its place.
-            writer.finish((report if job.name is None else report.named(job.name)).as_json())
+            kept = report if job.known_as is None else report.named(job.known_as)
+            writer.finish(kept.as_json())
             report = replace(report, seconds=time.perf_counter() - began)
             if output.report is not None:
                 report_file.finish(report.as_json())
             if observer is not None:
                 observer.draw(report)
-            if log.stored is not None:
-                log.stored.confirm()
+            log.confirm()
             writer.publish()
             report_file.publish()
     return report
@@ -108,8 +121,11 @@ def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
 def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log) -> RunReport:
     """Write the attitudes of a log and return the report on them."""
     output = job.output
+    inputs = {**job.settings.inputs, **({path: path for path in job.paths} if job.more else {})}
     with (
-        digest_ahead(job.log, hashed=output.keeps_report and stream.reads_all) as digest,
+        digest_ahead(
+            job.log, hashed=output.keeps_report and stream.reads_all and not job.more
+        ) as digest,
         closing(in_background(stream)) as attitudes,
     ):
         is_sorted = job.settings.policy.on_backwards == "sort"
@@ -120,7 +136,7 @@ def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log)
     return replace(
         report,
         settings={**report.settings, **output.given},
-        files=digests_of_inputs(job.settings.inputs, log) if output.keeps_report else {},
+        files=digests_of_inputs(inputs, log) if output.keeps_report else {},
         remarks=(*report.remarks, *format_remarks(output.path, output.to)),
     )
 
@@ -174,7 +190,7 @@ def _refuse_contradictions(job: Job) -> None:
     settings, output = job.settings, job.output
     if not output.into:
         layout_of(output.kind, output.layout)
-    refuse_overlap([job.log, *settings.inputs.values()], [output.path, output.report])
+    refuse_overlap([*job.paths, *settings.inputs.values()], [output.path, output.report])
     if settings.needs_second_read and is_stream(job.log):
         raise UsageError(
             f"{'stdin' if job.log == '-' else 'a pipe'} can be read only once; "

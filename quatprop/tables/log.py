@@ -81,6 +81,11 @@ class Log(ABC):
         `topic`: only those of this name; None for all
         """
 
+    def confirm(self) -> None:
+        """Refuse a log that was replaced in its store since it was opened."""
+        if self.stored is not None:
+            self.stored.confirm()
+
     def close(self) -> None:  # noqa: B027  # nothing to do where files are open only while read
         """Release files and temporary copies."""
 
