@@ -12,6 +12,7 @@ from __future__ import annotations
 import errno
 import os
 import secrets
+import stat
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -161,16 +162,16 @@ class Manifest:
         """
         import pyarrow.parquet as pq
 
-        part = self._new_name(PART)
-        with (
-            suppress(_MergedError),
-            open_atomic(part) as stream,
-            pq.ParquetWriter(stream, schema(), compression="zstd") as writer,
-        ):
-            for buckets in _slices([file for file in self._files() if file[0] in names]):
-                table = self._read(buckets, names=names)
-                table = _distinct(table, ["bucket", "output", "time", "run"])
-                writer.write_table(table, row_group_size=1 << 14)
+        with suppress(_MergedError):
+            with (
+                open_atomic(self._new_name(PART)) as stream,
+                pq.ParquetWriter(stream, schema(), compression="zstd") as writer,
+            ):
+                for buckets in _slices([file for file in self._files() if file[0] in names]):
+                    table = self._read(buckets, names=names)
+                    table = _distinct(table, ["bucket", "output", "time", "run"])
+                    writer.write_table(table, row_group_size=1 << 14)
+            # Not before the part is in its place: a kill would lose them.
             self._remove(names)
 
     def _remove(self, names: list[str]) -> None:
@@ -183,18 +184,32 @@ class Manifest:
                 Path(self._place, name).unlink(missing_ok=True)
 
     def _files(self) -> list[tuple[str, int, float]]:
-        """Return name, size and time of all files, the oldest first."""
+        """Return name, size and time of all files, the oldest first.
+
+        They are listed again where one was removed meanwhile: what took its place may be missing.
+        """
+        while True:
+            with suppress(_MergedError):
+                before, files = self._listed(), self._listed()
+                if {name for name, _, _ in before} <= {name for name, _, _ in files}:
+                    return files
+
+    def _listed(self) -> list[tuple[str, int, float]]:
         if self._is_remote:
             objects = list_objects(self._place, missing_ok=True).items()
             found = [(name, info.size, (info.mtime_ns or 0) * 1e-9) for name, info in objects]
-        else:
-            found = []
-            with suppress(FileNotFoundError), os.scandir(self._place) as entries:
-                for entry in entries:
-                    if entry.is_file():
+            return sorted(file for file in found if file[1] and _is_own(file[0]))
+        found = []
+        with suppress(FileNotFoundError), os.scandir(self._place) as entries:
+            for entry in entries:
+                if _is_own(entry.name):
+                    try:
                         status = entry.stat()
+                    except FileNotFoundError as error:
+                        raise _MergedError from error
+                    if stat.S_ISREG(status.st_mode):
                         found.append((entry.name, status.st_size, status.st_mtime))
-        return sorted(file for file in found if file[1] and file[0].endswith((PART, LINES)))
+        return sorted(file for file in found if file[1])
 
     def _read(
         self,
@@ -258,6 +273,11 @@ class Manifest:
     def _new_name(self, suffix: str) -> str:
         name = f"{self.run}-{os.getpid()}-{secrets.token_hex(4)}{suffix}"
         return place_below(self._place, name)
+
+
+def _is_own(name: str) -> bool:
+    """Return whether a file is a part or has lines, and is not being written."""
+    return name.endswith((PART, LINES)) and not name.startswith(".")
 
 
 def _slices(files: Sequence[tuple[str, int, float]]) -> Iterator[range]:

@@ -17,7 +17,8 @@ from quatprop.batch.origins import changed_ns
 from quatprop.batch.tasks import output_size
 from quatprop.errors import StoreError, UsageError
 from quatprop.provenance import digest_of
-from quatprop.stores.objects import exists, is_address, list_objects, objects_of, without_secret
+from quatprop.stores.objects import exists, is_address, list_objects, without_secret
+from quatprop.stores.stored import objects_of
 from quatprop.stores.transfers import get
 from quatprop.text import Setting, quoted
 from quatprop.times import NS_PER_S

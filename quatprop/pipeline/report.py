@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from quatprop.provenance import Digest, JsonObject, as_json, digest_of
-from quatprop.stores.objects import digest_of_object, is_address, without_secret
+from quatprop.stores.objects import is_address, without_secret
+from quatprop.stores.stored import digest_of_object
 from quatprop.version import __version__
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.targets import output_errors

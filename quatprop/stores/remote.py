@@ -12,7 +12,8 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from quatprop.stores.file_source import FileSource
-from quatprop.stores.objects import below, list_objects, locate, reading, stored_object
+from quatprop.stores.objects import below, list_objects, locate, reading
+from quatprop.stores.stored import stored_object
 from quatprop.stores.temp_files import temp_folder
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
     from pyarrow import NativeFile
 
-    from quatprop.stores.objects import StoredObject
+    from quatprop.stores.stored import StoredObject
 
 SMALL_BYTES = 1 << 20
 """Size of an object up to which it is read at once."""

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
     from pathlib import Path
 
-    from quatprop.stores.objects import StoredLog
+    from quatprop.stores.stored import StoredLog
     from quatprop.tables.model import Table
 
 

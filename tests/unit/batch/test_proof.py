@@ -307,3 +307,19 @@ def test_batches_that_end_at_once_lose_nothing(tmp_path):
         list(pool.map(end, range(4)))
     history = Manifest(str(tmp_path)).history()["output"].to_pylist()
     assert history == sorted(f"{number}-{turn}.npy" for number in range(4) for turn in range(12))
+
+
+def test_a_kill_while_parts_are_merged_loses_nothing(tmp_path, monkeypatch):
+    """They were removed before the new one was in its place."""
+    manifest = Manifest(str(tmp_path))
+    manifest.prepare()
+    manifest.record(execution.ManifestEntry("done", "/in", "a.csv", "a.npy"))
+
+    def killed(_output):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("quatprop.writers.atomic.OutputFile.publish", killed)
+        with pytest.raises(KeyboardInterrupt):
+            manifest.collect()
+    assert list(entries(tmp_path)) == ["a.npy"]
