@@ -161,8 +161,10 @@ def plan(
                 and (not verify or entry.output_sha256 == _sha256(settings.output_of(task)))
             )
 
+        is_near = not any(is_address(tasks[place].path) for place in known)
         with ThreadPoolExecutor(REQUESTS) as pool:
-            for place, current in zip(known, pool.map(is_current, known.items()), strict=True):
+            every = (map if is_near else pool.map)(is_current, known.items())
+            for place, current in zip(known, every, strict=True):
                 is_due[place] = not current
                 lost += current and known[place].state == "data lost"
     due = [task for task, wanted in zip(tasks, is_due.tolist(), strict=True) if wanted]

@@ -223,8 +223,7 @@ class NoSamplesError(LogError):
     """The chosen source holds no samples, or none in the chosen part of the log.
 
     `source`: the topic or the columns
-    `outside`, `dropped`: samples that were left out: before and after the chosen part, and as not
-        finite
+    `outside`, `dropped`: samples left out: before and after the chosen part, and as not finite
     `losses`: places that could not be read, and why
     `length`: how long the log is, where the part is given in units
     """

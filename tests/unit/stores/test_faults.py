@@ -4,7 +4,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from make.batches import batch, said, spin
+from fuzz.stores import Faults
+from make.batches import batch, entries, said, spin
 from make.commands import refused, run
 from make.tables import write_rates
 
@@ -83,6 +84,18 @@ def test_a_burst_of_refusals_is_waited_for(tmp_path, bucket, store_server):
     words = refused("info", address)
     assert words.startswith(f"Error: {address}: its store has too much to do (")
     assert words.endswith("; try again later, or with fewer processes")
+
+
+def test_a_store_that_refuses_every_tenth_request_loses_no_log(tmp_path, bucket, store_server):
+    """A few of many cases of `fuzz/stores.py`."""
+    for number in range(8):
+        spin(f"{bucket}/in/{number}.csv")
+    store_server.before = Faults("refuse", 0.1)
+    done = batch(f"{bucket}/in", "-o", tmp_path / "out", "--retries", "3", "-q", code=0)
+    assert done.stderr == ""
+    assert store_server.before.count
+    states = {entry["state"] for entry in entries(tmp_path / "out").values()}
+    assert states == {"done"}
 
 
 def test_a_public_bucket_is_read_without_keys(bucket, store_server):
