@@ -121,7 +121,7 @@ class Manifest:
                 os.close(file)
         self._journal = journal
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Let a process have a file of its own."""
         return {**self.__dict__, "_journal": "", "_lines": []}
 

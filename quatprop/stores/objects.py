@@ -11,7 +11,7 @@ import re
 from contextlib import contextmanager
 from functools import lru_cache
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from urllib.parse import parse_qs, quote, unquote, urlsplit
 
 from quatprop.errors import StoreError
@@ -148,7 +148,7 @@ def _s3(user: str, bucket: str, query: str) -> FileSystem:
     """Return the store of a bucket, whose requests are not tried for minutes."""
     from pyarrow.fs import AwsDefaultS3RetryStrategy, S3FileSystem, resolve_s3_region
 
-    options: dict[str, Any] = {name: values[-1] for name, values in parse_qs(query).items()}
+    options: dict[str, object] = {name: values[-1] for name, values in parse_qs(query).items()}
     if user == ANONYMOUS:
         options["anonymous"] = True
     elif user:
