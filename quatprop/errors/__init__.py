@@ -56,13 +56,19 @@ class DataLossWarning(QuatpropWarning):
         How many messages or rows are lost, where that is known.
     """
 
-    def __init__(self, message: str, messages: int | None = None) -> None:
-        super().__init__(message)
-        self.messages = messages
+    messages: int | None = None
 
 
 class RemarkWarning(QuatpropWarning):
-    """Something was inferred, or looks wrong."""
+    """Something was inferred, or looks wrong.
+
+    Attributes
+    ----------
+    code
+        Names what is said, such as ``"saturated"``; it stays when the sentence changes.
+    """
+
+    code = ""
 
 
 class QuatpropError(Exception):
@@ -242,10 +248,9 @@ class NoSamplesError(LogError):
         if dropped:
             reason = f"; {dropped} with rates that are not finite were dropped"
         elif any(outside):
-            before, after = outside
-            reason = f" between {Setting('start')} and {Setting('end')}: {before} are before, "
-            unit = "a number without a unit is in ns"
-            reason += f"{after} after; {f'the log is {length} long' if length else unit}"
+            hint = f"the log is {length} long" if length else "a number without a unit is in ns"
+            reason = f" between {Setting('start')} and {Setting('end')}: {outside[0]} are before, "
+            reason += f"{outside[1]} after; {hint}"
         elif losses:
             reason = "; lost: {}: {}".format(*losses[0])
         super().__init__(path, f"no samples in {quoted(source)}{reason}")

@@ -19,7 +19,7 @@ from quatprop.errors import (
     os_reason,
 )
 from quatprop.stores.kinds import READERS
-from quatprop.text import Setting, listed, plain, quoted
+from quatprop.text import Remark, Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -49,12 +49,18 @@ def complete(log: Log, folders: list[Path], msg_path: str | Path | None) -> None
     for channel in log.channels():
         types[channel.topic].add(channel.type_name)
     several = (
-        f"topic {quoted(topic)} was recorded with several types, which are read separately: "
-        f"{listed(sorted(names))}"
+        Remark(
+            "several-types",
+            f"topic {quoted(topic)} was recorded with several types, which are read separately: "
+            f"{listed(sorted(names))}",
+        )
         for topic, names in types.items()
         if len(names) > 1
     )
-    remarks = (f"{quoted(name)} is defined by {plain(file)}" for name, file in files.used.items())
+    remarks = (
+        Remark("definition-file", f"{quoted(name)} is defined by {plain(file)}")
+        for name, file in files.used.items()
+    )
     log.remarks = [*log.remarks, *remarks, *several]
 
 

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
     from quatprop.stores.stored import StoredLog
     from quatprop.tables.model import Table
+    from quatprop.text import Remark
 
 
 class Loss(NamedTuple):
@@ -66,7 +67,7 @@ class Log(ABC):
 
     kind: str
     stored: StoredLog | None = None
-    remarks: Sequence[str] = ()
+    remarks: Sequence[Remark] = ()
     definition_files: Sequence[Path] = ()
     unchecked_chunks: int = 0
 
