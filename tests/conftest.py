@@ -89,4 +89,5 @@ def store_server():
 def bucket(store_server, request):
     """Return the address of a new bucket."""
     store_server.drop_after = None
+    store_server.before = lambda _method, _path: None
     return store_server.bucket(f"b{abs(hash(request.node.nodeid)):x}")

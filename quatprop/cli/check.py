@@ -223,13 +223,14 @@ def _report_deleted(
 def _refuse_overlap(suite: Suite, cases: Sequence[Case | CaseNotRun], junit: str | None) -> None:
     """Refuse to replace an input of a case, or another output."""
     from quatprop.check.case import Case
+    from quatprop.stores.objects import is_address
     from quatprop.writers.targets import checked_place, refuse_overlap
 
     valid = [case for case in cases if isinstance(case, Case)]
     inputs = [path for case in valid for path in case.inputs.values()]
     references = [case.reference for case in valid]
     refuse_overlap([str(suite.path), *inputs], [str(suite.lock), *references, junit])
-    if junit is not None:
+    if junit is not None and not is_address(junit):
         checked_place(junit)
 
 
