@@ -70,6 +70,7 @@ fuzz: $(READY)
 	cd tests && ../$(BIN)/python -m fuzz.damage
 	cd tests && ../$(BIN)/python -m fuzz.flips
 	cd tests && ../$(BIN)/python -m fuzz.command_lines
+	cd tests && ../$(BIN)/python -m fuzz.remarks
 
 lint: $(READY)
 	$(BIN)/ruff check .

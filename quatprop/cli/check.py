@@ -56,7 +56,7 @@ OPTIONS = {
     "--junit": Keyword(PATH, "Also write the results as JUnit XML.", takes="FILE"),
     **JSON,
     "-q --quiet": Keyword(flag, "Only failures and the totals."),
-    "-v --verbose": Keyword(flag, "A line for every case that passes."),
+    "-v --verbose": Keyword(flag, "A line for every case that passes, and remarks on the logs."),
 }  # fmt: skip
 
 
@@ -200,7 +200,8 @@ def _run(
             if not options["as_json"]:
                 click.echo("".join(result_text(result, width) + "\n" for result in last), nl=False)
     if not options["as_json"]:
-        click.echo("\n".join([*note_lines(results), totals(results)]))
+        notes = note_lines(results, remarks=options["verbose"])
+        click.echo("\n".join([*notes, totals(results)]))
     return results
 
 
@@ -222,13 +223,14 @@ def _report_deleted(
 def _refuse_overlap(suite: Suite, cases: Sequence[Case | CaseNotRun], junit: str | None) -> None:
     """Refuse to replace an input of a case, or another output."""
     from quatprop.check.case import Case
+    from quatprop.stores.objects import is_address
     from quatprop.writers.targets import checked_place, refuse_overlap
 
     valid = [case for case in cases if isinstance(case, Case)]
     inputs = [path for case in valid for path in case.inputs.values()]
     references = [case.reference for case in valid]
     refuse_overlap([str(suite.path), *inputs], [str(suite.lock), *references, junit])
-    if junit is not None:
+    if junit is not None and not is_address(junit):
         checked_place(junit)
 
 
