@@ -9,6 +9,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from quatprop.check.lock import conflict_line
 from quatprop.errors import SuiteError
 from quatprop.settings.guarded_text import ContentError, read_bytes, read_toml
 from quatprop.text import listed, quoted
@@ -53,11 +54,15 @@ class Suite(NamedTuple):
 def read_suite(path: Path | str) -> Suite:
     """Read a suite; its keys are checked when its cases are parsed."""
     path = Path(path)
+    text = b""
     try:
         text = read_bytes(path)
         tables = read_toml(text)
     except ContentError as error:
-        raise SuiteError(path, str(error)) from error
+        reason = str(error)
+        if line := conflict_line(text):
+            reason = f"line {line} is a conflict marker of a merge; keep one side, or both"
+        raise SuiteError(path, reason) from error
     if unknown := tables.keys() - {"defaults", "case"}:
         raise SuiteError(path, f"unknown {listed(sorted(unknown))}; {SHAPE}")
     defaults, cases = tables.get("defaults", {}), tables.get("case", {})

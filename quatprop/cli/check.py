@@ -6,6 +6,7 @@ import json
 import os
 from contextlib import closing, contextmanager, nullcontext
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,18 +42,22 @@ OPTIONS = {
         "Cases at a time, each in a process of its own; the output is the same for any N.", "1",
         "N", preset=True),
     "--update": Keyword(
-        flag, "Write the references of cases that are new, changed or fail, and show what "
-        "changed. Cases that pass are left as they are."),
+        flag, "Write the references of cases that are new, changed or fail, and list each with "
+        "what changes, in degrees. Cases that pass are left as they are."),
+    "--dry-run": Keyword(flag, "With --update: list what would change, and write nothing."),
+    "--interactive": Keyword(flag, "With --update: ask before each change."),
+    "--force": Keyword(flag, "With --update or --init: also where CI is set: nobody reviews there "
+        "what is replaced."),
     "--init": Keyword(flag, "Write SUITE.toml, with a case for each LOG, and the references."),
     "--explain": Keyword(
         flag, "Show what the cases depend on, what is pinned, and how they are judged; run "
         "nothing."),
     "--artifacts": Keyword(
         PATH, "Keep the attitudes, a page with the error, and the commands of each case that "
-        "fails in DIR/CASE.", takes="DIR"),
+        "fails in DIR/CASE, and an overview of all cases in DIR/index.html.", takes="DIR"),
     "--strict": Keyword(
-        flag, "Fail, too, if a case that is pinned is no longer in the suite, or if one passes "
-        "that is known to fail."),
+        flag, "Fail, too, if a case that is pinned is no longer in the suite, if one passes that "
+        "is known to fail, or if a remark on a log is not pinned."),
     "--junit": Keyword(PATH, "Also write the results as JUnit XML.", takes="FILE"),
     **JSON,
     "-q --quiet": Keyword(flag, "Only failures and the totals."),
@@ -68,8 +73,8 @@ OPTIONS = {
     "patterns",
     metavar="EXPR",
     multiple=True,
-    help="Only cases whose names contain EXPR, or match it where it has *, ? or [...]; can be "
-    "repeated.  [default: all]",
+    help="Only the case named EXPR, or else those whose names contain it, or match it where it has "
+    "*, ? or [...]; can be repeated.  [default: all]",
 )
 @with_options(OPTIONS)
 def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
@@ -98,49 +103,70 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
     xfail = "REASON" for a case that is known to fail.
 
     Exit code 0: all pass; 1: a case failed; 2: there was an error (a log is missing, or something
-    that is pinned changed), whatever the other cases do.
+    that is pinned changed), whatever the other cases do. A case that changed is compared with its
+    old reference all the same; --update replaces what it pins, and --dry-run shows that before.
     """
     from quatprop.check.case import exit_code
-    from quatprop.check.cases import load_cases
-    from quatprop.check.judge import explain
+    from quatprop.check.cases import deleted_cases, load_cases
+    from quatprop.check.explain import explain
     from quatprop.check.lock import read_lock
     from quatprop.writers.targets import refuse_outside
 
-    if options["init"] != bool(logs):
-        raise click.UsageError("--init needs a LOG for each case, and nothing else takes one")
+    updating = options["update"] or options["init"]
+    _refuse_contradictions(logs, options)
     with _new_suite(suite, logs) if options["init"] else nullcontext():
         loaded, all_cases = load_cases(suite)
-        cases = _selected(all_cases, options["patterns"], suite)
-        locked = read_lock(loaded.lock)
-        pins = {case.name: locked[case.name] for case in all_cases if case.name in locked}
-        deleted = {name: pin for name, pin in locked.items() if name not in pins}
+        pins = read_lock(loaded.lock, anew=updating)
+        deleted = deleted_cases(all_cases, pins)
+        patterns = options["patterns"]
+        cases = _selected([*all_cases, *(() if updating else deleted)], patterns, suite)
         if options["explain"]:
             click.echo("\n\n".join(explain(case, pins.get(case.name)) for case in cases))
             return 0
         _refuse_overlap(loaded, all_cases, options["junit"])
-        lock = loaded.lock if options["update"] or options["init"] else None
-        if lock is not None:
-            refuse_outside(lock, lock.parent)
-        results = _run(cases, pins, lock, options)
+        if updating:
+            refuse_outside(loaded.lock, loaded.lock.parent)
+        results = _run(loaded, cases, pins, options)
+    code = exit_code(results)
+    if options["as_json"]:
+        report = _report(loaded, results, passed=not code)
+        click.echo(json.dumps(report, indent=2))
     if options["init"] and not options["as_json"]:
         _report_new(loaded, results)
-    missing = options["strict"] and deleted and lock is None
-    code = exit_code(results, strict=options["strict"]) or int(bool(missing))
-    if options["as_json"]:
-        report = _report(loaded, results, deleted, passed=not code)
-        click.echo(json.dumps(report, indent=2))
-    _report_to_ci(loaded, results, options["junit"])
-    if deleted:
-        _report_deleted(all_cases, deleted, updating=lock is not None)
+    if updating and deleted:
+        _report_deleted(all_cases, {case.name: pins[case.name] for case in deleted})
+    if options["dry_run"]:
+        click.echo("nothing was written, because of --dry-run", err=True)
     return code
+
+
+def _refuse_contradictions(logs: Sequence[str], options: Mapping[str, Any]) -> None:
+    """Refuse options that go with others, and an update that nobody would review."""
+    if options["init"] != bool(logs):
+        raise click.UsageError("--init needs a LOG for each case, and nothing else takes one")
+    updating = options["update"] or options["init"]
+    for name in ("dry_run", "interactive", "force"):
+        if options[name] and not (options["update"] or (updating and name == "force")):
+            raise click.UsageError(f"--{name.replace('_', '-')} goes with --update")
+    if options["interactive"] and options["processes"] > 1:
+        raise click.UsageError("--interactive asks about one case at a time; leave -j out")
+    on_ci = os.environ.get("CI", "").lower() not in {"", "0", "false"}
+    if updating and on_ci and not options["force"] and not options["dry_run"]:
+        raise click.UsageError(
+            "CI is set, where nobody reviews the references that this would write; run it at "
+            "home, preview it with --dry-run, or write them all the same with --force"
+        )
 
 
 def _selected(
     cases: Sequence[Case | CaseNotRun], patterns: Sequence[str], suite: str
 ) -> Sequence[Case | CaseNotRun]:
     """Return the cases whose names contain a pattern or match it; all where there are none."""
+    names = {case.name for case in cases}
 
     def matches(name: str, pattern: str) -> bool:
+        if pattern in names:
+            return name == pattern
         return fnmatchcase(name, pattern) if set(pattern) & set("*?[") else pattern in name
 
     found = [case for case in cases if any(matches(case.name, one) for one in patterns or [""])]
@@ -176,44 +202,87 @@ def _report_new(suite: Suite, results: Sequence[CaseResult]) -> None:
 
 
 def _run(
-    cases: Sequence[Case | CaseNotRun], pins: Mapping[str, Pin], lock: Path | None, options: Any
+    suite: Suite,
+    cases: Sequence[Case | CaseNotRun],
+    pins: Mapping[str, Pin],
+    options: Any,
 ) -> list[CaseResult]:
     """Run cases, show their results, failures last, and return them."""
-    from quatprop.check.reports import NEEDS_ATTENTION, note_lines, result_text, totals
-    from quatprop.check.runner import run_cases
+    from quatprop.check.case import CaseResult
+    from quatprop.check.reports import note_lines, totals
+    from quatprop.check.runner import RunOptions, run_cases
 
-    listed = options["verbose"] or (len(cases) <= MAX_LISTED and not options["quiet"])
-    artifacts = options["artifacts"] and Path(options["artifacts"])
-    running = run_cases(cases, pins, lock=lock, artifacts=artifacts, processes=options["processes"])
+    updating = options["update"] or options["init"]
     width = max(len(plain(case.name)) for case in cases)
-    results, last = [], []
-    with closing(running):
-        try:
-            for result in running:
-                results.append(result)
-                if result.verdict in NEEDS_ATTENTION:
-                    last.append(result)
-                elif listed and not options["as_json"]:
-                    click.echo(result_text(result, width))
-        finally:
-            # After an interruption, too.
-            if not options["as_json"]:
-                click.echo("".join(result_text(result, width) + "\n" for result in last), nl=False)
+    run_options = RunOptions(
+        suite=suite if updating else None,
+        dry_run=options["dry_run"],
+        confirm=partial(_confirmed, width) if options["interactive"] else None,
+        artifacts=options["artifacts"] and Path(options["artifacts"]),
+        strict=options["strict"],
+    )
+    running = run_cases(cases, pins, run_options, options["processes"])
+    results: list[CaseResult] = []
+    try:
+        with closing(running):
+            few = len(cases) <= MAX_LISTED and not options["quiet"]
+            _show(running, results, width, options, every=options["verbose"] or few)
+    finally:
+        # After an interruption, too: what was not run has not passed.
+        reason = "the run was interrupted before this case was done"
+        undone = [
+            CaseResult(case.name, "error", reason, line=case.line) for case in cases[len(results) :]
+        ]
+        _report_to_ci(suite, [*results, *undone], options)
     if not options["as_json"]:
         click.echo("\n".join([*note_lines(results), totals(results)]))
     return results
 
 
-def _report_deleted(
-    cases: Sequence[Case | CaseNotRun], deleted: Mapping[str, Pin], *, updating: bool
+def _show(
+    running: Iterable[CaseResult],
+    results: list[CaseResult],
+    width: int,
+    options: Any,
+    *,
+    every: bool,
 ) -> None:
-    """Name the cases that the lock has and the suite has not."""
+    """Show results and add them to a list; of many cases only those to look at, which come last."""
+    from quatprop.check.reports import NEEDS_ATTENTION, result_text
+
+    last: list[str] = []
+    try:
+        for result in running:
+            results.append(result)
+            text = result_text(result, width) + "\n"
+            if result.verdict in NEEDS_ATTENTION:
+                last.append(text)
+            elif not options["as_json"] and (
+                every or result.changes or result.updated == "updated"
+            ):
+                click.echo(text, nl=False)
+    finally:
+        # After an interruption, too.
+        if not options["as_json"]:
+            click.echo("".join(last), nl=False)
+
+
+def _confirmed(width: int, result: CaseResult) -> bool:
+    """Show a change and ask whether it is accepted; the end of the input is a no."""
+    from quatprop.check.reports import result_text
+
+    click.echo(result_text(result, width), err=True)
+    try:
+        return click.confirm("accept?", err=True)
+    except click.Abort:
+        click.echo(err=True)
+        return False
+
+
+def _report_deleted(cases: Sequence[Case | CaseNotRun], deleted: Mapping[str, Pin]) -> None:
+    """Name the cases that were removed from the lock, and their references."""
     from quatprop.check.reference import orphaned_references
 
-    if not updating:
-        way_out = "restore them, or remove them from the lock with --update"
-        click.echo(f"pinned, but not in the suite: {listed(deleted)}; {way_out}", err=True)
-        return
     click.echo(f"removed from the lock: {listed(deleted)}", err=True)
     for path in orphaned_references(cases, deleted.values()):
         click.echo(f"no longer used, to be removed: {plain(path)}", err=True)
@@ -232,9 +301,7 @@ def _refuse_overlap(suite: Suite, cases: Sequence[Case | CaseNotRun], junit: str
         checked_place(junit)
 
 
-def _report(
-    suite: Suite, results: list[CaseResult], deleted: Mapping[str, Pin], *, passed: bool
-) -> Any:
+def _report(suite: Suite, results: list[CaseResult], *, passed: bool) -> Any:
     from quatprop.check.reports import VERDICTS
     from quatprop.provenance import as_json
     from quatprop.version import __version__
@@ -246,18 +313,17 @@ def _report(
             "suite": suite.path,
             "passed": passed,
             "counts": {verdict: verdicts.count(verdict) for verdict in VERDICTS},
-            "deleted": list(deleted),
             "cases": [result.report() for result in results],
         }
     )
 
 
-def _report_to_ci(suite: Suite, results: list[CaseResult], junit: str | None) -> None:
-    """Write what CI services read."""
+def _report_to_ci(suite: Suite, results: list[CaseResult], options: Mapping[str, Any]) -> None:
+    """Write what CI services read, and the overview of all cases."""
     from quatprop.check.reports import append_github_summary, github_annotations, write_junit
 
-    if junit is not None:
-        write_junit(junit, suite.path, results)
+    if options["junit"] is not None:
+        write_junit(options["junit"], suite.path, results)
     if summary := os.environ.get("GITHUB_STEP_SUMMARY"):
         append_github_summary(summary, suite.path, results)
     if os.environ.get("GITHUB_ACTIONS") == "true":
