@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from quatprop.logs.attitude_input import LoadedAttitudes
 
 
-def write_artifacts(case: Case, judged: Judged, folder: Path) -> Path:
+def write_artifacts(case: Case, judged: Judged, folder: Path, *, strict: bool) -> Path:
     """Write the evidence of a case, of the very series that were judged, and return its folder.
 
     It has ``attitude.parquet``, and of a stored reference ``reference.parquet``, as they were
@@ -43,7 +43,7 @@ def write_artifacts(case: Case, judged: Judged, folder: Path) -> Path:
         copyfile(reference.input.path, copied)
         reference = _moved(reference, copied)
     with open_atomic(commands) as stream:
-        stream.write(_commands(case, judged, str(series), reference).encode())
+        stream.write(_commands(case, judged, str(series), reference, strict=strict).encode())
     try:
         _write_page(judged, _moved(judged.run.attitudes, series), reference, page)
     except QuatpropError as error:
@@ -71,7 +71,9 @@ def _write_page(
         picture.commit(content._replace(lead=(verdict, *content.lead)))
 
 
-def _commands(case: Case, judged: Judged, series: str, reference: LoadedAttitudes | None) -> str:
+def _commands(
+    case: Case, judged: Judged, series: str, reference: LoadedAttitudes | None, *, strict: bool
+) -> str:
     """Return the commands that judge the case again, propagate and compare as it does."""
     options = {key: case.inputs.get(key, value) for key, value in case.options.items()}
     if judged.run.every is not None:
@@ -81,7 +83,7 @@ def _commands(case: Case, judged: Judged, series: str, reference: LoadedAttitude
         for key, value in case.comparison_options.items()
     }
     commands = [
-        ["check", case.suite, "-k", case.name],
+        ["check", case.suite, "-k", case.name, *(["--strict"] if strict else [])],
         ["propagate", case.log, "-o", series, *_arguments(options)],
     ]
     if reference is not None:

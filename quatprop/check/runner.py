@@ -32,6 +32,7 @@ class RunOptions(NamedTuple):
     """How cases are run.
 
     `suite`: update: the suite whose references and lock are written; None judges
+    `deleted`: pins of cases that the suite has no more
     `dry_run`: show what an update would do, and write nothing
     `confirm`: asks whether a change is accepted; None: all are
     `artifacts`: where to keep the evidence of failures; None: nowhere
@@ -39,6 +40,7 @@ class RunOptions(NamedTuple):
     """
 
     suite: Suite | None = None
+    deleted: dict[str, Pin] = {}  # noqa: RUF012  # never changed
     dry_run: bool = False
     confirm: Callable[[CaseResult], bool] | None = None
     artifacts: Path | None = None
@@ -55,6 +57,7 @@ def run_case(pinned: PinnedCase, options: RunOptions = JUDGE) -> CaseResult:
     began = time.perf_counter()
     if isinstance(case, CaseNotRun):
         result = CaseResult(case.name, case.verdict, case.reason)
+        result = _strictly(result) if options.strict else result
     else:
         try:
             with TemporaryDirectory(prefix="quatprop-") as scratch:
@@ -63,8 +66,6 @@ def run_case(pinned: PinnedCase, options: RunOptions = JUDGE) -> CaseResult:
             if (user_error := as_user_error(error)) is None:
                 raise
             result = CaseResult(case.name, "error", str(user_error))
-    if options.strict:
-        result = _strictly(result)
     return result._replace(seconds=time.perf_counter() - began, line=case.line)
 
 
@@ -76,10 +77,11 @@ def _run(case: Case, pin: Pin | None, options: RunOptions, scratch: Path) -> Cas
     judged = judge(case, pin, scratch)
     if suite is not None:
         judged = judged._replace(result=_updated(case, pin, judged, options, scratch))
-    judged = judged._replace(result=_expected(case, judged.result))
-    result = judged.result
+    result = _expected(case, judged.result)
+    if options.strict:
+        result = _strictly(result)
     if options.artifacts is not None and result.verdict in {"fail", "error", "xfail"}:
-        return _with_evidence(case, judged, options.artifacts)
+        return _with_evidence(case, judged._replace(result=result), options)
     return result
 
 
@@ -87,7 +89,7 @@ def _updated(
     case: Case, pin: Pin | None, judged: Judged, options: RunOptions, scratch: Path
 ) -> CaseResult:
     """Update a case, unless the change is not accepted."""
-    proposal = propose(case, pin, judged, scratch)
+    proposal = propose(case, pin, judged, scratch, options.deleted)
     if options.dry_run:
         return proposal.result._replace(pin=None)
     is_change = proposal.result.updated != "kept" or proposal.result.changes
@@ -117,14 +119,14 @@ def _strictly(result: CaseResult) -> CaseResult:
     return result
 
 
-def _with_evidence(case: Case, judged: Judged, artifacts: Path) -> CaseResult:
+def _with_evidence(case: Case, judged: Judged, options: RunOptions) -> CaseResult:
     """Keep the evidence of a failure; say where it is, or why it is not there."""
     from quatprop.check.artifacts import write_artifacts  # matplotlib, for failures only
 
-    result = judged.result
+    result, folder = judged.result, Path(str(options.artifacts))
     try:
-        with output_errors(artifacts):
-            place = str(write_artifacts(case, judged, artifacts))
+        with output_errors(folder):
+            place = str(write_artifacts(case, judged, folder, strict=options.strict))
         return result._replace(reason=f"{result.reason}; see {plain(place)}", evidence=place)
     except QuatpropError as error:
         return result._replace(reason=f"{result.reason}; its artifacts cannot be kept: {error}")
@@ -156,8 +158,7 @@ def run_cases(
     finally:
         if (suite := options.suite) is not None and not options.dry_run:
             # After an interruption, too: the lock must have the references that were written.
-            deleted = pins.keys() - {table.name for table in suite.tables}
-            merge_into_lock(suite.path, suite.lock, new_pins, deleted)
+            merge_into_lock(suite.path, suite.lock, new_pins, options.deleted)
 
 
 def _killed(pinned: PinnedCase) -> CaseResult:

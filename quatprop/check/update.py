@@ -12,13 +12,13 @@ from quatprop.check.judge import result_of
 from quatprop.check.lock import DIGITS, Pin, refuse_lfs_pointer, sha256_of
 from quatprop.check.reference import decimation, refuse_replacing, write_reference
 from quatprop.check.remarks import loss_notes
-from quatprop.text import plain
+from quatprop.text import plain, quoted
 from quatprop.version import __version__
 from quatprop.writers.atomic import open_atomic
 from quatprop.writers.targets import refuse_outside, refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from quatprop.check.judge import Judged
 
@@ -44,13 +44,16 @@ def refuse_target(case: Case, pin: Pin | None, folder: Path) -> None:
             refuse_replacing(Path(case.reference))
 
 
-def propose(case: Case, pin: Pin | None, judged: Judged, folder: Path) -> Proposal:
+def propose(
+    case: Case, pin: Pin | None, judged: Judged, folder: Path, deleted: Mapping[str, Pin]
+) -> Proposal:
     """Return what an update of a case that was judged would do.
 
     A case that passes keeps its reference: references that moved a little at every update would
     drift. It was found to be what this version gives, too.
 
     `folder`: takes the new reference until it is accepted
+    `deleted`: pins of cases that the suite has no more: a new case may be one of them, renamed
     """
     lasting = tuple(loss_notes(case, judged.run, judged.reference).values())
     remarks = tuple(
@@ -76,6 +79,10 @@ def propose(case: Case, pin: Pin | None, judged: Judged, folder: Path) -> Propos
         changes += _of_reference(case, judged, found)
     if pin is not None:
         changes = [*change_lines(case, pin, found, judged.run), *changes]
+    for name, former in deleted.items() if pin is None else ():
+        if former.inputs.get("log", "") == found.inputs.get("log"):
+            changes.append(f"pinned as {quoted(name)} before")
+            changes += change_lines(case, former, found, judged.run)
     updated = "new" if pin is None and not changes else "updated" if changes else "kept"
     result = result._replace(updated=updated, changes=(*changes, *remarks), pin=found)
     return Proposal(result, target if updated != "kept" else None)

@@ -117,24 +117,25 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
     with _new_suite(suite, logs) if options["init"] else nullcontext():
         loaded, all_cases = load_cases(suite)
         pins = read_lock(loaded.lock, anew=updating)
-        deleted = deleted_cases(all_cases, pins)
+        gone = deleted_cases(all_cases, pins)
+        deleted = {case.name: pins[case.name] for case in gone}
         patterns = options["patterns"]
-        cases = _selected([*all_cases, *(() if updating else deleted)], patterns, suite)
+        cases = _selected([*all_cases, *(() if updating else gone)], patterns, suite)
         if options["explain"]:
             click.echo("\n\n".join(explain(case, pins.get(case.name)) for case in cases))
             return 0
         _refuse_overlap(loaded, all_cases, options["junit"])
         if updating:
             refuse_outside(loaded.lock, loaded.lock.parent)
-        results = _run(loaded, cases, pins, options)
+        results = _run(loaded, cases, pins, deleted, options)
     code = exit_code(results)
     if options["as_json"]:
         report = _report(loaded, results, passed=not code)
         click.echo(json.dumps(report, indent=2))
     if options["init"] and not options["as_json"]:
         _report_new(loaded, results)
-    if updating and deleted:
-        _report_deleted(all_cases, {case.name: pins[case.name] for case in deleted})
+    if updating and deleted and not options["dry_run"]:
+        _report_deleted(all_cases, deleted)
     if options["dry_run"]:
         click.echo("nothing was written, because of --dry-run", err=True)
     return code
@@ -205,6 +206,7 @@ def _run(
     suite: Suite,
     cases: Sequence[Case | CaseNotRun],
     pins: Mapping[str, Pin],
+    deleted: dict[str, Pin],
     options: Any,
 ) -> list[CaseResult]:
     """Run cases, show their results, failures last, and return them."""
@@ -216,6 +218,7 @@ def _run(
     width = max(len(plain(case.name)) for case in cases)
     run_options = RunOptions(
         suite=suite if updating else None,
+        deleted=deleted,
         dry_run=options["dry_run"],
         confirm=partial(_confirmed, width) if options["interactive"] else None,
         artifacts=options["artifacts"] and Path(options["artifacts"]),
