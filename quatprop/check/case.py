@@ -98,7 +98,8 @@ class CaseResult(NamedTuple):
     `error_rad`: the worst error, rad; None where nothing was compared
     `limits`: each limit, with what was measured
     `notes`: remarks that do not change the verdict
-    `remarks`: codes of remarks on the log that are not pinned
+    `remarks`: on the log and an independent reference
+    `unpinned`: codes of those that are not pinned
     `changes`: what an update replaces, and how far the new attitudes are from the old ones
     `updated`: ``"new"``, ``"updated"`` or ``"kept"``; None if this was no update
     `comparison`: the report of the comparison, JSON-ready; None where nothing was compared
@@ -114,6 +115,7 @@ class CaseResult(NamedTuple):
     limits: tuple[Limit, ...] = ()
     notes: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    unpinned: tuple[str, ...] = ()
     changes: tuple[str, ...] = ()
     updated: str | None = None
     comparison: Mapping[str, object] | None = None

@@ -75,7 +75,7 @@ def judge(case: Case, pin: Pin | None, folder: Path) -> Judged:
     notes += [text for code, text in remarks.items() if code in unpinned and text not in notes]
     failures = [*filter(None, _failures(case, pin, run, reference, comparison))]
     result = result_of(case, comparison, changed, failures, notes)
-    result = result._replace(remarks=tuple(unpinned))
+    result = result._replace(remarks=tuple(remarks.values()), unpinned=tuple(unpinned))
     found = make_pin(case, run, comparison, hashes, remarks)
     return Judged(result, run, reference, comparison, found, remarks)
 

@@ -152,7 +152,7 @@ def github_annotations(suite: Path, results: Sequence[CaseResult]) -> Iterator[s
     """Yield a line for each case to look at, worst first, which GitHub shows beside the suite."""
     kinds: dict[str, list[str]] = {"error": [], "warning": []}
     for result in worst_first(results):
-        if result.verdict in NEEDS_ATTENTION or result.remarks:
+        if result.verdict in NEEDS_ATTENTION or result.unpinned:
             kind = "error" if result.verdict in {"fail", "error"} else "warning"
             where = f"file={_property(suite.as_posix())},line={result.line}"
             title = _property(f"{result.name}: {result.verdict}")

@@ -113,7 +113,7 @@ def _strictly(result: CaseResult) -> CaseResult:
     strict = spelled(f"with {Setting('strict')} this is a failure")
     if result.verdict in {"xpass", "deleted"}:
         return result._replace(verdict="fail", reason=f"{result.reason}; {strict}")
-    if result.verdict == "pass" and result.remarks:
+    if result.verdict == "pass" and result.unpinned:
         reasons = [f"not pinned: {note}" for note in result.notes]
         return result._replace(verdict="fail", reason="; ".join([*reasons, strict]))
     return result

@@ -63,7 +63,7 @@ def propose(
     )
     if pin is not None and judged.result.verdict == "pass":
         kept = pin._replace(quatprop=__version__, remarks=judged.found.remarks)
-        result = judged.result._replace(notes=lasting, remarks=(), changes=remarks)
+        result = judged.result._replace(notes=lasting, unpinned=(), changes=remarks)
         return Proposal(result._replace(updated="kept", pin=kept))
     found, target, changes = judged.found, None, list[str]()
     if case.reference is None:
@@ -84,8 +84,9 @@ def propose(
             changes.append(f"pinned as {quoted(name)} before")
             changes += change_lines(case, former, found, judged.run)
     updated = "new" if pin is None and not changes else "updated" if changes else "kept"
-    result = result._replace(updated=updated, changes=(*changes, *remarks), pin=found)
-    return Proposal(result, target if updated != "kept" else None)
+    result = result._replace(updated=updated, changes=(*changes, *remarks))
+    result = result._replace(remarks=tuple(judged.remarks.values()))
+    return Proposal(result._replace(pin=found), target if updated != "kept" else None)
 
 
 def put_in_place(case: Case, proposal: Proposal) -> None:

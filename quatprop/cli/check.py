@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from fnmatch import fnmatchcase
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,18 +16,12 @@ from quatprop.cli.options import JSON, with_options
 from quatprop.cli.types import PATH
 from quatprop.settings.keyword import Keyword
 from quatprop.settings.parsers import flag
-from quatprop.text import listed, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from quatprop.check.case import Case, CaseNotRun, CaseResult
-    from quatprop.check.lock import Pin
+    from quatprop.check.case import Case, CaseNotRun
     from quatprop.check.suite import Suite
-
-
-MAX_LISTED = 8
-"""Of more cases, those that pass are only counted."""
 
 
 EXAMPLES = (
@@ -49,6 +42,9 @@ OPTIONS = {
     "--force": Keyword(flag, "With --update or --init: also where CI is set: nobody reviews there "
         "what is replaced."),
     "--init": Keyword(flag, "Write SUITE.toml, with a case for each LOG, and the references."),
+    "--reference-log": Keyword(
+        PATH, "With --init: compare each LOG with these attitudes, too; limits are proposed from "
+        "what is measured.", takes="FILE"),
     "--explain": Keyword(
         flag, "Show what the cases depend on, what is pinned, and how they are judged; run "
         "nothing."),
@@ -110,11 +106,12 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
     from quatprop.check.cases import deleted_cases, load_cases
     from quatprop.check.explain import explain
     from quatprop.check.lock import read_lock
+    from quatprop.cli.check_results import json_report, report_deleted, report_new, run_and_show
     from quatprop.writers.targets import refuse_outside
 
     updating = options["update"] or options["init"]
     _refuse_contradictions(logs, options)
-    with _new_suite(suite, logs) if options["init"] else nullcontext():
+    with _new_suite(suite, logs, options["reference_log"]) if options["init"] else nullcontext():
         loaded, all_cases = load_cases(suite)
         pins = read_lock(loaded.lock, anew=updating)
         gone = deleted_cases(all_cases, pins)
@@ -127,15 +124,15 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
         _refuse_overlap(loaded, all_cases, options["junit"])
         if updating:
             refuse_outside(loaded.lock, loaded.lock.parent)
-        results = _run(loaded, cases, pins, deleted, options)
+        results = run_and_show(loaded, cases, pins, deleted, options)
     code = exit_code(results)
     if options["as_json"]:
-        report = _report(loaded, results, passed=not code)
+        report = json_report(loaded, results, passed=not code)
         click.echo(json.dumps(report, indent=2))
     if options["init"] and not options["as_json"]:
-        _report_new(loaded, results)
+        report_new(loaded, results)
     if updating and deleted and not options["dry_run"]:
-        _report_deleted(all_cases, deleted)
+        report_deleted(all_cases, deleted)
     if options["dry_run"]:
         click.echo("nothing was written, because of --dry-run", err=True)
     return code
@@ -145,6 +142,10 @@ def _refuse_contradictions(logs: Sequence[str], options: Mapping[str, Any]) -> N
     """Refuse options that go with others, and an update that nobody would review."""
     if options["init"] != bool(logs):
         raise click.UsageError("--init needs a LOG for each case, and nothing else takes one")
+    if options["reference_log"] and not options["init"]:
+        raise click.UsageError(
+            "--reference-log goes with --init; in a suite, it is a key of a case"
+        )
     updating = options["update"] or options["init"]
     for name in ("dry_run", "interactive", "force"):
         if options[name] and not (options["update"] or (updating and name == "force")):
@@ -177,12 +178,12 @@ def _selected(
 
 
 @contextmanager
-def _new_suite(path: str, logs: Iterable[str]) -> Iterator[None]:
+def _new_suite(path: str, logs: Iterable[str], series: str | None) -> Iterator[None]:
     """Write a new suite, and remove it again, with its lock, if no case gets a reference."""
     from quatprop.check.lock import read_lock
     from quatprop.check.suite import write_suite
 
-    write_suite(path, logs)
+    write_suite(path, logs, series)
     try:
         yield
     finally:
@@ -190,105 +191,6 @@ def _new_suite(path: str, logs: Iterable[str]) -> Iterator[None]:
         if not read_lock(lock):
             Path(path).unlink()
             lock.unlink(missing_ok=True)
-
-
-def _report_new(suite: Suite, results: Sequence[CaseResult]) -> None:
-    """Say what of a new suite was written."""
-    written = sum(result.pin is not None for result in results)
-    if not written:
-        click.echo("wrote nothing, as no log could be propagated", err=True)
-        return
-    of = "" if written == len(results) else f" of {written} of {len(results)} cases"
-    click.echo(f"wrote {suite.path}, {suite.lock} and the references{of}", err=True)
-
-
-def _run(
-    suite: Suite,
-    cases: Sequence[Case | CaseNotRun],
-    pins: Mapping[str, Pin],
-    deleted: dict[str, Pin],
-    options: Any,
-) -> list[CaseResult]:
-    """Run cases, show their results, failures last, and return them."""
-    from quatprop.check.case import CaseResult
-    from quatprop.check.reports import note_lines, totals
-    from quatprop.check.runner import RunOptions, run_cases
-
-    updating = options["update"] or options["init"]
-    width = max(len(plain(case.name)) for case in cases)
-    run_options = RunOptions(
-        suite=suite if updating else None,
-        deleted=deleted,
-        dry_run=options["dry_run"],
-        confirm=partial(_confirmed, width) if options["interactive"] else None,
-        artifacts=options["artifacts"] and Path(options["artifacts"]),
-        strict=options["strict"],
-    )
-    running = run_cases(cases, pins, run_options, options["processes"])
-    results: list[CaseResult] = []
-    try:
-        with closing(running):
-            few = len(cases) <= MAX_LISTED and not options["quiet"]
-            _show(running, results, width, options, every=options["verbose"] or few)
-    finally:
-        # After an interruption, too: what was not run has not passed.
-        reason = "the run was interrupted before this case was done"
-        undone = [
-            CaseResult(case.name, "error", reason, line=case.line) for case in cases[len(results) :]
-        ]
-        _report_to_ci(suite, [*results, *undone], options)
-    if not options["as_json"]:
-        click.echo("\n".join([*note_lines(results), totals(results)]))
-    return results
-
-
-def _show(
-    running: Iterable[CaseResult],
-    results: list[CaseResult],
-    width: int,
-    options: Any,
-    *,
-    every: bool,
-) -> None:
-    """Show results and add them to a list; of many cases only those to look at, which come last."""
-    from quatprop.check.reports import NEEDS_ATTENTION, result_text
-
-    last: list[str] = []
-    try:
-        for result in running:
-            results.append(result)
-            text = result_text(result, width) + "\n"
-            if result.verdict in NEEDS_ATTENTION:
-                last.append(text)
-            elif not options["as_json"] and (
-                every or result.changes or result.updated == "updated"
-            ):
-                click.echo(text, nl=False)
-    finally:
-        # After an interruption, too.
-        if not options["as_json"]:
-            click.echo("".join(last), nl=False)
-
-
-def _confirmed(width: int, result: CaseResult) -> bool:
-    """Show a change and ask whether it is accepted; the end of the input is a no."""
-    from quatprop.check.reports import result_text
-
-    click.echo(result_text(result, width), err=True)
-    try:
-        return click.confirm("accept?", err=True)
-    except click.Abort:
-        click.echo(err=True)
-        return False
-
-
-def _report_deleted(cases: Sequence[Case | CaseNotRun], deleted: Mapping[str, Pin]) -> None:
-    """Name the cases that were removed from the lock, and their references."""
-    from quatprop.check.reference import orphaned_references
-
-    click.echo(f"removed from the lock: {listed(deleted)}", err=True)
-    for path in orphaned_references(cases, deleted.values()):
-        click.echo(f"no longer used, to be removed: {plain(path)}", err=True)
 
 
 def _refuse_overlap(suite: Suite, cases: Sequence[Case | CaseNotRun], junit: str | None) -> None:
@@ -302,33 +204,3 @@ def _refuse_overlap(suite: Suite, cases: Sequence[Case | CaseNotRun], junit: str
     refuse_overlap([str(suite.path), *inputs], [str(suite.lock), *references, junit])
     if junit is not None:
         checked_place(junit)
-
-
-def _report(suite: Suite, results: list[CaseResult], *, passed: bool) -> Any:
-    from quatprop.check.reports import VERDICTS
-    from quatprop.provenance import as_json
-    from quatprop.version import __version__
-
-    verdicts = [result.verdict for result in results]
-    return as_json(
-        {
-            "quatprop": __version__,
-            "suite": suite.path,
-            "passed": passed,
-            "counts": {verdict: verdicts.count(verdict) for verdict in VERDICTS},
-            "cases": [result.report() for result in results],
-        }
-    )
-
-
-def _report_to_ci(suite: Suite, results: list[CaseResult], options: Mapping[str, Any]) -> None:
-    """Write what CI services read, and the overview of all cases."""
-    from quatprop.check.reports import append_github_summary, github_annotations, write_junit
-
-    if options["junit"] is not None:
-        write_junit(options["junit"], suite.path, results)
-    if summary := os.environ.get("GITHUB_STEP_SUMMARY"):
-        append_github_summary(summary, suite.path, results)
-    if os.environ.get("GITHUB_ACTIONS") == "true":
-        for annotation in github_annotations(suite.path, results):
-            click.echo(annotation, err=True)

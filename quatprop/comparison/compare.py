@@ -56,12 +56,11 @@ def compare(
         pairs.at, align(settings.align, pairs.a, pairs.b), settings.limit_rad
     )
     measured.add(pairs.t_ns, pairs.index, pairs.a, pairs.b)
-    reference = CoveredTime()
-    for rows in blocks(len(b)):
-        reference.add(b.t_ns[rows])
     counted = pairs.match == "exact" or pairs.at == "B"
     coverage = Coverage(
-        measured.covered.share_of(reference), 100 * len(pairs) / len(b) if counted else None
+        measured.covered.share_of(CoveredTime.of(b.t_ns)),
+        100 * len(pairs) / len(b) if counted else None,
+        measured.covered.share_of(CoveredTime.of(a.t_ns)),
     )
     return build_comparison(
         a,

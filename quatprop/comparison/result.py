@@ -64,15 +64,22 @@ class Coverage(NamedTuple):
     `time`: of its time span without its own gaps: the time between neighbouring pairs, without gaps
     `samples`: of its samples; None where they were interpolated, and so have no partners of their
         own
+    `time_of_a`: as `time`, of A
     """
 
     time: float
     samples: float | None
+    time_of_a: float
 
     @property
     def least(self) -> float:
         """The smaller of the two."""
         return self.time if self.samples is None else min(self.time, self.samples)
+
+
+USUAL_COVERAGE = 50.0
+"""Percentage of either series that must be compared where an error is limited and nothing says how
+much: a limit that most of a log was never held against says little."""
 
 
 def judge(settings: ComparisonSettings, measured: Comparison) -> Iterator[Criterion]:
@@ -119,6 +126,9 @@ def judge(settings: ComparisonSettings, measured: Comparison) -> Iterator[Criter
             )
         passed = size >= limit if setting == "min_coverage" else abs(size) <= limit
         yield Criterion(setting, label, size, limit, unit, passed)
+    least = min(measured.coverage.time, measured.coverage.time_of_a)
+    if settings.min_coverage is None and settings.is_limited and least < USUAL_COVERAGE:
+        yield Criterion("min_coverage", "coverage", least, USUAL_COVERAGE, "%", passed=False)
 
 
 @dataclass(frozen=True, slots=True, repr=False, kw_only=True)

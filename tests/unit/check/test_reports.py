@@ -1,8 +1,11 @@
 """What is said of cases: in the terminal, for CI, as evidence; and first steps."""
 
 import json
+import re
 import shlex
 import shutil
+from pathlib import Path
+from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -10,6 +13,8 @@ from make.commands import run
 from make.suites import STRICT, TRUTH, check, lock_of, pinned, stored, write_suite
 
 from quatprop import __version__
+from quatprop.check.case import CaseResult
+from quatprop.check.reports import append_github_summary, github_annotations
 from quatprop.errors import ComparisonError
 
 
@@ -132,7 +137,7 @@ def test_the_evidence_of_a_failure_is_kept(failing, folder):
     commands = [shlex.split(line) for line in (place / "commands.txt").read_text().splitlines()]
     assert [name for name, *_ in commands] == ["quatprop"] * 3
     assert [run(*arguments).exit_code for _, *arguments in commands] == [1, 0, 1]
-    assert [path.name for path in (folder / "failed").iterdir()] == ["a%2Fb"]
+    assert sorted(path.name for path in (folder / "failed").iterdir()) == ["a%2Fb", "index.html"]
 
 
 def test_evidence_without_a_comparison_says_why(failing, folder, monkeypatch):
@@ -235,6 +240,54 @@ def test_github_gets_a_summary_and_annotations(summary):
     ]  # fmt: skip
 
 
+MANY = 2000
+
+
+def many(verdict="fail", count=MANY):
+    """Return results, each with a reason of usual length."""
+    reason = "above the tolerance, first at +1 s; likely cause: " + "the rates are larger " * 30
+    return [CaseResult(f"case{k}", verdict, reason, "1 deg of 0.1 deg") for k in range(count)]
+
+
+def test_a_summary_is_shown_of_any_number_of_failures(tmp_path):
+    """GitHub shows nothing of more than 1 MiB; the part that fits says how many are missing."""
+    summary = tmp_path / "summary.md"
+    for _ in range(2):
+        append_github_summary(str(summary), Path("suite.toml"), many())
+    text = summary.read_text()
+    assert len(text.encode()) < 1 << 20
+    assert text.startswith("### suite.toml: 2,000 cases: 0 passed, 2000 failed")
+    rows = text.split("### ")[1].count("\n| case") - 1
+    assert f"\n{MANY - rows:,} more cases for which there is no room here; see JUnit" in text
+
+
+@pytest.mark.parametrize("count", [10, 11, MANY])
+def test_ten_annotations_of_a_kind_are_shown(count):
+    """GitHub drops the others silently; the tenth says how many there are."""
+    results = [*many("fail", count), *many("deleted", count)]
+    lines = [*github_annotations(Path("suite.toml"), results)]
+    kinds = [line.split(" ")[0] for line in lines]
+    assert kinds == ["::error"] * 10 + ["::warning"] * 10
+    if count > 10:
+        assert lines[9] == f"::error file=suite.toml,line=1::{count - 9} more cases, {count} in all"
+
+
+def test_all_cases_are_seen_at_a_glance(failing, folder):
+    """Worst first, each with its plot and, where there is one, a link to its page."""
+    check(failing, "--artifacts", folder / "failed")
+    page = (folder / "failed" / "index.html").read_text()
+    first, second = page.split("<tbody>")[1].split("<tr>")[1:]
+    (link,) = re.findall(r'<a href="(.*?)">a/b</a>', first)
+    assert (folder / "failed" / unquote(link)).is_file()
+    assert link == "a%252Fb/error.html"
+    assert "<polyline" in first
+    assert "0.0718199 deg</td>" in first
+    assert "<a " not in second
+    assert "2 cases: 1 passed, 1 failed" in page
+    assert page.count("<th scope") == page.count("<button>") == 5
+    assert "http" not in page.replace("http-equiv", "")
+
+
 def test_names_cannot_command_what_shows_them(folder, summary):
     """Line breaks, bars and escapes in a name stay text in the terminal, the summary, and XML."""
     junit = folder / "junit.xml"
@@ -246,3 +299,6 @@ def test_names_cannot_command_what_shows_them(folder, summary):
     assert "| a\\\\n::error::\\|\\<b\\>\\\\x1b\\[31m |" in summary.read_text()
     (case,) = ET.parse(junit).getroot().iter("testcase")  # noqa: S314  # our own file
     assert case.get("name") == "a\\n::error::|<b>\\x1b[31m"
+    check(suite, "--artifacts", folder / "failed")
+    page = (folder / "failed" / "index.html").read_text()
+    assert '<td data-key="a\\n::error::|&lt;b&gt;\\x1b[31m">a\\n::error::|&lt;b&gt;' in page
