@@ -182,7 +182,8 @@ def distance_text(a: AttitudeSeries, b: AttitudeSeries) -> str:
         named = with_names(str(error), a="the new attitudes", b="the old reference")
         return f"not comparable with the old reference: {named}"
     sizes = zip(("max", "RMS", "final"), largest_errors(result), strict=True)
-    sentence = ", ".join(f"{name} {degrees_text(size)}" for name, size in sizes)
+    # Rounding errors are no change.
+    sentence = ", ".join(f"{name} {degrees_text(round(size, 12))}" for name, size in sizes)
     share = result.coverage.least
     part = "the old reference" if share > ALL else f"the {share:.4g} % of the old reference covered"
     return f"{sentence} from {part}"

@@ -185,7 +185,7 @@ def change_lines(case: Case, old: Pin, new: Pin, run: CaseRun) -> list[str]:
     final = final_distance(old, run.report.result.final_wxyz)
     if old.final_deg != new.final_deg or old.total_angle_deg != new.total_angle_deg:
         lines.append(
-            f"final attitude: {degrees_text(final)} from the one pinned; total angle: {turned}"
+            f"final attitude: {degrees_text(round(final, 8))} from the one pinned; total angle: {turned}"
         )
     for name in ("max", "rms", "final"):
         was_error, now_error = old.measured.get(name), new.measured.get(name)

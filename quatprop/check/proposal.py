@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from quatprop.comparison.compare import compare
 from quatprop.comparison.settings import ComparisonSettings
+from quatprop.errors import ComparisonError
 from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings
@@ -68,9 +70,12 @@ def _limit(key: str, error: float, reason: str) -> str:
 
 def _alignment(a: AttitudeSeries, b: AttitudeSeries) -> tuple[str, str]:
     """Return the alignment that takes out a turn of frames, not an error, and why."""
-    found = compare(a, b, ComparisonSettings(align="mount")).alignment
-    names = ("body", found.mount_rad), ("reference", found.reference_rad)
-    for align, (frame, turn) in zip(("mount", "mean"), names, strict=True):
+    # A body that turns about one axis only shows nothing of how it is mounted.
+    with suppress(ComparisonError):
+        turn = compare(a, b, ComparisonSettings(align="mount")).alignment.mount_rad
         if turn > LEAST_TURN:
-            return align, f"the {frame} frames are {math.degrees(turn):.3g} deg apart"
+            return "mount", f"the body frames are {math.degrees(turn):.3g} deg apart"
+    turn = compare(a, b, ComparisonSettings(align="mean")).alignment.reference_rad
+    if turn > LEAST_TURN:
+        return "mean", f"the reference frames are {math.degrees(turn):.3g} deg apart"
     return "none", "both are relative to the same frames"

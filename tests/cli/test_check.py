@@ -504,3 +504,14 @@ def test_the_steps_for_ci_services_run(place, tmp_path):
         (junit,) = tmp_path.rglob("*.xml")
         assert f'errors="{min(expected, 1)}"' in junit.read_text()
         log.write_text("changed\n")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a shell of POSIX")
+@pytest.mark.parametrize("suites", ["", " ", "ci/none.toml"])
+def test_the_action_fails_where_nothing_is_checked(suites, tmp_path):
+    """Without a suite, its loop did nothing and succeeded."""
+    path = f"{INSTALLED.parent}{os.pathsep}{os.environ['PATH']}"
+    environment = os.environ | {"PATH": path, "SUITES": suites, "OPTIONS": ""}
+    command = ["/bin/bash", "-e", "-c", steps_of("github")]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, check=False)
+    assert done.returncode == 2
