@@ -12,6 +12,7 @@ from urllib.parse import quote
 from quatprop.errors import QuatpropError
 from quatprop.plot.errors import pair_page
 from quatprop.plot.target import PictureFile
+from quatprop.settings.spelling import option
 from quatprop.writers.atomic import open_atomic
 from quatprop.writers.targets import refuse_outside
 
@@ -83,7 +84,7 @@ def _commands(
         for key, value in case.comparison_options.items()
     }
     commands = [
-        ["check", case.suite, "-k", case.name, *(["--strict"] if strict else [])],
+        ["check", case.suite, "-k", case.name, *([option("strict")] if strict else [])],
         ["propagate", case.log, "-o", series, *_arguments(options)],
     ]
     if reference is not None:

@@ -184,9 +184,8 @@ def change_lines(case: Case, old: Pin, new: Pin, run: CaseRun) -> list[str]:
     turned = f"{old.total_angle_deg:.9g} deg -> {new.total_angle_deg:.9g} deg"
     final = final_distance(old, run.report.result.final_wxyz)
     if old.final_deg != new.final_deg or old.total_angle_deg != new.total_angle_deg:
-        lines.append(
-            f"final attitude: {degrees_text(round(final, 8))} from the one pinned; total angle: {turned}"
-        )
+        apart = degrees_text(round(final, 8))  # as exact as the angles of a lock
+        lines.append(f"final attitude: {apart} from the one pinned; total angle: {turned}")
     for name in ("max", "rms", "final"):
         was_error, now_error = old.measured.get(name), new.measured.get(name)
         if was_error != now_error and now_error is not None:

@@ -76,7 +76,7 @@ def propose(
         found = found._replace(every=every, reference=sha256_of(str(target)))
         written = f"{len(run.series)} of {run.samples} attitudes in {plain(case.reference)}"
         result = CaseResult(case.name, "pass", summary=written, notes=lasting)
-        changes += _of_reference(case, judged, found)
+        changes += _of_reference(case, pin, judged, found)
     if pin is not None:
         changes = [*change_lines(case, pin, found, judged.run), *changes]
     for name, former in deleted.items() if pin is None else ():
@@ -108,13 +108,14 @@ def _rerun(case: Case, judged: Judged, folder: Path) -> tuple[CaseRun, int | Non
     return (judged.run if as_judged else propagate_case(case, every, folder)), every
 
 
-def _of_reference(case: Case, judged: Judged, found: Pin) -> Iterator[str]:
-    """Yield how a new reference differs from the one that is there."""
-    path = str(case.reference)
+def _of_reference(case: Case, pin: Pin | None, judged: Judged, found: Pin) -> Iterator[str]:
+    """Yield how a new reference differs from the one that is there, or was."""
+    path, new = str(case.reference), str(found.reference)
     if not Path(path).exists():
+        if pin is not None:
+            yield f"reference: missing -> SHA-256 {new[:DIGITS]}"
         return
-    old, new = sha256_of(path), str(found.reference)
-    if old == new:
+    if (old := sha256_of(path)) == new:
         return
     yield f"reference: SHA-256 {old[:DIGITS]} -> {new[:DIGITS]}"
     if judged.reference is None:

@@ -116,8 +116,8 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
         pins = read_lock(loaded.lock, anew=updating)
         gone = deleted_cases(all_cases, pins)
         deleted = {case.name: pins[case.name] for case in gone}
-        patterns = options["patterns"]
-        cases = _selected([*all_cases, *(() if updating else gone)], patterns, suite)
+        shown = [*all_cases, *(() if updating else gone)]
+        cases = _selected(shown, options["patterns"], suite)
         if options["explain"]:
             click.echo("\n\n".join(explain(case, pins.get(case.name)) for case in cases))
             return 0
@@ -127,9 +127,8 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
         results = run_and_show(loaded, cases, pins, deleted, options)
     code = exit_code(results)
     if options["as_json"]:
-        report = json_report(loaded, results, passed=not code)
-        click.echo(json.dumps(report, indent=2))
-    if options["init"] and not options["as_json"]:
+        click.echo(json.dumps(json_report(loaded, results, passed=not code), indent=2))
+    elif options["init"]:
         report_new(loaded, results)
     if updating and deleted and not options["dry_run"]:
         report_deleted(all_cases, deleted)

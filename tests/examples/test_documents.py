@@ -1,7 +1,6 @@
 """What the documents show is what happens: commands, listings, suites, links."""
 
 import re
-import shutil
 import sys
 import tomllib
 from types import SimpleNamespace
@@ -98,12 +97,6 @@ def test_a_batch_of_one_machine_is_done(ran, tmp_path):
     assert sorted(path.name for path in (tmp_path / "attitudes").rglob("*.parquet")) == [
         "a.parquet", "imu.parquet", "manifest.parquet",
     ]  # fmt: skip
-
-
-@pytest.mark.skipif(shutil.which("git") is None, reason="its last sections merge with git")
-def test_the_year_of_a_team_is_true(ran):
-    """Every command of the guide to CI, in its order, with its exit code and what it prints."""
-    ran(GUIDES / "ci.md")
 
 
 def headings(text, level="#+"):

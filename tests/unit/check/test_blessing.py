@@ -130,6 +130,19 @@ def test_nothing_is_accepted_without_its_change_in_degrees(folder, change):
     assert content == [lock.read_bytes(), reference.read_bytes()]
 
 
+def test_a_reference_that_is_missing_is_written_again(folder):
+    """Nothing else has changed: it is the one that was pinned."""
+    suite = pinned(folder, stored())
+    reference = folder / "refs" / "spin.parquet"
+    content = reference.read_bytes()
+    reference.unlink()
+    result = check(suite, "--update")
+    assert result.exit_code == 0
+    assert "reference: missing -> SHA-256 " in result.stdout
+    assert reference.read_bytes() == content
+    assert check(suite).exit_code == 0
+
+
 def test_every_reference_that_is_replaced_is_listed_however_many(folder):
     """Of 34 cases three were replaced, and one line was printed: 33 passed."""
     names = [f"case{number}" for number in range(12)]

@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from fuzz.regressions import Study
 from make.suites import TRUTH, check, pinned, stored, with_logs, write_suite
 from make.verdicts import contradictions
 
@@ -94,3 +95,14 @@ def test_no_overlap_is_the_same_for_both_kinds_of_reference(outcomes):
         assert 'time-offset = "-' not in text
         assert "; see clock, start" in text
     assert 'time-offset = "auto"' in said[1]
+
+
+def test_a_sample_of_regressions_is_caught(tmp_path):
+    """As of all logs of `fuzz/regressions.py`: by each kind of case, without a contradiction."""
+    study = Study(tmp_path / "coning", "coning")
+    caught = {"pinned": "error", "stored": "fail", "truth": "fail"}
+    for regression in ("delay 20 ms", "cut 23 rows", "x reversed"):
+        assert study.spoiled(regression) == (caught, []), regression
+    assert study.spoiled("bias 1e-05") == (caught | dict.fromkeys(("stored", "truth"), "pass"), [])
+    for harmless in ("columns in another order", "noise of 1e-07"):
+        assert study.rewritten(harmless).startswith("pass "), harmless
