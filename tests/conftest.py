@@ -24,9 +24,11 @@ for name in ("CI", "GITHUB_STEP_SUMMARY", "GITHUB_ACTIONS", "PYTHONDONTWRITEBYTE
     os.environ.pop(name, None)
 sys.dont_write_bytecode = False
 
-# How long an example takes depends on what else the machine does.
-hypothesis.settings.register_profile("quatprop", deadline=None)
-hypothesis.settings.load_profile("quatprop")
+# How long an example takes depends on what else the machine does. Each change is judged by the
+# same examples; `make fuzz` draws new ones.
+hypothesis.settings.register_profile("fuzz", deadline=None)
+hypothesis.settings.register_profile("tests", deadline=None, derandomize=True)
+hypothesis.settings.load_profile("tests")
 
 
 class SpelledRunner(click.testing.CliRunner):

@@ -14,14 +14,18 @@ from quatprop.comparison.settings import CompareOptions
 from quatprop.errors import DataLossWarning, SeriesError
 from quatprop.series import AttitudeSeries
 from quatprop.settings import READ_ATTITUDES, AttitudeOptions
-from quatprop.settings.values import refuse_unknown
+from quatprop.settings.parsers import mounting
+from quatprop.settings.values import parse_all, refuse_unknown
 from quatprop.text import in_python
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from quatprop.api.reading import StrPath
     from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.result import Comparison
     from quatprop.conversion.job import ConversionReport
+    from quatprop.settings import Convention, Direction, Layout, Rotated, Sign
 
 
 @with_keywords_of(CompareOptions, log="`b`")
@@ -68,7 +72,7 @@ def write(
     path: StrPath,
     *,
     to: str | None = None,
-    layout: str | None = None,
+    layout: Layout | None = None,
     extra_columns: str | None = None,
     **unknown: object,
 ) -> None:
@@ -131,12 +135,14 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     output: StrPath,
     *,
     to: str | None = None,
-    layout: str | None = None,
+    layout: Layout | None = None,
     extra_columns: str | None = None,
-    convention: str = "hamilton",
-    direction: str = "body-to-ref",
-    sign: str = "keep",
+    convention: Convention = "hamilton",
+    direction: Direction = "body-to-ref",
+    sign: Sign = "keep",
     representation: str = "quaternion",
+    left: str | Collection[float] | Rotated | None = None,
+    right: str | Collection[float] | Rotated | None = None,
     **options: Unpack[AttitudeOptions],
 ) -> ConversionReport:
     """Write an attitude series in another layout, convention, direction, form or format.
@@ -159,6 +165,11 @@ def convert(  # noqa: PLR0913  # one keyword for each option
         ``"euler-zyx-deg"`` and so every other sequence of intrinsic rotations, or the rates that
         lead from each attitude to the next, ``"body-rates"`` or ``"inertial-rates"`` (rad/s):
         propagated by ``start`` they give the attitudes back.
+    left, right
+        What takes axes of the source's reference, and of its body, to those of the output, v_new =
+        r v_old r*: q_out = left q_in right*. A quaternion, three signed old axes such as
+        ``"y,x,-z"``, ``"rpy:R,P,Y"`` (deg, about axes that stay), a matrix or a rotation of scipy,
+        ``"ned-to-enu"``, ``"enu-to-ned"``, ``"frd-to-flu"`` or ``"flu-to-frd"``.
 
     Returns
     -------
@@ -182,7 +193,8 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     from quatprop.pipeline.settings import OutputSettings
 
     own = ("to", "layout", "extra_columns", "convention", "direction", "sign", "representation")
-    refuse_unknown(options, (*own, *READ_ATTITUDES))
+    turns = parse_all({"left": left, "right": right}, {"left": mounting, "right": mounting})
+    refuse_unknown(options, (*own, "left", "right", *READ_ATTITUDES))
     wanted = attitude_input(path_text("source", source, "write() takes a series"), options)
     report = convert_file(
         Conversion(
@@ -193,6 +205,7 @@ def convert(  # noqa: PLR0913  # one keyword for each option
             meaning=AttitudeConvention(convention, direction),
             sign=sign,
             representation=str(representation).lower(),
+            **turns,
         )
     )
     if report.data_lost:

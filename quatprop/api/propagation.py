@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, SupportsIndex, Unpack
 
 from quatprop.api.reading import path_text, warn, with_keywords_of
 from quatprop.errors import QuatpropError, SeriesError, UsageError
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from quatprop.tables.log import Log
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
 class PropagatedSeries(AttitudeSeries):
     """Attitudes that were propagated, and the report of how.
 
@@ -39,7 +39,7 @@ class PropagatedSeries(AttitudeSeries):
     report: RunReport = field(kw_only=True, compare=False, repr=False)
 
     def __getitem__(  # type: ignore[override]  # of no series with a report
-        self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]
+        self, chosen: SupportsIndex | slice | NDArray[np.bool_] | NDArray[np.intp]
     ) -> AttitudeSeries:
         """Return some attitudes; the report is about all of them."""
         return AttitudeSeries(self.t_ns, self.wxyz, covariance=self.covariance)[chosen]

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal, TypedDict, Unpack
+from typing import Annotated, Literal, TypeAlias, TypedDict, Unpack, get_args
 
 from quatprop.errors import UsageError
 from quatprop.settings.keyword import Keyword, keywords_of
@@ -11,7 +11,8 @@ from quatprop.settings.quantities import RAD_PER_UNIT, quantity, quantity_of
 from quatprop.settings.values import parse_all
 from quatprop.text import Setting, quoted, shown
 
-ALIGNMENTS = ("none", "first", "yaw", "mean", "mount")
+Alignment: TypeAlias = Literal["none", "first", "yaw", "mean", "mount"]
+ALIGNMENTS: tuple[str, ...] = get_args(Alignment)
 """Which frames of B are rotated before the comparison."""
 
 BY_ALL = {"yaw", "mean", "mount"}
@@ -23,7 +24,8 @@ ERROR_LIMITS = (
 )
 """Settings that limit the error itself; others limit its drift, and what was compared."""
 
-MATCHES = ("exact", "nearest", "interpolate")
+Matching: TypeAlias = Literal["exact", "nearest", "interpolate"]
+MATCHES: tuple[str, ...] = get_args(Matching)
 """How attitudes are matched in time: equal stamps, the nearest sample, interpolation."""
 
 DEG_H_PER_UNIT = {"deg/h": 1.0, "deg/s": 3600.0, "rad/s": 3600 * 180 / math.pi}
@@ -193,14 +195,14 @@ class CompareOptions(TypedDict, total=False):
     max_sigma: Annotated[float | None, Keyword(
         _sigmas, "Largest error that passes, in standard deviations (Mahalanobis distance), beside "
         "one in rad or deg.", takes="N", group="Limits")]
-    align: Annotated[str, Keyword(
+    align: Annotated[Alignment, Keyword(
         Choice(*ALIGNMENTS), "How {log} is rotated first: not at all; its reference frame, by the "
         "first pair, by the mean of all, or by that in heading alone (yaw); or its reference and "
         "body frame (mount), from the motion.", group="Alignment", common=True)]
     time_offset: Annotated[int | str, Keyword(
         time_offset_ns, "Added to the stamps of {log}, such as -12ms; auto estimates it from the "
         "angular speeds.", takes="DUR|auto", group="Alignment", common=True)]
-    match: Annotated[str | None, Keyword(
+    match: Annotated[Matching | None, Keyword(
         Choice(*MATCHES), "How attitudes are matched: equal stamps, the nearest, or interpolated "
         "ones, at the stamps of the series with the longer intervals.", f"exact where at "
         f"least half have equal stamps, else nearest if there is {Setting('max_dt')}, else "

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from quatprop.conditioning.static_period import StaticPeriod
     from quatprop.conditioning.window_sums import Rows
     from quatprop.series import GyroSeries
-    from quatprop.settings.parsers import StaticBias
+    from quatprop.settings.parsers import InMemory, StaticBias
     from quatprop.timeline import Timeline
     from quatprop.times import Instant
 
@@ -43,7 +43,7 @@ class GyroCorrection(NamedTuple):
 
     `bias`: subtracted from every rate, x, y, z, in the unit of the source
     `static`: take the mean over a rest of the log as the bias
-    `bias_from`: take the bias from a series of them: a file, or a topic of the log
+    `bias_from`: take the bias from a series of them: a file, a topic of the log, or in memory
     `calibration`: path of a calibration, as
         :func:`quatprop.conditioning.calibration.read_calibration` reads it. A bias given beside it
         takes the place of its own
@@ -55,7 +55,7 @@ class GyroCorrection(NamedTuple):
 
     bias: tuple[float, ...] | None = None
     static: StaticBias | None = None
-    bias_from: str | None = None
+    bias_from: str | InMemory | None = None
     calibration: str | None = None
     mount: str | None = None
     rates: str = "body"

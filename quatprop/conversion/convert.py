@@ -74,7 +74,10 @@ def _written(
     )
     write: Callable[[Any], None] = target.write
     with digest_ahead(wanted.path, hashed=job.output.keeps_report) as digest:
-        for series in _as_written(job, order.counted(check.apply(rows))):
+        attitudes: Iterable[AttitudeSeries] = order.counted(check.apply(rows))
+        if job.axes is not None:
+            attitudes = job.axes.applied(attitudes)
+        for series in _as_written(job, attitudes):
             write(series)
         if not check.counts.used:
             raise NoSamplesError(wanted.path, source.name, losses=log.losses)

@@ -26,8 +26,13 @@ def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> s
     """Return the axes of the standard deviations that are kept, of those that are stored.
 
     They are kept where both sides have a place for them, and are Hamilton and body to reference:
-    another direction or convention changes what they are about.
+    another direction or convention changes what they are about. Three standard deviations say
+    nothing of axes between theirs.
     """
+    if job.axes is not None and source.sigma_axes is not None:
+        body = source.sigma_axes == "body"
+        if job.axes.mixes_body_axes if body else job.axes.mixes_reference_axes:
+            return None
     has_place = holds_covariances(job.output.kind, job.output.message)
     is_plain = job.meaning == HAMILTON and job.representation == QUATERNION
     return stored if has_place and is_plain and source.may_have_covariances else None
@@ -87,7 +92,8 @@ def remarks_on(
     if sigma_lost:
         yield (
             "the standard deviations or covariances of the attitudes are not kept: they need an "
-            "output with a place for them, and Hamilton quaternions body to reference on both sides"
+            "output with a place for them, and Hamilton quaternions body to reference on both "
+            "sides; standard deviations also need axes that stay axes"
         )
     if lost_columns:
         yield (
@@ -99,8 +105,8 @@ def remarks_on(
         first, second, third = (name.rpartition("_")[0] for name in form.columns)
         yield (
             f"{singular} rows are within {NEAR_LOCK_DEG} deg of {second} "
-            f"{' or '.join(map(str, form.lock_deg))} deg (gimbal lock), where {first} and {third} "
-            "cannot be distinguished: they share the rotation equally and jump from row to row; "
+            f"{' or '.join(map(str, form.lock_deg))} deg (gimbal lock), where only the sum or the "
+            f"difference of {first} and {third} is determined, and each jumps from row to row; "
             "together they are still the attitude"
         )
     output, meaning = job.output, job.meaning

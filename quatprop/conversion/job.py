@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop.conventions import HAMILTON, AttitudeConvention
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
+from quatprop.conversion.axes import AxisChange
 from quatprop.conversion.rates import RATE_COLUMNS, RATES
 from quatprop.provenance import Digest, as_json, entry_of
 from quatprop.series import SIGMA_COLUMNS
@@ -33,6 +34,8 @@ class Conversion:
         short ones, up to half a turn
     `representation`: ``"quaternion"``, a key of :data:`REPRESENTATIONS`, or of
         :data:`quatprop.conversion.rates.RATES`
+    `left`, `right`: what takes axes of the reference, and of the body, to those of the output, as
+        :func:`quatprop.conditioning.mounting.mounting` reads it; None: they stay
     """
 
     source: AttitudeInput
@@ -40,6 +43,14 @@ class Conversion:
     meaning: AttitudeConvention = HAMILTON
     sign: str = "keep"
     representation: str = QUATERNION
+    left: str | None = None
+    right: str | None = None
+
+    @property
+    def axes(self) -> AxisChange | None:
+        """How the axes change; None: they stay."""
+        stay = self.left is None and self.right is None
+        return None if stay else AxisChange.of(self.left, self.right)
 
     @property
     def layout(self) -> Layout:
@@ -111,6 +122,11 @@ class ConversionReport:
             "representation": job.representation,
             **asdict(job.meaning),
             **({"layout": job.layout.name} if is_quaternion else {}),
+            **{
+                name: turn
+                for name, turn in (("left", job.left), ("right", job.right))
+                if turn is not None
+            },
             "columns": list(self.columns),
             "sign": job.applied_sign,
         }

@@ -5,6 +5,8 @@ from __future__ import annotations
 from itertools import chain
 from typing import TYPE_CHECKING, Protocol
 
+import numpy as np
+
 from quatprop.conditioning import condition
 from quatprop.conditioning.time_range import clipping_remarks
 from quatprop.errors import NoSamplesError, SeriesError, TimelineError
@@ -18,6 +20,8 @@ from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
+from quatprop.series.columns import stamps_of
+from quatprop.settings.parsers import InMemory
 from quatprop.settings.quantities import RATES
 from quatprop.stores.objects import without_secret
 from quatprop.tables.base import TableLog
@@ -96,7 +100,7 @@ class AttitudeStream:
 
     def __iter__(self) -> Iterator[AttitudeSeries]:
         """Yield the attitudes in batches, once."""
-        rates = self._checks.observe(self._batches)
+        rates, settings = self._checks.observe(self._batches), self._settings
         if self._observer is not None:
             rates = self._observer.rates(rates)
         used = self._timeline.measured(rates)
@@ -111,13 +115,15 @@ class AttitudeStream:
         attitudes = self._segments.attitudes(
             chain([first], used),
             sensitivity=self._sensitivity,
-            covariance=self._settings.errors.sigma,
+            covariance=settings.errors.sigma,
             rate=self._rate,
         )
+        if settings.earth_rate is not None:
+            attitudes = settings.earth_rate.taken_off(attitudes, int(first.t_ns[0]))
         if self._observer is not None:
             attitudes = self._observer.attitudes(attitudes)
         try:
-            for series in every(attitudes, self._settings.every or 1):
+            for series in every(attitudes, settings.every or 1):
                 self._rows += len(series)
                 yield series
         except SeriesError as error:
@@ -161,10 +167,15 @@ class AttitudeStream:
         settings, source, log = self._settings, self._source, self._log
         counts = self._timeline.counts
         span_s = counts.span_ns * 1e-9
-        sensitivity = self._segments.sensitivity
+        sensitivity, final = self._segments.sensitivity, self._segments.final
         method_rad, sampling_rad = (
-            (None, None) if sensitivity is None else sensitivity.angles(self._segments.final)
+            (None, None) if sensitivity is None else sensitivity.angles(final)
         )
+        if (earth := settings.earth_rate) is not None:
+            # Of one attitude; the method makes the same difference against either reference.
+            (final,) = earth.against_ground(
+                final[None], np.array([counts.last_ns]), counts.first_ns or 0
+            )
         return RunReport(
             source=SourceReport(
                 path=without_secret(self._path),
@@ -184,6 +195,7 @@ class AttitudeStream:
                 layout=layout,
                 q0_wxyz=self._q0,
                 q0_from=settings.q0.origin,
+                earth_rate_rad_s=None if earth is None else earth.rate,
             ),
             policy=settings.policy,
             counts=counts,
@@ -200,8 +212,8 @@ class AttitudeStream:
                 span_s=span_s,
                 sample_rate_hz=(counts.used - 1) / span_s if span_s > 0 else None,
                 rows=self._rows,
-                final_wxyz=self._segments.final,
-                net_rotation_rad=float(geodesic_angle(self._q0, self._segments.final)),
+                final_wxyz=final,
+                net_rotation_rad=float(geodesic_angle(self._q0, final)),
                 method_sensitivity_rad=method_rad,
                 next_method=None if sensitivity is None else sensitivity.next_method,
                 sampling_sensitivity_rad=sampling_rad,
@@ -246,6 +258,9 @@ class AttitudeStream:
 
 def _times(settings: PropagationSettings) -> Times | None:
     """Return when attitudes are wanted; None is at the samples."""
+    if isinstance(settings.at, InMemory):
+        at = settings.at.value
+        return Listed(np.sort(stamps_of("at", getattr(at, "t_ns", at))))
     if settings.at is not None:
         from quatprop.logs.interpolation import stamps_in
 

@@ -11,6 +11,8 @@ import numpy as np
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.propagate import unit_q0
 from quatprop.kinematics.quaternion import UNIT_TOLERANCE, conjugate, exp, from_matrix, multiply
+from quatprop.series import AttitudeSeries
+from quatprop.settings.parsers import InMemory
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
@@ -32,14 +34,14 @@ STEADY = 0.05
 class InitialAttitude:
     """Where a propagation begins.
 
-    `source`: ``"level"``, ``"log"``, or an attitude series, a path or a topic of the log; ``""``
-        for `wxyz`
+    `source`: ``"level"``, ``"log"``, or an attitude series: a path, a topic of the log or a series
+        in memory; ``""`` for `wxyz`
     `wxyz`: the attitude body -> reference, where it is given
     `heading`: for ``"level"``: rotation about the reference's z axis, rad
     `down`: for ``"level"``: whether the reference's z axis points down, as in north-east-down
     """
 
-    source: str = ""
+    source: str | InMemory = ""
     wxyz: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
     heading: float = 0.0
     down: bool = False
@@ -50,7 +52,7 @@ class InitialAttitude:
         if self.source == "level":
             axis = "down" if self.down else "up"
             return f"level, reference z {axis}, heading {math.degrees(self.heading):.6g} deg"
-        return self.source or ("identity" if self == InitialAttitude() else "given")
+        return str(self.source) or ("identity" if self == InitialAttitude() else "given")
 
     def __post_init__(self) -> None:
         length = math.hypot(*self.wxyz)
@@ -89,10 +91,15 @@ def first_attitude(wanted: InitialAttitude, context: LogContext, first: GyroSeri
     """
     if not wanted.source:
         return unit_q0(wanted.wxyz)
-    from quatprop.logs.interpolation import attitude_at, first_orientation
+    from quatprop.logs.interpolation import attitude_at, attitude_in, first_orientation
 
     log, mount = context.log, context.mount
     first_ns = int(first.t_ns[0])
+    if isinstance(wanted.source, InMemory):
+        series = wanted.source.value
+        if not isinstance(series, AttitudeSeries):
+            raise UsageError(f"{Setting('q0')}: {type(series).__name__} has no attitudes")
+        return unit_q0(attitude_in([series], first_ns, "q0"))
     if wanted.source not in {"level", "log"}:
         return unit_q0(attitude_at(wanted.source, first_ns, log, context.selection))
     if log is None:
@@ -137,7 +144,7 @@ def _force(log: Log, context: LogContext, first_ns: int) -> Float64:
     """Return the mean specific force over the first second from a stamp on, shape ``(3,)``."""
     from quatprop.logs.beside_rates import specific_forces
 
-    rows = specific_forces(context.source)
+    rows = specific_forces(context.source, context.selection)
     if rows is None:
         raise LogError(
             log.path, f"it has no accelerations to take roll and pitch from; give {Setting('q0')}"

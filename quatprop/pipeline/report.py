@@ -77,6 +77,8 @@ class ConventionReport(NamedTuple):
     `layout`: order of the columns written; None where nothing was written
     `q0_wxyz`: attitude at the first sample, scalar first
     `q0_from`: ``"given"``, ``"level"``, ``"log"`` or a file
+    `earth_rate_rad_s`: the rotation of the reference that was taken off, in its axes, rad/s; None
+        where attitudes are against a reference that does not turn
     """
 
     rates: str
@@ -86,6 +88,7 @@ class ConventionReport(NamedTuple):
     layout: str | None
     q0_wxyz: NDArray[np.float64]
     q0_from: str
+    earth_rate_rad_s: NDArray[np.float64] | None = None
     quaternion: str = "w + x i + y j + z k"
     product: str = CONVENTION["product"]
     attitude: str = CONVENTION["attitude"]

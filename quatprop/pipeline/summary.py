@@ -41,6 +41,8 @@ def facts(report: RunReport) -> Iterator[Row]:
         yield "mount", _mount(mount, report.conditioning.mount_frames)
     if convention.q0_from not in {"given", "identity"}:
         yield "q0", f"{quaternion_text(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
+    if (earth := convention.earth_rate_rad_s) is not None:
+        yield "earth rate", "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s taken off".format(*earth)
     if result.method_sensitivity_rad is not None:
         yield "sensitivity", _sensitivity(result)
     if report.uncertainty is not None:

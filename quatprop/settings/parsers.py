@@ -40,6 +40,17 @@ MIN_FREQUENCY = Decimal("1e-9")
 """Hz: an interval of 31 years."""
 
 
+class InMemory:
+    """A value that has no text: times, or a series, in a program that uses the library."""
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+    def __str__(self) -> str:
+        """Return it as it is recorded."""
+        return "in memory"
+
+
 class StaticBias(NamedTuple):
     """Take the mean rate at rest as the bias.
 
@@ -81,7 +92,9 @@ def path(value: object) -> str:
 
 def choice_named(value: str, names: Iterable[str]) -> str:
     """Return the one of some names that is meant, in capitals or not; else the value itself."""
-    name = {"dps": "deg/s"}.get(value.lower(), value.lower())
+    name = value.lower()
+    if name not in names:
+        name = {"dps": "deg/s", "reference": "inertial"}.get(name, name)
     return name if name in names else value
 
 
@@ -118,6 +131,15 @@ def column_list(names: str) -> Callable[[object], tuple[str, ...]]:
         return parts
 
     return parse_columns
+
+
+def place(value: object) -> tuple[float, ...]:
+    """Return a latitude, and the azimuth of the reference's x axis where it is given, deg."""
+    names = "LAT,AZIMUTH" if len(_parts(value)) > 1 else "LAT"
+    numbers = number_list(names)(value)
+    if abs(numbers[0]) > 90:  # noqa: PLR2004  # the poles
+        raise UsageError(f"{shown(value)} is no latitude: it is from -90 to 90 deg, north positive")
+    return numbers
 
 
 def number_list(names: str) -> Callable[[object], tuple[float, ...]]:
@@ -161,11 +183,12 @@ def count(value: object) -> int:
 def frequency(value: object) -> Fraction:
     """Return a frequency in Hz as the decimal or the fraction it is written as."""
     # By its text: 29.97 is meant, not the binary fraction nearest to it.
-    numerator, _, denominator = str(value).partition("/")
+    text = str(value).removesuffix("Hz").strip()
+    numerator, _, denominator = text.partition("/")
     try:
         # The size first: the exact value of 1e-99999999 would fill the memory.
         if MIN_FREQUENCY <= Decimal(numerator) / Decimal(denominator or 1) <= MAX_FREQUENCY:
-            return Fraction(str(value))
+            return Fraction(text)
     except (ValueError, ArithmeticError):
         pass
     raise UsageError(
@@ -219,8 +242,22 @@ def file_beside(name: str, text: str, folder: Path) -> Path | None:
     return path if path.exists() or not (words or "," in text) else None
 
 
-def initial_attitude(value: object) -> tuple[float, ...] | str:
-    """Return four numbers, ``"level"``, ``"log"``, or an attitude series: a path or a topic."""
+def times(value: object) -> str | InMemory:
+    """Return the path of a series, or times in memory."""
+    is_times = isinstance(value, Iterable) and not isinstance(value, str)
+    return InMemory(value) if is_times else path(value)
+
+
+def initial_attitude(value: object) -> tuple[float, ...] | str | InMemory:
+    """Return four numbers, ``"level"``, ``"log"``, or an attitude series: a path or a topic.
+
+    `value`: text, four numbers, a series in memory, or a rotation of scipy
+    """
+    if hasattr(value, "t_ns"):
+        return InMemory(value)
+    if (as_quat := getattr(value, "as_quat", None)) is not None:
+        x, y, z, w = _parts(as_quat())
+        value = (w, x, y, z)
     if isinstance(value, str) and value in FROM_THE_LOG:
         return value
     if not _is_name(value):
@@ -234,8 +271,10 @@ def initial_attitude(value: object) -> tuple[float, ...] | str:
     return path(value)
 
 
-def bias(value: object) -> tuple[float, ...] | StaticBias | str:
-    """Return three rates, rest, or a series of biases: a path or a topic."""
+def bias(value: object) -> tuple[float, ...] | StaticBias | InMemory | str:
+    """Return three rates, rest, or a series of biases: a path, a topic or a series in memory."""
+    if hasattr(value, "t_ns"):
+        return InMemory(value)
     if isinstance(value, StaticBias):
         return value
     if isinstance(value, str) and value.partition(":")[0].strip() == STATIC:
@@ -256,8 +295,17 @@ def bias(value: object) -> tuple[float, ...] | StaticBias | str:
 
 
 def mounting(value: object) -> str:
-    """Return three signed axes or a quaternion as text, for the conditioning to read."""
-    return value if isinstance(value, str) else ",".join(str(part) for part in _parts(value))
+    """Return axes, a name or a quaternion as text, for the conditioning to read.
+
+    `value`: text, four numbers, a matrix of shape ``(3, 3)``, or a rotation of scipy
+    """
+    if isinstance(value, str):
+        return value
+    as_matrix = getattr(value, "as_matrix", None)
+    parts = _parts(value if as_matrix is None else as_matrix())
+    # The rows of a matrix one after the other.
+    rows = [_parts(part) if not isinstance(part, str) else [part] for part in parts]
+    return ",".join(str(part) for row in rows for part in row)
 
 
 def _parts(value: object) -> list[object]:

@@ -135,6 +135,8 @@ ABOUT_X, QUARTER_X, QUARTER_Z = [0.8, 0.6, 0, 0], [HALF, HALF, 0, 0], [HALF, 0, 
         ("att.csv", f"{ARDUPILOT}1.7e9,10000,9,0,9,0,9,90,0,0\n", 10**7, QUARTER_Z),
         # Those of the device in the world, at the time of tracking.
         ("closed_loop_trajectory.csv", f"{ARIA}\na,10000,-1,0.6,0,0,0.8\n", 10**7, ABOUT_X),
+        # The file of quaternions of an NGIMU, whose columns are components alone.
+        ("quaternion.csv", "Time (s),W,X,Y,Z\n0.01,.8,.6,0,0\n", 10**7, ABOUT_X),
         # q[0] is the scalar in what ulog2csv writes.
         ("a_vehicle_attitude_0.csv", "timestamp,q[0],q[1],q[2],q[3]\n1,.8,.6,0,0\n", 1000, ABOUT_X),
     ],

@@ -47,7 +47,7 @@ from quatprop.times import Instant
             Instant(1_000_000_000, "clock"),
         ),
         ("max_gap", ["20ms", 20_000_000, dt.timedelta(milliseconds=20)], 20_000_000),
-        ("rate", ["29.97", 29.97, Fraction(2997, 100)], Fraction(2997, 100)),
+        ("rate", ["29.97", "29.97Hz", "29.97 Hz", 29.97, Fraction(2997, 100)], Fraction(2997, 100)),
         ("rate", ["30000/1001", Fraction(30000, 1001)], Fraction(30000, 1001)),
         ("rate", ["50", 50, np.int64(50), 50.0], Fraction(50)),
         ("every", ["3", 3], 3),

@@ -293,6 +293,25 @@ def test_a_ros2_bag_keeps_the_provenance_in_its_metadata(tmp_path, kind):
     assert yaml.load(inside) == told
 
 
+@pytest.mark.parametrize("kind", ["rosbag2", "rosbag2-mcap"])
+@pytest.mark.parametrize("provenance", [TOLD, {}])
+def test_ros2_humble_can_read_the_metadata(tmp_path, kind, provenance):
+    """The profiles were a list, of which Humble's decoder, which wants text, made an error."""
+    with open_writer(tmp_path / "a", kind) as writer:
+        writer.write(turning(3))
+        writer.commit(provenance)
+    text = (tmp_path / "a" / "metadata.yaml").read_text()
+    told = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
+    (topic,) = told["topics_with_message_count"]
+    # Before version 9 the profiles are text, and Jazzy's decoder knows that, too.
+    assert told["version"] == 8
+    assert topic["topic_metadata"]["offered_qos_profiles"] == ""
+    # What its decoder reads with `as<std::string>()`, which throws on anything but a scalar.
+    words = [*topic["topic_metadata"].values(), told["storage_identifier"], told["ros_distro"],
+             told["compression_format"], told["compression_mode"]]  # fmt: skip
+    assert all(isinstance(word, str) for word in words)
+
+
 def test_a_ros1_bag_keeps_the_provenance_with_its_connection(tmp_path):
     """The index repeats the connection with one field more, which other readers pass over."""
     data = write(tmp_path, "bag", turning(3)).read_bytes()
