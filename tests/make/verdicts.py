@@ -45,10 +45,11 @@ def contradictions(suite, *options, repeat=True):
     """
     folder = Path(suite).parent / "evidence"
     junit, summary = folder.with_suffix(".xml"), folder.with_suffix(".md")
-    arguments = ["check", str(suite), "-v", *options, f"--junit={junit}", f"--artifacts={folder}"]
+    arguments = ["check", str(suite), "-v", *options]
     github = {"GITHUB_ACTIONS": "true", "GITHUB_STEP_SUMMARY": str(summary)}
-    shown = CliRunner().invoke(cli, arguments, env=github)
-    report = json.loads(CliRunner().invoke(cli, [*arguments, "--json"]).stdout)
+    shown = CliRunner().invoke(cli, [*arguments, f"--junit={junit}"], env=github)
+    kept = CliRunner().invoke(cli, [*arguments, "--json", f"--artifacts={folder}"])
+    report = json.loads(kept.stdout)
     cases = {case["name"]: case for case in report["cases"]}
     verdicts = {name: case["verdict"] for name, case in cases.items()}
     wrong = [
