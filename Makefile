@@ -22,7 +22,7 @@ help:
 	@echo 'make lint         ruff and mypy'
 	@echo 'make format       let ruff format the code'
 	@echo 'make documents    update what commands print in the documents'
-	@echo 'make bench        measure against rosbags, mcap, scipy, ahrs and numba'
+	@echo 'make bench        measure against rosbags, mcap, scipy, ahrs, numba and numpy-quaternion'
 	@echo 'make sample-logs  generate sample_logs/ again, bit for bit'
 	@echo 'make clean        remove everything that was made here'
 

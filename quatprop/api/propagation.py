@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, SupportsIndex, Unpack
 
-from quatprop.api.reading import path_text, warn, with_keywords_of
+from quatprop.api.reading import paths_of, warn, with_keywords_of
 from quatprop.errors import QuatpropError, SeriesError, UsageError
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.settings import READ_RATES, PropagateOptions
 from quatprop.text import Setting, in_python, with_settings
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -46,7 +46,9 @@ class PropagatedSeries(AttitudeSeries):
 
 
 @with_keywords_of(PropagateOptions)
-def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) -> PropagatedSeries:
+def propagate(
+    log: StrPath | Sequence[StrPath] | GyroSeries, **options: Unpack[PropagateOptions]
+) -> PropagatedSeries:
     """Turn body rates into attitudes.
 
     The exact constant-rate step of each sample is accumulated: q[k+1] = q[k] * dq[k] for body rates
@@ -55,7 +57,7 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
     Parameters
     ----------
     log
-        A path as for :func:`read_rates`, or rates in memory.
+        As for :func:`read_rates`, or rates in memory.
     **options
         Which samples of a log, and how they are propagated.
 
@@ -93,23 +95,24 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
         _refuse_log_settings(options)
         series = _propagated_in_memory(log, settings)
     else:
-        path = path_text("log", log, "make a GyroSeries of arrays")
-        series = _propagated_log(path, settings)
+        paths = paths_of("log", log, "make a GyroSeries of arrays")
+        path = " + ".join(paths)
+        series = _propagated_log(paths, settings)
     report = series.report
     warn(path, report.losses, report.remarks, dropped=report.counts.dropped)
     return series
 
 
-def _propagated_log(path: str, settings: PropagationSettings) -> PropagatedSeries:
+def _propagated_log(paths: Sequence[str], settings: PropagationSettings) -> PropagatedSeries:
     from quatprop.concurrency.threads import use_threads
-    from quatprop.logs.open_log import open_log
+    from quatprop.logs.joined import open_logs
     from quatprop.logs.signals.rates import choose_rates
     from quatprop.pipeline.attitude_stream import AttitudeStream
 
     kind, msg_path = settings.kind, settings.selection.msg_path
-    with use_threads(settings.threads), open_log(path, kind, msg_path=msg_path) as log:
+    with use_threads(settings.threads), open_logs(paths, kind, msg_path=msg_path) as log:
         rates = choose_rates(log, settings.selection)
-        stream = AttitudeStream(path, rates, settings, log)
+        stream = AttitudeStream(" + ".join(paths), rates, settings, log)
         return _propagated(stream, settings, log)
 
 

@@ -25,7 +25,7 @@ EXAMPLES = (
     "quatprop convert attitude.csv attitude.parquet --layout scalar-last",
     "quatprop convert attitude.mcap attitude.tum",
     "quatprop convert attitude.csv - --as euler-zyx --euler-unit deg",
-    "quatprop convert ned.csv enu.csv --left ned-to-enu --right frd-to-flu",
+    "quatprop convert attitude.csv enu.csv --left ned-to-enu --right frd-to-flu",
 )
 
 

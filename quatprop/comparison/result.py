@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.clocks import ClockOffset
     from quatprop.comparison.heading import ErrorParts
     from quatprop.comparison.hypotheses import Cause
+    from quatprop.comparison.judged import Judged
     from quatprop.comparison.statistics import ErrorStatistics, SigmaStatistics, WindowStatistics
 
 
@@ -144,6 +145,8 @@ class Comparison:
         Geodesic errors of the pairs, shape ``(N,)``, rad; empty where there are no pairs.
     association
         How the attitudes were matched in time.
+    judged
+        Which pairs the errors are of; None: all.
     time_offset
         What was added to B's stamps.
     alignment
@@ -185,6 +188,7 @@ class Comparison:
     pairs: Pairs | None = field(repr=False)
     errors: Float64 = field(repr=False)
     association: Matching
+    judged: Judged | None
     time_offset: AppliedOffset
     alignment: Alignment
     error_rad: ErrorStatistics

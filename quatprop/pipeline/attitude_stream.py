@@ -78,7 +78,10 @@ class AttitudeStream:
             [] if log is None or str(log.path) == "-" else log_remarks(log, source, settings.rates)
         )
         chosen_by = "time_col" if isinstance(log, TableLog) else "clock"
-        self._timeline = Timeline(settings.policy, path, chosen_by)
+        self._method, self._method_from = source.method_used(settings.method)
+        self._timeline = Timeline(
+            settings.policy, path, chosen_by, method=self._method, rates=settings.rates
+        )
         self._checks = RateChecks()
         self._batches, self._conditioned = condition(
             source.batches,
@@ -89,7 +92,6 @@ class AttitudeStream:
             # Sorted, samples may belong to the range wherever they are in the log.
             part_reader=None if settings.policy.on_backwards == "sort" else source.part_reader,
         )
-        self._method, self._method_from = source.method_used(settings.method)
         self._errors = known_errors(settings.errors, self._conditioned.rest)
         self._times = _times(settings)
 
@@ -148,6 +150,7 @@ class AttitudeStream:
             settings.selection,
             self._conditioned.mount,
             in_order=settings.policy.on_backwards != "sort",
+            first_ns=self._timeline.first_stamp_ns,
         )
         self._q0 = first_attitude(settings.q0, context, first)
         needs_growth = self._sensitivity or settings.errors.sigma

@@ -73,6 +73,8 @@ class LogContext(NamedTuple):
     `mount`: sensor axes to body axes, shape ``(3, 3)``, for accelerometer and orientation too; None
         for the same
     `in_order`: whether samples are used in the order of the log, not sorted
+    `first_ns`: the stamp in the log of the first sample that is propagated, ns; None where it has
+        kept it
     """
 
     log: Log | None
@@ -80,6 +82,7 @@ class LogContext(NamedTuple):
     selection: RateSelection
     mount: Float64 | None
     in_order: bool = True
+    first_ns: int | None = None
 
 
 def first_attitude(wanted: InitialAttitude, context: LogContext, first: GyroSeries) -> Float64:
@@ -102,6 +105,8 @@ def first_attitude(wanted: InitialAttitude, context: LogContext, first: GyroSeri
         return unit_q0(attitude_in([series], first_ns, "q0"))
     if wanted.source not in {"level", "log"}:
         return unit_q0(attitude_at(wanted.source, first_ns, log, context.selection))
+    # What is beside the rates has their stamps.
+    first_ns = first_ns if context.first_ns is None else context.first_ns
     if log is None:
         raise UsageError(f"{Setting('q0', wanted.source)} needs a log, not rates in memory")
     if wanted.source == "log":

@@ -111,7 +111,8 @@ class ResultReport(NamedTuple):
     `net_rotation_rad`: angle from the first to the last attitude, rad
     `method_sensitivity_rad`: method sensitivity: the angle between the final attitudes of this and
         the next better method, rad; None where it was not computed
-    `next_method`: that method: for ``"cubic"`` and ``"quintic"`` the next lower one
+    `next_method`: that method: for ``"cubic"`` and ``"quintic"`` the next lower one; over intervals
+        at which ``"quintic"`` is ``"cubic"``, and where it is that throughout, ``"coning"``
     `sampling_sensitivity_rad`: angle between the final attitudes from all samples and from every
         second one, rad
     `path_angle_rad`: total angle traversed, rad

@@ -5,7 +5,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from quatprop.rendering import Row, degrees_text, quaternion_text, rate_text, source_text
+from quatprop.rendering import (
+    Row,
+    count_text,
+    degrees_text,
+    quaternion_text,
+    rate_text,
+    source_text,
+)
 from quatprop.text import plain
 from quatprop.times import duration_text
 
@@ -16,6 +23,7 @@ if TYPE_CHECKING:
     from quatprop.conditioning.static_period import StaticPeriod
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.pipeline.report import ResultReport, RunReport
+    from quatprop.timeline.counts import SteadyClock
 
 
 def facts(report: RunReport) -> Iterator[Row]:
@@ -26,6 +34,8 @@ def facts(report: RunReport) -> Iterator[Row]:
     yield "source", f"{plain(source.path)} ({source.kind}): {name}"
     yield "rate", f"{plain(source.rate)} in {source.rate_unit}, {source.clock} clock"
     yield "samples", _samples(report)
+    if report.policy.regular_time:
+        yield "clock", _clock(counts.steady_clock)
     why = ""
     if convention.method_from == "log":
         why = f" (the samples are {convention.samples} over the intervals before their stamps)"
@@ -54,6 +64,20 @@ def facts(report: RunReport) -> Iterator[Row]:
         f"at most {degrees_text(counts.max_rate)}/s"
     )
     yield "rotation", rotation
+
+
+def _clock(clock: SteadyClock | None) -> str:
+    """Return which steady clock took the place of the timestamps."""
+    if clock is None:
+        return "the timestamps do not jitter about a steady clock: used as they are"
+    text = (
+        f"steady at {clock.rate_hz:.9g} Hz from t = {clock.offset_ns} ns, in place of timestamps "
+        f"that scatter about it by {duration_text(round(clock.residual_rms_ns))} RMS and are at "
+        f"most {duration_text(clock.residual_max_ns)} away"
+    )
+    if clock.missing:
+        text += f"; {count_text(clock.missing, 'sample')} missing"
+    return f"{text}; {count_text(clock.kept, 'timestamp')} kept" if clock.kept else text
 
 
 def _sensitivity(result: ResultReport) -> str:

@@ -175,7 +175,8 @@ def _in_step(batches: Iterator[GyroSeries], beside: _AttitudeReading) -> Iterato
 
 
 def _survey_rates(signal: RateSignal, log: Log, beside: _AttitudeReading | None) -> RateSurvey:
-    timeline, checks = Timeline(OBSERVE, str(log.path)), RateChecks()
+    method, _ = signal.method_used(None)
+    timeline, checks = Timeline(OBSERVE, str(log.path), method=method), RateChecks()
     batches = signal.batches() if beside is None else _in_step(signal.batches(), beside)
     samples = timeline.apply(checks.observe(batches))
     deque(samples, maxlen=0)

@@ -117,7 +117,7 @@ class SelectOptions(TypedDict, total=False):
 
 
 class RateOptions(SelectOptions, total=False):
-    """Keywords of :func:`quatprop.read_rates`, beside those of :class:`SelectOptions`."""
+    """Keywords that say which rates to read, beside those of :class:`SelectOptions`."""
 
     # fmt: off
     rate_field: Annotated[str | None, Keyword(
@@ -128,6 +128,18 @@ class RateOptions(SelectOptions, total=False):
     rate_unit: Annotated[RateUnit | None, Keyword(
         Choice(*RATE_UNITS), "Unit of the rates.", "as the log says", common=True)]
     # fmt: on
+
+
+RegularTime = Annotated[bool | None, Keyword(
+    flag, "Replace timestamps that jitter about a steady clock, as times of arrival and rounded "
+    "ones do, by the times of that clock. Gaps stay, as whole numbers of its intervals; timestamps "
+    "without such a clock are refused.", "timestamps as they are", group="Timestamps")]  # fmt: skip
+
+
+class ReadOptions(RateOptions, total=False):
+    """Keywords of :func:`quatprop.read_rates`, beside those of :class:`RateOptions`."""
+
+    regular_time: RegularTime
 
 
 class SeriesOptions(SelectOptions, total=False):
@@ -242,6 +254,7 @@ class PropagateOptions(RateOptions, total=False):
     on_nonfinite: Annotated[Literal["error", "drop", "hold"] | None, Keyword(
         Choice("error", "drop", "hold"), "Rates that are NaN or infinite: refuse, drop, or hold "
         "the previous rate.", "error", group="Timestamps")]
+    regular_time: RegularTime
     max_gap: Annotated[str | int | timedelta | None, Keyword(
         length, "Intervals longer than this count as gaps.", "10 median intervals", "DUR",
         "Timestamps")]
@@ -290,6 +303,9 @@ class PropagateOptions(RateOptions, total=False):
 
 READ_RATES = keywords_of(RateOptions)
 """How rates are read: name -> its row."""
+
+RATES_IN_MEMORY = keywords_of(ReadOptions)
+"""The same, and what is done to their stamps where nothing else is done to them."""
 
 ONE_SERIES = keywords_of(SeriesOptions)
 """What has to be known of each series where several are read: name -> its row."""

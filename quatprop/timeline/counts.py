@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -25,6 +26,9 @@ FASTEST = 50_000
 LONGEST_S = 2
 """s: longer intervals are rather those of another unit of time."""
 
+COSTLY = math.radians(0.01)
+"""rad: jitter of the stamps that costs less is not remarked on."""
+
 MIN_SAMPLES = 20
 """Fewer samples say nothing of the sample rate."""
 
@@ -41,12 +45,14 @@ class Policy(NamedTuple):
         ``"error"``; ``"zero"`` assumes no rotation; ``"split"`` restarts from q0
     `max_gap_ns`: intervals longer than this count as gaps, ns; None means
         :data:`quatprop.timeline.stamps.GAP_FACTOR` median intervals
+    `regular_time`: whether time stamps that jitter about a steady clock are replaced by its times
     """
 
     on_backwards: Literal["error", "drop", "sort", "keep"] = "error"
     on_nonfinite: Literal["error", "drop", "hold", "keep"] = "error"
     on_gap: Literal["hold", "zero", "split", "error"] = "hold"
     max_gap_ns: int | None = None
+    regular_time: bool = False
 
     @property
     def cuts_at_gaps(self) -> bool:
@@ -86,6 +92,28 @@ class Event:
         self.count += len(where)
 
 
+class SteadyClock(NamedTuple):
+    """The steady clock that time stamps jitter about.
+
+    `rate_hz`: times by it a second; the mean over a log
+    `offset_ns`: the first of them, ns
+    `residual_rms_ns`, `residual_max_ns`: how far the stamps scatter about it, and are at most from
+        it, ns
+    `missing`: times by it without a sample, but for pauses
+    `kept`: samples whose stamps do not jitter, or that are too few between pauses to tell
+    `error_rad`: RMS over all samples of the angle between the attitudes at their stamps that the
+        stamps and the clock lead to, rad
+    """
+
+    rate_hz: float
+    offset_ns: int
+    residual_rms_ns: float
+    residual_max_ns: int
+    missing: int
+    kept: int
+    error_rad: float
+
+
 @dataclass(slots=True)
 class Counts:
     """What was observed of time stamps and rates; complete when the last batch has passed.
@@ -106,6 +134,7 @@ class Counts:
         interval's start, or of the increments
     `integrated_ns`: for increments: the time over which the sensor integrated them, ns, in all
         intervals
+    `steady_clock`: that about which the stamps jitter; None where they do not
     """
 
     read: int = 0
@@ -126,6 +155,7 @@ class Counts:
     path_angle_rad: float = 0.0
     integrated_ns: int | None = None
     nonfinite: Event = field(default_factory=Event)
+    steady_clock: SteadyClock | None = None
 
     @property
     def span_ns(self) -> int:
@@ -178,6 +208,15 @@ def remarks(counts: Counts, policy: Policy) -> Iterator[str]:
                 f"at sample {event.first_index}, t = {event.first_ns} ns{event.cause}{longest}"
             )
     yield from _time_remarks(counts)
+    clock = counts.steady_clock
+    if clock is not None and clock.error_rad >= COSTLY and not policy.regular_time:
+        yield (
+            f"the timestamps jitter about a steady clock of {clock.rate_hz:.6g} Hz, by "
+            f"{duration_text(round(clock.residual_rms_ns))} RMS and at most "
+            f"{duration_text(clock.residual_max_ns)}: if they are times of arrival or rounded, "
+            f"that puts the attitudes off by {math.degrees(clock.error_rad):.2g} deg RMS; "
+            f"{Setting('regular_time')} takes the times of that clock"
+        )
 
 
 def _longest(counts: Counts) -> str:

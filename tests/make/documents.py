@@ -17,7 +17,7 @@ from make.commands import run
 from make.places import ROOT, SHARED_LOGS
 from make.tables import write_rates
 
-from quatprop import RemarkWarning
+from quatprop import QuatpropWarning
 
 GUIDES = ROOT / "quatprop" / "docs"
 
@@ -31,9 +31,12 @@ SIMULATED = {
 }
 """Name of a log in the documents -> how it is simulated."""
 
+BROAD = "broad/05_undisturbed_slow_rotation_with_breaks_B.hdf5"
 RECORDED = {
     "flight.ulg": "ulog/sample.ulg",
+    "robot.bag": "auk/auk.bag",
     "euroc/imu0/data.csv": "csv/euroc_v102/imu0_data.csv",
+    BROAD: BROAD,
     "euroc/truth.csv": "csv/euroc_v102/state_groundtruth_data.csv",
 }
 """Name of a log in the documents -> the real recording that it is."""
@@ -121,7 +124,7 @@ class Document:
         words, _, grep = re.sub(r" +# exit code \d$", "", command).partition(" | grep ")
         if words.startswith("quatprop ") and " > " not in words:
             # No process of its own: it is faster.
-            result = run(*shlex.split(words, comments=True)[1:])
+            result = run(*shlex.split(words.removesuffix(" 2>&1"), comments=True)[1:])
             lines = (result.stdout + result.stderr).splitlines()
             return result.exit_code, "\n".join(line for line in lines if grep in line)
         folders = (self.folder / ".bin", Path(sys.executable).parent, os.environ["PATH"])
@@ -141,8 +144,8 @@ class Document:
 
     def _listing(self, text):
         with redirect_stdout(io.StringIO()) as stream, warnings.catch_warnings():
-            # The rates of a sample log are frozen, as quatprop remarks.
-            warnings.simplefilter("ignore", RemarkWarning)
+            # The rates of a sample log are frozen, as quatprop remarks, and truth has holes.
+            warnings.simplefilter("ignore", QuatpropWarning)
             exec(text, self.names)  # noqa: S102  # the documents are ours
         self.printed += stream.getvalue()
 

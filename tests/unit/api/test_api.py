@@ -23,7 +23,7 @@ import quatprop
 from quatprop import AttitudeSeries, GyroSeries
 from quatprop.comparison.settings import COMPARE
 from quatprop.errors import LogError, NoRatesError, SeriesError, UsageError
-from quatprop.settings import PROPAGATE, READ_ATTITUDES, READ_RATES
+from quatprop.settings import PROPAGATE, RATES_IN_MEMORY, READ_ATTITUDES
 from quatprop.text import Setting
 
 T_NS = np.array([1_700_000_000_000_000_000, 1_700_000_000_010_000_000, 1_700_000_000_020_000_001])
@@ -438,7 +438,7 @@ def test_only_attitudes_are_written(tmp_path):
 @pytest.mark.parametrize(
     ("function", "settings"),
     [
-        (quatprop.read_rates, READ_RATES),
+        (quatprop.read_rates, RATES_IN_MEMORY),
         (quatprop.read_attitudes, READ_ATTITUDES),
         (quatprop.propagate, PROPAGATE),
         (quatprop.compare, COMPARE),
