@@ -162,7 +162,7 @@ class CaseItem(pytest.Item):
             pytest.skip(result.reason)
         if result.verdict in {"fail", "error"}:
             failure = RegressionFailure if result.verdict == "fail" else RegressionError
-            raise failure("\n".join([*_table(result), result.reason]))
+            raise failure("\n".join([result.reason, *_table(result)]))
         notes = [text for text in (result.summary, *result.notes) if text]
         self.add_report_section("call", "quatprop", "\n".join(notes))
 
@@ -181,9 +181,6 @@ def _table(result: CaseResult) -> list[str]:
     """Return what was obtained and what was expected, as lines."""
     if not result.limits:
         return [result.summary] if result.summary else []
-    rows = [("", "obtained", "expected")]
-    rows += [(limit.label, limit.value, f"at most {limit.limit}") for limit in result.limits]
+    rows = [("", "obtained", "expected"), *((x.label, x.value, x.limit) for x in result.limits)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(f"{x:<{w}}" for x, w in zip(row, widths, strict=True)).rstrip() for row in rows
-    ]
+    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.check.case import Case
-    from quatprop.check.judge import Judged
+    from quatprop.check.judge import Judgement
     from quatprop.logs.attitude_input import LoadedAttitudes
 
 
-def write_artifacts(case: Case, judged: Judged, folder: Path, *, strict: bool) -> Path:
+def write_artifacts(case: Case, judged: Judgement, folder: Path, *, strict: bool) -> Path:
     """Write the evidence of a case, of the very series that were judged, and return its folder.
 
     It has ``attitude.parquet``, and of a stored reference ``reference.parquet``, as they were
@@ -61,7 +61,7 @@ def _moved(loaded: LoadedAttitudes, path: Path) -> LoadedAttitudes:
 
 
 def _write_page(
-    judged: Judged, series: LoadedAttitudes, reference: LoadedAttitudes | None, page: Path
+    judged: Judgement, series: LoadedAttitudes, reference: LoadedAttitudes | None, page: Path
 ) -> None:
     """Write the page of a comparison, on which the verdict of the case is first."""
     if reference is None or judged.comparison is None or judged.comparison.result is None:
@@ -73,7 +73,7 @@ def _write_page(
 
 
 def _commands(
-    case: Case, judged: Judged, series: str, reference: LoadedAttitudes | None, *, strict: bool
+    case: Case, judged: Judgement, series: str, reference: LoadedAttitudes | None, *, strict: bool
 ) -> str:
     """Return the commands that judge the case again, propagate and compare as it does."""
     options = {key: case.inputs.get(key, value) for key, value in case.options.items()}

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from quatprop.logs.attitude_input import LoadedAttitudes
 
 
-class Judged(NamedTuple):
+class Judgement(NamedTuple):
     """A case with all that its verdict was made of; whatever is shown of it is made of this.
 
     `reference`, `comparison`: None where there is nothing to compare with
@@ -46,7 +46,7 @@ class Judged(NamedTuple):
     remarks: dict[str, str]
 
 
-def judge(case: Case, pin: Pin | None, folder: Path) -> Judged:
+def judge(case: Case, pin: Pin | None, folder: Path) -> Judgement:
     """Compare a case with its reference, also where something is not as it was pinned.
 
     `pin`: what it depended on when it was last updated; None if it never was
@@ -56,7 +56,7 @@ def judge(case: Case, pin: Pin | None, folder: Path) -> Judged:
     changed = obstacles(case, pin, hashes)
     try:
         run = propagate_case(case, _rows(case, pin), folder)
-        reference = _reference(case)
+        reference = _reference(case, may_be_broken=bool(changed))
     except QuatpropError as error:
         if changed:
             raise QuatpropError(f"{changed}; it cannot be compared now: {error}") from error
@@ -77,7 +77,7 @@ def judge(case: Case, pin: Pin | None, folder: Path) -> Judged:
     result = result_of(case, comparison, changed, failures, notes)
     result = result._replace(remarks=tuple(remarks.values()), unpinned=tuple(unpinned))
     found = make_pin(case, run, comparison, hashes, remarks)
-    return Judged(result, run, reference, comparison, found, remarks)
+    return Judgement(result, run, reference, comparison, found, remarks)
 
 
 def result_of(
@@ -120,8 +120,11 @@ def _rows(case: Case, pin: Pin | None) -> int | None:
     return None if Path(case.reference).exists() else MAX_ROWS
 
 
-def _reference(case: Case) -> LoadedAttitudes | None:
-    """Return what a case is compared with; None where no update has written it yet."""
+def _reference(case: Case, *, may_be_broken: bool) -> LoadedAttitudes | None:
+    """Return what a case is compared with; None where there is none yet.
+
+    `may_be_broken`: the stored reference is not the one that was pinned, of which is said enough
+    """
     if case.external is not None:
         return load_attitudes(case.external)
     path = str(case.reference)
@@ -130,8 +133,9 @@ def _reference(case: Case) -> LoadedAttitudes | None:
     try:
         return read_reference(path)
     except QuatpropError:
-        # It is none that was pinned, which is what is said of it.
-        return None
+        if may_be_broken:
+            return None
+        raise
 
 
 def _failures(

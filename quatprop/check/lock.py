@@ -11,6 +11,7 @@ import hashlib
 import json
 import re
 from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -170,8 +171,8 @@ def _alone(suite: Path) -> Iterator[None]:
 DIGITS = 12
 """Digits of a SHA-256 that are shown."""
 
-MAX_SEARCHED = 200
-"""Files beside a missing one of which it may be one, under another name."""
+MAX_SEARCHED = 1 << 32
+"""Bytes of the files beside a missing one that are read: it may be one of them, renamed."""
 
 MAX_TEXT = 1 << 28
 """Bytes of a file up to which it is looked at whether only its line ends changed."""
@@ -239,10 +240,11 @@ def sha256_of(path: str) -> str:
 
 def renamed_to(path: Path, digest: str | None) -> Path | None:
     """Return the file beside a missing one that has its content; None where there is none."""
+    left = MAX_SEARCHED
     with suppress(OSError):
-        for other in sorted(path.parent.iterdir())[:MAX_SEARCHED]:
-            alike = other.suffix == path.suffix and other.is_file() and not other.is_symlink()
-            if alike and digest_of(other).sha256 == digest:
+        for other in sorted(path.parent.glob(f"*{escape(path.suffix)}")):
+            left -= other.stat().st_size
+            if left > 0 and other.is_file() and digest_of(other).sha256 == digest:
                 return other
     return None
 

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.check.case import Case, CaseNotRun, CaseResult
-from quatprop.check.judge import Judged, judge
+from quatprop.check.judge import Judgement, judge
 from quatprop.check.lock import Pin, merge_into_lock
 from quatprop.check.update import propose, put_in_place, refuse_target
 from quatprop.concurrency.processes import KILLED, in_order, map_processes
@@ -86,7 +86,7 @@ def _run(case: Case, pin: Pin | None, options: RunOptions, scratch: Path) -> Cas
 
 
 def _updated(
-    case: Case, pin: Pin | None, judged: Judged, options: RunOptions, scratch: Path
+    case: Case, pin: Pin | None, judged: Judgement, options: RunOptions, scratch: Path
 ) -> CaseResult:
     """Update a case, unless the change is not accepted."""
     proposal = propose(case, pin, judged, scratch, options.deleted)
@@ -119,7 +119,7 @@ def _strictly(result: CaseResult) -> CaseResult:
     return result
 
 
-def _with_evidence(case: Case, judged: Judged, options: RunOptions) -> CaseResult:
+def _with_evidence(case: Case, judged: Judgement, options: RunOptions) -> CaseResult:
     """Keep the evidence of a failure; say where it is, or why it is not there."""
     from quatprop.check.artifacts import write_artifacts  # matplotlib, for failures only
 

@@ -20,7 +20,7 @@ from quatprop.writers.targets import refuse_outside, refuse_overlap
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from quatprop.check.judge import Judged
+    from quatprop.check.judge import Judgement
 
 
 class Proposal(NamedTuple):
@@ -45,7 +45,7 @@ def refuse_target(case: Case, pin: Pin | None, folder: Path) -> None:
 
 
 def propose(
-    case: Case, pin: Pin | None, judged: Judged, folder: Path, deleted: Mapping[str, Pin]
+    case: Case, pin: Pin | None, judged: Judgement, folder: Path, deleted: Mapping[str, Pin]
 ) -> Proposal:
     """Return what an update of a case that was judged would do.
 
@@ -98,7 +98,7 @@ def put_in_place(case: Case, proposal: Proposal) -> None:
             stream.write(proposal.reference.read_bytes())
 
 
-def _rerun(case: Case, judged: Judged, folder: Path) -> tuple[CaseRun, int | None]:
+def _rerun(case: Case, judged: Judgement, folder: Path) -> tuple[CaseRun, int | None]:
     """Return the run of a case with at most as many attitudes as a reference has, and N."""
     if chooses_rows(case):
         return judged.run, None
@@ -108,7 +108,7 @@ def _rerun(case: Case, judged: Judged, folder: Path) -> tuple[CaseRun, int | Non
     return (judged.run if as_judged else propagate_case(case, every, folder)), every
 
 
-def _of_reference(case: Case, pin: Pin | None, judged: Judged, found: Pin) -> Iterator[str]:
+def _of_reference(case: Case, pin: Pin | None, judged: Judgement, found: Pin) -> Iterator[str]:
     """Yield how a new reference differs from the one that is there, or was."""
     path, new = str(case.reference), str(found.reference)
     if not Path(path).exists():

@@ -130,10 +130,8 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
         click.echo(json.dumps(json_report(loaded, results, passed=not code), indent=2))
     elif options["init"]:
         report_new(loaded, results)
-    if updating and deleted and not options["dry_run"]:
-        report_deleted(all_cases, deleted)
-    if options["dry_run"]:
-        click.echo("nothing was written, because of --dry-run", err=True)
+    if updating:
+        report_deleted(all_cases, deleted, written=not options["dry_run"])
     return code
 
 
@@ -142,9 +140,7 @@ def _refuse_contradictions(logs: Sequence[str], options: Mapping[str, Any]) -> N
     if options["init"] != bool(logs):
         raise click.UsageError("--init needs a LOG for each case, and nothing else takes one")
     if options["reference_log"] and not options["init"]:
-        raise click.UsageError(
-            "--reference-log goes with --init; in a suite, it is a key of a case"
-        )
+        raise click.UsageError("--reference-log goes with --init; in a suite, it is a key")
     updating = options["update"] or options["init"]
     for name in ("dry_run", "interactive", "force"):
         if options[name] and not (options["update"] or (updating and name == "force")):

@@ -105,11 +105,17 @@ def _confirmed(width: int, result: CaseResult) -> bool:
         return False
 
 
-def report_deleted(cases: Sequence[Case | CaseNotRun], deleted: Mapping[str, Pin]) -> None:
-    """Name the cases that were removed from the lock, and their references."""
+def report_deleted(
+    cases: Sequence[Case | CaseNotRun], deleted: Mapping[str, Pin], *, written: bool
+) -> None:
+    """Name the cases that an update removes from the lock, and their references."""
     from quatprop.check.reference import orphaned_references
 
-    click.echo(f"removed from the lock: {listed(deleted)}", err=True)
+    if deleted:
+        click.echo(f"removed from the lock: {listed(deleted)}", err=True)
+    if not written:
+        click.echo("nothing was written, because of --dry-run", err=True)
+        return
     for path in orphaned_references(cases, deleted.values()):
         click.echo(f"no longer used, to be removed: {plain(path)}", err=True)
 

@@ -60,7 +60,7 @@ class Criterion(NamedTuple):
 
 
 class Coverage(NamedTuple):
-    """How much of the reference, B, was compared, in percent.
+    """How much of the reference, B, and of A was compared, in percent.
 
     `time`: of its time span without its own gaps: the time between neighbouring pairs, without gaps
     `samples`: of its samples; None where they were interpolated, and so have no partners of their
@@ -166,7 +166,7 @@ class Comparison:
     sigmas
         The errors in standard deviations; None where neither series has any.
     coverage
-        How much of B was compared.
+        How much of B was compared, and of the time of A.
     left_out
         Attitudes of A and B that were left out, since another one has the same stamp.
     tolerance_rad

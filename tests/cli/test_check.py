@@ -286,6 +286,15 @@ def test_a_file_that_is_not_what_it_was_is_an_error(ci, case, file, how, reason)
     assert how != "pointer" or path.read_bytes() == POINTER
 
 
+def test_a_pinned_reference_that_cannot_be_read_is_an_error(ci):
+    """Where there is nothing to compare with, nothing passes."""
+    (ci / "refs/spin.parquet").write_bytes(b"PAR1 and no more")
+    pin(ci, "spin", reference=sha256_of(str(ci / "refs/spin.parquet")))
+    code, case = judged(ci, "spin")
+    assert (code, case["verdict"]) == (2, "error")
+    assert "refs/spin.parquet: " in case["said"]
+
+
 @pytest.mark.parametrize(
     ("name", "old", "new", "words"),
     [
