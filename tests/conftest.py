@@ -1,5 +1,6 @@
 """What the tests share: where the real recordings are, and that they are what they were."""
 
+import gc
 import json
 import os
 import sys
@@ -25,10 +26,15 @@ for name in ("CI", "GITHUB_STEP_SUMMARY", "GITHUB_ACTIONS", "PYTHONDONTWRITEBYTE
 sys.dont_write_bytecode = False
 
 # How long an example takes depends on what else the machine does. Each change is judged by the
-# same examples; `make fuzz` draws new ones.
+# same examples; `make fuzz` draws new ones, and more of them.
 hypothesis.settings.register_profile("fuzz", deadline=None)
-hypothesis.settings.register_profile("tests", deadline=None, derandomize=True)
+hypothesis.settings.register_profile("tests", deadline=None, derandomize=True, max_examples=50)
 hypothesis.settings.load_profile("tests")
+
+
+def pytest_collection_finish():
+    """Let garbage collections pass over what stays: modules, and thousands of tests."""
+    gc.freeze()
 
 
 class SpelledRunner(click.testing.CliRunner):

@@ -122,9 +122,13 @@ class Document:
 
     def _command(self, command):
         words, _, grep = re.sub(r" +# exit code \d$", "", command).partition(" | grep ")
-        if words.startswith("quatprop ") and " > " not in words:
+        words, _, target = words.partition(" > ")
+        if words.startswith("quatprop "):
             # No process of its own: it is faster.
             result = run(*shlex.split(words.removesuffix(" 2>&1"), comments=True)[1:])
+            if target:
+                Path(target).write_text(result.stdout)
+                return result.exit_code, result.stderr
             lines = (result.stdout + result.stderr).splitlines()
             return result.exit_code, "\n".join(line for line in lines if grep in line)
         folders = (self.folder / ".bin", Path(sys.executable).parent, os.environ["PATH"])
