@@ -57,7 +57,7 @@ OPTIONS = {
     "--junit": Keyword(PATH, "Also write the results as JUnit XML.", takes="FILE"),
     **JSON,
     "-q --quiet": Keyword(flag, "Only failures and the totals."),
-    "-v --verbose": Keyword(flag, "A line for every case that passes."),
+    "-v --verbose": Keyword(flag, "A line for every case that passes, and all remarks on logs."),
 }  # fmt: skip
 
 

@@ -61,7 +61,7 @@ def run_and_show(
         ]
         _report_to_ci(suite, [*results, *undone], options)
     if not options["as_json"]:
-        click.echo("\n".join([*note_lines(results), totals(results)]))
+        click.echo("\n".join([*note_lines(results, remarks=options["verbose"]), totals(results)]))
     return results
 
 
