@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
     from quatprop.comparison.result import Comparison, Criterion
     from quatprop.pipeline.report import RunReport
     from quatprop.series import AttitudeSeries
+
+MEASURE = ComparisonSettings(tol=math.inf, min_coverage=0.0)
+"""Measures and accepts everything: no causes are looked for."""
 
 ALL = 99.9999
 """Percentage of a reference that is all of it, but for rounding."""
@@ -177,7 +181,7 @@ def _no_overlap(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> str:
 def distance_text(a: AttitudeSeries, b: AttitudeSeries) -> str:
     """Return how far attitudes are from others, in degrees, nothing aligned; or why unknown."""
     try:
-        result = compare(a, b, ComparisonSettings())
+        result = compare(a, b, MEASURE)
     except ComparisonError as error:
         named = with_names(str(error), a="the new attitudes", b="the old reference")
         return f"not comparable with the old reference: {named}"

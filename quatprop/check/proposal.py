@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from quatprop.check.case_run import MEASURE
 from quatprop.comparison.compare import compare
-from quatprop.comparison.settings import ComparisonSettings
 from quatprop.errors import ComparisonError
 from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
 from quatprop.pipeline.job import Job, run
@@ -45,7 +46,7 @@ def propose_limits(log: str, reference: str) -> Iterator[str]:
     align, why = _alignment(a, b)
     yield f'align = "{align}"  # {why}'
     window_ns = min(WINDOW_NS, max(1, int(a.t_ns.max() - a.t_ns.min()) // PARTS))
-    result = compare(a, b, ComparisonSettings(align=align, window=window_ns))
+    result = compare(a, b, replace(MEASURE, align=align, window=window_ns))
     window, covered = duration_text(window_ns).replace(" ", ""), result.coverage
     for key, error, reason in (
         ("tol", result.error_rad.max, "the worst error, with all drift"),
@@ -72,10 +73,10 @@ def _alignment(a: AttitudeSeries, b: AttitudeSeries) -> tuple[str, str]:
     """Return the alignment that takes out a turn of frames, not an error, and why."""
     # A body that turns about one axis only shows nothing of how it is mounted.
     with suppress(ComparisonError):
-        turn = compare(a, b, ComparisonSettings(align="mount")).alignment.mount_rad
+        turn = compare(a, b, replace(MEASURE, align="mount")).alignment.mount_rad
         if turn > LEAST_TURN:
             return "mount", f"the body frames are {math.degrees(turn):.3g} deg apart"
-    turn = compare(a, b, ComparisonSettings(align="mean")).alignment.reference_rad
+    turn = compare(a, b, replace(MEASURE, align="mean")).alignment.reference_rad
     if turn > LEAST_TURN:
         return "mean", f"the reference frames are {math.degrees(turn):.3g} deg apart"
     return "none", "both are relative to the same frames"
