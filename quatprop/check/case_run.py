@@ -118,31 +118,26 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
     failures, first = [], result.first_exceeding
     if first is not None:
         failures.append(f"above the tolerance, first at {since(first.t_ns)} ({first.t_ns} ns)")
-    failures += [
-        named(criterion_text(one, result))
-        for one in result.criteria
-        if not one.passed and (one.setting, one.unit) != ("tol", "rad")
-    ]
+    limits, worst, left, others = [], [case.angle_text(result.worst.error_rad)], "", []
+    for one in result.criteria:
+        limits.append(limit := _limit(case, one))
+        if (one.setting, one.unit) == ("tol", "rad"):
+            # The summary begins with the worst error; where it is above, was said.
+            worst.append(limit.limit)
+            left = f", {limit.left}" if limit.left else ""
+            continue
+        others.append(str(limit))
+        if not one.passed:
+            failures.append(named(criterion_text(one, result)))
     cause = result.likely_cause
     causes = [one for one in (cause, cause and cause.also) if one and not one.explains_little]
-    limits = tuple(_limit(case, one) for one in result.criteria)
-    worst = [case.angle_text(result.worst.error_rad)]
-    worst += [limit.limit for limit, one in zip(limits, result.criteria, strict=True) if _tol(one)]
-    left = [limit.left for limit, one in zip(limits, result.criteria, strict=True) if _tol(one)]
-    others = [str(x) for x, one in zip(limits, result.criteria, strict=True) if not _tol(one)]
-    where = f"{' of '.join(worst)} at {since(result.worst.t_ns)}"
     return CaseComparison(
         result,
-        summary="; ".join([", ".join(filter(None, [where, *left])), *others]),
-        limits=limits,
+        summary="; ".join([f"{' of '.join(worst)} at {since(result.worst.t_ns)}{left}", *others]),
+        limits=tuple(limits),
         failure="; ".join(failures),
         cause="; ".join(f"{named(one.sentence)} ({one.name})" for one in causes),
     )
-
-
-def _tol(criterion: Criterion) -> bool:
-    """Return whether a criterion limits the worst error, rad, with which a summary begins."""
-    return (criterion.setting, criterion.unit) == ("tol", "rad")
 
 
 def _limit(case: Case, one: Criterion) -> Limit:
