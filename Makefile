@@ -71,6 +71,7 @@ fuzz: $(READY)
 	cd tests && ../$(BIN)/python -m fuzz.flips
 	cd tests && ../$(BIN)/python -m fuzz.command_lines
 	cd tests && ../$(BIN)/python -m fuzz.regressions
+	cd tests && ../$(BIN)/python -m fuzz.remarks
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.settings import ComparisonSettings
     from quatprop.logs.attitude_input import AttitudeInput
     from quatprop.pipeline.settings import PropagationSettings
+    from quatprop.text import Remark
 
 Verdict = Literal["pass", "fail", "error", "skip", "xfail", "xpass", "deleted"]
 
@@ -114,7 +115,7 @@ class CaseResult(NamedTuple):
     error_rad: float | None = None
     limits: tuple[Limit, ...] = ()
     notes: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
     unpinned: tuple[str, ...] = ()
     changes: tuple[str, ...] = ()
     updated: str | None = None

@@ -20,7 +20,7 @@ from quatprop.text import Setting, plain, quoted, spelled
 from quatprop.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from quatprop.arrays import Float64
     from quatprop.check.case import Case
@@ -134,7 +134,7 @@ def make_pin(
     run: CaseRun,
     comparison: CaseComparison | None,
     hashes: Mapping[str, str],
-    remarks: Mapping[str, str],
+    remarks: Iterable[str],
 ) -> Pin:
     """Return what to pin of a case, but for its stored reference."""
     result = run.report.result

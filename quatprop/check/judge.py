@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from quatprop.check.lock import Pin
     from quatprop.logs.attitude_input import LoadedAttitudes
+    from quatprop.text import Remark
 
 
 class Judgement(NamedTuple):
@@ -35,7 +36,7 @@ class Judgement(NamedTuple):
 
     `reference`, `comparison`: None where there is nothing to compare with
     `found`: what an update would pin, but for the stored reference
-    `remarks`: what was remarked on the log and the reference: code -> sentence
+    `remarks`: what was remarked on the log and the reference, by its code
     """
 
     result: CaseResult
@@ -43,7 +44,7 @@ class Judgement(NamedTuple):
     reference: LoadedAttitudes | None
     comparison: CaseComparison | None
     found: Pin
-    remarks: dict[str, str]
+    remarks: dict[str, Remark]
 
 
 def judge(case: Case, pin: Pin | None, folder: Path) -> Judgement:
@@ -68,7 +69,7 @@ def judge(case: Case, pin: Pin | None, folder: Path) -> Judgement:
     if reference is not None:
         comparison = compare_case(case, run.series, reference.series)
     remarks = remarks_of(case, run, reference, comparison)
-    notes = [*loss_notes(case, run, reference).values()]
+    notes: list[str] = [*loss_notes(case, run, reference)]
     if pin is not None and pin.quatprop != __version__:
         notes.insert(0, f"the reference was made by quatprop {pin.quatprop}, this is {__version__}")
     unpinned = [code for code in remarks if pin and code not in pin.remarks]

@@ -55,7 +55,7 @@ def propose(
     `folder`: takes the new reference until it is accepted
     `deleted`: pins of cases that the suite has no more: a new case may be one of them, renamed
     """
-    lasting = tuple(loss_notes(case, judged.run, judged.reference).values())
+    lasting = tuple(loss_notes(case, judged.run, judged.reference))
     remarks = tuple(
         f"remark: {text}"
         for code, text in judged.remarks.items()

@@ -15,7 +15,7 @@ from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import conjugate, log, multiply, shorter
 from quatprop.provenance import as_json
 from quatprop.rendering import degrees_text
-from quatprop.text import Setting
+from quatprop.text import Remark, Setting
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -204,7 +204,7 @@ class Comparison:
     passed: bool | None = None
     first_exceeding: ComparedSample | None
     likely_cause: Cause | None = None
-    remarks: tuple[str, ...]
+    remarks: tuple[Remark, ...]
 
     def __repr__(self) -> str:
         largest, rms = degrees_text(self.error_rad.max), degrees_text(self.error_rad.rms)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from quatprop.logs.signals.signal import AttitudeSignal
     from quatprop.pipeline.settings import OutputSettings
     from quatprop.tables.log import Loss
+    from quatprop.text import Remark
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +96,7 @@ class ConversionReport:
     columns: tuple[str, ...]
     counts: QuaternionCounts
     losses: tuple[Loss, ...]
-    remarks: tuple[str, ...]
+    remarks: tuple[Remark, ...]
 
     def __repr__(self) -> str:
         path = self.job.output.path

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from quatprop.conditioning import GyroCorrectionReport
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.tables.log import Log, Loss
+    from quatprop.text import Remark
     from quatprop.timeline.counts import Counts, Policy
 
 CONVENTION = {
@@ -162,7 +163,7 @@ class RunReport:
     policy: Policy
     counts: Counts
     losses: tuple[Loss, ...]
-    remarks: tuple[str, ...]
+    remarks: tuple[Remark, ...]
     conditioning: GyroCorrectionReport
     uncertainty: UncertaintyReport | None
     result: ResultReport

@@ -15,7 +15,7 @@ from fractions import Fraction
 from operator import index
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, TypeGuard
+from typing import Any, TypeAlias, TypeGuard
 
 from quatprop.errors import UsageError
 from quatprop.text import did_you_mean, listed, shown
@@ -49,24 +49,6 @@ class InMemory:
     def __str__(self) -> str:
         """Return it as it is recorded."""
         return "in memory"
-
-
-class StaticBias(NamedTuple):
-    """Take the mean rate at rest as the bias.
-
-    `window_ns`: rest is looked for in windows of this length, ns
-    `start`, `end`: where the rest is, ends included; None: it is looked for
-    """
-
-    window_ns: int = 1_000_000_000
-    start: Instant | None = None
-    end: Instant | None = None
-
-    def __str__(self) -> str:
-        """Return it as :func:`bias` reads it."""
-        if self.start is not None:
-            return f"{STATIC}@{self.start}..{self.end}"
-        return f"{STATIC}:{self.window_ns}ns"
 
 
 def text(value: object) -> str:
@@ -122,7 +104,7 @@ def column_list(names: str) -> Callable[[object], tuple[str, ...]]:
     counts = range(names.partition("[")[0].count(",") + 1, names.count(",") + 2)
 
     def parse_columns(value: object) -> tuple[str, ...]:
-        parts = tuple(str(part).strip() for part in _parts(value))
+        parts = tuple(str(part).strip() for part in parts_of(value))
         if len(parts) not in counts or not all(parts):
             number = " or ".join(map(str, counts))
             raise UsageError(f"{shown(value)} does not name {number} columns {names}")
@@ -135,7 +117,7 @@ def column_list(names: str) -> Callable[[object], tuple[str, ...]]:
 
 def place(value: object) -> tuple[float, ...]:
     """Return a latitude, and the azimuth of the reference's x axis where it is given, deg."""
-    names = "LAT,AZIMUTH" if len(_parts(value)) > 1 else "LAT"
+    names = "LAT,AZIMUTH" if len(parts_of(value)) > 1 else "LAT"
     numbers = number_list(names)(value)
     if abs(numbers[0]) > 90:  # noqa: PLR2004  # the poles
         raise UsageError(f"{shown(value)} is no latitude: it is from -90 to 90 deg, north positive")
@@ -148,7 +130,7 @@ def number_list(names: str) -> Callable[[object], tuple[float, ...]]:
 
     def parse_numbers(value: object) -> tuple[float, ...]:
         try:
-            parts = tuple(float(str(part)) for part in _parts(value))
+            parts = tuple(float(str(part)) for part in parts_of(value))
         except ValueError:
             parts = ()
         if len(parts) != count or not all(map(math.isfinite, parts)):
@@ -256,11 +238,11 @@ def initial_attitude(value: object) -> tuple[float, ...] | str | InMemory:
     if hasattr(value, "t_ns"):
         return InMemory(value)
     if (as_quat := getattr(value, "as_quat", None)) is not None:
-        x, y, z, w = _parts(as_quat())
+        x, y, z, w = parts_of(as_quat())
         value = (w, x, y, z)
     if isinstance(value, str) and value in FROM_THE_LOG:
         return value
-    if not _is_name(value):
+    if not is_name(value):
         return number_list("W,X,Y,Z")(value)
     may_be_a_topic = isinstance(value, str) and "." not in Path(value).name
     if not may_be_a_topic and not Path(value).exists():
@@ -271,29 +253,6 @@ def initial_attitude(value: object) -> tuple[float, ...] | str | InMemory:
     return path(value)
 
 
-def bias(value: object) -> tuple[float, ...] | StaticBias | InMemory | str:
-    """Return three rates, rest, or a series of biases: a path, a topic or a series in memory."""
-    if hasattr(value, "t_ns"):
-        return InMemory(value)
-    if isinstance(value, StaticBias):
-        return value
-    if isinstance(value, str) and value.partition(":")[0].strip() == STATIC:
-        window = value.partition(":")[2]
-        return StaticBias(duration_ns(window)) if window else StaticBias()
-    if isinstance(value, str) and value.partition("@")[0].strip() == STATIC:
-        start, dots, end = value.partition("@")[2].partition("..")
-        if not (start.strip() and dots and end.strip()):
-            raise UsageError(f"{shown(value)} is no time range; write static@+10s..+20s")
-        return StaticBias(start=moment(start.strip()), end=moment(end.strip()))
-    # With commas, it may be an attempt at numbers.
-    if _is_name(value) and ("," not in str(value) or Path(value).exists()):
-        return path(value)
-    try:
-        return number_list("X,Y,Z")(value)
-    except UsageError as error:
-        raise UsageError(f"{error.text}, nor static[:DUR]") from None
-
-
 def mounting(value: object) -> str:
     """Return axes, a name or a quaternion as text, for the conditioning to read.
 
@@ -302,13 +261,13 @@ def mounting(value: object) -> str:
     if isinstance(value, str):
         return value
     as_matrix = getattr(value, "as_matrix", None)
-    parts = _parts(value if as_matrix is None else as_matrix())
+    parts = parts_of(value if as_matrix is None else as_matrix())
     # The rows of a matrix one after the other.
-    rows = [_parts(part) if not isinstance(part, str) else [part] for part in parts]
+    rows = [parts_of(part) if not isinstance(part, str) else [part] for part in parts]
     return ",".join(str(part) for row in rows for part in row)
 
 
-def _parts(value: object) -> list[object]:
+def parts_of(value: object) -> list[object]:
     """Return the parts of text with commas, of a list, or of an array."""
     if isinstance(value, str):
         return list(value.split(","))
@@ -328,7 +287,7 @@ def _whole(value: object) -> int | None:
         return None
 
 
-def _is_name(value: object) -> TypeGuard[str | PathLike[str]]:
+def is_name(value: object) -> TypeGuard[str | PathLike[str]]:
     """Tell whether a value may be a file or a topic: text that is not numbers."""
     if not isinstance(value, str) or not value:
         return isinstance(value, PathLike)

@@ -198,7 +198,7 @@ EVERY_LOG = {
     "--heading": "90", "--reference-z": "down", "--q0-layout": "xyzw", "--bias": "1,2,3",
     "--calibration": __file__, "--imu": __file__, "--sigma": None, "--sigma-axes": "reference",
     "--noise-density": "0.2deg/sqrt(h)", "--bias-sigma": "20deg/h", "--scale-sigma": "1000ppm",
-    "--random-walk": "1e-5rad/s/sqrt(s)",
+    "--random-walk": "1e-5rad/s/sqrt(s)", "--misalignment-sigma": "5mrad", "--q0-sigma": "1deg",
     "--mount": "x,-y,-z", "--start": "+1s", "--end": "-1s", "--on-backwards": "drop",
     "--on-nonfinite": "hold", "--max-gap": "2s", "--on-gap": "zero", "--regular-time": None,
     "--every": "3", "--rate": "50", "--at": __file__, "--from": "csv", "--topic": "/imu",

@@ -112,7 +112,7 @@ def test_a_case_can_be_explained(folder):
     assert (stamps.strip(), samples.strip()) == ("equal timestamps", "1000 samples")
     assert last == f"  lock       by quatprop {__version__}, one of every 2 attitudes"
     assert "coning.truth.csv, an independent series" in coning
-    assert remark.startswith("  remark     every rate is ")
+    assert remark == "  remark     frozen"
     assert "tol 0.1deg: 0.0718199 deg when it was pinned, 28 % left" in coning
 
 
