@@ -151,12 +151,12 @@ class CaseItem(pytest.Item):
     def runtest(self) -> None:
         """Judge the case; whether it may fail is left to pytest."""
         from quatprop.check.case import Case
-        from quatprop.check.runner import RunOptions, run_case
+        from quatprop.check.runner import CheckOptions, run_case
 
         case = self.case._replace(xfail="") if isinstance(self.case, Case) else self.case
         artifacts = self.config.getoption(ARTIFACTS)
         strict = self.config.getoption(STRICT)
-        options = RunOptions(artifacts=artifacts and Path(artifacts), strict=strict)
+        options = CheckOptions(artifacts=artifacts and Path(artifacts), strict=strict)
         result = run_case((case, self.pin), options)
         if result.verdict in {"skip", "deleted"}:
             pytest.skip(result.reason)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     PinnedCase = tuple[Case | CaseNotRun, Pin | None]
 
 
-class RunOptions(NamedTuple):
+class CheckOptions(NamedTuple):
     """How cases are run.
 
     `suite`: update: the suite whose references and lock are written; None judges
@@ -47,11 +47,11 @@ class RunOptions(NamedTuple):
     strict: bool = False
 
 
-JUDGE = RunOptions()
+JUDGE = CheckOptions()
 
 
 @spelling(in_keys)
-def run_case(pinned: PinnedCase, options: RunOptions = JUDGE) -> CaseResult:
+def run_case(pinned: PinnedCase, options: CheckOptions = JUDGE) -> CaseResult:
     """Judge or update a case; an error becomes its result."""
     case, pin = pinned
     began = time.perf_counter()
@@ -69,7 +69,7 @@ def run_case(pinned: PinnedCase, options: RunOptions = JUDGE) -> CaseResult:
     return result._replace(seconds=time.perf_counter() - began, line=case.line)
 
 
-def _run(case: Case, pin: Pin | None, options: RunOptions, scratch: Path) -> CaseResult:
+def _run(case: Case, pin: Pin | None, options: CheckOptions, scratch: Path) -> CaseResult:
     # An update would make a known failure pass.
     suite = None if case.xfail and pin else options.suite
     if suite is not None:
@@ -86,7 +86,7 @@ def _run(case: Case, pin: Pin | None, options: RunOptions, scratch: Path) -> Cas
 
 
 def _updated(
-    case: Case, pin: Pin | None, judged: Judgement, options: RunOptions, scratch: Path
+    case: Case, pin: Pin | None, judged: Judgement, options: CheckOptions, scratch: Path
 ) -> CaseResult:
     """Update a case, unless the change is not accepted."""
     proposal = propose(case, pin, judged, scratch, options.deleted)
@@ -119,7 +119,7 @@ def _strictly(result: CaseResult) -> CaseResult:
     return result
 
 
-def _with_evidence(case: Case, judged: Judgement, options: RunOptions) -> CaseResult:
+def _with_evidence(case: Case, judged: Judgement, options: CheckOptions) -> CaseResult:
     """Keep the evidence of a failure; say where it is, or why it is not there."""
     from quatprop.check.artifacts import write_artifacts  # matplotlib, for failures only
 
@@ -135,7 +135,7 @@ def _with_evidence(case: Case, judged: Judgement, options: RunOptions) -> CaseRe
 def run_cases(
     cases: Sequence[Case | CaseNotRun],
     pins: Mapping[str, Pin],
-    options: RunOptions = JUDGE,
+    options: CheckOptions = JUDGE,
     processes: int = 1,
 ) -> Generator[CaseResult]:
     """Yield the result of each case, in their order, as soon as those before are done.

@@ -35,11 +35,11 @@ def run_and_show(
     """Run cases, show their results, failures last, and return them."""
     from quatprop.check.case import CaseResult
     from quatprop.check.reports import note_lines, totals
-    from quatprop.check.runner import RunOptions, run_cases
+    from quatprop.check.runner import CheckOptions, run_cases
 
     updating = options["update"] or options["init"]
     width = max(len(plain(case.name)) for case in cases)
-    run_options = RunOptions(
+    run_options = CheckOptions(
         suite=suite if updating else None,
         deleted=deleted,
         dry_run=options["dry_run"],

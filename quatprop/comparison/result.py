@@ -78,7 +78,7 @@ class Coverage(NamedTuple):
         return self.time if self.samples is None else min(self.time, self.samples)
 
 
-USUAL_COVERAGE = 50.0
+USUAL_COVERAGE = 25.0
 """Percentage of either series that must be compared where an error is limited and nothing says how
 much: a limit that most of a log was never held against says little."""
 

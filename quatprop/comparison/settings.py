@@ -221,7 +221,7 @@ class CompareOptions(TypedDict, total=False):
         f"{Setting('align', 'none|first')}.", takes="DRIFT", group="Limits")]
     min_coverage: Annotated[float | None, Keyword(
         _percentage, "Least part of {log}, of its time and of its samples, that must be compared.",
-        "50 of the time of either series where an error is limited", "PERCENT", "Limits")]
+        "25 of the time of either series where an error is limited", "PERCENT", "Limits")]
     max_sigma: Annotated[float | None, Keyword(
         _sigmas, "Largest error that passes, in standard deviations (Mahalanobis distance), beside "
         "one in rad or deg.", takes="N", group="Limits")]

@@ -11,7 +11,7 @@ from make.suites import TRUTH, check, lock_of, pinned, stored, write_suite
 
 from quatprop.check.cases import load_cases
 from quatprop.check.lock import merge_into_lock, read_lock
-from quatprop.check.runner import RunOptions, run_cases
+from quatprop.check.runner import CheckOptions, run_cases
 
 MOUNTED = 'mount = "x,-y,-z"'
 
@@ -266,7 +266,7 @@ def test_two_updates_at_once_lose_nothing(folder):
     """The one that ended last wrote the lock as it was when it began."""
     suite = write_suite(folder, stored("a") + stored("b"))
     loaded, (a, _) = load_cases(suite)
-    running = run_cases([a], {}, RunOptions(suite=loaded))
+    running = run_cases([a], {}, CheckOptions(suite=loaded))
     next(running)
     assert check(suite, "--update", "-k", "b").exit_code == 0
     list(running)
