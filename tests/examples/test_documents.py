@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from make.commands import run
 from make.documents import GUIDES, ROOT, Document
 from make.places import SHARED_LOGS
 from make.reading import found_in, mark, stamps
