@@ -152,9 +152,14 @@ def _json():
             says = described.get(key, "")
             if parts and list(described.values()).count(says) != 1:
                 says = inspect.getdoc(parts[0]).split("\n")[0]
-            rows.append((f"`{key}`", f"`{hint}`", says))
+            rows.append((f"`{key}`", f"`{_plain(hint)}`", says))
         yield f"### {one.__name__}\n"
         yield _table(("key", "type", "meaning"), rows)
+
+
+def _plain(hint):
+    """Return a type as JSON has it: arrays are lists, remarks texts."""
+    return re.sub(r"NDArray\[np\.(\w+)64\]|Float64", "list[float]", hint).replace("Remark", "str")
 
 
 def _is_part(word):
