@@ -159,7 +159,8 @@ def _json():
 
 def _plain(hint):
     """Return a type as JSON has it: arrays are lists, remarks texts."""
-    return re.sub(r"NDArray\[np\.(\w+)64\]|Float64", "list[float]", hint).replace("Remark", "str")
+    hint = re.sub(r"NDArray\[np\.float64\]|Float64", "list[float]", hint)
+    return hint.replace("Int64", "list[int]").replace("Remark", "str")
 
 
 def _is_part(word):
