@@ -19,7 +19,7 @@ from quatprop.text import in_python
 
 if TYPE_CHECKING:
     from quatprop.api.reading import StrPath
-    from quatprop.comparison.hypotheses import Cause
+    from quatprop.comparison.cause import Cause
     from quatprop.comparison.result import Comparison
     from quatprop.conversion.job import ConversionReport
 
@@ -206,7 +206,7 @@ def _in_python(cause: Cause | None) -> Cause | None:
         return None
     return cause._replace(
         sentence=in_python(cause.sentence),
-        remedy=cause.remedy and in_python(cause.remedy),
+        remedy=in_python(cause.remedy),
         also=_in_python(cause.also),
     )
 

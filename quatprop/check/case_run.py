@@ -91,7 +91,7 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
         if not one.passed and (one.setting, one.unit) != ("tol", "rad")
     ]
     cause = result.likely_cause
-    causes = [one for one in (cause, cause and cause.also) if one and not one.explains_little]
+    causes = filter(None, (cause, cause and cause.also))
     sizes = filter(math.isfinite, (result.worst.error_rad, case.comparison.limit_rad))
     where, also = f"at {since(result.worst.t_ns)}", "".join(map(_also, result.criteria))
     return CaseComparison(

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.association import Matching, Pairs
     from quatprop.comparison.clocks import ClockOffset
     from quatprop.comparison.heading import ErrorParts
-    from quatprop.comparison.hypotheses import Cause
+    from quatprop.comparison.cause import Cause
     from quatprop.comparison.statistics import ErrorStatistics, SigmaStatistics, WindowStatistics
 
 
@@ -165,9 +165,8 @@ class Comparison:
     first_exceeding
         The first pair with an error above the tolerance.
     likely_cause
-        What explains the error, where something does and a criterion failed or none was given; or
-        a mistake that was found and explains little of it
-        (:attr:`~quatprop.comparison.hypotheses.Cause.explains_little`).
+        What explains most of the error, where something does and a criterion failed or none was
+        given.
     remarks
         What else a reader should know.
     """
