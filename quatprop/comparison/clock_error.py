@@ -68,24 +68,34 @@ class ClockError(NamedTuple):
 
 
 def clock_errors(
-    a: AttitudeSeries, b: AttitudeSeries, offset_ns: int
+    a: AttitudeSeries, b: AttitudeSeries, offset_ns: int, *, turned: bool = True
 ) -> tuple[ClockError, ClockError, int] | None:
     """Return what is left of an offset, constant and changing steadily, if windows show any.
 
     It is estimated from windows of the length that shows it best. The last value is when the times
     of the second begin, ns.
+
+    `turned`: whether the bodies may be turned against each other
     """
     a, b = common_beginning(a, shifted(b, offset_ns))
     first_ns = min(int(a.t_ns[0]), int(b.t_ns[0]))
     of_a, of_b = body_angle(a, first_ns), body_angle(b, first_ns)
     found = [
-        (*_turn_and_offset(of_a, of_b, starts, length), starts, length)
+        (
+            *(
+                _turn_and_offset(of_a, of_b, starts, length)
+                if turned
+                else (clock_error(of_a, of_b, starts, length), of_b)
+            ),
+            starts,
+            length,
+        )
         for length, starts in window_grids(of_a.seconds, of_b.seconds)
     ]
     if not found:
         return None
-    clock, turned, starts, length = min(found, key=lambda one: one[0].white_std)
-    changing = clock_error(of_a, turned, starts, length, clock.seconds, drifts=True)
+    clock, of_b, starts, length = min(found, key=lambda one: one[0].white_std)
+    changing = clock_error(of_a, of_b, starts, length, clock.seconds, drifts=True)
     return clock, changing, first_ns
 
 
@@ -105,7 +115,7 @@ def _turn_and_offset(
     return found, turned
 
 
-def clock_error(
+def clock_error(  # noqa: PLR0913  # two angles, and windows of them
     a: BodyAngle,
     b: BodyAngle,
     starts: Float64,

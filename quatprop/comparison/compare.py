@@ -11,8 +11,8 @@ import numpy as np
 from quatprop.comparison.accumulator import CoveredTime, ErrorAccumulator
 from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, Pairs, associate, shifted
-from quatprop.comparison.clocks import find_offset
 from quatprop.comparison.cause import NO_ERROR
+from quatprop.comparison.clocks import find_offset
 from quatprop.comparison.diagnosis import likely_cause
 from quatprop.comparison.heading import error_parts
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judge
@@ -149,9 +149,7 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
     )
     criteria = tuple(judge(settings, comparison))
     passed = all(criterion.passed for criterion in criteria) if criteria else None
-    cause = None if passed else likely_cause(
-        a, b, settings, rising, time_offset.added_to_b_ns
-    )
+    cause = None if passed else likely_cause(a, b, settings, rising, time_offset.added_to_b_ns)
     return replace(comparison, criteria=criteria, passed=passed, likely_cause=cause)
 
 

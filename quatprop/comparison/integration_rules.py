@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from itertools import permutations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.comparison.alignment import align
 from quatprop.comparison.association import interval_ns
-from quatprop.comparison.undoings import Sides, Undoing, recomposed
+from quatprop.comparison.cause import NO_ERROR
+from quatprop.comparison.undoing import Sides, Undoing, recomposed
 from quatprop.kinematics.increments import rotation_vectors
+from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.rates import rotation_vectors_between
+from quatprop.series.blocks import rms
+from quatprop.settings import METHODS
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S, duration_text
 
@@ -32,11 +38,31 @@ SAME = 1e-6
 """rad: the rates must lead back to A."""
 
 
-def integration_rules(likely: Sequence[tuple[str, str]], a: AttitudeSeries) -> Undoing:
-    """Return pairs of rules that explain an error about as well, the best first, as a mistake.
+SCREENED = 1_500
+"""Samples from which the rules are told: those with the most motion."""
 
-    An interval later, or half of one, is what several of them differ by.
-    """
+AS_GOOD = 2.0
+"""Pairs of rules that leave less than this much more than the best explain the error as well: what
+several of them differ by is an interval, or half of one."""
+
+
+def integration_rules(sides: Sides) -> Undoing | None:
+    """Return the pairs of rules that explain most of an error, if any can."""
+    turns = geodesic_angle(sides.a.wxyz[:-1], sides.a.wxyz[1:])
+    sums = np.add.reduceat(turns, np.arange(0, len(turns), SCREENED))
+    begin = int(np.argmax(sums)) * SCREENED
+    a, b = (series[begin : begin + SCREENED] for series in sides)
+    tried = {}
+    for rules in permutations(METHODS, 2):
+        if (changed := by_other_rule(a, *rules)) is not None:
+            aligned = align("mean", changed.wxyz, b.wxyz).apply(b.wxyz)
+            tried[rules] = rms(geodesic_angle(changed.wxyz, aligned))
+    most = AS_GOOD * min(tried.values(), default=0.0) + NO_ERROR
+    likely = sorted((left, rules) for rules, left in tried.items() if left <= most)
+    return _described([rules for _, rules in likely], a) if likely else None
+
+
+def _described(likely: Sequence[tuple[str, str]], a: AttitudeSeries) -> Undoing:
     known, other = likely[0]
     sentence = f"the same rates lead to A with method {known}, and to B with method {other}"
     if {known, other} == {"start", "end"}:
@@ -67,7 +93,8 @@ def by_other_rule(a: AttitudeSeries, known: str, other: str) -> AttitudeSeries |
     back = rotation_vectors(a.t_ns, rate, known)
     if not (rough <= ROUGH * smooth and np.abs(back - steps).max() <= SAME):
         return None
-    return recomposed(a, np.asarray(rotation_vectors(a.t_ns, rate, other)))
+    steps = np.asarray(rotation_vectors(a.t_ns, rate, other))
+    return recomposed(a, steps)
 
 
 def _rates(t_ns: Int64, steps: Float64, rule: str) -> Float64:

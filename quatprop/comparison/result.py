@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from quatprop.comparison.accumulator import ComparedSample
     from quatprop.comparison.alignment import Alignment
     from quatprop.comparison.association import Matching, Pairs
+    from quatprop.comparison.cause import Cause
     from quatprop.comparison.clocks import ClockOffset
     from quatprop.comparison.heading import ErrorParts
-    from quatprop.comparison.cause import Cause
     from quatprop.comparison.statistics import ErrorStatistics, SigmaStatistics, WindowStatistics
 
 

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from quatprop.comparison.accumulator import ComparedSample
     from quatprop.comparison.association import Matching
     from quatprop.comparison.heading import ErrorParts
-    from quatprop.comparison.cause import Cause
     from quatprop.comparison.result import Comparison, Criterion
     from quatprop.comparison.statistics import SigmaStatistics, WindowStatistics
     from quatprop.logs.attitude_input import ReadAttitudes

@@ -47,6 +47,7 @@ EDGE = 0.2
 MAX_EDGE_S = 0.5
 """At most this time is left free at both ends, s."""
 
+
 class BodyAngle(NamedTuple):
     """The integral of a body rate.
 

@@ -100,7 +100,9 @@ def _mended(source, clause, one):  # noqa: PLR0911  # one kind of remedy after t
             given.pop("from_convention")
         assert not given.items() <= source.read.items(), f"{given} is on already"
         return replace(source, read={**source.read, **given})
-    if found := re.search(f"turn B back by {number}, {number}, {number} deg/h.*(body|reference)", clause):
+    if found := re.search(
+        f"turn B back by {number}, {number}, {number} deg/h.*(body|reference)", clause
+    ):
         series = source.attitudes()
         seconds = (series.t_ns - series.t_ns[0])[:, None] / 1e9
         turn = exp(-seconds * np.radians(np.array(found.groups()[:3], float) / 3600))
@@ -114,7 +116,9 @@ def _mended(source, clause, one):  # noqa: PLR0911  # one kind of remedy after t
         return Source(series=AttitudeSeries(t_ns, series.wxyz))
     if re.search(r"leave \d", clause):
         errors = quatprop.compare(one.a.attitudes(), one.b.attitudes(), tol=4, **one.options)
-        keep = errors.errors <= np.sort(errors.errors)[-1 - int(re.search(r"leave (\d+)", clause)[1])]
+        keep = (
+            errors.errors <= np.sort(errors.errors)[-1 - int(re.search(r"leave (\d+)", clause)[1])]
+        )
         series = one.b.attitudes()
         kept = np.isin(series.t_ns, errors.t_ns[keep])
         return Source(series=series[kept])
@@ -124,7 +128,9 @@ def _mended(source, clause, one):  # noqa: PLR0911  # one kind of remedy after t
     if found := re.search(f"multiply its rates by {number}", clause):
         rate = rate * float(found[1])
     elif found := re.search(r"take its rates as ([-xyz]+), ([-xyz]+), ([-xyz]+)", clause):
-        rate = np.stack([rate[:, "xyz".index(n[-1])] * (-1) ** ("-" in n) for n in found.groups()], 1)
+        rate = np.stack(
+            [rate[:, "xyz".index(n[-1])] * (-1) ** ("-" in n) for n in found.groups()], 1
+        )
     elif "rate_unit" in clause:
         rate = np.radians(rate) if np.abs(rate).max() > 30 else np.degrees(rate)
     elif "rates=" in clause:
@@ -177,7 +183,9 @@ def _undelivered(one: Pair, cause, before: float):
         if not each.remedy:
             yield f"{each.name}: no remedy"
             return
-        after = math.degrees(each.total_after if getattr(each, "total_after", None) else each.rms_after)
+        after = math.degrees(
+            each.total_after if getattr(each, "total_after", None) else each.rms_after
+        )
         said_before = getattr(each, "total_before", None) or each.rms_before
         if getattr(each, "window_ns", None) and not getattr(each, "total_after", None):
             after, said_before = 0.5 * before, math.radians(before)
