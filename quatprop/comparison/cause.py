@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from quatprop.rendering import count_text
 from quatprop.series.blocks import rms
 
 if TYPE_CHECKING:
@@ -53,4 +54,6 @@ def isolated_samples(error: Float64) -> Cause | None:
     if not 0 < count <= few or (after := rms(error[:-count])) > before / CLEAR:
         return None
     sentence = f"{count} of {len(error)} samples carry the error, and the others are right"
-    return Cause("isolated samples", sentence, before, after, f"leave {count} samples of B out")
+    return Cause(
+        "isolated samples", sentence, before, after, f"leave {count_text(count, 'sample')} of B out"
+    )

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from quatprop.comparison.association import shifted
+from quatprop.comparison.association import interval_ns, shifted
 from quatprop.comparison.clock_error import ClockError, clock_errors
 from quatprop.comparison.undoing import Sides, Undoing
 from quatprop.text import Setting
@@ -27,22 +27,32 @@ def clocks(
         return None, None
     offset, change, first_ns = found
     return (
-        _offset(offset, coarse_ns, given_ns) if math.isfinite(offset.std) else None,
+        _offset(offset, coarse_ns, given_ns, interval_ns(sides.a))
+        if math.isfinite(offset.std)
+        else None,
         _clock_drift(change, coarse_ns, int(sides.b.t_ns[0]) - first_ns)
         if math.isfinite(change.std)
         else None,
     )
 
 
-def _offset(clock: ClockError, coarse_ns: int, given_ns: int) -> Undoing:
+NEAR_INTERVAL = 0.02
+"""Share of an interval by which an offset may differ from one, or from half of one."""
+
+
+def _offset(clock: ClockError, coarse_ns: int, given_ns: int, interval_ns: int) -> Undoing:
     offset_ns = coarse_ns + round(clock.seconds * NS_PER_S)
     late = "late" if offset_ns < 0 else "early"
     amount = _rounded(abs(offset_ns), round(clock.std * NS_PER_S))
+    sentence = f"B is {amount} {late}"
+    for share, text in ((0.5, "half a sampling interval"), (1.0, "one sampling interval")):
+        if abs(abs(offset_ns) / interval_ns - share) <= NEAR_INTERVAL:
+            sentence += f" ({text} of A: a clock offset, or another integration rule)"
     setting = Setting("time_offset", f"{(offset_ns + given_ns) / 1e6:.9g}ms")
     return Undoing(
         "time offset",
         f"a time offset of {duration_text(abs(offset_ns))}",
-        f"B is {amount} {late}",
+        sentence,
         f"{setting} takes it out",
         lambda sides: sides._replace(b=shifted(sides.b, offset_ns)),
     )

@@ -12,6 +12,8 @@ from contextlib import suppress
 from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from quatprop.comparison.alignment import Alignment, align, find_mounting, mean_rotation
 from quatprop.comparison.association import associate
 from quatprop.comparison.cause import NO_ERROR
@@ -124,6 +126,8 @@ class Search:
         for undoing in known:
             sides, self._align = undoing.apply(sides), undoing.align or self._align
         self._whole = sides
+        same = np.isin(sides.a.t_ns, sides.b.t_ns)
+        self._same_stamps = 2 * int(same.sum()) > len(same)
         self._sides = Sides(*common_beginning(*sides))
         self._pairs: dict[tuple[str, str, bool], Sides] = {}
         self._mounts: dict[tuple[str, str], Float64 | None] = {}
@@ -162,14 +166,18 @@ class Search:
             self.is_open = self._fit(plan).rms <= ENOUGH * before.rms
             if self.is_open and not plan.rates and plan.frames != "mount":
                 break
-            some = [last]
             self._rules = integration_rules(self._read(last._replace(clock="")))
-            if self._rules:
-                some += self._varied([last], clock=[""], rates=["method"], frames=self._frames)
-            some += self._varied(
-                [last], clock=CLOCKS, rates={"": 0, last.rates: 0}, frames=self._frames
+            rules = self._varied(
+                [last], clock=[""], rates=["method"] if self._rules else [], frames=self._frames
             )
-            plan = self._least(some)
+            ruled = self._least([last, *rules])
+            rates = dict.fromkeys(("", last.rates, "rate bias"))
+            some = self._varied([last], clock=CLOCKS, rates=rates, frames=self._frames)
+            plan = self._least([ruled, *some])
+            # Where stamps are the same, the rule is the simpler reason for an interval or a half.
+            most = max(AS_GOOD * self._fit(plan).rms, ENOUGH * before.rms)
+            if self._same_stamps and ruled != last and self._fit(ruled).rms <= most:
+                plan = ruled
             if plan == last:
                 break
         self.best = self._fit(plan)

@@ -58,6 +58,8 @@ def named(cause) -> list[set]:
         _, _, others = cause.sentence.partition("does not distinguish it from ")
         for phrase, of_phrase in ALTERNATIVES.items():
             names |= of_phrase if phrase in others else set()
+        if "or another integration rule" in cause.sentence:
+            names.add("method")
         cases.append(names)
         cause = cause.also
     return cases
@@ -117,7 +119,8 @@ def _mended(source, clause, one):  # noqa: PLR0911  # one kind of remedy after t
     if re.search(r"leave \d", clause):
         errors = quatprop.compare(one.a.attitudes(), one.b.attitudes(), tol=4, **one.options)
         keep = (
-            errors.errors <= np.sort(errors.errors)[-1 - int(re.search(r"leave (\d+)", clause)[1])]
+            errors.errors
+            <= np.sort(errors.errors)[-1 - int(re.search(r"leave ([\d]+)", clause)[1])]
         )
         series = one.b.attitudes()
         kept = np.isin(series.t_ns, errors.t_ns[keep])
@@ -209,11 +212,11 @@ def _undelivered(one: Pair, cause, before: float):
         one, before = ways[0], measured[0]
 
 
-def main(folder: Path, count: int) -> None:
+def main(folder: Path, numbers: range) -> None:
     """Print the verdict on every pair, and the sums."""
     warnings.simplefilter("ignore")
     total, kinds, undelivered = Counter(), {}, 0
-    for number in range(count):
+    for number in numbers:
         one = pair(number, folder if folder.is_dir() else None)
         verdict, faults, cause = judge(one)
         total[verdict] += 1
@@ -232,4 +235,4 @@ def main(folder: Path, count: int) -> None:
 
 if __name__ == "__main__":
     given = [argument for argument in sys.argv[1:] if argument != "-v"]
-    main(Path(given[0]) if given else SHARED_LOGS, int(given[1]) if given[1:] else PAIRS)
+    main(Path(given[0]) if given else SHARED_LOGS, range(*map(int, given[1:])) if given[1:] else range(PAIRS))
