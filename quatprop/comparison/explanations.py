@@ -69,6 +69,9 @@ PROMISING = 4.0
 SEARCHED = 1_000
 """Pairs in which explanations are compared, about; what is claimed is measured in all."""
 
+MIN_SAMPLES = 100
+"""Fewer samples show no clock."""
+
 ROUNDS = 2
 """How often every kind of mistake is looked for, beside those that were found."""
 
@@ -259,6 +262,8 @@ class Search:
 
     def _clocks_of(self, reading: str, turned: bool) -> tuple[Undoing | None, Undoing | None]:
         sides = self._readings[reading].apply(self._sides) if reading else self._sides
+        if min(map(len, sides)) < MIN_SAMPLES:
+            return None, None
         coarse_ns = 0
         with suppress(ComparisonError):
             coarse_ns, _ = coarse_offset(*sides)

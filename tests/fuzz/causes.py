@@ -1,7 +1,7 @@
 """Likely causes of planted mistakes: wrong names, and remedies that do not deliver.
 
-``python -m fuzz.causes [LOGS]`` (in ``tests/``): for each of 600 pairs the remedy that is printed is
-applied, by the option that it names, and the error is measured before and after.
+``python -m fuzz.causes [LOGS]`` (in ``tests/``): for each of 600 pairs the remedy that is printed
+is applied, by the option that it names, and the error is measured before and after.
 """
 
 import math
@@ -93,7 +93,7 @@ def _ways(one: Pair, remedy: str):
                 break
 
 
-def _mended(source, clause, one):  # noqa: PLR0911  # one kind of remedy after the other
+def _mended(source, clause, one):  # noqa: PLR0911, PLR0912  # one kind of remedy after another
     """Return a source to which a clause of a remedy was applied; None: it does not apply."""
     number = r"([-+\d.e]+)"
     if "read it with" in clause:
@@ -140,9 +140,9 @@ def _mended(source, clause, one):  # noqa: PLR0911  # one kind of remedy after t
         wanted = re.findall("rates='([a-z]+)'", clause)
         options["rates"] = wanted[0] if wanted else "body" if "rates" in options else "inertial"
     else:
-        if found := re.search(r"propagated with method (\w+)", clause):
-            if options.get("method") != found[1]:
-                return None
+        found = re.search(r"propagated with method (\w+)", clause)
+        if found and options.get("method") != found[1]:
+            return None
         given = dict(re.findall(r"(method|mount|bias)='([^']*)'", clause))
         if not given or any(options.get(key) == value for key, value in given.items()):
             return None
@@ -235,4 +235,7 @@ def main(folder: Path, numbers: range) -> None:
 
 if __name__ == "__main__":
     given = [argument for argument in sys.argv[1:] if argument != "-v"]
-    main(Path(given[0]) if given else SHARED_LOGS, range(*map(int, given[1:])) if given[1:] else range(PAIRS))
+    main(
+        Path(given[0]) if given else SHARED_LOGS,
+        range(*map(int, given[1:])) if given[1:] else range(PAIRS),
+    )

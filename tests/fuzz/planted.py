@@ -72,7 +72,7 @@ MOTIONS = {
     "handheld": lambda t: _waves(t, [3.1, 5.0, 2.2], [0.5, 0.4, 0.6]),
     "vehicle": lambda t: _waves(t, [4.0, 3.0, 0.4], [0.02, 0.02, 0.5]),
     "planar": lambda t: _waves(t, [1.0, 1.0, 0.9], [0, 0, 1]),
-    "spinning": lambda t: _waves(t, [1.0, 1.7, 0.3], [0.03, 0.03, 0.1]) + [0, 0, np.pi],
+    "spinning": lambda t: np.array([0, 0, np.pi]) + _waves(t, [1.0, 1.7, 0.3], [0.03, 0.03, 0.1]),
     "precession": lambda t: np.stack([np.cos(t / 2), np.sin(t / 2), 0 * t + 0.5], axis=1),
 }
 PLANAR = {"planar", "spinning", "husky", "vehicle"}
@@ -181,6 +181,9 @@ def pair(number: int, folder: Path | None) -> Pair:
         is_true.add("reference frame")
     a, b = Source(rates=rates, propagate={"method": method}), Source(reference)
     planted, a, b = _plant(kind, rng, a, b)
+    if planted & READINGS.keys() and is_true & {"body frame", "reference frame"}:
+        # The conjugate of q m is m* q*: the one frame takes the place of the other.
+        is_true |= {"body frame", "reference frame"}
     if kind in {"dead axis", "dead gyro"}:
         is_true -= {"rate bias", "drift"}
     title = f"{number} {kind} in {name}, align {align}, {sorted(is_true)}"

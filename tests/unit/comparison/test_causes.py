@@ -93,8 +93,7 @@ NAMED = {
         lambda: (attitudes("start"), attitudes("coning")),
         "method",
         "^the same rates lead to A with method start, and to B with method coning;",
-        "propagate it with --method coning; if B was propagated with method coning, with --method "
-        "start",
+        "coning; if B was propagated with method coning, with --method start",
     ),
     "between start and end lies one interval": (
         lambda: (attitudes("start"), attitudes("end")),
