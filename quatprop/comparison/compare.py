@@ -13,7 +13,8 @@ from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, Pairs, associate, shifted
 from quatprop.comparison.cause import NO_ERROR
 from quatprop.comparison.clocks import find_offset
-from quatprop.comparison.diagnosis import likely_cause
+from quatprop.comparison.diagnosis import MIN_PAIRS, likely_cause
+from quatprop.comparison.findings import dead_axes
 from quatprop.comparison.heading import error_parts
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judge
 from quatprop.comparison.settings import ComparisonSettings
@@ -149,8 +150,15 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
     )
     criteria = tuple(judge(settings, comparison))
     passed = all(criterion.passed for criterion in criteria) if criteria else None
-    cause = None if passed else likely_cause(a, b, settings, rising, time_offset.added_to_b_ns)
-    return replace(comparison, criteria=criteria, passed=passed, likely_cause=cause)
+    cause = None
+    if not passed and len(rising) >= MIN_PAIRS:
+        # What has no remedy is no cause, and makes others look like one.
+        remarks += dead_axes(a, b)
+        if len(remarks) == len(comparison.remarks):
+            cause = likely_cause(a, b, settings, rising, time_offset.added_to_b_ns)
+    return replace(
+        comparison, criteria=criteria, passed=passed, likely_cause=cause, remarks=tuple(remarks)
+    )
 
 
 def unit(wxyz: Float64) -> Float64:

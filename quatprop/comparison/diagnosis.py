@@ -51,7 +51,8 @@ def likely_cause(
     if claim is None:
         return None
     cause, undone = claim
-    if first.is_open or len(undone) < len(first.best.undone):
+    # A rule leaves the rates at one end open, which looks like a frame.
+    if cause.name != "method" and (first.is_open or len(undone) < len(first.best.undone)):
         also = _claim(Search(sides, settings, added_ns, undone))
         if also and also[0].name != cause.name:
             cause = cause._replace(also=also[0])

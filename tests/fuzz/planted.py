@@ -167,6 +167,7 @@ def pair(number: int, folder: Path | None) -> Pair:
         is_true |= {"rate bias", "drift"}
     if name in MOTIONS:
         rates, reference, method = simulated(rng, name, bias)
+        is_true.add("method")  # that of the reference is another
     else:
         rates, reference, method = recorded(folder, name)
         rates = GyroSeries(rates.t_ns, rates.rate + bias)

@@ -188,6 +188,19 @@ def test_steady_precession_does_not_distinguish_a_clock_from_a_mounting(ms):
         assert compare(a, b, **remedy).error_rad.rms < 1e-5
 
 
+def test_a_dead_axis_is_a_finding_and_no_cause():
+    """It was called swapped axes or a bias. The truth about one axis alone has no such finding."""
+    a, b = attitudes(signs=(1, 0, 1)), attitudes()
+    for pair, name, other in (((a, b), "A", "B"), ((b, a), "B", "A")):
+        found = compare(*pair, align="mean")
+        assert found.likely_cause is None
+        assert found.remarks == (
+            f"the rate of {name} about its y axis never changes, and {other} turns about all "
+            "three: are rates missing?",
+        )
+    assert compare(attitudes(signs=(0, 0, 1)), about_z()[1]).remarks == ()
+
+
 def test_an_axis_that_hardly_turns_is_no_turned_body():
     """A vehicle turns about z: with x reversed by mistake, half a turn about z fits somewhat."""
     rng = np.random.default_rng(4)
