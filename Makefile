@@ -18,11 +18,11 @@ help:
 	@echo 'make test         run the tests'
 	@echo 'make lowest       run the tests with the lowest versions that pyproject.toml allows'
 	@echo 'make dist         build wheel and sdist, and run the tests of the sdist'
-	@echo 'make fuzz         damaged logs, flipped bits, random command lines, planted mistakes: what goes wrong'
+	@echo 'make fuzz         random properties, damaged logs, flipped bits, command lines, planted mistakes: what goes wrong'
 	@echo 'make lint         ruff and mypy'
 	@echo 'make format       let ruff format the code'
 	@echo 'make documents    update what commands print in the documents'
-	@echo 'make bench        measure against rosbags, mcap, scipy, ahrs and numba'
+	@echo 'make bench        measure against rosbags, mcap, scipy, ahrs, numba and numpy-quaternion'
 	@echo 'make sample-logs  generate sample_logs/ again, bit for bit'
 	@echo 'make clean        remove everything that was made here'
 
@@ -66,10 +66,12 @@ dist:
 	$(MAKE) -C dist/sdist test
 
 fuzz: $(READY)
+	$(BIN)/python -m pytest -n auto -q -m hypothesis --hypothesis-profile fuzz
 	cd tests && ../$(BIN)/python -m fuzz.damage
 	cd tests && ../$(BIN)/python -m fuzz.flips
 	cd tests && ../$(BIN)/python -m fuzz.command_lines
 	cd tests && ../$(BIN)/python -m fuzz.causes
+	cd tests && ../$(BIN)/python -m fuzz.remarks
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -1,5 +1,6 @@
 """What the tests share: where the real recordings are, and that they are what they were."""
 
+import gc
 import json
 import os
 import sys
@@ -23,9 +24,16 @@ for name in ("GITHUB_STEP_SUMMARY", "GITHUB_ACTIONS", "PYTHONDONTWRITEBYTECODE")
     os.environ.pop(name, None)
 sys.dont_write_bytecode = False
 
-# How long an example takes depends on what else the machine does.
-hypothesis.settings.register_profile("quatprop", deadline=None)
-hypothesis.settings.load_profile("quatprop")
+# How long an example takes depends on what else the machine does. Each change is judged by the
+# same examples; `make fuzz` draws new ones, and more of them.
+hypothesis.settings.register_profile("fuzz", deadline=None)
+hypothesis.settings.register_profile("tests", deadline=None, derandomize=True, max_examples=50)
+hypothesis.settings.load_profile("tests")
+
+
+def pytest_collection_finish():
+    """Let garbage collections pass over what stays: modules, and thousands of tests."""
+    gc.freeze()
 
 
 class SpelledRunner(click.testing.CliRunner):

@@ -9,19 +9,23 @@ from typing import TYPE_CHECKING, Unpack
 import numpy as np
 
 from quatprop.api.propagation import PropagatedSeries
-from quatprop.api.reading import path_text, read_attitudes, with_keywords_of
+from quatprop.api.reading import path_text, read_attitudes, warn, with_keywords_of
 from quatprop.comparison.settings import CompareOptions
 from quatprop.errors import DataLossWarning, SeriesError
 from quatprop.series import AttitudeSeries
 from quatprop.settings import READ_ATTITUDES, AttitudeOptions
-from quatprop.settings.values import refuse_unknown
-from quatprop.text import in_python
+from quatprop.settings.parsers import mounting
+from quatprop.settings.values import parse_all, refuse_unknown
+from quatprop.text import Remark, Setting, in_python
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from quatprop.api.reading import StrPath
     from quatprop.comparison.cause import Cause
     from quatprop.comparison.result import Comparison
     from quatprop.conversion.job import ConversionReport
+    from quatprop.settings import Convention, Direction, Layout, Rotated, Sign
 
 
 @with_keywords_of(CompareOptions, log="`b`")
@@ -59,7 +63,7 @@ def compare(
 
     settings = comparison_settings(**options)
     result = compare_series(_side("a", a), _side("b", b), settings)
-    remarks = tuple(map(in_python, result.remarks))
+    remarks = tuple(one.spelled(in_python) for one in result.remarks)
     return replace(result, remarks=remarks, likely_cause=_in_python(result.likely_cause))
 
 
@@ -68,7 +72,7 @@ def write(
     path: StrPath,
     *,
     to: str | None = None,
-    layout: str | None = None,
+    layout: Layout | None = None,
     extra_columns: str | None = None,
     **unknown: object,
 ) -> None:
@@ -99,11 +103,11 @@ def write(
     Warns
     -----
     RemarkWarning
-        The series has positions, and the format has no place for them.
+        The format has no place for the timestamps, the positions or the covariances.
     """
     from quatprop.pipeline.report import convention_of
     from quatprop.writers import open_writer
-    from quatprop.writers.formats import WRITERS, kind_of, layout_of
+    from quatprop.writers.formats import WRITERS, format_remarks, kind_of, layout_of
 
     refuse_unknown(unknown, ("to", "layout", "extra_columns"))
     if not isinstance(series, AttitudeSeries):
@@ -124,6 +128,11 @@ def write(
     with open_writer(place, to, layout=order, sigma=sigma, extra_columns=extra_columns) as writer:
         writer.write(series)
         writer.commit(provenance)
+    lost = {
+        "positions_lost": series.position is not None and not writer.holds_positions,
+        "sigma_lost": series.covariance is not None and sigma is None,
+    }
+    warn(place, (), format_remarks(place, to, **lost))
 
 
 def convert(  # noqa: PLR0913  # one keyword for each option
@@ -131,12 +140,14 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     output: StrPath,
     *,
     to: str | None = None,
-    layout: str | None = None,
+    layout: Layout | None = None,
     extra_columns: str | None = None,
-    convention: str = "hamilton",
-    direction: str = "body-to-ref",
-    sign: str = "keep",
+    convention: Convention = "hamilton",
+    direction: Direction = "body-to-ref",
+    sign: Sign = "keep",
     representation: str = "quaternion",
+    left: str | Collection[float] | Rotated | None = None,
+    right: str | Collection[float] | Rotated | None = None,
     **options: Unpack[AttitudeOptions],
 ) -> ConversionReport:
     """Write an attitude series in another layout, convention, direction, form or format.
@@ -159,6 +170,11 @@ def convert(  # noqa: PLR0913  # one keyword for each option
         ``"euler-zyx-deg"`` and so every other sequence of intrinsic rotations, or the rates that
         lead from each attitude to the next, ``"body-rates"`` or ``"inertial-rates"`` (rad/s):
         propagated by ``start`` they give the attitudes back.
+    left, right
+        What takes axes of the source's reference, and of its body, to those of the output, v_new =
+        r v_old r*: q_out = left q_in right*. A quaternion, three signed old axes such as
+        ``"y,x,-z"``, ``"rpy:R,P,Y"`` (deg, about axes that stay), a matrix or a rotation of scipy,
+        ``"ned-to-enu"``, ``"enu-to-ned"``, ``"frd-to-flu"`` or ``"flu-to-frd"``.
 
     Returns
     -------
@@ -182,7 +198,8 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     from quatprop.pipeline.settings import OutputSettings
 
     own = ("to", "layout", "extra_columns", "convention", "direction", "sign", "representation")
-    refuse_unknown(options, (*own, *READ_ATTITUDES))
+    turns = parse_all({"left": left, "right": right}, {"left": mounting, "right": mounting})
+    refuse_unknown(options, (*own, "left", "right", *READ_ATTITUDES))
     wanted = attitude_input(path_text("source", source, "write() takes a series"), options)
     report = convert_file(
         Conversion(
@@ -193,11 +210,15 @@ def convert(  # noqa: PLR0913  # one keyword for each option
             meaning=AttitudeConvention(convention, direction),
             sign=sign,
             representation=str(representation).lower(),
+            **turns,
         )
     )
     if report.data_lost:
         warnings.warn(f"{wanted.path}: rows were lost or dropped", DataLossWarning, stacklevel=2)
-    return replace(report, remarks=tuple(map(in_python, report.remarks)))
+    # The command line alone has that setting.
+    comment = Setting("header_comment"), "a comment in its header"
+    remarks = (Remark(one.code, one.replace(*comment)) for one in report.remarks)
+    return replace(report, remarks=tuple(one.spelled(in_python) for one in remarks))
 
 
 def _in_python(cause: Cause | None) -> Cause | None:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, SupportsIndex, Unpack
 
-from quatprop.api.reading import path_text, warn, with_keywords_of
+from quatprop.api.reading import paths_of, warn, with_keywords_of
 from quatprop.errors import QuatpropError, SeriesError, UsageError
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.settings import READ_RATES, PropagateOptions
 from quatprop.text import Setting, in_python, with_settings
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from quatprop.tables.log import Log
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
 class PropagatedSeries(AttitudeSeries):
     """Attitudes that were propagated, and the report of how.
 
@@ -39,14 +39,16 @@ class PropagatedSeries(AttitudeSeries):
     report: RunReport = field(kw_only=True, compare=False, repr=False)
 
     def __getitem__(  # type: ignore[override]  # of no series with a report
-        self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]
+        self, chosen: SupportsIndex | slice | NDArray[np.bool_] | NDArray[np.intp]
     ) -> AttitudeSeries:
         """Return some attitudes; the report is about all of them."""
         return AttitudeSeries(self.t_ns, self.wxyz, covariance=self.covariance)[chosen]
 
 
 @with_keywords_of(PropagateOptions)
-def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) -> PropagatedSeries:
+def propagate(
+    log: StrPath | Sequence[StrPath] | GyroSeries, **options: Unpack[PropagateOptions]
+) -> PropagatedSeries:
     """Turn body rates into attitudes.
 
     The exact constant-rate step of each sample is accumulated: q[k+1] = q[k] * dq[k] for body rates
@@ -55,7 +57,7 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
     Parameters
     ----------
     log
-        A path as for :func:`read_rates`, or rates in memory.
+        As for :func:`read_rates`, or rates in memory.
     **options
         Which samples of a log, and how they are propagated.
 
@@ -93,23 +95,24 @@ def propagate(log: StrPath | GyroSeries, **options: Unpack[PropagateOptions]) ->
         _refuse_log_settings(options)
         series = _propagated_in_memory(log, settings)
     else:
-        path = path_text("log", log, "make a GyroSeries of arrays")
-        series = _propagated_log(path, settings)
+        paths = paths_of("log", log, "make a GyroSeries of arrays")
+        path = " + ".join(paths)
+        series = _propagated_log(paths, settings)
     report = series.report
     warn(path, report.losses, report.remarks, dropped=report.counts.dropped)
     return series
 
 
-def _propagated_log(path: str, settings: PropagationSettings) -> PropagatedSeries:
+def _propagated_log(paths: Sequence[str], settings: PropagationSettings) -> PropagatedSeries:
     from quatprop.concurrency.threads import use_threads
-    from quatprop.logs.open_log import open_log
+    from quatprop.logs.joined import open_logs
     from quatprop.logs.signals.rates import choose_rates
     from quatprop.pipeline.attitude_stream import AttitudeStream
 
     kind, msg_path = settings.kind, settings.selection.msg_path
-    with use_threads(settings.threads), open_log(path, kind, msg_path=msg_path) as log:
+    with use_threads(settings.threads), open_logs(paths, kind, msg_path=msg_path) as log:
         rates = choose_rates(log, settings.selection)
-        stream = AttitudeStream(path, rates, settings, log)
+        stream = AttitudeStream(" + ".join(paths), rates, settings, log)
         return _propagated(stream, settings, log)
 
 
@@ -163,5 +166,5 @@ def _propagated(
     series = AttitudeSeries.joined(list(stream))
     report = replace(stream.report(), files=digests_of_inputs(settings.inputs, log))
     spell = _in_memory if log is None else in_python
-    report = replace(report, remarks=tuple(map(spell, report.remarks)))
+    report = replace(report, remarks=tuple(one.spelled(spell) for one in report.remarks))
     return PropagatedSeries(series.t_ns, series.wxyz, covariance=series.covariance, report=report)

@@ -5,20 +5,20 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 from inspect import cleandoc
-from typing import TYPE_CHECKING, TypeAlias, TypeVar, Unpack
+from typing import TYPE_CHECKING, TypeAlias, TypeVar, Unpack, cast
 
 import numpy as np
 
 from quatprop.errors import DataLossWarning, RemarkWarning, UsageError
 from quatprop.series import AttitudeSeries, GyroSeries
-from quatprop.settings import READ_RATES, AttitudeOptions, RateOptions
+from quatprop.settings import RATES_IN_MEMORY, AttitudeOptions, ReadOptions
 from quatprop.settings.keyword import parameters
 from quatprop.settings.parsers import path as parse_path
 from quatprop.settings.values import parse_all
-from quatprop.text import Setting, spelled
+from quatprop.text import Remark, Setting, spelled
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
     from os import PathLike
 
     from quatprop.tables.log import Loss
@@ -43,14 +43,15 @@ def with_keywords_of(
     return documented
 
 
-@with_keywords_of(RateOptions)
-def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
+@with_keywords_of(ReadOptions)
+def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions]) -> GyroSeries:
     """Read the body rates of a log.
 
     Parameters
     ----------
     log
-        A file, a ROS 2 bag folder, or the address of one in an object store.
+        A file, a ROS 2 bag folder, or the address of one in an object store; several files of one
+        recording are read as one log, in the order of their times.
     **options
         What to read of it, and what its numbers mean.
 
@@ -58,7 +59,7 @@ def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
     -------
     GyroSeries
         All samples in the order of the log: stamps in ns, rates in rad/s. Irregular timestamps are
-        left as they are; :func:`propagate` handles them.
+        left as they are, unless `regular_time` is asked for; :func:`propagate` handles them.
 
     Raises
     ------
@@ -72,16 +73,22 @@ def read_rates(log: StrPath, **options: Unpack[RateOptions]) -> GyroSeries:
     RemarkWarning
         Something was inferred, or looks wrong.
     """
-    from quatprop.logs.open_log import open_log
+    from quatprop.logs.joined import open_logs
     from quatprop.logs.signals.rates import choose_rates
     from quatprop.settings.selection import RateSelection
+    from quatprop.timeline import Timeline
+    from quatprop.timeline.counts import OBSERVE
 
-    path, values = path_text("log", log), parse_all(options, READ_RATES)
-    with open_log(path, values.get("kind"), msg_path=values.get("msg_path")) as opened:
+    paths, values = paths_of("log", log), parse_all(options, RATES_IN_MEMORY)
+    path = " + ".join(paths)
+    with open_logs(paths, values.get("kind"), msg_path=values.get("msg_path")) as opened:
         signal = choose_rates(opened, RateSelection.of(values))
-        batches = list(signal.batches())
+        batches = signal.batches()
+        if values.get("regular_time"):
+            batches = Timeline(OBSERVE._replace(regular_time=True), path).apply(batches)
+        parts = list(batches)
         warn(path, opened.losses, (*signal.remarks, *opened.remarks))
-    return GyroSeries.joined(batches or [GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))])
+    return GyroSeries.joined(parts or [GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))])
 
 
 @with_keywords_of(AttitudeOptions, "attitudes")
@@ -130,19 +137,26 @@ def path_text(name: str, path: StrPath, hint: str = "") -> str:
         raise UsageError(f"{Setting(name)}: {error.text}{hint}") from None
 
 
+def paths_of(name: str, paths: StrPath | Sequence[StrPath], hint: str = "") -> list[str]:
+    """Return one path, or several, as texts."""
+    several = paths if isinstance(paths, list | tuple) and paths else [paths]
+    return [path_text(name, path, hint) for path in cast("Sequence[StrPath]", several)]
+
+
 def warn(
     path: str,
     losses: Iterable[Loss],
-    remarks: Iterable[str],
+    remarks: Iterable[Remark],
     *,
     dropped: int = 0,
 ) -> None:
     """Warn of losses and remarks at the line where the user calls the function that calls this."""
-    for loss in losses:
-        message = f"{path}: lost: {loss.place}: {spelled(loss.reason)}"
-        warnings.warn(DataLossWarning(message, loss.messages), stacklevel=3)
-    if dropped:
-        message = f"{path}: {dropped} rows were dropped"
-        warnings.warn(DataLossWarning(message, dropped), stacklevel=3)
+    lost = [(f"lost: {loss.place}: {spelled(loss.reason)}", loss.messages) for loss in losses]
+    for text, messages in [*lost, *[(f"{dropped} rows were dropped", dropped)] * bool(dropped)]:
+        loss_warning = DataLossWarning(f"{path}: {text}")
+        loss_warning.messages = messages
+        warnings.warn(loss_warning, stacklevel=3)
     for remark in remarks:
-        warnings.warn(f"{path}: {spelled(remark)}", RemarkWarning, stacklevel=3)
+        warning = RemarkWarning(f"{path}: {spelled(remark)}")
+        warning.code = remark.code
+        warnings.warn(warning, stacklevel=3)

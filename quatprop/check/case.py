@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.settings import ComparisonSettings
     from quatprop.logs.attitude_input import AttitudeInput
     from quatprop.pipeline.settings import PropagationSettings
+    from quatprop.text import Remark
 
 Verdict = Literal["pass", "fail", "error", "skip", "xfail", "xpass"]
 
@@ -78,6 +79,7 @@ class CaseResult(NamedTuple):
     `summary`: the worst error, the tolerance and where, or what an update wrote; may be empty
     `error_rad`: the worst error, rad; None where nothing was compared
     `notes`: remarks that do not change the verdict
+    `remarks`: on the log, as a propagation makes them
     `updated`: ``"new"``, ``"updated"`` or ``"kept"``; None if this was no update
     `comparison`: the report of the comparison, JSON-ready; None where nothing was compared
     """
@@ -88,6 +90,7 @@ class CaseResult(NamedTuple):
     summary: str = ""
     error_rad: float | None = None
     notes: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
     changes: tuple[str, ...] = ()
     updated: str | None = None
     comparison: Mapping[str, object] | None = None
@@ -103,6 +106,7 @@ class CaseResult(NamedTuple):
             "reason": self.reason or None,
             "error_rad": self.error_rad,
             "notes": self.notes,
+            "remarks": self.remarks,
             "updated": self.updated,
             "changes": self.changes,
             "comparison": self.comparison,

@@ -15,6 +15,7 @@ from quatprop.errors import ComparisonError
 from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings
+from quatprop.text import Remark, spelled
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -36,6 +37,11 @@ class CaseRun(NamedTuple):
     def samples(self) -> int:
         """Number of samples that were propagated."""
         return self.report.result.samples
+
+    @property
+    def remarks(self) -> tuple[Remark, ...]:
+        """What a propagation says of the log, spelled as the keys of a suite."""
+        return tuple(remark.spelled(spelled) for remark in self.report.remarks)
 
 
 class CaseComparison(NamedTuple):

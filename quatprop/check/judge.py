@@ -65,7 +65,7 @@ def judge(case: Case, pin: Pin | None) -> CaseResult:
     comparison = try_compare(case, run.series, reference)
     if not comparison.failure:
         failures.append(_compare_last(case, pin, run))
-    return _judged(case, comparison, failures, [*notes, *loss_notes(case, run)])
+    return _judged(case, run, comparison, failures, [*notes, *loss_notes(case, run)])
 
 
 def judge_by(
@@ -80,7 +80,8 @@ def judge_by(
     notes = [*notes, *loss_notes(case, run)]
     if loaded.data_lost:
         notes.append(f"data of {plain(external.path)} were lost or left out, see compare")
-    return _judged(case, compare_case(case, run.series, loaded.series), failures, notes)
+    comparison = compare_case(case, run.series, loaded.series)
+    return _judged(case, run, comparison, failures, notes)
 
 
 def loss_notes(case: Case, run: CaseRun) -> list[str]:
@@ -90,7 +91,11 @@ def loss_notes(case: Case, run: CaseRun) -> list[str]:
 
 
 def _judged(
-    case: Case, comparison: CaseComparison, failures: Iterable[str], notes: Iterable[str]
+    case: Case,
+    run: CaseRun,
+    comparison: CaseComparison,
+    failures: Iterable[str],
+    notes: Iterable[str],
 ) -> CaseResult:
     """Return the result of a case."""
     failures = [*filter(None, [*failures, comparison.failure])]
@@ -103,6 +108,7 @@ def _judged(
         summary=comparison.summary,
         error_rad=comparison.error_rad,
         notes=tuple(notes),
+        remarks=run.remarks,
         comparison=comparison.report,
     )
 

@@ -60,12 +60,17 @@ def _details(result: CaseResult) -> list[str]:
     return [*([result.reason] if result.reason else []), *result.changes]
 
 
-def note_lines(results: Sequence[CaseResult]) -> Iterator[str]:
-    """Yield each note once, with the number of its cases; those of a failure are in its reason."""
+def note_lines(results: Sequence[CaseResult], *, remarks: bool = False) -> Iterator[str]:
+    """Yield each note once, with the number of its cases; those of a failure are in its reason.
+
+    `remarks`: whether those on logs are notes, too
+    """
     names: dict[str, list[str]] = {}
     for result in results:
         for note in () if result.verdict in {"fail", "error"} else result.notes:
             names.setdefault(note, []).append(plain(result.name))
+        for remark in result.remarks if remarks else ():
+            names.setdefault(remark, []).append(plain(result.name))
     for note, cases in names.items():
         yield f"note on {cases[0] if len(cases) == 1 else f'{len(cases)} cases'}: {plain(note)}"
 

@@ -73,7 +73,7 @@ def update(case: Case, pin: Pin | None, folder: Path) -> CaseResult:
         digest = sha256_of(reference)
         written = f"{len(run.series)} of {run.samples} attitudes in {plain(reference)}"
         losses = tuple(loss_notes(case, run))
-        result = CaseResult(case.name, "pass", summary=written, notes=losses)
+        result = CaseResult(case.name, "pass", summary=written, notes=losses, remarks=run.remarks)
     new_pin = Pin(
         quatprop=__version__,
         inputs=hashes,

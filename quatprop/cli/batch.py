@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from quatprop.batch.manifest import Manifest
     from quatprop.batch.tasks import BatchResult, BatchSettings, BatchTask
 
-ONE_LOG = {"log", "output", "to", "into", "plot", "report", "quiet", "verbose"}
+ONE_LOG = {"log", "logs", "output", "to", "into", "plot", "report", "quiet", "verbose"}
 """Parameters of ``propagate`` that are about one log."""
 
 OF_MESSAGES = ("topic", "rate_field", "time_field")

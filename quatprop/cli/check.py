@@ -56,7 +56,7 @@ OPTIONS = {
     "--junit": Keyword(PATH, "Also write the results as JUnit XML.", takes="FILE"),
     **JSON,
     "-q --quiet": Keyword(flag, "Only failures and the totals."),
-    "-v --verbose": Keyword(flag, "A line for every case that passes."),
+    "-v --verbose": Keyword(flag, "A line for every case that passes, and remarks on the logs."),
 }  # fmt: skip
 
 
@@ -200,7 +200,8 @@ def _run(
             if not options["as_json"]:
                 click.echo("".join(result_text(result, width) + "\n" for result in last), nl=False)
     if not options["as_json"]:
-        click.echo("\n".join([*note_lines(results), totals(results)]))
+        notes = note_lines(results, remarks=options["verbose"])
+        click.echo("\n".join([*notes, totals(results)]))
     return results
 
 

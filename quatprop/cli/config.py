@@ -84,13 +84,10 @@ def config_of(path: str, provenance: Mapping[str, Any]) -> str:
                 f"Warning: {plain(name)}, which {plain(path)} was made with: {state}",
                 err=True,
             )
-    # As it may be kept in any folder.
-    files = {
-        name: str(file)
-        for name, value in settings.items()
-        if isinstance(value, str) and (file := file_beside(name, value, Path.cwd()))
-    }
-    for name, value in {**settings, **files}.items():
+    paths = [value for value in provenance.get("files") or {} if not Path(value).is_absolute()]
+    if {*paths} & {*settings.values()}:
+        lines.append("# paths are as they were given: keep this file in the folder of that run")
+    for name, value in settings.items():
         lines.append(f"{option(name)[2:]} = {json.dumps(value)}")
     return "\n".join(lines)
 
@@ -122,5 +119,6 @@ config_option = click.option(
     expose_value=False,
     callback=_read,
     help="Take options from a TOML file: its keys are their names, as in a suite, and paths are "
-    "relative to it. What is on the command line comes first.  [default: none]",
+    "relative to it. What is on the command line comes first; none takes an option back.  "
+    "[default: none]",
 )

@@ -12,7 +12,7 @@ from quatprop.cli.output_options import EULER, INTO, OUTPUT_OPTIONS, output_sett
 from quatprop.cli.types import PATH
 from quatprop.settings import CONVENTIONS, DIRECTIONS, READ_ATTITUDES, SIGNS
 from quatprop.settings.keyword import Keyword
-from quatprop.settings.parsers import Choice
+from quatprop.settings.parsers import Choice, mounting
 from quatprop.text import plain, spelled
 
 if TYPE_CHECKING:
@@ -25,8 +25,11 @@ EXAMPLES = (
     "quatprop convert attitude.csv attitude.parquet --layout scalar-last",
     "quatprop convert attitude.mcap attitude.tum",
     "quatprop convert attitude.csv - --as euler-zyx --euler-unit deg",
+    "quatprop convert attitude.csv enu.csv --left ned-to-enu --right frd-to-flu",
 )
 
+
+ROTATION = "W,X,Y,Z|x,-y,-z|rpy:R,P,Y|ned-to-enu|frd-to-flu"
 
 OPTIONS = {
     "--convention": Keyword(
@@ -48,6 +51,13 @@ OPTIONS = {
         "next: propagated with --method start, they give the attitudes back.", "quaternion",
         "quaternion|rotvec|euler-zyx|matrix|body-rates|inertial-rates", group="Output", common=True,
         preset=True),
+    "--left": Keyword(
+        mounting, "Axes of IN's reference to those of OUT's: a quaternion with v_new = r v_old r*, "
+        "the old axes that become x, y and z, angles about axes that stay (deg), or a name. "
+        "Positions are turned, too.", "the same", ROTATION, group="Output"),
+    "--right": Keyword(
+        mounting, "Axes of IN's body to those of OUT's, as --left: q_out = LEFT q_in RIGHT*. "
+        "Covariances are turned, too.", "the same", ROTATION, group="Output"),
     **REPORT,
     **QUIET,
 }  # fmt: skip
@@ -80,6 +90,8 @@ def command(*, quiet: bool, **chosen: Any) -> int:
         meaning=AttitudeConvention(chosen["convention"], chosen["direction"]),
         sign=chosen["sign"],
         representation=with_unit(chosen["representation"], chosen["euler_unit"]),
+        left=chosen["left"],
+        right=chosen["right"],
     )
     with progress(quiet=quiet):
         report = convert(job)

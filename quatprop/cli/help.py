@@ -41,6 +41,17 @@ class GroupedOption(click.Option):
         self.group = group
         self.common = common
 
+    def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
+        """Return the value in its type; ``none`` takes back what a configuration gives."""
+        choices = getattr(self.type, "choices", ())
+        # Without a time column, rows are counted.
+        is_value = "none" in choices or self.name == "time_col"
+        is_preset = isinstance(self.default, str)
+        can_be_none = getattr(self.type, "can_be_none", False)
+        if value == "none" and can_be_none and not is_preset and not is_value:
+            return None
+        return super().type_cast_value(ctx, value)
+
 
 def brief(names: str, text: str) -> tuple[str, str]:
     """Return the record of an option with the first clause of its help, and its default."""

@@ -28,7 +28,6 @@ ATTITUDES = {name: parser for name, parser in ONE_SERIES.items() if name not in 
 
 PART = ("start", "end")
 NOT_OF_ERROR = {"--show", "--components", "--unwrap", "--start", "--end"}
-ERROR = {name: COMPARE[name] for name in ("tol", "align", "time_offset", "max_dt", "window")}
 
 
 EXAMPLES = (
@@ -82,7 +81,7 @@ REFERENCE = {
     OPTIONS,
     options_of({name: PROPAGATE[name] for name in PART}, log="FILE"),
     REFERENCE,
-    options_of(ERROR, log="REF", prefix="(with --reference) "),
+    options_of(COMPARE, log="REF", prefix="(with --reference) "),
     QUIET,
     options_of(READ_RATES, log="FILE"),
     options_of(ATTITUDES, log="FILE", signal="attitudes"),
@@ -154,7 +153,7 @@ def _show(chosen: Mapping[str, Any]) -> Literal["rates", "attitude"] | None:
 
 def _refuse_idle(chosen: Mapping[str, Any]) -> None:
     """Refuse options that go with others than those that are given."""
-    of_error = {option(name) for name in ERROR}
+    of_error = {option(name) for name in COMPARE}
     for parameter in click.get_current_context().command.params:
         name, value = parameter.opts[-1], chosen.get(str(parameter.name))
         if value is None or value is False:

@@ -41,7 +41,7 @@ VERBOSE = {
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
-@click.argument("log", type=PATH)
+@click.argument("logs", type=PATH, metavar="LOG...", nargs=-1, required=True)
 @with_options(
     OUT,
     INTO,
@@ -54,8 +54,8 @@ def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> i
     """Turn the body rates of LOG into its attitude series.
 
     LOG is an MCAP file, a ROS 1 or ROS 2 bag, a ULog, a table (CSV, Parquet and others), or - for
-    stdin. N samples give N attitudes, which go to a file of their own (-o) or into a copy of
-    LOG (--into).
+    stdin. Several files of one recording are read as one log, in the order of their times. N
+    samples give N attitudes, which go to a file of their own (-o) or into a copy of LOG (--into).
     """
     from quatprop.cli.progress import progress
     from quatprop.cli.summary import INDENT, command_line, show, summary
@@ -82,12 +82,14 @@ def job_of(chosen: Mapping[str, Any], folder: Path | None = None) -> Job:
 
     texts = click.get_current_context().meta.get(TEXTS, {})
     values = {name: texts.get(name, chosen[name]) for name in PROPAGATE}
+    log, *more = chosen.get("logs") or [chosen["log"]]
     if folder is not None:
         named = {name: value for name, value in values.items() if isinstance(value, str)}
         files = {name: file_beside(name, value, folder) for name, value in named.items()}
         values |= {name: str(file) for name, file in files.items() if file is not None}
     return Job(
-        log=chosen["log"],
+        log=log,
         output=output_settings(chosen),
         settings=propagation_settings(values),
+        more=tuple(more),
     )

@@ -54,6 +54,8 @@ class Parsed(ParamType):
     `name`: what help calls the value, such as ``"W,X,Y,Z"``
     """
 
+    can_be_none = True
+
     def __init__(self, parser: Parser, name: str) -> None:
         self.parser = parser
         self.name = name
@@ -78,6 +80,8 @@ class Parsed(ParamType):
 
 class OneOf(click.Choice[str]):
     """An option that takes one of a few names, and names the one that was probably meant."""
+
+    can_be_none = True
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the name, as it is spelled here."""

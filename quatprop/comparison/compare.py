@@ -16,15 +16,17 @@ from quatprop.comparison.clocks import find_offset
 from quatprop.comparison.diagnosis import MIN_PAIRS, likely_cause
 from quatprop.comparison.findings import dead_axes
 from quatprop.comparison.heading import error_parts
+from quatprop.comparison.judged import Judged, judged
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judge
 from quatprop.comparison.settings import ComparisonSettings
 from quatprop.comparison.statistics import sigma_statistics, window_statistics
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import UNIT_TOLERANCE, geodesic_angle, normalize
 from quatprop.series.blocks import blocks
+from quatprop.text import Remark
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from quatprop.arrays import Float64
     from quatprop.series import AttitudeSeries
@@ -48,32 +50,37 @@ def compare(
 ) -> Comparison:
     """Measure the geodesic error between two attitude series, which are sorted and normalised."""
     settings = settings or ComparisonSettings()
-    remarks: list[str] = []
+    remarks: list[Remark] = []
     (a, lost_of_a), (b, lost_of_b) = _sorted(a, "A", remarks), _sorted(b, "B", remarks)
     found = find_offset(a, b) if settings.time_offset == "auto" else None
     offset = AppliedOffset(found.ns if found else int(settings.time_offset), found)
     b = shifted(b, offset.added_to_b_ns)
     pairs = associate(a, b, settings)
+    matching, part = Matching.from_pairs(pairs), None
+    if settings.judge:
+        pairs, part = judged(pairs, settings.judge)
     measured = ErrorAccumulator(
         pairs.at, align(settings.align, pairs.a, pairs.b), settings.limit_rad
     )
     measured.add(pairs.t_ns, pairs.index, pairs.a, pairs.b)
+    wanted = b if part is None else part.part_of(b)
     reference = CoveredTime()
-    for rows in blocks(len(b)):
-        reference.add(b.t_ns[rows])
+    for rows in blocks(len(wanted)):
+        reference.add(wanted.t_ns[rows])
     counted = pairs.match == "exact" or pairs.at == "B"
     coverage = Coverage(
-        measured.covered.share_of(reference), 100 * len(pairs) / len(b) if counted else None
+        measured.covered.share_of(reference), 100 * len(pairs) / len(wanted) if counted else None
     )
     return build_comparison(
         a,
         b,
         settings,
         measured,
-        Matching.from_pairs(pairs),
+        matching,
         offset,
         coverage,
         pairs=pairs,
+        part=part,
         left_out=lost_of_a + lost_of_b,
         remarks=remarks,
     )
@@ -89,51 +96,32 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
     coverage: Coverage,
     *,
     pairs: Pairs | None = None,
+    part: Judged | None = None,
     left_out: int = 0,
-    remarks: Sequence[str] = (),
+    remarks: Sequence[Remark] = (),
 ) -> Comparison:
     """Judge and explain errors, once all are measured.
 
     `pairs`: what was compared; None where the result need not have it, nor the errors
+    `part`: which pairs are judged; None: all
     """
-    remarks = [*remarks]
     window = parts = sigmas = None
     if pairs is not None:
-        if pairs.floor_rad > FLOOR_SHARE * settings.smallest_limit_rad:
-            remarks.append(
-                f"attitudes were interpolated between samples, which may cause errors of about "
-                f"{math.degrees(pairs.floor_rad):.3g} deg"
-            )
         if settings.window:
             window = window_statistics(pairs, measured.alignment, settings.window)
         if settings.in_parts:
             parts = error_parts(pairs, measured.alignment)
-            if parts.inclination.max > OPPOSED:
-                remarks.append(
-                    "the z axes of A and B point in opposite directions, where there is no error "
-                    "in heading to speak of: is one of them north-east-down, and the other one up?"
-                )
         sigmas = sigma_statistics(a, b, pairs, measured.alignment)
     errors = measured.errors()
-    final, largest = float(errors[-1]), measured.worst.error_rad
+    final = float(errors[-1])
     if pairs is None:
         errors.sort()
     rising = errors if pairs is None else np.sort(errors)
-    exact = association.match == "exact"
-    if exact and measured.opposite and largest <= SMALL_ERROR:
-        remarks.append(
-            f"B has the opposite sign in {measured.opposite} of {len(errors)} samples: q and -q "
-            "are the same attitude, so this is no error"
-        )
-    if sigmas and math.isinf(sigmas.max):
-        remarks.append(
-            f"the error at {sigmas.max_ns} ns is infinitely many sigma: the attitude is given as "
-            "exact, with sigma 0, and the error is beyond rounding"
-        )
     comparison = Comparison(
         pairs=pairs,
         errors=np.empty(0) if pairs is None else errors,
         association=association,
+        judged=part,
         time_offset=time_offset,
         alignment=measured.alignment,
         error_rad=measured.statistics(rising, final),
@@ -146,19 +134,56 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
         left_out=left_out,
         tolerance_rad=settings.limit_rad if math.isfinite(settings.limit_rad) else None,
         first_exceeding=measured.first_exceeding,
-        remarks=tuple(remarks),
+        remarks=(),
     )
+    said = (*remarks, *_remarks(comparison, settings, len(errors), measured.opposite))
     criteria = tuple(judge(settings, comparison))
     passed = all(criterion.passed for criterion in criteria) if criteria else None
+    if part is not None:
+        a, b = part.part_of(a), part.part_of(b)
     cause = None
     if not passed and len(rising) >= MIN_PAIRS:
         # What has no remedy is no cause, and makes others look like one.
-        remarks += dead_axes(a, b)
-        if len(remarks) == len(comparison.remarks):
+        findings = tuple(dead_axes(a, b))
+        said += findings
+        if not findings:
             cause = likely_cause(a, b, settings, rising, time_offset.added_to_b_ns)
-    return replace(
-        comparison, criteria=criteria, passed=passed, likely_cause=cause, remarks=tuple(remarks)
-    )
+    return replace(comparison, criteria=criteria, passed=passed, likely_cause=cause, remarks=said)
+
+
+def _remarks(
+    comparison: Comparison, settings: ComparisonSettings, count: int, opposite: int
+) -> Iterator[Remark]:
+    """Yield what else a reader should know.
+
+    `count`, `opposite`: how many pairs there are, and of how many the signs differ
+    """
+    pairs, parts, sigmas = comparison.pairs, comparison.parts, comparison.sigmas
+    if pairs and pairs.floor_rad > FLOOR_SHARE * settings.smallest_limit_rad:
+        yield Remark(
+            "interpolated",
+            f"attitudes were interpolated between samples, which may cause errors of about "
+            f"{math.degrees(pairs.floor_rad):.3g} deg",
+        )
+    if parts and parts.inclination.max > OPPOSED:
+        yield Remark(
+            "opposed-verticals",
+            "the z axes of A and B point in opposite directions, where there is no error in "
+            "heading to speak of: is one of them north-east-down, and the other one up?",
+        )
+    exact = comparison.association.match == "exact"
+    if exact and opposite and comparison.worst.error_rad <= SMALL_ERROR:
+        yield Remark(
+            "opposite-signs",
+            f"B has the opposite sign in {opposite} of {count} samples: q and -q are the same "
+            "attitude, so this is no error",
+        )
+    if sigmas and math.isinf(sigmas.max):
+        yield Remark(
+            "exact-sigma",
+            f"the error at {sigmas.max_ns} ns is infinitely many sigma: the attitude is given as "
+            "exact, with sigma 0, and the error is beyond rounding",
+        )
 
 
 def unit(wxyz: Float64) -> Float64:
@@ -170,7 +195,7 @@ def unit(wxyz: Float64) -> Float64:
     return wxyz
 
 
-def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> tuple[AttitudeSeries, int]:
+def _sorted(series: AttitudeSeries, name: str, remarks: list[Remark]) -> tuple[AttitudeSeries, int]:
     """Return unit quaternions in order of time and how many were left out, and add remarks.
 
     Only those count that differ from the attitude that is kept at the same stamp.
@@ -191,7 +216,8 @@ def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> tuple[Atti
             f"number), the first at index {first_invalid}; leave them out"
         )
     if deviation > UNIT_TOLERANCE:
-        remarks.append(f"{name} is not of unit length, by up to {deviation:.2g}; normalised")
+        text = f"{name} is not of unit length, by up to {deviation:.2g}; normalised"
+        remarks.append(Remark("normalised", text))
     t_ns, wxyz = series.t_ns, unit(series.wxyz) if deviation > ROUNDING else series.wxyz
     intervals = np.diff(t_ns)
     if (intervals > 0).all():
@@ -200,7 +226,10 @@ def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> tuple[Atti
     backwards, repeated = int((intervals < 0).sum()), len(t_ns) - len(first)
     others = int(np.count_nonzero(geodesic_angle(wxyz, wxyz[first[stamp]]) > NO_ERROR))
     remarks.append(
-        f"{name} was sorted by time: its timestamps step back {backwards} times, and {repeated} "
-        f"repeated ones were left out, {others} of them with another attitude"
+        Remark(
+            "sorted",
+            f"{name} was sorted by time: its timestamps step back {backwards} times, and "
+            f"{repeated} repeated ones were left out, {others} of them with another attitude",
+        )
     )
     return replace(series, wxyz=wxyz)[first], others

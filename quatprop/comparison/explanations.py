@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from quatprop.comparison.clock_mistakes import clocks
 from quatprop.comparison.clocks import coarse_offset
 from quatprop.comparison.integration_rules import integration_rules
 from quatprop.comparison.misreadings import axes, misreadings
+from quatprop.comparison.plans import CLOCKS, CONTAINED, NOTHING, PRICE, PRICES, Explanation, Plan
 from quatprop.comparison.rate_mistakes import RATES, rate_mistake
 from quatprop.comparison.undoing import Sides, Undoing, frames
 from quatprop.comparison.windows import common_beginning
@@ -35,21 +36,6 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64
     from quatprop.comparison.settings import ComparisonSettings
-
-PRICES = {
-    "axes": 0.4,
-    "scale": 0.3,
-    "clock drift": 0.4,
-    "reference frame": 0.35,
-    "body frame": 0.35,
-    "rate bias": 0.2,
-    "drift": 0.2,
-}
-"""Mistake -> share of the error that may remain when it is undone: less of it, the more is
-fitted."""
-
-PRICE = 0.5
-"""The same for all other mistakes."""
 
 NEGLIGIBLE = 1e-4
 """Share of the error below which explanations are equally good."""
@@ -74,38 +60,6 @@ MIN_SAMPLES = 100
 
 ROUNDS = 2
 """How often every kind of mistake is looked for, beside those that were found."""
-
-CLOCKS = ("time offset", "clock drift")
-
-CONTAINED = {
-    ("axes", "body frame"),
-    ("reference frame", "body frame"),
-    ("body frame", "reference frame"),
-    ("clock drift", "time offset"),
-    ("time offset", "clock drift"),
-}
-"""Mistakes of which the second is no alternative to the first: it has as much, or is a part."""
-
-
-class Plan(NamedTuple):
-    """Which mistakes are undone, by their keys; empty where none is of that kind."""
-
-    reading: str = ""
-    clock: str = ""
-    rates: str = ""
-    frames: str = ""
-
-
-class Explanation(NamedTuple):
-    """What is undone, the RMS error that remains, rad, and that over its price."""
-
-    undone: tuple[Undoing, ...]
-    rms: float
-    score: float
-
-
-NOTHING = Explanation((), math.inf, math.inf)
-"""What cannot be tried."""
 
 
 class Search:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.comparison.windows import body_angle, common_beginning
+from quatprop.text import Remark
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,7 +28,7 @@ DEAD = 1e-6
 """Share of its largest spread below which a rate does not vary but by rounding."""
 
 
-def dead_axes(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[str]:
+def dead_axes(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Remark]:
     """Yield a sentence where one series turns about all axes and the other at no varying rate."""
     both = zip("AB", common_beginning(a, b), strict=True)
     spreads = {name: _spreads(series) for name, series in both}
@@ -38,9 +39,10 @@ def dead_axes(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[str]:
         axes = [axis for axis, spread in zip("xyz", own, strict=True) if spread <= DEAD * whole[-1]]
         if axes:
             about = "any axis" if len(axes) == len(own) else f"its {' and '.join(axes)} axis"
-            yield (
+            yield Remark(
+                "dead-axis",
                 f"the rate of {name} about {about} never changes, and {other} turns about all "
-                "three: are rates missing?"
+                "three: are rates missing?",
             )
 
 

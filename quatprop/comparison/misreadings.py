@@ -51,41 +51,10 @@ SAME_FIT = 1e-3
 
 def misreadings() -> Iterator[Undoing]:
     """Yield wrong layouts, directions and conventions, and rates resolved in another frame."""
-
-    def read(side: str, order: list[int], *, opposite: bool) -> Callable[[Sides], Sides]:
-        def apply(sides: Sides) -> Sides:
-            series = getattr(sides, side)
-            wxyz = np.ascontiguousarray(series.wxyz[:, order])
-            wxyz = conjugate(wxyz) if opposite else wxyz
-            return sides._replace(**{side: replace(series, wxyz=wxyz)})
-
-        return apply
-
     sign = "the rates of A and B have opposite signs"
     yield Undoing("rate sign", "rates of the opposite sign", sign, scaled(-1), with_rates(-1.0))
     for side in "ba":
-        direction = f"{Setting('from_direction', 'ref-to-body', side)} or "
-        direction += Setting("from_convention", "jpl", side)
-        way = f"if it is {side.upper()}, read it with "
-        other = "a wrong direction or JPL convention"
-        yield Undoing(
-            "conjugate", other, CONJUGATE, way + direction, read(side, AS_READ, opposite=True)
-        )
-        for name, order in LAYOUTS.items():
-            last = (name == "layout") == (side == "b")
-            own, taken = ("last", "first") if last else ("first", "last")
-            said = f"{side.upper()} is scalar-{own} and was read as scalar-{taken}"
-            layout = Setting("from_layout", f"scalar-{own}", side)
-            numbers = order if side == "b" else np.argsort(order).tolist()
-            apply = read(side, numbers, opposite=False)
-            yield Undoing(name, "a wrong layout", said, way + layout, apply)
-            yield Undoing(
-                f"{name} and conjugate",
-                f"a wrong layout with {other}",
-                f"{said}; also, {CONJUGATE}",
-                f"{way}{layout} and {direction}",
-                read(side, numbers, opposite=True),
-            )
+        yield from _misread(side)
     for own, wanted in (("inertial", "body"), ("body", "inertial")):
         yield Undoing(
             "side",
@@ -94,6 +63,40 @@ def misreadings() -> Iterator[Undoing]:
             "body rates against inertial rates",
             if_propagated("rates", wanted, own),
             _on_other_side(own, wanted),
+        )
+
+
+def _misread(side: str) -> Iterator[Undoing]:
+    """Yield wrong layouts, directions and conventions of a series."""
+
+    def read(order: list[int], *, opposite: bool) -> Callable[[Sides], Sides]:
+        def apply(sides: Sides) -> Sides:
+            series = getattr(sides, side)
+            wxyz = np.ascontiguousarray(series.wxyz[:, order])
+            wxyz = conjugate(wxyz) if opposite else wxyz
+            return sides._replace(**{side: replace(series, wxyz=wxyz)})
+
+        return apply
+
+    direction = f"{Setting('from_direction', 'ref-to-body', side)} or "
+    direction += Setting("from_convention", "jpl", side)
+    way = f"if it is {side.upper()}, read it with "
+    other = "a wrong direction or JPL convention"
+    yield Undoing("conjugate", other, CONJUGATE, way + direction, read(AS_READ, opposite=True))
+    for name, order in LAYOUTS.items():
+        last = (name == "layout") == (side == "b")
+        own, taken = ("last", "first") if last else ("first", "last")
+        said = f"{side.upper()} is scalar-{own} and was read as scalar-{taken}"
+        layout = Setting("from_layout", f"scalar-{own}", side)
+        numbers = order if side == "b" else np.argsort(order).tolist()
+        apply = read(numbers, opposite=False)
+        yield Undoing(name, "a wrong layout", said, way + layout, apply)
+        yield Undoing(
+            f"{name} and conjugate",
+            f"a wrong layout with {other}",
+            f"{said}; also, {CONJUGATE}",
+            f"{way}{layout} and {direction}",
+            read(numbers, opposite=True),
         )
 
 

@@ -15,7 +15,7 @@ from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import conjugate, log, multiply, shorter
 from quatprop.provenance import as_json
 from quatprop.rendering import degrees_text
-from quatprop.text import Setting
+from quatprop.text import Remark, Setting
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.cause import Cause
     from quatprop.comparison.clocks import ClockOffset
     from quatprop.comparison.heading import ErrorParts
+    from quatprop.comparison.judged import Judged
     from quatprop.comparison.statistics import ErrorStatistics, SigmaStatistics, WindowStatistics
 
 
@@ -134,6 +135,8 @@ class Comparison:
         Geodesic errors of the pairs, shape ``(N,)``, rad; empty where there are no pairs.
     association
         How the attitudes were matched in time.
+    judged
+        Which pairs the errors are of; None: all.
     time_offset
         What was added to B's stamps.
     alignment
@@ -174,6 +177,7 @@ class Comparison:
     pairs: Pairs | None = field(repr=False)
     errors: Float64 = field(repr=False)
     association: Matching
+    judged: Judged | None
     time_offset: AppliedOffset
     alignment: Alignment
     error_rad: ErrorStatistics
@@ -189,7 +193,7 @@ class Comparison:
     passed: bool | None = None
     first_exceeding: ComparedSample | None
     likely_cause: Cause | None = None
-    remarks: tuple[str, ...]
+    remarks: tuple[Remark, ...]
 
     def __repr__(self) -> str:
         largest, rms = degrees_text(self.error_rad.max), degrees_text(self.error_rad.rms)

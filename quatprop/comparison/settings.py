@@ -1,17 +1,20 @@
 """How two attitude series are compared: the settings, and the texts in which users write them."""
 
 import math
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from typing import Annotated, Literal, TypedDict, Unpack
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypedDict, Unpack, get_args
 
 from quatprop.errors import UsageError
 from quatprop.settings.keyword import Keyword, keywords_of
-from quatprop.settings.parsers import Choice, duration, length, number
+from quatprop.settings.parsers import Choice, duration, length, moment, number
 from quatprop.settings.quantities import RAD_PER_UNIT, quantity, quantity_of
 from quatprop.settings.values import parse_all
 from quatprop.text import Setting, quoted, shown
+from quatprop.times import Instant
 
-ALIGNMENTS = ("none", "first", "yaw", "mean", "mount")
+Alignment: TypeAlias = Literal["none", "first", "yaw", "mean", "mount"]
+ALIGNMENTS: tuple[str, ...] = get_args(Alignment)
 """Which frames of B are rotated before the comparison."""
 
 BY_ALL = {"yaw", "mean", "mount"}
@@ -23,7 +26,8 @@ ERROR_LIMITS = (
 )
 """Settings that limit the error itself; others limit its drift, and what was compared."""
 
-MATCHES = ("exact", "nearest", "interpolate")
+Matching: TypeAlias = Literal["exact", "nearest", "interpolate"]
+MATCHES: tuple[str, ...] = get_args(Matching)
 """How attitudes are matched in time: equal stamps, the nearest sample, interpolation."""
 
 DEG_H_PER_UNIT = {"deg/h": 1.0, "deg/s": 3600.0, "rad/s": 3600 * 180 / math.pi}
@@ -38,6 +42,16 @@ class Sigmas:
 
     def __str__(self) -> str:
         return f"{self.count:g}sigma"
+
+
+class InstantRange(NamedTuple):
+    """A time range, ends included."""
+
+    start: Instant
+    end: Instant
+
+    def __str__(self) -> str:
+        return f"{self.start}..{self.end}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +76,7 @@ class ComparisonSettings:
     `max_dt`: how far a sample may be from its partner, ns; None: depends on the median interval
     `min_matched`: percentage of the samples in the common time that must be matched, 0 to 100
     `window`: also compare the rotations over windows of this length, ns; None: no windows
+    `judge`: only pairs in these time ranges count; none: all do
     """
 
     tol: float | Sigmas | None = None
@@ -81,6 +96,7 @@ class ComparisonSettings:
     max_dt: int | None = None
     min_matched: float = 50.0
     window: int | None = None
+    judge: tuple[InstantRange, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("window_tol", "window_rms_tol"):
@@ -140,6 +156,22 @@ def _percentage(value: object) -> float:
     return percentage
 
 
+def time_ranges(value: object) -> tuple[InstantRange, ...]:
+    """Return time ranges: text such as ``"+10s..+20s,+30s..+40s"``, or pairs of instants."""
+    ranges = []
+    for part in value.split(",") if isinstance(value, str) else _items(value):
+        ends = part.split("..") if isinstance(part, str) else _items(part)
+        if len(ends) != 2:  # noqa: PLR2004  # start and end
+            raise UsageError(f"{shown(part)} is no time range; write START..END, as +10s..+20s")
+        first, last = (end.strip() if isinstance(end, str) else end for end in ends)
+        ranges.append(InstantRange(moment(first), moment(last)))
+    return tuple(ranges)
+
+
+def _items(value: object) -> list[object]:
+    return list(value) if isinstance(value, Iterable) else [value]
+
+
 def _sigmas(value: object) -> Sigmas:
     if isinstance(value, Sigmas):
         return value
@@ -188,20 +220,21 @@ class CompareOptions(TypedDict, total=False):
     max_sigma: Annotated[float | None, Keyword(
         _sigmas, "Largest error that passes, in standard deviations (Mahalanobis distance), beside "
         "one in rad or deg.", takes="N", group="Limits")]
-    align: Annotated[str, Keyword(
+    align: Annotated[Alignment, Keyword(
         Choice(*ALIGNMENTS), "How {log} is rotated first: not at all; its reference frame, by the "
         "first pair, by the mean of all, or by that in heading alone (yaw); or its reference and "
         "body frame (mount), from the motion.", group="Alignment", common=True)]
     time_offset: Annotated[int | str, Keyword(
         time_offset_ns, "Added to the stamps of {log}, such as -12ms; auto estimates it from the "
         "angular speeds.", takes="DUR|auto", group="Alignment", common=True)]
-    match: Annotated[str | None, Keyword(
+    match: Annotated[Matching | None, Keyword(
         Choice(*MATCHES), "How attitudes are matched: equal stamps, the nearest, or interpolated "
         "ones, at the stamps of the series with the longer intervals.", f"exact where at "
         f"least half have equal stamps, else nearest if there is {Setting('max_dt')}, else "
         f"interpolate", group="Alignment")]
     max_dt: Annotated[int | str | None, Keyword(
-        length, "Largest distance in time of samples that are matched or interpolated between.",
+        length, f"Largest distance in time of samples that are matched or interpolated between. "
+        f"Without {Setting('match')}, it also means nearest instead of interpolate.",
         "half the median interval to the nearest, 10 to interpolate", "DUR", "Alignment")]
     min_matched: Annotated[float | None, Keyword(
         _percentage, "Percentage of the shorter series that must be matched.", "50", "PERCENT",
@@ -209,6 +242,10 @@ class CompareOptions(TypedDict, total=False):
     window: Annotated[int | str | None, Keyword(
         length, "Also compare the rotations over windows of this length.", takes="DUR",
         group="Alignment", common=True)]
+    judge: Annotated[str | Collection[Any] | None, Keyword(
+        time_ranges, "Judge these times alone, such as +10s..+20s,+45s..-5s: of all pairs, those "
+        "from the first to the last of each range; +10s is after the first pair, -5s before the "
+        "last.", "all", "START..END,...", "Alignment")]
     # fmt: on
 
 

@@ -101,6 +101,9 @@ def _series(operand: ReadAttitudes) -> str:
 def _method(comparison: Comparison) -> Iterator[Row]:
     offset, alignment = comparison.time_offset, comparison.alignment
     yield "matched", _matching(comparison.association)
+    if part := comparison.judged:
+        ranges = count_text(len(part.ranges_ns), "time range")
+        yield "judged", f"{part.pairs} of them, in {ranges}"
     shifted = f"{duration_text(offset.added_to_b_ns)} added to B's stamps"
     if found := offset.found:
         shifted += (
@@ -126,7 +129,7 @@ def _matching(matching: Matching) -> str:
     other = "A" if matching.at == "B" else "B"
     method = {
         "exact": "equal stamps",
-        "nearest": f"nearest to {matching.at} within {reach}",
+        "nearest": f"{other} nearest to {matching.at} within {reach}, not interpolated",
         "interpolate": f"{other} interpolated at the stamps of {matching.at}, over at most {reach}",
     }
     span = duration_text(matching.last_ns - matching.first_ns)

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.errors import UsageError
-from quatprop.kinematics.quaternion import UNIT_TOLERANCE, normalize, rotation_matrix
+from quatprop.kinematics.quaternion import (
+    UNIT_TOLERANCE,
+    exp,
+    from_matrix,
+    multiply,
+    normalize,
+    rotation_matrix,
+)
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -28,36 +35,65 @@ class FrameMounting(NamedTuple):
     frames: tuple[str, ...]
 
 
-def mounting(text: str) -> Float64:
-    """Return the matrix that takes sensor axes to body axes.
+NAMED = {
+    "ned-to-enu": "y,x,-z",
+    "enu-to-ned": "y,x,-z",
+    "frd-to-flu": "x,-y,-z",
+    "flu-to-frd": "x,-y,-z",
+}
+"""Changes of axes by name, as the old axes that become x, y and z."""
 
-    `text`: three signed sensor axes that become the body's x, y and z, such as ``"x,-y,-z"``, or a
-        unit quaternion ``"W,X,Y,Z"`` with v_body = m v_sensor m*
+
+def mounting(text: str, what: str = "mounting") -> Float64:
+    """Return the matrix that takes sensor axes to body axes, or other old axes to new ones.
+
+    `text`: three signed old axes that become the new x, y and z, such as ``"x,-y,-z"``; a unit
+        quaternion ``"W,X,Y,Z"`` with v_body = m v_sensor m*; ``"rpy:R,P,Y"``, deg, turns about
+        the axes that stay, Rz(Y) Ry(P) Rx(R), as in URDF; a key of :data:`NAMED`
+    `what`: it is called in errors
     `Returns`: rotation matrix, shape ``(3, 3)``: rate_body = M rate_sensor
     """
-    parts = [part.strip().lower() for part in text.split(",")]
+    old_to_new = {"mounting": "sensor axes to body axes"}.get(what, "old axes to new ones")
+    word = text.strip().lower()
+    parts = [part.strip() for part in NAMED.get(word, word.removeprefix("rpy:")).split(",")]
     if len(parts) == len(AXES) and {part.lstrip("+-") for part in parts} == set(AXES):
         axes = np.zeros((3, 3))
         for row, part in enumerate(parts):
             axes[row, AXES[part[-1]]] = -1.0 if part.startswith("-") else 1.0
         if np.linalg.det(axes) < 0:
             raise UsageError(
-                f"the mounting {quoted(text)} is left-handed, so it is not a rotation; "
+                f"the {what} {quoted(text)} is left-handed, so it is not a rotation; "
                 "change one sign or swap two axes"
             )
         return axes
-    wxyz = np.zeros(0)
+    numbers = np.zeros(0)
     with suppress(ValueError):
-        wxyz = np.array([float(part) for part in parts])
-    if wxyz.shape != (4,) or not np.isfinite(wxyz).all() or not wxyz.any():
-        raise UsageError(
-            f"{quoted(text)} is not a mounting; write three signed axes such as x,-y,-z, "
-            "a quaternion W,X,Y,Z that takes sensor axes to body axes, or tf:FRAME"
-        )
+        numbers = np.array([float(part) for part in parts])
+    if np.isfinite(numbers).all():
+        if word.startswith("rpy:") and numbers.shape == (3,):
+            roll, pitch, yaw = exp(np.diag(np.radians(numbers)))
+            return rotation_matrix(multiply(yaw, multiply(pitch, roll)))
+        if numbers.shape in {(4,), (9,)} and numbers.any() and not word.startswith("rpy:"):
+            return _matrix(numbers, text, what)
+    raise UsageError(
+        f"{quoted(text)} is not a {what}; write three signed axes such as x,-y,-z, a quaternion "
+        f"W,X,Y,Z that takes {old_to_new}, angles about axes that stay in deg as rpy:0,30,0, "
+        f"{', '.join(NAMED)}{', or tf:FRAME' if what == 'mounting' else ''}"
+    )
+
+
+def _matrix(numbers: Float64, text: str, what: str) -> Float64:
+    """Return the matrix of a quaternion, or of the nine numbers of one."""
+    wxyz = numbers
+    if len(numbers) > len("wxyz"):
+        matrix = numbers.reshape(3, 3)
+        wxyz = from_matrix(matrix)
+        if not np.abs(rotation_matrix(wxyz) - matrix).max() <= UNIT_TOLERANCE:
+            raise UsageError(f"the {what} {quoted(text)} is not a rotation matrix")
     length = float(np.linalg.norm(wxyz))
     if abs(length - 1) > UNIT_TOLERANCE:
         raise UsageError(
-            f"the mounting {quoted(text)} has the length {length:.6g}, so it is not a rotation; "
+            f"the {what} {quoted(text)} has the length {length:.6g}, so it is not a rotation; "
             "scale it to 1"
         )
     return rotation_matrix(normalize(wxyz))

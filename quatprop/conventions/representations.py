@@ -44,8 +44,8 @@ def euler_angles(sequence: str, wxyz: Float64) -> Float64:
     For the sequence ``"xyz"`` q = q_x(first) q_y(second) q_z(third): about x, then about the new
     y, then about the newest z; scipy writes ``"XYZ"``. Extrinsic rotations, about axes that stay,
     are the same angles in reversed order. From half sums and half differences of the first and the
-    third angle, which stay exact where the two cannot be distinguished (gimbal lock); there they
-    are shared equally.
+    third angle, of which one stays exact in gimbal lock, where the other is not determined: it is
+    what rounding leaves of it, and zero where nothing is left.
 
     `wxyz`: quaternions, shape ``(N, 4)``; their length does not matter
     `Returns`: shape ``(N, 3)``, rad: the first and the third from -pi to pi. The second is from

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop.conventions import HAMILTON, AttitudeConvention
 from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
+from quatprop.conversion.axes import AxisChange
 from quatprop.conversion.rates import RATE_COLUMNS, RATES
 from quatprop.provenance import Digest, as_json, entry_of
 from quatprop.series import SIGMA_COLUMNS
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from quatprop.logs.signals.signal import AttitudeSignal
     from quatprop.pipeline.settings import OutputSettings
     from quatprop.tables.log import Loss
+    from quatprop.text import Remark
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +35,8 @@ class Conversion:
         short ones, up to half a turn
     `representation`: ``"quaternion"``, a key of :data:`REPRESENTATIONS`, or of
         :data:`quatprop.conversion.rates.RATES`
+    `left`, `right`: what takes axes of the reference, and of the body, to those of the output, as
+        :func:`quatprop.conditioning.mounting.mounting` reads it; None: they stay
     """
 
     source: AttitudeInput
@@ -40,6 +44,14 @@ class Conversion:
     meaning: AttitudeConvention = HAMILTON
     sign: str = "keep"
     representation: str = QUATERNION
+    left: str | None = None
+    right: str | None = None
+
+    @property
+    def axes(self) -> AxisChange | None:
+        """How the axes change; None: they stay."""
+        stay = self.left is None and self.right is None
+        return None if stay else AxisChange.of(self.left, self.right)
 
     @property
     def layout(self) -> Layout:
@@ -84,7 +96,7 @@ class ConversionReport:
     columns: tuple[str, ...]
     counts: QuaternionCounts
     losses: tuple[Loss, ...]
-    remarks: tuple[str, ...]
+    remarks: tuple[Remark, ...]
 
     def __repr__(self) -> str:
         path = self.job.output.path
@@ -111,6 +123,11 @@ class ConversionReport:
             "representation": job.representation,
             **asdict(job.meaning),
             **({"layout": job.layout.name} if is_quaternion else {}),
+            **{
+                name: turn
+                for name, turn in (("left", job.left), ("right", job.right))
+                if turn is not None
+            },
             "columns": list(self.columns),
             "sign": job.applied_sign,
         }

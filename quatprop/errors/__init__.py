@@ -55,13 +55,19 @@ class DataLossWarning(QuatpropWarning):
         How many messages or rows are lost, where that is known.
     """
 
-    def __init__(self, message: str, messages: int | None = None) -> None:
-        super().__init__(message)
-        self.messages = messages
+    messages: int | None = None
 
 
 class RemarkWarning(QuatpropWarning):
-    """Something was inferred, or looks wrong."""
+    """Something was inferred, or looks wrong.
+
+    Attributes
+    ----------
+    code
+        Names what is said, such as ``"saturated"``; it stays when the sentence changes.
+    """
+
+    code = ""
 
 
 class QuatpropError(Exception):
@@ -218,8 +224,7 @@ class NoSamplesError(LogError):
     """The chosen source holds no samples, or none in the chosen part of the log.
 
     `source`: the topic or the columns
-    `outside`, `dropped`: samples that were left out: before and after the chosen part, and as not
-        finite
+    `outside`, `dropped`: samples left out: before and after the chosen part, and as not finite
     `losses`: places that could not be read, and why
     `length`: how long the log is, where the part is given in units
     """
@@ -238,10 +243,9 @@ class NoSamplesError(LogError):
         if dropped:
             reason = f"; {dropped} with rates that are not finite were dropped"
         elif any(outside):
-            before, after = outside
-            reason = f" between {Setting('start')} and {Setting('end')}: {before} are before, "
-            unit = "a number without a unit is in ns"
-            reason += f"{after} after; {f'the log is {length} long' if length else unit}"
+            hint = f"the log is {length} long" if length else "a number without a unit is in ns"
+            reason = f" between {Setting('start')} and {Setting('end')}: {outside[0]} are before, "
+            reason += f"{outside[1]} after; {hint}"
         elif losses:
             reason = "; lost: {}: {}".format(*losses[0])
         super().__init__(path, f"no samples in {quoted(source)}{reason}")

@@ -31,7 +31,8 @@ MAX_RATIO: Final = 4.0
 would amplify noise, and a long interval is likely to be a gap."""
 
 MAX_RATIO_ONE_SIDED: Final = 2.0
-"""The same for a parabola through the samples of one side alone, which extrapolates more."""
+"""The same for a parabola through the samples of one side alone, which extrapolates more. Where
+samples are averages, only the coning depends on it: there too, the limit is :data:`MAX_RATIO`."""
 
 MAX_SPAN_RATIO: Final = 1.5
 """Stamps further apart than this many times the integration of an increment: one is missing."""
@@ -128,7 +129,8 @@ def curvature_of_averages(
         moves = steps > 0
         follows = (moves & (steps <= MAX_SPAN_RATIO * integration_time_ns[1:]))[1:] & moves[:-1]
         valid &= follows
-    return _of_slopes(np.ascontiguousarray(rate[:, 1:]), h, valid, causal=causal)
+    average = np.ascontiguousarray(rate[:, 1:])
+    return _of_slopes(average, h, valid, MAX_RATIO, causal=causal)
 
 
 def _no_gaps(steps: Int64, gap_ns: int | None) -> Bool:
@@ -137,7 +139,14 @@ def _no_gaps(steps: Int64, gap_ns: int | None) -> Bool:
     return np.asarray(within[:-1] & within[1:])
 
 
-def _of_slopes(slope: Float64, h: Float64, valid: Bool, *, causal: bool = False) -> Curvature:
+def _of_slopes(
+    slope: Float64,
+    h: Float64,
+    valid: Bool,
+    max_ratio_one_sided: float = MAX_RATIO_ONE_SIDED,
+    *,
+    causal: bool = False,
+) -> Curvature:
     """Return the curvature of values whose slopes over the intervals are known.
 
     `slope`: differences of neighbouring values over the lengths of the intervals, ``(3, M)``
@@ -158,7 +167,7 @@ def _of_slopes(slope: Float64, h: Float64, valid: Bool, *, causal: bool = False)
     # The first and the last interval have no sample on one side.
     usable = np.zeros((2, len(h) + 1), np.bool_)
     usable[0, 1:-1] = wide
-    np.logical_and(wide, longer <= MAX_RATIO_ONE_SIDED * shorter, out=usable[1, 1:-1])
+    np.logical_and(wide, longer <= max_ratio_one_sided * shorter, out=usable[1, 1:-1])
     lone = np.flatnonzero(~(usable[0, :-1] & usable[0, 1:]))
     b = right - left
     a = left.copy()

@@ -16,7 +16,7 @@ import numpy as np
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.cubic import cross, curvature, curvature_of_averages
-from quatprop.kinematics.quintic import quintic, quintic_of_averages
+from quatprop.kinematics.quintic import quintic, quintic_of_averages, steps_and_lengths
 from quatprop.settings import CORRECT_CONING, FRAMES, LOOK_AHEAD
 from quatprop.text import listed, quoted
 from quatprop.times import NS_PER_S
@@ -141,10 +141,7 @@ def _integrated(
 ) -> Float64:
     """Return the rotation vectors where the sensor integrates, ``(3, N - 1)``, rad."""
     average = rate[:, 1:]
-    durations = np.diff(t_ns)
-    if integration_time_ns is not None:
-        durations = np.where(durations > 0, integration_time_ns[1:], 0)
-    dt = durations / NS_PER_S
+    dt = steps_and_lengths(t_ns, integration_time_ns)[1] / NS_PER_S
     rotvec = _end(rate[:, :-1], average, dt)
     if method in CORRECT_CONING:
         curvature = curvature_of_averages(

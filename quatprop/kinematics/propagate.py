@@ -98,16 +98,20 @@ class _Composition:
             if stop == len(series) and following is not None:
                 parts.append(following[:AFTER])
             samples = GyroSeries.joined(parts)
-            rate = 0.0 - samples.rate if self._inertial else samples.rate
-            rotvec = rotation_vectors(
-                samples.t_ns,
-                rate,
-                self._method,
-                samples.integration_time_ns,
-                is_interval_average=samples.is_interval_average,
-            )
+            if self._inertial:
+                samples = samples.with_rate(0.0 - samples.rate)
+            rotvec = self._rotation_vectors(samples, self._method)
             yield slice(start, stop), tile_steps(rotvec[first - 1 :][: stop - start])
         self._previous = GyroSeries.joined([previous, series[-BEFORE:]])[-BEFORE:]
+
+    def _rotation_vectors(self, samples: GyroSeries, method: str) -> Float64:
+        return rotation_vectors(
+            samples.t_ns,
+            samples.rate,
+            method,
+            samples.integration_time_ns,
+            is_interval_average=samples.is_interval_average,
+        )
 
 
 class Propagation(_Composition):

@@ -58,11 +58,13 @@ class Quintic(NamedTuple):
 
     def replace(self, rotvec: Float64, s: Float64) -> None:
         """Put the rotation vectors in place of others, ``(3, M)``, where there are six samples."""
-        if self.usable.all():
-            rotvec[:] = self.rotation(s)
-        else:
-            chosen = np.flatnonzero(self.usable)
+        chosen = np.flatnonzero(self.usable)
+        if 2 * len(chosen) < len(s):
             rotvec[:, chosen] = self.at(chosen).rotation(s[chosen])
+            return
+        # Faster than to choose nearly all. Other polynomials may be far from where they are used.
+        with np.errstate(over="ignore", invalid="ignore"):
+            np.copyto(rotvec, self.rotation(s), where=self.usable)
 
     def rotation(self, s: Float64) -> Float64:
         """Return rotation vectors from the start of each interval, ``(3, M)``, rad.
@@ -135,13 +137,19 @@ def quintic_of_averages(
     `integration_time_ns`: for increments: the time over which each was integrated, shape ``(N,)``,
         int64, ns
     """
-    steps = lengths = np.diff(t_ns)
-    if integration_time_ns is not None:
-        # A repeated message is no interval of its own.
-        lengths = np.where(steps > 0, integration_time_ns[1:], 0)
+    steps, lengths = steps_and_lengths(t_ns, integration_time_ns)
     nodes_ns = np.concatenate([[0], np.cumsum(lengths)])
     average = np.ascontiguousarray(rate[:, 1:])
     return _through(nodes_ns, average, windows_over(steps, lengths, gap_ns), is_integral=True)
+
+
+def steps_and_lengths(t_ns: Int64, integration_time_ns: Int64 | None) -> tuple[Int64, Int64]:
+    """Return the times between stamps, and those over which is integrated, ``(M,)``, ns."""
+    steps = np.diff(t_ns)
+    if integration_time_ns is None:
+        return steps, steps
+    # A repeated message is no interval of its own.
+    return steps, np.where(steps > 0, integration_time_ns[1:], 0)
 
 
 class Windows(NamedTuple):
@@ -176,11 +184,13 @@ def windows_over(steps: Int64, lengths: Int64, gap_ns: int | None = None) -> Win
     if even.all():
         return Windows(np.clip(first - CENTRED, 0, count - 1), np.ones(len(steps), np.bool_))
     start = np.full(len(steps), -1)
-    for before in (0, 4, 1, 3, CENTRED):  # the best last
-        begin = first - before
-        fits = (alike if before == CENTRED else even)[np.clip(begin, 0, count - 1)]
-        fits &= (begin >= 0) & (begin < count)
-        start[fits] = begin[fits]
+    start[CENTRED : CENTRED + count][alike] = first[:count][alike]
+    left = np.flatnonzero(start < 0)
+    for before in (3, 1, 4, 0):  # the best first
+        begin = left - before
+        fits = even[np.clip(begin, 0, count - 1)] & (begin >= 0) & (begin < count)
+        start[left[fits]] = begin[fits]
+        left = left[~fits]
     return Windows(np.maximum(start, 0), start >= 0)
 
 

@@ -249,7 +249,7 @@ def _between(gyro: GyroSeries, wxyz: Float64, wanted: Int64, method: str, shape:
         if curvature is not None:
             rotvec += curvature.rotation_of_averages(second, elapsed)
     else:
-        if method in CORRECT_CONING:
+        if method != "end":
             # A rate that is linear in time has got part of the way to the next sample's.
             second = first + fraction * (second - first)
         if curvature is not None:

@@ -13,6 +13,7 @@ import numpy as np
 
 from quatprop.kinematics.propagate import FinalAttitude
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.kinematics.quintic import steps_and_lengths, windows_over
 from quatprop.series import GyroSeries
 from quatprop.settings import CORRECT_CONING
 
@@ -36,17 +37,19 @@ NEXT_BETTER: Final = {
 class Sensitivity:
     """The final attitudes that another method, and every second sample, lead to.
 
-    `next_method`: the method that is compared; known when the first samples have passed
+    `next_method`: the method that is compared; known when the samples have passed
     """
 
     def __init__(self, q0: Float64, method: str, rates: str) -> None:
         self._q0, self._method, self._rates = q0, method, rates
         self._ends = [q0, q0]
+        self._is_quintic = False
         self.next_method: str | None = None
 
     def begin(self, *, restart: bool) -> None:
         """Begin a segment: at q0 again, or at the attitudes reached so far."""
         self._starts = [self._q0, self._q0] if restart else self._ends
+        self._is_quintic = self._is_quintic and not restart
         self._runs: list[FinalAttitude] | None = None
         self._sparse = Decimator()
 
@@ -57,9 +60,10 @@ class Sensitivity:
             end = integrated and self._method not in CORRECT_CONING
             self.next_method = "coning" if end else NEXT_BETTER[self._method]
             methods = (self.next_method, self._method)
+            kinds = (_BelowQuintic if self._method == "quintic" else FinalAttitude, FinalAttitude)
             self._runs = [
-                FinalAttitude(q0, method, self._rates)
-                for q0, method in zip(self._starts, methods, strict=True)
+                kind(q0, method, self._rates)
+                for kind, q0, method in zip(kinds, self._starts, methods, strict=True)
             ]
         other, sparse = self._runs
         other.add(block)
@@ -70,6 +74,9 @@ class Sensitivity:
         if self._runs is not None:
             self._runs[1].add(self._sparse.rest)
             self._ends = [run.end() for run in self._runs]
+            if isinstance(self._runs[0], _BelowQuintic):
+                self._is_quintic |= self._runs[0].is_quintic
+                self.next_method = "cubic" if self._is_quintic else "coning"
 
     def angles(self, final: ArrayLike) -> tuple[float, float]:
         """Return how far the final attitude is from those of the others, rad.
@@ -78,6 +85,23 @@ class Sensitivity:
         """
         method_rad, sampling_rad = geodesic_angle(np.asarray(final), np.array(self._ends)).tolist()
         return method_rad, sampling_rad
+
+
+class _BelowQuintic(FinalAttitude):
+    """The end by ``cubic``, but by ``coning`` over intervals at which ``quintic`` is ``cubic``.
+
+    `is_quintic`: whether it was anything else over any interval so far
+    """
+
+    is_quintic = False
+
+    def _rotation_vectors(self, samples: GyroSeries, method: str) -> Float64:
+        rotvec = super()._rotation_vectors(samples, method)
+        usable = windows_over(*steps_and_lengths(samples.t_ns, samples.integration_time_ns)).usable
+        self.is_quintic |= bool(usable.any())
+        if not usable.all():
+            rotvec[~usable] = super()._rotation_vectors(samples, "coning")[~usable]
+        return rotvec
 
 
 class Decimator:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from quatprop.conditioning import FROM_TRANSFORMS, GyroCorrection, GyroCorrectionInputs
 from quatprop.errors import LogError, UsageError
-from quatprop.logs.matching.find import Match, beside, marks_of
+from quatprop.logs.matching.find import Found, Match, beside, marks_of
+from quatprop.logs.matching.matcher import ColumnMatcher
 from quatprop.logs.signals.quaternion_check import QuaternionCheck
 from quatprop.logs.signals.reading import read_vectors
 from quatprop.settings.selection import AttitudeSelection, RateSelection
@@ -40,7 +41,7 @@ def conditioning_inputs(
     if log is None:
         return GyroCorrectionInputs(biases=biases, mounting=mounting)
     return GyroCorrectionInputs(
-        force=lambda: _force(source),
+        force=lambda: _force(source, selection),
         orientation=lambda: _orientation(log, source, selection),
         biases=biases,
         mounting=mounting,
@@ -48,11 +49,13 @@ def conditioning_inputs(
     )
 
 
-def _force(source: RateSignal) -> Rows:
+def _force(source: RateSignal, selection: RateSelection) -> Rows:
     """Yield specific forces, if the log has some that can be read."""
     try:
-        yield from specific_forces(source) or ()
+        yield from specific_forces(source, selection) or ()
     except (LogError, UsageError):
+        if selection.accel_cols is not None:
+            raise
         return
 
 
@@ -67,12 +70,17 @@ def _orientation(log: Log, source: RateSignal, selection: RateSelection) -> Rows
             yield series.t_ns, series.wxyz
 
 
-def specific_forces(source: RateSignal) -> Rows | None:
+def specific_forces(source: RateSignal, selection: RateSelection) -> Rows | None:
     """Return stamps, ns, and specific forces in sensor axes, ``(N, 3)``, in the rows of rates.
 
     None where there are none.
     """
     for match in source.matches:
+        if selection.accel_cols is not None:
+            found = Found(match.table, match.row, match.part)
+            columns = ColumnMatcher(found, selection, "accel_cols").named(selection.accel_cols)
+            named = found._replace(sets=(columns,))
+            return read_vectors(Match(*named, match.stamp))
         for force in beside(match, "force"):
             return read_vectors(Match(*force, match.stamp, marks=marks_of(force)))
     return None

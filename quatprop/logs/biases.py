@@ -14,6 +14,8 @@ from quatprop.logs.open_log import open_log
 from quatprop.logs.signals.rate_columns import match_bias
 from quatprop.logs.signals.reading import read_vectors
 from quatprop.logs.vocabulary.sources import TYPES
+from quatprop.series import GyroSeries
+from quatprop.settings.parsers import InMemory
 from quatprop.settings.selection import RateSelection, SignalSelection
 from quatprop.text import Setting, listed, plain, quoted
 
@@ -25,12 +27,17 @@ if TYPE_CHECKING:
     from quatprop.tables.log import Log
 
 
-def read_biases(source: str, log: Log | None, selection: SignalSelection) -> BiasSeries:
+def read_biases(source: str | InMemory, log: Log | None, selection: SignalSelection) -> BiasSeries:
     """Read biases over time.
 
     `log`, `selection`: the log whose rates the biases are of, and how those were chosen; None for
         rates in memory
     """
+    if isinstance(source, InMemory):
+        series = source.value
+        if not isinstance(series, GyroSeries) or not len(series):
+            raise UsageError(f"{Setting('bias')}: a series of biases is a GyroSeries with rows")
+        return BiasSeries(str(source), "rate", series.t_ns, series.rate)
     if Path(source).exists():
         with open_log(source) as opened:
             known = [one for table in opened.tables() for one in find(table, "bias")]

@@ -28,7 +28,7 @@ from quatprop.stores.file_source import FileSource
 from quatprop.stores.kinds import READERS, TEXT_KINDS, head_of, kind_of
 from quatprop.stores.objects import below, find, is_address, without_secret
 from quatprop.stores.temp_files import temp_folder
-from quatprop.text import Setting, listed, plain, quoted
+from quatprop.text import Remark, Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -143,12 +143,18 @@ def _complete(log: Log, folders: list[Path], msg_path: str | Path | None) -> Non
     for channel in log.channels():
         types[channel.topic].add(channel.type_name)
     several = (
-        f"topic {quoted(topic)} was recorded with several types, which are read separately: "
-        f"{listed(sorted(names))}"
+        Remark(
+            "several-types",
+            f"topic {quoted(topic)} was recorded with several types, which are read separately: "
+            f"{listed(sorted(names))}",
+        )
         for topic, names in types.items()
         if len(names) > 1
     )
-    remarks = (f"{quoted(name)} is defined by {plain(file)}" for name, file in files.used.items())
+    remarks = (
+        Remark("definition-file", f"{quoted(name)} is defined by {plain(file)}")
+        for name, file in files.used.items()
+    )
     log.remarks = [*log.remarks, *remarks, *several]
 
 

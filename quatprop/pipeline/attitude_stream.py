@@ -5,11 +5,14 @@ from __future__ import annotations
 from itertools import chain
 from typing import TYPE_CHECKING, Protocol
 
+import numpy as np
+
 from quatprop.conditioning import condition
 from quatprop.conditioning.time_range import clipping_remarks
 from quatprop.errors import NoSamplesError, SeriesError, TimelineError
-from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.kinematics.quaternion import geodesic_angle, rotation_matrix
 from quatprop.kinematics.resample import Listed, Steady, Times, every
+from quatprop.kinematics.uncertainty import ErrorGrowth
 from quatprop.logs.beside_rates import conditioning_inputs
 from quatprop.pipeline.gyro_errors import UncertaintyReport, known_errors, uncertainty_report
 from quatprop.pipeline.initial_attitude import LogContext, first_attitude
@@ -18,10 +21,12 @@ from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
+from quatprop.series.columns import stamps_of
+from quatprop.settings.parsers import InMemory
 from quatprop.settings.quantities import RATES
 from quatprop.stores.objects import without_secret
 from quatprop.tables.base import TableLog
-from quatprop.text import Setting
+from quatprop.text import Remark, Setting
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
 
@@ -70,12 +75,14 @@ class AttitudeStream:
         self._observer, self._sensitivity, self._rate = observer, sensitivity, rate
         self._rows = 0
         # First, since the beginning of the log may be kept until it is read for good.
-        self._log_remarks = (
-            [] if log is None or str(log.path) == "-" else log_remarks(log, source, settings.rates)
-        )
+        read_once = log is not None and str(log.path) == "-"
+        self._log_remarks = [] if read_once else log_remarks(log, source, settings.rates)
         chosen_by = "time_col" if isinstance(log, TableLog) else "clock"
-        self._timeline = Timeline(settings.policy, path, chosen_by)
-        self._checks = RateChecks()
+        self._method, self._method_from = source.method_used(settings.method)
+        self._timeline = Timeline(
+            settings.policy, path, chosen_by, method=self._method, rates=settings.rates
+        )
+        self._checks = RateChecks(source.unit, is_given=source.unit_is_given)
         self._batches, self._conditioned = condition(
             source.batches,
             self._timeline,
@@ -85,8 +92,7 @@ class AttitudeStream:
             # Sorted, samples may belong to the range wherever they are in the log.
             part_reader=None if settings.policy.on_backwards == "sort" else source.part_reader,
         )
-        self._method, self._method_from = source.method_used(settings.method)
-        self._errors = known_errors(settings.errors, self._conditioned.rest)
+        self._errors = known_errors(settings.errors, self._conditioned)
         self._times = _times(settings)
 
     @property
@@ -96,7 +102,7 @@ class AttitudeStream:
 
     def __iter__(self) -> Iterator[AttitudeSeries]:
         """Yield the attitudes in batches, once."""
-        rates = self._checks.observe(self._batches)
+        rates, settings = self._checks.observe(self._batches), self._settings
         if self._observer is not None:
             rates = self._observer.rates(rates)
         used = self._timeline.measured(rates)
@@ -111,13 +117,15 @@ class AttitudeStream:
         attitudes = self._segments.attitudes(
             chain([first], used),
             sensitivity=self._sensitivity,
-            covariance=self._settings.errors.sigma,
+            covariance=settings.errors.sigma,
             rate=self._rate,
         )
+        if settings.earth_rate is not None:
+            attitudes = settings.earth_rate.taken_off(attitudes, int(first.t_ns[0]))
         if self._observer is not None:
             attitudes = self._observer.attitudes(attitudes)
         try:
-            for series in every(attitudes, self._settings.every or 1):
+            for series in every(attitudes, settings.every or 1):
                 self._rows += len(series)
                 yield series
         except SeriesError as error:
@@ -142,18 +150,37 @@ class AttitudeStream:
             settings.selection,
             self._conditioned.mount,
             in_order=settings.policy.on_backwards != "sort",
+            first_ns=self._timeline.first_stamp_ns,
         )
-        self._q0 = first_attitude(settings.q0, context, first)
-        needs_growth = self._sensitivity or settings.errors.sigma
+        begin = first_attitude(settings.q0, context, first)
+        self._q0 = begin.wxyz
+        self._q0_covariance = begin.covariance(settings.errors.q0_sigma)
         return Segments(
             self._timeline,
             self._q0,
             method=self._method,
             rates=settings.rates,
             times=self._times,
-            errors=self._errors[0] if self._errors and needs_growth else None,
+            growth=self._growth(),
+        )
+
+    def _growth(self) -> ErrorGrowth | None:
+        """Return the growth of the errors, where they are known and wanted."""
+        settings, q0 = self._settings, self._q0_covariance
+        if self._errors is None or not (self._sensitivity or settings.errors.sigma):
+            return None
+        errors, _, rests = self._errors
+        if settings.rates == "inertial":
             # Rates in the reference frame are not turned by the mounting.
-            mount=self._conditioned.mount if settings.rates == "body" else None,
+            return ErrorGrowth(errors, settings.rates, self._method, q0=q0, rests=rests)
+        turn = rotation_matrix(self._q0)
+        return ErrorGrowth(
+            errors,
+            settings.rates,
+            self._method,
+            self._conditioned.mount,
+            q0=None if q0 is None else turn @ q0 @ turn.T,
+            rests=rests,
         )
 
     def report(self, *, layout: str | None = None, digest: Digest | None = None) -> RunReport:
@@ -161,10 +188,15 @@ class AttitudeStream:
         settings, source, log = self._settings, self._source, self._log
         counts = self._timeline.counts
         span_s = counts.span_ns * 1e-9
-        sensitivity = self._segments.sensitivity
+        sensitivity, final = self._segments.sensitivity, self._segments.final
         method_rad, sampling_rad = (
-            (None, None) if sensitivity is None else sensitivity.angles(self._segments.final)
+            (None, None) if sensitivity is None else sensitivity.angles(final)
         )
+        if (earth := settings.earth_rate) is not None:
+            # Of one attitude; the method makes the same difference against either reference.
+            (final,) = earth.against_ground(
+                final[None], np.array([counts.last_ns]), counts.first_ns or 0
+            )
         return RunReport(
             source=SourceReport(
                 path=without_secret(self._path),
@@ -184,6 +216,7 @@ class AttitudeStream:
                 layout=layout,
                 q0_wxyz=self._q0,
                 q0_from=settings.q0.origin,
+                earth_rate_rad_s=None if earth is None else earth.rate,
             ),
             policy=settings.policy,
             counts=counts,
@@ -200,8 +233,8 @@ class AttitudeStream:
                 span_s=span_s,
                 sample_rate_hz=(counts.used - 1) / span_s if span_s > 0 else None,
                 rows=self._rows,
-                final_wxyz=self._segments.final,
-                net_rotation_rad=float(geodesic_angle(self._q0, self._segments.final)),
+                final_wxyz=final,
+                net_rotation_rad=float(geodesic_angle(self._q0, final)),
                 method_sensitivity_rad=method_rad,
                 next_method=None if sensitivity is None else sensitivity.next_method,
                 sampling_sensitivity_rad=sampling_rad,
@@ -209,15 +242,19 @@ class AttitudeStream:
             ),
         )
 
-    def _remarks(self) -> Iterator[str]:
+    def _remarks(self) -> Iterator[Remark]:
         settings, counts = self._settings, self._timeline.counts
-        yield from self._source.remarks
+        is_mounted = settings.conditioning.mount is not None
+        for remark in self._source.remarks:
+            if not (is_mounted and remark.code == "stated-mount"):
+                yield remark
         yield from self._source.method_remarks(settings.method)
         yield from remarks(counts, settings.policy)
         yield from clipping_remarks(settings.conditioning, self._conditioned)
         yield from self._conditioned.all_remarks
         yield from self._checks.remarks(counts)
-        yield from filter(None, [self._times_left_out()])
+        if left_out := self._times_left_out():
+            yield Remark("times-left-out", left_out)
         yield from self._log_remarks
         yield from () if self._log is None else self._log.remarks
 
@@ -241,11 +278,14 @@ class AttitudeStream:
         growth = self._segments.growth
         if self._errors is None or growth is None:
             return None
-        return uncertainty_report(self._errors, growth, self._settings.errors.columns_axes)
+        return uncertainty_report(self._errors, self._q0_covariance, growth, self._settings.errors)
 
 
 def _times(settings: PropagationSettings) -> Times | None:
     """Return when attitudes are wanted; None is at the samples."""
+    if isinstance(settings.at, InMemory):
+        at = settings.at.value
+        return Listed(np.sort(stamps_of("at", getattr(at, "t_ns", at))))
     if settings.at is not None:
         from quatprop.logs.interpolation import stamps_in
 

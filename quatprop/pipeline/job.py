@@ -13,7 +13,8 @@ import numpy as np
 
 from quatprop.concurrency.threads import in_background, use_threads
 from quatprop.errors import UsageError
-from quatprop.logs.open_log import is_stream, open_log
+from quatprop.logs.joined import open_logs
+from quatprop.logs.open_log import is_stream
 from quatprop.logs.signals.rates import choose_rates
 from quatprop.pipeline.attitude_stream import AttitudeStream
 from quatprop.pipeline.report import ReportFile, RunReport, digests_of_inputs
@@ -42,11 +43,23 @@ class Job(NamedTuple):
     """What to do with one log.
 
     `log`: path of the log, or ``"-"`` for CSV on stdin
+    `more`: further files of the same recording, read as one log with it
     """
 
     log: str
     output: OutputSettings
     settings: PropagationSettings = PropagationSettings()
+    more: tuple[str, ...] = ()
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """All files that are read as one log."""
+        return (self.log, *self.more)
+
+    @property
+    def name(self) -> str:
+        """What errors and reports call the log."""
+        return " + ".join(self.paths)
 
 
 def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> RunReport:
@@ -56,8 +69,8 @@ def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> 
     _refuse_contradictions(job)
     with (
         use_threads(1 if _is_small(job.log) else settings.threads),
-        open_log(
-            job.log, settings.kind, msg_path=settings.selection.msg_path, copied=job.output.into
+        open_logs(
+            job.paths, settings.kind, msg_path=settings.selection.msg_path, copied=job.output.into
         ) as log,
     ):
         output = with_format(job.output, log)
@@ -66,7 +79,7 @@ def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> 
         if output.into:
             source = source.with_log_times()
         stream = AttitudeStream(
-            job.log,
+            job.name,
             source,
             settings,
             log,
@@ -94,9 +107,12 @@ def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> 
 def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log) -> RunReport:
     """Write the attitudes of a log and return the report on them."""
     output = job.output
-    stored = digest_of_object(job.log) if is_address(job.log) else None
+    stored = digest_of_object(job.log) if is_address(job.log) and not job.more else None
+    inputs = {**job.settings.inputs, **({path: path for path in job.paths} if job.more else {})}
     with (
-        digest_ahead(job.log, hashed=output.keeps_report and stream.reads_all) as digest,
+        digest_ahead(
+            job.log, hashed=output.keeps_report and stream.reads_all and not job.more
+        ) as digest,
         closing(in_background(stream)) as attitudes,
     ):
         is_sorted = job.settings.policy.on_backwards == "sort"
@@ -106,7 +122,7 @@ def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log)
     return replace(
         report,
         settings={**report.settings, **output.given},
-        files=digests_of_inputs(job.settings.inputs, log) if output.keeps_report else {},
+        files=digests_of_inputs(inputs, log) if output.keeps_report else {},
         remarks=(*report.remarks, *format_remarks(output.path, output.to)),
     )
 
@@ -160,7 +176,7 @@ def _refuse_contradictions(job: Job) -> None:
     settings, output = job.settings, job.output
     if not output.into:
         layout_of(output.kind, output.layout)
-    refuse_overlap([job.log, *settings.inputs.values()], [output.path, output.report])
+    refuse_overlap([*job.paths, *settings.inputs.values()], [output.path, output.report])
     if settings.needs_second_read and is_stream(job.log):
         raise UsageError(
             f"{'stdin' if job.log == '-' else 'a pipe'} can be read only once; "

@@ -9,6 +9,7 @@ from quatprop.provenance import JsonObject, entry_of
 
 if TYPE_CHECKING:
     from quatprop.tables.log import Loss
+    from quatprop.text import Remark
     from quatprop.timeline.counts import Counts
 
 
@@ -41,7 +42,7 @@ class SignalSurvey:
     duplicates: int | None = None
     backwards: int | None = None
     missing: str | None = None
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from quatprop.conditioning import GyroCorrectionReport
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.tables.log import Log, Loss
+    from quatprop.text import Remark
     from quatprop.timeline.counts import Counts, Policy
 
 CONVENTION = {
@@ -77,6 +78,8 @@ class ConventionReport(NamedTuple):
     `layout`: order of the columns written; None where nothing was written
     `q0_wxyz`: attitude at the first sample, scalar first
     `q0_from`: ``"given"``, ``"level"``, ``"log"`` or a file
+    `earth_rate_rad_s`: the rotation of the reference that was taken off, in its axes, rad/s; None
+        where attitudes are against a reference that does not turn
     """
 
     rates: str
@@ -86,6 +89,7 @@ class ConventionReport(NamedTuple):
     layout: str | None
     q0_wxyz: NDArray[np.float64]
     q0_from: str
+    earth_rate_rad_s: NDArray[np.float64] | None = None
     quaternion: str = "w + x i + y j + z k"
     product: str = CONVENTION["product"]
     attitude: str = CONVENTION["attitude"]
@@ -108,7 +112,8 @@ class ResultReport(NamedTuple):
     `net_rotation_rad`: angle from the first to the last attitude, rad
     `method_sensitivity_rad`: method sensitivity: the angle between the final attitudes of this and
         the next better method, rad; None where it was not computed
-    `next_method`: that method: for ``"cubic"`` and ``"quintic"`` the next lower one
+    `next_method`: that method: for ``"cubic"`` and ``"quintic"`` the next lower one; over intervals
+        at which ``"quintic"`` is ``"cubic"``, and where it is that throughout, ``"coning"``
     `sampling_sensitivity_rad`: angle between the final attitudes from all samples and from every
         second one, rad
     `path_angle_rad`: total angle traversed, rad
@@ -158,7 +163,7 @@ class RunReport:
     policy: Policy
     counts: Counts
     losses: tuple[Loss, ...]
-    remarks: tuple[str, ...]
+    remarks: tuple[Remark, ...]
     conditioning: GyroCorrectionReport
     uncertainty: UncertaintyReport | None
     result: ResultReport

@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from quatprop.conditioning import GyroCorrection
 from quatprop.conventions.layout import layout_named
 from quatprop.errors import UsageError
+from quatprop.pipeline.earth_rate import EarthRate
 from quatprop.pipeline.gyro_errors import ErrorSettings
 from quatprop.pipeline.initial_attitude import InitialAttitude
-from quatprop.settings.parsers import FROM_THE_LOG, StaticBias, file_beside
+from quatprop.settings.parsers import FROM_THE_LOG, InMemory, file_beside
 from quatprop.settings.selection import RateSelection
+from quatprop.settings.static_bias import StaticBias
 from quatprop.settings.values import as_text, parse_all
 from quatprop.stores.objects import is_address, without_secret
 from quatprop.text import Setting
@@ -41,6 +43,7 @@ class PropagationSettings:
     `method`: integration rule: one of :data:`quatprop.settings.METHODS`; None: what
         the log says of its samples, or else ``"start"``
     `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved
+    `earth_rate`: the rotation of the reference that is taken off; None where it does not turn
     `q0`: attitude body -> reference at the first sample, or where to take it from
     `conditioning`: bias, mounting and the part of the log to use
     `every`: keep every N-th attitude; None is all
@@ -57,11 +60,12 @@ class PropagationSettings:
     policy: Policy = field(default_factory=Policy)
     method: str | None = None
     rates: str = "body"
+    earth_rate: EarthRate | None = None
     q0: InitialAttitude = field(default_factory=InitialAttitude)
     conditioning: GyroCorrection = field(default_factory=GyroCorrection)
     every: int | None = None
     rate: Fraction | None = None
-    at: str | None = None
+    at: str | InMemory | None = None
     threads: int | None = field(default=None, repr=False, compare=False)
     errors: ErrorSettings = field(default_factory=ErrorSettings)
     given: Mapping[str, str | bool] = field(default_factory=dict, repr=False, compare=False)
@@ -74,6 +78,8 @@ class PropagationSettings:
             )
         if self.conditioning.static is None:
             self.errors.refuse_unknown_errors()
+        if self.earth_rate is not None:
+            self._refuse_with_earth_rate()
         if (
             self.rates == "inertial"
             and self.conditioning.mount is not None
@@ -84,10 +90,30 @@ class PropagationSettings:
                 f"turns what {Setting('q0', 'level|log')} take from the log, or leave it out",
             )
 
+    def _refuse_with_earth_rate(self) -> None:
+        earth_rate = Setting("earth_rate")
+        if self.rates == "inertial":
+            rate = ",".join(f"{x:.9g}" for x in self.earth_rate.rate) if self.earth_rate else ""
+            raise UsageError(
+                f"{earth_rate} is for body rates; of rates resolved in the reference subtract the "
+                f"Earth's, {rate} rad/s, with {Setting('bias')}"
+            )
+        if self.conditioning.static is not None:
+            raise UsageError(
+                f"{Setting('bias', 'static')} takes the mean rate at rest, which contains the "
+                f"Earth's rate that {earth_rate} takes off; give {Setting('bias')} as numbers"
+            )
+        if self.policy.on_gap in {"zero", "split"}:
+            raise UsageError(
+                f"{earth_rate} counts the time since the first sample, across gaps, too; choose "
+                f"{Setting('on_gap', 'hold')} or {Setting('on_gap', 'error')}"
+            )
+
     @property
     def needs_second_read(self) -> bool:
         """Whether the log has to be read before it is propagated; stdin cannot be."""
-        is_topic = bool(self.q0.source) and "q0" not in self.inputs
+        source = self.q0.source
+        is_topic = isinstance(source, str) and bool(source) and "q0" not in self.inputs
         return self.conditioning.looks_ahead or is_topic
 
     @property
@@ -103,7 +129,9 @@ class PropagationSettings:
         return {
             name: path
             for name, path in named.items()
-            if path and (is_address(path) or file_beside(name, path, Path()))
+            if path
+            and isinstance(path, str)
+            and (is_address(path) or file_beside(name, path, Path()))
         }
 
 
@@ -180,16 +208,20 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
         selection=RateSelection.of(values),
         policy=Policy(max_gap_ns=values.get("max_gap"), **_named(Policy, values)),
         conditioning=GyroCorrection(
-            bias_from=bias if isinstance(bias, str) else None,
+            bias_from=bias if isinstance(bias, str | InMemory) else None,
             static=bias if isinstance(bias, StaticBias) else None,
             **{
                 **_named(GyroCorrection, values),
-                "bias": None if isinstance(bias, str | StaticBias) else bias,
+                "bias": None if isinstance(bias, str | StaticBias | InMemory) else bias,
             },
         ),
         errors=ErrorSettings(**_named(ErrorSettings, values)),
         given=given,
-        **{**_named(PropagationSettings, values), "q0": _initial_attitude(values)},
+        **{
+            **_named(PropagationSettings, values),
+            "q0": _initial_attitude(values),
+            "earth_rate": _earth_rate(values),
+        },
     )
 
 
@@ -198,15 +230,24 @@ def _named(record: type, values: Mapping[str, Any]) -> Mapping[str, Any]:
     return {name: values[name] for name in record.__annotations__ if name in values}
 
 
+def _earth_rate(values: Mapping[str, Any]) -> EarthRate | None:
+    place = values.get("earth_rate")
+    if place is None:
+        return None
+    latitude, azimuth = (*place, None)[:2]
+    return EarthRate(latitude, azimuth, down=values.get("reference_z") == "down")
+
+
 def _initial_attitude(values: Mapping[str, Any]) -> InitialAttitude:
     q0 = values.get("q0")
-    for name, value, fits in (
-        ("heading", "level", q0 == "level"),
-        ("reference_z", "level", q0 == "level"),
-        ("q0_layout", "W,X,Y,Z", isinstance(q0, tuple)),
+    level, earth_rate = Setting("q0", "level"), Setting("earth_rate")
+    for name, partner, fits in (
+        ("heading", level, q0 == "level"),
+        ("reference_z", f"{level} or {earth_rate}", q0 == "level" or "earth_rate" in values),
+        ("q0_layout", Setting("q0", "W,X,Y,Z"), isinstance(q0, tuple)),
     ):
         if name in values and not fits:
-            raise UsageError(f"{Setting(name)} goes with {Setting('q0', value)}")
+            raise UsageError(f"{Setting(name)} goes with {partner}")
     if q0 is None:
         return InitialAttitude()
     if isinstance(q0, tuple):

@@ -5,7 +5,16 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from quatprop.rendering import Row, degrees_text, quaternion_text, rate_text, source_text
+import numpy as np
+
+from quatprop.rendering import (
+    Row,
+    count_text,
+    degrees_text,
+    quaternion_text,
+    rate_text,
+    source_text,
+)
 from quatprop.text import plain
 from quatprop.times import duration_text
 
@@ -13,9 +22,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from quatprop.arrays import Float64
+    from quatprop.conditioning import GyroCorrectionReport
     from quatprop.conditioning.static_period import StaticPeriod
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.pipeline.report import ResultReport, RunReport
+    from quatprop.timeline.counts import SteadyClock
 
 
 def facts(report: RunReport) -> Iterator[Row]:
@@ -26,12 +37,16 @@ def facts(report: RunReport) -> Iterator[Row]:
     yield "source", f"{plain(source.path)} ({source.kind}): {name}"
     yield "rate", f"{plain(source.rate)} in {source.rate_unit}, {source.clock} clock"
     yield "samples", _samples(report)
+    if report.policy.regular_time:
+        yield "clock", _clock(counts.steady_clock)
     why = ""
     if convention.method_from == "log":
         why = f" (the samples are {convention.samples} over the intervals before their stamps)"
     yield "method", f"{convention.method}{why}, {convention.rates} rates: {convention.side}"
     if (bias := report.conditioning.bias_rad_s) is not None:
         yield "bias", _bias(bias, report.conditioning.rest)
+    if report.conditioning.rests:
+        yield "bias", _bias_of_rests(report.conditioning)
     if (series := report.conditioning.bias_series) is not None:
         origin = f"{plain(series.source)} ({plain(series.field)})"
         yield "bias", f"{series.values} values of {origin}, interpolated in time"
@@ -41,6 +56,8 @@ def facts(report: RunReport) -> Iterator[Row]:
         yield "mount", _mount(mount, report.conditioning.mount_frames)
     if convention.q0_from not in {"given", "identity"}:
         yield "q0", f"{quaternion_text(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
+    if (earth := convention.earth_rate_rad_s) is not None:
+        yield "earth rate", "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s taken off".format(*earth)
     if result.method_sensitivity_rad is not None:
         yield "sensitivity", _sensitivity(result)
     if report.uncertainty is not None:
@@ -52,6 +69,20 @@ def facts(report: RunReport) -> Iterator[Row]:
         f"at most {degrees_text(counts.max_rate)}/s"
     )
     yield "rotation", rotation
+
+
+def _clock(clock: SteadyClock | None) -> str:
+    """Return which steady clock took the place of the timestamps."""
+    if clock is None:
+        return "the timestamps do not jitter about a steady clock: used as they are"
+    text = (
+        f"steady at {clock.rate_hz:.9g} Hz from t = {clock.offset_ns} ns, in place of timestamps "
+        f"that scatter about it by {duration_text(round(clock.residual_rms_ns))} RMS and are at "
+        f"most {duration_text(clock.residual_max_ns)} away"
+    )
+    if clock.missing:
+        text += f"; {count_text(clock.missing, 'sample')} missing"
+    return f"{text}; {count_text(clock.kept, 'timestamp')} kept" if clock.kept else text
 
 
 def _sensitivity(result: ResultReport) -> str:
@@ -71,6 +102,8 @@ ERRORS = {
     "bias_sigma": ("bias", "deg/h", 3600 * 180 / math.pi),
     "random_walk": ("random walk of the bias", "deg/h/sqrt(h)", 60 * 3600 * 180 / math.pi),
     "scale_sigma": ("scale factors", "ppm", 1e6),
+    "misalignment_sigma": ("misalignments", "mrad", 1e3),
+    "q0_sigma": ("q0", "deg", 180 / math.pi),
 }
 """What each error of a gyroscope is called, its usual unit, and how many of it one SI unit is."""
 
@@ -79,9 +112,11 @@ def _uncertainty(uncertainty: UncertaintyReport) -> Iterator[Row]:
     sigma = "x {:.3g}  y {:.3g}  z {:.3g} deg".format(*map(math.degrees, uncertainty.sigma_rad))
     share = f"{uncertainty.largest_share:.0%} of the variance by {ERRORS[uncertainty.largest][0]}"
     yield "1 sigma", f"{sigma} about the body axes of the final attitude, {share}"
+    sizes = uncertainty.errors._asdict()
+    if (q0 := uncertainty.q0_sigma_rad) is not None:
+        sizes["q0_sigma"] = q0.max()
     known = (
-        f"{name} {getattr(uncertainty.errors, key) * factor:.3g} {unit} "
-        f"({plain(uncertainty.origins[key])})"
+        f"{name} {sizes[key] * factor:.3g} {unit} ({plain(uncertainty.origins[key])})"
         for key, (name, unit, factor) in ERRORS.items()
         if key in uncertainty.origins
     )
@@ -101,6 +136,21 @@ def _bias(bias_rad_s: Iterable[float], rest: StaticPeriod | None) -> str:
             if rest.steady
             else "as given"
         )
+    )
+
+
+def _bias_of_rests(conditioning: GyroCorrectionReport) -> str:
+    rests = conditioning.rests
+    means = np.array([rest.mean_rad_s for rest in rests])
+    ranges = "  ".join(
+        f"{axis} {low:+.6g} to {high:+.6g}"
+        for axis, low, high in zip("xyz", means.min(axis=0), means.max(axis=0), strict=True)
+    )
+    way = "interpolated between" if conditioning.interpolated else "of the nearest in time of"
+    length = duration_text(sum(rest.last_ns - rest.first_ns for rest in rests))
+    return (
+        f"{way} {len(rests)} rests of {length} together, {ranges} rad/s; "
+        f"steady by {', '.join(rests[0].steady)}; the whole log was searched"
     )
 
 

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self, SupportsIndex
 
 import numpy as np
 
 from quatprop.errors import UsageError
+from quatprop.settings.parsers import moment
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from datetime import datetime
 
     import pyarrow as pa
+    from numpy.typing import DTypeLike
 
     from quatprop.arrays import AnyArray, Bool, Float64, Int64, Intp
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Series:
     """Columns with a row for each stamp."""
 
@@ -36,8 +39,11 @@ class Series:
     def __len__(self) -> int:
         return len(self.t_ns)
 
-    def __getitem__(self, chosen: slice | Bool | Intp) -> Self:
-        """Return some rows: views for a slice, copies for a mask or positions."""
+    def __getitem__(self, chosen: SupportsIndex | slice | Bool | Intp) -> Self:
+        """Return some rows: a view of one or of a slice, copies for a mask or positions."""
+        if not isinstance(chosen, slice | np.ndarray | list):
+            row = range(len(self))[chosen]
+            chosen = slice(row, row + 1)
 
         def column(name: str) -> Any:
             values = getattr(self, name)
@@ -45,6 +51,72 @@ class Series:
 
         columns = map(column, self.__match_args__)
         return self._of(columns) if isinstance(chosen, slice) else type(self)(*columns)
+
+    def __iter__(self) -> Iterator[Self]:
+        """Yield series of one row each."""
+        return (self[row] for row in range(len(self)))
+
+    def __eq__(self, other: object) -> bool:
+        """Tell whether all columns of two series are the same; NaN is the same as NaN."""
+        if not isinstance(other, Series) or self.__match_args__ != other.__match_args__:
+            return NotImplemented
+        pairs = ((getattr(self, name), getattr(other, name)) for name in self.__match_args__)
+        return all(_same(mine, theirs) for mine, theirs in pairs)
+
+    __hash__ = None  # type: ignore[assignment]  # of arrays
+
+    def between(
+        self, start: str | int | datetime | None = None, end: str | int | datetime | None = None
+    ) -> Self:
+        """Return the rows from one time to another, both included.
+
+        Parameters
+        ----------
+        start, end
+            As for :func:`quatprop.propagate`: RFC 3339, ns, a date, ``"+10s"`` from the first or
+            ``"-30s"`` from the last row; None is all.
+
+        Raises
+        ------
+        UsageError
+            They are no times.
+        """
+        chosen = np.ones(len(self), bool)
+        for limit, keep in ((start, np.greater_equal), (end, np.less_equal)):
+            if limit is not None and len(self):
+                wanted = moment(limit)
+                origin = {"clock": 0, "first": int(self.t_ns[0]), "last": int(self.t_ns[-1])}
+                chosen &= keep(self.t_ns, origin[wanted.origin] + wanted.ns)
+        return self[chosen]
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> AnyArray:
+        """Return the rates, shape ``(N, 3)``, rad/s, or the quaternions, ``(N, 4)``, wxyz."""
+        columns: Sequence[str] = self.__match_args__
+        values: AnyArray = getattr(self, columns[1])
+        return np.array(values, dtype, copy=copy)
+
+    def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
+        """Return the table of :meth:`to_arrow` for pandas, polars, DuckDB and others."""
+        return self.to_arrow().__arrow_c_stream__(requested_schema)
+
+    def to_arrow(self) -> pa.Table:
+        """Return a table of the stamps and the columns."""
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        """Return the first and the last rows, for notebooks."""
+        table, few = self.to_arrow(), 3
+        rows = [*range(min(few, len(self))), *range(max(few, len(self) - few), len(self))]
+        cells = [[f"{column[row].as_py():.9g}" for column in table.columns[1:]] for row in rows]
+        names = "".join(f"<th>{name}</th>" for name in table.column_names)
+        lines = [
+            f"<tr><td>{self.t_ns[row]}</td><td>{'</td><td>'.join(line)}</td></tr>"
+            for row, line in zip(rows, cells, strict=True)
+        ]
+        if len(self) > 2 * few:
+            lines.insert(few, f'<tr><td colspan="{len(table.column_names)}">...</td></tr>')
+        title = repr(self).strip("<>")
+        return f"<p>{title}</p><table><tr>{names}</tr>{''.join(lines)}</table>"
 
     @classmethod
     def _of(cls, columns: Iterable[Any]) -> Self:
@@ -93,3 +165,9 @@ class Series:
                 "to_pandas() needs pandas; install it with pip install pandas"
             ) from error
         return table.to_pandas()
+
+
+def _same(mine: Any, theirs: Any) -> bool:
+    if isinstance(mine, np.ndarray) and isinstance(theirs, np.ndarray):
+        return np.array_equal(mine, theirs, equal_nan=True)
+    return bool(mine is theirs or (type(mine) is type(theirs) is bool and mine == theirs))

@@ -11,12 +11,12 @@ from collections.abc import Collection, Sequence
 from datetime import datetime, timedelta
 from fractions import Fraction
 from os import PathLike
-from typing import Annotated, TypedDict
+from typing import Annotated, Any, Literal, Protocol, TypeAlias, TypedDict, get_args
 
+from quatprop.settings.error_options import ErrorOptions
 from quatprop.settings.keyword import Keyword, keywords_of
 from quatprop.settings.parsers import (
     Choice,
-    bias,
     column_list,
     count,
     flag,
@@ -27,32 +27,58 @@ from quatprop.settings.parsers import (
     mounting,
     number,
     path,
+    place,
     text,
+    times,
 )
-from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES, RATIOS, quantity_of
+from quatprop.settings.static_bias import bias
 from quatprop.stores.kinds import READERS
 from quatprop.text import Setting
 
-LAYOUTS = ("scalar-first", "scalar-last", "wxyz", "xyzw")
-RATE_UNITS = ("rad/s", "deg/s")
-TIME_UNITS = ("s", "ms", "us", "ns")
-CLOCKS = ("header", "log", "publish")
-METHODS = ("start", "end", "mean", "coning", "cubic", "quintic")
+
+class Rotated(Protocol):
+    """A rotation, such as scipy's."""
+
+    def as_matrix(self) -> Any:
+        """Return its matrix, shape ``(3, 3)``."""
+
+
+class Timed(Protocol):
+    """A series of rates or of attitudes."""
+
+    @property
+    def t_ns(self) -> Any:
+        """Its stamps, shape ``(N,)``, ns."""
+
+
+Layout: TypeAlias = Literal["scalar-first", "scalar-last", "wxyz", "xyzw"]
+LAYOUTS: tuple[str, ...] = get_args(Layout)
+RateUnit: TypeAlias = Literal["rad/s", "deg/s"]
+RATE_UNITS: tuple[str, ...] = get_args(RateUnit)
+TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns"]
+TIME_UNITS: tuple[str, ...] = get_args(TimeUnit)
+ClockName: TypeAlias = Literal["header", "log", "publish"]
+CLOCKS: tuple[str, ...] = get_args(ClockName)
+Method: TypeAlias = Literal["start", "end", "mean", "coning", "cubic", "quintic"]
+METHODS: tuple[str, ...] = get_args(Method)
 LOOK_AHEAD = {"cubic", "quintic"}
 """Methods for which samples after an interval count."""
 CORRECT_CONING = {"coning", *LOOK_AHEAD}
 """Methods that add to averages and increments how the axis has turned."""
-FRAMES = ("body", "inertial")
+Frame: TypeAlias = Literal["body", "inertial"]
+FRAMES: tuple[str, ...] = get_args(Frame)
 """Where rates may be resolved: body rates multiply on the right, inertial rates on the left."""
-EULER_SEQUENCES = (
-    *("zyx", "xyz", "xzy", "yxz", "yzx", "zxy"),
-    *("zxz", "zyz", "xyx", "xzx", "yxy", "yzy"),
-)
+EulerSequence: TypeAlias = Literal[
+    "zyx", "xyz", "xzy", "yxz", "yzx", "zxy", "zxz", "zyz", "xyx", "xzx", "yxy", "yzy"
+]
+EULER_SEQUENCES: tuple[str, ...] = get_args(EulerSequence)
 """Axes of intrinsic rotations in their order: Tait-Bryan angles, then proper Euler angles."""
-SIGMA_AXES = ("body", "reference")
-CONVENTIONS = ("hamilton", "jpl")
-DIRECTIONS = ("body-to-ref", "ref-to-body")
-SIGNS = ("keep", "continuous", "positive")
+Convention: TypeAlias = Literal["hamilton", "jpl"]
+CONVENTIONS: tuple[str, ...] = get_args(Convention)
+Direction: TypeAlias = Literal["body-to-ref", "ref-to-body"]
+DIRECTIONS: tuple[str, ...] = get_args(Direction)
+Sign: TypeAlias = Literal["keep", "continuous", "positive"]
+SIGNS: tuple[str, ...] = get_args(Sign)
 OPTION_NAMES = {"kind": "from", "representation": "as", "extra_columns": "with"}
 """Settings whose name as an option or a key of a suite is a word of Python -> that name."""
 
@@ -68,7 +94,7 @@ class SelectOptions(TypedDict, total=False):
     msg_path: Annotated[str | PathLike[str] | None, Keyword(
         path, "Message definitions for {log}: a .msg file, or a folder of them.", "those in the "
         "log or beside it", "PATH")]
-    clock: Annotated[str | None, Keyword(
+    clock: Annotated[ClockName | None, Keyword(
         Choice(*CLOCKS), "Timestamp source.", "header where the message has one, else log")]
     time_field: Annotated[str | None, Keyword(
         text, "Message field of {log} that is the time.", "the header stamp", "A.B")]
@@ -76,7 +102,7 @@ class SelectOptions(TypedDict, total=False):
         lambda value: text(str(value)), f"Time column of {{log}}, by name or number from 0; two "
         "(SEC,NANOSEC, SEC,USEC or SEC,MSEC) of one stamp; none counts rows at "
         f"{Setting('sample_rate')}.", "by the header", "C")]
-    time_unit: Annotated[str | None, Keyword(
+    time_unit: Annotated[TimeUnit | None, Keyword(
         Choice(*TIME_UNITS), "Unit of the time in {log}.", "as the log says")]
     sample_rate: Annotated[float | Fraction | str | None, Keyword(
         frequency, "Rows a second of {log}, a table without a time, or what its counter of samples "
@@ -89,7 +115,7 @@ class SelectOptions(TypedDict, total=False):
 
 
 class RateOptions(SelectOptions, total=False):
-    """Keywords of :func:`quatprop.read_rates`, beside those of :class:`SelectOptions`."""
+    """Keywords that say which rates to read, beside those of :class:`SelectOptions`."""
 
     # fmt: off
     rate_field: Annotated[str | None, Keyword(
@@ -97,9 +123,21 @@ class RateOptions(SelectOptions, total=False):
     rate_cols: Annotated[str | Sequence[str | int] | None, Keyword(
         column_list("X,Y,Z"), "Rate columns of a table; by name or number from 0.", "by the header",
         "X,Y,Z", common=True)]
-    rate_unit: Annotated[str | None, Keyword(
+    rate_unit: Annotated[RateUnit | None, Keyword(
         Choice(*RATE_UNITS), "Unit of the rates.", "as the log says", common=True)]
     # fmt: on
+
+
+RegularTime = Annotated[bool | None, Keyword(
+    flag, "Replace timestamps that jitter about a steady clock, as times of arrival and rounded "
+    "ones do, by the times of that clock. Gaps stay, as whole numbers of its intervals; timestamps "
+    "without such a clock are refused.", "timestamps as they are", group="Timestamps")]  # fmt: skip
+
+
+class ReadOptions(RateOptions, total=False):
+    """Keywords of :func:`quatprop.read_rates`, beside those of :class:`RateOptions`."""
+
+    regular_time: RegularTime
 
 
 class SeriesOptions(SelectOptions, total=False):
@@ -117,18 +155,18 @@ class SeriesOptions(SelectOptions, total=False):
     frame: Annotated[str | None, Keyword(
         text, "Which transform of {log}, where it is a list of them.", "the only one there is",
         "[PARENT:]CHILD")]
-    from_layout: Annotated[str | None, Keyword(
+    from_layout: Annotated[Layout | None, Keyword(
         Choice(*LAYOUTS), "Order of the quaternion in {log}.", "by names, definitions or metadata; "
         "required where none of them says it")]
-    from_convention: Annotated[str | None, Keyword(
+    from_convention: Annotated[Convention | None, Keyword(
         Choice(*CONVENTIONS), "Convention of {log}.", "by metadata, else hamilton")]
-    from_direction: Annotated[str | None, Keyword(
+    from_direction: Annotated[Direction | None, Keyword(
         Choice(*DIRECTIONS), "Which coordinates {log} turns into which.", "by metadata, else "
         "body-to-ref")]
-    from_angle_unit: Annotated[str | None, Keyword(
+    from_angle_unit: Annotated[Literal["rad", "deg"] | None, Keyword(
         Choice("rad", "deg"), "Unit of angles in {log}, a table of yaw, pitch, roll or rotation "
         "vectors.", "by names; required where they do not say it")]
-    from_euler: Annotated[str | None, Keyword(
+    from_euler: Annotated[EulerSequence | None, Keyword(
         Choice(*EULER_SEQUENCES), "Sequence of the angles in {log}: xyz turns about x, the new y "
         "and the newest z. yaw, pitch and roll are about z, y and x.", "zyx, or by names")]
     # fmt: on
@@ -140,14 +178,14 @@ class AttitudeOptions(SeriesOptions, total=False):
     # fmt: off
     normalize: Annotated[bool | None, Keyword(
         flag, "Scale quaternions to unit length.", "refuse those off by more than 0.001")]
-    on_invalid: Annotated[str | None, Keyword(
+    on_invalid: Annotated[Literal["error", "drop"] | None, Keyword(
         Choice("error", "drop"), "Invalid quaternions (zero, NaN, marked absent, not of unit "
         "length): refuse or leave out.", "error")]
     # fmt: on
 
 
-class PropagateOptions(RateOptions, total=False):
-    """Keywords of :func:`quatprop.propagate`, beside those of :class:`RateOptions`."""
+class RunOptions(RateOptions, total=False):
+    """Keywords that determine attitudes, beside those of :class:`RateOptions`."""
 
     # fmt: off
     start: Annotated[str | int | datetime | None, Keyword(
@@ -156,56 +194,70 @@ class PropagateOptions(RateOptions, total=False):
     end: Annotated[str | int | datetime | None, Keyword(
         moment, f"Use {{log}} up to here; as {Setting('start')}.", "all", "TIME", "Time range",
         common=True)]
-    method: Annotated[str | None, Keyword(
+    method: Annotated[Method | None, Keyword(
         Choice(*METHODS), "Integration rule: the rate over an interval is that of the sample at "
         "its start, of the one at its end, their mean, linear between them (coning), a cubic "
         "through four samples (cubic) or a quintic through six (quintic, for sensors with next to "
         "no noise). The last three also correct averages and increments for coning.",
         "start; end where the log's samples are averages or increments",
         group="Integration", common=True)]
-    rates: Annotated[str | None, Keyword(
-        Choice(*FRAMES), "Frame the rates are resolved in: body multiplies right, inertial left.",
-        "body", group="Integration")]
-    q0: Annotated[str | PathLike[str] | Collection[float] | None, Keyword(
+    rates: Annotated[Frame | None, Keyword(
+        Choice(*FRAMES), "Frame the rates are resolved in: body multiplies right, inertial (or "
+        "reference: in the axes of the reference) left.", "body", group="Integration")]
+    earth_rate: Annotated[float | Collection[float] | None, Keyword(
+        place, "Take off the rotation of the Earth at this latitude, deg: attitudes against the "
+        "ground. The reference is east-north-up, or north-east-down if its z axis points down; "
+        "AZIMUTH is that of another x axis, deg clockwise from north.", "attitudes against a "
+        "reference that does not turn", "LAT[,AZIMUTH]", "Integration")]
+    q0: Annotated[
+        str | PathLike[str] | Collection[float] | Rotated | Timed | None, Keyword(
         initial_attitude, "First attitude, body-to-ref: four numbers; level, roll and pitch from "
         "gravity at rest; log, the orientation beside the rates; or FILE, an attitude series, or "
         "TOPIC of the log, at that time.", "identity", "W,X,Y,Z|level|log|FILE|TOPIC", "Initial "
         "attitude", common=True)]
     heading: Annotated[float | None, Keyword(
-        number, f"For {Setting('q0', 'level')}: rotation about the reference's z axis, deg.", "0",
-        "DEG", "Initial attitude")]
-    reference_z: Annotated[str | None, Keyword(
-        Choice("up", "down"), f"For {Setting('q0', 'level')}: where the reference's z axis points "
-        f"(down for north-east-down).", "up", group="Initial attitude")]
-    q0_layout: Annotated[str | None, Keyword(
+        number, f"For {Setting('q0', 'level')}: rotation about the reference's z axis, deg, right-"
+        f"handed: 90 points body x along the reference's y.", "0", "DEG", "Initial attitude")]
+    reference_z: Annotated[Literal["up", "down"] | None, Keyword(
+        Choice("up", "down"), f"For {Setting('q0', 'level')} and {Setting('earth_rate')}: where "
+        f"the reference's z axis points (down for north-east-down).", "up", group="Initial "
+        "attitude")]
+    accel_cols: Annotated[str | Sequence[str | int] | None, Keyword(
+        column_list("X,Y,Z"), f"Columns of the accelerometer beside the rates, in any unit, for "
+        f"{Setting('q0', 'level')} and {Setting('bias', 'static')}; by name or number from 0.",
+        "by their names", "X,Y,Z", "Initial attitude")]
+    q0_layout: Annotated[Layout | None, Keyword(
         Choice(*LAYOUTS), f"Order of the four numbers of {Setting('q0')}.", "scalar-first",
         group="Initial attitude")]
-    bias: Annotated[str | PathLike[str] | Collection[float] | None, Keyword(
+    bias: Annotated[str | PathLike[str] | Collection[float] | Timed | None, Keyword(
         bias, f"Subtracted from the rates; in {Setting('rate_unit')}. static takes the mean rate "
         f"over a rest of at least DUR (1s), found in the whole log by rate, accelerometer and "
-        f"orientation, or over the rest from START to END; FILE or TOPIC is a series of biases, "
-        f"interpolated in time.",
-        takes="X,Y,Z|static[:DUR|@START..END]|FILE|TOPIC", group="Rates", common=True)]
+        f"orientation, or over that from START to END; static:nearest that of the nearest in time, "
+        f"static:interpolate what is between them; FILE or TOPIC is a series, interpolated.",
+        takes="X,Y,Z|static[:nearest|:interpolate][:DUR]|static@START..END|FILE|TOPIC",
+        group="Rates", common=True)]
     calibration: Annotated[str | PathLike[str] | None, Keyword(
         path, "Scale, misalignment and bias of the gyroscope: YAML or JSON with matrix (3x3) and "
         "bias (rad/s), applied as matrix (w - bias), or kalibr's file of an IMU.", takes="FILE",
         group="Rates")]
-    mount: Annotated[str | Collection[float] | None, Keyword(
+    mount: Annotated[str | Collection[float] | Rotated | None, Keyword(
         mounting, "Sensor axes to body axes: a quaternion with v_body = m v_sensor m*, the sensor "
-        "axes that become x, y and z, or those of a frame by the log's own /tf_static.", "the same",
-        "W,X,Y,Z|x,-y,-z|tf:FRAME", "Rates", common=True)]
-    on_backwards: Annotated[str | None, Keyword(
+        "axes that become x, y and z, roll, pitch and yaw of the sensor in the body (deg, as in "
+        "URDF), a name such as frd-to-flu, or those of a frame by the log's own /tf_static.", "the "
+        "same", "W,X,Y,Z|x,-y,-z|rpy:R,P,Y|NAME|tf:FRAME", "Rates", common=True)]
+    on_backwards: Annotated[Literal["error", "drop", "sort"] | None, Keyword(
         Choice("error", "drop", "sort"), "Timestamps that go backwards: refuse, drop until the "
         "clock has caught up, or sort (holds the log in memory); drop and sort leave out "
         "timestamps that are far ahead of those after them.", "error", group="Timestamps",
         common=True)]
-    on_nonfinite: Annotated[str | None, Keyword(
+    on_nonfinite: Annotated[Literal["error", "drop", "hold"] | None, Keyword(
         Choice("error", "drop", "hold"), "Rates that are NaN or infinite: refuse, drop, or hold "
         "the previous rate.", "error", group="Timestamps")]
+    regular_time: RegularTime
     max_gap: Annotated[str | int | timedelta | None, Keyword(
         length, "Intervals longer than this count as gaps.", "10 median intervals", "DUR",
         "Timestamps")]
-    on_gap: Annotated[str | None, Keyword(
+    on_gap: Annotated[Literal["hold", "zero", "split", "error"] | None, Keyword(
         Choice("hold", "zero", "split", "error"), f"What to do about gaps: hold propagates across "
         f"like over any interval, by {Setting('method')}, and warns; zero takes the rate across as "
         f"zero; split begins again at {Setting('q0')}; error refuses.", "hold", group="Timestamps",
@@ -215,41 +267,24 @@ class PropagateOptions(RateOptions, total=False):
     rate: Annotated[float | Fraction | str | None, Keyword(
         frequency, "Rate of the attitudes: exact at its times under the method.", "at the samples",
         "HZ", "Output", common=True)]
-    at: Annotated[str | PathLike[str] | None, Keyword(
-        path, "Write attitudes at the stamps of this series of attitudes or rates, exact under the "
-        "method; times outside the log are left out.", "at the samples", "FILE", "Output")]
+    at: Annotated[str | PathLike[str] | Timed | Collection[Any] | None, Keyword(
+        times, "Write attitudes at the stamps of this series of attitudes or rates, exact under "
+        "the method; times outside the log are left out.", "at the samples", "FILE", "Output")]
     threads: Annotated[int | None, Keyword(
         count, "Threads that compute at a time; the output is the same for any number.", "the "
         "cores of this machine", "N", "Execution")]
-    noise_density: Annotated[str | float | None, Keyword(
-        quantity_of(NOISE_DENSITIES, "a noise density", "0.2deg/sqrt(h)"), "Noise of the gyroscope "
-        "(angle random walk), such as 0.2deg/sqrt(h) or 1.7e-4rad/s/sqrt(Hz), for the uncertainty "
-        "of the result.", f"by {Setting('imu')} or {Setting('bias', 'static')}", "X",
-        "Uncertainty")]
-    bias_sigma: Annotated[str | float | None, Keyword(
-        quantity_of(RATES, "a rate", "20deg/h"), "Standard deviation of its constant bias, such as "
-        "20deg/h; a bias instability counts as this.", f"by {Setting('bias', 'static')}, else 0",
-        "X", "Uncertainty")]
-    random_walk: Annotated[str | float | None, Keyword(
-        quantity_of(RATE_WALKS, "a rate random walk", "1e-5rad/s^2/sqrt(Hz)"), "Rate random walk "
-        "of its bias, such as 1e-5rad/s^2/sqrt(Hz) or 3deg/h/sqrt(h).", f"by {Setting('imu')}, "
-        f"else 0", "X", "Uncertainty")]
-    scale_sigma: Annotated[str | float | None, Keyword(
-        quantity_of(RATIOS, "a ratio", "1000ppm or 0.1%"), "Standard deviation of its scale "
-        "factors, such as 1000ppm or 0.1%.", "0", "X", "Uncertainty")]
-    imu: Annotated[str | PathLike[str] | None, Keyword(
-        path, "Noise density and random walk from a file: Kalibr's, or that of an Allan variance "
-        "tool.", takes="FILE.yaml", group="Uncertainty")]
-    sigma: Annotated[bool | None, Keyword(
-        flag, "Write the standard deviations of every attitude: columns sigma_x, sigma_y, sigma_z "
-        "in rad, covariances in messages that have them.", group="Output", common=True)]
-    sigma_axes: Annotated[str | None, Keyword(
-        Choice(*SIGMA_AXES), "Axes of those columns.", "body", group="Uncertainty")]
     # fmt: on
+
+
+class PropagateOptions(RunOptions, ErrorOptions, total=False):
+    """Keywords of :func:`quatprop.propagate`."""
 
 
 READ_RATES = keywords_of(RateOptions)
 """How rates are read: name -> its row."""
+
+RATES_IN_MEMORY = keywords_of(ReadOptions)
+"""The same, and what is done to their stamps where nothing else is done to them."""
 
 ONE_SERIES = keywords_of(SeriesOptions)
 """What has to be known of each series where several are read: name -> its row."""

@@ -15,7 +15,10 @@ PYTHON_TYPES = {
     "PathLike": "path",
     "Fraction": "float",
     "Collection": "sequence",
+    "Literal": "str",
     "Sequence": "sequence",
+    "Rotated": "Rotation",
+    "Timed": "series",
 }
 """What documents call types, where that is not their own name."""
 

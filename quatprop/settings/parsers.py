@@ -15,7 +15,7 @@ from fractions import Fraction
 from operator import index
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, TypeGuard
+from typing import Any, TypeAlias, TypeGuard
 
 from quatprop.errors import UsageError
 from quatprop.text import did_you_mean, listed, shown
@@ -40,22 +40,15 @@ MIN_FREQUENCY = Decimal("1e-9")
 """Hz: an interval of 31 years."""
 
 
-class StaticBias(NamedTuple):
-    """Take the mean rate at rest as the bias.
+class InMemory:
+    """A value that has no text: times, or a series, in a program that uses the library."""
 
-    `window_ns`: rest is looked for in windows of this length, ns
-    `start`, `end`: where the rest is, ends included; None: it is looked for
-    """
-
-    window_ns: int = 1_000_000_000
-    start: Instant | None = None
-    end: Instant | None = None
+    def __init__(self, value: Any) -> None:
+        self.value = value
 
     def __str__(self) -> str:
-        """Return it as :func:`bias` reads it."""
-        if self.start is not None:
-            return f"{STATIC}@{self.start}..{self.end}"
-        return f"{STATIC}:{self.window_ns}ns"
+        """Return it as it is recorded."""
+        return "in memory"
 
 
 def text(value: object) -> str:
@@ -81,7 +74,9 @@ def path(value: object) -> str:
 
 def choice_named(value: str, names: Iterable[str]) -> str:
     """Return the one of some names that is meant, in capitals or not; else the value itself."""
-    name = {"dps": "deg/s"}.get(value.lower(), value.lower())
+    name = value.lower()
+    if name not in names:
+        name = {"dps": "deg/s", "reference": "inertial"}.get(name, name)
     return name if name in names else value
 
 
@@ -109,7 +104,7 @@ def column_list(names: str) -> Callable[[object], tuple[str, ...]]:
     counts = range(names.partition("[")[0].count(",") + 1, names.count(",") + 2)
 
     def parse_columns(value: object) -> tuple[str, ...]:
-        parts = tuple(str(part).strip() for part in _parts(value))
+        parts = tuple(str(part).strip() for part in parts_of(value))
         if len(parts) not in counts or not all(parts):
             number = " or ".join(map(str, counts))
             raise UsageError(f"{shown(value)} does not name {number} columns {names}")
@@ -120,13 +115,22 @@ def column_list(names: str) -> Callable[[object], tuple[str, ...]]:
     return parse_columns
 
 
+def place(value: object) -> tuple[float, ...]:
+    """Return a latitude, and the azimuth of the reference's x axis where it is given, deg."""
+    names = "LAT,AZIMUTH" if len(parts_of(value)) > 1 else "LAT"
+    numbers = number_list(names)(value)
+    if abs(numbers[0]) > 90:  # noqa: PLR2004  # the poles
+        raise UsageError(f"{shown(value)} is no latitude: it is from -90 to 90 deg, north positive")
+    return numbers
+
+
 def number_list(names: str) -> Callable[[object], tuple[float, ...]]:
     """Return a parser of as many numbers as `names` has, such as ``"W,X,Y,Z"``."""
     count = names.count(",") + 1
 
     def parse_numbers(value: object) -> tuple[float, ...]:
         try:
-            parts = tuple(float(str(part)) for part in _parts(value))
+            parts = tuple(float(str(part)) for part in parts_of(value))
         except ValueError:
             parts = ()
         if len(parts) != count or not all(map(math.isfinite, parts)):
@@ -161,11 +165,12 @@ def count(value: object) -> int:
 def frequency(value: object) -> Fraction:
     """Return a frequency in Hz as the decimal or the fraction it is written as."""
     # By its text: 29.97 is meant, not the binary fraction nearest to it.
-    numerator, _, denominator = str(value).partition("/")
+    text = str(value).removesuffix("Hz").strip()
+    numerator, _, denominator = text.partition("/")
     try:
         # The size first: the exact value of 1e-99999999 would fill the memory.
         if MIN_FREQUENCY <= Decimal(numerator) / Decimal(denominator or 1) <= MAX_FREQUENCY:
-            return Fraction(str(value))
+            return Fraction(text)
     except (ValueError, ArithmeticError):
         pass
     raise UsageError(
@@ -219,11 +224,25 @@ def file_beside(name: str, text: str, folder: Path) -> Path | None:
     return path if path.exists() or not (words or "," in text) else None
 
 
-def initial_attitude(value: object) -> tuple[float, ...] | str:
-    """Return four numbers, ``"level"``, ``"log"``, or an attitude series: a path or a topic."""
+def times(value: object) -> str | InMemory:
+    """Return the path of a series, or times in memory."""
+    is_times = isinstance(value, Iterable) and not isinstance(value, str)
+    return InMemory(value) if is_times else path(value)
+
+
+def initial_attitude(value: object) -> tuple[float, ...] | str | InMemory:
+    """Return four numbers, ``"level"``, ``"log"``, or an attitude series: a path or a topic.
+
+    `value`: text, four numbers, a series in memory, or a rotation of scipy
+    """
+    if hasattr(value, "t_ns"):
+        return InMemory(value)
+    if (as_quat := getattr(value, "as_quat", None)) is not None:
+        x, y, z, w = parts_of(as_quat())
+        value = (w, x, y, z)
     if isinstance(value, str) and value in FROM_THE_LOG:
         return value
-    if not _is_name(value):
+    if not is_name(value):
         return number_list("W,X,Y,Z")(value)
     may_be_a_topic = isinstance(value, str) and "." not in Path(value).name
     if not may_be_a_topic and not Path(value).exists():
@@ -234,33 +253,21 @@ def initial_attitude(value: object) -> tuple[float, ...] | str:
     return path(value)
 
 
-def bias(value: object) -> tuple[float, ...] | StaticBias | str:
-    """Return three rates, rest, or a series of biases: a path or a topic."""
-    if isinstance(value, StaticBias):
-        return value
-    if isinstance(value, str) and value.partition(":")[0].strip() == STATIC:
-        window = value.partition(":")[2]
-        return StaticBias(duration_ns(window)) if window else StaticBias()
-    if isinstance(value, str) and value.partition("@")[0].strip() == STATIC:
-        start, dots, end = value.partition("@")[2].partition("..")
-        if not (start.strip() and dots and end.strip()):
-            raise UsageError(f"{shown(value)} is no time range; write static@+10s..+20s")
-        return StaticBias(start=moment(start.strip()), end=moment(end.strip()))
-    # With commas, it may be an attempt at numbers.
-    if _is_name(value) and ("," not in str(value) or Path(value).exists()):
-        return path(value)
-    try:
-        return number_list("X,Y,Z")(value)
-    except UsageError as error:
-        raise UsageError(f"{error.text}, nor static[:DUR]") from None
-
-
 def mounting(value: object) -> str:
-    """Return three signed axes or a quaternion as text, for the conditioning to read."""
-    return value if isinstance(value, str) else ",".join(str(part) for part in _parts(value))
+    """Return axes, a name or a quaternion as text, for the conditioning to read.
+
+    `value`: text, four numbers, a matrix of shape ``(3, 3)``, or a rotation of scipy
+    """
+    if isinstance(value, str):
+        return value
+    as_matrix = getattr(value, "as_matrix", None)
+    parts = parts_of(value if as_matrix is None else as_matrix())
+    # The rows of a matrix one after the other.
+    rows = [parts_of(part) if not isinstance(part, str) else [part] for part in parts]
+    return ",".join(str(part) for row in rows for part in row)
 
 
-def _parts(value: object) -> list[object]:
+def parts_of(value: object) -> list[object]:
     """Return the parts of text with commas, of a list, or of an array."""
     if isinstance(value, str):
         return list(value.split(","))
@@ -280,7 +287,7 @@ def _whole(value: object) -> int | None:
         return None
 
 
-def _is_name(value: object) -> TypeGuard[str | PathLike[str]]:
+def is_name(value: object) -> TypeGuard[str | PathLike[str]]:
     """Tell whether a value may be a file or a topic: text that is not numbers."""
     if not isinstance(value, str) or not value:
         return isinstance(value, PathLike)

@@ -49,11 +49,13 @@ class RateSelection(SignalSelection):
     `rate_field`: dotted path of the message field, such as ``"imu.angular_velocity"``
     `rate_cols`: the x, y and z columns of a table, by name or number from 0
     `rate_unit`: ``"rad/s"`` or ``"deg/s"``
+    `accel_cols`: the columns of the specific force beside the rates, in any unit
     """
 
     rate_field: str | None = None
     rate_cols: tuple[str, str, str] | None = None
     rate_unit: str | None = None
+    accel_cols: tuple[str, str, str] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

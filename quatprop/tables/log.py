@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.tables.model import Table
+    from quatprop.text import Remark
 
 
 class Loss(NamedTuple):
@@ -63,7 +64,7 @@ class Log(ABC):
     """
 
     kind: str
-    remarks: Sequence[str] = ()
+    remarks: Sequence[Remark] = ()
     definition_files: Sequence[Path] = ()
     unchecked_chunks: int = 0
 

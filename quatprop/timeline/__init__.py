@@ -18,6 +18,7 @@ from quatprop.series import GyroSeries
 from quatprop.series.blocks import reblock
 from quatprop.text import Setting
 from quatprop.timeline.outliers import outliers_in_order
+from quatprop.timeline.regular import RegularTime
 from quatprop.timeline.stamps import LONGEST_NS, StampChecks
 
 if TYPE_CHECKING:
@@ -37,12 +38,27 @@ class Timeline(StampChecks):
 
     `policy`: how each kind of irregularity is handled
     `chosen_by`: the setting that chooses other stamps: ``"clock"``, or of a table ``"time_col"``
+    `method`, `rates`: how the samples are propagated, for what jitter of their stamps costs
     """
 
-    def __init__(self, policy: Policy, path: Path | str, chosen_by: str = "clock") -> None:
+    def __init__(  # what is done to samples, and what will be
+        self,
+        policy: Policy,
+        path: Path | str,
+        chosen_by: str = "clock",
+        *,
+        method: str = "start",
+        rates: str = "body",
+    ) -> None:
         super().__init__(path, policy, chosen_by)
+        self._regular_time = RegularTime(path, method, rates)
         self._last_finite: Float64 | None = None
         self._last_magnitude = np.float64(0.0)
+
+    @property
+    def first_stamp_ns(self) -> int | None:
+        """The stamp in the log of the first sample used, ns; None where it was not replaced."""
+        return self._regular_time.first_ns
 
     def apply(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Yield the samples that are used, in blocks."""
@@ -107,9 +123,12 @@ class Timeline(StampChecks):
 
         Sums of floats depend on where they are cut: so they are cut at fixed sample indices.
         """
-        for block in reblock(self.with_gap_limit(batches, attrgetter("t_ns"))):
+        regular = self._regular_time
+        timed = regular.replaced if self.policy.regular_time else regular.observed
+        for block in self.with_gap_limit(timed(reblock(batches)), attrgetter("t_ns")):
             self._measure(block, self.intervals(block.t_ns))
             yield block
+        self.counts.steady_clock = regular.clock
 
     def segments(self, blocks: Iterable[GyroSeries]) -> Iterator[Iterator[GyroSeries]]:
         """Cut samples at the gaps that are not propagated across."""

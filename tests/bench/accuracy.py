@@ -1,19 +1,22 @@
-"""Accuracy of integrators on sampled rates: a precessing rotor, whose attitude is known exactly."""
+"""Accuracy of integrators on sampled rates of motions whose attitudes are known."""
 
+import math
 import time
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+import quaternion
 from ahrs.filters import AngularRate
-from scipy.integrate import solve_ivp
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply, rotate
+from quatprop.simulate.motion import Shape, motion_named
 
-RATES_HZ = (50, 100, 200, 400)
 SECONDS = 20
+FINER = 20
+"""Samples of the true motion for each of the rates: its error is 20^6 times smaller."""
 SPIN, PRECESSION, TILT = 4.1, 1.22, 1.2
 """rad/s, rad/s, rad."""
 Z_AXIS = np.array([0.0, 0.0, 1.0])
@@ -46,15 +49,33 @@ def ahrs_closed(t_ns, rate, q0):
 
 
 def spline(t_ns, rate, q0):
-    """Interpolate the rates by a spline and integrate that, as the package quaternion does."""
+    """Return what the package quaternion gives: a spline of the rates, integrated numerically."""
     t_s = t_ns / 1e9
-    rates = CubicSpline(t_s, rate)
+    # It takes rates in reference axes: those of the reference as seen from the body.
+    start = quaternion.from_float_array(conjugate(q0))
+    _, inverse = quaternion.integrate_angular_velocity((t_s, -rate), t_s[0], t_s[-1], start)
+    return conjugate(quaternion.as_float_array(inverse))
 
-    def derivative(t, q):
-        return multiply(q, [0, *rates(t) / 2])
 
-    solution = solve_ivp(derivative, (t_s[0], t_s[-1]), q0, "DOP853", t_s, rtol=1e-12, atol=1e-12)
-    return solution.y.T
+def band(t_ns):
+    """Return true attitudes and rates of 2 rad/s RMS about each axis, of 0.1 to 20 Hz."""
+    fine_ns = np.linspace(0, t_ns[-1], FINER * (len(t_ns) - 1) + 1).astype(np.int64)
+    random = np.random.default_rng(2)
+    frequency, phase = random.uniform(0.1, 20, 40), random.uniform(0, 2 * np.pi, (3, 40, 1))
+    turns = 2 * np.pi * frequency[:, None] * (fine_ns / 1e9) + phase
+    rate = 2 * math.sqrt(2 / 40) * np.cos(turns, out=turns).sum(axis=1).T
+    wxyz = attitudes(fine_ns, rate, method="quintic")
+    return wxyz[::FINER], rate[::FINER]
+
+
+def simulated(name, shape):
+    """Return a function of stamps that gives true attitudes and rates of a motion."""
+
+    def motion(t_ns):
+        rate, wxyz = motion_named(name, shape)(t_ns)
+        return wxyz, rate
+
+    return motion
 
 
 INTEGRATORS = {
@@ -65,22 +86,32 @@ INTEGRATORS = {
     "scipy Rotation, start": lambda t, w, q0: scipy_loop(t, w, q0, "start"),
     "scipy Rotation, mean": lambda t, w, q0: scipy_loop(t, w, q0, "mean"),
     "ahrs AngularRate": ahrs_closed,
-    "spline, then DOP853": spline,
+    "numpy-quaternion, spline": spline,
 }
 
 
+COLUMNS = {
+    **{f"rotor {hz} Hz": (rotor, hz) for hz in (50, 100, 200, 400)},
+    "tumbling 100": (simulated("tumbling", Shape()), 100),
+    "coning 200": (simulated("coning", Shape(Fraction(2))), 200),
+    "band 200": (band, 200),
+}
+"""The true motion and how often it is sampled, Hz: coning at 2 Hz, and a band up to 20 Hz."""
+
+
 def measure(_folder: Path, _samples: int) -> None:
-    """Print the worst error over the motion at each sample rate, and the time."""
-    print(f"\nworst error over {SECONDS} s of a precessing rotor, rad, sampled at")
-    print(f"{'':24}" + "".join(f"{f'{hz} Hz':>12}" for hz in RATES_HZ) + f"{'us/sample':>12}")
+    """Print the worst error over each motion, and the time of all."""
+    print(f"\nworst error over {SECONDS} s, rad, and CPU time")
+    print(f"{'':24}" + "".join(f"{name:>13}" for name in COLUMNS) + f"{'us/sample':>12}")
+    sampled = []
+    for motion, hz in COLUMNS.values():
+        t_ns = np.arange(SECONDS * hz + 1) * (1_000_000_000 // hz)
+        sampled.append((t_ns, *motion(t_ns)))
     for name, integrate in INTEGRATORS.items():
-        errors = []
-        for hz in RATES_HZ:
-            t_ns = np.arange(SECONDS * hz + 1) * (1_000_000_000 // hz)
-            truth, rate = rotor(t_ns)
-            began = time.perf_counter()
-            wxyz = integrate(t_ns, rate, truth[0])
-            elapsed = time.perf_counter() - began
-            errors.append(geodesic_angle(wxyz, truth).max())
-        cells = "".join(f"{error:12.1e}" for error in errors)
-        print(f"{name:24}{cells}{1e6 * elapsed / len(t_ns):12.2f}")
+        began = time.process_time()
+        found = [integrate(t_ns, rate, truth[0]) for t_ns, truth, rate in sampled]
+        elapsed = time.process_time() - began
+        samples = sum(len(t_ns) for t_ns, _, _ in sampled)
+        errors = (geodesic_angle(a, b[1]).max() for a, b in zip(found, sampled, strict=True))
+        cells = "".join(f"{error:13.1e}" for error in errors)
+        print(f"{name:24}{cells}{1e6 * elapsed / samples:12.2f}")

@@ -473,6 +473,18 @@ def test_the_first_sample_above_the_tolerance_is_marked_beside_the_worst(off, tm
     assert (axes[0].get_yscale(), low < 1e-6, high > 5) == ("log", True, True)
 
 
+def test_an_error_is_judged_as_by_compare(off, tmp_path, drawn):
+    """Every limit was refused but that on the largest error."""
+    words = ("plot", off[0], "--reference", off[1], "-o", tmp_path / "a.svg", "--align", "yaw")
+    axes, said = drawn(*words, "--tol-heading", "1deg", "--tol-inclination", "1deg")
+    assert "warning: new.csv: error in inclination 0.0872665 rad (5 deg), at most" in said
+    assert "heading" not in said
+    assert len(axes[0].get_lines()[0].get_xdata()) == 1001
+    axes, said = drawn(*words, "--tol-inclination", "1deg", "--judge", "+0s..+2.99s,+3.01s..+5s")
+    assert len(axes[0].get_lines()[0].get_xdata()) == 500
+    assert "warning" not in said
+
+
 def test_errors_about_the_axes_have_their_standard_deviation_shaded(tmp_path, drawn):
     """About zero, in degrees, as the file says."""
     new = with_sigmas(tmp_path / "new.csv", *spin(100), np.radians([1.0, 2.0, 3.0]))

@@ -52,9 +52,11 @@ def test_the_readme_teaches_what_is_true(ran):
 def test_the_library_guide_is_true(ran):
     """Every line of Python, one block after the other."""
     document = ran(GUIDES / "library.md")
-    samples, passed, *recorded = document.printed.splitlines()
+    samples, passed, sigma, parts, *recorded = document.printed.splitlines()
     assert samples.startswith("1000 [-9.99772140e-01 ")
     assert passed.startswith("True 0.0001")
+    assert sigma == "[0.00349753 0.00351605 0.01746708]"
+    assert parts.startswith("True ")
     assert recorded == ["coning [1.0, 0.0, 0.0, 0.0]"] * 3
     assert len(document.names["attitudes"]) == 1000
     assert (document.folder / "euler.csv").read_text().startswith("t_ns,yaw_deg,pitch_deg,roll_deg")

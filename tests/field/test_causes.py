@@ -1,12 +1,10 @@
 """What is named of planted mistakes is true, and its remedy, applied, does what is said."""
 
-import warnings
-
 import pytest
 from fuzz.causes import judge
 from fuzz.planted import pair
 
-import quatprop
+pytestmark = pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 
 SIMULATED = {3: "right", 6: "right", 16: "right", 18: "right", 21: "named", 35: "right"}
 RECORDED = {5: "right", 32: "right", 62: "right"}
@@ -14,9 +12,7 @@ RECORDED = {5: "right", 32: "right", 62: "right"}
 
 
 def _judged(number, folder):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", quatprop.RemarkWarning)
-        verdict, faults, _ = judge(pair(number, folder))
+    verdict, faults, _ = judge(pair(number, folder))
     return verdict, faults
 
 

@@ -15,7 +15,7 @@ from fuzz.flips import TABLE, unnoticed_table
 from make.commands import run
 from make.places import ROOT, SHARED_LOGS
 
-from quatprop import RemarkWarning
+from quatprop import QuatpropWarning
 
 GUIDES = ROOT / "quatprop" / "docs"
 
@@ -28,9 +28,12 @@ SIMULATED = {
 }
 """Name of a log in the documents -> how it is simulated."""
 
+BROAD = "broad/05_undisturbed_slow_rotation_with_breaks_B.hdf5"
 RECORDED = {
     "flight.ulg": "ulog/sample.ulg",
+    "robot.bag": "auk/auk.bag",
     "euroc/imu0/data.csv": "csv/euroc_v102/imu0_data.csv",
+    BROAD: BROAD,
     "euroc/truth.csv": "csv/euroc_v102/state_groundtruth_data.csv",
 }
 """Name of a log in the documents -> the real recording that it is."""
@@ -98,9 +101,13 @@ class Document:
 
     def _command(self, command):
         words, _, grep = command.partition(" | grep ")
-        if words.startswith("quatprop ") and " > " not in words:
+        words, _, target = words.partition(" > ")
+        if words.startswith("quatprop "):
             # No process of its own: it is faster.
-            result = run(*shlex.split(words, comments=True)[1:])
+            result = run(*shlex.split(words.removesuffix(" 2>&1"), comments=True)[1:])
+            if target:
+                Path(target).write_text(result.stdout)
+                return result.exit_code, result.stderr
             lines = (result.stdout + result.stderr).splitlines()
             return result.exit_code, "\n".join(line for line in lines if grep in line)
         folders = (self.folder / ".bin", Path(sys.executable).parent, os.environ["PATH"])
@@ -115,8 +122,8 @@ class Document:
 
     def _listing(self, text):
         with redirect_stdout(io.StringIO()) as stream, warnings.catch_warnings():
-            # The rates of a sample log are frozen, as quatprop remarks.
-            warnings.simplefilter("ignore", RemarkWarning)
+            # The rates of a sample log are frozen, as quatprop remarks, and truth has holes.
+            warnings.simplefilter("ignore", QuatpropWarning)
             exec(text, self.names)  # noqa: S102  # the documents are ours
         self.printed += stream.getvalue()
 

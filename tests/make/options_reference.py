@@ -289,7 +289,9 @@ def rotation(t, rate, k, s, options):
     u, v = rate[k], rate[k + 1]
     method = options.get("method", "start")
     if method in {"start", "end", "mean"}:
-        return {"start": u, "end": v, "mean": (u + v) / 2}[method] * s
+        # Of a rate that is linear in time, the mean is that of its ends.
+        mean = u + (v - u) / 2 * (s / ((t[k + 1] - t[k]) / NS) if s else 0)
+        return {"start": u, "end": v, "mean": mean}[method] * s
     six = six_around(t, k) if method == "quintic" else None
     if six is not None:
         at = s / 2 * (1 + np.polynomial.legendre.leggauss(3)[0])

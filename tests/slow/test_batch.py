@@ -125,17 +125,31 @@ def kill(event, arguments):
             os.kill(os.getpid(), 9)
 sys.addaudithook(kill)
 """
+HELD = """
+import os, sys, time
+def hold(event, arguments):
+    while event == "os.rename" and os.path.basename(arguments[1])[0].isdigit():
+        if len(os.listdir(os.path.dirname(arguments[1]))) < 9:
+            break
+        time.sleep(0.05)
+sys.addaudithook(hold)
+"""
+"""Lets a batch go no further than some outputs: it does not end before it is to be ended."""
+
+
+def hooked(folder, code):
+    """Return an environment whose processes run some code when they start."""
+    (folder / "sitecustomize.py").write_text(code)
+    return {"PYTHONPATH": f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
 
 
 @posix
 @pytest.mark.parametrize("processes", ["1", "2"])
 def test_a_log_that_kills_its_process_fails_alone(tmp_path, processes):
     """All others are done, and the batch says which was killed, at once and at the end."""
-    (tmp_path / "sitecustomize.py").write_text(HOOK)
     logs, out = logs_in(tmp_path / "in", 5), tmp_path / "out"
     crash = spin(logs / "crash.csv")
-    paths = f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
-    done = installed("batch", logs, "-o", out, "-j", processes, env={"PYTHONPATH": paths})
+    done = installed("batch", logs, "-o", out, "-j", processes, env=hooked(tmp_path, HOOK))
     assert done.returncode == 2, done.stderr
     reason = f"{crash}: the process that ran it was killed; is there enough"
     assert f"\nError: {reason}" in done.stderr
@@ -152,20 +166,23 @@ def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
     """Nothing that was done is done again, nothing half-written stays, and no process either."""
     logs, out = logs_in(tmp_path / "in", 30), tmp_path / "out"
     command = [INSTALLED, "batch", logs, "-o", out, "-j", "2", "-q"]
-    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-    end = time.monotonic() + 60
+    environment = {**os.environ, **hooked(tmp_path, HELD)}
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, env=environment)
+    end = time.monotonic() + 240
     while not out.exists() or len(entries(out)) < 3:
         assert time.monotonic() < end
         time.sleep(0.01)
     process.send_signal(number)
-    process.wait(30)
+    process.wait(120)
     before = None if number == signal.SIGKILL else len(entries(out))
-    while before != (before := len(entries(out))):
-        time.sleep(0.5)  # until the processes of a killed batch have ended
+    # Until the processes of a killed batch have ended: they remove what is half-written.
+    while before != (before := len(entries(out))) or any(out.glob(".*")):
+        assert time.monotonic() < end
+        time.sleep(0.5)
     # What was complete an instant before it was recorded is done again.
     assert before <= len(outputs_in(out)) <= before + 2
     assert before < 30
-    done = run("batch", logs, "-o", out, "-j", "2", "--skip-existing", code=0)
+    done = run("batch", logs, "-o", out, "-j", "1", "--skip-existing", code=0)
     assert said(done).startswith(f"{30 - before} of {30 - before} logs done")
     assert sorted(path.suffix for path in out.iterdir()) == [".jsonl", *[".parquet"] * 31]
     again = tmp_path / "again"
@@ -212,6 +229,6 @@ def test_a_cluster_that_is_not_there(tmp_path):
         list(on_a_cluster([task], settings, "nonsense", Manifest(str(tmp_path))))
     code = "from quatprop.batch.cluster import _client; _client('nonsense')"
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=15, check=False
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
     )
     assert "Exception ignored" not in done.stderr

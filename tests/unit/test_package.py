@@ -71,8 +71,8 @@ def test_every_module_says_what_it_is_with_examples_that_hold(monkeypatch, part)
 
 LAYERS = (
     {"arrays", "errors", "text", "times", "concurrency", "progress", "version"},
-    {"series", "settings", "stores", "provenance"},
-    {"kinematics", "conventions"},
+    {"settings", "stores", "provenance"},
+    {"series", "kinematics", "conventions"},
     {"timeline", "conditioning"},
     {"tables"},
     {"messages"},

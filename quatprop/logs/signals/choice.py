@@ -21,7 +21,7 @@ from quatprop.errors import (
 )
 from quatprop.logs.matching.find import Found, find
 from quatprop.logs.signals.signal import RateSignal, Signal
-from quatprop.text import Setting, did_you_mean, listed, plain, quoted
+from quatprop.text import Remark, Setting, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -111,7 +111,7 @@ def choose(log: Log, candidates: Sequence[Candidate[SignalT]], kind: SignalKind)
     ignored = [candidate.topic for candidate in candidates if candidate not in preferred]
     if not ignored:
         return signal
-    remark = f"ignored {kind.secondary}: {listed(ignored)}"
+    remark = Remark("ignored-signals", f"ignored {kind.secondary}: {listed(ignored)}")
     return replace(signal, remarks=(*signal.remarks, remark))
 
 
@@ -121,25 +121,31 @@ def _joined(log: Log, signals: list[SignalT]) -> SignalT:
     Each is read by its own; samples come in the order of their log times.
     """
     first = signals[0]
+    files = {s.matches[0].table.path for s in signals if isinstance(s, RateSignal)}
+    if len(files) == len(signals):
+        several = f"{len(files)} files"
+        text = f"{several} are read as one log, in the order of their times"
+        remark = Remark("several-files", text)
+    else:
+        several = f"{len(signals)} different message definitions"
+        remark = Remark(
+            "several-definitions",
+            f"topic {quoted(first.name)} was recorded with {several}, each of which was read by "
+            "its own",
+        )
     kinds = {(s.method, s.increments) if isinstance(s, RateSignal) else id(s) for s in signals}
+    what = f"topic {quoted(first.name)} was recorded with {several}"
     if not isinstance(first, RateSignal) or len(kinds) > 1:
         raise UnsupportedLogError(
             log.path,
-            f"topic {quoted(first.name)} was recorded with {len(signals)} different message "
-            "definitions, which are not read together; write the messages of each to a log of its "
+            f"{what}, which are not read together; write the messages of each to a log of its "
             "own, by their times with `mcap filter`, or with `rosbag filter`",
         )
     if len({s.clock for s in signals}) > 1:
         raise UnsupportedLogError(
             log.path,
-            f"topic {quoted(first.name)} was recorded with {len(signals)} different message "
-            f"definitions, and some have no header stamp; choose {Setting('clock', 'log')}",
+            f"{what}, and some have no header stamp; choose {Setting('clock', 'log')}",
         )
-
-    remark = (
-        f"topic {quoted(first.name)} was recorded with {len(signals)} different message "
-        "definitions, each of which was read by its own"
-    )
     return replace(
         first,
         matches=tuple(m for s in signals if isinstance(s, RateSignal) for m in s.matches),

@@ -241,6 +241,16 @@ _OF_FILES = (
         stamps=("tracking_timestamp",),
         time_unit="us",
     ),
+    Row(
+        "BROAD",
+        rate="imu_gyr" + XYZ,
+        quat="opt_quat" + WXYZ,
+        force="imu_acc" + XYZ,
+        layout="scalar-first",
+        stamps=(),
+        needs=("imu_gyr[0]", "imu_acc[0]", "opt_quat[3]"),
+    ),
+    Row("NGIMU", quat=_PART, stamps=("time",), file="(?i)quaternion"),
     Row("Xsens", quat="quat_q(?P<part>[0123])", layout="scalar-first", stamps=()),
 )
 

@@ -142,7 +142,7 @@ class SqliteBagWriter(MessageWriter):
 
     def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
         super().__init__(OutputPath(target, folder=True))
-        self._bag = BulkWriter(self._output.path, version=9, storage_plugin=self.storage)
+        self._bag = BulkWriter(self._output.path, version=8, storage_plugin=self.storage)
         self._bag.compression_mode = _COMPRESSIONS[compression]
         with self._opening():
             self._bag.open()

@@ -198,13 +198,14 @@ EVERY_LOG = {
     "--heading": "90", "--reference-z": "down", "--q0-layout": "xyzw", "--bias": "1,2,3",
     "--calibration": __file__, "--imu": __file__, "--sigma": None, "--sigma-axes": "reference",
     "--noise-density": "0.2deg/sqrt(h)", "--bias-sigma": "20deg/h", "--scale-sigma": "1000ppm",
-    "--random-walk": "1e-5rad/s/sqrt(s)",
+    "--random-walk": "1e-5rad/s/sqrt(s)", "--misalignment-sigma": "5mrad", "--q0-sigma": "1deg",
     "--mount": "x,-y,-z", "--start": "+1s", "--end": "-1s", "--on-backwards": "drop",
-    "--on-nonfinite": "hold", "--max-gap": "2s", "--on-gap": "zero", "--every": "3",
-    "--rate": "50", "--at": __file__, "--from": "csv", "--topic": "/imu",
+    "--on-nonfinite": "hold", "--max-gap": "2s", "--on-gap": "zero", "--regular-time": None,
+    "--every": "3", "--rate": "50", "--at": __file__, "--from": "csv", "--topic": "/imu",
     "--msg-path": __file__, "--rate-field": "a.b", "--series": "gyro",
     "--time-field": "a.t", "--rate-cols": "1,2,3", "--time-col": "0", "--rate-unit": "deg/s",
-    "--time-unit": "ms", "--sample-rate": "10", "--clock": "log",
+    "--time-unit": "ms", "--sample-rate": "10", "--clock": "log", "--earth-rate": "45",
+    "--accel-cols": "4,5,6",
 }  # fmt: skip
 """Option of propagate that holds for every log -> a value that is not its default."""
 

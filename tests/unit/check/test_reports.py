@@ -20,8 +20,11 @@ def test_of_many_cases_those_that_pass_are_counted(folder):
     first, second = check(suite, "--update").stdout.splitlines()
     assert first.startswith("ERROR  bad    ")
     assert second == "11 cases: 10 passed, 1 error"
-    lines = check(suite, "-v").stdout.splitlines()
-    assert [line.split()[0] for line in lines] == [*["pass"] * 10, "ERROR", "11"]
+    *lines, note, _ = check(suite, "-v").stdout.splitlines()
+    assert [line.split()[0] for line in lines] == [*["pass"] * 10, "ERROR"]
+    # What propagate says of the log was seen nowhere.
+    assert note.startswith("note on 10 cases: every rate is the same, ")
+    assert note.split(": ", 1)[1] in run("propagate", folder / "logs/spin.csv", "-o", "-").stderr
 
 
 def test_a_suite_can_be_written_for_logs(folder):

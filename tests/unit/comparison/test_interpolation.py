@@ -102,6 +102,17 @@ def test_a_jump_is_not_smoothed():
     assert geodesic_angle(found, held).max() < 1e-15
 
 
+@pytest.mark.parametrize("name", ["band", "coning", "tumbling"])
+def test_a_jump_does_not_spread(motions, name):
+    """A correction by 30 deg, as of a filter, cost up to 2.6 deg in two intervals beside it."""
+    t_ns, truth = motions[0], motions[1][name].copy()
+    truth[8010:] = multiply(exp([0, math.radians(30), 0]), truth[8010:])
+    nodes, middle = np.arange(0, LENGTH, 40), np.arange(20, LENGTH, 40)
+    found = interpolate(AttitudeSeries(t_ns[nodes], truth[nodes]), t_ns[middle]).wxyz
+    errors = geodesic_angle(found, truth[middle])
+    assert np.flatnonzero(errors > 1e-5).tolist() == [200]
+
+
 @pytest.mark.parametrize(("tolerance", "remarked"), [("0.01deg", True), ("5deg", False)])
 def test_what_interpolation_may_cost_is_said_where_it_matters(motions, tolerance, remarked):
     """The same motion at other stamps: all of the error is of the interpolation."""

@@ -251,12 +251,12 @@ def test_what_is_written_is_read_and_turned_into_any_other(tmp_path, number):
 
 
 LOCKED = {
-    "yaw pitch roll": "3 rows are within 0.01 deg of pitch -90 or 90 deg (gimbal lock), where yaw "
-    "and roll cannot be distinguished: they share the rotation equally and jump from row to row; "
+    "yaw pitch roll": "3 rows are within 0.01 deg of pitch -90 or 90 deg (gimbal lock), where only "
+    "the sum or the difference of yaw and roll is determined, and each jumps from row to row; "
     "together they are still the attitude",
     # Proper angles are in it where the second is 0 or 180 deg.
     "euler_zxz_1 euler_zxz_2 euler_zxz_3": "2 rows are within 0.01 deg of euler_zxz_2 0 or 180 deg "
-    "(gimbal lock), where euler_zxz_1 and euler_zxz_3 cannot be distinguished: they share the rota",
+    "(gimbal lock), where only the sum or the difference of euler_zxz_1 and euler_zxz_3 is",
 }
 LOCKED_ROWS = {
     "euler-zyx": [(10, 89.98, 0), (10, 89.995, 20), (10, 90, 20), (-50, -90, 3)],
@@ -266,7 +266,7 @@ LOCKED_ROWS = {
 
 @pytest.mark.parametrize(("names", "form"), list(zip(LOCKED, LOCKED_ROWS, strict=True)))
 def test_gimbal_lock_is_told(tmp_path, names, form):
-    """Rows in it are counted; the attitude survives there all the same."""
+    """They were said to share the rotation equally, which most rows near it do not."""
     head = ",".join(f"{name}_deg" for name in names.split())
     path, out = written(tmp_path, head, LOCKED_ROWS[form]), tmp_path / "out.csv"
     said = run("convert", path, out, "--as", form, "--euler-unit", "deg", code=0).stderr

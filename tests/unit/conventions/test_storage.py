@@ -162,7 +162,7 @@ def test_angles_are_those_of_scipy(sequence, rows):
 @pytest.mark.parametrize("first", [-3.0, 0.0, 0.4])
 @pytest.mark.parametrize("off", [0.0, 1e-12, 1e-9, 1e-6])
 def test_angles_keep_the_attitude_in_gimbal_lock(sequence, first, off):
-    """There they share the rotation equally, which scipy gives to the first; both compose to it."""
+    """The first and the third are not unique there; with any of them the rotation is the same."""
     locks = (0, np.pi) if sequence[0] == sequence[2] else (-np.pi / 2, np.pi / 2)
     inside = np.sign(sum(locks) / 2 - np.array(locks)) * off
     wanted = np.array([(first, lock, 0.3) for lock in np.array(locks) + inside])

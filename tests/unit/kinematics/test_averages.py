@@ -76,6 +76,22 @@ def test_a_precessing_rotor(kind, method, bounds, order, jitter):
     assert orders(errors).min() > order
 
 
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("kind", KINDS)
+def test_alternating_intervals_are_of_full_order(kind, first):
+    """The first and the last interval lost their correction: third order, worse than coning."""
+    errors, of_coning = [], []
+    for hz in RATES_HZ:
+        steps = np.tile(np.array([6, 14]) * (SECOND // hz // 10), hz // 10 + 1)[first:]
+        t_ns = np.concatenate([[0], np.cumsum(steps)])
+        truth, series = rotor(t_ns / 1e9)[0], integrated(t_ns, kind)
+        for method, found in (("cubic", errors), ("coning", of_coning)):
+            wxyz = propagated(series, q0=truth[0], method=method)
+            found.append(geodesic_angle(wxyz, truth).max())
+    assert orders(errors).min() > 3.8
+    assert (np.array(errors) < np.array(of_coning) / 4).all()
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_even_intervals_have_the_weights_of_the_textbook(kind):
     """theta_k-1 x theta_k / 12 before, and half of that on each side; one-sided at the ends."""

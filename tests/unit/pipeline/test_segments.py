@@ -14,8 +14,9 @@ from make.tables import write_attitudes, write_rates
 
 from quatprop import propagate
 from quatprop.errors import RemarkWarning
+from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply
 from quatprop.pipeline.segments import Segments
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK
@@ -72,6 +73,38 @@ def test_the_sensitivity_is_the_difference_of_ends(method, count):
     ends = final_attitude(series, NEXT[method]), final_attitude(sparse, method)
     expected = [float(geodesic_angle(own, end)) for end in ends]
     assert segments.sensitivity.angles(segments.final) == pytest.approx(expected, abs=1e-13)
+
+
+@pytest.mark.parametrize(("count", "compared"), [(5, "coning"), (6, "cubic"), (500, "cubic")])
+@pytest.mark.parametrize("rates", ["body", "inertial"])
+@pytest.mark.parametrize("kind", ["rates", "averages", "increments"])
+def test_where_quintic_is_cubic_it_is_compared_with_coning(kind, rates, count, compared):
+    """It was compared with itself there: the sensitivity of a short or uneven log was 0."""
+    series = random_rates(count)
+    spans = np.full(count, 10_000_000) if kind == "increments" else None
+    t_ns = series.t_ns + np.arange(count) // 7 * 50_000_000
+    series = GyroSeries(t_ns, series.rate, spans, kind == "averages")
+    segments, _, _ = segmented([series], method="quintic", rates=rates)
+    vectors = {
+        method: rotation_vectors(
+            t_ns,
+            -series.rate if rates == "inertial" else series.rate,
+            method,
+            spans,
+            is_interval_average=kind == "averages",
+        )
+        for method in ("coning", "cubic", "quintic")
+    }
+    is_cubic = (vectors["quintic"] == vectors["cubic"]).all(axis=1)
+    assert is_cubic.all() == (compared == "coning")
+    end = IDENTITY
+    for step in exp(np.where(is_cubic[:, None], vectors["coning"], vectors["cubic"])):
+        end = multiply(end, step)
+    end = conjugate(end) if rates == "inertial" else end
+    assert segments.sensitivity.next_method == compared
+    expected = float(geodesic_angle(segments.final, end))
+    assert segments.sensitivity.angles(segments.final)[0] == pytest.approx(expected, abs=1e-13)
+    assert expected > 1e-6
 
 
 @pytest.mark.parametrize("kind", ["averages", "increments"])

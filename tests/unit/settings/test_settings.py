@@ -20,8 +20,9 @@ from quatprop.errors import UsageError
 from quatprop.pipeline.settings import PropagationSettings, propagation_settings
 from quatprop.settings import CHECKS, ONE_SERIES, PROPAGATE, READ_ATTITUDES, READ_RATES
 from quatprop.settings.keyword import Keyword, keywords_of, parameters
-from quatprop.settings.parsers import Choice, StaticBias, file_beside
+from quatprop.settings.parsers import Choice, file_beside
 from quatprop.settings.spelling import in_keys, in_options
+from quatprop.settings.static_bias import StaticBias
 from quatprop.settings.values import parse_all
 from quatprop.text import Setting, in_python
 from quatprop.times import Instant
@@ -37,6 +38,8 @@ from quatprop.times import Instant
         ("bias", ["0.1,-2,3e-3", [0.1, -2, 0.003]], (0.1, -2.0, 0.003)),
         ("bias", ["static", "static:1s", StaticBias()], StaticBias(1_000_000_000)),
         ("bias", ["static:250ms"], StaticBias(250_000_000)),
+        ("bias", ["static:nearest"], StaticBias(between="nearest")),
+        ("bias", ["static:interpolate:2s"], StaticBias(2_000_000_000, between="interpolate")),
         ("mount", ["x,-y,-z", ("x", "-y", "-z")], "x,-y,-z"),
         ("end", ["0", 0], Instant(0, "clock")),
         ("end", ["1000000", 1_000_000], Instant(1_000_000, "clock")),
@@ -47,7 +50,7 @@ from quatprop.times import Instant
             Instant(1_000_000_000, "clock"),
         ),
         ("max_gap", ["20ms", 20_000_000, dt.timedelta(milliseconds=20)], 20_000_000),
-        ("rate", ["29.97", 29.97, Fraction(2997, 100)], Fraction(2997, 100)),
+        ("rate", ["29.97", "29.97Hz", "29.97 Hz", 29.97, Fraction(2997, 100)], Fraction(2997, 100)),
         ("rate", ["30000/1001", Fraction(30000, 1001)], Fraction(30000, 1001)),
         ("rate", ["50", 50, np.int64(50), 50.0], Fraction(50)),
         ("every", ["3", 3], 3),

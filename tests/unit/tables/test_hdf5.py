@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from make.table_rates import refusal, table_rates
 
-from quatprop import propagate, read_rates
-from quatprop.errors import DamagedLogError, UsageError
+from quatprop import propagate, read_attitudes, read_rates
+from quatprop.errors import DamagedLogError, QuatpropError, UsageError
 
 h5py = pytest.importorskip("h5py")
 
@@ -47,6 +47,32 @@ def test_a_file_of_broad_is_read_to_the_bit(path, options):
     columns = {"rate_cols": ["0", "1", "2"], "sample_rate": RATE_HZ}
     again = propagate(path.with_suffix(".npy"), **columns, **RAD)
     assert propagate(path, **RAD).wxyz.tobytes() == again.wxyz.tobytes()
+
+
+def test_a_trial_of_broad_needs_no_options(path):
+    """Its rates and its optical attitudes were refused until options named and declared them."""
+    wxyz = np.random.default_rng(5).normal(size=(COUNT, 4))
+    wxyz /= np.linalg.norm(wxyz, axis=1, keepdims=True)
+    with h5py.File(broad(path), "a") as file:
+        file["opt_quat"], file["opt_pos"] = wxyz, RATES
+    assert read_rates(path).rate.tobytes() == RATES.tobytes()
+    found = read_attitudes(path)
+    assert found.wxyz.tobytes() == wxyz.tobytes()
+
+
+def test_an_accelerometer_can_be_named(path):
+    """A table whose columns have other names could not be levelled."""
+    still = np.random.default_rng(6).normal(0, 1e-3, (COUNT, 3))
+    with h5py.File(path, "w") as file:
+        file.attrs["sampling_rate"] = RATE_HZ
+        file["w"], file["f"] = still, np.tile([0.0, 9.81, 0.0], (COUNT, 1))
+    named = {"rate_cols": ["w[0]", "w[1]", "w[2]"], **RAD, "q0": "level"}
+    with pytest.raises(QuatpropError, match="it has no accelerations"):
+        propagate(path, **named)
+    found = propagate(path, **named, accel_cols="f[0],f[1],f[2]")
+    np.testing.assert_allclose(found.as_matrix()[0] @ [0, 1, 0], [0, 0, 1], atol=1e-15)
+    with pytest.raises(UsageError, match=r"accel_cols asks for column 'f\[9\]'"):
+        propagate(path, **named, accel_cols="f[0],f[1],f[9]")
 
 
 def test_columns_are_named_by_groups_fields_and_attributes(path):

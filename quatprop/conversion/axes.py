@@ -1,0 +1,55 @@
+"""Attitudes of other axes: of the reference, and of the body."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from quatprop.conditioning.mounting import mounting
+from quatprop.kinematics.quaternion import conjugate, from_matrix, multiply, rotate
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from quatprop.arrays import Float64
+    from quatprop.series import AttitudeSeries
+
+
+class AxisChange(NamedTuple):
+    """What takes old axes to new ones: v_new = M v_old.
+
+    `reference`, `body`: rotation matrices M, shape ``(3, 3)``
+    """
+
+    reference: Float64
+    body: Float64
+
+    @classmethod
+    def of(cls, left: str | None, right: str | None) -> AxisChange:
+        """Return the change that two settings ask for; None: those axes stay."""
+        stay = "1,0,0,0"
+        return cls(mounting(left or stay, "rotation"), mounting(right or stay, "rotation"))
+
+    @property
+    def mixes_body_axes(self) -> bool:
+        """Whether a new axis of the body is not along an old one."""
+        return bool((np.abs(self.body).max(axis=0) < 1 - 1e-12).any())
+
+    @property
+    def mixes_reference_axes(self) -> bool:
+        """Whether a new axis of the reference is not along an old one."""
+        return bool((np.abs(self.reference).max(axis=0) < 1 - 1e-12).any())
+
+    def applied(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
+        """Yield attitudes q' = L q R*, with positions and covariances in the new axes."""
+        left, right = from_matrix(self.reference), conjugate(from_matrix(self.body))
+        for series in batches:
+            position, covariance = series.position, series.covariance
+            yield replace(
+                series,
+                wxyz=multiply(multiply(left, series.wxyz), right),
+                position=None if position is None else rotate(left, position),
+                covariance=None if covariance is None else self.body @ covariance @ self.body.T,
+            )

@@ -1,0 +1,85 @@
+"""Where the command line takes a file, the library takes what a program has, too."""
+
+from datetime import UTC, datetime
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+import quatprop
+from quatprop import AttitudeSeries, GyroSeries
+from quatprop.errors import QuatpropError
+
+MS = 1_000_000
+LOG = quatprop.read_rates("sample_logs/tumbling.bag")
+FRAMES = LOG.t_ns[0] + np.arange(1, 20) * 33 * MS
+"""When a camera took pictures."""
+
+
+def at_frames(folder, at):
+    """Return attitudes at times that are in a file, and at times in memory."""
+    file = AttitudeSeries(FRAMES, np.tile([1.0, 0, 0, 0], (len(FRAMES), 1)))
+    quatprop.write(file, folder / "frames.csv")
+    return [
+        quatprop.propagate(LOG, at=where, method="coning") for where in (folder / "frames.csv", at)
+    ]
+
+
+@pytest.mark.parametrize(
+    "at",
+    [FRAMES, FRAMES[::-1].tolist(), pd.Series(FRAMES), pd.to_datetime(FRAMES),
+     GyroSeries(FRAMES, np.zeros((len(FRAMES), 3)))],
+)  # fmt: skip
+def test_attitudes_at_the_frames_of_a_camera(tmp_path, at):
+    """They needed a file of attitudes that nobody had."""
+    by_file, found = at_frames(tmp_path, at)
+    assert len(found) == len(FRAMES)
+    assert AttitudeSeries(found.t_ns, found.wxyz) == AttitudeSeries(by_file.t_ns, by_file.wxyz)
+    assert found.report.settings["at"] == "in memory"
+
+
+def test_the_first_attitude_is_a_rotation_or_that_of_a_series(tmp_path):
+    """As of a file of the same attitudes, between whose stamps it lies."""
+    turns = Rotation.from_rotvec([[0.3, 0.1, 0], [0.5, -0.2, 1]])
+    series = AttitudeSeries(LOG.t_ns[0] + np.array([-MS, 2 * MS]), turns.as_quat(scalar_first=True))
+    quatprop.write(series, tmp_path / "q0.csv")
+    by_file = quatprop.propagate(LOG, q0=tmp_path / "q0.csv")
+    found = quatprop.propagate(LOG, q0=series)
+    np.testing.assert_array_equal(found.wxyz, by_file.wxyz)
+    assert found.report.convention.q0_from == "in memory"
+    numbers = quatprop.propagate(LOG, q0=turns[1].as_quat(scalar_first=True))
+    np.testing.assert_allclose(quatprop.propagate(LOG, q0=turns[1]).wxyz, numbers.wxyz, atol=1e-15)
+
+
+def test_the_bias_is_a_series():
+    """Interpolated in time, as of a file; a constant one is three numbers."""
+    ends = LOG.t_ns[[0, -1]]
+    constant = GyroSeries(ends, [[0.01, 0, -0.02]] * 2)
+    by_numbers = quatprop.propagate(LOG, bias=(0.01, 0, -0.02))
+    found = quatprop.propagate(LOG, bias=constant)
+    np.testing.assert_allclose(found.wxyz, by_numbers.wxyz, atol=1e-13)
+    growing = GyroSeries(ends, [[0, 0, 0], [0.01, 0, -0.02]])
+    fraction = (LOG.t_ns - ends[0]) / (ends[1] - ends[0])
+    less = GyroSeries(LOG.t_ns, LOG.rate - fraction[:, None] * growing.rate[1])
+    expected = quatprop.propagate(less)
+    np.testing.assert_allclose(
+        quatprop.propagate(LOG, bias=growing).wxyz, expected.wxyz, atol=1e-13
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"q0": LOG}, "q0: GyroSeries has no attitudes"),
+        ({"bias": AttitudeSeries([0], [[1, 0, 0, 0]])}, "a series of biases is a GyroSeries"),
+        ({"at": [0.5]}, "Expected `at` to be int64 nanoseconds or dates"),
+        ({"at": datetime(2020, 1, 1, tzinfo=UTC)}, "is not a path"),
+        ({"q0": AttitudeSeries([0], [[1, 0, 0, 0]])}, "q0: its last attitude is"),
+    ],
+)
+def test_what_does_not_fit_is_refused(options, sentence):
+    """With the name of the keyword."""
+    with pytest.raises(QuatpropError) as caught:
+        quatprop.propagate(LOG, **options)
+    assert sentence in str(caught.value)

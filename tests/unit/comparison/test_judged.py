@@ -1,0 +1,117 @@
+"""The times to judge: errors of the pairs in them alone, as benchmarks with phases define them."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from make.commands import refused, run
+from make.motion import SECOND, rotor, stamps
+from make.places import SAMPLE_LOGS
+from make.suites import TRUTH as TRUTH_CASE
+from make.suites import check, pinned, write_suite
+from make.tables import write_attitudes
+
+from quatprop import AttitudeSeries, compare
+from quatprop.errors import ComparisonError, UsageError
+from quatprop.kinematics.quaternion import exp, multiply
+
+T_NS = stamps(50, 4)
+TRUTH = AttitudeSeries(T_NS, rotor(T_NS / 1e9)[0])
+NOISE = np.random.default_rng(1).normal(0, 0.1, (len(T_NS), 3))
+MOVES = np.isin(np.arange(len(T_NS)) // 25, [1, 2, 5, 7])
+PHASES = "0.5s..1.48s,+2.5s..+2.98s,+3.5s..-20ms"
+"""Those of MOVES, from the first and from the last sample."""
+
+
+def noisy(offset_ns=0):
+    """Return attitudes that are off by NOISE."""
+    return AttitudeSeries(T_NS + offset_ns, multiply(exp(NOISE), TRUTH.wxyz))
+
+
+def broad(estimate, truth, movement):
+    """Return the RMS errors in total, heading and inclination, rad, by the code of BROAD.
+
+    D. Laidig et al., Data 6 (2021) 72, eqs. 1 to 4.
+    """
+    a, (w, x, y, z) = estimate.T, truth.T * [[1], [-1], [-1], [-1]]
+    scalar = a[0] * w - a[1] * x - a[2] * y - a[3] * z
+    vertical = a[0] * z + a[1] * y - a[2] * x + a[3] * w
+    total = 2 * np.arccos(np.abs(scalar))
+    heading = 2 * np.arctan(np.abs(vertical / scalar))
+    inclination = 2 * np.arccos(np.sqrt(scalar**2 + vertical**2))
+    return [np.sqrt(np.mean(one[movement] ** 2)) for one in (total, heading, inclination)]
+
+
+@pytest.mark.parametrize("offset_ns", [0, 7_000_000])
+def test_the_errors_are_those_of_the_phases_of_movement(offset_ns):
+    """Relative and absolute times, in A's clock, give the three metrics of BROAD."""
+    edges = np.flatnonzero(np.diff(np.pad(MOVES, 1))).reshape(-1, 2)
+    absolute = np.column_stack([T_NS[edges[:, 0]], T_NS[edges[:, 1] - 1]]) + offset_ns
+    for judge in (PHASES, absolute, [(int(a), str(b)) for a, b in absolute]):
+        found = compare(noisy(offset_ns), TRUTH, judge=judge, time_offset=offset_ns, tol_heading=3)
+        rms = found.error_rad.rms, found.parts.heading.rms, found.parts.inclination.rms
+        assert rms == pytest.approx(broad(noisy().wxyz, TRUTH.wxyz, MOVES), rel=1e-9)
+        assert found.judged.pairs == len(found.errors) == MOVES.sum()
+        assert np.array_equal(found.judged.ranges_ns, absolute)
+        assert found.association.matched == len(T_NS)
+
+
+def test_what_is_not_judged_changes_nothing():
+    """Neither the alignment, nor the worst sample, nor a cause; all of B that counts is covered."""
+    wrong = np.where(MOVES[:, None], noisy().wxyz, exp([1.0, 2.0, 0.5]))
+    for align in ("none", "first", "yaw", "mean"):
+        options = {"align": align, "judge": PHASES, "tol": "1deg", "min_coverage": 99}
+        a, b = (compare(AttitudeSeries(T_NS, q), TRUTH, **options) for q in (wrong, noisy().wxyz))
+        assert a.error_rad == b.error_rad
+        assert (a.worst, a.first_exceeding, a.likely_cause) == (
+            b.worst, b.first_exceeding, b.likely_cause)  # fmt: skip
+        assert MOVES[a.worst.index]
+        assert a.criteria[-1].passed
+
+
+def test_command_and_suite(tmp_path):
+    """An option, a key and JSON; a file is not compared while it is read."""
+    a = write_attitudes(tmp_path / "a.csv", T_NS, noisy().wxyz)
+    b = write_attitudes(tmp_path / "b.csv", T_NS, TRUTH.wxyz)
+    shown = run("compare", a, b, "--judge", PHASES).stdout
+    assert "judged    100 of them, in 3 time ranges\n" in shown
+    result = json.loads(run("compare", a, b, "--judge", PHASES, "--json").stdout)
+    assert result["judged"]["ranges_ns"][0] == [SECOND // 2, 1_480_000_000]
+    for name in ("coning.truth.csv", "coning.mcap"):
+        shutil.copy(SAMPLE_LOGS / name, tmp_path)
+    case = TRUTH_CASE.replace("logs/", "")
+    assert check(pinned(tmp_path, f'{case}judge = ["+1s..+2s", "+3s..-1s"]\n')).exit_code == 0
+    outside = check(write_suite(tmp_path, f'{case}judge = "+1h..+2h"\n'))
+    assert "no pair of attitudes is in the time ranges of judge;" in outside.output
+
+
+@pytest.mark.parametrize(
+    ("judge", "error", "message"),
+    [
+        (
+            "+1s",
+            UsageError,
+            r"judge: '\+1s' is no time range; write START\.\.END, as \+10",
+        ),
+        ("+1s..", UsageError, "judge: '' is "),
+        (["+1s", "+2s"], UsageError, r"judge: '\+1s' is no time range"),
+        (5, UsageError, "judge: '5' is no time range"),
+        (
+            "+2s..+1s",
+            UsageError,
+            r"judge='\+2000000000ns\.\.\+10*ns' ends 1 s before it beg",
+        ),
+        ("+5s..+6s", ComparisonError, "no pair of attitudes is in the time ranges of judge; the "),
+    ],
+)
+def test_ranges_that_are_none(judge, error, message):
+    """One sentence about the range."""
+    with pytest.raises(error, match=message):
+        compare(noisy(), TRUTH, judge=judge)
+
+
+def test_an_option_is_refused_by_its_name(tmp_path):
+    """As everywhere."""
+    a = write_attitudes(tmp_path / "a.csv", T_NS, TRUTH.wxyz)
+    assert "--judge" in refused("compare", a, a, "--judge", "+5s..+6s")

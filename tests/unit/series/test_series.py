@@ -1,0 +1,147 @@
+"""Series as sequences, arrays, tables and rotations, against NumPy, SciPy, pandas and polars."""
+
+import copy
+import pickle
+from datetime import UTC, datetime
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+import quatprop
+from quatprop import AttitudeSeries, GyroSeries
+from quatprop.errors import LogError, SeriesError, TimelineError, UsageError
+from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.settings import EULER_SEQUENCES
+
+NS = 1_000_000_000
+TURNS = Rotation.random(40, np.random.default_rng(3))
+A = AttitudeSeries(np.arange(40) * NS, TURNS.as_quat(scalar_first=True))
+W = GyroSeries(np.arange(5), np.arange(15.0).reshape(5, 3))
+
+
+@pytest.mark.parametrize("series", [A, W])
+def test_a_row_and_all_rows_one_by_one(series):
+    """A number chose an array of no dimension, which is no series."""
+    assert len(series[0]) == len(series[-1]) == 1
+    assert series[-1].t_ns[0] == series.t_ns[-1]
+    assert [int(row.t_ns[0]) for row in series] == series.t_ns.tolist()
+    assert series[1:3] == type(series).joined([series[1], series[np.int64(2)]])
+    with pytest.raises(IndexError):
+        series[len(series)]
+
+
+@pytest.mark.parametrize("series", [A, W, quatprop.propagate(W)])
+def test_equality_is_that_of_all_columns(series):
+    """NumPy's is row by row, and Python asked which of them."""
+    assert series == copy.copy(series) == pickle.loads(pickle.dumps(series))  # noqa: S301
+    assert series != series[:-1]
+    assert series != series.t_ns.tolist()
+    assert A != W
+    assert AttitudeSeries([0], [[np.nan] * 4]) == AttitudeSeries([0], [[np.nan] * 4])
+    assert AttitudeSeries(A.t_ns, A.wxyz, position=np.zeros((40, 3))) != A
+    averages = GyroSeries(W.t_ns, W.rate, is_interval_average=True)
+    assert W != averages == GyroSeries(W.t_ns, W.rate, is_interval_average=True)
+
+
+def test_other_libraries_take_a_series_as_it_is():
+    """Through NumPy's and Arrow's protocols."""
+    np.testing.assert_array_equal(np.asarray(A), A.wxyz)
+    np.testing.assert_array_equal(np.asarray(W, np.float32), W.rate.astype(np.float32))
+    for table in (pa.table(A), pl.DataFrame(A).to_arrow(), pa.RecordBatchReader.from_stream(A)):
+        found = table.read_all() if isinstance(table, pa.RecordBatchReader) else table
+        assert found.column_names == ["t_ns", "qw", "qx", "qy", "qz"]
+        np.testing.assert_array_equal(found["qy"].to_numpy(), A.wxyz[:, 2])
+    if hasattr(pd.DataFrame, "from_arrow"):
+        assert pd.DataFrame.from_arrow(W)["wz"].tolist() == W.rate[:, 2].tolist()
+
+
+@pytest.mark.parametrize(
+    ("limits", "rows"),
+    [
+        (("+2s", "-3s"), slice(2, 37)), ((2 * NS, None), slice(2, 40)),
+        ((None, "+0s"), slice(0, 1)),
+        (("1970-01-01T00:00:05Z", datetime(1970, 1, 1, 0, 0, 7, tzinfo=UTC)), slice(5, 8)),
+        (("+90s", None), slice(0, 0)),
+    ],
+)  # fmt: skip
+def test_the_rows_between_two_times(limits, rows):
+    """Both included."""
+    assert A.between(*limits) == A[rows]
+    assert A[:0].between("+1s") == A[:0]
+
+
+def test_forms_of_a_rotation_are_those_of_scipy():
+    """Angles in its spelling of intrinsic rotations."""
+    np.testing.assert_allclose(A.as_matrix(), TURNS.as_matrix(), atol=1e-15)
+    np.testing.assert_allclose(A.as_rotvec(), TURNS.as_rotvec(), atol=1e-14)
+    for name in EULER_SEQUENCES:
+        expected = TURNS.as_euler(name.upper(), degrees=True)
+        found = A.as_euler(name.upper(), degrees=True)
+        np.testing.assert_allclose(np.radians(found), A.as_euler(name.upper()), atol=1e-15)
+        np.testing.assert_allclose((found - expected + 180) % 360, 180, atol=1e-10)
+    with pytest.raises(UsageError, match="small letters are extrinsic rotations in scipy"):
+        A.as_euler("zyx")
+    with pytest.raises(UsageError, match="'XYW' is not one of 'ZYX', 'XYZ'"):
+        A.as_euler("XYW")
+
+
+def test_products_and_inverses():
+    """Row by row, as SciPy has them."""
+    other = AttitudeSeries(A.t_ns, TURNS[::-1].as_quat(scalar_first=True))
+    expected = (TURNS * TURNS[::-1]).as_quat(scalar_first=True)
+    assert geodesic_angle((A * other).wxyz, expected).max() < 1e-14
+    assert geodesic_angle(A.inv().wxyz, TURNS.inv().as_quat(scalar_first=True)).max() < 1e-15
+    assert geodesic_angle((A * A.inv()).wxyz, [1, 0, 0, 0]).max() < 1e-14
+    with pytest.raises(SeriesError, match=r"relative_to\(\) interpolates"):
+        A * other[1:]
+    with pytest.raises(TypeError):
+        A * 2
+
+
+def test_covariances_are_about_the_new_body_after_inversion():
+    """The old reference; an error about body x at q = 90 deg about z is one about reference y."""
+    covariance = np.diag([4.0, 1.0, 1.0])[None]
+    q = Rotation.from_rotvec([0, 0, np.pi / 2]).as_quat(scalar_first=True)[None]
+    back = AttitudeSeries([0], q, covariance=covariance).inv()
+    np.testing.assert_allclose(back.covariance[0], np.diag([1.0, 4.0, 1.0]), atol=1e-15)
+    np.testing.assert_allclose(back.inv().covariance, covariance, atol=1e-15)
+
+
+def test_the_angle_of_a_joint():
+    """One body in the axes of another, at its own stamps within the other's."""
+    t_ns = np.arange(-5, 45) * NS + NS // 3
+    turns = Rotation.random(50, np.random.default_rng(4))
+    thigh = AttitudeSeries(t_ns, turns.as_quat(scalar_first=True))
+    knee = thigh.relative_to(A)
+    (inside,) = np.nonzero((t_ns >= 0) & (t_ns <= 39 * NS))
+    np.testing.assert_array_equal(knee.t_ns, t_ns[inside])
+    at = Slerp(A.t_ns / NS, TURNS)(t_ns[inside] / NS)
+    expected = at.inv() * Rotation.from_quat(thigh.wxyz[inside], scalar_first=True)
+    assert geodesic_angle(knee.wxyz, expected.as_quat(scalar_first=True)).max() < 1e-13
+    one = A.relative_to(A[3])
+    assert len(one) == 1
+    assert geodesic_angle(one.wxyz, [1, 0, 0, 0]).max() < 1e-15
+    assert len(A.relative_to(A[:0])) == 0
+
+
+def test_a_notebook_shows_the_first_and_the_last_rows():
+    """All of a short series."""
+    page = A._repr_html_()
+    assert page.startswith("<p>AttitudeSeries: 40 attitudes over 39 s from t = 0 ns</p><table>")
+    assert page.count("<tr>") == 1 + 3 + 1 + 3
+    assert f"<td>{39 * NS}</td><td>{A.wxyz[-1, 0]:.9g}</td>" in page
+    assert W._repr_html_().count("<tr>") == 6
+    assert "no samples" in W[:0]._repr_html_()
+
+
+@pytest.mark.parametrize(
+    "error", [UsageError("a; b"), LogError("log.csv", "bad"), TimelineError("log.csv", "bad")]
+)
+def test_errors_survive_pickling(error):
+    """A pool of processes sends them so."""
+    back = pickle.loads(pickle.dumps(error))  # noqa: S301
+    assert (type(back), str(back)) == (type(error), str(error))
