@@ -12,6 +12,9 @@ from quatprop.comparison.undoing import Sides, Undoing
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S, duration_text
 
+SIGNIFICANT = 5.0
+"""An error of a clock is real if it is this many standard deviations from none."""
+
 
 def clocks(
     sides: Sides, coarse_ns: int, given_ns: int, *, turned: bool
@@ -31,7 +34,7 @@ def clocks(
         if math.isfinite(offset.std)
         else None,
         _clock_drift(change, coarse_ns, int(sides.b.t_ns[0]) - first_ns)
-        if math.isfinite(change.std)
+        if abs(change.ratio) > SIGNIFICANT * change.std
         else None,
     )
 

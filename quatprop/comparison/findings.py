@@ -34,16 +34,16 @@ def dead_axes(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Remark]:
     spreads = {name: _spreads(series) for name, series in both}
     for name, other in (("A", "B"), ("B", "A")):
         own, whole = spreads[name][0], spreads[other][1]
-        if not whole[0] > max(MIN_TURN, MIN_SHARE * whole[-1]):
-            continue
         axes = [axis for axis, spread in zip("xyz", own, strict=True) if spread <= DEAD * whole[-1]]
+        least = whole[-1] if len(axes) == len(own) else whole[0]
+        if not least > max(MIN_TURN, MIN_SHARE * whole[-1]):
+            continue
         if axes:
-            about = "any axis" if len(axes) == len(own) else f"its {' and '.join(axes)} axis"
-            yield Remark(
-                "dead-axis",
-                f"the rate of {name} about {about} never changes, and {other} turns about all "
-                "three: are rates missing?",
-            )
+            text = f"the rate of {name} about its {' and '.join(axes)} axis never changes, and "
+            text += f"{other} turns about all three: are rates missing?"
+            if len(axes) == len(own):
+                text = f"the rate of {name} never changes, and that of {other} does: is one dead?"
+            yield Remark("dead-axis", text)
 
 
 def _spreads(series: AttitudeSeries) -> tuple[Float64, Float64]:

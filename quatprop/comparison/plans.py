@@ -16,9 +16,6 @@ PRICES = {
     "body frame": 0.35,
     "rate bias": 0.2,
     "drift": 0.2,
-    # They are frames that are turned by whole right angles.
-    "layout and conjugate": 0.15,
-    "layout-first and conjugate": 0.15,
 }
 """Mistake -> share of the error that may remain when it is undone: less of it, the more is
 fitted."""

@@ -209,7 +209,7 @@ def _plant(kind, rng, a, b):  # noqa: PLR0911, PLR0912  # one mistake after the 
             return {kind}, with_rates(-rates.rate), b
         case "axes":
             matrix = np.array(AXES[str(rng.choice(list(AXES)))])
-            names = {kind, "body frame"} if np.linalg.det(matrix) > 0 else {kind}
+            names = {kind, "body frame"} if np.linalg.det(matrix) > 0 else {kind, "rate sign"}
             return names, with_rates(rates.rate @ matrix.T), b
         case "scale":
             factor = float(rng.choice([np.pi / 180, 0.5, 2.0, 1.1, 0.96]))
