@@ -103,6 +103,7 @@ def command(*, quiet: bool, **chosen: Any) -> int:
 def _summary(report: ConversionReport) -> Iterator[str]:
     """Yield the lines of the summary."""
     from quatprop.rendering import count_text, loss_lines, source_text
+    from quatprop.stores.objects import without_secret
 
     job, stored, counts = report.job, report.signal, report.counts
     order = stored.layout or stored.representation
@@ -110,10 +111,8 @@ def _summary(report: ConversionReport) -> Iterator[str]:
     written_as = f"{job.meaning.convention} {job.meaning.direction}, {job.representation}"
     name = source_text(stored.name, stored.type_name)
     yield f"in   {plain(report.path)} ({report.kind}): {name}; {stored_as}, {stored.clock} clock"
-    yield (
-        f"out  {plain(job.output.path)}: {count_text(counts.used, 'row')}; {written_as}, "
-        f"{','.join(report.columns)}"
-    )
+    path, rows = plain(without_secret(job.output.path)), count_text(counts.used, "row")
+    yield f"out  {path}: {rows}; {written_as}, {','.join(report.columns)}"
     if counts.normalized:
         yield (
             f"warning: {count_text(counts.normalized, 'row')} scaled to unit length, off by up to "

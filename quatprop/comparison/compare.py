@@ -63,13 +63,12 @@ def compare(
         pairs.at, align(settings.align, pairs.a, pairs.b), settings.limit_rad
     )
     measured.add(pairs.t_ns, pairs.index, pairs.a, pairs.b)
-    wanted = b if part is None else part.part_of(b)
-    reference = CoveredTime()
-    for rows in blocks(len(wanted)):
-        reference.add(wanted.t_ns[rows])
+    of_a, of_b = (side if part is None else part.part_of(side) for side in (a, b))
     counted = pairs.match == "exact" or pairs.at == "B"
     coverage = Coverage(
-        measured.covered.share_of(reference), 100 * len(pairs) / len(wanted) if counted else None
+        measured.covered.share_of(CoveredTime.of(of_b.t_ns)),
+        100 * len(pairs) / len(of_b) if counted else None,
+        measured.covered.share_of(CoveredTime.of(of_a.t_ns)),
     )
     return build_comparison(
         a,

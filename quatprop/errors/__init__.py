@@ -23,6 +23,7 @@
     │   ├── UndeclaredError            unit, column or time that only the user can know
     │   └── TimelineError              stamps or rates that the chosen policy refuses
     ├── StoreError                     an object store does not give what is asked of it
+    │   └── ReplacedError              a log that is another one after it was read
     ├── ComparisonError                two attitude series that cannot be compared as asked
     └── OutputError                    the result cannot be written where it was asked for
 
@@ -128,6 +129,10 @@ class SeriesError(QuatpropError, ValueError):
 
 class StoreError(QuatpropError):
     """An object store does not give what is asked of it: the log is not damaged."""
+
+
+class ReplacedError(StoreError):
+    """A log was replaced while it was read, so that what was read may be of two logs."""
 
 
 class LogError(QuatpropError):

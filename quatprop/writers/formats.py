@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.errors import OutputError, UsageError
+from quatprop.stores.objects import is_address, split_address, without_secret
 from quatprop.text import Remark, Setting, quoted
 from quatprop.writers.targets import is_stdout, is_stream
 
@@ -133,13 +134,14 @@ def kind_of(target: Path | str, kind: str | None = None, choices: Collection[str
         return kind
     if is_stdout(target) or is_stream(target):
         return "csv"
-    suffix = Path(target).suffix.lower()
+    name = split_address(str(target))[0] if is_address(target) else target
+    suffix = Path(name).suffix.lower()
     for name, form in WRITERS.items():
         if suffix in form.suffixes:
             return name
     suffixes = ", ".join(s for name in choices for s in WRITERS[name].suffixes if s)
     raise OutputError(
-        target,
+        without_secret(target),
         f"the suffix does not tell the output format; use one of {suffixes}, none for a ROS 2 bag "
         f"folder, or say {Setting('to', '|'.join(choices))}",
     )

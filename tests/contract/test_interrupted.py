@@ -20,8 +20,8 @@ from quatprop.simulate.simulate import simulate
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and devices of POSIX")
 ENDS = {
     signal.SIGINT: (130, "Interrupted.\n"),
-    signal.SIGTERM: (143, ""),
-    signal.SIGHUP: (129, ""),
+    signal.SIGTERM: (143, "Ended by SIGTERM.\n"),
+    signal.SIGHUP: (129, "Ended by SIGHUP.\n"),
 }
 SHELL = "/bin/sh"
 FULL = Path("/dev/full")

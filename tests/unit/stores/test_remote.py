@@ -21,10 +21,10 @@ from pyarrow import feather
 
 from quatprop.errors import LogError, OutputError, StoreError
 from quatprop.logs.open_log import open_log
-from quatprop.stores import transfers
 from quatprop.stores.file_source import FileSource
 from quatprop.stores.objects import _with_retry_limit, find, without_secret
-from quatprop.stores.transfers import local_copy, put, upload
+from quatprop.stores.remote import RemoteSource, local_copy
+from quatprop.stores.transfers import put, upload
 from quatprop.times import NS_PER_S
 
 pytestmark = pytest.mark.usefixtures("temporary")
@@ -129,7 +129,7 @@ def test_a_folder_inside_a_bag_is_no_file_of_it(tmp_path):
     bag = shutil.copytree(SAMPLE_LOGS / "tumbling_ros2", tmp_path / "bag")
     names = {path.name for path in bag.iterdir()}
     (bag / ".thumbnails").mkdir()
-    with local_copy(bag.as_uri()) as copy:
+    with local_copy(bag.as_uri(), []) as copy:
         assert {path.name for path in copy.iterdir()} == names
 
 
@@ -142,7 +142,7 @@ def test_a_folder_inside_a_bag_is_no_file_of_it(tmp_path):
 )
 def test_what_is_not_there_is_said(address, reason):
     """An address that the store does not know, and a store that is not known."""
-    with pytest.raises(StoreError, match=f"^{address}: {reason}"), local_copy(address):
+    with pytest.raises(StoreError, match=f"^{address}: {reason}"), open_log(address):
         pass
 
 
@@ -236,14 +236,14 @@ def test_waiting_for_a_store_hears_ctrl_c(monkeypatch):
     """What its library does in a thread does not hold up the rest."""
     held = threading.Event()
 
-    def copy(*_):
+    def fetch(*_):
         os.kill(os.getpid(), signal.SIGINT)
         held.wait(600)
 
-    monkeypatch.setattr(transfers.shutil, "copyfileobj", copy)
+    monkeypatch.setattr(RemoteSource, "_fetch", fetch)
     # A shell that runs the tests in the background has it ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    with pytest.raises(KeyboardInterrupt), local_copy(f"file://{SAMPLE_LOGS}/tumbling.bag"):
+    with pytest.raises(KeyboardInterrupt), open_log(f"file://{SAMPLE_LOGS}/tumbling.bag"):
         pass
     held.set()
 
@@ -252,14 +252,14 @@ def test_what_a_kill_leaves_is_removed_by_the_next_run(temporary):
     """Copies of logs are locked while they are used; what is not locked is nobody's."""
     code = (
         "import os, sys\n"
-        "from quatprop.stores.transfers import local_copy\n"
-        "with local_copy(sys.argv[1]):\n"
+        "from quatprop.logs.open_log import open_log\n"
+        "with open_log(sys.argv[1]):\n"
         "    os._exit(0)\n"
     )
     log = (SAMPLE_LOGS / "spin.csv").as_uri()
     environment = {**os.environ, "TMPDIR": str(temporary)}
     subprocess.run([sys.executable, "-c", code, log], check=True, env=environment)
     (stray,) = temporary.iterdir()
-    with local_copy(log) as copy:
-        assert copy.exists()
+    with open_log(log) as opened:
+        assert opened.path.exists()
         assert not stray.exists()
