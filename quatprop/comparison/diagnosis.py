@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 MIN_PAIRS = 10
 """Fewer pairs can be explained by almost anything."""
 
+LITTLE = 0.1
+"""An RMS error below this share of the limit on the worst error needs no second cause."""
+
 MOST = 0.5
 """Share of an error that may remain without its cause."""
 
@@ -52,7 +55,9 @@ def likely_cause(
         return None
     cause, undone = claim
     # A rule leaves the rates at one end open, which looks like a frame.
-    if cause.name != "method" and (first.is_open or len(undone) < len(first.best.undone)):
+    limit = settings.tol if isinstance(settings.tol, float) else 0.0
+    is_whole = cause.name == "method" or cause.rms_after <= LITTLE * limit
+    if not is_whole and (first.is_open or len(undone) < len(first.best.undone)):
         also = _claim(Search(sides, settings, added_ns, undone))
         if also and also[0].name != cause.name:
             cause = cause._replace(also=also[0])

@@ -6,6 +6,7 @@ A remark is added with a row here: its code, a log that has what it says, and on
 import re
 from contextlib import suppress
 from itertools import product
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -61,6 +62,7 @@ from make.remarked import (
 
 import quatprop
 from quatprop import AttitudeSeries
+from quatprop.check.remarks import loss_notes
 from quatprop.comparison.compare import compare as compare_series
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.pipeline.survey import survey
@@ -421,7 +423,15 @@ def tumbling(x, y, z, bias=0.0):
     return AttitudeSeries(t_ns, made.wxyz)
 
 
+def lost(*, is_lost):
+    """Return what `check` notes of a log of which something was lost, or nothing."""
+    case = SimpleNamespace(log="a.bag", external=None)
+    run = SimpleNamespace(report=SimpleNamespace(data_lost=is_lost))
+    return list(loss_notes(case, run, None))
+
+
 COMPARISONS = {
+    "data-lost": (lambda _: lost(is_lost=True), lambda _: lost(is_lost=False)),
     "interpolated": (
         compared(TRUTH, shifted(), match="interpolate", tol="1e-9rad"),
         compared(TRUTH, shifted(), match="interpolate", tol="1deg"),

@@ -223,6 +223,14 @@ def test_what_explains_most_of_the_error_is_named_first():
     assert cause.rms_after == cause.also.rms_before > 100 * cause.also.rms_after
 
 
+def test_what_the_limit_allows_has_no_second_cause():
+    """A wrong unit was followed by a drift of 0.4 deg/h that explained millionths of the error."""
+    a, _ = noisy()
+    cause = compare(a, delayed(turned(a), 30), tol="40deg").likely_cause
+    assert cause.name == "reference frame"
+    assert cause.also is None
+
+
 def test_turned_frames_come_before_a_method():
     """Another integration rule does not turn the reference frame."""
     cause = compare(attitudes("start"), turned(attitudes("coning"))).likely_cause
