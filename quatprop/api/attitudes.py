@@ -13,8 +13,8 @@ from quatprop.api.reading import path_text, read_attitudes, with_keywords_of
 from quatprop.comparison.settings import CompareOptions
 from quatprop.errors import DataLossWarning, SeriesError
 from quatprop.series import AttitudeSeries
-from quatprop.settings import READ_ATTITUDES, AttitudeOptions
-from quatprop.settings.parsers import mounting
+from quatprop.settings.reading import READ_ATTITUDES, AttitudeOptions
+from quatprop.settings.rotations import mounting
 from quatprop.settings.values import parse_all, refuse_unknown
 from quatprop.text import in_python
 
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.result import Comparison
     from quatprop.conversion.job import ConversionReport
-    from quatprop.settings import Convention, Direction, Layout, Rotated, Sign
+    from quatprop.settings.choices import Convention, Direction, Layout, Sign
+    from quatprop.settings.rotations import Rotated
 
 
 @with_keywords_of(CompareOptions, log="`b`")

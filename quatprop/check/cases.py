@@ -17,8 +17,9 @@ from quatprop.comparison.settings import COMPARE, ERROR_LIMITS, comparison_setti
 from quatprop.errors import QuatpropError, SuiteError, UsageError
 from quatprop.logs.attitude_input import attitude_input
 from quatprop.pipeline.settings import propagation_settings
-from quatprop.settings import PROPAGATE, READ_ATTITUDES
-from quatprop.settings.parsers import file_beside
+from quatprop.settings import PROPAGATE
+from quatprop.settings.reading import READ_ATTITUDES
+from quatprop.settings.rotations import file_beside
 from quatprop.settings.spelling import in_keys, suite_key
 from quatprop.text import did_you_mean, quoted, spelling
 

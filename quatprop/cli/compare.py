@@ -12,9 +12,9 @@ from quatprop.cli.help import Command
 from quatprop.cli.options import JSON, PLOT, input_of, options_of, refuse_stdin_twice, with_options
 from quatprop.cli.types import PATH
 from quatprop.comparison.settings import COMPARE, ComparisonSettings
-from quatprop.settings import CHECKS, ONE_SERIES
 from quatprop.settings.keyword import Keyword
 from quatprop.settings.parsers import flag
+from quatprop.settings.reading import CHECKS, ONE_SERIES
 from quatprop.text import spelled
 
 if TYPE_CHECKING:

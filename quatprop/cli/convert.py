@@ -10,9 +10,11 @@ from quatprop.cli.help import Command
 from quatprop.cli.options import QUIET, REPORT, input_of, options_of, with_options
 from quatprop.cli.output_options import EULER, INTO, OUTPUT_OPTIONS, output_settings, with_unit
 from quatprop.cli.types import PATH
-from quatprop.settings import CONVENTIONS, DIRECTIONS, READ_ATTITUDES, SIGNS
+from quatprop.settings.choices import CONVENTIONS, DIRECTIONS, SIGNS
 from quatprop.settings.keyword import Keyword
-from quatprop.settings.parsers import Choice, mounting
+from quatprop.settings.parsers import Choice
+from quatprop.settings.reading import READ_ATTITUDES
+from quatprop.settings.rotations import mounting
 from quatprop.text import plain, spelled
 
 if TYPE_CHECKING:

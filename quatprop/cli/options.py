@@ -129,7 +129,7 @@ def input_of(
 ) -> AttitudeInput:
     """Return which attitudes to read, from the options of a command."""
     from quatprop.logs.attitude_input import attitude_input
-    from quatprop.settings import READ_ATTITUDES
+    from quatprop.settings.reading import READ_ATTITUDES
 
     keys = {name: f"{name}_{side}" if f"{name}_{side}" in chosen else name
             for name in READ_ATTITUDES}  # fmt: skip

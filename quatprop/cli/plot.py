@@ -11,10 +11,11 @@ from quatprop.cli.help import Command, GroupedOption
 from quatprop.cli.options import QUIET, input_of, options_of, refuse_stdin_twice, with_options
 from quatprop.cli.types import PATH
 from quatprop.comparison.settings import COMPARE
-from quatprop.settings import ONE_SERIES, PROPAGATE, READ_RATES
+from quatprop.settings import PROPAGATE
 from quatprop.settings.keyword import Keyword
 from quatprop.settings.parsers import Choice, flag
 from quatprop.settings.quantities import picture_size
+from quatprop.settings.reading import ONE_SERIES, READ_RATES
 from quatprop.settings.spelling import option
 from quatprop.text import plain
 

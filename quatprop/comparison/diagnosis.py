@@ -31,7 +31,7 @@ from quatprop.errors import ComparisonError
 from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.series.blocks import rms
-from quatprop.settings import METHODS
+from quatprop.settings.choices import METHODS
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Bool, Float64, Intp
     from quatprop.conditioning import GyroCorrectionInputs
     from quatprop.conditioning.window_sums import WindowSums
-    from quatprop.settings.parsers import StaticBias
+    from quatprop.settings.rotations import StaticBias
 
 
 FORCE_AT_REST = 0.1

@@ -19,7 +19,7 @@ from quatprop.kinematics.quintic import AFTER, BEFORE, Quintic, quintic, quintic
 from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.series.blocks import with_next
-from quatprop.settings import CORRECT_CONING, LOOK_AHEAD
+from quatprop.settings.choices import CORRECT_CONING, LOOK_AHEAD
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S, regular_count, regular_stamps
 

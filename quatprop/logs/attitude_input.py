@@ -13,7 +13,7 @@ from quatprop.logs.open_log import open_log
 from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.logs.signals.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.series import AttitudeSeries
-from quatprop.settings import READ_ATTITUDES
+from quatprop.settings.reading import READ_ATTITUDES
 from quatprop.settings.selection import AttitudeSelection
 from quatprop.settings.values import parse_all
 from quatprop.stores.objects import without_secret

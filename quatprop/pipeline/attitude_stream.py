@@ -21,8 +21,8 @@ from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, 
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
 from quatprop.series.columns import stamps_of
-from quatprop.settings.parsers import InMemory
 from quatprop.settings.quantities import RATES
+from quatprop.settings.rotations import InMemory
 from quatprop.stores.objects import without_secret
 from quatprop.tables.base import TableLog
 from quatprop.text import Setting

@@ -12,7 +12,7 @@ from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.propagate import unit_q0
 from quatprop.kinematics.quaternion import UNIT_TOLERANCE, conjugate, exp, from_matrix, multiply
 from quatprop.series import AttitudeSeries
-from quatprop.settings.parsers import InMemory
+from quatprop.settings.rotations import InMemory
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:

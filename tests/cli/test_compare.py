@@ -12,7 +12,7 @@ from make.tables import write_attitudes
 from scipy.spatial.transform import Rotation
 
 from quatprop.errors import LogError
-from quatprop.settings import ONE_SERIES
+from quatprop.settings.reading import ONE_SERIES
 from quatprop.settings.spelling import option
 
 T_NS = 1_700_000_000_000_000_000 + 10_000_000 * np.arange(100)

@@ -23,7 +23,8 @@ import quatprop
 from quatprop import AttitudeSeries, GyroSeries
 from quatprop.comparison.settings import COMPARE
 from quatprop.errors import LogError, NoRatesError, SeriesError, UsageError
-from quatprop.settings import PROPAGATE, RATES_IN_MEMORY, READ_ATTITUDES
+from quatprop.settings import PROPAGATE
+from quatprop.settings.reading import RATES_IN_MEMORY, READ_ATTITUDES
 from quatprop.text import Setting
 
 T_NS = np.array([1_700_000_000_000_000_000, 1_700_000_000_010_000_000, 1_700_000_000_020_000_001])

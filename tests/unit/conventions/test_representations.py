@@ -16,7 +16,7 @@ from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.logs.interpolation import stamps_in
 from quatprop.logs.open_log import open_log
-from quatprop.settings import EULER_SEQUENCES
+from quatprop.settings.choices import EULER_SEQUENCES
 from quatprop.tables.model import Stamp
 from quatprop.writers import open_table
 from quatprop.writers.formats import WRITERS

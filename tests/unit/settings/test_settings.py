@@ -18,9 +18,11 @@ from quatprop.cli.propagate import command
 from quatprop.comparison.settings import COMPARE
 from quatprop.errors import UsageError
 from quatprop.pipeline.settings import PropagationSettings, propagation_settings
-from quatprop.settings import CHECKS, ONE_SERIES, PROPAGATE, READ_ATTITUDES, READ_RATES
+from quatprop.settings import PROPAGATE
 from quatprop.settings.keyword import Keyword, keywords_of, parameters
-from quatprop.settings.parsers import Choice, StaticBias, file_beside
+from quatprop.settings.parsers import Choice
+from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_ATTITUDES, READ_RATES
+from quatprop.settings.rotations import StaticBias, file_beside
 from quatprop.settings.spelling import in_keys, in_options
 from quatprop.settings.values import parse_all
 from quatprop.text import Setting, in_python
@@ -136,7 +138,7 @@ def test_every_setting_of_propagate_is_used(monkeypatch):
 
 def test_every_interface_has_the_same_names():
     """The options of the command, the parsers and the keywords of the library are one list."""
-    output = {"log", "output", "into", "to", "layout", "comment", "message", "out_topic", "frames",
+    output = {"logs", "output", "into", "to", "layout", "comment", "message", "out_topic", "frames",
               "extra_columns", "euler_unit",
               "report", "plot", "config", "quiet", "verbose"}  # fmt: skip
     assert {option.name for option in command.params} - output == set(PROPAGATE)
