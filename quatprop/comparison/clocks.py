@@ -14,10 +14,10 @@ import numpy as np
 
 from quatprop.comparison.alignment import kabsch
 from quatprop.comparison.association import interval_ns, shifted
-from quatprop.comparison.interpolation import interpolate
 from quatprop.comparison.trials import ClockError, clock_error
 from quatprop.comparison.windows import Angles, common_beginning, undone_misreadings, window_grids
 from quatprop.errors import ComparisonError
+from quatprop.kinematics.interpolation import interpolate
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S

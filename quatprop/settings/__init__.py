@@ -8,7 +8,7 @@ as Python has it, and what help and documents say. Nothing heavy is imported, so
 """
 
 from collections.abc import Collection, Sequence
-from datetime import datetime, timedelta
+from datetime import timedelta
 from fractions import Fraction
 from os import PathLike
 from typing import Annotated, Any, Literal
@@ -31,12 +31,11 @@ from quatprop.settings.parsers import (
     flag,
     frequency,
     length,
-    moment,
     number,
     path,
 )
 from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES, RATIOS, quantity_of
-from quatprop.settings.reading import RateOptions, RegularTime
+from quatprop.settings.reading import End, RateOptions, RegularTime, Start
 from quatprop.settings.rotations import (
     Rotated,
     Timed,
@@ -53,12 +52,8 @@ class PropagateOptions(RateOptions, total=False):
     """Keywords of :func:`quatprop.propagate`, beside those of :class:`RateOptions`."""
 
     # fmt: off
-    start: Annotated[str | int | datetime | None, Keyword(
-        moment, "Use {log} from here: RFC 3339, ns, +10s from its first or -30s from its last "
-        "sample.", "all", "TIME", "Time range", common=True)]
-    end: Annotated[str | int | datetime | None, Keyword(
-        moment, f"Use {{log}} up to here; as {Setting('start')}.", "all", "TIME", "Time range",
-        common=True)]
+    start: Start
+    end: End
     method: Annotated[Method | None, Keyword(
         Choice(*METHODS), "Integration rule: the rate over an interval is that of the sample at "
         "its start, of the one at its end, their mean, linear between them (coning), a cubic "

@@ -1,6 +1,7 @@
 """What a user may set about reading a log: every name, and how its value is read."""
 
 from collections.abc import Sequence
+from datetime import datetime
 from fractions import Fraction
 from os import PathLike
 from typing import Annotated, Literal, TypedDict
@@ -22,12 +23,28 @@ from quatprop.settings.choices import (
     TimeUnit,
 )
 from quatprop.settings.keyword import Keyword, keywords_of
-from quatprop.settings.parsers import Choice, column_list, flag, frequency, path, text
+from quatprop.settings.parsers import Choice, column_list, flag, frequency, moment, path, text
 from quatprop.stores.kinds import READERS
 from quatprop.text import Setting
 
 OPTION_NAMES = {"kind": "from", "representation": "as", "extra_columns": "with"}
 """Settings whose name as an option or a key of a suite is a word of Python -> that name."""
+
+
+Start = Annotated[
+    str | int | datetime | None,
+    Keyword(
+        moment,
+        "Use {log} from here: RFC 3339, ns, +10s from its first or -30s from its last sample.",
+        "all",
+        "TIME",
+        "Time range",
+        common=True,
+    ),
+]
+End = Annotated[str | int | datetime | None, Keyword(
+    moment, f"Use {{log}} up to here; as {Setting('start')}.", "all", "TIME", "Time range",
+    common=True)]  # fmt: skip
 
 
 class SelectOptions(TypedDict, total=False):
@@ -128,6 +145,8 @@ class AttitudeOptions(SeriesOptions, total=False):
     on_invalid: Annotated[Literal["error", "drop"] | None, Keyword(
         Choice("error", "drop"), "Invalid quaternions (zero, NaN, marked absent, not of unit "
         "length): refuse or leave out.", "error")]
+    start: Start
+    end: End
     # fmt: on
 
 
@@ -143,5 +162,5 @@ ONE_SERIES = keywords_of(SeriesOptions)
 READ_ATTITUDES = keywords_of(AttitudeOptions)
 """How attitudes are read: name -> its row."""
 
-CHECKS = {name: READ_ATTITUDES[name] for name in READ_ATTITUDES if name not in ONE_SERIES}
+CHECKS = {name: READ_ATTITUDES[name] for name in ("normalize", "on_invalid")}
 """How attitudes are checked, those of several series alike: name -> its row."""
