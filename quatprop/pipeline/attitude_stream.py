@@ -93,7 +93,7 @@ class AttitudeStream:
             part_reader=None if settings.policy.on_backwards == "sort" else source.part_reader,
         )
         self._errors = known_errors(settings.errors, self._conditioned.rest)
-        self._times = _times(settings)
+        self._times = _times(settings, log)
 
     @property
     def reads_all(self) -> bool:
@@ -259,13 +259,13 @@ class AttitudeStream:
         return uncertainty_report(self._errors, growth, self._settings.errors.columns_axes)
 
 
-def _times(settings: PropagationSettings) -> Times | None:
+def _times(settings: PropagationSettings, log: Log | None) -> Times | None:
     """Return when attitudes are wanted; None is at the samples."""
     if isinstance(settings.at, InMemory):
         at = settings.at.value
         return Listed(np.sort(stamps_of("at", getattr(at, "t_ns", at))))
     if settings.at is not None:
-        from quatprop.logs.interpolation import stamps_in
+        from quatprop.logs.wanted_times import stamps_in
 
-        return Listed(stamps_in(settings.at))
+        return Listed(stamps_in(settings.at, log, settings.selection))
     return None if settings.rate is None else Steady(settings.rate)

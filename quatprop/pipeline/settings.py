@@ -111,9 +111,10 @@ class PropagationSettings:
     @property
     def needs_second_read(self) -> bool:
         """Whether the log has to be read before it is propagated; stdin cannot be."""
-        source = self.q0.source
-        is_topic = isinstance(source, str) and bool(source) and "q0" not in self.inputs
-        return self.conditioning.looks_ahead or is_topic
+        named = {"q0": self.q0.source, "at": self.at}
+        is_topic = [isinstance(one, str) and one and name not in self.inputs
+                    for name, one in named.items()]  # fmt: skip
+        return self.conditioning.looks_ahead or any(is_topic)
 
     @property
     def inputs(self) -> Mapping[str, str]:

@@ -127,8 +127,9 @@ class PropagateOptions(RateOptions, total=False):
         frequency, "Rate of the attitudes: exact at its times under the method.", "at the samples",
         "HZ", "Output", common=True)]
     at: Annotated[str | PathLike[str] | Timed | Collection[Any] | None, Keyword(
-        times, "Write attitudes at the stamps of this series of attitudes or rates, exact under "
-        "the method; times outside the log are left out.", "at the samples", "FILE", "Output")]
+        times, "Write attitudes at the stamps of this file (attitudes, rates, or stamps alone) or "
+        "TOPIC of the log, exact under the method; times outside the log are left out.", "at the "
+        "samples", "FILE|TOPIC", "Output")]
     threads: Annotated[int | None, Keyword(
         count, "Threads that compute at a time; the output is the same for any number.", "the "
         "cores of this machine", "N", "Execution")]

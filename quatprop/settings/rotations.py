@@ -83,7 +83,7 @@ def file_beside(name: str, text: str, folder: Path) -> Path | None:
     if name not in FILE_SETTINGS or "://" in text or re.split("[:@]", text)[0].strip() in words:
         return None
     # It may as well be a topic or numbers.
-    return path if path.exists() or not (words or "," in text) else None
+    return path if path.exists() or not (words or name == "at" or "," in text) else None
 
 
 def times(value: object) -> str | InMemory:

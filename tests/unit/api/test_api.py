@@ -460,8 +460,6 @@ def test_every_keyword_is_documented(function, settings):
     [
         (lambda path: quatprop.compare(path, path),
          "name the columns with quat_cols, from_layout and time_col of read_attitudes"),
-        (lambda path: quatprop.propagate(SAMPLE_LOGS / "spin.csv", at=path),
-         "name the columns with quat_cols, from_layout and time_col of convert"),
         (lambda path: quatprop.propagate(SAMPLE_LOGS / "spin.csv", q0=path),
          "name the columns with quat_cols, from_layout and time_col of convert"),
         (quatprop.read_attitudes, "name the columns with quat_cols, from_layout and time_col"),
