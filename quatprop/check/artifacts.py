@@ -11,8 +11,8 @@ from quatprop.check.case_run import propagate_case
 from quatprop.comparison.compare import compare
 from quatprop.errors import QuatpropError
 from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
-from quatprop.plot.errors import pair_page
-from quatprop.plot.target import PictureFile
+from quatprop.plotting.errors import pair_page
+from quatprop.plotting.target import PictureFile
 from quatprop.writers import open_writer
 from quatprop.writers.atomic import open_atomic
 from quatprop.writers.targets import refuse_outside

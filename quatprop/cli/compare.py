@@ -64,8 +64,8 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
     picture = None
     with progress(quiet=quiet), ExitStack() as stack:
         if plot is not None:
-            from quatprop.plot.errors import pair_page
-            from quatprop.plot.target import PictureFile
+            from quatprop.plotting.errors import pair_page
+            from quatprop.plotting.target import PictureFile
 
             picture = stack.enter_context(PictureFile(plot, [a, b], command=command_line()))
         first, second, comparison = compare_files(

@@ -22,7 +22,7 @@ from quatprop.text import plain
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from quatprop.plot.figure import Style
+    from quatprop.plotting.figure import Style
 
 ATTITUDES = {name: parser for name, parser in ONE_SERIES.items() if name not in READ_RATES}
 """Settings about attitudes alone."""
@@ -97,8 +97,8 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     from quatprop.cli.progress import progress
     from quatprop.cli.summary import command_line
     from quatprop.conditioning import GyroCorrection
-    from quatprop.plot.files import View
-    from quatprop.plot.plot import plot
+    from quatprop.plotting.files import View
+    from quatprop.plotting.plot import plot
     from quatprop.settings.selection import RateSelection
 
     reference = chosen["reference"]
@@ -134,7 +134,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
 
 def _style(chosen: Mapping[str, Any]) -> Style:
     """Return how large the picture is to be."""
-    from quatprop.plot.figure import STYLE, Style
+    from quatprop.plotting.figure import STYLE, Style
 
     width, height = chosen["size"] or (STYLE.width, None)
     dpi, font = chosen["dpi"] or STYLE.dpi, chosen["font_size"] or STYLE.font

@@ -66,7 +66,7 @@ def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> i
     picture = None
     with progress(quiet=quiet), ExitStack() as stack:
         if plot is not None:
-            from quatprop.plot.propagation import PropagationPicture
+            from quatprop.plotting.propagation import PropagationPicture
 
             drawing = PropagationPicture(plot, job, command=command_line())
             picture = stack.enter_context(drawing)

@@ -150,6 +150,16 @@ class AttitudeOptions(SeriesOptions, total=False):
     # fmt: on
 
 
+class PlotOptions(RateOptions, SeriesOptions, total=False):
+    """Keywords of :func:`quatprop.plot`, beside those of both its bases."""
+
+    start: Start
+    end: End
+
+
+PLOT = keywords_of(PlotOptions)
+"""What is read of files that are drawn: name -> its row."""
+
 READ_RATES = keywords_of(RateOptions)
 """How rates are read: name -> its row."""
 

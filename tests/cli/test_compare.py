@@ -249,7 +249,7 @@ def test_an_option_of_a_side_arrives_there_alone(command, suffix, place, name, m
         return nullcontext()
 
     monkeypatch.setattr("quatprop.comparison.files.open_attitudes", read)
-    monkeypatch.setattr("quatprop.plot.plot.load_attitudes", read)
+    monkeypatch.setattr("quatprop.plotting.plot.load_attitudes", read)
     given, expected = GIVEN.get(option(name), ("a.b", "a.b"))
     result = run(*command, option(name) + suffix, given, code=2)
     assert "that is all" in result.stderr

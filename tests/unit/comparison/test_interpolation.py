@@ -12,7 +12,7 @@ from quatprop import AttitudeSeries, compare
 from quatprop.kinematics.interpolation import MAX_DEVIATION, interpolate
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, slerp
-from quatprop.simulate.motion import Shape, motion_named
+from quatprop.simulation.motion import Shape, motion_named
 
 FINE_NS = 250_000
 LENGTH = 24_001

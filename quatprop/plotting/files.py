@@ -22,8 +22,13 @@ from quatprop.logs.signals.rates import choose_rates
 from quatprop.logs.signals.signal import AttitudeSignal, RateSignal
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
-from quatprop.plot.accumulators import SIGMA_BAND, Accumulator, AttitudeAccumulator, RateAccumulator
-from quatprop.plot.picture import PlottedFile
+from quatprop.plotting.accumulators import (
+    SIGMA_BAND,
+    Accumulator,
+    AttitudeAccumulator,
+    RateAccumulator,
+)
+from quatprop.plotting.picture import PlottedFile
 from quatprop.provenance import entry_of
 from quatprop.rendering import Row, count_text, instant_text, samples_text, source_text
 from quatprop.series import AttitudeSeries
