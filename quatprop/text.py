@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -46,6 +46,31 @@ def Setting(name: str, value: str = "", side: str = "") -> str:  # noqa: N802  #
 def with_settings(text: str, spell: Callable[[str, str, str], str]) -> str:
     """Return a sentence whose marks a function has replaced by name, value and side."""
     return _MARK.sub(lambda mark: spell(*mark.groups()), text)
+
+
+class Remark(str):
+    """A sentence about a log or a result that a reader should know.
+
+    `code`: names what it says; it stays when the sentence changes
+    """
+
+    __slots__ = ("code",)
+
+    code: str
+
+    def __new__(cls, code: str, text: str) -> Self:
+        """Return a sentence with its code."""
+        remark = super().__new__(cls, text)
+        remark.code = code
+        return remark
+
+    def __getnewargs__(self) -> tuple[str, str]:  # type: ignore[override]
+        """Return what a copy in another process is made of."""
+        return self.code, str(self)
+
+    def spelled(self, spell: Callable[[str], str]) -> Remark:
+        """Return the remark as an interface spells it."""
+        return Remark(self.code, spell(self))
 
 
 _ELSEWHERE = {"a": " of read_attitudes", "b": " of read_attitudes"} | dict.fromkeys(

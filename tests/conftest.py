@@ -1,5 +1,6 @@
 """What the tests share: where the real recordings are, and that they are what they were."""
 
+import gc
 import json
 import os
 import sys
@@ -17,17 +18,23 @@ BYTES = json.loads((ROOT / "tests" / "field" / "recordings.json").read_text())
 os.environ["QUATPROP_TRACEBACK"] = "1"
 """Errors of the package itself are not made sentences of, so that no test can pass over one."""
 
-# No test writes into the summary of the CI that runs it; and the many processes that tests start
-# would each compile the package anew, which takes longer than what most of them do.
-for name in ("GITHUB_STEP_SUMMARY", "GITHUB_ACTIONS", "PYTHONDONTWRITEBYTECODE"):
+# No test writes into the summary of the CI that runs it, where no update would run; and the many
+# processes that tests start would each compile the package anew, which takes longer than what most
+# of them do.
+for name in ("CI", "GITHUB_STEP_SUMMARY", "GITHUB_ACTIONS", "PYTHONDONTWRITEBYTECODE"):
     os.environ.pop(name, None)
 sys.dont_write_bytecode = False
 
 # How long an example takes depends on what else the machine does. Each change is judged by the
-# same examples; `make fuzz` draws new ones.
+# same examples; `make fuzz` draws new ones, and more of them.
 hypothesis.settings.register_profile("fuzz", deadline=None)
-hypothesis.settings.register_profile("tests", deadline=None, derandomize=True)
+hypothesis.settings.register_profile("tests", deadline=None, derandomize=True, max_examples=50)
 hypothesis.settings.load_profile("tests")
+
+
+def pytest_collection_finish():
+    """Let garbage collections pass over what stays: modules, and thousands of tests."""
+    gc.freeze()
 
 
 class SpelledRunner(click.testing.CliRunner):
@@ -83,4 +90,5 @@ def store_server():
 def bucket(store_server, request):
     """Return the address of a new bucket."""
     store_server.drop_after = None
+    store_server.before = lambda _method, _path: None
     return store_server.bucket(f"b{abs(hash(request.node.nodeid)):x}")

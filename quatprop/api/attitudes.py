@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Unpack
 import numpy as np
 
 from quatprop.api.propagation import PropagatedSeries
-from quatprop.api.reading import path_text, read_attitudes, with_keywords_of
+from quatprop.api.reading import path_text, read_attitudes, warn, with_keywords_of
 from quatprop.comparison.settings import CompareOptions
 from quatprop.conversion.settings import CONVERT, TERMS, ConvertOptions
 from quatprop.errors import DataLossWarning, SeriesError
 from quatprop.series import AttitudeSeries
 from quatprop.settings.values import parse_all, refuse_unknown
-from quatprop.text import in_python
+from quatprop.text import Remark, Setting, in_python
 
 if TYPE_CHECKING:
     from quatprop.api.reading import StrPath
@@ -60,7 +60,7 @@ def compare(
 
     settings = comparison_settings(**options)
     result = compare_series(_side("a", a), _side("b", b), settings)
-    remarks = tuple(map(in_python, result.remarks))
+    remarks = tuple(one.spelled(in_python) for one in result.remarks)
     return replace(result, remarks=remarks, likely_cause=_in_python(result.likely_cause))
 
 
@@ -100,11 +100,11 @@ def write(
     Warns
     -----
     RemarkWarning
-        The series has positions, and the format has no place for them.
+        The format has no place for the timestamps, the positions or the covariances.
     """
     from quatprop.pipeline.report import convention_of
     from quatprop.writers import open_writer
-    from quatprop.writers.formats import WRITERS, kind_of, layout_of
+    from quatprop.writers.formats import WRITERS, format_remarks, kind_of, layout_of
 
     refuse_unknown(unknown, ("to", "layout", "extra_columns"))
     if not isinstance(series, AttitudeSeries):
@@ -125,6 +125,11 @@ def write(
     with open_writer(place, to, layout=order, sigma=sigma, extra_columns=extra_columns) as writer:
         writer.write(series)
         writer.commit(provenance)
+    lost = {
+        "positions_lost": series.position is not None and not writer.holds_positions,
+        "sigma_lost": series.covariance is not None and sigma is None,
+    }
+    warn(place, (), format_remarks(place, to, **lost))
 
 
 @with_keywords_of(ConvertOptions, "attitudes", "the source")
@@ -185,7 +190,10 @@ def convert(  # noqa: PLR0913  # those of write(), and what to read
     report = convert_file(Conversion(wanted, written, representation=form, **terms_of(terms)))
     if report.data_lost:
         warnings.warn(f"{wanted.path}: rows were lost or dropped", DataLossWarning, stacklevel=2)
-    return replace(report, remarks=tuple(map(in_python, report.remarks)))
+    # The command line alone has that setting.
+    comment = Setting("header_comment"), "a comment in its header"
+    remarks = (Remark(one.code, one.replace(*comment)) for one in report.remarks)
+    return replace(report, remarks=tuple(one.spelled(in_python) for one in remarks))
 
 
 def _in_python(cause: Cause | None) -> Cause | None:

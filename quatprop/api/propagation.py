@@ -167,5 +167,5 @@ def _propagated(
     series = AttitudeSeries.joined(list(stream))
     report = replace(stream.report(), files=digests_of_inputs(settings.inputs, log))
     spell = _in_memory if log is None else in_python
-    report = replace(report, remarks=tuple(map(spell, report.remarks)))
+    report = replace(report, remarks=tuple(one.spelled(spell) for one in report.remarks))
     return PropagatedSeries(series.t_ns, series.wxyz, covariance=series.covariance, report=report)

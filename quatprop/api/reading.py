@@ -15,7 +15,7 @@ from quatprop.settings.keyword import parameters
 from quatprop.settings.parsers import path as parse_path
 from quatprop.settings.reading import RATES_IN_MEMORY, AttitudeOptions, ReadOptions
 from quatprop.settings.values import parse_all
-from quatprop.text import Setting, spelled
+from quatprop.text import Remark, Setting, spelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -146,16 +146,17 @@ def paths_of(name: str, paths: StrPath | Sequence[StrPath], hint: str = "") -> l
 def warn(
     path: str,
     losses: Iterable[Loss],
-    remarks: Iterable[str],
+    remarks: Iterable[Remark],
     *,
     dropped: int = 0,
 ) -> None:
     """Warn of losses and remarks at the line where the user calls the function that calls this."""
-    for loss in losses:
-        message = f"{path}: lost: {loss.place}: {spelled(loss.reason)}"
-        warnings.warn(DataLossWarning(message, loss.messages), stacklevel=3)
-    if dropped:
-        message = f"{path}: {dropped} rows were dropped"
-        warnings.warn(DataLossWarning(message, dropped), stacklevel=3)
+    lost = [(f"lost: {loss.place}: {spelled(loss.reason)}", loss.messages) for loss in losses]
+    for text, messages in [*lost, *[(f"{dropped} rows were dropped", dropped)] * bool(dropped)]:
+        loss_warning = DataLossWarning(f"{path}: {text}")
+        loss_warning.messages = messages
+        warnings.warn(loss_warning, stacklevel=3)
     for remark in remarks:
-        warnings.warn(f"{path}: {spelled(remark)}", RemarkWarning, stacklevel=3)
+        warning = RemarkWarning(f"{path}: {spelled(remark)}")
+        warning.code = remark.code
+        warnings.warn(warning, stacklevel=3)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import ctypes
 import os
+import pickle
 import sys
+import time
 from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from quatprop.batch.execution import propagate_log
-from quatprop.batch.tasks import BatchResult, BatchSettings, BatchTask, failed
+from quatprop.batch.entries import COMPLETE
+from quatprop.batch.execution import output_size_of, propagate_log, record
+from quatprop.batch.tasks import BatchResult, BatchSettings, failed
 from quatprop.errors import QuatpropError, UsageError
 from quatprop.stores.objects import is_address
 from quatprop.text import Setting, plain, quoted
@@ -21,6 +24,8 @@ if TYPE_CHECKING:
 
     from distributed import Client, Future
 
+    from quatprop.batch.entries import ManifestEntry
+    from quatprop.batch.logs import BatchTask
     from quatprop.batch.manifest import Manifest
 
 AHEAD = 1000
@@ -28,6 +33,9 @@ AHEAD = 1000
 
 ANSWER_S = 10
 """Seconds in which a scheduler must answer."""
+
+PATIENCE_S, LOOK_S = 10.0, 0.5
+"""Seconds for which outputs of workers are waited for in all, and between two looks."""
 
 WORKERS_S = 30
 """Seconds in which a cluster must have a worker."""
@@ -44,7 +52,6 @@ def on_a_cluster(
     settings: BatchSettings,
     scheduler: str,
     manifest: Manifest,
-    retries: int = 0,
 ) -> Generator[tuple[int, BatchResult]]:
     """Yield the index and the result of each log, propagated by the workers of a Dask cluster.
 
@@ -57,36 +64,78 @@ def on_a_cluster(
             "a Dask cluster needs distributed, which is not installed; pip install distributed"
         ) from error
     with _client(scheduler) as client:
-        waiting, settings = enumerate(tasks), settings.with_threads(1)
-        indices: dict[str, int] = {}
+        waiting, settings = enumerate(tasks), _absolute(settings.with_threads(1))
+        indices: dict[str, tuple[int, object]] = {}
         completed = as_completed(loop=client.loop)  # type: ignore[no-untyped-call]
+        looks = _Looks()
 
         def submit(count: int) -> None:
             for index, task in islice(waiting, count):
-                future = client.submit(
-                    propagate_on_worker,
-                    _absolute(task),
-                    settings,
-                    __version__,
-                    pure=False,
-                    retries=retries,
-                )
-                indices[future.key] = index
+                there = task._replace(root=_absolute_path(task.root))
+                # Bytes: where the package is missing, only calling it fails, and for this log.
+                call = pickle.dumps(_Call(there, settings, __version__))
+                future = client.submit(pickle.loads, call, pure=False, retries=settings.retries)
+                indices[future.key] = index, _state_of(settings.output_of(task))
                 completed.add(future)  # type: ignore[no-untyped-call]
 
         submit(AHEAD)
         _wait_for_workers(client, scheduler)
         for future in completed:
-            index = indices.pop(future.key)
-            result = _result(future, tasks[index])
+            index, before = indices.pop(future.key)
+            task = tasks[index]
+            result = _result(future, task)
             if result is None:
                 raise QuatpropError(
                     f"the Dask scheduler at {quoted(scheduler)} no longer answers; what is done "
                     f"is recorded: go on with {Setting('skip_existing')}"
                 )
             submit(1)
-            manifest.record(result.entry)
-            yield index, result
+            seen = looks.why_not_seen(settings.output_of(task), result.entry, before)
+            yield index, record(task, result, settings, manifest, seen)
+
+
+class _Call:
+    """Propagates a log where it is unpickled."""
+
+    def __init__(self, *arguments: object) -> None:
+        self._arguments = arguments
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return propagate_on_worker, self._arguments
+
+
+def _state_of(output: str) -> tuple[int, ...] | None:
+    """Return by what an output of this machine is told from one that takes its place."""
+    if is_address(output):
+        return None
+    try:
+        status = os.stat(output)  # noqa: PTH116
+    except OSError:
+        return None
+    return status.st_ino, status.st_mtime_ns, status.st_ctime_ns
+
+
+class _Looks:
+    """Looks for outputs that workers have written; those of another machine may come late."""
+
+    def __init__(self) -> None:
+        self._left_s = PATIENCE_S
+
+    def why_not_seen(self, output: str, entry: ManifestEntry, before: object) -> str:
+        """Return why the output of a result cannot be seen as it was written; empty if it can."""
+        if entry.state not in COMPLETE:
+            return ""
+        while True:
+            is_there = output_size_of(output) == entry.output_bytes
+            if is_there and (is_address(output) or _state_of(output) != before):
+                return ""
+            if self._left_s <= 0:
+                return (
+                    "its worker has written an output that is not seen here; give workers the same "
+                    "folder of outputs"
+                )
+            time.sleep(LOOK_S)
+            self._left_s -= LOOK_S
 
 
 def _client(scheduler: str) -> Client:
@@ -121,20 +170,22 @@ def _result(future: Future[BatchResult], task: BatchTask) -> BatchResult | None:
 
     try:
         return future.result()
+    except ImportError as error:
+        reason = f"its worker cannot import quatprop ({plain(error)}); install it there"
     except KilledWorker:
         reason = "the workers that ran it were killed; do they have enough memory?"
     except FutureCancelledError:
         return None
     except Exception as error:  # noqa: BLE001  # whatever is raised on other machines
         reason = f"the cluster failed ({type(error).__name__}: {plain(error)})"
-    return failed(task, f"{plain(task.log)}: {reason}")
+    return failed(task, f"{plain(task.shown)}: {reason}")
 
 
 def propagate_on_worker(task: BatchTask, settings: BatchSettings, version: str) -> BatchResult:
     """Propagate one log in a worker, which must have the same version of quatprop."""
     if version != __version__:
         reason = f"its worker has quatprop {__version__}, not {version}; install the same version"
-        return failed(task, f"{plain(task.log)}: {reason}")
+        return failed(task, f"{plain(task.shown)}: {reason}")
     with _freed_memory_kept():
         return propagate_log(task, settings)
 
@@ -160,9 +211,9 @@ def _freed_memory_kept() -> Iterator[None]:
         mallopt(_M_MMAP_THRESHOLD, DEFAULT_MAPPED_BYTES)
 
 
-def _absolute(task: BatchTask) -> BatchTask:
-    """Return a task whose log and output do not depend on the current folder."""
-    return task._replace(path=_absolute_path(task.path), output=_absolute_path(task.output))
+def _absolute(settings: BatchSettings) -> BatchSettings:
+    """Return settings whose outputs do not depend on the current folder."""
+    return settings._replace(folder=_absolute_path(settings.folder))
 
 
 def _absolute_path(path: str) -> str:

@@ -1,36 +1,49 @@
-"""The entries of a manifest: what a batch records of a log, as a line of JSON."""
+"""The entries of a manifest: what a batch records of a log, as a line of JSON or a row."""
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeGuard
+import re
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.provenance import as_json
 from quatprop.settings.guarded_text import ContentError, read_json
 from quatprop.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Mapping
+
+    import pyarrow as pa
 
 COMPLETE = {"done", "data lost"}
 """States of logs whose output is complete."""
+
+BUCKETS = 256
+"""Parts of the names, by a hash, in which a large manifest is read."""
 
 
 class ManifestEntry(NamedTuple):
     """What a batch records of a log.
 
     `state`: ``"done"``; ``"data lost"``: done, but some data of the log were lost or left out;
-        ``"no rates"``: a table found in a folder, without body rates; ``"failed"``
-    `log`: absolute path or address
+        ``"no rates"``: a table found in a folder, without body rates; ``"failed"``; ``"deleted"``:
+        it was done, and the log is no longer there
+    `root`, `log`: the absolute folder or the address below which the log is, and its path there
+    `output`: path of the output in the folder of the batch, by which entries are told apart
+    `time`, `run`: when it was recorded, as ISO 8601 in UTC, and by which batch
     `error`: why there is no output
     `log_bytes`, `log_sha256`, `log_etag`, `output_bytes`, `output_sha256`: sizes and digests; None
         where there are none. A log in an object store has the ETag that the store gives it
-    `options`: digest of all settings but the paths
-    `origin`: digest of the version, the settings, and names, sizes and times of all files that are
-        read, and of their ETags in an object store; None where they cannot be found out
+    `options`: digest of all settings but the paths, and of the files that they name
+    `origin`: size and time of the log when its reading began
+    `bucket`: hash of the output's name
     """
 
     state: str
+    root: str
     log: str
     output: str
     samples: int | None = None
@@ -50,44 +63,129 @@ class ManifestEntry(NamedTuple):
     output_sha256: str | None = None
     quatprop: str = __version__
     options: str = ""
-    origin: str | None = None
+    origin: str = ""
+    time: str = ""
+    run: str = ""
+    bucket: int = 0
+
+    def recorded(self, run: str) -> ManifestEntry:
+        """Return the entry as it is recorded now."""
+        time = datetime.now(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
+        return self._replace(time=time, run=run, bucket=bucket_of(self.output))
 
 
 TYPES: Mapping[str, str] = {
     **dict.fromkeys(ManifestEntry._fields, "string"),
     **dict.fromkeys(("samples", "rows", "log_bytes", "output_bytes"), "int64"),
     **dict.fromkeys(("span_s", "sample_rate_hz", "seconds", "final_wxyz"), "double"),
+    "time": "time",
+    "bucket": "uint8",
 }
 """Field of an entry -> type of its values, by Arrow's name."""
 
 LISTS = {"remarks", "losses", "final_wxyz"}
 """Fields with several values."""
 
-_REQUIRED = {"state", "log", "output"}
+_REQUIRED = {"state", "root", "log", "output", "time", "run", "bucket", "origin"}
 
 
-def entries_in(lines: Iterable[bytes], unused: list[int]) -> Iterator[Mapping[str, Any]]:
-    """Yield the entries of the lines of a manifest."""
-    for number, line in enumerate(lines, 1):
-        try:
-            entry = read_json(line)
-        except ContentError:
-            entry = None
-        if _is_entry(entry):
-            yield entry
-        elif line.strip() and not (line.startswith(_BEGINNING) and line.rstrip()[-1:] != b"}"):
-            unused.append(number)
+def hash_of(name: str) -> int:
+    """Return a number that a name always has, on any machine."""
+    digest = hashlib.sha256(name.encode(errors="surrogateescape")).digest()
+    return int.from_bytes(digest[:8], "little")
 
 
-_BEGINNING = b'{"state": '
+def bucket_of(output: str) -> int:
+    """Return in which part of a manifest an output is."""
+    return hash_of(as_text(output)) % BUCKETS
+
+
+def as_text(name: str) -> str:
+    """Return a text as a manifest has it, with an escape for each byte that is no UTF-8."""
+    return _NO_UNICODE.sub(_escape, name)
+
+
+_NO_UNICODE = re.compile("[\ud800-\udfff]")
+
+
+def _escape(found: re.Match[str]) -> str:
+    number = ord(found[0])
+    return f"\\x{number - 0xDC00:02x}" if number >= _FIRST_BYTE else f"\\u{number:04x}"
+
+
+_FIRST_BYTE = 0xDC80
+"""How Python has a byte of a file's name that is no UTF-8."""
+
+
+def schema() -> pa.Schema:
+    """Return the columns of a manifest."""
+    import pyarrow as pa
+
+    named = {"time": pa.timestamp("us", "UTC")}
+    types = ((name, named.get(alias) or pa.type_for_alias(alias)) for name, alias in TYPES.items())
+    return pa.schema([(name, pa.list_(of) if name in LISTS else of) for name, of in types])
+
+
+def json_line(entry: ManifestEntry) -> bytes:
+    """Return an entry as a line of JSON."""
+    values = {name: _in_text(value) for name, value in entry._asdict().items()}
+    return (json.dumps(as_json(values), ensure_ascii=False) + "\n").encode()
+
+
+def _in_text(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_in_text(one) for one in value]
+    return as_text(value) if isinstance(value, str) else value
+
+
+def table_of(lines: bytes) -> tuple[pa.Table, int]:
+    """Return entries from lines of JSON, and the number of lines that are none.
+
+    A line without its end was cut by a kill.
+    """
+    import pyarrow as pa
+
+    lines = lines[: lines.rfind(b"\n") + 1]
+    try:
+        return _parsed(lines), 0
+    except (pa.ArrowException, ValueError):
+        whole = [line for line in lines.split(b"\n") if line.strip()]
+        entries = [line for line in whole if _is_entry(line)]
+        return _parsed(b"".join(line + b"\n" for line in entries)), len(whole) - len(entries)
+
+
+def _parsed(lines: bytes) -> pa.Table:
+    # Not from Python's values: pyarrow would import pandas, where that is installed, for 0.4 s.
+    from pyarrow import json as arrow_json
+
+    if not lines:
+        return schema().empty_table()
+    table = arrow_json.read_json(
+        io.BytesIO(lines),
+        arrow_json.ReadOptions(block_size=len(lines) + 1, use_threads=False),
+        arrow_json.ParseOptions(schema(), unexpected_field_behavior="ignore"),
+    )
+    if any(table[name].null_count for name in _REQUIRED):
+        raise ValueError("a line is no entry")
+    return table
+
 
 _MAX_COUNT = (1 << 63) - 1
 
 _IS_VALID: Mapping[str, Callable[[Any], bool]] = {
     "string": lambda value: isinstance(value, str),
+    "time": lambda value: isinstance(value, str) and _is_time(value),
     "int64": lambda value: type(value) is int and 0 <= value <= _MAX_COUNT,
+    "uint8": lambda value: type(value) is int and 0 <= value < BUCKETS,
     "double": lambda value: type(value) in {int, float},
 }
+
+
+def _is_time(value: str) -> bool:
+    try:
+        return datetime.fromisoformat(value).tzinfo is not None
+    except ValueError:
+        return False
 
 
 def _is_valid(name: str, value: object) -> bool:
@@ -95,15 +193,13 @@ def _is_valid(name: str, value: object) -> bool:
     return isinstance(values, list) and all(map(_IS_VALID[TYPES[name]], values))
 
 
-def _is_entry(entry: object) -> TypeGuard[Mapping[str, Any]]:
+def _is_entry(line: bytes) -> bool:
     """Return whether a line is what a batch writes; other versions may have other fields."""
+    try:
+        entry = read_json(line)
+    except ContentError:
+        return False
     return isinstance(entry, dict) and all(
         name not in _REQUIRED if entry.get(name) is None else _is_valid(name, entry[name])
         for name in TYPES
     )
-
-
-def json_line(entry: ManifestEntry | Mapping[str, Any]) -> bytes:
-    """Return an entry as a line of JSON."""
-    text = json.dumps(as_json(entry), ensure_ascii=False) + "\n"
-    return text.encode(errors="surrogateescape")

@@ -1,6 +1,6 @@
 """Find the logs of a batch.
 
-Paths are strings here: a batch may have a hundred thousand.
+Paths are strings here: a batch may have a million.
 """
 
 from __future__ import annotations
@@ -8,43 +8,81 @@ from __future__ import annotations
 import glob
 import os.path
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.errors import UnreadableLogError, UsageError, os_reason
+from quatprop.batch.listing import METADATA, Pattern, tree_of
+from quatprop.batch.origins import origin_of, origin_of_parts
+from quatprop.errors import StoreError, UsageError, os_reason
 from quatprop.stores.kinds import COMPRESSION_SUFFIXES, READERS
-from quatprop.stores.objects import below, exists, find, is_address, list_objects, without_secret
+from quatprop.stores.objects import below, exists, find, is_address, split_address, without_secret
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
-MAGIC = tuple(magic for reader in READERS.values() for magic in reader.magic if len(magic) > 1)
-"""First bytes of logs that are recognised by their content alone."""
+    from quatprop.batch.listing import Tree
 
 SUFFIXES = {suffix: kind for kind, reader in READERS.items() for suffix in reader.suffixes}
-
-METADATA = "metadata.yaml"
-"""The file that makes a folder a ROS 2 bag."""
 
 TABLES = {kind for kind, reader in READERS.items() if reader.load.startswith("quatprop.tables.")}
 """Kinds of files that hold many other things, too."""
 
-REFUSED = "its key has an empty part, '.', '..' or '?', which no address can have; rename it"
+REFUSED = "its key has an empty part, '.', '..' or parameters; no address can have these: rename it"
 
 
-class FoundLog(NamedTuple):
-    """A log of a batch.
+class BatchTask(NamedTuple):
+    """A log of a batch; small, as there may be a million.
 
-    `name`: name of its output without the suffix: its path below the root, without its own suffixes
+    `root`: the folder or the address below which it lies
+    `log`: its path below that, with ``/``
+    `suffix`: that of its output
+    `is_folder`: whether it is a ROS 2 bag
     `maybe`: whether it is a table that was found in a folder: one without body rates is no log
-    `refused`: why it cannot be read, nor its output be written; empty where it can
+    `refused`: why it cannot be read, or its output be written; empty where it can
+    `origin`: by what a store's listing tells that it is another log; empty if it was not listed
+    `named`: path of its output in the folder of the batch, where that is another one than usually;
+        empty where there cannot be any
     """
 
-    path: str
-    name: str
+    root: str
+    log: str
+    suffix: str = ""
+    is_folder: bool = False
     maybe: bool = False
     refused: str = ""
+    origin: str = ""
+    named: str | None = None
+
+    @property
+    def path(self) -> str:
+        """Its path or address."""
+        return place_below(self.root, self.log)
+
+    @property
+    def shown(self) -> str:
+        """The same as it may be shown."""
+        return without_secret(self.path)
+
+    @property
+    def stem(self) -> str:
+        """Its path without its own suffixes."""
+        if self.is_folder:
+            return self.log
+        stem, suffix = os.path.splitext(self.log)
+        is_packed = suffix.lower() in (*COMPRESSION_SUFFIXES, ".active")
+        return os.path.splitext(stem)[0] if is_packed else stem
+
+    @property
+    def name(self) -> str:
+        """The path of its output in the folder of the batch."""
+        return f"{self.stem}{self.suffix}" if self.named is None else self.named
+
+    def origin_now(self) -> str:
+        """Return by what it is told that the log is another one; empty if that is not known."""
+        try:
+            return self.origin or origin_of(self.path)
+        except (OSError, StoreError):
+            return ""
 
 
 @dataclass(slots=True)
@@ -56,134 +94,172 @@ class LogSearch:
     `output`: the folder of the outputs, which is not searched
     `of_messages`: a setting, such as ``"topic"``, that only logs of messages can follow: tables in
         folders are no logs then. None: there is no such setting
+    `suffix`: that of the outputs
     `logs`: the logs, each once, in the order of the names, and of their paths within a folder
-    `other_files`: number of files in the searched folders that are no logs
+    `searched`: the folders of which all was searched
+    `other_files`, `links`: number of files in the searched folders that are no logs, and of links
+        to folders, which are not followed
     """
 
     root: str | None = None
     output: str = ""
     of_messages: str | None = None
-    logs: list[FoundLog] = field(default_factory=list)
+    suffix: str = ""
+    logs: list[BatchTask] = field(default_factory=list)
+    searched: set[str] = field(default_factory=set)
     other_files: int = 0
-    _places: set[str] = field(default_factory=set)
+    links: int = 0
+    _places: set[str] | None = None
 
     def add(self, name: str) -> None:
         """Add a log, the logs in a folder, or those that match a pattern."""
         if name == "-":
             raise UsageError("stdin is one log; give it to quatprop propagate")
+        if self.logs and self._places is None:
+            self._places = {absolute(log.path) for log in self.logs}
         if glob.has_magic(name) and _is_pattern(name):
             self._add_matches(name)
-        elif _is_plain_folder(name):
-            self._add_folder(name, name)
+        elif _is_folder(name) and not _is_bag(name):
+            self._add_below(name, Pattern([]))
         else:
-            self._add_log(name, os.path.dirname(_absolute(name)), folder=_is_folder(name))
+            base, query = split_address(name) if is_address(name) else (name, "")
+            folder, file = os.path.split(base.rstrip("/") or base)
+            if file in {"", os.curdir, os.pardir}:
+                folder, file = os.path.split(absolute(name))
+            root = f"{folder}{'?' if query else ''}{query}"
+            odd = is_address(name) and "//" in base.partition("://")[2].rstrip("/")
+            is_folder = not odd and _is_folder(name)
+            self._add_log(
+                root, file, is_folder=is_folder, is_named=True, refused=REFUSED if odd else ""
+            )
 
     def _add_matches(self, pattern: str) -> None:
-        base, mark, parameters = _split(pattern)
+        base, query = split_address(pattern) if is_address(pattern) else (pattern, "")
         parts = base.replace(os.sep, "/").split("/")
         count = next(k for k, part in enumerate(parts) if glob.has_magic(part))
-        root = f"{'/'.join(parts[:count]) or ('/' if count else '.')}{mark}{parameters}"
-        if parts[-1] == "**":
-            self._add_folder(root, root)
-            return
-        noted = len(self.logs)
-        if is_address(pattern):
-            names = _matching(root, parts[count:])
-            matches = [below(root, name) for name in names if self._is_usable(root, name)]
-        else:
-            matches = sorted(glob.iglob(pattern, recursive=True))
-        if not matches and len(self.logs) == noted:
+        root = "/".join(parts[:count]) or ("/" if count else os.curdir)
+        found = len(self.logs)
+        self._add_below(f"{root}{'?' if query else ''}{query}", Pattern(parts[count:]))
+        if len(self.logs) == found and not self.other_files:
             raise UsageError(f"nothing matches {quoted(pattern)}; check the pattern")
-        for match in matches:
-            if _is_plain_folder(match):
-                self._add_folder(match, root)
-            else:
-                self._add_log(match, root, folder=_is_folder(match))
 
-    def _add_folder(self, folder: str, root: str) -> None:
-        output = self.output and _real(self.output)
-        if _real(folder) == output:
+    def _add_below(self, root: str, pattern: Pattern) -> None:
+        """Add what matches a pattern below a folder, and the logs in folders that match."""
+        if self.output and real(root) == real(self.output) and pattern.matches(pattern.start):
             raise UsageError(
-                f"outputs in {quoted(folder)} would lie among the logs; choose "
+                f"outputs in {quoted(root)} would lie among the logs; choose "
                 f"{Setting('output', 'another folder')}"
             )
-        search = self._search_store if is_address(folder) else self._search
-        for path, kind in search(folder, output):
-            if kind in TABLES and self.of_messages:
-                self.other_files += 1
-            else:
-                self._add_log(path, root, folder=kind == "rosbag2", maybe=kind in TABLES)
+        if pattern.matches(pattern.start):
+            self.searched.add(self.root or root)
+        tree = tree_of(root)
+        waiting = [("", pattern.start)]
+        while waiting:
+            folder, state = waiting.pop()
+            try:
+                inside = self._folders_of(tree, root, folder, pattern, state)
+                waiting += reversed([(name, after) for name, after in inside if after])
+            except OSError as error:
+                self._add_log(root, folder, is_folder=True, refused=os_reason(error))
+        for name in tree.refused:
+            if kind_by_suffix(name) and pattern.reaches(name):
+                self._add_log(root, name, refused=REFUSED)
 
-    def _search_store(self, address: str, output: str) -> Iterator[tuple[str, str]]:
-        """Yield address and kind of each log below an address."""
-        names = [name for name in list_objects(address) if self._is_usable(address, name)]
-        bags = {os.path.dirname(name) for name in names if os.path.basename(name) == METADATA}
-        for name in names:
-            bag = next((above for above in _folders_of(name) if above in bags), None)
-            log = below(address, name if bag is None else bag)
-            if _absolute(log).startswith(f"{output}/"):
-                continue
-            hidden = any(part.startswith(".") for part in name.split("/"))
-            if kind := "rosbag2" if bag else "" if hidden else _kind_by_suffix(name):
-                yield log, kind
-            else:
-                self.other_files += 1
+    def _folders_of(
+        self, tree: Tree, root: str, folder: str, pattern: Pattern, state: frozenset[int]
+    ) -> Iterator[tuple[str, frozenset[int]]]:
+        """Add the logs in a folder, and yield the folders in it with the states of the pattern."""
+        entries = tree.entries(folder)
+        whole, prefix = pattern.matches(state), f"{folder}/" if folder else ""
+        is_bag = whole and any(one.name == METADATA for one in entries) and tree.has_bag(folder)
+        if is_bag:
+            files = [(one.name, one.origin) for one in entries if one.type == "file"]
+            origin = origin_of_parts(files) if all(origin for _, origin in files) else ""
+            self._add_log(root, folder, is_folder=True, origin=origin)
+        for name, kind, origin in entries:
+            path = prefix + name
+            # Below a match everything is searched that is not hidden.
+            after = pattern.after(state, name, link=kind == "link")
+            if whole and not pattern.matches(after) and kind != "link" and name[:1] != ".":
+                after = state
+            if kind in {"folder", "link"}:
+                if whole and not after and kind == "link":
+                    self.links += 1
+                elif after and not self._is_output(root, path):
+                    yield path, after
+            elif not whole and pattern.matches(after, file=True):
+                self._add_log(root, path, is_named=True, origin=origin)
+            elif whole and not is_bag:
+                self._add_file(tree, root, path, kind, origin)
 
-    def _is_usable(self, address: str, name: str) -> bool:
-        """Return whether a key can be part of an address; note a log if it cannot."""
-        usable = not {"", ".", ".."} & {*name.split("/")} and not {"?", "\0"} & {*name}
-        if not usable and _kind_by_suffix(name):
-            self.logs.append(FoundLog(below(address, name), name, refused=REFUSED))
-        return usable
+    def _add_file(self, tree: Tree, root: str, path: str, kind: str, origin: str) -> None:
+        """Add a file of a folder that is searched, if it is a log."""
+        is_no_log = kind == "other" or os.path.basename(path).startswith(".")
+        log = kind_by_suffix(path)
+        if is_no_log or not (log or tree.is_log(path)) or (log in TABLES and self.of_messages):
+            self.other_files += 1
+        else:
+            self._add_log(root, path, maybe=log in TABLES, origin=origin)
 
-    def _search(self, top: str, output: str) -> Iterator[tuple[str, str]]:
-        """Yield path and kind of each log in a folder."""
+    def _is_output(self, root: str, folder: str) -> bool:
+        return bool(self.output) and real(place_below(root, folder)) == real(self.output)
 
-        def refuse(error: OSError) -> None:
-            raise UnreadableLogError(error.filename, os_reason(error))
-
-        for place, folders, files in os.walk(top, onerror=refuse):
-            if METADATA in files:
-                folders.clear()
-                yield place, "rosbag2"
-                continue
-            folders[:] = sorted(
-                folder
-                for folder in folders
-                if not folder.startswith(".") and _real(os.path.join(place, folder)) != output
-            )
-            for file in sorted(files):
-                path = os.path.join(place, file)
-                if kind := "" if file.startswith(".") else _kind(path):
-                    yield path, kind
-                else:
-                    self.other_files += 1
-
-    def _add_log(self, path: str, root: str, *, folder: bool = False, maybe: bool = False) -> None:
-        place = _absolute(path)
-        if place in self._places:
-            return
-        self._places.add(place)
-        if self.of_messages and _kind_by_suffix(place) in TABLES:
+    def _add_log(  # noqa: PLR0913  # what is known of a log
+        self,
+        root: str,
+        log: str,
+        *,
+        is_folder: bool = False,
+        is_named: bool = False,
+        maybe: bool = False,
+        refused: str = "",
+        origin: str = "",
+    ) -> None:
+        if is_named and self.of_messages and kind_by_suffix(log) in TABLES:
             raise UsageError(
-                f"{quoted(place)} is a table, and {Setting(self.of_messages)} is for logs of "
-                "messages; propagate tables by themselves",
+                f"{quoted(place_below(root, log))} is a table, and {Setting(self.of_messages)} is "
+                "for logs of messages; propagate tables by themselves",
             )
-        root = _absolute(self.root or root)
-        if not place.startswith(os.path.join(root, "")):
+        if not log or self.root is not None:
+            root, log = self._below_root(absolute(place_below(root, log)), root)
+        found = BatchTask(root, log, self.suffix, is_folder, maybe, refused, origin)
+        if self._places is not None:
+            place = absolute(found.path)
+            if place in self._places:
+                return
+            self._places.add(place)
+        self.logs.append(found)
+
+    def _below_root(self, place: str, given: str) -> tuple[str, str]:
+        """Return the root, and the path of a log below it."""
+        root = os.path.dirname(place) if self.root is None else self.root
+        above = os.path.join(absolute(root), "")
+        if not place.startswith(above):
             raise UsageError(
-                f"{quoted(place)} does not lie in {quoted(root)}; choose another "
+                f"{quoted(place)} does not lie in {quoted(absolute(root))}; choose another "
                 f"{Setting('root')} (names are relative to the current folder)"
             )
-        name = place[len(os.path.join(root, "")) :]
-        self.logs.append(FoundLog(path, name if folder else _stem(name), maybe))
+        if is_address(given):  # which carries the keys and the parameters
+            scheme, _, rest = absolute(root).partition("://")
+            host = given.partition("://")[2].partition("/")[0].partition("?")[0]
+            query = split_address(given)[1]
+            path = rest.partition("/")[2]
+            root = f"{scheme}://{host}/{path}{'?' if query else ''}{query}"
+        return root, place[len(above) :].replace(os.sep, "/")
+
+
+def place_below(root: str, name: str) -> str:
+    """Return the path or the address of what lies below a folder or an address."""
+    if not name:
+        return root
+    return below(root, name) if is_address(root) else os.path.join(root, *name.split("/"))
 
 
 def _is_pattern(name: str) -> bool:
     """Return whether a name with ``*`` or ``[`` is a pattern: nothing has it for its own name."""
     if not is_address(name):
         return not os.path.exists(name)
-    return glob.has_magic(_split(name)[0]) and not exists(name)
+    return glob.has_magic(split_address(name)[0].partition("://")[2]) and not exists(name)
 
 
 def _is_folder(path: str) -> bool:
@@ -191,51 +267,17 @@ def _is_folder(path: str) -> bool:
     if not is_address(path):
         return os.path.isdir(path)
     # Of what has the name of a log, the store is not asked: there may be many.
-    return not _kind_by_suffix(_absolute(path)) and not find(path)[1].is_file
+    return not kind_by_suffix(absolute(path)) and not find(path)[1].is_file
 
 
-def _is_plain_folder(path: str) -> bool:
-    """Return whether a path is a folder, but no ROS 2 bag."""
-    if is_address(path):
-        return _is_folder(path) and not exists(below(path, METADATA))
-    return os.path.isdir(path) and not os.path.isfile(os.path.join(path, METADATA))
+def _is_bag(folder: str) -> bool:
+    """Return whether a folder is a ROS 2 bag."""
+    if not is_address(folder):
+        return tree_of(folder).has_bag("")
+    return exists(below(folder, METADATA)) and tree_of(folder).has_bag("")
 
 
-def _matching(address: str, patterns: Sequence[str]) -> list[str]:
-    """Return what below an address matches a pattern: objects, and prefixes above them."""
-    names = list_objects(address)
-    places = {place for name in names for place in (*_folders_of(name), name)}
-    return sorted(place for place in places if _fits(place.split("/"), patterns))
-
-
-def _fits(parts: Sequence[str], patterns: Sequence[str]) -> bool:
-    """Return whether the parts of a path match those of a pattern, as in :mod:`glob`."""
-    if not patterns:
-        return not parts
-    if patterns[0] == "**" and _fits(parts, patterns[1:]):
-        return True
-    if not parts or (parts[0].startswith(".") and not patterns[0].startswith(".")):
-        return False
-    if patterns[0] == "**":
-        return _fits(parts[1:], patterns)
-    return fnmatchcase(parts[0], patterns[0]) and _fits(parts[1:], patterns[1:])
-
-
-def _kind(path: str) -> str:
-    """Return the kind of a log by its suffix, or ``"other"`` by its content; empty for no log."""
-    if kind := _kind_by_suffix(path):
-        return kind
-    # Nobody may ever write to a pipe.
-    at_once = getattr(os, "O_NONBLOCK", 0)
-    try:
-        with open(path, "rb", 0, opener=lambda name, how: os.open(name, how | at_once)) as stream:
-            head = stream.read(max(map(len, MAGIC)))
-            return "other" if head and head.startswith(MAGIC) else ""
-    except OSError:
-        return ""
-
-
-def _kind_by_suffix(name: str) -> str:
+def kind_by_suffix(name: str) -> str:
     """Return the kind of a log by its suffix; empty where that is not one of a log."""
     stem, suffix = os.path.splitext(name.lower())
     if suffix in COMPRESSION_SUFFIXES:
@@ -243,31 +285,13 @@ def _kind_by_suffix(name: str) -> str:
     return SUFFIXES.get(suffix, "")
 
 
-def _folders_of(name: str) -> Iterator[str]:
-    """Yield the folders above a file, the uppermost first."""
-    parts = name.split("/")
-    yield from ("/".join(parts[:count]) for count in range(1, len(parts)))
-
-
-def _stem(name: str) -> str:
-    """Return the name of a file without its suffixes: also those of compression."""
-    stem, suffix = os.path.splitext(name)
-    packed = suffix.lower() in (*COMPRESSION_SUFFIXES, ".active")
-    return os.path.splitext(stem)[0] if packed else stem
-
-
-def _split(name: str) -> tuple[str, str, str]:
-    """Return a path, or an address without its parameters; then their mark, and they."""
-    return name.partition("?") if is_address(name) else (name, "", "")
-
-
-def _absolute(path: str) -> str:
+def absolute(path: str) -> str:
     """Return an absolute path, whose links are not followed, or an address without its secrets."""
-    return (
-        _split(without_secret(path))[0].rstrip("/") if is_address(path) else os.path.abspath(path)
-    )
+    if is_address(path):
+        return split_address(without_secret(path))[0].rstrip("/")
+    return os.path.abspath(path)
 
 
-def _real(path: str) -> str:
+def real(path: str) -> str:
     """Return an absolute path, whose links are followed, or an address as above."""
-    return _absolute(path) if is_address(path) else os.path.realpath(path)
+    return absolute(path) if is_address(path) else os.path.realpath(path)

@@ -1,158 +1,300 @@
-"""The manifest of a batch: one line of JSON for each log, appended as soon as the log has ended.
+"""The manifest of a batch: what became of each log, in ``DIR/_manifest/``, in parts.
 
-Several batches may write to one folder at once, and each may be killed at any time: a line is
-written at once and under a lock, and a line that was cut is ignored. The last line about an output
-is the valid one.
+Nothing in it is ever changed, so that any number of batches may write to one folder or prefix of a
+store at once, and may be killed at any time. Each process appends the logs that it ends to a file
+of its own, as lines of JSON. A batch that ends makes one part in Parquet of its own files. Parts of
+a similar size are merged when there are many: the time that it takes to record a log does not grow
+with the number of all logs. The latest entry about an output is the valid one.
 """
 
 from __future__ import annotations
 
-import hashlib
-import io
-import json
+import errno
 import os
-from contextlib import contextmanager, suppress
-from io import BufferedReader, FileIO
+import secrets
+import stat
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from datetime import UTC, datetime
+from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from quatprop.batch.entries import LISTS, TYPES, entries_in, json_line
+from quatprop.batch.entries import BUCKETS, TYPES, json_line, schema, table_of
+from quatprop.batch.logs import place_below
 from quatprop.errors import OutputError, StoreError
-from quatprop.stores.objects import is_address, objects_of, without_secret
-from quatprop.version import __version__
-from quatprop.writers.atomic import OutputFile
-from quatprop.writers.targets import refuse_outside
+from quatprop.stores.objects import is_address, list_objects, locate, without_secret
+from quatprop.stores.transfers import get, put
+from quatprop.writers.atomic import open_atomic
+from quatprop.writers.targets import output_errors, refuse_outside
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Iterator, Sequence
+
+    import pyarrow as pa
 
     from quatprop.batch.entries import ManifestEntry
-    from quatprop.pipeline.job import Job
+
+FOLDER = "_manifest"
+"""Readers of data sets skip what begins with an underscore."""
+
+PART = ".pq"
+"""Suffix of a part in Parquet: not that of outputs, which ``DIR/**/*.parquet`` stands for."""
+
+LINES = ".jsonl"
+
+OBJECT_ENTRIES = 100
+"""Entries of an object with lines: nothing can be appended to it, and it is written again."""
+
+REQUESTS = 16
+"""Objects that are read at a time."""
+
+SIMILAR = 4
+"""Parts are similar whose sizes have the same number of bits, divided by this."""
+
+MANY = 16
+"""Similar parts from which they are merged."""
+
+ENTRY_BYTES = 32
+"""Bytes of an entry, at least."""
+
+SLICE_ROWS = 1 << 18
+"""Entries that are looked at together."""
+
+ABANDONED_S = 7 * 86_400
+"""Age of lines that no batch will append to."""
+
+
+def new_run() -> str:
+    """Return a name for a batch, by its time."""
+    return f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}-{secrets.token_hex(4)}"
+
+
+class _MergedError(Exception):
+    """A file is no longer there: another batch has just merged it into a part."""
 
 
 class Manifest:
-    """The manifest in the folder of a batch's outputs.
+    """The manifest in the folder, or below the address, of a batch's outputs.
 
-    `unused`: numbers of the lines that were no entries when they were last read
+    `run`: the name of this batch
+    `unused`: number of lines that were no entries when they were last read
     """
-
-    NAME = "manifest.jsonl"
 
     def __init__(self, folder: str) -> None:
-        self._path = Path(folder, self.NAME)
-        self._table = self._path.with_suffix(".parquet")
-        self.files: tuple[str, ...] = (str(self._path), str(self._table))
-        self.place, self.unused = str(self._path), list[int]()
-        for name in self.files:
-            refuse_outside(name, folder)
-            if os.path.exists(name) and not os.path.isfile(name):  # noqa: PTH110, PTH113
-                raise OutputError(name, "is no file; remove it")
+        self.folder, self.run, self.unused = folder, new_run(), 0
+        self._place = place_below(folder, FOLDER)
+        self.place = without_secret(self._place)
+        self._is_remote = is_address(folder)
+        self._lines: list[bytes] = []
+        self._journal = ""
+        if not self._is_remote:
+            refuse_outside(self._place, folder)
+            if Path(self._place).exists() and not Path(self._place).is_dir():
+                raise OutputError(self._place, "is no folder; remove it")
 
     def prepare(self) -> None:
-        """Make the folder."""
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-
-    def existing_outputs(self) -> Callable[[str], bool]:
-        """Return a function that tells whether an output is there, by its path in the folder."""
-        folder = str(self._path.parent)
-        return lambda name: os.path.exists(os.path.join(folder, name))  # noqa: PTH110, PTH118
-
-    def entries(self) -> dict[str, Mapping[str, Any]]:
-        """Return the valid entry of each output, by its path in the folder."""
-        self.unused = []
-        return {entry["output"]: entry for entry in self._read()}
-
-    def _read(self) -> Iterator[Mapping[str, Any]]:
-        with suppress(FileNotFoundError), self._path.open("rb") as stream:
-            yield from entries_in(stream, self.unused)
+        """Find out whether it can be written, before anything is computed."""
+        if self._is_remote:
+            put(self._new_name(LINES), b"")
+            return
+        with output_errors(self._place):
+            Path(self._place).mkdir(parents=True, exist_ok=True)
 
     def record(self, entry: ManifestEntry) -> None:
-        """Append an entry."""
-        with self._locked() as stream:
-            cut = False
-            if stream.seek(0, os.SEEK_END):
-                stream.seek(-1, os.SEEK_END)
-                cut = stream.read(1) != b"\n"  # by a kill
-            stream.write((b"\n" if cut else b"") + json_line(entry))
-
-    def write_table(self) -> None:
-        """Write the valid entries as ``manifest.parquet``, in the order of the outputs.
-
-        Other batches wait meanwhile: a table of fewer entries must not come after theirs.
-        """
-        with self._locked() as stream:
-            lines = BufferedReader(stream)
-            entries = {entry["output"]: entry for entry in entries_in(lines, [])}
-            write_table((entry for _, entry in sorted(entries.items())), self._table)
-
-    @contextmanager
-    def _locked(self) -> Iterator[FileIO]:
-        """Open the manifest, at its beginning, while no other batch writes to it."""
-        with FileIO(self._path, "a+") as stream:
-            with suppress(ImportError, OSError):  # Windows, or a file system without locks
-                import fcntl
-
-                fcntl.lockf(stream, fcntl.LOCK_EX)
-            stream.seek(0)
-            yield stream
-
-
-def write_table(entries: Iterable[Mapping[str, Any]], path: Path) -> None:
-    """Write entries as a table of Parquet, with a column for each field."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-    from pyarrow import json as arrow_json
-
-    types = ((name, pa.type_for_alias(alias)) for name, alias in TYPES.items())
-    schema = pa.schema([(name, pa.list_(of) if name in LISTS else of) for name, of in types])
-    # Not from Python's values: pyarrow would import pandas, where that is installed, for 0.4 s.
-    texts = (json.dumps(entry, ensure_ascii=False) for entry in entries)
-    # Names of files need not be Unicode, which a table's text is.
-    lines = "\n".join(texts).encode(errors="replace")
-    output = OutputFile(path)
-    try:
-        with pq.ParquetWriter(output.stream, schema) as writer:
-            if lines:
-                writer.write_table(
-                    arrow_json.read_json(
-                        io.BytesIO(lines),
-                        arrow_json.ReadOptions(block_size=len(lines) + 1),
-                        arrow_json.ParseOptions(schema, unexpected_field_behavior="ignore"),
-                    )
-                )
-        output.commit()
-    finally:
-        output.discard()
-
-
-def options_digest(job: Job) -> str:
-    """Return a digest of all settings of a job but its paths."""
-    return hashlib.sha256(repr((job.settings, job.output._replace(path=""))).encode()).hexdigest()
-
-
-def origin_digest(inputs: Iterable[str], options: str) -> str | None:
-    """Return a digest of what an output is made from: version, settings, and the files it reads.
-
-    None where a store does not say what it has.
-    """
-    files: list[tuple[object, ...]] = []
-    for name in inputs:
-        if is_address(name):
+        """Append an entry; where that fails, the next one begins a new file."""
+        line = json_line(entry.recorded(self.run))
+        if self._is_remote:
+            if not self._journal or len(self._lines) == OBJECT_ENTRIES:
+                self._journal, self._lines = self._new_name(LINES), []
+            self._lines.append(line)
+            put(self._journal, b"".join(self._lines))
+            return
+        journal, self._journal = self._journal or self._new_name(LINES), ""
+        with output_errors(self._place):
+            file = os.open(journal, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
             try:
-                files += objects_of(name)
-            except StoreError:
-                return None
-            continue
-        place = Path(name)
-        # Definitions of messages may be in packages below.
-        inside = {*place.iterdir(), *place.rglob("*.msg")} if place.is_dir() else {place}
-        for file in sorted(inside):
-            with suppress(OSError):
-                status = file.stat()
-                files.append((file.name, status.st_size, status.st_mtime_ns))
-    return hashlib.sha256(repr((__version__, options, files)).encode()).hexdigest()
+                if os.write(file, line) < len(line):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            finally:
+                os.close(file)
+        self._journal = journal
+
+    def __getstate__(self) -> dict[str, object]:
+        """Let a process have a file of its own."""
+        return {**self.__dict__, "_journal": "", "_lines": []}
+
+    def slices(self, columns: Sequence[str]) -> Iterator[tuple[range, dict[str, tuple[Any, ...]]]]:
+        """Yield the valid entries by output, as values of columns, in parts by their bucket."""
+        for buckets in _slices(self._files()):
+            wanted = list(dict.fromkeys(["output", "time", *columns]))
+            table = self._read(buckets, wanted).sort_by("time")
+            values = zip(*(table[name].to_pylist() for name in columns), strict=True)
+            yield buckets, dict(zip(table["output"].to_pylist(), values, strict=True))
+
+    def history(self) -> pa.Table:
+        """Return all entries there ever were, by output and time."""
+        return _distinct(self._read(range(BUCKETS)), ["output", "time", "run"])
+
+    def collect(self) -> None:
+        """Make a part of the entries of this batch, and of those that killed ones have left."""
+        limit = time.time() - ABANDONED_S
+        own = [
+            name
+            for name, _, written in self._files()
+            if name.endswith(LINES) and (name.startswith(self.run) or written < limit)
+        ]
+        if own:
+            self._merge(own)
+        similar: dict[int, list[str]] = {}
+        for name, size, _ in self._files():
+            if name.endswith(PART):
+                similar.setdefault(size.bit_length() // SIMILAR, []).append(name)
+        for names in similar.values():
+            if len(names) >= MANY:
+                self._merge(names)
+
+    def _merge(self, names: list[str]) -> None:
+        """Make one part of some files, in order of the buckets, and remove them.
+
+        Whoever reads meanwhile may see an entry twice, which is the same as once.
+        """
+        import pyarrow.parquet as pq
+
+        with suppress(_MergedError):
+            with (
+                open_atomic(self._new_name(PART)) as stream,
+                pq.ParquetWriter(stream, schema(), compression="zstd") as writer,
+            ):
+                for buckets in _slices([file for file in self._files() if file[0] in names]):
+                    table = self._read(buckets, names=names)
+                    table = _distinct(table, ["bucket", "output", "time", "run"])
+                    writer.write_table(table, row_group_size=1 << 14)
+            # Not before the part is in its place: a kill would lose them.
+            self._remove(names)
+
+    def _remove(self, names: list[str]) -> None:
+        for name in names:
+            if self._is_remote:
+                store, place = locate(place_below(self._place, name))
+                with suppress(OSError):
+                    store.delete_file(place)
+            else:
+                Path(self._place, name).unlink(missing_ok=True)
+
+    def _files(self) -> list[tuple[str, int, float]]:
+        """Return name, size and time of all files, the oldest first.
+
+        They are listed again where one was removed meanwhile: what took its place may be missing.
+        """
+        while True:
+            with suppress(_MergedError):
+                before, files = self._listed(), self._listed()
+                if {name for name, _, _ in before} <= {name for name, _, _ in files}:
+                    return files
+
+    def _listed(self) -> list[tuple[str, int, float]]:
+        if self._is_remote:
+            objects = list_objects(self._place, missing_ok=True).items()
+            found = [(name, info.size, (info.mtime_ns or 0) * 1e-9) for name, info in objects]
+            return sorted(file for file in found if file[1] and _is_own(file[0]))
+        found = []
+        with suppress(FileNotFoundError), os.scandir(self._place) as entries:
+            for entry in entries:
+                if _is_own(entry.name):
+                    try:
+                        status = entry.stat()
+                    except FileNotFoundError as error:
+                        raise _MergedError from error
+                    if stat.S_ISREG(status.st_mode):
+                        found.append((entry.name, status.st_size, status.st_mtime))
+        return sorted(file for file in found if file[1])
+
+    def _read(
+        self,
+        buckets: range,
+        columns: Sequence[str] | None = None,
+        names: Sequence[str] | None = None,
+    ) -> pa.Table:
+        """Return entries, from some files if they are named, in no order."""
+        if names is not None:
+            return self._read_files(names, buckets, columns)
+        while True:
+            with suppress(_MergedError):
+                return self._read_files([name for name, _, _ in self._files()], buckets, columns)
+
+    def _read_files(
+        self, names: Sequence[str], buckets: range, columns: Sequence[str] | None
+    ) -> pa.Table:
+        try:
+            return self._tables(names, buckets, columns)
+        except FileNotFoundError as error:
+            raise _MergedError from error
+
+    def _tables(
+        self, names: Sequence[str], buckets: range, columns: Sequence[str] | None
+    ) -> pa.Table:
+        import pyarrow as pa
+        import pyarrow.compute as pc
+
+        columns = columns or list(TYPES)
+        chosen = None
+        if len(buckets) < BUCKETS:  # else: what compares with a number imports pandas, for 0.4 s
+            bucket = pc.field("bucket")
+            chosen = (bucket >= buckets.start) & (bucket < buckets.stop)
+        lines = [name for name in names if name.endswith(LINES)]
+        with ThreadPoolExecutor(REQUESTS) as pool:
+            parsed = [table_of(content) for content in pool.map(self._content, lines)]
+        self.unused = sum(unused for _, unused in parsed)
+        tables = [table if chosen is None else table.filter(chosen) for table, _ in parsed]
+        tables = [table.select(columns) for table in tables]
+        if parts := [name for name in names if name.endswith(PART)]:
+            import pyarrow.dataset as ds
+
+            store, place = locate(self._place) if self._is_remote else (None, self._place)
+            paths = [f"{place}/{name}" for name in parts]
+            data = ds.dataset(paths, schema(), format="parquet", filesystem=store)
+            tables.append(data.to_table(columns, filter=chosen))
+        return pa.concat_tables(tables or [schema().empty_table().select(columns)])
+
+    def _content(self, name: str) -> bytes:
+        """Return the lines of a file."""
+        place = place_below(self._place, name)
+        if not self._is_remote:
+            return Path(place).read_bytes()
+        try:
+            return get(place)
+        except StoreError as error:
+            if isinstance(error.__cause__, FileNotFoundError):
+                raise error.__cause__ from error
+            raise
+
+    def _new_name(self, suffix: str) -> str:
+        name = f"{self.run}-{os.getpid()}-{secrets.token_hex(4)}{suffix}"
+        return place_below(self._place, name)
 
 
-def log_name(log: str) -> str:
-    """Return how the manifest names a log: by an absolute path, or an address without secrets."""
-    return without_secret(log) if is_address(log) else os.path.abspath(log)  # noqa: PTH100
+def _is_own(name: str) -> bool:
+    """Return whether a file is a part or has lines, and is not being written."""
+    return name.endswith((PART, LINES)) and not name.startswith(".")
+
+
+def _slices(files: Sequence[tuple[str, int, float]]) -> Iterator[range]:
+    """Yield ranges of buckets, of which the entries are few enough to be looked at together."""
+    rows = sum(size for _, size, _ in files) // ENTRY_BYTES
+    count = min(BUCKETS, rows // SLICE_ROWS + 1)
+    for number in range(count):
+        yield range(number * BUCKETS // count, (number + 1) * BUCKETS // count)
+
+
+def _distinct(table: pa.Table, keys: list[str]) -> pa.Table:
+    """Return entries in order, each once."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    table = table.sort_by([(key, "ascending") for key in keys])
+    if not len(table):
+        return table
+    changes = [pc.not_equal(table[key][1:], table[key][:-1]) for key in keys]
+    return pa.concat_tables([table[:1], table[1:].filter(reduce(pc.or_, changes))])

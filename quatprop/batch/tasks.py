@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.batch.entries import ManifestEntry
-from quatprop.batch.manifest import log_name, options_digest, origin_digest
-from quatprop.stores.objects import without_secret
+from quatprop.batch.logs import BatchTask, absolute, place_below
+from quatprop.batch.origins import origin_of
+from quatprop.errors import StoreError
 from quatprop.text import spelled
 
 if TYPE_CHECKING:
@@ -15,53 +18,45 @@ if TYPE_CHECKING:
     from quatprop.tables.log import Loss
 
 
-class BatchTask(NamedTuple):
-    """One log of a batch; small, as it is sent to a process.
-
-    `path`: the log's path or address
-    `output`: the path or the address of its attitudes
-    `name`: path of the output in the folder of the batch
-    """
-
-    path: str
-    output: str
-    name: str
-    maybe: bool = False
-    refused: str = ""
-
-    @property
-    def log(self) -> str:
-        """The log as it may be shown."""
-        return without_secret(self.path)
-
-
 class BatchSettings(NamedTuple):
     """What all logs of a batch share.
 
     `job`: how logs are propagated; its paths are ignored
+    `folder`: where the outputs go
+    `options`: digest of all settings but the paths, and of the files that they name
     `reports`: whether results have the reports of the runs
+    `retries`: how often a log is tried again whose store did not answer
     """
 
     job: Job
+    folder: str
     options: str
     reports: bool = False
+    retries: int = 0
 
     @classmethod
-    def of(cls, job: Job, *, reports: bool = False) -> BatchSettings:
+    def of(cls, job: Job, folder: str, *, reports: bool = False, retries: int = 0) -> BatchSettings:
         """Return the settings of a batch, with the digest."""
-        return cls(job, options_digest(job), reports)
+        settings = job.settings
+        named = [*settings.inputs.values(), *filter(None, [settings.selection.msg_path])]
+        files = []
+        for file in named:
+            try:
+                files.append(origin_of(file))
+            except (OSError, StoreError):  # each log says so
+                files.append("")
+        text = repr((settings, job.output._replace(path=""), files))
+        return cls(job, folder, hashlib.sha256(text.encode()).hexdigest(), reports, retries)
+
+    def output_of(self, task: BatchTask) -> str:
+        """Return the path or the address of the attitudes of a log."""
+        return place_below(self.folder, task.name)
 
     def with_threads(self, count: int) -> BatchSettings:
         """Return the same with so many threads, unless the settings say how many."""
         settings = self.job.settings
         settings = replace(settings, threads=settings.threads or count)
         return self._replace(job=self.job._replace(settings=settings))
-
-    def origin(self, task: BatchTask) -> str | None:
-        """Return the digest of what the output of a log is made from; None if it is not known."""
-        settings = self.job.settings
-        named = [*settings.inputs.values(), *filter(None, [settings.selection.msg_path])]
-        return origin_digest([task.path, *named], self.options)
 
 
 class BatchResult(NamedTuple):
@@ -78,4 +73,15 @@ class BatchResult(NamedTuple):
 
 def failed(task: BatchTask, error: str, state: str = "failed") -> BatchResult:
     """Return the result of a log without attitudes."""
-    return BatchResult(ManifestEntry(state, log_name(task.path), task.name, error=spelled(error)))
+    entry = ManifestEntry(state, absolute(task.root), task.log, task.name, error=spelled(error))
+    return BatchResult(entry)
+
+
+def output_size(path: str) -> int | None:
+    """Return the bytes of an output of this machine, all files of a folder; None without one."""
+    if os.path.isdir(path):
+        return sum(entry.stat().st_size for entry in os.scandir(path))
+    try:
+        return os.stat(path).st_size
+    except OSError:
+        return None

@@ -81,6 +81,7 @@ def command(*, quiet: bool, **chosen: Any) -> int:
 def _summary(report: ConversionReport) -> Iterator[str]:
     """Yield the lines of the summary."""
     from quatprop.rendering import count_text, loss_lines, source_text
+    from quatprop.stores.objects import without_secret
 
     job, stored, counts = report.job, report.signal, report.counts
     order = stored.layout or stored.representation
@@ -88,10 +89,8 @@ def _summary(report: ConversionReport) -> Iterator[str]:
     written_as = f"{job.meaning.convention} {job.meaning.direction}, {job.representation}"
     name = source_text(stored.name, stored.type_name)
     yield f"in   {plain(report.path)} ({report.kind}): {name}; {stored_as}, {stored.clock} clock"
-    yield (
-        f"out  {plain(job.output.path)}: {count_text(report.written, 'row')}; {written_as}, "
-        f"{','.join(report.columns)}"
-    )
+    path, rows = plain(without_secret(job.output.path)), count_text(report.written, "row")
+    yield f"out  {path}: {rows}; {written_as}, {','.join(report.columns)}"
     if outside := sum(report.outside):
         yield f"left out: {count_text(outside, 'row')} outside the time range"
     if counts.normalized:

@@ -54,6 +54,7 @@ def interruptible() -> Iterator[None]:
 
 
 def _end(number: int, _frame: FrameType | None) -> NoReturn:
+    os.write(2, f"Ended by {signal.Signals(number).name}.\n".encode())
     sys.exit(128 + number)
 
 

@@ -21,6 +21,7 @@ from quatprop.comparison.statistics import sigma_statistics, window_statistics
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import UNIT_TOLERANCE, geodesic_angle, normalize
 from quatprop.series.blocks import blocks
+from quatprop.text import Remark
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -47,7 +48,7 @@ def compare(
 ) -> Comparison:
     """Measure the geodesic error between two attitude series, which are sorted and normalised."""
     settings = settings or ComparisonSettings()
-    remarks: list[str] = []
+    remarks: list[Remark] = []
     (a, lost_of_a), (b, lost_of_b) = _sorted(a, "A", remarks), _sorted(b, "B", remarks)
     found = find_offset(a, b) if settings.time_offset == "auto" else None
     offset = AppliedOffset(found.ns if found else int(settings.time_offset), found)
@@ -60,13 +61,12 @@ def compare(
         pairs.at, align(settings.align, pairs.a, pairs.b), settings.limit_rad
     )
     measured.add(pairs.t_ns, pairs.index, pairs.a, pairs.b)
-    wanted = b if part is None else part.part_of(b)
-    reference = CoveredTime()
-    for rows in blocks(len(wanted)):
-        reference.add(wanted.t_ns[rows])
+    of_a, of_b = (side if part is None else part.part_of(side) for side in (a, b))
     counted = pairs.match == "exact" or pairs.at == "B"
     coverage = Coverage(
-        measured.covered.share_of(reference), 100 * len(pairs) / len(wanted) if counted else None
+        measured.covered.share_of(CoveredTime.of(of_b.t_ns)),
+        100 * len(pairs) / len(of_b) if counted else None,
+        measured.covered.share_of(CoveredTime.of(of_a.t_ns)),
     )
     return build_comparison(
         a,
@@ -95,7 +95,7 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
     pairs: Pairs | None = None,
     part: Judged | None = None,
     left_out: int = 0,
-    remarks: Sequence[str] = (),
+    remarks: Sequence[Remark] = (),
 ) -> Comparison:
     """Judge and explain errors, once all are measured.
 
@@ -144,32 +144,36 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
 
 def _remarks(
     comparison: Comparison, settings: ComparisonSettings, count: int, opposite: int
-) -> Iterator[str]:
+) -> Iterator[Remark]:
     """Yield what else a reader should know.
 
     `count`, `opposite`: how many pairs there are, and of how many the signs differ
     """
     pairs, parts, sigmas = comparison.pairs, comparison.parts, comparison.sigmas
     if pairs and pairs.floor_rad > FLOOR_SHARE * settings.smallest_limit_rad:
-        yield (
+        yield Remark(
+            "interpolated",
             f"attitudes were interpolated between samples, which may cause errors of about "
-            f"{math.degrees(pairs.floor_rad):.3g} deg"
+            f"{math.degrees(pairs.floor_rad):.3g} deg",
         )
     if parts and parts.inclination.max > OPPOSED:
-        yield (
+        yield Remark(
+            "opposed-verticals",
             "the z axes of A and B point in opposite directions, where there is no error in "
-            "heading to speak of: is one of them north-east-down, and the other one up?"
+            "heading to speak of: is one of them north-east-down, and the other one up?",
         )
     exact = comparison.association.match == "exact"
     if exact and opposite and comparison.worst.error_rad <= SMALL_ERROR:
-        yield (
+        yield Remark(
+            "opposite-signs",
             f"B has the opposite sign in {opposite} of {count} samples: q and -q are the same "
-            "attitude, so this is no error"
+            "attitude, so this is no error",
         )
     if sigmas and math.isinf(sigmas.max):
-        yield (
+        yield Remark(
+            "exact-sigma",
             f"the error at {sigmas.max_ns} ns is infinitely many sigma: the attitude is given as "
-            "exact, with sigma 0, and the error is beyond rounding"
+            "exact, with sigma 0, and the error is beyond rounding",
         )
 
 
@@ -182,7 +186,7 @@ def unit(wxyz: Float64) -> Float64:
     return wxyz
 
 
-def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> tuple[AttitudeSeries, int]:
+def _sorted(series: AttitudeSeries, name: str, remarks: list[Remark]) -> tuple[AttitudeSeries, int]:
     """Return unit quaternions in order of time and how many were left out, and add remarks.
 
     Only those count that differ from the attitude that is kept at the same stamp.
@@ -203,7 +207,8 @@ def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> tuple[Atti
             f"number), the first at index {first_invalid}; leave them out"
         )
     if deviation > UNIT_TOLERANCE:
-        remarks.append(f"{name} is not of unit length, by up to {deviation:.2g}; normalised")
+        text = f"{name} is not of unit length, by up to {deviation:.2g}; normalised"
+        remarks.append(Remark("normalised", text))
     t_ns, wxyz = series.t_ns, unit(series.wxyz) if deviation > ROUNDING else series.wxyz
     intervals = np.diff(t_ns)
     if (intervals > 0).all():
@@ -212,7 +217,10 @@ def _sorted(series: AttitudeSeries, name: str, remarks: list[str]) -> tuple[Atti
     backwards, repeated = int((intervals < 0).sum()), len(t_ns) - len(first)
     others = int(np.count_nonzero(geodesic_angle(wxyz, wxyz[first[stamp]]) > NO_ERROR))
     remarks.append(
-        f"{name} was sorted by time: its timestamps step back {backwards} times, and {repeated} "
-        f"repeated ones were left out, {others} of them with another attitude"
+        Remark(
+            "sorted",
+            f"{name} was sorted by time: its timestamps step back {backwards} times, and "
+            f"{repeated} repeated ones were left out, {others} of them with another attitude",
+        )
     )
     return replace(series, wxyz=wxyz)[first], others

@@ -15,7 +15,7 @@ from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import conjugate, log, multiply, shorter
 from quatprop.provenance import as_json
 from quatprop.rendering import degrees_text
-from quatprop.text import Setting
+from quatprop.text import Remark, Setting
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -60,20 +60,27 @@ class Criterion(NamedTuple):
 
 
 class Coverage(NamedTuple):
-    """How much of the reference, B, was compared, in percent.
+    """How much of the reference, B, and of A was compared, in percent.
 
     `time`: of its time span without its own gaps: the time between neighbouring pairs, without gaps
     `samples`: of its samples; None where they were interpolated, and so have no partners of their
         own
+    `time_of_a`: as `time`, of A
     """
 
     time: float
     samples: float | None
+    time_of_a: float
 
     @property
     def least(self) -> float:
         """The smaller of the two."""
         return self.time if self.samples is None else min(self.time, self.samples)
+
+
+USUAL_COVERAGE = 25.0
+"""Percentage of either series that must be compared where an error is limited and nothing says how
+much: a limit that most of a log was never held against says little."""
 
 
 def judge(settings: ComparisonSettings, measured: Comparison) -> Iterator[Criterion]:
@@ -120,6 +127,9 @@ def judge(settings: ComparisonSettings, measured: Comparison) -> Iterator[Criter
             )
         passed = size >= limit if setting == "min_coverage" else abs(size) <= limit
         yield Criterion(setting, label, size, limit, unit, passed)
+    least = min(measured.coverage.time, measured.coverage.time_of_a)
+    if settings.min_coverage is None and settings.is_limited and least < USUAL_COVERAGE:
+        yield Criterion("min_coverage", "coverage", least, USUAL_COVERAGE, "%", passed=False)
 
 
 @dataclass(frozen=True, slots=True, repr=False, kw_only=True)
@@ -156,7 +166,7 @@ class Comparison:
     sigmas
         The errors in standard deviations; None where neither series has any.
     coverage
-        How much of B was compared.
+        How much of B was compared, and of the time of A.
     left_out
         Attitudes of A and B that were left out, since another one has the same stamp.
     tolerance_rad
@@ -194,7 +204,7 @@ class Comparison:
     passed: bool | None = None
     first_exceeding: ComparedSample | None
     likely_cause: Cause | None = None
-    remarks: tuple[str, ...]
+    remarks: tuple[Remark, ...]
 
     def __repr__(self) -> str:
         largest, rms = degrees_text(self.error_rad.max), degrees_text(self.error_rad.rms)

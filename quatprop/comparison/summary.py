@@ -73,7 +73,9 @@ def criterion_text(criterion: Criterion, comparison: Comparison) -> str:
             covered = comparison.coverage
             share = covered.samples
             samples = "" if share is None else f" and {share:.4g} % of the samples"
-            return f"{label} {covered.time:.4g} % of the time{samples} of B, at least {limit:.6g} %"
+            of_a = f" and {covered.time_of_a:.4g} % of that of A" if value < covered.least else ""
+            shares = f"{covered.time:.4g} % of the time{samples} of B{of_a}"
+            return f"{label} {shares}, at least {limit:.6g} %"
         case _:
             return f"{label} {angle_text(value)}, at most {angle_text(limit)}"
 

@@ -18,7 +18,6 @@ from quatprop.conditioning.time_range import (
     EndsFinder,
     PartOfLog,
     PartReader,
-    absolute_ns,
     absolute_range,
     clipped,
     length_text,
@@ -30,10 +29,13 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64
     from quatprop.conditioning.calibration import BiasSeries, BiasSeriesReport
+    from quatprop.conditioning.rests import RestBiases
     from quatprop.conditioning.static_period import StaticPeriod
     from quatprop.conditioning.window_sums import Rows
     from quatprop.series import GyroSeries
-    from quatprop.settings.rotations import InMemory, StaticBias
+    from quatprop.settings.rotations import InMemory
+    from quatprop.settings.static_bias import StaticBias
+    from quatprop.text import Remark
     from quatprop.timeline import Timeline
     from quatprop.times import Instant
 
@@ -61,6 +63,11 @@ class GyroCorrection(NamedTuple):
     rates: str = "body"
     start: Instant | None = None
     end: Instant | None = None
+
+    @property
+    def interpolates(self) -> bool:
+        """Whether the bias changes linearly between rests."""
+        return self.static is not None and self.static.between == "interpolate"
 
     @property
     def looks_ahead(self) -> bool:
@@ -93,6 +100,10 @@ class GyroCorrectionReport(NamedTuple):
     """What was done to the rates; None is nothing.
 
     `bias_rad_s`: subtracted from every rate, sensor axes, shape ``(3,)``, rad/s
+    `rest`: the rest from which it was taken
+    `rests`: those from which a bias over time was taken, in the order of time; none for fewer than
+        two
+    `interpolated`: whether it was interpolated between them, or is that of the nearest
     `bias_series`: the series from which it was taken, interpolated in time
     `calibration`: what the rates are multiplied by after the bias is subtracted, shape ``(3, 3)``
     `mount`: matrix from sensor to body axes, shape ``(3, 3)``
@@ -107,6 +118,8 @@ class GyroCorrectionReport(NamedTuple):
 
     bias_rad_s: Float64 | None
     rest: StaticPeriod | None
+    rests: tuple[StaticPeriod, ...]
+    interpolated: bool
     bias_series: BiasSeriesReport | None
     calibration: Float64 | None
     mount: Float64 | None
@@ -114,12 +127,17 @@ class GyroCorrectionReport(NamedTuple):
     start_ns: int | None
     end_ns: int | None
     outside: list[int]
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
     part: PartOfLog | None = None
     length: str = ""
 
     @property
-    def all_remarks(self) -> list[str]:
+    def all_rests(self) -> tuple[StaticPeriod, ...]:
+        """The rests from which the bias was taken, in the order of time."""
+        return self.rests if self.rest is None else (self.rest,)
+
+    @property
+    def all_remarks(self) -> list[Remark]:
         """What a reader should know, once all samples have passed."""
         return [*self.remarks, *(self.bias_series.remarks() if self.bias_series else ())]
 
@@ -143,17 +161,25 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
     matrix, bias, remarks = _calibration_of(settings, inputs)
     clips = settings.start is not None or settings.end is not None
     parts = part_reader() if clips and part_reader is not None else None
-    ends, rest = _look_ahead(read, timeline, settings, inputs, parts)
+    ends, rests = _look_ahead(read, timeline, settings, inputs, parts)
     start_ns, end_ns = absolute_range(settings, ends)
     remarks = (*remarks, *pause_remarks(settings, ends))
-    if rest is not None:
-        bias, remarks = rest.mean_rad_s, (*remarks, *rest.remarks)
+    over_time: BiasSeries | RestBiases | None = inputs.biases
+    if rests:
+        from quatprop.conditioning.rests import RestBiases, worst_of
+
+        remarks = (*remarks, *worst_of(rests).remarks)
+        bias = rests[0].mean_rad_s
+        if len(rests) > 1:
+            over_time = RestBiases(rests, interpolated=settings.interpolates)
     if settings.bias is not None:
         bias = np.array(settings.bias) * unit
     part, batches = (parts and parts.read(start_ns, end_ns)) or (None, iter(read()))
     report = GyroCorrectionReport(
-        bias_rad_s=bias if inputs.biases is None else None,
-        rest=rest,
+        bias_rad_s=bias if over_time is None else None,
+        rest=rests[0] if len(rests) == 1 else None,
+        rests=rests if len(rests) > 1 else (),
+        interpolated=settings.interpolates,
         bias_series=None if inputs.biases is None else inputs.biases.report,
         calibration=matrix,
         mount=mount,
@@ -173,12 +199,12 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
     if mount is not None and settings.rates == "body":
         matrix = mount if matrix is None else mount @ matrix
     used = timeline.finite(numbered)
-    return conditioned(used, bias=inputs.biases or bias, matrix=matrix), report
+    return conditioned(used, bias=over_time or bias, matrix=matrix), report
 
 
 def _calibration_of(
     settings: GyroCorrection, inputs: GyroCorrectionInputs
-) -> tuple[Float64 | None, Float64 | None, tuple[str, ...]]:
+) -> tuple[Float64 | None, Float64 | None, tuple[Remark, ...]]:
     """Return the matrix and the bias of a calibration, and remarks about it."""
     if settings.calibration is None:
         return None, None, ()
@@ -194,45 +220,29 @@ def _look_ahead(
     settings: GyroCorrection,
     inputs: GyroCorrectionInputs,
     parts: PartReader | None,
-) -> tuple[Ends, StaticPeriod | None]:
-    """Return the first and the last sample, and the rest, where they matter."""
+) -> tuple[Ends, tuple[StaticPeriod, ...]]:
+    """Return the first and the last sample, and the rests, where they matter."""
     if not settings.looks_ahead:
-        return Ends(0, 0), None
+        return Ends(0, 0), ()
     static = settings.static
     if static is None and parts is not None and (ends := parts.ends()) is not None:
-        return ends, None
+        return ends, ()
     finder = EndsFinder(earliest=timeline.policy.on_backwards == "sort")
-    samples = timeline.looked_ahead(read(), finder.add)
     if static is None:
-        deque(samples, maxlen=0)
-        return finder.ends(), None
-    from quatprop.conditioning.quantisation import StepFinder, levels_of
-    from quatprop.conditioning.static_detection import find_static_period, static_period_between
-    from quatprop.conditioning.window_sums import between, window_sums
+        deque(timeline.looked_ahead(read(), finder.add), maxlen=0)
+        return finder.ends(), ()
+    from quatprop.conditioning.rests import find_rests
 
-    steps = StepFinder()
-    rows = ((each.t_ns, steps.noted(each.rate)) for each in samples)
-
-    def again(first_ns: int, last_ns: int) -> Rows:
-        batches = timeline.looked_ahead(read(), lambda _: None)
-        return between(((each.t_ns, each.rate) for each in batches), first_ns, last_ns)
-
-    sums = window_sums(rows, static.window_ns // 2 or 1)
-    if static.start is not None and static.end is not None:
-        part = (absolute_ns(instant, finder.ends()) for instant in (static.start, static.end))
-        named = window_sums(again(*part), 1 << 62)
-        rest = static_period_between(named, static, sums, inputs, settings.rates)
-    else:
-        rest = find_static_period(sums, inputs, static.window_ns, settings.rates)
-    if any(coarse := steps.above(rest.scatter_rad_s)):
-        rest = rest._replace(levels=levels_of(again(rest.first_ns, rest.last_ns), coarse))
-    return finder.ends(), rest
+    rests = find_rests(
+        lambda note: timeline.looked_ahead(read(), note), finder, static, inputs, settings.rates
+    )
+    return finder.ends(), rests
 
 
 def conditioned(
     batches: Iterable[GyroSeries],
     *,
-    bias: Float64 | BiasSeries | None = None,
+    bias: Float64 | BiasSeries | RestBiases | None = None,
     matrix: Float64 | None = None,
 ) -> Iterator[GyroSeries]:
     """Yield rates without their bias, in body axes.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.settings.yaml_file import read_yaml, unusable
-from quatprop.text import did_you_mean, listed, plain, quoted
+from quatprop.text import Remark, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -42,7 +42,7 @@ class Calibration(NamedTuple):
 
     matrix: Float64 | None = None
     bias_rad_s: Float64 | None = None
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
 
 
 def read_calibration(path: Path | str, topic: str = "") -> Calibration:
@@ -74,8 +74,9 @@ def read_calibration(path: Path | str, topic: str = "") -> Calibration:
     turn = _numbers(path, "C_gyro_i", gyroscopes.get("C_gyro_i", np.eye(3)), (3, 3))
     measured = _checked(path, "M", _numbers(path, "M", gyroscopes["M"], (3, 3))) @ turn
     by_force = _numbers(path, "A", gyroscopes.get("A", np.zeros((3, 3))), (3, 3))
-    uncorrected = (
-        f"{plain(path)}: the effect of acceleration on the rates (A of kalibr) is not corrected"
+    uncorrected = Remark(
+        "calibration-part",
+        f"{plain(path)}: the effect of acceleration on the rates (A of kalibr) is not corrected",
     )
     inverse = np.linalg.inv(_checked(path, "M C_gyro_i", measured)).astype(np.float64)
     return Calibration(inverse, None, (uncorrected,) if by_force.any() else ())
@@ -140,14 +141,15 @@ class BiasSeriesReport:
     last_ns: int
     outside: list[int] = dataclass_field(default_factory=lambda: [0, 0])
 
-    def remarks(self) -> Iterator[str]:
+    def remarks(self) -> Iterator[Remark]:
         """Yield a remark where samples are outside the biases."""
         before, after = self.outside
         if before or after:
-            yield (
+            yield Remark(
+                "bias-ends",
                 f"{before} samples before the first bias of {plain(self.source)} at "
                 f"{self.first_ns} ns and {after} after the last at {self.last_ns} ns take the "
-                "nearest; are both on the same clock?"
+                "nearest; are both on the same clock?",
             )
 
 

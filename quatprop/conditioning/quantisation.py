@@ -34,6 +34,14 @@ FINE: Final = 2.0
 """Noise of so many steps or more leaves nothing of the quantisation in a mean."""
 
 
+FEW, MAX_SHARED = 2, 100
+"""An axis of so many values or fewer has the step that all axes share, if they show few, too."""
+
+SAME, FEWEST_STEPS, MOST_STEPS = 1e-6, 8, 1e5
+"""Numbers that differ by less than this share of the largest are the same; and how many steps that
+has to be at least and at most: two numbers are multiples of some step by chance."""
+
+
 class Levels(NamedTuple):
     """How the samples of a rest lie on the grid of a quantised axis.
 
@@ -82,13 +90,18 @@ class StepFinder:
                 self._values[axis] = values if len(values) <= MAX_VALUES else None
         return rate
 
-    def above(self, scatter: float) -> list[float]:
-        """Return the step of each axis, rad/s; 0 where there is none, or noise is far above it.
+    def above(self, scatters: list[float]) -> list[list[float]]:
+        """Return the step of each axis in each rest, rad/s; 0 for none, or where noise hides it.
 
-        `scatter`: RMS deviation of the rates from the mean, over all three axes, rad/s
+        `scatters`: RMS deviations of the rates from the mean, over all three axes, rad/s
         """
-        steps = [0.0 if values is None else step_of(values) for values in self._values]
-        return [step if scatter < FINE * step else 0.0 for step in steps]
+        known = [values for values in self._values if values is not None]
+        shared = shared_step(np.concatenate(known)) if known else 0.0
+        steps = [
+            0.0 if values is None else (shared if len(values) <= FEW else step_of(values))
+            for values in self._values
+        ]
+        return [[step if scatter < FINE * step else 0.0 for step in steps] for scatter in scatters]
 
 
 def step_of(values: Float64) -> float:
@@ -113,21 +126,50 @@ def step_of(values: Float64) -> float:
     return float((values[-1] - values[0]) / steps.sum())
 
 
-def levels_of(rows: Rows, steps: list[float]) -> tuple[Levels, ...]:
-    """Return how the samples of a rest lie on the grids of the axes that have one.
+def shared_step(values: Float64) -> float:
+    """Return the step of which all values of a gyroscope are multiples, or 0.
+
+    That of an axis that shows too few values to have one of its own.
+
+    `values`: of all axes, in any order, shape ``(N,)``
+    """
+    values = np.unique(np.abs(values[np.abs(values) < LARGEST]))
+    if not FEW <= len(values) <= MAX_SHARED:
+        return 0.0
+    largest = float(values[-1])
+    step = 0.0
+    for value in values.tolist():
+        # Euclid's algorithm, of numbers that are rounded.
+        rest = value
+        while rest > SAME * largest:
+            step, rest = rest, abs(step - rest * round(step / rest))
+    return step if FEWEST_STEPS * step <= largest <= MOST_STEPS * step else 0.0
+
+
+def levels_of(
+    rows: Rows, ranges: list[tuple[int, int]], steps: list[list[float]]
+) -> list[tuple[Levels, ...]]:
+    """Return how the samples of each rest lie on the grids of the axes that have one.
 
     `rows`: stamps, and rates, ``(N, 3)``, rad/s
+    `ranges`: where the rests are, ends included, ns
+    `steps`: of each axis in each of them, rad/s; 0 for none
     """
-    tallies: list[dict[int, int]] = [{} for _ in steps]
-    for _, rate in rows:
-        for values, step, tally in zip(rate.T, steps, tallies, strict=True):
-            if not step:
-                continue
-            levels, numbers = np.unique(np.rint(values / step), return_counts=True)
-            for level, number in zip(levels.tolist(), numbers.tolist(), strict=True):
-                tally[level] = tally.get(level, 0) + number
-    return tuple(
-        Levels(step, np.array(sorted(tally.values(), reverse=True)))
-        for step, tally in zip(steps, tallies, strict=True)
-        if tally
-    )
+    tallies: list[list[dict[int, int]]] = [[{} for _ in each] for each in steps]
+    for t_ns, rate in rows:
+        for (first_ns, last_ns), of_rest, of_axes in zip(ranges, steps, tallies, strict=True):
+            inside = (t_ns >= first_ns) & (t_ns <= last_ns)
+            for values, step, tally in zip(rate[inside].T, of_rest, of_axes, strict=True):
+                if not step:
+                    continue
+                levels, numbers = np.unique(np.rint(values / step), return_counts=True)
+                for level, number in zip(levels.tolist(), numbers.tolist(), strict=True):
+                    tally[level] = tally.get(level, 0) + number
+    return [
+        tuple(
+            Levels(step, np.array(sorted(tally.values(), reverse=True)))
+            for step, tally in zip(of_rest, of_axes, strict=True)
+            if tally
+        )
+        for of_rest, of_axes in zip(steps, tallies, strict=True)
+    ]

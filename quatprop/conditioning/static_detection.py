@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conditioning.static_period import AT_REST, OtherRest, StaticPeriod
+from quatprop.conditioning.static_period import AT_REST, WIDENS, OtherRest, StaticPeriod
 from quatprop.conditioning.window_sums import (
     aligned_window_sums,
     mean_of,
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Bool, Float64, Intp
     from quatprop.conditioning import GyroCorrectionInputs
     from quatprop.conditioning.window_sums import WindowSums
-    from quatprop.settings.rotations import StaticBias
+    from quatprop.settings.static_bias import StaticBias
 
 
 FORCE_AT_REST = 0.1
@@ -45,6 +45,9 @@ AGREEMENT, FORCE_AGREEMENT = 3e-3, 0.01
 """Means that differ by more, and by more than their noise explains, are not of the same rest: rad/s
 on an axis, and share of the size of the specific force (of its direction, rad)."""
 
+COMPARED = 0.035
+"""rad/s on an axis: rests that only the rates show are compared if they differ by less: 2 deg/s."""
+
 NOISE = 4.0
 """Means may differ by so many standard errors."""
 
@@ -59,20 +62,23 @@ TURNING = 5e-3
 """rad/s: an orientation that turns slower than this stands still."""
 
 
-def find_static_period(
-    rates: WindowSums, inputs: GyroCorrectionInputs, shortest_ns: int, frame: str = "body"
-) -> StaticPeriod:
-    """Return the rest of a log from which the bias is taken.
+def find_static_periods(
+    rates: WindowSums, inputs: GyroCorrectionInputs, static: StaticBias, frame: str = "body"
+) -> list[StaticPeriod]:
+    """Return the rest of a log from which the bias is taken, or all rests where that is asked for.
 
     Of periods whose means do not agree the slowest shows the bias: a body that turns steadily is
     as quiet as one at rest. Of those that agree with it the longest is taken.
 
-    `frame`: ``"body"`` or ``"inertial"``: that in which the rates are resolved
+    `frame`: ``"body"`` or ``"inertial"``
     """
-    rests, steady = _rests(rates, inputs, shortest_ns, frame)
+    rests, steady = _rests(rates, inputs, static.window_ns, frame)
+    if static.between is not None:
+        rests = rests[_comparable(rests, steady)]
+        return [_period(rests, each, rates, steady, steady) for each in range(len(rests))]
     lengths = rests["last_ns"] - rests["first_ns"]
     longest = int(np.argmax(np.where(_agreeing(rests), lengths, -1)))
-    return _period(rests, longest, rates, steady, steady)
+    return [_period(rests, longest, rates, steady, steady)]
 
 
 def static_period_between(
@@ -124,11 +130,11 @@ def _rests(
     return np.concatenate(rests), steady
 
 
-def _agreeing(rests: WindowSums) -> Bool:
+def _agreeing(rests: WindowSums, agreement: float = AGREEMENT) -> Bool:
     """Tell which rests have about the mean of the slowest."""
     mean = mean_of(rests)
     slowest = mean[np.argmin((mean**2).sum(axis=1))]
-    return np.asarray(np.abs(mean - slowest).max(axis=1) <= AGREEMENT)
+    return np.asarray(np.abs(mean - slowest).max(axis=1) <= agreement)
 
 
 def _period(
@@ -140,8 +146,10 @@ def _period(
     `steady`: by which signals this one was found; empty where it was named
     """
     rest = rests[taken]
-    # By the rates alone, a rest whose mean is far off may as well be a steady rotation.
-    compared = _agreeing(rests) if confirmed == ["rate"] else np.ones(len(rests), np.bool_)
+    apart = np.abs(mean_of(rests) - mean_of(rests)[taken]).max(axis=1)
+    apart[~_comparable(rests, confirmed)] = 0.0
+    variances = scatter_of(rests) ** 2 / 3 / rests["count"]
+    errors = np.sqrt(variances + variances[taken])
     return StaticPeriod(
         first_ns=int(rest["first_ns"]),
         last_ns=int(rest["last_ns"]),
@@ -151,27 +159,28 @@ def _period(
         steady=tuple(steady),
         searched_first_ns=int(rates["first_ns"].min()),
         searched_last_ns=int(rates["last_ns"].max()),
-        other=_other(rests, taken, compared),
+        other=_other(rests, np.where(apart > NOISE * errors, apart, 0.0)),
+        spread_rad_s=float(apart[apart > WIDENS * errors].max(initial=0.0)),
     )
 
 
-def _other(rests: WindowSums, taken: int, compared: Bool) -> OtherRest | None:
-    """Return the rest whose mean differs most, if by more than noise explains."""
-    apart = np.abs(mean_of(rests) - mean_of(rests)[taken]).max(axis=1)
-    variance = scatter_of(rests) ** 2 / 3 / rests["count"]
-    apart[(apart <= NOISE * np.sqrt(variance + variance[taken])) | ~compared] = 0.0
+def _comparable(rests: WindowSums, confirmed: list[str]) -> Bool:
+    """Tell which rests are rests: by the rates alone, one far off is a steady rotation."""
+    return _agreeing(rests, math.inf if confirmed != ["rate"] else COMPARED)
+
+
+def _other(rests: WindowSums, apart: Float64) -> OtherRest | None:
+    """Return the rest that is furthest apart from one, where any is."""
     most = int(np.argmax(apart))
-    if not apart[most]:
-        return None
-    return OtherRest(int(rests["first_ns"][most]), int(rests["last_ns"][most]), float(apart[most]))
+    ends = int(rests["first_ns"][most]), int(rests["last_ns"][most])
+    return OtherRest(*ends, float(apart[most])) if apart[most] else None
 
 
 def _quiet_rates(rates: WindowSums) -> Intp:
     """Return the windows whose rates by themselves could be those of a gyroscope at rest."""
-    # A window that is not full, or of a sensor that has not begun to measure, is no evidence.
+    # A window that is not full is no evidence.
     full = rates["count"] >= max(2.0, np.median(rates["count"]) / 2 if len(rates) else 0.0)
-    measured = full & (rates["squares"] > 0) if rates["squares"].any() else full
-    windows = np.flatnonzero(measured)
+    windows = np.flatnonzero(full)
     if not len(windows):
         raise _no_rest(": too few samples")
     scatter, speed = scatter_of(rates[windows]), np.linalg.norm(mean_of(rates[windows]), axis=1)
@@ -184,6 +193,9 @@ def _quiet_rates(rates: WindowSums) -> Intp:
             f"the steadiest period of the log has a mean rate of {speed[steady].min():.3g} rad/s, "
             f"more than the bias of a gyroscope: the body turns; give {Setting('bias', 'X,Y,Z')}"
         )
+    # Nor is one of a sensor that has not begun to measure, unless it is at rest nowhere else.
+    measured = slow & (rates["squares"][windows] > 0)
+    slow = measured if measured.any() else slow
     windows = windows[slow]
     return np.asarray(windows[_quiet(rates[windows], scatter[slow], QUIET)])
 

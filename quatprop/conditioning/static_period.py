@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.text import Setting
+from quatprop.text import Remark, Setting
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
@@ -16,6 +17,14 @@ if TYPE_CHECKING:
 
 AT_REST = 0.05
 """rad/s: rates that scatter more than this are not at rest."""
+
+
+ORDINARY_CHANGE = math.radians(0.1)
+"""rad/s: between rests, the bias of a MEMS gyroscope changes by hundredths of a deg/s as
+it warms up. The sigma of the bias knows of that; it is no reason to look into the log."""
+
+WIDENS = 3.0
+"""Means that differ by so many standard errors widen that of the bias, said to differ or not."""
 
 
 class OtherRest(NamedTuple):
@@ -39,6 +48,8 @@ class StaticPeriod(NamedTuple):
     `searched_first_ns`, `searched_last_ns`: the part of the log that was searched, ns: all of it,
         whatever part is propagated
     `other`: the rest that differs most, by more than noise; None where there is none
+    `spread_rad_s`: by how much the bias may be off because other rests have another mean, on the
+        axis where they differ most
     `levels`: of the axes whose rates are quantised more coarsely than noise hides
     """
 
@@ -51,7 +62,27 @@ class StaticPeriod(NamedTuple):
     searched_first_ns: int
     searched_last_ns: int
     other: OtherRest | None = None
+    spread_rad_s: float = 0.0
     levels: tuple[Levels, ...] = ()
+
+    @property
+    def span_s(self) -> float:
+        """How long it was, s."""
+        return (self.last_ns - self.first_ns) / NS_PER_S
+
+    @property
+    def noise_density(self) -> float:
+        """The density of the noise that it shows, rad/s/sqrt(Hz)."""
+        coarsest = max((each.step for each in self.levels), default=0.0)
+        scatter = max(self.scatter_rad_s / math.sqrt(3), coarsest / math.sqrt(12))
+        return scatter * math.sqrt(self.span_s / (self.samples - 1))
+
+    def bias_sigma(self, density: float) -> float:
+        """Return the standard deviation of its mean by noise and by the step of the rates, rad/s.
+
+        `density`: of the noise, rad/s/sqrt(Hz)
+        """
+        return math.hypot(density / math.sqrt(self.span_s), self.quantisation_rad_s)
 
     @property
     def quantisation_rad_s(self) -> float:
@@ -59,11 +90,15 @@ class StaticPeriod(NamedTuple):
         return max((each.sigma for each in self.levels), default=0.0)
 
     @property
-    def remarks(self) -> tuple[str, ...]:
+    def remarks(self) -> tuple[Remark, ...]:
         """What a reader should know."""
-        return tuple(
-            filter(None, (self._moves(), self._unconfirmed(), self._differs(), self._coarse()))
-        )
+        found = {
+            "rest-moves": self._moves(),
+            "rest-unconfirmed": self._unconfirmed(),
+            "rests-differ": self._differs(),
+            "rest-coarse": self._coarse(),
+        }
+        return tuple(Remark(code, text) for code, text in found.items() if text)
 
     def _moves(self) -> str:
         if self.scatter_rad_s <= AT_REST:
@@ -74,16 +109,16 @@ class StaticPeriod(NamedTuple):
         )
 
     def _unconfirmed(self) -> str:
-        if self.steady != ("rate",):
-            return ""
         degrees = np.degrees(np.linalg.norm(self.mean_rad_s))
+        if self.steady != ("rate",) or not degrees:
+            return ""
         return (
             "no accelerometer and no orientation confirms the rest from which the bias is taken: "
             f"a steady rotation at {degrees:.3g} deg/s would look the same"
         )
 
     def _differs(self) -> str:
-        if self.other is None:
+        if self.other is None or self.other.difference_rad_s <= ORDINARY_CHANGE:
             return ""
         degrees = math.degrees(self.other.difference_rad_s)
         way = Setting("bias", f"static@{self.other.first_ns}..{self.other.last_ns}")

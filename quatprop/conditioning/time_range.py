@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from quatprop.errors import UsageError
-from quatprop.text import Setting
+from quatprop.text import Remark, Setting
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import duration_text
 
@@ -148,7 +148,7 @@ def length_text(settings: GyroCorrection, ends: Ends) -> str:
     return duration_text(ends.last_ns - ends.first_ns) if is_relative else ""
 
 
-def pause_remarks(settings: GyroCorrection, ends: Ends) -> Iterator[str]:
+def pause_remarks(settings: GyroCorrection, ends: Ends) -> Iterator[Remark]:
     """Yield a remark for each end of the range that counts from a sample beside a pause."""
     for name, instant in (("start", settings.start), ("end", settings.end)):
         if instant is None or instant.origin == "clock":
@@ -156,25 +156,27 @@ def pause_remarks(settings: GyroCorrection, ends: Ends) -> Iterator[str]:
         pause = ends.pauses[instant.origin == "last"]
         if pause is not None:
             anchor = ends.last_ns if instant.origin == "last" else ends.first_ns
-            yield (
+            yield Remark(
+                "pause-at-end",
                 f"{Setting(name)} counts from the {instant.origin} sample, at {anchor} ns, close "
                 f"to a pause of {duration_text(pause[1] - pause[0])} from {pause[0]} to {pause[1]} "
-                "ns; if a clock was wrong there, give an absolute time"
+                "ns; if a clock was wrong there, give an absolute time",
             )
 
 
-def clipping_remarks(settings: GyroCorrection, report: GyroCorrectionReport) -> Iterator[str]:
+def clipping_remarks(settings: GyroCorrection, report: GyroCorrectionReport) -> Iterator[Remark]:
     """Yield a remark for each absolute end that leaves nothing out, and on what was not read."""
     outside = report.outside if report.part is None else report.part.leaves_out
     yield from idle_remarks(settings, *outside)
     if report.part is not None:
-        yield (
+        yield Remark(
+            "part-read",
             "only the part of the log around the time range was read, by its index: what is "
-            "damaged or lost elsewhere is not reported, and there is no SHA-256 of the log"
+            "damaged or lost elsewhere is not reported, and there is no SHA-256 of the log",
         )
 
 
-def idle_remarks(settings: GyroCorrection, before: int, after: int) -> Iterator[str]:
+def idle_remarks(settings: GyroCorrection, before: int, after: int) -> Iterator[Remark]:
     """Yield a remark for each absolute end that leaves nothing out, before or after the range."""
     ends = (
         ("start", "before the first", settings.start, before),
@@ -182,9 +184,10 @@ def idle_remarks(settings: GyroCorrection, before: int, after: int) -> Iterator[
     )
     for name, side, instant, left_out in ends:
         if instant is not None and instant.origin == "clock" and not left_out:
-            yield (
+            yield Remark(
+                "range-beyond-log",
                 f"{Setting(name)} is {side} sample and leaves nothing out; a number without a unit "
-                "is in ns"
+                "is in ns",
             )
 
 

@@ -21,7 +21,7 @@ from quatprop.messages.ulog import is_secondary
 from quatprop.progress import with_progress
 from quatprop.tables.batches import RowBatch, merge_by_time, without_misfits
 from quatprop.tables.model import Column, Stamp, Table, TablePart, TimeRange
-from quatprop.text import Setting, plain, quoted
+from quatprop.text import Remark, Setting, plain, quoted
 from quatprop.times import LATEST, duration_text
 
 if TYPE_CHECKING:
@@ -258,18 +258,19 @@ class TopicTable(Table):
         """Remark on log times, in the order of the log, that step back as after setting a clock."""
         if np.diff(log_ns).min() < -CLOCK_STEP_NS:
             self.remark(
+                "log-times-back",
                 f"the log times of topic {quoted(self.name)} step back on the way by more than "
                 f"{duration_text(CLOCK_STEP_NS)}, as where the recorder's clock was set back; "
-                "samples are taken in the order of their log times"
+                "samples are taken in the order of their log times",
             )
 
     def provenance(self) -> JsonObject:
         """Return how the messages were made, if this package made them."""
         return self.log.provenance(self.name)
 
-    def remark(self, text: str) -> None:
+    def remark(self, code: str, text: str) -> None:
         """Add a remark on the log, as the last one."""
-        self.log.remarks = [*(one for one in self.log.remarks if one != text), text]
+        self.log.remarks = [*(one for one in self.log.remarks if one != text), Remark(code, text)]
 
 
 def _left_out(blocks: Sequence[MessageBlock], error: MessageError) -> list[MessageBlock]:

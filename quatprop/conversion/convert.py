@@ -22,7 +22,7 @@ from quatprop.pipeline.job import with_format
 from quatprop.pipeline.report import ReportFile
 from quatprop.provenance import digest_ahead
 from quatprop.stores.objects import without_secret
-from quatprop.text import Setting, listed, quoted
+from quatprop.text import Remark, Setting, listed, quoted
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
@@ -133,12 +133,14 @@ class _Order:
             self._last = t_ns[-1:].copy()
             yield series
 
-    def remarks(self) -> Iterator[str]:
+    def remarks(self) -> Iterator[Remark]:
         """Yield what was counted, if anything."""
         if self._back or self._repeated:
-            yield (
+            yield Remark(
+                "stamps-unordered",
                 f"the timestamps step back {self._back} times and repeat the one before "
-                f"{self._repeated} times; all rows are written, in the order in which they are read"
+                f"{self._repeated} times; all rows are written, in the order in which they are "
+                "read",
             )
 
 

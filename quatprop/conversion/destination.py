@@ -9,7 +9,7 @@ from quatprop.conventions.representations import NEAR_LOCK_DEG, QUATERNION, REPR
 from quatprop.conversion.rates import RATES
 from quatprop.errors import OutputError, UsageError
 from quatprop.pipeline.job import open_output
-from quatprop.text import Setting, listed, quoted
+from quatprop.text import Remark, Setting, listed, quoted
 from quatprop.writers import holds_covariances, open_table, refuse_message
 from quatprop.writers.attitudes import AttitudeWriter, column_table
 from quatprop.writers.formats import WRITERS, format_remarks
@@ -80,38 +80,35 @@ def remarks_on(
     positions_lost: bool,
     sigma_lost: bool,
     lost_columns: Sequence[str],
-) -> Iterator[str]:
+) -> Iterator[Remark]:
     """Yield what a reader of the output should know.
 
     `positions_lost`: whether the source has positions and the output none
     `sigma_lost`: whether the source has standard deviations or covariances and the output none
     """
-    yield from format_remarks(job.output.path, job.output.to)
-    if positions_lost:
-        yield "the positions beside the attitudes are not kept: the output has no place for them"
-    if sigma_lost:
-        yield (
-            "the standard deviations or covariances of the attitudes are not kept: they need an "
-            "output with a place for them, and Hamilton quaternions body to reference on both "
-            "sides; standard deviations also need axes that stay axes"
-        )
+    yield from format_remarks(
+        job.output.path, job.output.to, positions_lost=positions_lost, sigma_lost=sigma_lost
+    )
     if lost_columns:
-        yield (
+        yield Remark(
+            "columns-lost",
             f"columns {listed(lost_columns)} are not kept; "
-            f"{Setting('extra_columns')} writes such ones"
+            f"{Setting('extra_columns')} writes such ones",
         )
     if singular:
         form = REPRESENTATIONS[job.representation]
         first, second, third = (name.rpartition("_")[0] for name in form.columns)
-        yield (
+        yield Remark(
+            "gimbal-lock",
             f"{singular} rows are within {NEAR_LOCK_DEG} deg of {second} "
             f"{' or '.join(map(str, form.lock_deg))} deg (gimbal lock), where only the sum or the "
             f"difference of {first} and {third} is determined, and each jumps from row to row; "
-            "together they are still the attitude"
+            "together they are still the attitude",
         )
     output, meaning = job.output, job.meaning
     if meaning != HAMILTON and not output.keeps_provenance:
-        yield (
+        yield Remark(
+            "convention-unstated",
             f"the file cannot state that it is {meaning.convention} {meaning.direction}, so its "
-            f"reader has to know it; {Setting('header_comment')}, or Parquet, would"
+            f"reader has to know it; {Setting('header_comment')}, or Parquet, would",
         )

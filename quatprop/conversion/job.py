@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from quatprop.pipeline.settings import OutputSettings
     from quatprop.provenance import JsonObject
     from quatprop.tables.log import Loss
+    from quatprop.text import Remark
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +114,7 @@ class ConversionReport:
     written: int
     outside: tuple[int, int]
     losses: tuple[Loss, ...]
-    remarks: tuple[str, ...]
+    remarks: tuple[Remark, ...]
 
     def __repr__(self) -> str:
         path = self.job.output.path

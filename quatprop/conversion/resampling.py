@@ -11,7 +11,7 @@ from quatprop.kinematics.interpolation import interpolate
 from quatprop.kinematics.resample import PIECE, Steady, with_columns
 from quatprop.rendering import count_text
 from quatprop.series import AttitudeSeries
-from quatprop.text import Setting
+from quatprop.text import Remark, Setting
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import duration_text
 
@@ -68,10 +68,11 @@ class Resampling:
             rows = slice(first, first + PIECE)
             yield with_columns(series, t_ns[rows], wxyz[rows], "body")
 
-    def remarks(self) -> Iterator[str]:
+    def remarks(self) -> Iterator[Remark]:
         """Yield what was left out, if anything."""
         if self._gaps:
-            yield (
+            yield Remark(
+                "gaps-kept",
                 f"no attitudes are interpolated across {count_text(self._gaps, 'gap')} longer than "
-                f"{duration_text(self._gap_ns)}"
+                f"{duration_text(self._gap_ns)}",
             )

@@ -23,6 +23,7 @@
     │   ├── UndeclaredError            unit, column or time that only the user can know
     │   └── TimelineError              stamps or rates that the chosen policy refuses
     ├── StoreError                     an object store does not give what is asked of it
+    │   └── ReplacedError              a log that is another one after it was read
     ├── ComparisonError                two attitude series that cannot be compared as asked
     └── OutputError                    the result cannot be written where it was asked for
 
@@ -55,13 +56,19 @@ class DataLossWarning(QuatpropWarning):
         How many messages or rows are lost, where that is known.
     """
 
-    def __init__(self, message: str, messages: int | None = None) -> None:
-        super().__init__(message)
-        self.messages = messages
+    messages: int | None = None
 
 
 class RemarkWarning(QuatpropWarning):
-    """Something was inferred, or looks wrong."""
+    """Something was inferred, or looks wrong.
+
+    Attributes
+    ----------
+    code
+        Names what is said, such as ``"saturated"``; it stays when the sentence changes.
+    """
+
+    code = ""
 
 
 class QuatpropError(Exception):
@@ -122,6 +129,10 @@ class SeriesError(QuatpropError, ValueError):
 
 class StoreError(QuatpropError):
     """An object store does not give what is asked of it: the log is not damaged."""
+
+
+class ReplacedError(StoreError):
+    """A log was replaced while it was read, so that what was read may be of two logs."""
 
 
 class LogError(QuatpropError):
@@ -218,8 +229,7 @@ class NoSamplesError(LogError):
     """The chosen source holds no samples, or none in the chosen part of the log.
 
     `source`: the topic or the columns
-    `outside`, `dropped`: samples that were left out: before and after the chosen part, and as not
-        finite
+    `outside`, `dropped`: samples left out: before and after the chosen part, and as not finite
     `losses`: places that could not be read, and why
     `length`: how long the log is, where the part is given in units
     """
@@ -238,10 +248,9 @@ class NoSamplesError(LogError):
         if dropped:
             reason = f"; {dropped} with rates that are not finite were dropped"
         elif any(outside):
-            before, after = outside
-            reason = f" between {Setting('start')} and {Setting('end')}: {before} are before, "
-            unit = "a number without a unit is in ns"
-            reason += f"{after} after; {f'the log is {length} long' if length else unit}"
+            hint = f"the log is {length} long" if length else "a number without a unit is in ns"
+            reason = f" between {Setting('start')} and {Setting('end')}: {outside[0]} are before, "
+            reason += f"{outside[1]} after; {hint}"
         elif losses:
             reason = "; lost: {}: {}".format(*losses[0])
         super().__init__(path, f"no samples in {quoted(source)}{reason}")

@@ -4,18 +4,27 @@ A body rate that is off by e turns the attitude by the integral of R e in refere
 the rotation matrix body -> reference. So the covariance needs integrals of R alone, which are sums
 over the samples:
 
-    P = N^2 t I  +  b^2 S S'  +  s^2 G G'  +  K^2 (t S S' - S A' - A S' + B)
+    P = P0  +  N^2 t I  +  b^2 S S'  +  s^2 G0 G0'  +  m^2 (G1 G1' + G2 G2')
 
-    S = int R dt     G = int R diag(w) dt     A = int S dt     B = int S S' dt
+    S = int R dt     Gk = int R diag(w of the axes k further) dt
 
-with the angle random walk N, the standard deviations b of the bias and s of the scale factors, and
-the rate random walk K, alike and independent on all axes. The bias is constant; the random walk
-begins at zero with the first sample. P is the covariance of small rotations about reference axes,
-R' P R of the same rotations about body axes.
+with the covariance P0 of the first attitude, the angle random walk N, and the standard deviations b
+of the bias, s of the scale factors and m of the misalignments, alike and independent on all axes. A
+bias that walks is in :mod:`quatprop.kinematics.bias_growth`. P is the covariance of small rotations
+about reference axes, R' P R of the same rotations about body axes.
+
+Misalignments are the six small angles by which each sensitive axis leans to the two others: the
+rate is off by e_i = m_ij w_j + m_ik w_k. Where the whole sensor is turned by small angles, m_ij is
+-m_ji; its errors are at most sqrt(2) times those of six angles of the same size.
 
 The error of a rate in reference axes rotates with the reference as seen from the body: it turns the
 attitude by the integral of R' e in body axes. With R' for R, P is then the covariance about body
 axes, and R P R' that about reference axes.
+
+References
+----------
+P. D. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed.,
+Artech House, 2013, section 4.4, on scale factor and cross-coupling errors.
 """
 
 from __future__ import annotations
@@ -25,9 +34,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from quatprop.kinematics.bias_growth import BiasGrowth, RestErrors
 from quatprop.kinematics.elements import (
-    DIAGONAL,
     TRANSPOSED,
+    UPPER,
     mean_on_the_way,
     rotate_covariance,
     rotated,
@@ -37,6 +47,7 @@ from quatprop.kinematics.elements import (
     write_covariance,
 )
 from quatprop.kinematics.increments import is_inertial
+from quatprop.kinematics.prefix_sums import TILE, PrefixSums, with_previous
 from quatprop.kinematics.quaternion import rotation_matrix
 from quatprop.times import NS_PER_S
 
@@ -44,9 +55,6 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
     from quatprop.series import GyroSeries
 
-
-TILE: Final = 8192
-"""Samples computed together, from fixed sample indices: few enough for the caches."""
 
 LARGE_ANGLE: Final = 0.1
 """rad: over an interval in which the body rotates further, R is integrated by its rotation, not as
@@ -61,12 +69,18 @@ class SensorErrors(NamedTuple):
     `bias_sigma`: constant bias, rad/s
     `random_walk`: rate random walk K of the bias, rad/s^2/sqrt(Hz), which is rad/s/sqrt(s)
     `scale_sigma`: scale factors, a ratio
+    `misalignment_sigma`: the angles by which each sensitive axis leans to the two others, rad
     """
 
     noise_density: float = 0.0
     bias_sigma: float = 0.0
     random_walk: float = 0.0
     scale_sigma: float = 0.0
+    misalignment_sigma: float = 0.0
+
+
+BY_RATE: Final = (("scale_sigma", (0,)), ("misalignment_sigma", (1, 2)))
+"""Errors in proportion to rates, and how many axes further the rates are than what they add to."""
 
 
 class ErrorGrowth:
@@ -76,8 +90,12 @@ class ErrorGrowth:
     `method`: the integration rule: which samples a scale factor acts on in an interval
     `mount`: sensor axes to body axes, shape ``(3, 3)``, for scale factors; None where they are the
         same
+    `q0`: covariance of the first attitude, about reference axes for body rates and about body axes
+        for inertial ones, shape ``(3, 3)``, rad^2; None where that is exact
+    `rests`: where the bias is known from; None: as it is at the first sample
     `final`: the covariance at the last sample so far, shape ``(3, 3)``, rad^2
-    `variances`: what each error, by its name in :class:`SensorErrors`, adds to its trace, rad^2
+    `variances`: what each error, by its name in :class:`SensorErrors`, and ``"q0_sigma"``, adds to
+        its trace, rad^2
 
     Notes
     -----
@@ -85,15 +103,19 @@ class ErrorGrowth:
     covariances of the first samples are those of the whole log, to the bit.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  # all that the errors are and act on
         self,
         errors: SensorErrors,
         rates: str = "body",
         method: str = "start",
         mount: Float64 | None = None,
+        *,
+        q0: Float64 | None = None,
+        rests: RestErrors | None = None,
     ) -> None:
         self._errors, self._inertial = errors, is_inertial(rates)
-        self._method, self._mount = method, mount
+        self._method, self._mount, self._rests = method, mount, rests
+        self._q0 = None if q0 is None else np.array([[q0[element]] for element in UPPER])
         self.begin(restart=True)
 
     def begin(self, *, restart: bool) -> None:
@@ -105,9 +127,8 @@ class ErrorGrowth:
         self._last_ns: np.int64 | None = None
         self._integrated_ns = np.int64(0)
         self._previous: tuple[GyroSeries, Float64] | None = None
-        self._sums = {
-            name: np.zeros(rows) for name, rows in (("S", 9), ("G", 9), ("A", 9), ("B", 6))
-        }
+        self._sums = PrefixSums()
+        self._bias = BiasGrowth(self._errors.bias_sigma, self._errors.random_walk, self._rests)
         self.variances: dict[str, float] = {}
         self.final: Float64 = np.zeros((3, 3))
 
@@ -122,20 +143,22 @@ class ErrorGrowth:
         covariance = np.zeros((3, 3, 1 if to_end else len(gyro)))
         if self._last_ns is None:
             self._first_ns = self._last_ns = gyro.t_ns[0]
-        spans_ns = self._spans_ns(gyro, self._last_ns)
+        before_ns = np.concatenate([[self._last_ns], gyro.t_ns[:-1]])
+        spans_ns = self._spans_ns(gyro, before_ns)
         self._last_ns = gyro.t_ns[-1]
         # The covariance of noise is the same in all axes.
-        integrated_ns = self._integrated_ns + np.cumsum(spans_ns)
+        integrated_ns = self._integrated_ns + np.cumsum(self._noisy_ns(spans_ns, gyro, before_ns))
         self._integrated_ns = integrated_ns[-1]
         noise = self._errors.noise_density**2 / NS_PER_S * integrated_ns[self._rows]
+        np.maximum(noise, 0.0, out=noise)  # after a rest it may be rounded to below 0
         self.variances = {"noise_density": 3 * float(noise[-1])}
-        if self._errors._replace(noise_density=0.0) != SensorErrors():
+        if self._q0 is not None or self._errors._replace(noise_density=0.0) != SensorErrors():
             for start in range(0, len(gyro), TILE):
                 tile = slice(start, start + TILE)
                 turn = rotation_elements(wxyz[tile])
                 if self._inertial:
                     turn = turn[TRANSPOSED, :]
-                fixed = self._fixed(gyro[tile], turn, spans_ns[tile] / NS_PER_S)
+                fixed = self._fixed(gyro[tile], turn, spans_ns[tile] / NS_PER_S, before_ns[tile])
                 out = covariance if to_end else covariance[..., tile]
                 if self._inertial:
                     write_covariance(fixed, out=out)
@@ -146,16 +169,26 @@ class ErrorGrowth:
         self.final = covariance[..., -1].copy()
         return np.moveaxis(covariance, -1, 0)
 
-    def _spans_ns(self, gyro: GyroSeries, last_ns: np.int64) -> Int64:
+    def _noisy_ns(self, spans_ns: Int64, gyro: GyroSeries, before_ns: Int64) -> Int64:
+        """Return for how long noise acts in each interval: in rests, less that of their mean."""
+        if self._rests is None or not (inside := self._rests.inside(before_ns, gyro.t_ns)).any():
+            return spans_ns
+        noisy_ns = spans_ns.copy()
+        noisy_ns[inside] = self._rests.noise_ns(
+            before_ns[inside], gyro.t_ns[inside], self._first_ns
+        )
+        return noisy_ns
+
+    def _spans_ns(self, gyro: GyroSeries, before_ns: Int64) -> Int64:
         """Return over how much time the interval that ends at each sample is integrated, ns."""
-        spans_ns = np.diff(gyro.t_ns, prepend=last_ns)
+        spans_ns = gyro.t_ns - before_ns
         if gyro.integration_time_ns is not None:
             spans_ns = np.where(spans_ns > 0, gyro.integration_time_ns, 0)
         if self._is_after_gap:
             spans_ns[0], self._is_after_gap = 0, False
         return spans_ns
 
-    def _fixed(self, gyro: GyroSeries, turn: Float64, span: Float64) -> Float64:
+    def _fixed(self, gyro: GyroSeries, turn: Float64, span: Float64, before_ns: Int64) -> Float64:
         """Return the covariance ``(6, n)`` where it is a sum of integrals, but for noise.
 
         That is about reference axes for body rates, and about body axes for inertial ones.
@@ -166,7 +199,7 @@ class ErrorGrowth:
         last, last_turn = self._previous
         self._previous = gyro[-1:], turn[:, -1:].copy()
         # The integral of R over the interval that ends at each sample.
-        step = _with_previous(turn, last_turn)
+        step = with_previous(turn, last_turn)
         step *= span / 2
         # A bound of all angles: whether one of them is large does not depend on the others.
         extremes = [edge(one.rate) for one in (gyro, last) for edge in (np.max, np.min)]
@@ -176,19 +209,35 @@ class ErrorGrowth:
             begin = np.where(large > 0, turn[:, large - 1], last_turn)
             step[:, large] = mean_on_the_way(begin, rotvec[:, large]) * span[large]
         fixed = np.zeros((6, 1 if rows.start else len(gyro)))
-        if (scale := self._errors.scale_sigma) != 0:
-            rate = scale * self._rate(gyro, last)
-            rows_of_step = step.reshape(3, 3, -1)
-            if (mount := self._mount) is not None:
-                rate = rotated(rate, mount)
-                rows_of_step = np.stack([rotated(row, mount) for row in rows_of_step])
-            g = self._sum("G", (rows_of_step * rate).reshape(9, -1))[:, rows]
-            square = symmetric_product(g, g)
-            self.variances["scale_sigma"] = trace(square)
-            fixed += square
+        if self._q0 is not None:
+            fixed += self._q0
+            self.variances["q0_sigma"] = trace(self._q0)
+        if self._errors.scale_sigma or self._errors.misalignment_sigma:
+            fixed += self._by_rate(step, self._rate(gyro, last))
         if self._errors.bias_sigma or self._errors.random_walk:
-            fixed += self._of_bias(step, span, gyro.t_ns, last.t_ns)
+            fixed += self._bias.add(step, span, gyro.t_ns, before_ns, rows)
+            names = ("bias_sigma", "random_walk")
+            self.variances |= dict(zip(names, self._bias.variances, strict=True))
         return fixed
+
+    def _by_rate(self, step: Float64, rate: Float64) -> Float64:
+        """Return what errors in proportion to the rates contribute."""
+        rows_of_step = step.reshape(3, 3, -1)
+        if (mount := self._mount) is not None:
+            rate = rotated(rate, mount)
+            rows_of_step = np.stack([rotated(row, mount) for row in rows_of_step])
+        total = np.zeros((6, 1))
+        for name, further in BY_RATE:
+            if not (sigma := getattr(self._errors, name)):
+                continue
+            square = np.zeros((6, 1))
+            for axes in further:
+                steps = rows_of_step * (sigma * np.roll(rate, -axes, axis=0))
+                g = self._sums.after(f"G{axes}", steps.reshape(9, -1))[:, self._rows]
+                square = square + symmetric_product(g, g)
+            self.variances[name] = trace(square)
+            total = total + square
+        return total
 
     def _rate(self, gyro: GyroSeries, last: GyroSeries) -> Float64:
         """Return the rate in the interval that ends at each sample, by the method, ``(3, n)``."""
@@ -198,62 +247,9 @@ class ErrorGrowth:
             return rate
         if self._method == "start":
             return np.concatenate([before, rate[:, :-1]], axis=1)
-        mean = _with_previous(rate, before)
+        mean = with_previous(rate, before)
         mean /= 2
         return mean
-
-    def _of_bias(self, step: Float64, span: Float64, t_ns: Int64, last_ns: Int64) -> Float64:
-        """Return what the bias and its random walk contribute."""
-        rows, bias, walk = self._rows, self._errors.bias_sigma**2, self._errors.random_walk**2
-        before = self._sums["S"]
-        s = self._sum("S", step)
-        self.variances["bias_sigma"] = bias * float((s[:, -1] ** 2).sum())
-        if not walk:
-            s = s[:, rows]
-            return bias * symmetric_product(s, s)
-        h = np.diff(t_ns, prepend=last_ns) / NS_PER_S
-        time_s = (t_ns[rows] - self._first_ns) / NS_PER_S
-        twice = _with_previous(s, before[:, None])
-        # S is linear within an interval: the integral of its square is that of the middle, and
-        # that of the deviation from it, R being orthogonal.
-        square = symmetric_product(twice, twice)
-        square *= walk / 4 * h
-        square[DIAGONAL] += walk / 12 * h * span * span
-        twice *= h / 2
-        a = self._sum("A", twice)[:, rows]
-        b = self._sum("B", square)[:, rows]
-        s = s[:, rows]
-        # b^2 S S' + K^2 (t S S' - S A' - A S') = S C' + C S'
-        c = s * ((bias + walk * time_s) / 2)
-        c -= walk * a
-        total = symmetric_product(s, c)
-        total *= 2
-        total += b
-        self.variances["random_walk"] = trace(total) - self.variances["bias_sigma"]
-        return total
-
-    def _sum(self, name: str, steps: Float64) -> Float64:
-        """Return a sum after each of its next terms ``(rows, n)``, n being at most a tile."""
-        count = steps.shape[1]
-        sums = steps
-        if count < TILE:
-            # The same tree for a tile that the series does not fill.
-            sums = np.zeros((len(steps), TILE))
-            sums[:, :count] = steps
-        sums[:, 0] += self._sums[name]
-        # Even and odd terms are summed as complex numbers, faster than one by one.
-        pairs = np.cumsum(sums.view(np.complex128), axis=1).view(np.float64)
-        np.add(pairs[:, 1:], pairs[:, :-1], out=sums[:, 1:])
-        self._sums[name] = sums[:, count - 1].copy()
-        return sums[:, :count]
-
-
-def _with_previous(values: Float64, last: Float64) -> Float64:
-    """Return samples ``(rows, n)`` with the one before added to each: `last` to the first."""
-    sums = np.empty(values.shape)
-    np.add(values[:, 1:], values[:, :-1], out=sums[:, 1:])
-    np.add(values[:, :1], last, out=sums[:, :1])
-    return sums
 
 
 def reference_covariance(wxyz: Float64, covariance: Float64) -> Float64:

@@ -19,7 +19,7 @@ from quatprop.settings.reading import READ_ATTITUDES
 from quatprop.settings.selection import AttitudeSelection
 from quatprop.settings.values import parse_all
 from quatprop.stores.objects import without_secret
-from quatprop.text import Setting
+from quatprop.text import Remark, Setting
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -197,7 +197,8 @@ class AttitudeFile:
         signal = replace(signal, remarks=(*signal.remarks, *found))
         # A series may begin at 0.
         if signal.clock == "header" and self._zeros > 1:
-            remark = f"{self._zeros} of {counts.used} header stamps are zero"
+            text = f"{self._zeros} of {counts.used} header stamps are zero"
+            remark = Remark("zero-stamps", text)
             signal = replace(signal, remarks=(*signal.remarks, remark))
         return ReadAttitudes(
             input=replace(self._wanted, path=without_secret(self._wanted.path)),

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from quatprop.conditioning import GyroCorrection
     from quatprop.logs.signals.signal import AttitudeSignal, Rows
+    from quatprop.text import Remark
 
 
 class AttitudePart:
@@ -58,7 +59,7 @@ class AttitudePart:
         """How long the series is in words, where times count from its ends; once it was read."""
         return length_text(self._part, self._ends)
 
-    def remarks(self) -> Iterator[str]:
+    def remarks(self) -> Iterator[Remark]:
         """Yield remarks on the time range, once the rows were read."""
         yield from pause_remarks(self._part, self._ends)
         yield from idle_remarks(self._part, *self.outside)

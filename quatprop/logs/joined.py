@@ -48,6 +48,11 @@ class JoinedLog(Log):
         """Those of all."""
         return sum(log.unchecked_chunks for log in self._logs)
 
+    def confirm(self) -> None:
+        """Confirm all."""
+        for log in self._logs:
+            log.confirm()
+
     def tables(self, topic: str | None = None) -> Sequence[Table]:
         """Return those of all logs."""
         return [table for log in self._logs for table in log.tables(topic)]

@@ -10,8 +10,9 @@ import numpy as np
 from quatprop.conditioning import condition
 from quatprop.conditioning.time_range import clipping_remarks
 from quatprop.errors import NoSamplesError, SeriesError, TimelineError
-from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.kinematics.quaternion import geodesic_angle, rotation_matrix
 from quatprop.kinematics.resample import Listed, Steady, Times, every
+from quatprop.kinematics.uncertainty import ErrorGrowth
 from quatprop.logs.beside_rates import conditioning_inputs
 from quatprop.pipeline.gyro_errors import UncertaintyReport, known_errors, uncertainty_report
 from quatprop.pipeline.initial_attitude import LogContext, first_attitude
@@ -25,7 +26,7 @@ from quatprop.settings.quantities import RATES
 from quatprop.settings.rotations import InMemory
 from quatprop.stores.objects import without_secret
 from quatprop.tables.base import TableLog
-from quatprop.text import Setting
+from quatprop.text import Remark, Setting
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
 
@@ -74,15 +75,14 @@ class AttitudeStream:
         self._observer, self._sensitivity, self._rate = observer, sensitivity, rate
         self._rows = 0
         # First, since the beginning of the log may be kept until it is read for good.
-        self._log_remarks = (
-            [] if log is None or str(log.path) == "-" else log_remarks(log, source, settings.rates)
-        )
+        read_once = log is not None and str(log.path) == "-"
+        self._log_remarks = [] if read_once else log_remarks(log, source, settings.rates)
         chosen_by = "time_col" if isinstance(log, TableLog) else "clock"
         self._method, self._method_from = source.method_used(settings.method)
         self._timeline = Timeline(
             settings.policy, path, chosen_by, method=self._method, rates=settings.rates
         )
-        self._checks = RateChecks()
+        self._checks = RateChecks(source.unit, is_given=source.unit_is_given)
         self._batches, self._conditioned = condition(
             source.batches,
             self._timeline,
@@ -92,7 +92,7 @@ class AttitudeStream:
             # Sorted, samples may belong to the range wherever they are in the log.
             part_reader=None if settings.policy.on_backwards == "sort" else source.part_reader,
         )
-        self._errors = known_errors(settings.errors, self._conditioned.rest)
+        self._errors = known_errors(settings.errors, self._conditioned)
         self._times = _times(settings, log)
 
     @property
@@ -152,17 +152,35 @@ class AttitudeStream:
             in_order=settings.policy.on_backwards != "sort",
             first_ns=self._timeline.first_stamp_ns,
         )
-        self._q0 = first_attitude(settings.q0, context, first)
-        needs_growth = self._sensitivity or settings.errors.sigma
+        begin = first_attitude(settings.q0, context, first)
+        self._q0 = begin.wxyz
+        self._q0_covariance = begin.covariance(settings.errors.q0_sigma)
         return Segments(
             self._timeline,
             self._q0,
             method=self._method,
             rates=settings.rates,
             times=self._times,
-            errors=self._errors[0] if self._errors and needs_growth else None,
+            growth=self._growth(),
+        )
+
+    def _growth(self) -> ErrorGrowth | None:
+        """Return the growth of the errors, where they are known and wanted."""
+        settings, q0 = self._settings, self._q0_covariance
+        if self._errors is None or not (self._sensitivity or settings.errors.sigma):
+            return None
+        errors, _, rests = self._errors
+        if settings.rates == "inertial":
             # Rates in the reference frame are not turned by the mounting.
-            mount=self._conditioned.mount if settings.rates == "body" else None,
+            return ErrorGrowth(errors, settings.rates, self._method, q0=q0, rests=rests)
+        turn = rotation_matrix(self._q0)
+        return ErrorGrowth(
+            errors,
+            settings.rates,
+            self._method,
+            self._conditioned.mount,
+            q0=None if q0 is None else turn @ q0 @ turn.T,
+            rests=rests,
         )
 
     def report(self, *, layout: str | None = None, digest: Digest | None = None) -> RunReport:
@@ -224,15 +242,19 @@ class AttitudeStream:
             ),
         )
 
-    def _remarks(self) -> Iterator[str]:
+    def _remarks(self) -> Iterator[Remark]:
         settings, counts = self._settings, self._timeline.counts
-        yield from self._source.remarks
+        is_mounted = settings.conditioning.mount is not None
+        for remark in self._source.remarks:
+            if not (is_mounted and remark.code == "stated-mount"):
+                yield remark
         yield from self._source.method_remarks(settings.method)
         yield from remarks(counts, settings.policy)
         yield from clipping_remarks(settings.conditioning, self._conditioned)
         yield from self._conditioned.all_remarks
         yield from self._checks.remarks(counts)
-        yield from filter(None, [self._times_left_out()])
+        if left_out := self._times_left_out():
+            yield Remark("times-left-out", left_out)
         yield from self._log_remarks
         yield from () if self._log is None else self._log.remarks
 
@@ -256,7 +278,7 @@ class AttitudeStream:
         growth = self._segments.growth
         if self._errors is None or growth is None:
             return None
-        return uncertainty_report(self._errors, growth, self._settings.errors.columns_axes)
+        return uncertainty_report(self._errors, self._q0_covariance, growth, self._settings.errors)
 
 
 def _times(settings: PropagationSettings, log: Log | None) -> Times | None:

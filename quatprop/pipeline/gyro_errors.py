@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+import numpy as np
+
+from quatprop.conditioning.static_period import WIDENS
 from quatprop.errors import UsageError
+from quatprop.kinematics.bias_growth import RestErrors
 from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
 from quatprop.settings.parsers import number
 from quatprop.settings.yaml_file import read_yaml, unusable
@@ -14,11 +19,11 @@ from quatprop.text import Setting, listed
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
+    from quatprop.conditioning import GyroCorrectionReport
     from quatprop.conditioning.static_period import StaticPeriod
 
 IMU_KEYS: Final = {
@@ -29,10 +34,15 @@ IMU_KEYS: Final = {
 rad/s^2/sqrt(Hz), and what they are here."""
 
 
+BY_ACCELEROMETER: Final = "accelerometer noise, without its bias and without that of the heading"
+"""Where the standard deviation of a levelled attitude comes from."""
+
+
 @dataclass(frozen=True, slots=True)
 class ErrorSettings:
     """What is known of a gyroscope's errors, and whether their growth is wanted.
 
+    `q0_sigma`: of the first attitude, rad: one number for all axes, or those of roll, pitch, yaw
     `imu`: a file in YAML with the keys of :data:`IMU_KEYS`; what is given goes before it
     `sigma`: whether every attitude is to have its standard deviations
     `sigma_axes`: ``"body"`` or ``"reference"``: the axes of the columns of standard deviations
@@ -42,6 +52,8 @@ class ErrorSettings:
     bias_sigma: float | None = None
     random_walk: float | None = None
     scale_sigma: float | None = None
+    misalignment_sigma: float | None = None
+    q0_sigma: tuple[float, ...] | None = None
     imu: str | None = None
     sigma: bool = False
     sigma_axes: str | None = None
@@ -52,13 +64,13 @@ class ErrorSettings:
 
     def refuse_unknown_errors(self) -> None:
         """Refuse to give standard deviations where nothing is known of the gyroscope's errors."""
-        known = (self.imu, *(getattr(self, name) for name in SensorErrors._fields))
+        known = (self.imu, self.q0_sigma, *(getattr(self, name) for name in SensorErrors._fields))
         if self.sigma and all(value is None for value in known):
             raise UsageError(
                 f"{Setting('sigma')} needs the errors of the gyroscope; give "
-                f"{Setting('noise_density')}, {Setting('bias_sigma')}, {Setting('random_walk')} or "
-                f"{Setting('scale_sigma')}, a file with {Setting('imu')}, or "
-                f"{Setting('bias', 'static')}"
+                f"{Setting('noise_density')}, {Setting('bias_sigma')}, {Setting('random_walk')}, "
+                f"{Setting('scale_sigma')} or {Setting('misalignment_sigma')}, a file with "
+                f"{Setting('imu')}, or {Setting('bias', 'static')}"
             )
 
     @property
@@ -71,7 +83,10 @@ class UncertaintyReport(NamedTuple):
     """How far the final attitude can be trusted, as far as the gyroscope's errors are known.
 
     `errors`: standard deviations of the gyroscope's errors
-    `origins`: where each of them comes from: ``"given"``, a file, or ``"rest"``
+    `origins`: where each of them comes from: ``"given"``, a file, ``"rest"``, or for the first
+        attitude :data:`BY_ACCELEROMETER`
+    `q0_sigma_rad`: standard deviations of the first attitude about body axes, shape ``(3,)``, rad;
+        None where it is taken as exact
     `columns_axes`: the axes of the columns of standard deviations; None where there are none
     `sigma_rad`: standard deviations of the final attitude about body axes, shape ``(3,)``, rad
     `largest`: the error that contributes most
@@ -80,19 +95,38 @@ class UncertaintyReport(NamedTuple):
 
     errors: SensorErrors
     origins: Mapping[str, str]
+    q0_sigma_rad: NDArray[np.float64] | None
     columns_axes: str | None
     sigma_rad: NDArray[np.float64]
     largest: str
     largest_share: float
 
 
-def known_errors(
-    settings: ErrorSettings, rest: StaticPeriod | None
-) -> tuple[SensorErrors, dict[str, str]] | None:
-    """Return the errors of a gyroscope and where each comes from; None where none is known.
+class KnownErrors(NamedTuple):
+    """What is known of a gyroscope's errors.
 
-    `rest`: the rest from which the bias was taken, or None. The scatter of n rates over the time T
-        is the noise density N, and N / sqrt(T) what is left of the bias, with what the step of
+    `origins`: where each of them comes from, as in :class:`UncertaintyReport`
+    `rests`: where the bias is known from; None where it was not taken from a rest
+    """
+
+    errors: SensorErrors
+    origins: Mapping[str, str]
+    rests: RestErrors | None = None
+
+    @classmethod
+    def of(
+        cls, found: Mapping[str, tuple[float, str]], rests: RestErrors | None = None
+    ) -> KnownErrors:
+        """Return what was found, as values with their origins."""
+        errors = SensorErrors(**{name: value for name, (value, _) in found.items()})
+        return cls(errors, {name: origin for name, (_, origin) in found.items()}, rests)
+
+
+def known_errors(settings: ErrorSettings, report: GyroCorrectionReport) -> KnownErrors | None:
+    """Return what is known of a gyroscope's errors; None where that is nothing.
+
+    `report`: has the rests from which the bias was taken. The scatter of n rates over the time T is
+        the noise density N, and N / sqrt(T) what is left of the bias, with what the step of
         quantised rates hides; where rests differ, it is what they differ by
     """
     given = {name: getattr(settings, name) for name in SensorErrors._fields}
@@ -100,32 +134,67 @@ def known_errors(
     if settings.imu is not None:
         for name, value in read_imu(settings.imu).items():
             found.setdefault(name, (value, settings.imu))
-    span_s = 0.0 if rest is None else (rest.last_ns - rest.first_ns) / NS_PER_S
-    if rest is not None and span_s > 0:
-        interval_s = span_s / (rest.samples - 1)
-        coarsest = max((each.step for each in rest.levels), default=0.0)
-        scatter = max(rest.scatter_rad_s / math.sqrt(3), coarsest / math.sqrt(12))
-        density, _ = found.setdefault("noise_density", (scatter * math.sqrt(interval_s), "rest"))
-        bias = math.hypot(density / math.sqrt(span_s), rest.quantisation_rad_s)
-        spread = rest.other.difference_rad_s if rest.other else 0.0
-        found.setdefault("bias_sigma", (max(bias, spread), "rest"))
-    if not found:
-        return None
-    errors = SensorErrors(**{name: value for name, (value, _) in found.items()})
-    return errors, {name: origin for name, (_, origin) in found.items()}
+    rests = [rest for rest in report.all_rests if rest.span_s > 0]
+    if not rests:
+        return KnownErrors.of(found) if found or settings.q0_sigma is not None else None
+    density, _ = found.setdefault("noise_density", (noise_density_of(rests), "rest"))
+    sigmas = np.array([rest.bias_sigma(density) for rest in rests])
+    neighbours = zip(pairwise(rests), pairwise(sigmas), strict=True)
+    walks = np.array([_walk(*two, *their_sigmas) for two, their_sigmas in neighbours])
+    if len(rests) == 1:
+        sigmas = np.maximum(sigmas, rests[0].spread_rad_s)
+    bias_sigma, origin = found.setdefault("bias_sigma", (float(sigmas.max()), "rest"))
+    known = RestErrors(
+        np.array([rest.first_ns for rest in rests]),
+        np.array([rest.last_ns for rest in rests]),
+        sigmas if origin == "rest" else np.full(len(rests), bias_sigma),
+        walks,
+        report.interpolated,
+        float(np.median([rest.span_s / (rest.samples - 1) for rest in rests])) * NS_PER_S,
+    )
+    return KnownErrors.of(found, known)
+
+
+def noise_density_of(rests: Sequence[StaticPeriod]) -> float:
+    """Return the noise density that rests show, rad/s/sqrt(Hz)."""
+    squares = sum(rest.samples * rest.noise_density**2 for rest in rests)
+    return math.sqrt(squares / sum(rest.samples for rest in rests))
+
+
+def _walk(rest: StaticPeriod, after: StaticPeriod, sigma: float, sigma_after: float) -> float:
+    """Return the random walk that explains what the means of neighbours differ by, rad/s/sqrt(s).
+
+    `sigma`, `sigma_after`: their standard deviations by noise, rad/s
+    """
+    apart = float(np.abs(after.mean_rad_s - rest.mean_rad_s).max())
+    between_s = (after.first_ns - rest.last_ns) / NS_PER_S
+    return apart / math.sqrt(between_s) if apart > WIDENS * math.hypot(sigma, sigma_after) else 0.0
 
 
 def uncertainty_report(
-    known: tuple[SensorErrors, Mapping[str, str]],
+    known: KnownErrors,
+    q0: NDArray[np.float64] | None,
     growth: ErrorGrowth,
-    columns_axes: str | None,
+    settings: ErrorSettings,
 ) -> UncertaintyReport:
-    """Return what known errors have led to at the last sample."""
+    """Return what known errors have led to at the last sample.
+
+    `q0`: covariance of the first attitude about body axes, shape ``(3, 3)``, rad^2, where it is
+        known
+    """
+    errors, origins = known.errors, dict(known.origins)
+    walk = 0.0 if known.rests is None else float(known.rests.walk.max(initial=0.0))
+    if walk > errors.random_walk:
+        errors, origins["random_walk"] = errors._replace(random_walk=walk), "rests that differ"
+    if q0 is not None:
+        origins["q0_sigma"] = BY_ACCELEROMETER if settings.q0_sigma is None else "given"
     largest = max(growth.variances, key=lambda name: growth.variances[name])
     total = sum(growth.variances.values())
     return UncertaintyReport(
-        *known,
-        columns_axes,
+        errors,
+        origins,
+        None if q0 is None else q0.diagonal() ** 0.5,
+        settings.columns_axes,
         growth.final.diagonal() ** 0.5,
         largest,
         growth.variances[largest] / total if total else 0.0,

@@ -10,7 +10,14 @@ import numpy as np
 
 from quatprop.errors import LogError, UsageError
 from quatprop.kinematics.propagate import unit_q0
-from quatprop.kinematics.quaternion import UNIT_TOLERANCE, conjugate, exp, from_matrix, multiply
+from quatprop.kinematics.quaternion import (
+    UNIT_TOLERANCE,
+    conjugate,
+    exp,
+    from_matrix,
+    multiply,
+    rotation_matrix,
+)
 from quatprop.series import AttitudeSeries
 from quatprop.settings.rotations import InMemory
 from quatprop.text import Setting, quoted
@@ -85,19 +92,65 @@ class LogContext(NamedTuple):
     first_ns: int | None = None
 
 
-def first_attitude(wanted: InitialAttitude, context: LogContext, first: GyroSeries) -> Float64:
+class FirstAttitude(NamedTuple):
+    """The attitude to begin from.
+
+    `wxyz`: unit quaternion body -> reference, shape ``(4,)``
+    `noise`: variances of roll, pitch and yaw by the noise of what it was measured with, rad^2; None
+        where that is not known
+    """
+
+    wxyz: Float64
+    noise: tuple[float, float, float] | None = None
+
+    def covariance(self, sigma: tuple[float, ...] | None) -> Float64 | None:
+        """Return the covariance of small rotations about body axes, ``(3, 3)``, rad^2, if known.
+
+        `sigma`: standard deviation about every axis, or those of roll, pitch and yaw, rad, where
+            they are given
+        """
+        if sigma is not None and len(sigma) == 1:
+            return sigma[0] ** 2 * np.eye(3)
+        variances = self.noise if sigma is None else [each**2 for each in sigma]
+        if variances is None:
+            return None
+        turn = rotation_matrix(self.wxyz)
+        roll = math.atan2(turn[2, 1], turn[2, 2])
+        # The axes of roll, pitch and yaw as seen from the body.
+        axes = np.array([[1, 0, 0], [0, math.cos(roll), -math.sin(roll)], turn[2]])
+        return np.asarray(axes.T * variances @ axes)
+
+
+def first_attitude(
+    wanted: InitialAttitude, context: LogContext, first: GyroSeries
+) -> FirstAttitude:
     """Return the attitude at the first sample that is propagated.
 
     `first`: the first samples that are propagated, in body axes: those that the timestamp handling
         leaves, so that the attitude is that of the first one
-    `Returns`: unit quaternion body -> reference, shape ``(4,)``
+    """
+    first_ns = int(first.t_ns[0])
+    # What is beside the rates has their stamps.
+    logged_ns = first_ns if context.first_ns is None else context.first_ns
+    if wanted.source == "level" and context.log is not None:
+        _refuse_motion(first, context.log)
+        force, variance = _force(context.log, context, logged_ns)
+        force = force if context.mount is None else context.mount @ force
+        wxyz = level(force, wanted.heading, down=wanted.down)
+        return FirstAttitude(wxyz, _level_noise(force, variance))
+    return FirstAttitude(_given(wanted, context, first_ns, logged_ns))
+
+
+def _given(wanted: InitialAttitude, context: LogContext, first_ns: int, logged_ns: int) -> Float64:
+    """Return an attitude that is given, or that the log or another series has at a stamp.
+
+    `logged_ns`: that stamp in the log
     """
     if not wanted.source:
         return unit_q0(wanted.wxyz)
     from quatprop.logs.interpolation import attitude_at, attitude_in, first_orientation
 
     log, mount = context.log, context.mount
-    first_ns = int(first.t_ns[0])
     if isinstance(wanted.source, InMemory):
         series = wanted.source.value
         if not isinstance(series, AttitudeSeries):
@@ -105,17 +158,11 @@ def first_attitude(wanted: InitialAttitude, context: LogContext, first: GyroSeri
         return unit_q0(attitude_in([series], first_ns, "q0"))
     if wanted.source not in {"level", "log"}:
         return unit_q0(attitude_at(wanted.source, first_ns, log, context.selection))
-    # What is beside the rates has their stamps.
-    first_ns = first_ns if context.first_ns is None else context.first_ns
     if log is None:
         raise UsageError(f"{Setting('q0', wanted.source)} needs a log, not rates in memory")
-    if wanted.source == "log":
-        wxyz = unit_q0(first_orientation(log, context.source, context.selection, first_ns))
-        # The orientation is that of the sensor: v_ref = q_log v_sensor, v_body = m v_sensor.
-        return wxyz if mount is None else multiply(wxyz, conjugate(from_matrix(mount)))
-    _refuse_motion(first, log)
-    force = _force(log, context, first_ns)
-    return level(force if mount is None else mount @ force, wanted.heading, down=wanted.down)
+    wxyz = unit_q0(first_orientation(log, context.source, context.selection, logged_ns))
+    # The orientation is that of the sensor: v_ref = q_log v_sensor, v_body = m v_sensor.
+    return wxyz if mount is None else multiply(wxyz, conjugate(from_matrix(mount)))
 
 
 def level(force: Float64, heading: float = 0.0, *, down: bool = False) -> Float64:
@@ -132,6 +179,18 @@ def level(force: Float64, heading: float = 0.0, *, down: bool = False) -> Float6
     return multiply(turns[0], multiply(turns[1], turns[2]))
 
 
+def _level_noise(force: Float64, variance: float) -> tuple[float, float, float]:
+    """Return the variances of roll, pitch and yaw of :func:`level`, rad^2.
+
+    `force`: mean specific force in body axes, shape ``(3,)``, any unit
+    `variance`: of each of its components, by noise
+    """
+    _, y, z = force
+    # Where the x axis is upright, any roll is as good.
+    roll = variance / max(y * y + z * z, variance * 3 / math.pi**2) if variance else 0.0
+    return roll, variance / float(force @ force), 0.0
+
+
 def _refuse_motion(first: GyroSeries, log: Log) -> None:
     from quatprop.conditioning.static_period import AT_REST
 
@@ -145,8 +204,11 @@ def _refuse_motion(first: GyroSeries, log: Log) -> None:
         )
 
 
-def _force(log: Log, context: LogContext, first_ns: int) -> Float64:
-    """Return the mean specific force over the first second from a stamp on, shape ``(3,)``."""
+def _force(log: Log, context: LogContext, first_ns: int) -> tuple[Float64, float]:
+    """Return the mean specific force over the first second from a stamp on, shape ``(3,)``.
+
+    And the variance of its components by noise.
+    """
     from quatprop.logs.beside_rates import specific_forces
 
     rows = specific_forces(context.source, context.selection)
@@ -170,4 +232,4 @@ def _force(log: Log, context: LogContext, first_ns: int) -> Float64:
             f"{quoted(log.path)}: the accelerations of the first second do not show gravity "
             f"alone; choose {Setting('start')} at rest, or give {Setting('q0')}",
         )
-    return mean
+    return mean, scatter**2 / 3 / len(forces)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.concurrency.threads import in_background, use_threads
-from quatprop.errors import UsageError
+from quatprop.errors import ReplacedError, UsageError
 from quatprop.logs.joined import open_logs
 from quatprop.logs.open_log import is_stream
 from quatprop.logs.signals.rates import choose_rates
@@ -21,7 +21,6 @@ from quatprop.pipeline.report import ReportFile, RunReport, digests_of_inputs
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.provenance import digest_ahead
 from quatprop.series import AttitudeSeries
-from quatprop.stores.objects import digest_of_object, is_address
 from quatprop.text import Setting
 from quatprop.writers import open_writer
 from quatprop.writers.formats import format_remarks, layout_of
@@ -35,6 +34,9 @@ if TYPE_CHECKING:
     from quatprop.writers.attitudes import AttitudeWriter
 
 
+ATTEMPTS = 3
+"""How often a log is read that is replaced meanwhile."""
+
 SMALL_BYTES = 1 << 18
 """A smaller log is not worth a thread."""
 
@@ -44,12 +46,15 @@ class Job(NamedTuple):
 
     `log`: path of the log, or ``"-"`` for CSV on stdin
     `more`: further files of the same recording, read as one log with it
+    `known_as`: what the output says of where it is from, so that it has the same bytes wherever it
+        is made; None for the path, with digests
     """
 
     log: str
     output: OutputSettings
     settings: PropagationSettings = PropagationSettings()
     more: tuple[str, ...] = ()
+    known_as: str | None = None
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -63,7 +68,14 @@ class Job(NamedTuple):
 
 
 def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> RunReport:
-    """Propagate one log and write its attitude series."""
+    """Propagate one log and write its attitude series; one that is replaced meanwhile, again."""
+    for _ in range(ATTEMPTS - 1):
+        with suppress(ReplacedError):
+            return _run(job, observer, summary=summary)
+    return _run(job, observer, summary=summary)
+
+
+def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
     began = time.perf_counter()
     settings = job.settings
     _refuse_contradictions(job)
@@ -93,12 +105,14 @@ def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> 
         ):
             report = _written(stream, writer, job, log)
             # Everything that can fail comes before the first output is put in its place.
-            writer.finish(report.as_json())
+            kept = report if job.known_as is None else report.named(job.known_as)
+            writer.finish(kept.as_json())
             report = replace(report, seconds=time.perf_counter() - began)
             if output.report is not None:
                 report_file.finish(report.as_json())
             if observer is not None:
                 observer.draw(report)
+            log.confirm()
             writer.publish()
             report_file.publish()
     return report
@@ -107,7 +121,6 @@ def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> 
 def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log) -> RunReport:
     """Write the attitudes of a log and return the report on them."""
     output = job.output
-    stored = digest_of_object(job.log) if is_address(job.log) and not job.more else None
     inputs = {**job.settings.inputs, **({path: path for path in job.paths} if job.more else {})}
     with (
         digest_ahead(
@@ -118,6 +131,7 @@ def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log)
         is_sorted = job.settings.policy.on_backwards == "sort"
         for series in _as_logged(attitudes) if output.into and is_sorted else attitudes:
             writer.write(series)
+        stored = None if log.stored is None else log.stored.digest
         report = stream.report(layout=output.layout, digest=stored or digest())
     return replace(
         report,

@@ -10,6 +10,7 @@ from quatprop.text import in_python, listed
 
 if TYPE_CHECKING:
     from quatprop.tables.log import Loss
+    from quatprop.text import Remark
     from quatprop.timeline.counts import Counts
 
 
@@ -42,7 +43,7 @@ class SignalSurvey:
     duplicates: int | None = None
     backwards: int | None = None
     missing: str | None = None
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,7 +108,11 @@ class LogSurvey:
 
         def spelled(one: SignalT) -> SignalT:
             missing = one.missing and in_python(one.missing)
-            return replace(one, missing=missing, remarks=tuple(map(in_python, one.remarks)))
+            return replace(
+                one,
+                missing=missing,
+                remarks=tuple(remark.spelled(in_python) for remark in one.remarks),
+            )
 
         sources, attitudes = tuple(map(spelled, self.sources)), tuple(map(spelled, self.attitudes))
         return replace(self, sources=sources, attitudes=attitudes)

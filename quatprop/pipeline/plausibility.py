@@ -19,8 +19,9 @@ from quatprop.logs.sensor_frames import sensor_frames
 from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.logs.signals.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.settings.quantities import RATES
 from quatprop.settings.selection import AttitudeSelection
-from quatprop.text import Setting, listed
+from quatprop.text import Remark, Setting, listed
 from quatprop.times import utc_text
 
 if TYPE_CHECKING:
@@ -61,15 +62,23 @@ MOVING = math.radians(1.0)
 OFF_SCALE = 20.0
 """A factor beyond this between rates and orientation is a unit (180/pi = 57.3), not a drift."""
 
+FARTHEST = 57.3**2 / OFF_SCALE
+"""So far beyond 180/pi as :data:`OFF_SCALE` is below it; beyond that, it is no unit."""
+
+_DEG = math.radians(1.0)
+
 OTHER_CLOCK_NS = 3_600_000_000_000
 """Stamps further from the time of recording are of another clock, not delayed."""
 
 
-def log_remarks(log: Log, source: RateSignal, rates: str = "body") -> list[str]:
-    """Return remarks on the stamps and the orientation beside the rates.
+def log_remarks(log: Log | None, source: RateSignal, rates: str = "body") -> list[Remark]:
+    """Return remarks on the stamps, the steps, and the orientation beside the rates.
 
+    `log`: None for rates in memory, beside which there is nothing
     `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
     """
+    if log is None:
+        return step_remarks(source)
     return [
         *stamp_remarks(source),
         *step_remarks(source),
@@ -78,7 +87,7 @@ def log_remarks(log: Log, source: RateSignal, rates: str = "body") -> list[str]:
     ]
 
 
-def frame_remarks(source: RateSignal) -> list[str]:
+def frame_remarks(source: RateSignal) -> list[Remark]:
     """Return a remark if the frames of the first messages are those of several sensors."""
     try:
         frames = [*dict.fromkeys(sensor_frames(source))]
@@ -90,10 +99,10 @@ def frame_remarks(source: RateSignal) -> list[str]:
         f"its messages are in several frames, {listed(frames)}: if they are those of several "
         "sensors, the rates are mixed; record each on a topic of its own"
     )
-    return [said]
+    return [Remark("several-frames", said)]
 
 
-def stamp_remarks(source: RateSignal) -> list[str]:
+def stamp_remarks(source: RateSignal) -> list[Remark]:
     """Return remarks on header stamps, compared with the times of recording."""
     if source.clock != "header":
         return []
@@ -104,61 +113,72 @@ def stamp_remarks(source: RateSignal) -> list[str]:
     zeros = int(np.count_nonzero(stamped == 0))
     way_out = f"for the time of recording choose {Setting('clock', 'log')}"
     if zeros:
-        return [f"{zeros} of the first {len(stamped)} header stamps are zero; {way_out}"]
+        text = f"{zeros} of the first {len(stamped)} header stamps are zero; {way_out}"
+        return [Remark("zero-stamps", text)]
     if not logged.any() or abs(int(stamped[0]) - int(logged[0])) <= OTHER_CLOCK_NS:
         return []
     begin, recorded = utc_text(int(stamped[0])), utc_text(int(logged[0]))
-    return [
-        f"header stamps begin at {begin} and the recording at {recorded}: another clock; {way_out}"
-    ]
+    how = "another clock, or recorded again later" if stamped[0] < logged[0] else "another clock"
+    text = f"header stamps begin at {begin} and the recording at {recorded}: {how}; {way_out}"
+    return [Remark("other-clock", text)]
 
 
-def step_remarks(source: RateSignal) -> list[str]:
+def step_remarks(source: RateSignal) -> list[Remark]:
     """Return a remark if the rates come in the steps of a gyroscope in another unit."""
     first = next(source.batches(at_first=True), None)
     if first is None:
         return []
     steps = [step_of(axis) for axis in first.rate[:STEPPED].T]
-    for unit, factor, than in (
-        ("deg/s", 1.0, "57.3 times as large as"),
-        ("rad/s", math.radians(1.0) ** 2, "57.3 times smaller than"),
-    ):
+    for factor, than in ((1.0, "57.3 times as large as"), (_DEG**2, "57.3 times smaller than")):
         known = [factor * scale for scale in SENSITIVITIES]
         for step in steps:
             if any(abs(step - scale) < SAME_STEP * scale for scale in known):
-                said = (
-                    f"the rates come in steps of {step:.6g} rad/s, {than} those of a common "
-                    f"gyroscope: if they are in {unit}, use {Setting('rate_unit', unit)}"
-                )
-                return [said]
+                shown = f"{step / RATES[source.unit]:.6g} {source.unit}"
+                said = f"the rates come in steps of {shown}, {than} those of a common gyroscope"
+                advice = _other_unit(source.unit, are_too_large=factor == 1.0)
+                return [Remark("unit-by-steps", f"{said}: {advice}")]
     return []
 
 
-def orientation_remarks(log: Log, source: RateSignal, rates: str = "body") -> list[str]:
+def _other_unit(unit: str, *, are_too_large: bool) -> str:
+    """Return which unit rates are in that are too large or too small by 180/pi."""
+    other, scale = ("deg/s", "180/pi") if are_too_large else ("rad/s", "pi/180")
+    if other == unit:
+        return f"were they scaled by {scale} once too often?"
+    return f"if they are in {other}, use {Setting('rate_unit', other)}"
+
+
+def orientation_remarks(log: Log, source: RateSignal, rates: str = "body") -> list[Remark]:
     """Return remarks on the rates, compared with the orientation beside them, if there is one."""
     topic = next((match.table.name for match in source.matches), None) or None
     try:
         own = choose_attitudes(log, AttitudeSelection(topic=topic))
         check = QuaternionCheck(log.path, drop=True)
         rows = check.apply(_beginning(own.first(), check.counts))
-        remark = against_orientation(source.batches(at_first=True), rows, rates)
+        batches = source.batches(at_first=True)
+        remark = against_orientation(batches, rows, rates, source.unit)
     except QuatpropError:
         # Without an orientation, or with one that cannot be read, there is nothing to compare.
         return []
-    remarks: list[str] = [] if remark is None else [remark]
+    remarks: list[Remark] = [] if remark is None else [remark]
     counts = check.counts
     if counts.zero or counts.not_unit:
-        remarks.append(f"the log's own orientation is not used: {counts.summary}")
+        text = f"the log's own orientation is not used: {counts.summary}"
+        remarks.append(Remark("orientation-invalid", text))
     return remarks
 
 
 def against_orientation(
-    batches: Iterable[GyroSeries], orientations: Iterable[AttitudeSeries], rates: str = "body"
-) -> str | None:
+    batches: Iterable[GyroSeries],
+    orientations: Iterable[AttitudeSeries],
+    rates: str = "body",
+    unit: str = "rad/s",
+) -> Remark | None:
     """Return a remark if the rates rotate much less or more than the log's own orientation.
 
     `batches`: rates from the beginning of the log, rad/s
     `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved
+    `unit`: in which they are stored
     """
     gyro: list[GyroSeries] = []
     own: list[AttitudeSeries] = []
@@ -173,18 +193,18 @@ def against_orientation(
         by_rates, by_orientation = moved
         if min(moved) > MOVING and max(moved) < OFF_SCALE * min(moved):
             return None
-    if by_orientation > MOVING and by_orientation > OFF_SCALE * by_rates:
-        return (
-            f"the log's own orientation rotates {by_orientation / max(by_rates, 1e-9):.3g} times "
-            "as far as its rates: were they scaled by pi/180 once too often?"
-        )
-    # An orientation that stands still was never estimated: many drivers leave it at identity.
-    if by_orientation > MOVING / OFF_SCALE and by_rates > OFF_SCALE * by_orientation:
-        return (
-            f"the rates rotate {by_rates / max(by_orientation, 1e-09):.3g} times as far as the "
-            f"log's own orientation: if they are in deg/s, use {Setting('rate_unit', 'deg/s')}"
-        )
-    return None
+    # Of rates that are all zero that is what is said. An orientation that stands still was never
+    # estimated: many drivers leave it at identity.
+    if by_rates and by_orientation > MOVING and by_orientation > OFF_SCALE * by_rates:
+        times, what = by_orientation / by_rates, "the log's own orientation rotates {} its rates"
+    elif by_orientation > MOVING / OFF_SCALE and by_rates > OFF_SCALE * by_orientation:
+        times, what = by_rates / by_orientation, "the rates rotate {} the log's own orientation"
+    else:
+        return None
+    why = "are both of the same sensor?"
+    if times < FARTHEST:
+        why = _other_unit(unit, are_too_large=by_rates > by_orientation)
+    return Remark("rates-off-scale", f"{what.format(f'{times:.3g} times as far as')}: {why}")
 
 
 def _rotations(gyro: GyroSeries, own: AttitudeSeries, rates: str) -> tuple[float, float]:

@@ -13,7 +13,8 @@ import numpy as np
 
 from quatprop.pipeline.saturation import HAS_RUN, SMALLEST_RANGE, Saturation
 from quatprop.series.blocks import reblock
-from quatprop.text import Setting
+from quatprop.settings.quantities import RATES
+from quatprop.text import Remark, Setting
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -46,6 +47,9 @@ MIN_NEIGHBOURS = 20
 LARGEST_SUM = 1e100
 """Larger sums of squares, (rad/s)^2, come from damaged numbers, and would hide all others."""
 
+AT_REST = 0.2
+"""rad/s: the largest rate that may be the bias of a sensor at rest."""
+
 TURNING = 0.1
 """rad/s: a body that turns faster has no two equal rates in a row, unless samples are held."""
 
@@ -54,6 +58,15 @@ MAYBE_HELD = 0.05
 
 HELD = 0.2
 """Share of rows that repeat the row before, while the body turns, that is remarked on."""
+
+MOST_JUMPS = 1000
+"""So many changes after a repeated row are looked at."""
+
+FEW_JUMPS = 27
+"""Rounded rates change by a step up, down or not at all on each of three axes."""
+
+DISTINCT = 0.2
+"""Share of those changes, beyond :data:`FEW_JUMPS`, that differ where samples are held."""
 
 LONGEST_HOLD = 20
 """Rows, on average: rates that stay the same for longer are constant, not held."""
@@ -72,9 +85,13 @@ class RateChecks:
     """Checks rates as they pass.
 
     The findings do not depend on where batches end.
+
+    `unit`: of the rates in the log, in which they are shown
+    `is_given`: whether it is the user who says so
     """
 
-    def __init__(self) -> None:
+    def __init__(self, unit: str = "rad/s", *, is_given: bool = False) -> None:
+        self._unit, self._is_given = (unit, RATES[unit]), is_given
         self._highest = np.full(3, -np.inf)
         self._lowest = np.full(3, np.inf)
         self._saturation = Saturation()
@@ -83,6 +100,7 @@ class RateChecks:
         # Sums over neighbouring samples, per axis: rate, square, product; and how many.
         self._sums, self._neighbours = np.zeros((3, 3)), 0
         self._repeated = self._different = 0
+        self._jumps = np.empty((3, 0))
 
     def observe(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Yield the samples in blocks, and check them."""
@@ -132,50 +150,77 @@ class RateChecks:
         new = slice(begin, None)
         self._repeated += int(np.count_nonzero((equal & counted)[new]))
         self._different += int(np.count_nonzero((~equal & counted)[new]))
+        if self._jumps.shape[1] < MOST_JUMPS:
+            (after,) = np.nonzero((~equal & counted)[1:] & equal[:-1])
+            after = after[after + 1 >= begin]
+            jumps = columns[:, after + 2] - columns[:, after + 1]
+            self._jumps = np.concatenate([self._jumps, jumps], axis=1)[:, :MOST_JUMPS]
         return np.concatenate([[False], equal])
 
-    def remarks(self, counts: Counts) -> list[str]:
+    def remarks(self, counts: Counts) -> list[Remark]:
         """Return a sentence for each finding."""
         largest = float(np.max([self._highest, -self._lowest]))
         if not math.isfinite(largest):
             return []
         if largest == 0.0 and not self._lowest.any():
-            return ["every rate is zero: is this the right topic?"]
-        remarks: list[str] = []
+            return [Remark("zero-rates", "every rate is zero: is this the right topic?")]
+        remarks: list[Remark] = []
         interval = _interval_s(counts)
         if largest > WIDEST_RANGE:
-            remarks.append(
-                f"rates up to {largest:.4g} rad/s are beyond any gyroscope; if they are in "
-                f"deg/s, use {Setting('rate_unit', 'deg/s')}"
-            )
+            remarks.append(Remark("beyond-range", self._beyond_range(largest)))
         elif interval is not None:
             remarks += self._slow(largest * interval, interval)
         if (self._highest == self._lowest).all():
             if self._samples >= FROZEN_SAMPLES:
-                rate = self._highest.tolist()
-                remarks.append(f"every rate is the same, {rate} rad/s: frozen, or simulated?")
+                rate, still = (self._highest / self._unit[1]).tolist(), ""
+                if largest < AT_REST:
+                    still = ", or at rest with less noise than a step"
+                text = (
+                    f"every rate is the same, {rate} {self._unit[0]}: frozen, or simulated{still}?"
+                )
+                remarks.append(Remark("frozen", text))
             return remarks
         hold = self._hold()
         if hold > 1:
             remarks.append(
-                f"{100 - 100 / hold:.2g} % of the rows repeat the row before while the body turns: "
-                f"the log repeats samples, with a new rate only every {hold:.2g} rows"
+                Remark(
+                    "held-samples",
+                    f"{100 - 100 / hold:.2g} % of the rows repeat the row before while the body "
+                    f"turns: the log repeats samples, with a new rate only every {hold:.2g} rows",
+                )
             )
         moving = self._highest != self._lowest
-        return [*remarks, *self._saturation.remarks(self._samples, moving, hold, interval)]
+        saturated = self._saturation.remarks(self._samples, moving, hold, interval, self._unit)
+        return [*remarks, *saturated]
+
+    def _beyond_range(self, largest: float) -> str:
+        """Return what is said of rates that are too large: another unit is advised once."""
+        name, factor = self._unit
+        question = f", in {name} as given: is that right?"
+        if not self._is_given:
+            question = f"; if they are in deg/s, use {Setting('rate_unit', 'deg/s')}"
+            if name == "deg/s":
+                question = f": is {name} right?"
+        return f"rates up to {largest / factor:.4g} {name} are beyond any gyroscope{question}"
 
     def _hold(self) -> float:
         """Return for how many rows a sample is held, on average; 1 where none is."""
         hold = 1 + self._repeated / max(self._different, 1)
         enough = self._repeated >= MIN_HELD and 1 - 1 / hold >= HELD
+        # Of rounded rates many are equal, too: what tells them is by how much the others change.
+        sizes = np.abs(self._jumps)
+        step = np.where(sizes > 0, sizes, np.inf).min(axis=1, initial=np.inf, keepdims=True)
+        ways = len({*zip(*np.rint(2 * self._jumps / step).tolist(), strict=True)})
+        enough &= ways > FEW_JUMPS + DISTINCT * self._jumps.shape[1]
         return hold if enough and hold <= LONGEST_HOLD else 1.0
 
-    def _slow(self, largest_step: float, interval: float) -> Iterator[str]:
+    def _slow(self, largest_step: float, interval: float) -> Iterator[Remark]:
         """Yield a remark where the motion between samples is unknown."""
         if largest_step > STEP_LIMIT:
-            yield (
+            yield Remark(
+                "too-slow",
                 f"the body rotates by up to {math.degrees(largest_step):.3g} deg between two "
-                "samples: the sample rate is too low for this motion"
+                "samples: the sample rate is too low for this motion",
             )
             return
         total, squares, products = self._sums.T
@@ -185,10 +230,11 @@ class RateChecks:
             return
         step = math.sqrt(difference / self._neighbours) * interval
         if step > UNRESOLVED_STEP and difference > UNRESOLVED * 2 * variance:
-            yield (
+            yield Remark(
+                "too-slow",
                 f"between two samples, the rate changes by {math.degrees(step / interval):.3g} "
                 f"deg/s RMS, which is {math.degrees(step):.3g} deg in the time between them: the "
-                "sample rate is too low for this motion"
+                "sample rate is too low for this motion",
             )
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from quatprop.provenance import Digest, JsonObject, as_json, digest_of
-from quatprop.stores.objects import digest_of_object, is_address, without_secret
+from quatprop.stores.objects import is_address, without_secret
+from quatprop.stores.stored import digest_of_object
 from quatprop.version import __version__
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.targets import output_errors
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from quatprop.conditioning import GyroCorrectionReport
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.tables.log import Log, Loss
+    from quatprop.text import Remark
     from quatprop.timeline.counts import Counts, Policy
 
 CONVENTION = {
@@ -162,7 +164,7 @@ class RunReport:
     policy: Policy
     counts: Counts
     losses: tuple[Loss, ...]
-    remarks: tuple[str, ...]
+    remarks: tuple[Remark, ...]
     conditioning: GyroCorrectionReport
     uncertainty: UncertaintyReport | None
     result: ResultReport
@@ -185,6 +187,11 @@ class RunReport:
     def data_lost(self) -> bool:
         """Whether a part of the log could not be read, or samples were dropped."""
         return bool(self.losses or self.counts.dropped)
+
+    def named(self, name: str) -> RunReport:
+        """Return the same without what depends on where its log is: its path, and who knows it."""
+        digest = Digest(self.source.digest.bytes)
+        return replace(self, source=self.source._replace(path=name, digest=digest))
 
     def as_json(self) -> JsonObject:
         """Return the report as JSON: the content of a report file and of outputs' metadata."""

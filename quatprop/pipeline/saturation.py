@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.text import Remark
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.arrays import Bool, Float64, Int64
+    from quatprop.arrays import Bool, Float64
 
 
 SMALLEST_RANGE = math.radians(125.0)
@@ -19,27 +21,40 @@ SMALLEST_RANGE = math.radians(125.0)
 HAS_RUN = 3
 """This many neighbouring samples at exactly the same extreme are no coincidence."""
 
+HIGHEST = 64
+"""Values next to the extreme that are counted, to tell saturation from a rounded peak."""
+
+NEXT_STEPS = 10.5
+"""A smooth peak of quantised values has more samples within so many steps below its top than at its
+top: of the parabola y = -x^2, 2.3 times as many are from -11 to -1 as are above -1. Where at least
+half as many are there as at the extreme, with :data:`HAS_RUN` more or less by noise, it is one."""
+
 TOP = 0.95
 """Samples above this share of the extreme are at the end of the range. Calibration with scale
 factors and misalignments spreads what the sensor clipped over a few percent."""
 
-BELOW = 0.90
-"""Samples between this share and :data:`TOP` are below it."""
+BELOW = 0.75
+"""Samples between this share and :data:`TOP` are below it. A stay at the end lasts until a sample
+is further below."""
 
-PILED_UP = 4.0
+PILED_UP = 1.8
 """So many more samples at the end than below it are piled up there: a smooth motion whose peaks
-are all equal, as a sine's, has 2.4 times as many."""
+are all equal, as a sine's, has fewer at the end, 0.8 times as many."""
 
 MIN_AT_END = 20
-"""Fewer samples at the end are not remarked on."""
+"""Fewer samples at the end are not piled up."""
 
-MIN_PLATEAUS = 3
-"""Fewer stays at the end are not remarked on: the body may have turned steadily there."""
+MIN_STAYS = 2
+"""Fewer stays at the end are not remarked on, unless they are short: the body may have turned
+steadily there."""
 
 MIN_PLATEAU = 3.0
 """Samples, on average, of such a stay."""
 
-LONGEST_PLATEAU_S = 1.0
+SHORT_S = 0.1
+"""No stay that is as short as this is a steady rotation."""
+
+LONGEST_S = 2.0
 """Longer stays, on average, are a steady rotation."""
 
 MOST_AT_END = 0.5
@@ -54,91 +69,120 @@ class Saturation:
         self._limits = np.full((2, 3), -np.inf)
         # With held samples, and without what repeats the sample before.
         self._runs = np.zeros((2, 2, 3), dtype=np.bool_)
-        # At the end, below it, stays at the end.
+        # At the end, below it, stays at the end; and whether the last sample is of a stay.
         self._counts = np.zeros((2, 3, 3), dtype=np.int64)
+        self._stays = np.zeros((2, 3), dtype=np.bool_)
+        # The highest values, rising, and how many samples have each.
+        self._highest = {(side, axis): np.zeros((2, 0)) for side in (0, 1) for axis in range(3)}
 
     def add(
         self, columns: Float64, old: int, reached: tuple[Float64, Float64], repeats: Bool | None
     ) -> None:
         """Look at samples that follow.
 
-        `columns`: rates of the three axes, shape ``(3, N)``, rad/s
+        `columns`: rates of the three axes, shape ``(3, N)``, rad/s, the first `old` seen before
         `repeats`: which samples repeat the one before on all axes; None where hardly any does
         """
         for side, largest in enumerate(reached):
             near = largest >= np.maximum(BELOW * self._limits[side], 0)
+            self._stays[side] &= near
             for axis in np.flatnonzero(near).tolist():
-                limit, here = float(self._limits[side, axis]), float(largest[axis])
+                place, here = (side, axis), float(largest[axis])
+                limit = float(self._limits[place])
                 if here > limit:
                     self._runs[:, side, axis] = False
                     if TOP * here > limit:
-                        self._counts[side, axis] = 0
-                    self._limits[side, axis] = limit = here
+                        self._counts[place], self._stays[place] = 0, False
+                    self._limits[place] = limit = here
                 if limit >= SMALLEST_RANGE:
-                    self._look(columns[axis], old, (side, axis), here, repeats)
+                    values = -columns[axis] if side else columns[axis]
+                    self._look(values, old, place, repeats)
 
     def _look(
-        self,
-        values: Float64,
-        old: int,
-        place: tuple[int, int],
-        reached: float,
-        repeats: Bool | None,
+        self, values: Float64, old: int, place: tuple[int, int], repeats: Bool | None
     ) -> None:
-        limit = float(self._limits[place])
-        sign = -1.0 if place[0] else 1.0
-        beyond = np.less_equal if place[0] else np.greater_equal
-        below = int(np.count_nonzero(beyond(values[old:], sign * BELOW * limit)))
-        if reached < TOP * limit:
-            self._counts[place][1] += below
+        """Count samples near the limit of a place, where it is the largest of the values."""
+        limit, new = float(self._limits[place]), values[old:]
+        at_end, low = new >= TOP * limit, new < BELOW * limit
+        count = int(np.count_nonzero(at_end))
+        below = int(np.count_nonzero(new >= BELOW * limit)) - count
+        begun = np.append(self._stays[place], at_end[at_end | low])
+        self._stays[place] = begun[-1]
+        self._counts[place] += (count, below, int(np.count_nonzero(begun[1:] > begun[:-1])))
+        if not count:
             return
-        at_end = beyond(values, sign * TOP * limit)
-        count, begins = int(np.count_nonzero(at_end[old:])), max(old, 1)
-        stays = int(np.count_nonzero(at_end[begins:] > at_end[begins - 1 : -1]))
-        self._counts[place] += (count, below - count, stays + int(not old and at_end[0]))
-        if reached == limit:
-            hits = values == sign * limit
-            # A held sample is no new one.
-            for kept, chosen in enumerate((hits, hits if repeats is None else hits[~repeats])):
-                self._runs[(kept, *place)] |= _has_run(chosen)
+        known, numbers = self._highest[place]
+        high = new[new >= (known[0] if len(known) == HIGHEST else TOP * limit)]
+        each, places = np.unique(np.concatenate([known, high]), return_inverse=True)
+        weights = np.concatenate([numbers, np.ones(len(high))])
+        self._highest[place] = np.stack([each, np.bincount(places, weights)])[:, -HIGHEST:]
+        hits = values == limit
+        # A held sample is no new one.
+        for kept, chosen in enumerate((hits, hits if repeats is None else hits[~repeats])):
+            self._runs[(kept, *place)] |= _has_run(chosen)
 
     def remarks(
-        self, samples: int, moving: Bool, hold: float, interval: float | None
-    ) -> Iterator[str]:
+        self,
+        samples: int,
+        moving: Bool,
+        hold: float,
+        interval: float | None,
+        unit: tuple[str, float],
+    ) -> Iterator[Remark]:
         """Yield a sentence for each end of an axis that is saturated.
 
         `moving`: which axes do not have one rate throughout
         `interval`: between rows, s
+        `unit`: in which rates are shown: its name, and how many rad/s it is
         """
         runs = self._runs[int(hold > 1)]
         for side, sign in enumerate("+-"):
-            for axis in np.flatnonzero(moving):
-                limit = self._limits[side, axis] * (1 if side == 0 else -1)
+            for axis in np.flatnonzero(moving).tolist():
+                place = (side, axis)
+                if not self._may_be_clipped(place, samples, interval):
+                    continue
+                limit = self._limits[place] * (1 if side == 0 else -1) / unit[1]
                 name = f"axis {sign}{'xyz'[axis]}"
-                if runs[side, axis]:
-                    yield (
-                        f"{name} stays at its extreme of {limit:.6g} rad/s for {HAS_RUN} samples "
-                        "or more: saturated, so larger rates are missing"
+                if runs[place] and not self._is_rounded(place):
+                    yield Remark(
+                        "saturated",
+                        f"{name} stays at its extreme of {limit:.6g} {unit[0]} for {HAS_RUN} "
+                        "samples or more: saturated, so larger rates are missing",
                     )
-                elif self._piles_up(self._counts[side, axis], samples, hold, interval):
-                    share = 100 * self._counts[side, axis, 0] / samples
-                    end = f"{100 - 100 * TOP:.2g} % of its extreme of {limit:.4g} rad/s"
-                    yield (
+                elif self._piles_up(place, hold):
+                    share = 100 * self._counts[place][0] / samples
+                    end = f"{100 - 100 * TOP:.2g} % of its extreme of {limit:.4g} {unit[0]}"
+                    yield Remark(
+                        "piled-up",
                         f"{name} is within {end} in {share:.2g} % of the samples, and hardly ever "
-                        "shortly below: saturated, so larger rates are missing"
+                        "shortly below: saturated, so larger rates are missing, unless the body "
+                        "turns steadily there",
                     )
 
-    @staticmethod
-    def _piles_up(counts: Int64, samples: int, hold: float, interval: float | None) -> bool:
-        at_end, below, stays = (int(count) for count in counts)
-        if at_end < MIN_AT_END * hold or stays < MIN_PLATEAUS or interval is None:
+    def _may_be_clipped(self, place: tuple[int, int], samples: int, interval: float | None) -> bool:
+        """Tell whether the samples at the end are no steady rotation."""
+        at_end, _, stays = (int(count) for count in self._counts[place])
+        if not stays or at_end > MOST_AT_END * samples:
             return False
-        plateau = at_end / stays
+        mean_s = at_end / stays * (interval or 0.0)
+        return mean_s <= (LONGEST_S if stays >= MIN_STAYS else SHORT_S)
+
+    def _is_rounded(self, place: tuple[int, int]) -> bool:
+        """Tell whether the highest values are those of a smooth peak, rounded to steps."""
+        values, numbers = self._highest[place]
+        if len(values) < 2:  # noqa: PLR2004  # of which one is next to the extreme
+            return False
+        near = values[-1] - values <= NEXT_STEPS * np.diff(values).min()
+        beside = numbers[near][:-1].sum()
+        return bool(beside and numbers[-1] <= 2 * beside + HAS_RUN)
+
+    def _piles_up(self, place: tuple[int, int], hold: float) -> bool:
+        at_end, below, stays = (int(count) for count in self._counts[place])
         return (
-            at_end >= PILED_UP * below
-            and at_end <= MOST_AT_END * samples
-            and plateau >= MIN_PLATEAU * hold
-            and plateau * interval <= LONGEST_PLATEAU_S
+            stays >= MIN_STAYS
+            and at_end >= MIN_AT_END * hold
+            and at_end >= PILED_UP * below
+            and at_end >= MIN_PLATEAU * hold * stays
         )
 
 

@@ -14,7 +14,6 @@ from quatprop.kinematics.propagate import Propagation
 from quatprop.kinematics.quaternion import conjugate, rotate
 from quatprop.kinematics.resample import Times, at_times
 from quatprop.kinematics.sensitivity import Sensitivity
-from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from quatprop.kinematics.uncertainty import ErrorGrowth
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.timeline import Timeline
 
@@ -32,8 +32,6 @@ class Segments:
     `timeline`: cuts the samples into segments; its policy says how one continues from another
     `q0`: attitude at the first sample, wxyz, unit length
     `times`: when attitudes are wanted; None is at every sample
-    `mount`: its axes to those of the body, where the rates were turned, as for
-        :class:`quatprop.kinematics.uncertainty.ErrorGrowth`
     `final`: the attitude at the last sample so far, wxyz
     `sensitivity`: how far it depends on method and sampling; None where that was not asked for
     `growth`: the growth of its error; None where the errors of the gyroscope are not known
@@ -47,15 +45,14 @@ class Segments:
         method: str,
         rates: str,
         times: Times | None = None,
-        errors: SensorErrors | None = None,
-        mount: NDArray[np.float64] | None = None,
+        growth: ErrorGrowth | None = None,
     ) -> None:
         self._timeline = timeline
         self._q0 = self.final = q0
         self._method, self._rates = method, rates
         self._times = times
         self.sensitivity: Sensitivity | None = None
-        self.growth = None if errors is None else ErrorGrowth(errors, rates, method, mount)
+        self.growth = growth
 
     def attitudes(
         self,

@@ -17,8 +17,9 @@ from quatprop.errors import UsageError
 from quatprop.pipeline.earth_rate import EarthRate
 from quatprop.pipeline.gyro_errors import ErrorSettings
 from quatprop.pipeline.initial_attitude import InitialAttitude
-from quatprop.settings.rotations import FROM_THE_LOG, InMemory, StaticBias, file_beside
+from quatprop.settings.rotations import FROM_THE_LOG, InMemory, file_beside
 from quatprop.settings.selection import RateSelection
+from quatprop.settings.static_bias import StaticBias
 from quatprop.settings.values import as_text, parse_all
 from quatprop.stores.objects import is_address, without_secret
 from quatprop.text import Setting

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from quatprop.rendering import (
     Row,
     count_text,
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from quatprop.arrays import Float64
+    from quatprop.conditioning import GyroCorrectionReport
     from quatprop.conditioning.static_period import StaticPeriod
     from quatprop.pipeline.gyro_errors import UncertaintyReport
     from quatprop.pipeline.report import ResultReport, RunReport
@@ -42,6 +45,8 @@ def facts(report: RunReport) -> Iterator[Row]:
     yield "method", f"{convention.method}{why}, {convention.rates} rates: {convention.side}"
     if (bias := report.conditioning.bias_rad_s) is not None:
         yield "bias", _bias(bias, report.conditioning.rest)
+    if report.conditioning.rests:
+        yield "bias", _bias_of_rests(report.conditioning)
     if (series := report.conditioning.bias_series) is not None:
         origin = f"{plain(series.source)} ({plain(series.field)})"
         yield "bias", f"{series.values} values of {origin}, interpolated in time"
@@ -97,6 +102,8 @@ ERRORS = {
     "bias_sigma": ("bias", "deg/h", 3600 * 180 / math.pi),
     "random_walk": ("random walk of the bias", "deg/h/sqrt(h)", 60 * 3600 * 180 / math.pi),
     "scale_sigma": ("scale factors", "ppm", 1e6),
+    "misalignment_sigma": ("misalignments", "mrad", 1e3),
+    "q0_sigma": ("q0", "deg", 180 / math.pi),
 }
 """What each error of a gyroscope is called, its usual unit, and how many of it one SI unit is."""
 
@@ -105,9 +112,11 @@ def _uncertainty(uncertainty: UncertaintyReport) -> Iterator[Row]:
     sigma = "x {:.3g}  y {:.3g}  z {:.3g} deg".format(*map(math.degrees, uncertainty.sigma_rad))
     share = f"{uncertainty.largest_share:.0%} of the variance by {ERRORS[uncertainty.largest][0]}"
     yield "1 sigma", f"{sigma} about the body axes of the final attitude, {share}"
+    sizes = uncertainty.errors._asdict()
+    if (q0 := uncertainty.q0_sigma_rad) is not None:
+        sizes["q0_sigma"] = q0.max()
     known = (
-        f"{name} {getattr(uncertainty.errors, key) * factor:.3g} {unit} "
-        f"({plain(uncertainty.origins[key])})"
+        f"{name} {sizes[key] * factor:.3g} {unit} ({plain(uncertainty.origins[key])})"
         for key, (name, unit, factor) in ERRORS.items()
         if key in uncertainty.origins
     )
@@ -127,6 +136,21 @@ def _bias(bias_rad_s: Iterable[float], rest: StaticPeriod | None) -> str:
             if rest.steady
             else "as given"
         )
+    )
+
+
+def _bias_of_rests(conditioning: GyroCorrectionReport) -> str:
+    rests = conditioning.rests
+    means = np.array([rest.mean_rad_s for rest in rests])
+    ranges = "  ".join(
+        f"{axis} {low:+.6g} to {high:+.6g}"
+        for axis, low, high in zip("xyz", means.min(axis=0), means.max(axis=0), strict=True)
+    )
+    way = "interpolated between" if conditioning.interpolated else "of the nearest in time of"
+    length = duration_text(sum(rest.last_ns - rest.first_ns for rest in rests))
+    return (
+        f"{way} {len(rests)} rests of {length} together, {ranges} rad/s; "
+        f"steady by {', '.join(rests[0].steady)}; the whole log was searched"
     )
 
 

@@ -31,7 +31,7 @@ from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.stores.objects import without_secret
-from quatprop.text import plain
+from quatprop.text import Remark, plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import OBSERVE, Counts
 from quatprop.timeline.counts import remarks as timeline_remarks
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
     Seen = dict[tuple[str, str], "_AttitudeReading"]
 
-READ_ONCE = "text on stdin is read only once: attitudes were not looked for"
+READ_ONCE = Remark("read-once", "text on stdin is read only once: attitudes were not looked for")
 
 _TIMING = tuple(timing(Counts()))
 _RATES = ("rate_unit", "max_rate_rad_s", "max_rate_deg_s")
@@ -176,7 +176,8 @@ def _in_step(batches: Iterator[GyroSeries], beside: _AttitudeReading) -> Iterato
 
 def _survey_rates(signal: RateSignal, log: Log, beside: _AttitudeReading | None) -> RateSurvey:
     method, _ = signal.method_used(None)
-    timeline, checks = Timeline(OBSERVE, str(log.path), method=method), RateChecks()
+    timeline = Timeline(OBSERVE, str(log.path), method=method)
+    checks = RateChecks(signal.unit, is_given=signal.unit_is_given)
     batches = signal.batches() if beside is None else _in_step(signal.batches(), beside)
     samples = timeline.apply(checks.observe(batches))
     deque(samples, maxlen=0)
@@ -265,7 +266,7 @@ def _survey_attitudes(signal: AttitudeSignal, log: Log, seen: Seen) -> AttitudeS
         **making(signal.provenance),
         remarks=(
             *signal.remarks,
-            *((counts.summary,) if counts.invalid else ()),
+            *((Remark("invalid-quaternions", counts.summary),) if counts.invalid else ()),
             *log.remarks,
         ),
     )

@@ -35,7 +35,7 @@ from quatprop.series import AttitudeSeries
 from quatprop.settings.quantities import RATES
 from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.stores.objects import without_secret
-from quatprop.text import plain
+from quatprop.text import Remark, plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import OBSERVE
 from quatprop.timeline.stamps import StampChecks
@@ -79,7 +79,7 @@ class FileView(NamedTuple):
     meaning: str
     samples: str
     facts: tuple[Row, ...]
-    remarks: tuple[str, ...]
+    remarks: tuple[Remark, ...]
     losses: tuple[Loss, ...]
 
 
@@ -122,7 +122,8 @@ def _choose(log: Log, view: View) -> RateSignal | AttitudeSignal:
 
 
 def _view_rates(path: str, log: Log, source: RateSignal, view: View) -> FileView:
-    drawn, checks, timeline = RateAccumulator(source.unit), RateChecks(), Timeline(OBSERVE, path)
+    drawn, timeline = RateAccumulator(source.unit), Timeline(OBSERVE, path)
+    checks = RateChecks(source.unit, is_given=source.unit_is_given)
     unit, counts = RATES[source.unit], timeline.counts
     batches, done = condition(source.batches, timeline, view.part, unit, GyroCorrectionInputs())
     deque(timeline.measured(drawn.passing(checks.observe(batches))), maxlen=0)
@@ -159,7 +160,8 @@ def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> 
     remarks = [*source.remarks, *_irregularities(counts), *part.remarks(), *log.remarks]
     if drawn.invalid:
         invalid = count_text(drawn.invalid, "invalid quaternion")
-        remarks.append(f"{invalid} (zero, absent or not finite): not drawn")
+        text = f"{invalid} (zero, absent or not finite): not drawn"
+        remarks.append(Remark("invalid-quaternions", text))
     method = plain(entry_of(source.provenance, "convention", dict).get("method") or "")
     form = "components, sign continuous" if view.components else "zyx angles"
     form += f" ({SIGMA_BAND})" if drawn.knows_sigmas else ""
@@ -208,16 +210,17 @@ def _facts(
         yield "interval", f"median {median}, longest {longest}"
 
 
-def _irregularities(counts: Counts) -> Iterator[str]:
+def _irregularities(counts: Counts) -> Iterator[Remark]:
     """Yield a sentence for each kind of irregularity."""
     limit = duration_text(counts.gap_limit_ns or 0)
     longest = duration_text(counts.max_dt_ns or 0)
-    for event, noun, details in (
-        (counts.gaps, "gap", f" longer than {limit}, the longest {longest}: shaded"),
-        (counts.duplicates, "repeated timestamp", ""),
-        (counts.outliers, "timestamp outlier", counts.outliers.cause),
-        (counts.backwards, "non-monotonic timestamp", ""),
-        (counts.nonfinite, "non-finite rate", " (not drawn)"),
+    for code, event, noun, details in (
+        ("gaps", counts.gaps, "gap", f" longer than {limit}, the longest {longest}: shaded"),
+        ("repeated-stamps", counts.duplicates, "repeated timestamp", ""),
+        ("stamp-outliers", counts.outliers, "timestamp outlier", counts.outliers.cause),
+        ("stamps-back", counts.backwards, "non-monotonic timestamp", ""),
+        ("nonfinite-rates", counts.nonfinite, "non-finite rate", " (not drawn)"),
     ):
         if event.count:
-            yield f"{count_text(event.count, noun)}{details}, first at {event.first_ns} ns"
+            text = f"{count_text(event.count, noun)}{details}, first at {event.first_ns} ns"
+            yield Remark(code, text)

@@ -13,43 +13,18 @@ from fractions import Fraction
 from os import PathLike
 from typing import Annotated, Any, Literal
 
-from quatprop.settings.choices import (
-    FRAMES,
-    LAYOUTS,
-    METHODS,
-    SIGMA_AXES,
-    Frame,
-    Layout,
-    Method,
-    SigmaAxes,
-)
+from quatprop.settings.choices import FRAMES, LAYOUTS, METHODS, Frame, Layout, Method
+from quatprop.settings.error_options import ErrorOptions
 from quatprop.settings.keyword import Keyword, keywords_of
-from quatprop.settings.parsers import (
-    Choice,
-    column_list,
-    count,
-    flag,
-    frequency,
-    length,
-    number,
-    path,
-)
-from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES, RATIOS, quantity_of
+from quatprop.settings.parsers import Choice, column_list, count, frequency, length, number, path
 from quatprop.settings.reading import End, RateOptions, RegularTime, Start
-from quatprop.settings.rotations import (
-    Rotated,
-    Timed,
-    bias,
-    initial_attitude,
-    mounting,
-    place,
-    times,
-)
+from quatprop.settings.rotations import Rotated, Timed, initial_attitude, mounting, place, times
+from quatprop.settings.static_bias import bias
 from quatprop.text import Setting
 
 
-class PropagateOptions(RateOptions, total=False):
-    """Keywords of :func:`quatprop.propagate`, beside those of :class:`RateOptions`."""
+class RunOptions(RateOptions, total=False):
+    """Keywords that determine attitudes, beside those of :class:`RateOptions`."""
 
     # fmt: off
     start: Start
@@ -92,9 +67,10 @@ class PropagateOptions(RateOptions, total=False):
     bias: Annotated[str | PathLike[str] | Collection[float] | Timed | None, Keyword(
         bias, f"Subtracted from the rates; in {Setting('rate_unit')}. static takes the mean rate "
         f"over a rest of at least DUR (1s), found in the whole log by rate, accelerometer and "
-        f"orientation, or over the rest from START to END; FILE or TOPIC is a series of biases, "
-        f"interpolated in time.",
-        takes="X,Y,Z|static[:DUR|@START..END]|FILE|TOPIC", group="Rates", common=True)]
+        f"orientation, or over that from START to END; static:nearest that of the nearest in time, "
+        f"static:interpolate what is between them; FILE or TOPIC is a series, interpolated.",
+        takes="X,Y,Z|static[:nearest|:interpolate][:DUR]|static@START..END|FILE|TOPIC",
+        group="Rates", common=True)]
     calibration: Annotated[str | PathLike[str] | None, Keyword(
         path, "Scale, misalignment and bias of the gyroscope: YAML or JSON with matrix (3x3) and "
         "bias (rad/s), applied as matrix (w - bias), or kalibr's file of an IMU.", takes="FILE",
@@ -133,31 +109,11 @@ class PropagateOptions(RateOptions, total=False):
     threads: Annotated[int | None, Keyword(
         count, "Threads that compute at a time; the output is the same for any number.", "the "
         "cores of this machine", "N", "Execution")]
-    noise_density: Annotated[str | float | None, Keyword(
-        quantity_of(NOISE_DENSITIES, "a noise density", "0.2deg/sqrt(h)"), "Noise of the gyroscope "
-        "(angle random walk), such as 0.2deg/sqrt(h) or 1.7e-4rad/s/sqrt(Hz), for the uncertainty "
-        "of the result.", f"by {Setting('imu')} or {Setting('bias', 'static')}", "X",
-        "Uncertainty")]
-    bias_sigma: Annotated[str | float | None, Keyword(
-        quantity_of(RATES, "a rate", "20deg/h"), "Standard deviation of its constant bias, such as "
-        "20deg/h; a bias instability counts as this.", f"by {Setting('bias', 'static')}, else 0",
-        "X", "Uncertainty")]
-    random_walk: Annotated[str | float | None, Keyword(
-        quantity_of(RATE_WALKS, "a rate random walk", "1e-5rad/s^2/sqrt(Hz)"), "Rate random walk "
-        "of its bias, such as 1e-5rad/s^2/sqrt(Hz) or 3deg/h/sqrt(h).", f"by {Setting('imu')}, "
-        f"else 0", "X", "Uncertainty")]
-    scale_sigma: Annotated[str | float | None, Keyword(
-        quantity_of(RATIOS, "a ratio", "1000ppm or 0.1%"), "Standard deviation of its scale "
-        "factors, such as 1000ppm or 0.1%.", "0", "X", "Uncertainty")]
-    imu: Annotated[str | PathLike[str] | None, Keyword(
-        path, "Noise density and random walk from a file: Kalibr's, or that of an Allan variance "
-        "tool.", takes="FILE.yaml", group="Uncertainty")]
-    sigma: Annotated[bool | None, Keyword(
-        flag, "Write the standard deviations of every attitude: columns sigma_x, sigma_y, sigma_z "
-        "in rad, covariances in messages that have them.", group="Output", common=True)]
-    sigma_axes: Annotated[SigmaAxes | None, Keyword(
-        Choice(*SIGMA_AXES), "Axes of those columns.", "body", group="Uncertainty")]
     # fmt: on
+
+
+class PropagateOptions(RunOptions, ErrorOptions, total=False):
+    """Keywords of :func:`quatprop.propagate`."""
 
 
 PROPAGATE = keywords_of(PropagateOptions)

@@ -24,8 +24,6 @@ EulerSequence: TypeAlias = Literal[
 ]
 EULER_SEQUENCES: tuple[str, ...] = get_args(EulerSequence)
 """Axes of intrinsic rotations in their order: Tait-Bryan angles, then proper Euler angles."""
-SigmaAxes: TypeAlias = Literal["body", "reference"]
-SIGMA_AXES: tuple[str, ...] = get_args(SigmaAxes)
 Convention: TypeAlias = Literal["hamilton", "jpl"]
 CONVENTIONS: tuple[str, ...] = get_args(Convention)
 Direction: TypeAlias = Literal["body-to-ref", "ref-to-body"]

@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UsageError
-from quatprop.settings.parsers import Parser, number
+from quatprop.settings.parsers import Parser, number, parts_of
 from quatprop.text import shown
 
 if TYPE_CHECKING:
@@ -101,6 +101,15 @@ def quantity(value: object, units: Mapping[str, float], noun: str, examples: str
 def quantity_of(units: Mapping[str, float], noun: str, examples: str) -> Parser:
     """Return a parser of quantities; see :func:`quantity`."""
     return partial(quantity, units=units, noun=noun, examples=examples)
+
+
+def angles(value: object) -> tuple[float, ...]:
+    """Return one angle, or three, rad."""
+    parts = parts_of(value)
+    if len(parts) not in {1, 3}:
+        raise UsageError(f"{shown(value)} is neither one angle nor ROLL,PITCH,YAW")
+    parse = quantity_of(RAD_PER_UNIT, "an angle", "0.5deg or 5mrad")
+    return tuple(parse(part) for part in parts)
 
 
 def picture_size(value: object) -> tuple[float, float | None]:

@@ -6,12 +6,11 @@ import re
 from collections.abc import Iterable
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeGuard
+from typing import Any, Protocol, TypeGuard
 
 from quatprop.errors import UsageError
-from quatprop.settings.parsers import moment, number_list, parts_of, path
+from quatprop.settings.parsers import number_list, parts_of, path
 from quatprop.text import shown
-from quatprop.times import Instant, duration_ns
 
 FROM_THE_LOG = ("level", "log")
 """Initial attitudes that are taken from the log itself."""
@@ -47,24 +46,6 @@ class InMemory:
     def __str__(self) -> str:
         """Return it as it is recorded."""
         return "in memory"
-
-
-class StaticBias(NamedTuple):
-    """Take the mean rate at rest as the bias.
-
-    `window_ns`: rest is looked for in windows of this length, ns
-    `start`, `end`: where the rest is, ends included; None: it is looked for
-    """
-
-    window_ns: int = 1_000_000_000
-    start: Instant | None = None
-    end: Instant | None = None
-
-    def __str__(self) -> str:
-        """Return it as :func:`bias` reads it."""
-        if self.start is not None:
-            return f"{STATIC}@{self.start}..{self.end}"
-        return f"{STATIC}:{self.window_ns}ns"
 
 
 def place(value: object) -> tuple[float, ...]:
@@ -104,7 +85,7 @@ def initial_attitude(value: object) -> tuple[float, ...] | str | InMemory:
         value = (w, x, y, z)
     if isinstance(value, str) and value in FROM_THE_LOG:
         return value
-    if not _is_name(value):
+    if not is_name(value):
         return number_list("W,X,Y,Z")(value)
     may_be_a_topic = isinstance(value, str) and "." not in Path(value).name
     if not may_be_a_topic and not Path(value).exists():
@@ -113,29 +94,6 @@ def initial_attitude(value: object) -> tuple[float, ...] | str | InMemory:
             "is there"
         )
     return path(value)
-
-
-def bias(value: object) -> tuple[float, ...] | StaticBias | InMemory | str:
-    """Return three rates, rest, or a series of biases: a path, a topic or a series in memory."""
-    if hasattr(value, "t_ns"):
-        return InMemory(value)
-    if isinstance(value, StaticBias):
-        return value
-    if isinstance(value, str) and value.partition(":")[0].strip() == STATIC:
-        window = value.partition(":")[2]
-        return StaticBias(duration_ns(window)) if window else StaticBias()
-    if isinstance(value, str) and value.partition("@")[0].strip() == STATIC:
-        start, dots, end = value.partition("@")[2].partition("..")
-        if not (start.strip() and dots and end.strip()):
-            raise UsageError(f"{shown(value)} is no time range; write static@+10s..+20s")
-        return StaticBias(start=moment(start.strip()), end=moment(end.strip()))
-    # With commas, it may be an attempt at numbers.
-    if _is_name(value) and ("," not in str(value) or Path(value).exists()):
-        return path(value)
-    try:
-        return number_list("X,Y,Z")(value)
-    except UsageError as error:
-        raise UsageError(f"{error.text}, nor static[:DUR]") from None
 
 
 def mounting(value: object) -> str:
@@ -152,7 +110,7 @@ def mounting(value: object) -> str:
     return ",".join(str(part) for row in rows for part in row)
 
 
-def _is_name(value: object) -> TypeGuard[str | PathLike[str]]:
+def is_name(value: object) -> TypeGuard[str | PathLike[str]]:
     """Tell whether a value may be a file or a topic: text that is not numbers."""
     if not isinstance(value, str) or not value:
         return isinstance(value, PathLike)

@@ -18,6 +18,9 @@ quatprop convert can say everything about them."""
 FLAGS = {name for name, row in {**PROPAGATE, **READ_ATTITUDES}.items() if row.parse is flag}
 """Settings that are on or off."""
 
+OF_CHECK = {"update", "strict", "force"}
+"""Options of the command check, which are no keys of a case."""
+
 _ELSEWHERE = " of quatprop convert"
 
 
@@ -54,7 +57,7 @@ def in_keys(text: str, side: str = "") -> str:
         if name not in LOOKUPS.get(about, (name,)):
             # Attitudes of a file that is only looked up have no keys of their own.
             return f"{option(name)} {value}".rstrip() + _ELSEWHERE
-        if name == "update":  # an option of the command, not a key of a case
+        if name in OF_CHECK:
             return option(name)
         values = " or ".join(f'"{one}"' for one in value.split("|")) if value else ""
         on = " = true" if name in FLAGS else ""

@@ -52,7 +52,7 @@ def as_text(name: str, value: object, parsed: object) -> str | bool:
     if isinstance(value, str | bool):
         return value
     if type(parsed) is tuple:
-        return ",".join(map(str, parsed))
+        return ",".join(f"{part}{SI_UNITS.get(name, '')}" for part in parsed)
     if name == "scale_sigma" and isinstance(parsed, float):
         return f"{parsed * 1e6}ppm"
     return f"{parsed}{SI_UNITS.get(name, '')}"
@@ -63,5 +63,7 @@ SI_UNITS = {
     "noise_density": "rad/s/sqrt(Hz)",
     "bias_sigma": "rad/s",
     "random_walk": "rad/s^2/sqrt(Hz)",
+    "misalignment_sigma": "rad",
+    "q0_sigma": "rad",
 }
 """Units of settings whose values are written with one."""

@@ -11,29 +11,42 @@ import re
 from contextlib import contextmanager
 from functools import lru_cache
 from textwrap import shorten
-from typing import TYPE_CHECKING, NamedTuple
-from urllib.parse import parse_qs, unquote, urlsplit
+from typing import TYPE_CHECKING
+from urllib.parse import parse_qs, quote, unquote, urlsplit
 
 from quatprop.errors import StoreError
-from quatprop.provenance import Digest
 from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from pyarrow import NativeFile
     from pyarrow.fs import FileInfo, FileSystem
 
 
 RETRY_S = 10
 """Seconds for which a store that does not answer is retried."""
 
+ATTEMPTS = 8
+"""Times that a request of S3 is tried, unless ``AWS_MAX_ATTEMPTS`` says otherwise.
+
+The pauses double; those between eight attempts outlast a burst of 5 s.
+"""
+
+ANONYMOUS = "anonymous"
+"""In the place of a key, as in ``s3://anonymous@bucket``: requests are not signed."""
+
 MAX_REASON = 240
 """Characters of a store library's message that are shown; the rest repeats itself."""
 
 S3_PARAMETERS = {"endpoint_override", "region", "scheme", "tls_ca_file_path"}
-"""Parameters that an address of S3 may have."""
+"""Parameters that an address of S3 may have; any other ``?`` is part of a key."""
+
+_TRANSIENT = (
+    r"NETWORK_CONNECTION|curlCode|REQUEST_TIMEOUT|SLOW_DOWN|SERVICE_UNAVAILABLE|resolve host"
+    r"|HTTP status (?:429|5\d\d)\b"
+)
+"""What the messages of stores' libraries contain where the same request may succeed later."""
 
 _REASONS = (
     (
@@ -44,13 +57,17 @@ _REASONS = (
         r"OAuth2 access token|AuthenticationException",
         "no credentials for its store were found; log in with the store's own tools",
     ),
+    (
+        r"SLOW_DOWN|SERVICE_UNAVAILABLE|HTTP status (?:429|5\d\d)\b",
+        "its store has too much to do; try again later, or with fewer processes",
+    ),
     (r"NO_SUCH_BUCKET|Bucket '.*' not found", "there is no such bucket; check the address"),
     (
         r"ACCESS_DENIED|INVALID_ACCESS_KEY|SIGNATURE_DOES_NOT_MATCH|\b40[13]\b|[Pp]ermission",
         "its store does not permit that; check the credentials and their rights",
     ),
     (
-        r"NETWORK_CONNECTION|curlCode|REQUEST_TIMEOUT|SLOW_DOWN|SERVICE_UNAVAILABLE|resolve host",
+        _TRANSIENT,
         "its store does not answer; check the network and the address of the store",
     ),
 )
@@ -62,6 +79,15 @@ def is_address(path: Path | str) -> bool:
     return "://" in str(path)
 
 
+def without_file_scheme(path: str) -> str:
+    """Return an address of this machine, ``file://``, as a path; others as they are."""
+    if not path.startswith("file://"):
+        return path
+    from urllib.request import url2pathname  # brings in much that few runs need
+
+    return url2pathname(urlsplit(path).path)
+
+
 def without_secret(path: Path | str) -> str:
     """Return a path or an address as it may be recorded: without credentials in it."""
     text = str(path)
@@ -70,10 +96,35 @@ def without_secret(path: Path | str) -> str:
     return re.sub(r"(?<=://)[^/?#]*@", "", text) if is_address(text) else text
 
 
+def split_address(address: str) -> tuple[str, str]:
+    """Return an address without its parameters, and these."""
+    base, _, query = address.partition("?")
+    if address.startswith("s3://"):
+        base, query = _S3_PARAMETERS.fullmatch(address).groups("")  # type: ignore[union-attr]
+    return base, query
+
+
+_S3_PARAMETER = rf"(?:{'|'.join(sorted(S3_PARAMETERS))})=[^&]*"
+_S3_PARAMETERS = re.compile(rf"(?s)(.*?)(?:\?({_S3_PARAMETER}(?:&{_S3_PARAMETER})*))?")
+
+
 def below(address: str, name: str) -> str:
-    """Return the address of an object below another one, with the same parameters."""
-    base, mark, parameters = address.partition("?")
-    return f"{base.rstrip('/')}/{name}{mark}{parameters}"
+    """Return the address of an object below another one, with the same parameters.
+
+    `name`: its key below the address, which is never taken for parameters
+    """
+    base, query = split_address(address)
+    if not address.startswith("s3://"):
+        name = quote(name, errors="surrogateescape")
+    return f"{base.rstrip('/')}/{name}{'?' if query else ''}{query}"
+
+
+def has_address(address: str, name: str) -> bool:
+    """Return whether a key below an address can be asked for: Arrow takes no empty parts."""
+    parts = {*name.split("/")}
+    if parts & {"", ".", ".."} or "\0" in name:
+        return False
+    return not address.startswith("s3://") or split_address(below(address, name))[0].endswith(name)
 
 
 def locate(address: str) -> tuple[FileSystem, str]:
@@ -81,8 +132,8 @@ def locate(address: str) -> tuple[FileSystem, str]:
 
     Credentials that the address does not carry are looked up as the store's own tools do.
     """
+    base, query = split_address(address)
     if address.startswith("s3://"):
-        base, _, query = address.partition("?")
         host, slash, path = base.removeprefix("s3://").partition("/")
         user, _, bucket = host.rpartition("@")
         return _s3(user, bucket, query), f"{bucket}{slash}{path}".rstrip("/")
@@ -95,12 +146,12 @@ def locate(address: str) -> tuple[FileSystem, str]:
 @lru_cache(maxsize=16)
 def _s3(user: str, bucket: str, query: str) -> FileSystem:
     """Return the store of a bucket, whose requests are not tried for minutes."""
-    from pyarrow.fs import S3FileSystem, resolve_s3_region
+    from pyarrow.fs import AwsDefaultS3RetryStrategy, S3FileSystem, resolve_s3_region
 
-    options: dict[str, str] = {name: values[-1] for name, values in parse_qs(query).items()}
-    if unknown := options.keys() - S3_PARAMETERS:
-        raise ValueError(f"s3:// has no parameter {min(unknown)}")
-    if user:
+    options: dict[str, object] = {name: values[-1] for name, values in parse_qs(query).items()}
+    if user == ANONYMOUS:
+        options["anonymous"] = True
+    elif user:
         key, _, secret = user.partition(":")
         options |= {"access_key": unquote(key), "secret_key": unquote(secret)}
     endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
@@ -110,8 +161,15 @@ def _s3(user: str, bucket: str, query: str) -> FileSystem:
     region = os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION")
     if "region" not in options and (region or "endpoint_override" not in options):
         options["region"] = region or resolve_s3_region(bucket)
+    attempts = os.environ.get("AWS_MAX_ATTEMPTS", "")
     return S3FileSystem(
-        connect_timeout=RETRY_S, request_timeout=RETRY_S, allow_delayed_open=True, **options
+        connect_timeout=RETRY_S,
+        request_timeout=RETRY_S,
+        allow_delayed_open=True,
+        retry_strategy=AwsDefaultS3RetryStrategy(
+            max_attempts=int(attempts) if attempts.isdecimal() else ATTEMPTS
+        ),
+        **options,
     )
 
 
@@ -120,6 +178,11 @@ def _with_retry_limit(address: str) -> str:
     if not address.startswith(("gs://", "gcs://")) or "retry_limit_seconds" in address:
         return address
     return f"{address}{'&' if '?' in address else '?'}retry_limit_seconds={RETRY_S}"
+
+
+def is_transient(error: BaseException) -> bool:
+    """Return whether an error of a store may not come again when the same is tried later."""
+    return re.search(_TRANSIENT, str(error.__cause__)) is not None
 
 
 def store_reason(error: Exception, address: str) -> str:
@@ -185,43 +248,3 @@ def list_objects(address: str, *, missing_ok: bool = False) -> dict[str, FileInf
         found = {str(info.path): info for info in store.get_file_info(selector) if info.is_file}
     top = len(place.rstrip("/")) + 1
     return {path[top:]: found[path] for path in sorted(found)}
-
-
-def etag_of(file: NativeFile) -> str | None:
-    """Return by what a store recognises the content of an open object; None if it does not say."""
-    metadata = file.metadata() or {}
-    tag = metadata.get("ETag") or metadata.get(b"ETag")
-    return tag.decode().strip('"') if tag else None
-
-
-class StoredObject(NamedTuple):
-    """By what an object is recognised.
-
-    `name`: its path below the prefix that was asked for; empty for the object itself
-    `size`: bytes
-    `mtime_ns`: when it was written, ns; None if its store does not say
-    `etag`: by what its store recognises its content; None if it does not say
-    """
-
-    name: str
-    size: int
-    mtime_ns: int | None
-    etag: str | None
-
-
-def objects_of(address: str) -> list[StoredObject]:
-    """Return what is known of an object, or of each object of a prefix."""
-    store, found = find(address)
-    objects = []
-    for name, info in ({"": found} if found.is_file else list_objects(address)).items():
-        with reading(address), store.open_input_file(info.path) as file:
-            objects.append(StoredObject(name, file.size(), info.mtime_ns, etag_of(file)))
-    return objects
-
-
-def digest_of_object(address: str) -> Digest:
-    """Return size and ETag of an object, and those of each object of a prefix."""
-    digests = {one.name: Digest(one.size, etag=one.etag) for one in objects_of(address)}
-    if "" in digests:
-        return digests[""]
-    return Digest(sum(digest.bytes or 0 for digest in digests.values()), files=digests)

@@ -7,18 +7,22 @@ import threading
 from bisect import bisect_right
 from collections import OrderedDict
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from quatprop.stores.file_source import FileSource
-from quatprop.stores.objects import etag_of, locate, reading
+from quatprop.stores.objects import below, list_objects, locate, reading
+from quatprop.stores.stored import stored_object
 from quatprop.stores.temp_files import temp_folder
-from quatprop.stores.transfers import copy_object
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Iterator, Sequence
     from pathlib import Path
 
     from pyarrow import NativeFile
+
+    from quatprop.stores.stored import StoredObject
 
 SMALL_BYTES = 1 << 20
 """Size of an object up to which it is read at once."""
@@ -38,6 +42,9 @@ GAP_BYTES = 1 << 16
 AHEAD_BYTES = 1 << 24
 """Bytes that are read ahead of their use."""
 
+BLOCK_BYTES = 1 << 23
+"""Bytes of a request where all of it is copied."""
+
 KEPT_BYTES = 1 << 26
 """Bytes that are kept of what was read ahead."""
 
@@ -52,7 +59,7 @@ class RemoteSource(FileSource):
     """An object of a store, read in ranges by several threads; errors are exceptions of the log.
 
     `path`: what errors and readers take for its path
-    `etag`: by what the store recognises its content; None if it does not say
+    `stored`: by what the store recognises it
     """
 
     is_remote = True
@@ -68,7 +75,7 @@ class RemoteSource(FileSource):
             store, place = locate(address)
             self._object = store.open_input_file(place)
             self.size = self._object.size()
-            self.etag = etag_of(self._object)
+            self.stored = stored_object(self._object, store, place)
         is_small = self.size <= SMALL_BYTES
         ends = [(0, HEAD_BYTES), (self.size - TAIL_BYTES, self.size)]
         self._announce([(0, self.size)] if is_small else ends)
@@ -143,9 +150,18 @@ class RemoteSource(FileSource):
             if self._copy is None:
                 self._temp = temp_folder()
                 path = self._temp.path / self.path.name
-                copy_object(self._address, path)
+                self.copy_to(path)
                 self._copy = FileSource(path)
         return self._copy
+
+    def copy_to(self, target: Path) -> None:
+        """Copy the whole object to a file."""
+        blocks = [(begin, begin + BLOCK_BYTES) for begin in range(0, self.size, BLOCK_BYTES)]
+        if self.size > SMALL_BYTES:
+            self._announce(blocks)
+        with target.open("wb") as file:
+            for begin, end in blocks:
+                file.write(self.read(begin, end - begin))
 
     def close(self) -> None:
         """Close the object, and remove what was copied."""
@@ -153,6 +169,36 @@ class RemoteSource(FileSource):
         if self._copy is not None:
             self._copy.close()
             self._temp.remove()
+
+
+@contextmanager
+def local_copy(
+    address: str, objects: list[StoredObject], names: Collection[str] | None = None
+) -> Iterator[Path]:
+    """Copy the files of a bag in a store into a temporary folder, removed when the block ends.
+
+    `objects`: gets what each of them was
+    `names`: those to copy; others are there, but empty. None is all
+    """
+    temp = temp_folder()
+    try:
+        target = temp.path / PurePosixPath(locate(address)[1]).name
+        target.mkdir()
+        for name in bag_files(address):
+            if names is None or name in names:
+                with RemoteSource(below(address, name), target / name) as source:
+                    source.copy_to(target / name)
+                objects.append(source.stored._replace(name=name))
+            else:
+                (target / name).touch()
+        yield target
+    finally:
+        temp.remove()
+
+
+def bag_files(address: str) -> list[str]:
+    """Return the names of the files of a bag in a store, without those of folders inside."""
+    return [name for name in list_objects(address) if "/" not in name]
 
 
 class _Stream(io.RawIOBase):

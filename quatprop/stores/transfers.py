@@ -2,75 +2,31 @@
 
 from __future__ import annotations
 
-import shutil
+import os
 import threading
 from concurrent.futures import Future, wait
-from contextlib import contextmanager
-from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, TypeVar
 
 from quatprop.errors import OutputError
 from quatprop.stores.objects import (
     below,
+    exists,
     find,
+    is_address,
     list_objects,
     locate,
     reading,
     store_reason,
     without_secret,
 )
-from quatprop.stores.temp_files import temp_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
+    from collections.abc import Callable
+    from pathlib import Path
 
     from quatprop.stores.compression import Buffer
 
 Result = TypeVar("Result")
-
-BLOCK_BYTES = 1 << 24
-"""Bytes that are copied at a time."""
-
-
-@contextmanager
-def local_copy(address: str, names: Collection[str] | None = None) -> Iterator[Path]:
-    """Copy a log from an object store into a temporary folder, removed when the block ends.
-
-    `names`: the files of a folder to copy; others are there, but empty. None is all
-    """
-    temp = temp_folder()
-    try:
-        _, found = find(address)
-        target = temp.path / PurePosixPath(found.path).name
-        if found.is_file:
-            copy_object(address, target)
-        else:
-            target.mkdir()
-            for name in bag_files(address):
-                if names is None or name in names:
-                    copy_object(below(address, name), target / name)
-                else:
-                    (target / name).touch()
-        yield target
-    finally:
-        temp.remove()
-
-
-def bag_files(address: str) -> list[str]:
-    """Return the names of the files of a bag in a store, without those of folders inside."""
-    return [name for name in list_objects(address) if "/" not in name]
-
-
-def copy_object(address: str, target: Path) -> None:
-    """Copy an object to a file."""
-
-    def copy() -> None:
-        store, place = locate(address)
-        with store.open_input_stream(place) as source, target.open("wb") as file:
-            shutil.copyfileobj(source, file, BLOCK_BYTES)
-
-    with reading(address):
-        interruptible(copy)
 
 
 def get(address: str) -> bytes:
@@ -95,6 +51,28 @@ def upload(source: Path, address: str) -> None:
         if source.is_dir():
             target = below(address, file.relative_to(source).as_posix())
         put(target, pa.memory_map(str(file)).read_buffer() if file.stat().st_size else b"")
+
+
+def move(source: str, target: str) -> None:
+    """Move a file, a folder or an object, in place of what is there; nothing if there is none."""
+    import shutil
+
+    if is_address(source):
+        names = [""] if exists(source) and find(source)[1].is_file else None
+        for name in names if names is not None else list_objects(source, missing_ok=True):
+            one, other = (below(place, name) if name else place for place in (source, target))
+            put(other, get(one))
+            with reading(one):
+                store, place = locate(one)
+                store.delete_file(place)
+        return
+    try:
+        if os.path.isdir(target):  # noqa: PTH112
+            shutil.rmtree(target)
+        os.makedirs(os.path.dirname(target), exist_ok=True)  # noqa: PTH103, PTH120
+        os.replace(source, target)  # noqa: PTH105
+    except OSError as error:
+        raise OutputError(target, f"cannot be written: {error.strerror}") from error
 
 
 def put(address: str, data: Buffer) -> None:

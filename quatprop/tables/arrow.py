@@ -223,15 +223,15 @@ def _batches_end(footer: bytes) -> int:
     (root,) = struct.unpack_from("<I", footer)
     table = root - struct.unpack_from("<i", footer, root)[0]
     (table_size,) = struct.unpack_from("<H", footer, table)
-    end = 0
+    ends: list[int] = []
     for slot in (8, 10):  # dictionaries and record batches
         (at,) = struct.unpack_from("<H", footer, table + slot) if slot < table_size else (0,)
         if at:
             vector = root + at + struct.unpack_from("<I", footer, root + at)[0]
             (count,) = struct.unpack_from("<I", footer, vector)
             blocks = footer[vector + 4 : vector + 4 + _BLOCK.size * count]
-            end = max(end, *map(sum, _BLOCK.iter_unpack(blocks)), 0)
-    return end
+            ends += map(sum, _BLOCK.iter_unpack(blocks))
+    return max(ends, default=0)
 
 
 def _leaves(

@@ -17,7 +17,7 @@ from quatprop.tables.column_names import parse_name
 from quatprop.tables.counters import counted_rows
 from quatprop.tables.log import Log
 from quatprop.tables.model import Stamp, Table, TablePart
-from quatprop.text import Setting, plain, quoted
+from quatprop.text import Remark, Setting, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -139,9 +139,9 @@ class TableLog(Log, Table):
                 times = (rows.log_ns for _ in stamps)
                 yield RowBatch(rows.log_ns, (*times, *rows.values[1:]))
 
-    def remark(self, text: str) -> None:
+    def remark(self, code: str, text: str) -> None:
         """Add a remark on the file, as the last one."""
-        self.remarks = [*(one for one in self.remarks if one != text), text]
+        self.remarks = [*(one for one in self.remarks if one != text), Remark(code, text)]
 
     def _timed_rows(
         self, stamp: Stamp, groups: Sequence[Group], parts: frozenset[int] | None = None
@@ -163,7 +163,9 @@ class TableLog(Log, Table):
         name = quoted(self.names[stamp.columns[0]])
 
         def note_lost(count: int) -> None:
-            self.remark(f"{count} sample{'s' * (count > 1)} lost by the counter {name}")
+            self.remark(
+                "counter-gaps", f"{count} sample{'s' * (count > 1)} lost by the counter {name}"
+            )
 
         try:
             yield from counted_rows(batches, rate, note_lost)
@@ -189,7 +191,7 @@ class TableLog(Log, Table):
             )
         remark = f"{self.other_rows} rows of other series than {which} were not read"
         if self.other_rows and remark not in self.remarks:
-            self.remarks = [*self.remarks, remark]
+            self.remarks = [*self.remarks, Remark("other-series", remark)]
 
     @abstractmethod
     def _stored_rows(self, columns: TimedColumns) -> Batches:

@@ -97,7 +97,7 @@ class Hdf5Log(NumpyTable):
         if hasattr(link, "filename"):
             leads = f"its link {quoted(path)} leads to another file, {quoted(link.filename)}"
             self._refused[path] = f"{leads}, which is not opened; name that file"
-            self.remarks = [*self.remarks, f"{leads}, which is not opened"]
+            self.remark("external-link", f"{leads}, which is not opened")
 
     def _describe(self, path: str, item: Any) -> None:
         """Add the columns of a dataset; those that are no columns are ignored."""

@@ -108,7 +108,7 @@ class StoredRows:
         self._shape: tuple[int, ...] = dataset.shape
         self._is_of_matlab = is_of_matlab(dataset, len(self._shape))
         self._axis = 1 if self._is_of_matlab else 0
-        self._width = slice(0, 1)
+        self._width: slice[int, int, None]  # of several columns
         self.step = size = dataset.dtype.itemsize
         if len(self._shape) > 1:
             # Only from the first wanted column to the last.

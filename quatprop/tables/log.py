@@ -9,7 +9,9 @@ if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
     from pathlib import Path
 
+    from quatprop.stores.stored import StoredLog
     from quatprop.tables.model import Table
+    from quatprop.text import Remark
 
 
 class Loss(NamedTuple):
@@ -60,10 +62,12 @@ class Log(ABC):
     `definition_files`: files beside the log that message definitions were taken from
     `unchecked_chunks`: chunks that were read in part and so not compared with their checksum; grows
         likewise
+    `stored`: by what an object store recognises it; None for a file of this machine
     """
 
     kind: str
-    remarks: Sequence[str] = ()
+    stored: StoredLog | None = None
+    remarks: Sequence[Remark] = ()
     definition_files: Sequence[Path] = ()
     unchecked_chunks: int = 0
 
@@ -77,6 +81,11 @@ class Log(ABC):
 
         `topic`: only those of this name; None for all
         """
+
+    def confirm(self) -> None:
+        """Refuse a log that was replaced in its store since it was opened."""
+        if self.stored is not None:
+            self.stored.confirm()
 
     def close(self) -> None:  # noqa: B027  # nothing to do where files are open only while read
         """Release files and temporary copies."""

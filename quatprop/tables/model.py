@@ -247,5 +247,5 @@ class Table(ABC):
         return {}
 
     @abstractmethod
-    def remark(self, text: str) -> None:
+    def remark(self, code: str, text: str) -> None:
         """Add a remark on the log, once however often its rows are read."""

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from quatprop.text import Setting
-from quatprop.times import NS_PER_S, duration_text
+from quatprop.text import Remark, Setting
+from quatprop.times import NS_PER_S, duration_text, utc_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,6 +22,12 @@ INTEGRATED_SHARE = 0.001
 
 FASTEST = 50_000
 """Hz: no gyroscope gives more samples a second."""
+
+EPOCH_US = (1_000_000_000_000_000, 2_000_000_000_000_000)
+"""Microseconds from 1970 to 2001 and to 2033: of a clock in ns, the 12th to 23rd day of its run."""
+
+FASTEST_IN_US = 5_000
+"""Hz: with such stamps even 5 Hz would be as fast as this."""
 
 LONGEST_S = 2
 """s: longer intervals are rather those of another unit of time."""
@@ -186,36 +192,38 @@ HANDLED = {
 """Setting and its value -> what was done to an event."""
 
 
-def remarks(counts: Counts, policy: Policy) -> Iterator[str]:
+def remarks(counts: Counts, policy: Policy) -> Iterator[Remark]:
     """Yield a sentence for every event that a reader of the result should know of."""
     limit = duration_text(counts.gap_limit_ns or 0)
     events = {
-        "": (counts.duplicates, "repeated timestamp{s}"),
-        "outliers": (counts.outliers, "timestamp outlier{s}"),
-        "on_backwards": (counts.backwards, "non-monotonic timestamp{s}"),
-        "on_nonfinite": (counts.nonfinite, "non-finite rate{s}"),
-        "on_gap": (counts.gaps, f"interval{{s}} longer than {limit}"),
+        "": ("repeated-stamps", counts.duplicates, "repeated timestamp{s}"),
+        "outliers": ("stamp-outliers", counts.outliers, "timestamp outlier{s}"),
+        "on_backwards": ("stamps-back", counts.backwards, "non-monotonic timestamp{s}"),
+        "on_nonfinite": ("nonfinite-rates", counts.nonfinite, "non-finite rate{s}"),
+        "on_gap": ("gaps", counts.gaps, f"interval{{s}} longer than {limit}"),
     }
-    for setting, (event, noun) in events.items():
+    for setting, (code, event, noun) in events.items():
         if event.count:
             chosen = policy.on_backwards if setting == "outliers" else getattr(policy, setting, "")
             handled = HANDLED[setting, chosen]
             if event is counts.backwards and event.cause and chosen == "keep":
                 handled = "refused"  # neither drop nor sort mends the clock
             longest = _longest(counts) if event is counts.gaps else ""
-            yield (
+            yield Remark(
+                code,
                 f"{event.count} {noun.format(s='s' if event.count > 1 else '')} ({handled}), first "
-                f"at sample {event.first_index}, t = {event.first_ns} ns{event.cause}{longest}"
+                f"at sample {event.first_index}, t = {event.first_ns} ns{event.cause}{longest}",
             )
     yield from _time_remarks(counts)
     clock = counts.steady_clock
     if clock is not None and clock.error_rad >= COSTLY and not policy.regular_time:
-        yield (
+        yield Remark(
+            "jitter",
             f"the timestamps jitter about a steady clock of {clock.rate_hz:.6g} Hz, by "
             f"{duration_text(round(clock.residual_rms_ns))} RMS and at most "
             f"{duration_text(clock.residual_max_ns)}: if they are times of arrival or rounded, "
             f"that puts the attitudes off by {math.degrees(clock.error_rad):.2g} deg RMS; "
-            f"{Setting('regular_time')} takes the times of that clock"
+            f"{Setting('regular_time')} takes the times of that clock",
         )
 
 
@@ -228,7 +236,7 @@ def _longest(counts: Counts) -> str:
     return f"{which}{duration_text(after - before)} after {before} ns"
 
 
-def _time_remarks(counts: Counts) -> Iterator[str]:
+def _time_remarks(counts: Counts) -> Iterator[Remark]:
     """Yield sentences about the time that the samples cover."""
     if (
         counts.duplicates.count > counts.used / 2
@@ -236,33 +244,40 @@ def _time_remarks(counts: Counts) -> Iterator[str]:
         and counts.median_dt_ns is not None
         and counts.median_dt_ns % NS_PER_S == 0
     ):
-        yield (
+        yield Remark(
+            "whole-seconds",
             "the timestamps are whole seconds, each of several samples: they do not tell when a "
-            f"sample was taken; choose another with {Setting('clock')} or {Setting('time_col')}"
+            f"sample was taken; choose another with {Setting('clock')} or {Setting('time_col')}",
         )
     if counts.integrated_ns is not None:
         missed = counts.span_ns - counts.integrated_ns
         if abs(missed) > INTEGRATED_SHARE * counts.span_ns:
-            yield (
+            yield Remark(
+                "increments-span",
                 f"the increments cover {duration_text(counts.integrated_ns)} of the "
                 f"{duration_text(counts.span_ns)} between the first timestamp and the last"
-                + (": no rotation is assumed for the rest" if missed > 0 else "")
+                + (": no rotation is assumed for the rest" if missed > 0 else ""),
             )
     if counts.used > 1 and counts.span_ns == 0:
-        yield (
+        yield Remark(
+            "equal-stamps",
             f"all timestamps are {counts.first_ns} ns; is there another {Setting('clock')} or "
-            f"time column, or are they in another {Setting('time_unit')}?"
+            f"time column, or are they in another {Setting('time_unit')}?",
         )
     elif counts.used >= MIN_SAMPLES and counts.span_ns > 0:
-        rate = (counts.used - 1) * NS_PER_S / counts.span_ns
-        slow = (counts.median_dt_ns or 0) > LONGEST_S * NS_PER_S
-        if slow or rate > FASTEST:
+        first_ns, rate = counts.first_ns or 0, (counts.used - 1) * NS_PER_S / counts.span_ns
+        oddity = ""
+        if (counts.median_dt_ns or 0) > LONGEST_S * NS_PER_S:
+            oddity = f"{rate:.3g} samples per second are few for a gyroscope"
+        elif rate > FASTEST:
+            oddity = f"{rate:,.0f} samples per second are beyond any gyroscope"
+        elif EPOCH_US[0] <= first_ns < EPOCH_US[1] and rate > FASTEST_IN_US:
             oddity = (
-                f"{rate:.3g} samples per second are few for a"
-                if slow
-                else (f"{rate:,.0f} samples per second are beyond any")
+                f"{rate:,.0f} samples per second that begin on {utc_text(first_ns)[:10]} are odd"
             )
-            yield (
-                f"{oddity} gyroscope; if the timestamps are in another unit, use "
-                f"{Setting('time_unit', 's|ms|us|ns')}"
+        if oddity:
+            yield Remark(
+                "sample-rate",
+                f"{oddity}; if the timestamps are in another unit, use "
+                f"{Setting('time_unit', 's|ms|us|ns')}",
             )

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.errors import OutputError, UsageError
-from quatprop.text import Setting, quoted
+from quatprop.stores.objects import is_address, split_address, without_secret
+from quatprop.text import Remark, Setting, quoted
 from quatprop.writers.targets import is_stdout, is_stream
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection, Iterator, Mapping
 
     from quatprop.conventions.layout import Layout
 
@@ -133,24 +134,46 @@ def kind_of(target: Path | str, kind: str | None = None, choices: Collection[str
         return kind
     if is_stdout(target) or is_stream(target):
         return "csv"
-    suffix = Path(target).suffix.lower()
+    name = split_address(str(target))[0] if is_address(target) else target
+    suffix = Path(name).suffix.lower()
     for name, form in WRITERS.items():
         if suffix in form.suffixes:
             return name
     suffixes = ", ".join(s for name in choices for s in WRITERS[name].suffixes if s)
     raise OutputError(
-        target,
+        without_secret(target),
         f"the suffix does not tell the output format; use one of {suffixes}, none for a ROS 2 bag "
         f"folder, or say {Setting('to', '|'.join(choices))}",
     )
 
 
-def format_remarks(target: Path | str, kind: str | None = None) -> tuple[str, ...]:
-    """Return what a file has no place for, though every attitude has it."""
+def format_remarks(
+    target: Path | str,
+    kind: str | None = None,
+    *,
+    positions_lost: bool = False,
+    sigma_lost: bool = False,
+) -> Iterator[Remark]:
+    """Yield what a file has no place for.
+
+    `positions_lost`: whether the source has positions and the output none
+    `sigma_lost`: whether the source has standard deviations or covariances and the output none
+    """
     kind = kind_of(target, kind)
-    if WRITERS[kind].has_stamps:
-        return ()
-    return (f"the timestamps are not kept: {kind} has no place for them",)
+    if not WRITERS[kind].has_stamps:
+        yield Remark("stamps-lost", f"the timestamps are not kept: {kind} has no place for them")
+    if positions_lost:
+        yield Remark(
+            "positions-lost",
+            "the positions beside the attitudes are not kept: the output has no place for them",
+        )
+    if sigma_lost:
+        yield Remark(
+            "sigma-lost",
+            "the standard deviations or covariances of the attitudes are not kept: they need an "
+            "output with a place for them, and Hamilton quaternions body to reference on both "
+            "sides; standard deviations also need axes that stay axes",
+        )
 
 
 def keeps_provenance(target: Path | str, kind: str | None = None, *, comment: bool = False) -> bool:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.errors import OutputError
+from quatprop.stores.objects import is_address, split_address, without_secret
 from quatprop.text import plain
 
 if TYPE_CHECKING:
@@ -107,13 +108,6 @@ def refuse_overlap(inputs: Iterable[str | None], outputs: Iterable[str | None]) 
     targets = [name for name in outputs if name is not None]
     if sum(map(is_stdout, targets)) > 1:
         raise OutputError("-", "two outputs of the run would go to stdout; name a file for one")
-    for name in targets:
-        if "://" in name:
-            # The address may carry a key.
-            raise OutputError(
-                name.partition("://")[0] + "://...",
-                "outputs are files of this machine; copy them there afterwards",
-            )
     real_folder = cache(os.path.realpath)
 
     def real(name: str) -> str:
@@ -125,7 +119,9 @@ def refuse_overlap(inputs: Iterable[str | None], outputs: Iterable[str | None]) 
 
     sources, identities = set[str](), set[tuple[int, int]]()
     for source in inputs:
-        if source and (identity := _identity(source)):
+        if source and is_address(source):
+            sources.add(_object(source))
+        elif source and (identity := _identity(source)):
             sources.add(real(source))
             identities.add(identity)
 
@@ -138,9 +134,11 @@ def refuse_overlap(inputs: Iterable[str | None], outputs: Iterable[str | None]) 
     for name in targets:
         if is_stdout(name) or is_stream(name):
             continue
-        place = real(name)
+        place = _object(name) if is_address(name) else real(name)
         if place in sources or _identity(place) in identities:
-            raise OutputError(name, "this is an input of the run; choose another output")
+            raise OutputError(
+                without_secret(name), "this is an input of the run; choose another output"
+            )
         if above := source_above(os.path.dirname(place)):  # noqa: PTH120
             raise OutputError(
                 name, f"this lies in {plain(above)}, which is an input; choose another output"
@@ -148,6 +146,11 @@ def refuse_overlap(inputs: Iterable[str | None], outputs: Iterable[str | None]) 
         if place in written:
             raise OutputError(name, "two outputs of the run would go here; choose another")
         written.add(place)
+
+
+def _object(address: str) -> str:
+    """Return an address without its secrets and its parameters."""
+    return split_address(without_secret(address))[0].rstrip("/")
 
 
 def _identity(name: str) -> tuple[int, int] | None:

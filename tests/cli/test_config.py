@@ -104,7 +104,7 @@ RUNS = {
     "tumbling.bag -o a.bag": "--message Imu --out-topic /x --frames map,imu",
     "tumbling.bag -o a.tum": "--header-comment --method mean",
     "tumbling.bag -o errors.parquet": "--imu imu.yaml --bias-sigma 20deg/h --sigma "
-    "--scale-sigma 0.1%",
+    "--scale-sigma 0.1% --misalignment-sigma 5mrad --q0-sigma 1deg,1deg,5deg",
     "tumbling.bag -o at.parquet": "--at first.csv --q0 first.csv",
     "tumbling.bag -o dashes.parquet": "--q0 0.6,0,0.8,0 --on-gap zero --from bag",
 }
@@ -163,11 +163,13 @@ def test_settings_of_the_library_are_text_in_metadata():
     start = datetime.fromtimestamp(1_700_000_001, UTC)
     series = propagate(log, start=start, bias=np.array([0.1, 0, 0]), rate=Fraction(30000, 1001),
                        max_gap=timedelta(seconds=1), noise_density=1e-3, sigma=True,
-                       q0=[0.0, 1, 0, 0], scale_sigma=1e-3)  # fmt: skip
+                       q0=[0.0, 1, 0, 0], scale_sigma=1e-3, q0_sigma=(1e-3, 1e-3, 0.1),
+                       misalignment_sigma=5e-3)  # fmt: skip
     write(series, "a.parquet")
     assert shown("a.parquet")[2:] == [
-        'bias = "0.1,0.0,0.0"', 'max-gap = "1000000000ns"',
-        'noise-density = "0.001rad/s/sqrt(Hz)"', 'q0 = "0.0,1.0,0.0,0.0"', 'rate = "30000/1001"',
+        'bias = "0.1,0.0,0.0"', 'max-gap = "1000000000ns"', 'misalignment-sigma = "0.005rad"',
+        'noise-density = "0.001rad/s/sqrt(Hz)"', 'q0 = "0.0,1.0,0.0,0.0"',
+        'q0-sigma = "0.001rad,0.001rad,0.1rad"', 'rate = "30000/1001"',
         'scale-sigma = "1000.0ppm"', "sigma = true", 'start = "1700000001000000000"',
     ]  # fmt: skip
     Path("a.toml").write_text("\n".join(shown("a.parquet")))

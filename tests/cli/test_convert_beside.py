@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from make.commands import run
-from make.mcap_files import Topic, write_topics
+from make.mcap import Topic, write_topics
 from make.small_files import QUATERNION
 from make.tables import write_rates
 from rosbags.highlevel import AnyReader

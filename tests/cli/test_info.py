@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from make.commands import refused, run
-from make.mcap_files import Topic, write_topics
+from make.mcap import Topic, write_topics
 from make.places import SAMPLE_LOGS
 from make.small_files import EUROC
 from make.tables import write_rates
@@ -231,6 +231,8 @@ def test_a_topic_that_needs_an_extra_does_not_hide_the_others(tmp_path, monkeypa
     said = text(alone)[3]
     assert said.startswith(f"  /tf: from {CONING}, method start, q0 1,0,0,0 ")
     assert said.endswith(", stored as hamilton body-to-ref")
+    alone.write_bytes(alone.read_bytes().replace(b'{"', b'x"'))  # its metadata are no JSON now
+    assert info(alone)["attitudes"][0]["source"] == "/tf"
 
 
 def test_a_topic_of_several_transforms_is_said_in_one_sentence(shared_logs):

@@ -42,7 +42,6 @@ PROPAGATE = {
     "log.csv -o locked.csv": "Error: locked.csv: this file is read-only; choose another",
     "log.csv -o locked/out.csv": "locked is not permitted; choose another",
     "log.csv -o - --report -": "Error: -: two outputs of the run would go to stdout; name a file",
-    "log.csv -o s3://key:secret@bucket/out.csv": "Error: s3://...: outputs are files of this mach",
     "nan.csv -o old.csv": "not finite",
     **{f"nan.csv -o - --to {kind}": "not finite" for kind in ("csv", "tsv", "jsonl", "tum")},
     "log.csv --heading 30": "--heading goes with --q0",

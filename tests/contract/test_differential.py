@@ -15,7 +15,7 @@ from quatprop.logs.open_log import open_log
 from quatprop.logs.signals.rates import choose_rates
 from quatprop.settings.selection import RateSelection
 
-COUNTS = {"mcap": 90, "bag": 40, "rosbag2": 50, "csv": 90, "arrow": 70, "numpy": 40, "jsonl": 50}
+COUNTS = {"mcap": 60, "bag": 30, "rosbag2": 25, "csv": 75, "arrow": 50, "numpy": 25, "jsonl": 40}
 GENERATORS = {**MESSAGE_LOGS, **TABLE_LOGS}
 
 

@@ -16,8 +16,7 @@ import zstandard
 from make import formats
 from make.commands import refused, run
 from make.formats import FORMATS, SAMPLES
-from make.mcap_files import Topic, write_topics
-from make.numbered_mcap import MESSAGES, read, unclosed, written
+from make.mcap import MESSAGES, Topic, numbered, read_numbers, unclosed, write_topics
 from make.reading import rates
 from make.tables import write_rates
 from make.ulog import added, record
@@ -269,9 +268,9 @@ def test_the_limit_is_that_of_the_environment(monkeypatch):
 
 def test_chunks_that_unpack_to_more_than_a_log_can_have_are_not_unpacked(tmp_path, monkeypatch):
     """What comes before the limit is read, what comes after is told with the way out."""
-    content = unclosed(written()) + bombs(12)
+    content = unclosed(numbered()) + bombs(12)
     monkeypatch.setenv(MAX_UNPACKED, "100M")
-    numbers, losses = read(tmp_path, content)
+    numbers, losses = read_numbers(tmp_path, content)
     assert numbers == [*range(MESSAGES), *[0] * 7]
     reason = (
         "it decompresses to more than 104857600 bytes; if that is right, set QUATPROP_MAX_UNPACKED "
@@ -279,7 +278,7 @@ def test_chunks_that_unpack_to_more_than_a_log_can_have_are_not_unpacked(tmp_pat
     )
     assert [loss.reason for loss in losses].count(reason) == 12 - 7
     monkeypatch.setenv(MAX_UNPACKED, "1G")
-    assert len(read(tmp_path, content)[0]) == MESSAGES + 12
+    assert len(read_numbers(tmp_path, content)[0]) == MESSAGES + 12
 
 
 def test_a_packed_file_that_unpacks_to_more_than_a_log_can_have_is_refused(tmp_path, monkeypatch):
@@ -289,7 +288,7 @@ def test_a_packed_file_that_unpacks_to_more_than_a_log_can_have_is_refused(tmp_p
     monkeypatch.setattr(tempfile, "tempdir", str(room))
     monkeypatch.setenv(MAX_UNPACKED, "20M")
     log = tmp_path / "log.mcap.zst"
-    log.write_bytes(zstandard.compress(written()) + BOMB * 3)
+    log.write_bytes(zstandard.compress(numbered()) + BOMB * 3)
     with pytest.raises(
         DamagedLogError, match=r"log.mcap.zst: it decompresses to more than 20971520"
     ):
@@ -301,7 +300,7 @@ def test_large_chunks_are_not_unpacked_ahead(tmp_path, monkeypatch):
     """However many threads there are, of large chunks there is one at a time."""
     monkeypatch.setattr(threads, "available_cores", lambda: 4)
     path = tmp_path / "log.mcap"
-    path.write_bytes(unclosed(written()) + bombs(6))
+    path.write_bytes(unclosed(numbered()) + bombs(6))
     alone = []
     load = mcap.load
 

@@ -67,7 +67,7 @@ def test_what_is_read_at_a_time_changes_nothing(tmp_path, monkeypatch, name):
     usual = result(log, target)
     for (module, setting), value in SMALL.items():
         monkeypatch.setattr(module, setting, value)
-    for cores in (1, 2, 8):
+    for cores in (1, 8):
         monkeypatch.setattr(threads, "available_cores", lambda cores=cores: cores)
         before = pa.cpu_count()
         pa.set_cpu_count(cores)

@@ -20,19 +20,29 @@ from quatprop.simulation.simulate import simulate
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and devices of POSIX")
 ENDS = {
     signal.SIGINT: (130, "Interrupted.\n"),
-    signal.SIGTERM: (143, ""),
-    signal.SIGHUP: (129, ""),
+    signal.SIGTERM: (143, "Ended by SIGTERM.\n"),
+    signal.SIGHUP: (129, "Ended by SIGHUP.\n"),
 }
 SHELL = "/bin/sh"
 FULL = Path("/dev/full")
+TIMEOUT_S = 120
+"""However busy the machine is, s."""
+NEVER_DONE = """
+import sys, time
+sys.addaudithook(lambda event, _: event == "os.rename" and time.sleep(600))
+from quatprop.cli import main
+print(flush=True)
+main()
+"""
+"""Runs the command line, but for its last step, so that a signal does not come too late."""
 needs_full = pytest.mark.skipif(not FULL.exists(), reason="no device that is always full")
 
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
-    """Return a folder with a small log, and two that are long enough to be interrupted."""
+    """Return a folder with a small log, and two of more samples than a pipe holds."""
     folder = tmp_path_factory.mktemp("interrupted")
-    for name, count in {"small.csv": 200, "long.csv": 800_000, "long.mcap": 800_000}.items():
+    for name, count in {"small.csv": 200, "long.csv": 200_000, "long.mcap": 200_000}.items():
         simulate(folder / name, "coning", Shape(), Gyroscope(100, count), truth=None)
     return folder
 
@@ -47,10 +57,23 @@ def signals_are_heard():
     signal.signal(signal.SIGINT, interrupt)
 
 
-@pytest.mark.parametrize("name", ["long.csv", "long.mcap"])
+def never_done(log, out, **environment):
+    """Start a run that does not end by itself; it prints a line before anything is imported."""
+    return subprocess.Popen(
+        [sys.executable, "-c", NEVER_DONE, "propagate", log, "-o", out, "-q"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, **environment},
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize(
-    ("number", "wait"),
-    [(signal.SIGINT, 0.02), (signal.SIGINT, 0.2), (signal.SIGTERM, 0.1), (signal.SIGHUP, 0.1)],
+    ("name", "number", "wait"),
+    [
+        ("long.csv", signal.SIGINT, 0.02),
+        ("long.mcap", signal.SIGINT, 0.2),
+        ("long.csv", signal.SIGTERM, 0.1),
+        ("long.mcap", signal.SIGHUP, 0.1),
+    ],
 )
 def test_an_interrupted_run_leaves_the_old_result_and_nothing_else(
     logs, tmp_path, name, number, wait
@@ -58,16 +81,13 @@ def test_an_interrupted_run_leaves_the_old_result_and_nothing_else(
     """Ctrl-C and a request to end are obeyed at once, with the exit codes that shells expect."""
     out = tmp_path / "out.csv"
     out.write_text("old")
-    process = subprocess.Popen(
-        [INSTALLED, "propagate", logs / name, "-o", out, "-q"],
-        stderr=subprocess.PIPE, text=True, env={**os.environ, "TMPDIR": str(tmp_path)},
-    )  # fmt: skip
+    process = never_done(logs / name, out, TMPDIR=str(tmp_path))
     began = time.monotonic()
-    while len(list(tmp_path.iterdir())) == 1 and time.monotonic() < began + 20:
+    while len(list(tmp_path.iterdir())) == 1 and time.monotonic() < began + TIMEOUT_S:
         time.sleep(0.005)
     time.sleep(wait)
     process.send_signal(number)
-    _, shown = process.communicate(timeout=20)
+    _, shown = process.communicate(timeout=TIMEOUT_S)
     assert (process.returncode, shown) == ENDS[number]
     assert out.read_text() == "old"
     assert list(tmp_path.iterdir()) == [out]
@@ -75,17 +95,12 @@ def test_an_interrupted_run_leaves_the_old_result_and_nothing_else(
 
 def test_an_interruption_at_the_start_is_no_traceback(logs, tmp_path):
     """Ctrl-C is handled before anything large is imported."""
-    code = "from quatprop.cli import main; print(flush=True); main()"
-    run_it = ["propagate", logs / "long.mcap", "-o", tmp_path / "out.csv"]
     for wait in (0, 0.05, 0.12, 0.25):
-        process = subprocess.Popen(
-            [sys.executable, "-c", code, *run_it],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
+        process = never_done(logs / "long.mcap", tmp_path / "out.csv")
         process.stdout.readline()
         time.sleep(wait)
         process.send_signal(signal.SIGINT)
-        _, shown = process.communicate(timeout=20)
+        _, shown = process.communicate(timeout=TIMEOUT_S)
         assert process.returncode in ({130} if wait else {130, -signal.SIGINT})
         if process.returncode == 130:
             assert shown == "Interrupted.\n"
@@ -103,13 +118,14 @@ def test_an_interruption_inside_a_destructor_is_not_lost():
         "with interruptible():\n"
         "    try:\n"
         "        Closing()\n"
-        "        time.sleep(10)\n"
+        "        time.sleep(600)\n"
         "    except KeyboardInterrupt:\n"
         "        print('interrupted')\n"
     )
     result = subprocess.run(
-        [sys.executable, "-c", code], check=False, capture_output=True, text=True, timeout=20
-    )
+        [sys.executable, "-c", code],
+        check=False, capture_output=True, text=True, timeout=TIMEOUT_S,
+    )  # fmt: skip
     assert (result.returncode, result.stdout, result.stderr) == (0, "interrupted\n", "")
 
 
@@ -149,7 +165,7 @@ def test_a_reader_that_has_gone_is_no_error(logs):
     )  # fmt: skip
     assert process.stdout.readline() == b"t_ns,qw,qx,qy,qz\n"
     process.stdout.close()
-    assert (process.wait(20), process.stderr.read()) == (0, b"")
+    assert (process.wait(TIMEOUT_S), process.stderr.read()) == (0, b"")
     process.stderr.close()
 
 

@@ -169,7 +169,8 @@ def test_every_option_is_in_some_test(tmp_path):
     elsewhere |= {"earth_rate": "test_earth_rate.py", "accel_cols": "test_hdf5.py"}
     elsewhere |= {"regular_time": "test_steady_clock.py"}
     errors = ("noise_density", "bias_sigma", "random_walk", "scale_sigma", "imu", "sigma")
-    elsewhere |= dict.fromkeys((*errors, "sigma_axes"), "test_gyro_errors.py")
+    errors += ("misalignment_sigma", "q0_sigma", "sigma_axes")
+    elsewhere |= dict.fromkeys(errors, "test_gyro_errors.py")
     here = {"sample_rate", "series", "topic", "kind", "clock", "time_field", "rate_field"}
     for seed in range(40):
         random = np.random.default_rng(seed)

@@ -9,9 +9,10 @@ from functools import partial
 import numpy as np
 import pyarrow.parquet
 import pytest
+from make.mcap import Topic, write_topics
 from make.tables import write_rates
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 
 from quatprop import propagate, read_rates
 from quatprop.conditioning import GyroCorrection
@@ -64,17 +65,14 @@ def logs(tmp_path_factory):
 
 def rewrite(source, target, logged=lambda log_ns: log_ns):
     """Write messages of an MCAP file in small chunks, at other log times."""
-    with source.open("rb") as stream, target.open("wb") as file:
-        writer = Writer(file, chunk_size=25_000, compression=CompressionType.ZSTD)
-        writer.start("ros2")
-        ids = None
-        for schema, channel, message in make_reader(stream).iter_messages():
-            if ids is None:
-                one = writer.register_schema(schema.name, schema.encoding, schema.data)
-                ids = writer.register_channel(channel.topic, channel.message_encoding, one)
-            log_ns = logged(message.log_time)
-            writer.add_message(ids, log_ns, message.data, log_ns)
-        writer.finish()
+    with source.open("rb") as stream:
+        read = list(make_reader(stream).iter_messages())
+    schema, channel, _ = read[0]
+    messages = [(logged(message.log_time), message.data) for _, _, message in read]
+    kind = schema.encoding, channel.message_encoding
+    topics = {channel.topic: Topic(schema.name, messages, schema.data, *kind)}
+    options = {"chunk_size": 25_000, "compression": CompressionType.ZSTD}
+    write_topics(target, topics, profile="ros2", **options)
 
 
 def attitudes(log, folder, start, end, **settings):

@@ -25,7 +25,6 @@ RECORDINGS = {
     "auk/auk_bz2.bag": Rosbag1Log,
     "auk/auk_lz4.bag": Rosbag1Log,
     "husky/test1_husky.bag": Rosbag1Log,
-    "irregular/test3_2014_ardrone.bag": Rosbag1Log,
     "irregular/tilt_laser.bag": Rosbag1Log,
     "two_imus/test1_2014_xsens.bag": Rosbag1Log,
     "broken/cruise_example-unsorted-chunks.bag": Rosbag1Log,

@@ -9,8 +9,8 @@ import zlib
 import lz4.frame
 import numpy as np
 import zstandard
+from make.mcap import MAGIC, records
 
-MAGIC = b"\x89MCAP0\r\n"
 COUNT, MOST, CHUNKS = 200, 6000, 4
 T_NS = 1_700_000_000 * 10**9 + 10_000_000 * np.arange(MOST)
 RATES = np.stack([np.arange(1.0, MOST + 1), np.zeros(MOST), np.zeros(MOST)], axis=1)
@@ -241,15 +241,6 @@ def layouts():
     }
 
 
-def records(data):
-    """Yield place, opcode and length of the content of each record of an undamaged file."""
-    position, end = len(MAGIC), len(data) - len(MAGIC) * data.endswith(MAGIC)
-    while position < end:
-        opcode, length = struct.unpack_from("<BQ", data, position)
-        yield position, opcode, length
-        position += 9 + length
-
-
 def heads(data):
     """Return what the bytes are, by position: a file's magic bytes, and the heads of its records.
 
@@ -259,15 +250,14 @@ def heads(data):
     """
     places = dict.fromkeys(range(len(MAGIC)), "magic bytes")
     loose = 0
-    for start, opcode, length in records(data):
+    for opcode, start, end in records(data):
         loose += opcode == MESSAGE
         if opcode == MESSAGE and loose > 5:
             continue
         size = {MESSAGE: 22, CHUNK: 44}.get(opcode, 64)
-        head = range(start, start + 9 + min(length, size))
+        head = range(start, min(end, start + 9 + size))
         places |= {at: f"{NAMES[opcode]}, byte {at - start}" for at in head}
         if opcode == ATTACHMENT:
-            end = start + 9 + length
             places |= dict.fromkeys(range(end - 4, end), "checksum of an attachment")
     if data.endswith(MAGIC):
         places |= dict.fromkeys(range(len(data) - len(MAGIC), len(data)), "magic bytes")

@@ -27,10 +27,11 @@ def said(result):
 
 
 def entries(folder):
-    """Return the entries of a manifest."""
-    return Manifest(str(folder)).entries()
+    """Return the valid entries of a manifest, by output."""
+    rows = Manifest(str(folder)).history().to_pylist()
+    return {row["output"]: row for row in rows}
 
 
 def outputs_in(folder):
-    """Return the names of the outputs, without the manifest."""
-    return sorted(path.name for path in folder.glob("*.parquet") if path.stem != "manifest")
+    """Return the names of the outputs."""
+    return sorted(path.name for path in folder.glob("*.parquet"))

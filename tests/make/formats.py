@@ -19,22 +19,20 @@ import pyarrow as pa
 import zstandard
 from make import ulog
 from make.json_messages import imu as json_imu
-from make.mcap_files import Topic, write_topics
-from make.numbered_mcap import BARE
+from make.mcap import BARE, Topic, write_topics
 from make.protobuf import FOXGLOVE, described, made, stamp_file
+from make.ros import ROS1, ROS2
 from mcap.writer import CompressionType
 from pyarrow import feather, parquet
 from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as FolderWriter
-from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
 from quatprop.containers.ulog_records import SYNC
 from quatprop.series import GyroSeries
 
 IMU = "sensor_msgs/msg/Imu"
-ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 NS = 1_000_000_000
 SAMPLES = 200
 """Samples of a small log: damage meets its structure more often than its numbers."""

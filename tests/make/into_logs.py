@@ -1,12 +1,11 @@
 """Logs to add attitudes to: rates beside other things, in the libraries' own writers."""
 
 import numpy as np
-from mcap.writer import CompressionType, Writer
+from make.mcap import Topic, build
+from make.ros import ROS1, ROS2
+from mcap.writer import CompressionType
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import Writer as Rosbag2Writer
-from rosbags.typesys import Stores, get_typestore
-
-from quatprop.writers.messages.topics import ros2_types
 
 START = 1_700_000_000_000_000_000
 BOOT = 5_000_000_000
@@ -48,35 +47,32 @@ def write_mcap(path, count=300, profile="ros2", start=0, times=None, **options):
     Stamps and log times are those of `times`, or of :func:`moments`. Every other option is that of
     the library's writer.
     """
-    store = get_typestore(Stores.ROS1_NOETIC) if profile == "ros1" else ros2_types()
+    store = ROS1 if profile == "ros1" else ROS2
     ros1 = profile == "ros1"
     definition, _ = store.generate_msgdef(IMU, ros_version=1 if ros1 else 2)
-    options = {"chunk_size": 4000, "compression": CompressionType.ZSTD, **options}
-    with path.open("wb") as stream:
-        writer = Writer(stream, **options)
-        writer.start(profile=profile, library="a recorder")
-        schema = writer.register_schema(
-            IMU.replace("/msg/", "/") if ros1 else IMU,
-            "ros1msg" if ros1 else "ros2msg",
-            definition.encode(),
-        )
-        imu = writer.register_channel("/imu", "ros1" if ros1 else "cdr", schema)
-        camera = writer.register_channel("/camera", "jpeg", 0, {"lens": "wide"})
-        writer.add_metadata("vehicle", {"name": "truck"})
+    kind = (IMU.replace("/msg/", "/"), "ros1msg", "ros1") if ros1 else (IMU, "ros2msg", "cdr")
+    imu = Topic(kind[0], (), definition.encode(), *kind[1:])
+    topics = [("/imu", imu), ("/camera", Topic("", encoding="jpeg", metadata=[("lens", "wide")]))]
+
+    def events():
+        yield lambda writer: writer.add_metadata("vehicle", {"name": "truck"})
         for k, (stamp, logged) in enumerate(times or moments(count, start)):
-            writer.add_message(imu, logged, imu_message(store, stamp, ros1), logged + 1, k)
+            yield 0, logged, imu_message(store, stamp, ros1), logged + 1
             if k % 10 == 0:
-                writer.add_message(camera, logged, bytes([k % 256]) * 500, logged, k)
+                yield 1, logged, bytes([k % 256]) * 500
             if k == count // 2:
-                writer.add_attachment(logged, 7, "calibration.yaml", "text/yaml", b"k: [1, 2]")
-        writer.add_metadata("end", {"why": "stopped"})
-        writer.finish()
+                note = (logged, 7, "calibration.yaml", "text/yaml", b"k: [1, 2]")
+                yield lambda writer, note=note: writer.add_attachment(*note)
+        yield lambda writer: writer.add_metadata("end", {"why": "stopped"})
+
+    options = {"chunk_size": 4000, "compression": CompressionType.ZSTD, **options}
+    path.write_bytes(build(topics, events(), profile=profile, **options))
     return path
 
 
 def write_bag(path, count=300, compression=None, chunk_size=4000, times=None):
     """Write a ROS 1 bag of rates and of a camera's shutter."""
-    store = get_typestore(Stores.ROS1_NOETIC)
+    store = ROS1
     writer = Rosbag1Writer(path)
     writer.chunk_threshold = chunk_size
     if compression is not None:
@@ -99,7 +95,7 @@ def write_bag(path, count=300, compression=None, chunk_size=4000, times=None):
 
 def write_rosbag2(path, storage, count=300, version=9):
     """Write a ROS 2 bag of rates and of a camera's shutter, with a note beside its files."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    store = ROS2
     with Rosbag2Writer(path, version=version, storage_plugin=storage) as writer:
         imu = writer.add_connection("/imu", IMU, typestore=store)
         shutter = writer.add_connection("/shutter", "std_msgs/msg/Header", typestore=store)

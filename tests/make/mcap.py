@@ -1,32 +1,123 @@
-"""MCAP files of plain numbers, and what the library's own reader finds in them."""
+"""MCAP files by the library's own writer, and what it and the package find in them."""
 
 import io
+import json
 import struct
+import zlib
+from itertools import count
+from typing import NamedTuple
 
-from mcap import records
+from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
-from mcap.writer import Writer
+from mcap.writer import IndexType, Writer
+
+from quatprop.containers.mcap.log import McapLog
+
+MAGIC = b"\x89MCAP0\r\n"
+BARE = {
+    "index_types": IndexType.NONE,
+    "use_statistics": False,
+    "use_summary_offsets": False,
+    "repeat_channels": False,
+    "repeat_schemas": False,
+}
+"""Options of the writer for a file without what readers can do without."""
+
+
+class Topic(NamedTuple):
+    """A topic: how its messages are encoded and defined, and the messages in order.
+
+    A message is its bytes, or a dictionary for JSON; ``(time, message)`` states its log time, ns.
+    """
+
+    type_name: str
+    messages: list = ()
+    definition: bytes = b"{}"
+    schema_encoding: str = "jsonschema"
+    encoding: str = "json"
+    metadata: tuple = ()
+
+
+def build(topics, events, *, profile="", **options):
+    """Return a file.
+
+    `topics`: pairs of a name, which may come again, and a topic, whose messages do not count
+    `events`: messages in order: the place of the topic, the log time in ns, the bytes, and when it
+        was published if at another time; or something else that is done with the writer
+    `options`: of the writer
+    """
+    buffer = io.BytesIO()
+    writer = Writer(buffer, **options)
+    writer.start(profile, "a recorder")
+    schemas, channels, numbers = {}, [], count()
+    for name, topic in topics:
+        schema = topic.type_name, topic.schema_encoding, topic.definition
+        if topic.type_name and schema not in schemas:
+            schemas[schema] = writer.register_schema(*schema)
+        metadata = dict(topic.metadata)
+        channels.append(
+            writer.register_channel(name, topic.encoding, schemas.get(schema, 0), metadata)
+        )
+    for event in events:
+        if callable(event):
+            event(writer)
+        else:
+            place, log_ns, data, *published = event
+            published_ns = published[0] if published else log_ns
+            writer.add_message(channels[place], log_ns, data, published_ns, next(numbers))
+    writer.finish()
+    return buffer.getvalue()
+
+
+def write_topics(path, topics, *, spacing_ns=1000, profile="", **options):
+    """Write topics by their names, message after message; return the path.
+
+    Pairs instead of a dictionary may have a name twice, of a topic with two definitions.
+    """
+    pairs = list(topics.items()) if isinstance(topics, dict) else topics
+    events = []
+    for place, (_, topic) in enumerate(pairs):
+        for position, message in enumerate(topic.messages):
+            timed = isinstance(message, tuple)
+            at, content = message if timed else (position * spacing_ns, message)
+            data = content if isinstance(content, bytes) else json.dumps(content).encode()
+            events.append((place, at, data))
+    path.write_bytes(build(pairs, events, profile=profile, **options))
+    return path
+
+
+HEADERS = Topic("sensor_msgs/msg/Imu", (), b"Header header", "ros2msg", "cdr")
+"""A topic whose messages are not decoded."""
 
 
 def written(*, messages=60, uneven=True, first_ns=1000, **options):
     """Return a log of three topics, the first with two publishers, the third without messages."""
-    buffer = io.BytesIO()
-    writer = Writer(buffer, **{"chunk_size": 400, **options})
-    writer.start("ros2", "test")
-    imu = writer.register_schema("sensor_msgs/msg/Imu", "ros2msg", b"Header header")
-    one = writer.register_channel("/imu", "cdr", imu)
-    two = writer.register_channel("/imu", "cdr", imu, {"publisher": "second"})
-    bare = writer.register_channel("/bare", "json", 0)
-    writer.register_channel("/silent", "cdr", imu)
-    for number in range(messages):
-        channel = (one, one, two, bare)[number % 4 if uneven else 0]
-        size = 8 * (1 + number % 3) if uneven else 24
-        stamp = first_ns + 10 * number
-        writer.add_message(channel, stamp, number.to_bytes(size, "little"), stamp - 1, number)
-        if number == messages // 2:
-            writer.add_attachment(1, 1, "notes", "text/plain", b"m" * 99)
-    writer.finish()
-    return buffer.getvalue()
+    second, bare = HEADERS._replace(metadata=[("publisher", "second")]), Topic("")
+    topics = [("/imu", HEADERS), ("/imu", second), ("/bare", bare), ("/silent", HEADERS)]
+
+    def events():
+        for number in range(messages):
+            place = (0, 0, 1, 2)[number % 4] if uneven else 0
+            size = 8 * (1 + number % 3) if uneven else 24
+            stamp = first_ns + 10 * number
+            yield place, stamp, number.to_bytes(size, "little"), stamp - 1
+            if number == messages // 2:
+                yield lambda writer: writer.add_attachment(1, 1, "notes", "text/plain", b"m" * 99)
+
+    return build(topics, events(), profile="ros2", **{"chunk_size": 400, **options})
+
+
+MESSAGES = 400
+
+
+def numbered(**options):
+    """Return a log of a topic in chunks of some twenty messages, which are their own numbers."""
+
+    def data(number):
+        return number.to_bytes(8, "little") + zlib.crc32(b"%d" % number).to_bytes(4, "big") * 8
+
+    events = ((0, number, data(number)) for number in range(MESSAGES))
+    return build([("/imu", HEADERS)], events, profile="ros2", **{"chunk_size": 1500, **options})
 
 
 def saved(tmp_path, content, name="log.mcap"):
@@ -48,23 +139,35 @@ def read(log):
     ]
 
 
+def read_numbers(tmp_path, content):
+    """Return the numbers in the messages of a file, and what is told as lost."""
+    log = McapLog(saved(tmp_path, content))
+    return [int.from_bytes(data[:8], "little") for *_, data in read(log)], log.losses
+
+
 def truth(content):
-    """Return the same from the library's reader."""
+    """Return what :func:`read` does, from the library's reader."""
     topics, messages = {}, []
     for record in StreamReader(io.BytesIO(content)).records:
-        if isinstance(record, records.Channel):
+        if isinstance(record, Channel):
             topics[record.id] = record.topic
-        elif isinstance(record, records.Message):
+        elif isinstance(record, Message):
             messages.append(
                 (topics[record.channel_id], record.log_time, record.publish_time, record.data)
             )
     return messages
 
 
-def every_record(content):
-    """Yield opcode, begin and end of each record of the file, chunks not opened."""
-    position = 8
-    while position < len(content) - 8:
+def records(content):
+    """Return opcode, begin and end of each record of the file, chunks not opened."""
+    position, found = len(MAGIC), []
+    while position + 9 <= len(content) - len(MAGIC) * content.endswith(MAGIC):
         opcode, length = struct.unpack_from("<BQ", content, position)
-        yield opcode, position, position + 9 + length
+        found.append((opcode, position, position + 9 + length))
         position += 9 + length
+    return found
+
+
+def unclosed(content):
+    """Return a file as a recorder leaves it that dies: without data end, summary and footer."""
+    return content[: next(begin for opcode, begin, _ in records(content) if opcode == 15)]

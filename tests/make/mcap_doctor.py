@@ -5,12 +5,12 @@ import zlib
 from collections import Counter
 from io import BytesIO
 
+from make.mcap import MAGIC
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.stream_reader import get_chunk_data_stream
 
-MAGIC = b"\x89MCAP0\r\n"
 KINDS = {
     Opcode.HEADER: records.Header,
     Opcode.FOOTER: records.Footer,

@@ -5,15 +5,14 @@ import sqlite3
 import struct
 
 import numpy as np
+from make.ros import ROS1, ROS2
 from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from rosbags import rosbag1, rosbag2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
-from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
-ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 IMU, TEXT = "sensor_msgs/msg/Imu", "std_msgs/msg/String"
 T0 = 1_700_000_000_000_000_000
 

@@ -1,7 +1,7 @@
 """Definitions of PX4 messages, as far as they matter here, and logs of them."""
 
 import numpy as np
-from make.mcap_files import Topic, write_topics
+from make.mcap import Topic, write_topics
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 DEFINITIONS = {

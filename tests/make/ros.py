@@ -1,7 +1,7 @@
 """Messages of ROS with one call, in the container that the name of the path tells."""
 
 import numpy as np
-from mcap.writer import Writer as McapWriter
+from make.mcap import Topic, build
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import StoragePlugin
@@ -49,17 +49,14 @@ def write_messages(path, messages, types=(ROS1, ROS2), published_ns=0):
     """
     store, channels = types[path.suffix != ".bag"], {}
     if path.suffix == ".mcap":
-        with path.open("wb") as stream:
-            writer = McapWriter(stream, chunk_size=8000)
-            writer.start("ros2")
-            for count, (topic, kind, at, values) in enumerate(messages):
-                if topic not in channels:
-                    text, _ = store.generate_msgdef(kind, ros_version=2)
-                    schema = writer.register_schema(kind, "ros2msg", text.encode())
-                    channels[topic] = writer.register_channel(topic, "cdr", schema)
-                data = bytes(store.serialize_cdr(message(store, kind, values), kind))
-                writer.add_message(channels[topic], at, data, at + published_ns, count)
-            writer.finish()
+        events = []
+        for topic, kind, at, values in messages:
+            if topic not in channels:
+                text, _ = store.generate_msgdef(kind, ros_version=2)
+                channels[topic] = Topic(kind, (), text.encode(), "ros2msg", "cdr")
+            data = bytes(store.serialize_cdr(message(store, kind, values), kind))
+            events.append((list(channels).index(topic), at, data, at + published_ns))
+        path.write_bytes(build(channels.items(), events, profile="ros2", chunk_size=8000))
         return path
     ros1 = store is types[0]
     writer = (

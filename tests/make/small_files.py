@@ -8,12 +8,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from make.commands import run
 from make.into_logs import IMU, imu_message, moments
-from make.mcap_files import Topic, write_topics
+from make.mcap import Topic, write_topics
 from make.places import SAMPLE_LOGS
+from make.ros import ROS1
 from make.tables import write_attitudes, write_rates
 from mcap.reader import make_reader
 from rosbags.rosbag1 import Writer
-from rosbags.typesys import Stores, get_typestore
 
 EUROC = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]"
 QUATERNION = "t_ns,qw,qx,qy,qz"
@@ -58,12 +58,11 @@ def _two_topics(path, log):
 
 def _two_gyroscopes(path):
     """Write a ROS 1 bag."""
-    store = get_typestore(Stores.ROS1_NOETIC)
     with Writer(path) as writer:
         for topic in ("/cam/imu", "/imu_raw"):
-            connection = writer.add_connection(topic, IMU, typestore=store)
+            connection = writer.add_connection(topic, IMU, typestore=ROS1)
             for stamp, logged in moments(3):
-                writer.write(connection, logged, imu_message(store, stamp, ros1=True))
+                writer.write(connection, logged, imu_message(ROS1, stamp, ros1=True))
 
 
 def write_small_files(folder):

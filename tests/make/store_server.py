@@ -9,6 +9,7 @@ ENVIRONMENT = {
     "AWS_SECRET_ACCESS_KEY": "secret",
     "AWS_REGION": "us-east-1",
     "AWS_EC2_METADATA_DISABLED": "true",
+    "AWS_MAX_ATTEMPTS": "3",
 }
 
 DENIED = (
@@ -21,7 +22,8 @@ class StoreServer:
     """S3 on loopback, at `address`.
 
     `sent` is the bytes of all answers so far, after `drop_after` of which connections are dropped,
-    and `requests` holds method and path of all requests.
+    and `requests` holds method and path of all requests. `before` is called with both before each
+    is answered; the status that it returns, such as "503 Slow Down", is the answer.
     """
 
     def __init__(self):
@@ -31,6 +33,7 @@ class StoreServer:
 
         self._application = DomainDispatcherApplication(create_backend_app)
         self.sent, self.requests, self.drop_after = 0, [], None
+        self.before = lambda _method, _path: None
         self._server = make_server("127.0.0.1", 0, self._answer, threaded=True)
         self._server.log_startup = lambda: None
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
@@ -52,6 +55,9 @@ class StoreServer:
         if path.startswith("/denied"):
             start_response("403 Forbidden", [("Content-Type", "application/xml")])
             return [DENIED]
+        if status := self.before(environment["REQUEST_METHOD"], path):
+            start_response(status, [])
+            return []
         answer = list(self._application(environment, start_response))
         if environment["REQUEST_METHOD"] == "GET":
             self.sent += sum(map(len, answer))

@@ -1,28 +1,25 @@
 """Batches in several processes, that are killed, and on clusters."""
 
-import json
 import os
 import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
 
-import pyarrow.parquet
 import pytest
 from make.batches import batch, entries, outputs_in, said, spin
 from make.commands import INSTALLED, installed, refused, run
 from make.places import SAMPLE_LOGS
 
 from quatprop.batch.cluster import on_a_cluster
-from quatprop.batch.entries import ManifestEntry
-from quatprop.batch.manifest import Manifest, write_table
-from quatprop.batch.tasks import BatchSettings, BatchTask
+from quatprop.batch.logs import BatchTask
+from quatprop.batch.manifest import Manifest
+from quatprop.batch.tasks import BatchSettings
 from quatprop.errors import UsageError
 from quatprop.pipeline.job import Job
 from quatprop.pipeline.settings import OutputSettings
 from quatprop.stores.objects import list_objects
-from quatprop.stores.transfers import get, upload
+from quatprop.stores.transfers import upload
 
 posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
@@ -62,45 +59,15 @@ def test_several_batches_write_to_one_folder(tmp_path):
     out = tmp_path / "out"
     shards(logs_in(tmp_path / "in", 8), out)
     assert len(outputs_in(out)) == len(entries(out)) == 8
-    assert len((out / "manifest.jsonl").read_text().splitlines()) == 8
-    assert pyarrow.parquet.read_table(out / "manifest.parquet").num_rows == 8
+    assert len(Manifest(str(out)).history()) == 8
 
 
 def test_several_batches_write_to_one_prefix_of_a_store(bucket, tmp_path):
     """Every log is done once, and the manifest has all of them."""
     shards(logs_in(tmp_path / "in", 4), f"{bucket}/out")
-    lines = get(f"{bucket}/out/manifest.jsonl").splitlines()
     names = [f"{number}.parquet" for number in range(4)]
-    assert [json.loads(line)["output"] for line in lines] == names
+    assert Manifest(f"{bucket}/out").history()["output"].to_pylist() == names
     assert set(names) <= set(list_objects(f"{bucket}/out"))
-
-
-ANOTHER = """
-import sys
-from quatprop.batch.entries import ManifestEntry
-from quatprop.batch.manifest import Manifest
-manifest = Manifest(sys.argv[1])
-manifest.record(ManifestEntry("done", "/b.csv", "b.parquet"))
-manifest.write_table()
-"""
-
-
-def test_a_table_of_fewer_entries_does_not_replace_one_of_more(tmp_path, monkeypatch):
-    """A batch that ends while another one writes its table waits for it."""
-    others = []
-
-    def slow(entries, path):
-        others.append(subprocess.Popen([sys.executable, "-c", ANOTHER, tmp_path]))
-        with suppress(subprocess.TimeoutExpired):
-            others[0].wait(1.5)
-        write_table(entries, path)
-
-    manifest = Manifest(str(tmp_path))
-    manifest.record(ManifestEntry("done", "/a.csv", "a.parquet"))
-    monkeypatch.setattr("quatprop.batch.manifest.write_table", slow)
-    manifest.write_table()
-    assert others[0].wait(60) == 0
-    assert pyarrow.parquet.read_table(tmp_path / "manifest.parquet").num_rows == 2
 
 
 @pytest.mark.parametrize("name", ["coning.mcap", "rest.parquet"])
@@ -114,7 +81,7 @@ def test_a_dropped_connection_is_one_sentence(bucket, tmp_path, store_server, na
         store_server.drop_after = None
     assert words.startswith(f"Error: {bucket}/{name}: its store does not answer (")
     assert words.endswith("; check the network and the address of the store")
-    assert not list((tmp_path / "out").glob("[!m]*"))
+    assert not list((tmp_path / "out").glob("[!_]*"))
 
 
 HOOK = """
@@ -125,17 +92,31 @@ def kill(event, arguments):
             os.kill(os.getpid(), 9)
 sys.addaudithook(kill)
 """
+HELD = """
+import os, sys, time
+def hold(event, arguments):
+    while event == "os.rename" and os.path.basename(arguments[1])[0].isdigit():
+        if len(os.listdir(os.path.dirname(arguments[1]))) < 9:
+            break
+        time.sleep(0.05)
+sys.addaudithook(hold)
+"""
+"""Lets a batch go no further than some outputs: it does not end before it is to be ended."""
+
+
+def hooked(folder, code):
+    """Return an environment whose processes run some code when they start."""
+    (folder / "sitecustomize.py").write_text(code)
+    return {"PYTHONPATH": f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
 
 
 @posix
 @pytest.mark.parametrize("processes", ["1", "2"])
 def test_a_log_that_kills_its_process_fails_alone(tmp_path, processes):
     """All others are done, and the batch says which was killed, at once and at the end."""
-    (tmp_path / "sitecustomize.py").write_text(HOOK)
     logs, out = logs_in(tmp_path / "in", 5), tmp_path / "out"
     crash = spin(logs / "crash.csv")
-    paths = f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
-    done = installed("batch", logs, "-o", out, "-j", processes, env={"PYTHONPATH": paths})
+    done = installed("batch", logs, "-o", out, "-j", processes, env=hooked(tmp_path, HOOK))
     assert done.returncode == 2, done.stderr
     reason = f"{crash}: the process that ran it was killed; is there enough"
     assert f"\nError: {reason}" in done.stderr
@@ -152,22 +133,25 @@ def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
     """Nothing that was done is done again, nothing half-written stays, and no process either."""
     logs, out = logs_in(tmp_path / "in", 30), tmp_path / "out"
     command = [INSTALLED, "batch", logs, "-o", out, "-j", "2", "-q"]
-    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-    end = time.monotonic() + 60
+    environment = {**os.environ, **hooked(tmp_path, HELD)}
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, env=environment)
+    end = time.monotonic() + 240
     while not out.exists() or len(entries(out)) < 3:
         assert time.monotonic() < end
         time.sleep(0.01)
     process.send_signal(number)
-    process.wait(30)
+    process.wait(120)
     before = None if number == signal.SIGKILL else len(entries(out))
-    while before != (before := len(entries(out))):
-        time.sleep(0.5)  # until the processes of a killed batch have ended
+    # Until the processes of a killed batch have ended: they remove what is half-written.
+    while before != (before := len(entries(out))) or any(out.glob(".*")):
+        assert time.monotonic() < end
+        time.sleep(0.5)
     # What was complete an instant before it was recorded is done again.
     assert before <= len(outputs_in(out)) <= before + 2
     assert before < 30
-    done = run("batch", logs, "-o", out, "-j", "2", "--skip-existing", code=0)
+    done = run("batch", logs, "-o", out, "-j", "1", "--skip-existing", code=0)
     assert said(done).startswith(f"{30 - before} of {30 - before} logs done")
-    assert sorted(path.suffix for path in out.iterdir()) == [".jsonl", *[".parquet"] * 31]
+    assert sorted(path.suffix for path in out.iterdir()) == ["", *[".parquet"] * 30]
     again = tmp_path / "again"
     batch(logs, "-o", again, "-q", code=0)
     for name in outputs_in(out):
@@ -206,12 +190,13 @@ def test_a_cluster_gives_the_same_files(tmp_path):
 def test_a_cluster_that_is_not_there(tmp_path):
     """The address is named."""
     pytest.importorskip("distributed")
-    settings = BatchSettings.of(Job("LOG", OutputSettings("OUT")))
-    task = BatchTask(str(spin(tmp_path / "a.csv")), str(tmp_path / "a.npy"), "a.npy")
+    spin(tmp_path / "a.csv")
+    settings = BatchSettings.of(Job("LOG", OutputSettings("OUT")), str(tmp_path))
+    task = BatchTask(str(tmp_path), "a.csv", ".npy")
     with pytest.raises(UsageError, match="no Dask scheduler answers at 'nonsense'"):
         list(on_a_cluster([task], settings, "nonsense", Manifest(str(tmp_path))))
     code = "from quatprop.batch.cluster import _client; _client('nonsense')"
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=15, check=False
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
     )
     assert "Exception ignored" not in done.stderr

@@ -27,7 +27,7 @@ def test_the_uncertainty_of_an_offset_is_honest():
     truth = quatprop.propagate(GyroSeries(t_ns, rates), method="cubic").wxyz
     turn = Rotation.from_rotvec([0.3, -2.0, 0.5]).as_quat(scalar_first=True)
     settings = comparison_settings(time_offset="auto", tol=10.0)
-    for seed in range(12):
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         measured = rates + 0.03 * rng.normal(size=rates.shape) + 0.01
         a = quatprop.propagate(GyroSeries(t_ns, measured), method="mean")
@@ -35,8 +35,8 @@ def test_the_uncertainty_of_an_offset_is_honest():
         b = AttitudeSeries(t_ns + true_ns, multiply(multiply(truth, noise), turn))
         offset = compare(AttitudeSeries(t_ns, a.wxyz), b, settings).time_offset
         squares.append(((offset.added_to_b_ns + true_ns) / offset.found.std_ns) ** 2)
-    # chi-squared of 12 degrees of freedom: 99 % between 3.1 and 28.3
-    assert 3.1 < np.sum(squares) < 28.3
+    # chi-squared of 8 degrees of freedom: 99 % between 1.34 and 21.95
+    assert 1.34 < np.sum(squares) < 21.95
 
 
 @pytest.fixture
@@ -55,7 +55,7 @@ def peak():
 
 def test_unit_quaternions_are_compared_where_they_lie(peak):
     """Two long series of unit length take no memory for copies of them."""
-    t_ns, wxyz = np.arange(1_300_000), np.tile([0.6, 0.8, 0.0, 0.0], (1_300_000, 1))
+    t_ns, wxyz = np.arange(600_000), np.tile([0.6, 0.8, 0.0, 0.0], (600_000, 1))
     a, b = AttitudeSeries(t_ns, wxyz), AttitudeSeries(t_ns, wxyz.copy())
     assert peak(lambda: compare(a, b, ComparisonSettings(tol=1.0))) < 1.5 * wxyz.nbytes
 

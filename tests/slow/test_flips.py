@@ -6,7 +6,7 @@ import pytest
 from fuzz.flips import FORMATS, TABLE, Format, problems, sample, unnoticed_table
 from make.documents import GUIDES
 
-SAMPLE = 100
+SAMPLE = 40
 """Flips of each format, beside one of each thing that a byte can be."""
 
 

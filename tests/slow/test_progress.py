@@ -49,7 +49,7 @@ COUNTED = {
     "convert rest.truth.parquet b.csv": "3.00k/3.00k",
     "plot coning.mcap -o c.png": "/1.00k",
     "simulate d.csv --samples 100000": "/100k",
-    "batch spin.csv coning.mcap -o e": "1/2 ",
+    "batch spin.csv coning.mcap -o e -j 1": "1/2 ",
     "propagate spin.csv -o f.csv -q": None,
 }
 BAR = r"( samples|log)/s|s/log"

@@ -23,7 +23,7 @@ from quatprop.containers.mcap.summary import (
 )
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.messages.blocks import Channel, MessageBlock, by_topic
-from quatprop.text import quoted
+from quatprop.text import Remark, quoted
 from quatprop.times import LATEST
 
 if TYPE_CHECKING:
@@ -33,7 +33,10 @@ if TYPE_CHECKING:
     from quatprop.stores.file_source import FileSource
     from quatprop.tables.model import TimeRange
 
-_CLAMPED = "log times after the year 2262 do not fit int64 ns and are read as the last that does"
+_CLAMPED = Remark(
+    "clamped-times",
+    "log times after the year 2262 do not fit int64 ns and are read as the last that does",
+)
 
 
 class McapLog(ChunkedLog[Chunk]):

@@ -21,7 +21,7 @@ from quatprop.messages.blocks import Channel, MessageBlock, by_topic
 from quatprop.messages.definition_sums import definition_of
 from quatprop.provenance import METADATA_KEY
 from quatprop.stores.compression import UnreadableDataError
-from quatprop.text import Setting, quoted
+from quatprop.text import Remark, Setting, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -155,7 +155,9 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
             chunks = [chunk for chunk in self.chunks_of(channel) if chunk.start not in left_out]
         if channel.topic in self._doubtful:
             what = f"topic {quoted(channel.topic)}: its message definition"
-            self.remarks = (f"{what} does not have the MD5 sum that the bag states",)
+            self.remarks = (
+                Remark("definition-md5", f"{what} does not have the MD5 sum that the bag states"),
+            )
         wanted = self._connections_of(channel)
         return BagReader(self._file, self.losses, channel.topic, wanted).blocks(chunks)
 

@@ -131,7 +131,7 @@ def best_clock(
         instead = "the sample rate is"
         if moving:
             instead = f"those in {matcher.names(moving[0].columns)} are"
-        matcher.remarks.append(f"the times in {names} are all the same; {instead} used")
+        matcher.remark("clock-stands", f"the times in {names} are all the same; {instead} used")
     if not moving:
         return None
     best, *others = moving
@@ -154,7 +154,7 @@ def best_clock(
         both = matcher.names(other.columns), matcher.names(best.columns)
         way = Setting("time_col", matcher.as_option(other.columns[0]))
         sentence = clocks.difference_text(*both, differ)
-        matcher.remarks.append(f"{sentence}; to use them, name them with {way}")
+        matcher.remark("clocks-differ", f"{sentence}; to use them, name them with {way}")
     return best
 
 

@@ -102,7 +102,7 @@ def message_stamp(matcher: ColumnMatcher, found: Found) -> Stamp:
             if stamp is not stamps[0]:
                 zero, used = (quoted(place_of(table, one)) for one in (stamps[0], stamp))
                 remark = f"the stamps in {zero} are all zero; those in {used} are used"
-                matcher.remarks.append(remark)
+                matcher.remark("stamp-unset", remark)
             return stamp
     raise TimelineError(
         table.path,

@@ -165,7 +165,8 @@ def _counted(
     if name is None:
         counter = _counter(matcher, numbers)
         if counter:
-            matcher.remarks.append(
+            matcher.remark(
+                "counter-used",
                 f"{given} is that of the counter {matcher.names(counter)}, which also counts lost "
                 f"samples; to count rows, give {Setting('time_col', _NO_COLUMN)} too"
             )  # fmt: skip
@@ -173,7 +174,9 @@ def _counted(
         if unused := clocks_of(matcher, row, ()):
             names = matcher.names(min(unused, key=lambda clock: clock.goodness).columns)
             what = "the samples" if counter else "the rows"
-            matcher.remarks.append(f"{given} counts {what}; the stamps in {names} are not used")
+            matcher.remark(
+                "stamps-unused", f"{given} counts {what}; the stamps in {names} are not used"
+            )
         return stamp
     if name == _NO_COLUMN and not matcher.has(name):
         return Stamp(sample_rate=rate)
@@ -217,12 +220,13 @@ def _at_rate(
                 (f"{use} and {given} if it does, or {Setting('time_col', _NO_COLUMN)} and "
                      f"{given} to count rows"),
             )  # fmt: skip
-        matcher.remarks.append(f"{counts} is not used; to use it, give {use} and {given}")
+        matcher.remark("counter-unused", f"{counts} is not used; to use it, give {use} and {given}")
         return stamp
     for k, how in _countings(matcher, clocks.INDEX, numbers).items():
         if how.has_gaps:
             use = Setting("time_col", matcher.as_option(k))
-            matcher.remarks.append(
+            matcher.remark(
+                "index-gaps",
                 f"{matcher.names((k,))} passes over numbers, as if samples were lost, but rows "
                 f"are counted; to count by it, give {use} and {given}"
             )  # fmt: skip

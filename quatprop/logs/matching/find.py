@@ -10,7 +10,7 @@ from quatprop.logs.vocabulary.rows import PARTS, Row
 from quatprop.logs.vocabulary.sources import GENERIC, TYPES, row_of_type
 from quatprop.tables.column_names import rate_unit_of, whole_key
 from quatprop.tables.model import TablePart
-from quatprop.text import quoted
+from quatprop.text import Remark, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -57,7 +57,7 @@ class Match(NamedTuple):
     stamp: Stamp
     factor: float = 1.0
     marks: Group = ()
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
     unit: str = ""
     representation: str = "quaternion"
     layout: str = ""

@@ -16,7 +16,7 @@ from quatprop.logs.vocabulary.rows import PARTS
 from quatprop.logs.vocabulary.sources import GENERIC
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 from quatprop.tables.column_names import as_option, parse_name
-from quatprop.text import Setting, did_you_mean, listed, plain, quoted
+from quatprop.text import Remark, Setting, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -45,7 +45,7 @@ class ColumnMatcher:
         self.columns = found.table.columns
         self.selection = selection
         self.setting = setting
-        self.remarks: list[str] = []
+        self.remarks: list[Remark] = []
         self.unknown: list[tuple[str, str]] = []
 
     def matching(self, pattern: str) -> list[int]:
@@ -118,7 +118,8 @@ class ColumnMatcher:
             # Who gives a unit knows better than the header.
             if {*found} - {chosen}:
                 given = f"{Setting(f'{quantity}_unit')} says {chosen}"
-                self.remarks.append(f"{given}, but {by_header}; read in {chosen}, as asked for")
+                text = f"{given}, but {by_header}; read in {chosen}, as asked for"
+                self.remark("unit-overruled", text)
             return chosen
         if facts[1:]:
             raise UsageError(f"{plain(self.path)}: {by_header}; convert them to one unit")
@@ -152,6 +153,10 @@ class ColumnMatcher:
                 f"{self.names(positions)} are declared in {quoted(unit)}; "
                 f"convert them to {' or '.join(_choices(units))}",
             )
+
+    def remark(self, code: str, text: str) -> None:
+        """Add a remark on what was chosen."""
+        self.remarks.append(Remark(code, text))
 
     # Sets of columns.
 

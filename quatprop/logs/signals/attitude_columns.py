@@ -13,7 +13,7 @@ from quatprop.logs.vocabulary.names import COMPONENT, ROTATIONS
 from quatprop.logs.vocabulary.rows import QUATERNION_PARTS
 from quatprop.logs.vocabulary.sources import GENERIC
 from quatprop.tables.column_names import ANGLE_UNITS, EULER, EULER_NUMBERED
-from quatprop.text import Setting, listed, plain, quoted
+from quatprop.text import Remark, Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -37,7 +37,7 @@ def match_attitudes(found: Found, selection: AttitudeSelection, recorded: str | 
         form, found, stored = _in_file(matcher, selection)
     field = found.sets[0] if found.field else tuple(sorted(stored))
     unit = layout = ""
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
     if form == "quaternion":
         wxyz = _in_order(matcher, selection, found, stored, recorded)
         found = found._replace(sets=(wxyz,))
@@ -45,12 +45,12 @@ def match_attitudes(found: Found, selection: AttitudeSelection, recorded: str | 
     else:
         row = found.row
         unit = _angle_unit(matcher, selection.from_angle_unit, form, stored, row.angle_unit)
-        remarks = (
-            "which of q and -q is meant is not stored: signs are those of each row by itself",
-        )
+        text = "which of q and -q is meant is not stored: signs are those of each row by itself"
+        remarks = (Remark("sign-unstored", text),)
         if form.startswith("euler-"):
             first, second, third = tuple(form.removeprefix("euler-"))
-            remarks += (f"the angles turn about {first}, the new {second}, and the newest {third}",)
+            text = f"the angles turn about {first}, the new {second}, and the newest {third}"
+            remarks += (Remark("angle-sequence", text),)
     marks = marks_of(found)
     stamp, table = choose_time(matcher, found, marks, row)
     return Match(

@@ -102,6 +102,7 @@ def _known(
         varies = bool((batch[-1] != constant).any())
     if not varies and first and first[0][-1][:1].any():
         table.remark(
+            "constant-covariance",
             f"the covariance of the orientation does not change in {count} messages, so it "
             "is taken as a constant of the driver, not as what is known of each attitude",
         )
@@ -119,6 +120,7 @@ def _known(
         yield (*row, of_rotation)
     if in_part:
         table.remark(
+            "partial-covariance",
             f"the covariances of {in_part} messages are known in part, which is not kept: they "
             "are taken as unknown",
         )

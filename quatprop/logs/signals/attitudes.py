@@ -25,7 +25,7 @@ from quatprop.logs.signals.choice import ATTITUDES, Candidate, candidates, choos
 from quatprop.logs.signals.signal import AttitudeSignal
 from quatprop.provenance import entry_of
 from quatprop.settings.choices import LAYOUTS
-from quatprop.text import Setting, plain
+from quatprop.text import Remark, Setting, plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -99,7 +99,11 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
         representation=form,
         rotation_columns=_rotation_columns(table, form),
     )
-    remarks = [f"by its type {row.frames}"] if table.is_typed and row.frames else []
+    remarks = (
+        [Remark("frames-by-type", f"by its type {row.frames}")]
+        if table.is_typed and row.frames
+        else []
+    )
     placeholder = (
         table.is_typed
         and row.rate != ""
@@ -107,7 +111,8 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
         and are_all((np.abs(wxyz) for _, wxyz in signal.first()), IDENTITY, CONSTANT_MESSAGES)
     )
     if placeholder:
-        remarks.append("it is the identity in every message: a placeholder, not an attitude")
+        text = "it is the identity in every message: a placeholder, not an attitude"
+        remarks.append(Remark("placeholder", text))
     return replace(signal, placeholder=placeholder, remarks=(*remarks, *match.remarks))
 
 

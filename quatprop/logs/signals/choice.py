@@ -21,7 +21,7 @@ from quatprop.errors import (
 )
 from quatprop.logs.matching.find import Found, find
 from quatprop.logs.signals.signal import RateSignal, Signal
-from quatprop.text import Setting, did_you_mean, listed, plain, quoted
+from quatprop.text import Remark, Setting, did_you_mean, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -111,7 +111,7 @@ def choose(log: Log, candidates: Sequence[Candidate[SignalT]], kind: SignalKind)
     ignored = [candidate.topic for candidate in candidates if candidate not in preferred]
     if not ignored:
         return signal
-    remark = f"ignored {kind.secondary}: {listed(ignored)}"
+    remark = Remark("ignored-signals", f"ignored {kind.secondary}: {listed(ignored)}")
     return replace(signal, remarks=(*signal.remarks, remark))
 
 
@@ -124,12 +124,14 @@ def _joined(log: Log, signals: list[SignalT]) -> SignalT:
     files = {s.matches[0].table.path for s in signals if isinstance(s, RateSignal)}
     if len(files) == len(signals):
         several = f"{len(files)} files"
-        remark = f"{several} are read as one log, in the order of their times"
+        text = f"{several} are read as one log, in the order of their times"
+        remark = Remark("several-files", text)
     else:
         several = f"{len(signals)} different message definitions"
-        remark = (
+        remark = Remark(
+            "several-definitions",
             f"topic {quoted(first.name)} was recorded with {several}, each of which was read by "
-            "its own"
+            "its own",
         )
     kinds = {(s.method, s.increments) if isinstance(s, RateSignal) else id(s) for s in signals}
     what = f"topic {quoted(first.name)} was recorded with {several}"

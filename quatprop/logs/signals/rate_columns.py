@@ -41,9 +41,9 @@ def match_rates(found: Found, selection: RateSelection) -> Match:
     stamp, table = choose_time(matcher, found, marks, row)
     if scale != 1.0:
         remark = f"the rates are in {declared}, which is read as {scale:.4g} {unit}"
-        matcher.remarks.append(remark)
+        matcher.remark("scaled-unit", remark)
     if notes.mount:
-        matcher.remarks.append(_mount_remark(notes.mount))
+        matcher.remark("stated-mount", _mount_remark(notes.mount))
     factor = scale * notes.rate_scale * RATES[unit]
     is_named = selection.rate_field is not None or selection.rate_cols is not None
     found, remarks = found._replace(table=table), tuple(matcher.remarks)
@@ -74,7 +74,7 @@ def _in_file(matcher: ColumnMatcher, row: Row, named: Sequence[str] | None) -> F
     estimates = [one.rate for one in ROWS if one.name == row.name and not one.measured]
     if ignored := matcher.sets(RATE_PARTS, *estimates) if row.measured else []:
         names = listed(map(matcher.spelled, ignored))
-        matcher.remarks.append(f"ignored estimated body rates: {names}")
+        matcher.remark("ignored-signals", f"ignored estimated body rates: {names}")
     own = row if rate in by_row else GENERIC
     samples = (rate,) if own.burst is None else tuple(by_row)
     return matcher.found(own, samples)._replace(field=matcher.spelled(rate))

@@ -9,6 +9,7 @@ from quatprop.logs.signals.choice import RATES, Candidate, candidates, choose
 from quatprop.logs.signals.rate_columns import match_rates
 from quatprop.logs.signals.reading import refuse_marked
 from quatprop.logs.signals.signal import RateSignal
+from quatprop.text import Remark
 
 if TYPE_CHECKING:
     from quatprop.logs.matching.find import Found
@@ -57,16 +58,19 @@ def _signal(found: Found, selection: RateSelection) -> RateSignal:
         clock=match.stamp.clock,
         remarks=(*_sample_remarks(row), *match.remarks),
         unit=match.unit,
+        unit_is_given=selection.rate_unit is not None,
         method=row.method,
         increments=row.span != "",
         matches=(match,),
     )
 
 
-def _sample_remarks(row: Row) -> tuple[str, ...]:
+def _sample_remarks(row: Row) -> tuple[Remark, ...]:
     """Return the remark on rates that are not one each."""
     if row.span:
-        return ("the samples are angle increments: the sensor itself has summed up its rate",)
+        text = "the samples are angle increments: the sensor itself has summed up its rate"
+        return (Remark("increments", text),)
     if row.burst is not None:
-        return ("several samples a message: the time of each is counted back from the stamp",)
+        text = "several samples a message: the time of each is counted back from the stamp"
+        return (Remark("bursts", text),)
     return ()

@@ -149,8 +149,9 @@ def _note_marked(match: Match, rates: Float64, mark: AnyArray) -> None:
     """Remark on finite rates that are read although they are marked as absent."""
     if np.isfinite(rates[mark == ABSENT]).all(axis=1).any():
         match.table.remark(
+            "marked-rates",
             f"rates that a covariance of -1 in {_place_of_marks(match)} marks as absent are read "
-            "all the same, as asked for"
+            "all the same, as asked for",
         )
 
 

@@ -11,7 +11,7 @@ from quatprop.logs.signals.reading import attitudes_of, rates_of
 from quatprop.series import GyroSeries
 from quatprop.settings.choices import CORRECT_CONING
 from quatprop.tables.batches import merge_by_time
-from quatprop.text import quoted
+from quatprop.text import Remark, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,7 +45,7 @@ class Signal:
     type_name: str
     field: str
     clock: str
-    remarks: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,6 +53,7 @@ class RateSignal(Signal):
     """Body rates of a log; takes the parameters of :class:`Signal` too.
 
     `unit`: unit in which they are stored, ``"rad/s"`` or ``"deg/s"``
+    `unit_is_given`: whether it is the user who says so
     `method`: the integration rule that fits the sensor, where the definition of its messages says
         it
     `increments`: whether samples are increments, which the sensor has integrated
@@ -63,6 +64,7 @@ class RateSignal(Signal):
     """
 
     unit: str
+    unit_is_given: bool = False
     method: str | None = None
     increments: bool = False
     matches: tuple[Match, ...] = ()
@@ -123,7 +125,7 @@ class RateSignal(Signal):
             return wanted, "given"
         return (self.method, "log") if self.method else ("start", "default")
 
-    def method_remarks(self, wanted: str | None) -> list[str]:
+    def method_remarks(self, wanted: str | None) -> list[Remark]:
         """Return the remarks on a method that the user has chosen for this signal."""
         samples = self.samples
         if samples == "rates" or wanted in {None, "end"}:
@@ -133,14 +135,15 @@ class RateSignal(Signal):
                 f"method {wanted} adds to {samples} the coning that a sensor leaves out; method "
                 "end fits sensors that correct for it themselves, such as those of PX4"
             )
-            return [remark]
+            return [Remark("coning-added", remark)]
         if self.increments:
-            return [f"samples are increments, to which method {wanted} does not apply; end is used"]
+            remark = f"samples are increments, to which method {wanted} does not apply; end is used"
+            return [Remark("method-unused", remark)]
         remark = (
             "each rate is the average over the interval before its stamp, which is what method "
             f"{self.method} assumes; method {wanted} was used"
         )
-        return [remark]
+        return [Remark("method-differs", remark)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

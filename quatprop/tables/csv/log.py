@@ -18,7 +18,7 @@ from quatprop.tables.csv.reading import CsvRows
 from quatprop.tables.csv.row_parser import RowParser
 from quatprop.tables.csv.truncation import TAIL_BYTES, is_truncated
 from quatprop.tables.text_stream import TextStream, open_text, record_blocks, record_end
-from quatprop.text import quoted
+from quatprop.text import Remark, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -44,7 +44,7 @@ class CsvLog(TableLog):
 
     def __init__(self, source: Path | BinaryIO) -> None:
         super().__init__(source if isinstance(source, Path) else _STDIN)
-        self.remarks: list[str] = []
+        self.remarks: list[Remark] = []
         self._stream = None if isinstance(source, Path) else source
         self._text = open_text(source) if isinstance(source, Path) else TextStream(source)
         self._was_read = False
@@ -163,9 +163,10 @@ class CsvLog(TableLog):
         truncated = damaged or is_truncated(before, last, self._layout, used)
         if truncated is None:
             shown = quoted(last[-_SHOWN:].decode(errors="replace"))
-            self.remarks.append(
+            self.remark(
+                "no-line-end",
                 f"the last line has no line end: if the log was cut off there, its end {shown} "
-                "may have lost digits"
+                "may have lost digits",
             )
         if not truncated:
             return block

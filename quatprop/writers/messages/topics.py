@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -36,6 +37,7 @@ class Topic:
     digest: str = ""
 
 
+@cache
 def ros1_types() -> Typestore:
     """Return the definitions of ROS 1 Noetic, with that of transforms, which the library lacks."""
     types = get_typestore(Stores.ROS1_NOETIC)
@@ -43,6 +45,7 @@ def ros1_types() -> Typestore:
     return types
 
 
+@cache
 def ros2_types() -> Typestore:
     """Return the definitions of ROS 2 Humble."""
     return get_typestore(Stores.ROS2_HUMBLE)

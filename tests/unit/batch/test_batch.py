@@ -1,5 +1,6 @@
 """Many logs at a time: what goes wrong with some of them, outputs, options, clusters."""
 
+import gzip
 import json
 import os
 
@@ -8,20 +9,16 @@ import pytest
 from make.batches import batch, entries, outputs_in, said, spin
 from make.commands import refused, run
 
-from quatprop import __version__
 from quatprop.batch import execution
-from quatprop.batch.cluster import on_a_cluster, propagate_on_worker
-from quatprop.batch.execution import propagate_log
-from quatprop.batch.manifest import Manifest
-from quatprop.batch.tasks import BatchSettings, BatchTask
+from quatprop.batch.tasks import BatchSettings
 from quatprop.cli.batch import command
 from quatprop.cli.propagate import command as propagate
-from quatprop.errors import LogError, QuatpropError, UsageError
+from quatprop.errors import LogError
 from quatprop.errors.third_party import TRACEBACK
 from quatprop.pipeline.job import Job
 from quatprop.pipeline.settings import OutputSettings
 
-SETTINGS = BatchSettings.of(Job("LOG", OutputSettings("OUT")))
+SETTINGS = BatchSettings.of(Job("LOG", OutputSettings("OUT")), "OUT")
 
 
 # Logs with which something is wrong
@@ -105,30 +102,64 @@ def test_keys_in_addresses_are_not_shown(tmp_path):
 # Outputs
 
 
+FOLDERS = (
+    "keep their folders in the names with --root DIR, a folder above both, or write to another "
+    "folder"
+)
+
+
 def test_two_logs_never_share_an_output(tmp_path):
-    """They are refused before anything runs; one log that is named twice is one."""
+    """The second of two logs of one name failed the whole batch; one that is named twice is one."""
     one, out = spin(tmp_path / "a.csv"), tmp_path / "out"
-    folders = (
-        "keep their folders in the names with --root DIR, a folder above both, or write to another "
-        "folder"
-    )
-    for name, way_out in (("a.txt", "rename one of them"), ("b/a.csv", folders)):
-        other = spin(tmp_path / name)
-        both = f"'{one}' and '{other}' would both be written to '{out / 'a.parquet'}'"
-        assert refused("batch", one, other, "-o", out) == f"Error: {both}; {way_out}"
-    assert not out.exists()
+    other = spin(tmp_path / "b" / "a.csv", samples=7)
+    done = batch(one, other, "-o", out, code=2)
+    words = f"its output '{out / 'a.parquet'}' is that of '{one}'; {FOLDERS}"
+    assert f"Error: {other}: {words}\n" in done.stderr
+    assert said(done) == "1 of 2 logs done, 5 samples"
     batch(one, tmp_path / "." / "a.csv", "-o", out, "-q", code=0)
     assert len(entries(out)) == 1
+
+
+def test_a_table_beside_a_recording_has_an_output_of_its_own(tmp_path):
+    """run1.csv beside run1.mcap refused the whole batch."""
+    (tmp_path / "in").mkdir()
+    run("simulate", tmp_path / "in" / "run1.mcap", "--samples", "9", "--truth", "none", code=0)
+    spin(tmp_path / "in" / "run1.csv")
+    out = tmp_path / "out"
+    for _ in range(2):
+        batch(tmp_path / "in", "-o", out, code=0)
+        assert outputs_in(out) == ["run1.csv.parquet", "run1.parquet"]
+        assert {name: entry["samples"] for name, entry in entries(out).items()} == {
+            "run1.csv.parquet": 5, "run1.parquet": 9,
+        }  # fmt: skip
 
 
 def test_an_output_of_another_log_is_not_replaced(tmp_path):
     """One log at a time, too: the manifest knows whose output it is."""
     one, other = spin(tmp_path / "1" / "imu.csv"), spin(tmp_path / "2" / "imu.csv")
     batch(one, "-o", tmp_path / "out", code=0)
-    words = refused("batch", other, "-o", tmp_path / "out")
-    assert f"was made from '{one}', not from '{other}'; keep their folders" in words
+    words = refused("batch", other, "-o", tmp_path / "out", "-q")
+    place = tmp_path / "out" / "imu.parquet"
+    assert words == f"Error: {other}: its output '{place}' is that of '{one}'; {FOLDERS}"
+    assert entries(tmp_path / "out")["imu.parquet"]["root"] == str(tmp_path / "1")
     batch(other, "-o", tmp_path / "out", "--root", tmp_path, code=0)
     batch(one, "-o", tmp_path / "out", code=0)
+
+
+@pytest.mark.parametrize("change", ["compressed", "moved"])
+def test_a_log_that_was_compressed_or_moved_keeps_its_output(tmp_path, change):
+    """It was refused, with the whole batch, as the output was that of the log as it had been."""
+    log, out = spin(tmp_path / "in" / "a.csv"), tmp_path / "out"
+    batch(tmp_path / "in", "-o", out, code=0)
+    folder = tmp_path / "in"
+    if change == "compressed":
+        (tmp_path / "in" / "a.csv.gz").write_bytes(gzip.compress(log.read_bytes()))
+        log.unlink()
+    else:
+        folder = (tmp_path / "in").rename(tmp_path / "moved")
+    done = batch(folder, "-o", out, code=0)
+    assert said(done).startswith("1 of 1 logs done, 5 samples")
+    assert entries(out)["a.parquet"]["state"] == "done"
 
 
 def test_outputs_do_not_replace_other_logs(tmp_path):
@@ -141,7 +172,7 @@ def test_outputs_do_not_replace_other_logs(tmp_path):
     assert other.read_bytes() == before
 
 
-@pytest.mark.parametrize("name", ["a.parquet", "sub", "manifest.jsonl", "manifest.parquet"])
+@pytest.mark.parametrize("name", ["a.parquet", "sub", "_manifest"])
 def test_links_in_the_folder_of_outputs_are_not_followed_out_of_it(tmp_path, name):
     """Files outside were replaced through links, which anyone who writes there may put there."""
     for log in ("a.csv", "sub/b.csv"):
@@ -151,21 +182,21 @@ def test_links_in_the_folder_of_outputs_are_not_followed_out_of_it(tmp_path, nam
     out.symlink_to("real")  # the folder itself may be a link
     outside.mkdir()
     place, shown = outside / "file", out / name
-    if name == "sub":
-        shown.symlink_to(outside)
-        place, shown = outside / "b.parquet", out / "sub" / "b.parquet"
-    else:
+    if name == "a.parquet":
         place.write_text("precious")
         shown.symlink_to(place)
+    else:
+        shown.symlink_to(outside)
+        place = outside / "b.parquet" if name == "sub" else outside
+        shown = out / "sub" / "b.parquet" if name == "sub" else shown
     done = batch(tmp_path / "in", "-o", out, code=2)
     assert (
         f"Error: {shown}: {place} is written to, which is not in {tmp_path / 'real'}; remove the "
         "link or the path that leads there\n"
     ) in done.stderr
-    assert [path.read_text() for path in outside.iterdir()] == ["precious"] * (name != "sub")
-    written = {path.name for path in out.rglob("*.parquet") if not path.is_symlink()}
-    one = {"a.parquet": {"b.parquet"}, "sub": {"a.parquet"}}
-    assert written - {"manifest.parquet"} == one.get(name, set())
+    assert [path.read_text() for path in outside.iterdir()] == ["precious"] * (name == "a.parquet")
+    written = {path.name for path in out.rglob("[ab].parquet") if not path.is_symlink()}
+    assert written == {"a.parquet": {"b.parquet"}, "sub": {"a.parquet"}}.get(name, set())
 
 
 # Options
@@ -198,7 +229,7 @@ EVERY_LOG = {
     "--heading": "90", "--reference-z": "down", "--q0-layout": "xyzw", "--bias": "1,2,3",
     "--calibration": __file__, "--imu": __file__, "--sigma": None, "--sigma-axes": "reference",
     "--noise-density": "0.2deg/sqrt(h)", "--bias-sigma": "20deg/h", "--scale-sigma": "1000ppm",
-    "--random-walk": "1e-5rad/s/sqrt(s)",
+    "--random-walk": "1e-5rad/s/sqrt(s)", "--misalignment-sigma": "5mrad", "--q0-sigma": "1deg",
     "--mount": "x,-y,-z", "--start": "+1s", "--end": "-1s", "--on-backwards": "drop",
     "--on-nonfinite": "hold", "--max-gap": "2s", "--on-gap": "zero", "--regular-time": None,
     "--every": "3", "--rate": "50", "--at": __file__, "--from": "csv", "--topic": "/imu",
@@ -227,7 +258,7 @@ def test_every_option_of_propagate_holds_for_every_log_or_is_about_one():
     assert names == EVERY_LOG.keys() | elsewhere
     own = {name for option in command.params for name in option.opts if name.startswith("--")}
     assert own == EVERY_LOG.keys() | {"--config", "--output", "--to", "--quiet", "--json", "--dask",
-                                      "--skip-existing", "--list", "--root", "--shard",
+                                      "--skip-existing", "--list", "--verify", "--root", "--shard",
                                       "--retries", "--threads"}  # fmt: skip
 
 
@@ -248,65 +279,8 @@ def test_an_option_means_what_it_means_to_propagate(option, tmp_path, monkeypatc
         run("propagate", "a.mcap", "-o", tmp_path / "a.parquet", *beside, *words)
         run("batch", "a.mcap", "-o", tmp_path, *beside, *words)
     alone, among, plain, plain_among = [
-        job._replace(output=job.output._replace(to=None)) for job in jobs
+        job._replace(known_as=None, output=job.output._replace(to=None)) for job in jobs
     ]
     assert alone == among
     assert plain == plain_among
     assert alone != plain
-
-
-# Clusters
-
-QUIET = {"processes": False, "dashboard_address": None}
-
-
-def tasks_of(folder, *names):
-    """Return the tasks of new logs."""
-    return [BatchTask(str(spin(folder / f"{name}.csv")), str(folder / f"{name}.npy"), name)
-            for name in names]  # fmt: skip
-
-
-def raising(task, settings, _version):
-    """Raise what a worker without this package does."""
-    if task.name == "a":
-        raise ModuleNotFoundError("No module named 'quatprop'")
-    return propagate_log(task, settings)
-
-
-def test_what_other_machines_raise_is_an_outcome(tmp_path, monkeypatch):
-    """A worker without this package is an error of the log; others are done, and recorded."""
-    distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("quatprop.batch.cluster.propagate_on_worker", raising)
-    tasks, manifest = tasks_of(tmp_path, "a", "b"), Manifest(str(tmp_path))
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, **QUIET) as cluster:
-        results = dict(on_a_cluster(tasks, SETTINGS, cluster.scheduler_address, manifest))
-    assert str(results[0].entry.error).endswith(
-        "a.csv: the cluster failed (ModuleNotFoundError: No module named 'quatprop')"
-    )
-    states = {name: entry["state"] for name, entry in entries(tmp_path).items()}
-    assert states == {"a": "failed", "b": "done"}
-
-
-def test_a_cluster_without_workers_or_scheduler(tmp_path, monkeypatch):
-    """One sentence in seconds for a cluster that does nothing, and for one that goes."""
-    distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("quatprop.batch.cluster.WORKERS_S", 0.2)
-    tasks, manifest = tasks_of(tmp_path, "a"), Manifest(str(tmp_path))
-    with distributed.LocalCluster(n_workers=0, **QUIET) as cluster:
-        results = on_a_cluster(tasks, SETTINGS, cluster.scheduler_address, manifest)
-        with pytest.raises(UsageError, match=r"has no workers; start some, and try again$"):
-            list(results)
-    cancelled = distributed.client.FutureCancelledError("a", "lost")
-    monkeypatch.setattr(distributed.Future, "result", lambda _: (_ for _ in ()).throw(cancelled))
-    with distributed.LocalCluster(n_workers=1, **QUIET) as cluster:
-        results = on_a_cluster(tasks, SETTINGS, cluster.scheduler_address, manifest)
-        with pytest.raises(QuatpropError, match="no longer answers; what is done is recorded"):
-            list(results)
-
-
-def test_a_worker_of_another_version_is_refused(tmp_path):
-    """Its outputs would be those of another version."""
-    there = BatchTask("a.csv", str(tmp_path / "a.csv"), "a.csv")
-    assert propagate_on_worker(there, SETTINGS, "0.0.1").entry.error == (
-        f"a.csv: its worker has quatprop {__version__}, not 0.0.1; install the same version"
-    )

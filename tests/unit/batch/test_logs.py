@@ -1,11 +1,15 @@
 """Which logs a batch has, and the names of their outputs."""
 
+import glob
+import os
+from pathlib import Path
+
 import pytest
 from make.batches import batch, entries, said, spin
 from make.commands import refused, run
 
-from quatprop.batch.execution import output_paths, shard
-from quatprop.batch.logs import LogSearch
+from quatprop.batch.logs import BatchTask, LogSearch
+from quatprop.batch.planning import shard, with_names
 from quatprop.errors import UsageError
 
 
@@ -24,6 +28,7 @@ def test_a_folder_is_searched_for_logs(tmp_path):
         "ride/metadata.yaml", "ride/ride_0.db3", ".git/x.csv", "out/a.parquet", "README",
     ):  # fmt: skip
         spin(tmp_path / name)
+    (tmp_path / "ride" / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
     (tmp_path / "unnamed").write_bytes(b"\x89MCAP0\r\n")
     search = LogSearch(output=str(tmp_path / "out"))
     search.add(str(tmp_path))
@@ -46,6 +51,35 @@ def test_patterns_are_expanded(tmp_path):
     assert names(tmp_path / "a[1].csv") == ["a[1]"]
     with pytest.raises(UsageError, match=r"nothing matches '.*nothing\*'; check the pattern"):
         names(tmp_path / "nothing*")
+
+
+TREE = ("a.csv", ".b.csv", "p/other/a.csv", "p/run1/a.csv", "p/run1/deep/b.csv", "p/run2/c.csv",
+        "p/.run3/d.csv", "p/run1/.e/f.csv", "p/run[1].csv", "run/run/run.csv")  # fmt: skip
+
+PATTERNS = (
+    "*", "**", "p/*", "p/**", "p/run*/**", "p/run*", "**/*.csv", "**/run*/**", "p/**/*.csv",
+    "*/*/*", "**/deep", "**/run/*", "p/run[[]1].csv", "p/[!r]*/*", "p/run?/?.csv", "p/.*/*", ".b*",
+    "**/**/c.csv", "*/**/run*", "p/run1/**/**", "**/run/**/run*",
+)  # fmt: skip
+
+
+def files_of(pattern):
+    """Return what glob finds, and all that it finds below folders."""
+    for match in glob.glob(pattern, recursive=True):  # noqa: PTH207  # it is what is compared with
+        below = glob.glob(f"{glob.escape(match)}/**/*.csv", recursive=True)  # noqa: PTH207
+        yield from below if Path(match).is_dir() else [match]
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_a_pattern_means_what_it_means_to_glob(tmp_path, monkeypatch, pattern):
+    """'p/run*/**' took p/other: what came before the last part was forgotten."""
+    for name in TREE:
+        spin(tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    search = LogSearch()
+    search.add(pattern)
+    found = [os.path.normpath(log.path) for log in search.logs]
+    assert sorted(found) == sorted({os.path.normpath(path) for path in files_of(pattern)})
 
 
 def test_a_root_keeps_folders_in_names(tmp_path):
@@ -71,7 +105,18 @@ def test_a_name_depends_on_its_own_log_alone(tmp_path):
     search.add(str(tmp_path))
     parts = [shard(search.logs, f"{part}/4") for part in (1, 2, 3, 4)]
     assert sorted(found.name for part in parts for found in part) == every
-    assert [len(part) for part in parts] == [2, 2, 1, 1]
+
+
+def test_a_part_of_a_folder_that_grows_keeps_its_logs():
+    """Parts were counted off: a new log between two tasks moved others, that were done by none."""
+    few = [BatchTask("in", f"{number}.csv") for number in range(0, 60, 2)]
+    many = [BatchTask("in", f"{number}.csv") for number in range(60)]
+    for part in ("1/3", "2/3", "3/3"):
+        before, after = set(shard(few, part)), set(shard(many, part))
+        assert after & set(few) == before
+        assert 5 < len(after) < 40
+        # Logs that have an output together are in one part.
+        assert shard([BatchTask("in", f"{log.name}.mcap.zst") for log in before], part)
 
 
 @pytest.mark.parametrize("text", ["0/4", "5/4", "1", "-1/2", "a/b", "1/0"])
@@ -83,21 +128,24 @@ def test_a_part_is_one_of_n(text):
 
 def test_names_are_without_what_says_how_to_read(tmp_path):
     """A folder keeps its whole name, a file loses all suffixes, an address what opens its store."""
-    spin(tmp_path / "bag.v2" / "metadata.yaml")
+    (tmp_path / "bag.v2").mkdir()
+    (tmp_path / "bag.v2" / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
     paths = [tmp_path / name for name in ("a.mcap.zst", "bag.v2", "b.bag")]
     assert names(*paths) == ["a", "bag.v2", "b"]
-    logs = ["s3://key:secret@logs/a.mcap?chunk=eu.west/1", "s3://logs/d/b.bag.zst?a=b.c"]
+    logs = ["s3://key:secret@logs/a.mcap?region=eu.west/1", "s3://logs/d/b.bag.zst?region=b.c"]
     assert names(*logs) == ["a", "b"]
     assert names(*logs, root="s3://logs") == ["a", "d/b"]
 
 
 def test_names_that_differ_in_case_only_are_refused(tmp_path):
     """On many disks they are one name."""
-    search = LogSearch()
+    search = LogSearch(suffix=".npy")
     for name in ("1/IMU.bag", "2/imu.bag"):
         search.add(str(tmp_path / name))
-    with pytest.raises(UsageError, match=r"would both be written to 'out/imu\.npy'"):
-        output_paths(search.logs, "out", ".npy")
+    with_names(search.logs, "out")
+    first, second = search.logs
+    assert (first.name, first.refused) == ("IMU.npy", "")
+    assert second.refused.startswith(f"its output 'out/imu.npy' is that of '{tmp_path / '1'}")
 
 
 def test_logs_can_be_listed(tmp_path):
@@ -161,6 +209,7 @@ def test_wrong_usage_is_one_sentence(tmp_path, monkeypatch):
     for arguments, sentence in (
         ("- -o out", "stdin is one log; give it to quatprop propagate"),
         ("a.csv -o out -j 2 --dask tcp://x:1", "-j is for this machine; leave it out with"),
+        ("a.csv -o out --verify", "--verify goes with --skip-existing"),
         ("a.csv -o out --heading 5", "--heading goes with --q0 level"),
         ("a.csv -o a.csv", "-o a.csv is a file; name a folder for the outputs"),
         (". -o .", "outputs in '.' would lie among the logs; choose --output"),

@@ -1,23 +1,25 @@
 """The manifest of a batch, and what is up to date by it."""
 
 import hashlib
+import itertools
 import os
+import shutil
 import subprocess
 import sys
 
-import pyarrow.parquet
 import pytest
-from make.batches import batch, entries, said, spin
+from make.batches import batch, entries, outputs_in, said, spin
 from make.commands import refused
 
 from quatprop.batch import execution
-from quatprop.batch.manifest import write_table
+from quatprop.batch.entries import ManifestEntry, json_line
+from quatprop.batch.manifest import Manifest
 
 UP_TO_DATE = "nothing to do: its output is up to date\n"
 
 
 def test_the_manifest_has_a_line_for_each_log(tmp_path):
-    """With what was read, done, written and lost; manifest.parquet is the same as a table."""
+    """With what was read, done, written and lost."""
     good, torn = spin(tmp_path / "in" / "good.csv"), spin(tmp_path / "in" / "torn.csv")
     torn.write_text(torn.read_text() + "500000000,0\n")
     (tmp_path / "in" / "bad.csv").write_text("")
@@ -29,7 +31,7 @@ def test_the_manifest_has_a_line_for_each_log(tmp_path):
     }  # fmt: skip
     entry = found["good.parquet"]
     assert {key: entry[key] for key in ("log", "samples", "rows", "span_s", "method", "error")} == {
-        "log": str(good), "samples": 5, "rows": 5, "span_s": 0.4, "method": "mean", "error": None,
+        "log": "good.csv", "samples": 5, "rows": 5, "span_s": 0.4, "method": "mean", "error": None,
     }  # fmt: skip
     assert entry["sample_rate_hz"] == 10
     assert entry["final_wxyz"] == pytest.approx([0.9800665778, 0, 0, 0.1986693308])
@@ -38,51 +40,51 @@ def test_the_manifest_has_a_line_for_each_log(tmp_path):
         assert entry[f"{name}_sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
     assert found["torn.parquet"]["losses"] == ["line 7: it has 2 columns instead of 4"]
     assert found["bad.parquet"]["error"].endswith("the file is empty; was the recording closed?")
-    table = pyarrow.parquet.read_table(out / "manifest.parquet").to_pylist()
-    assert table == [found[name] for name in sorted(found)]
+    assert entry["root"] == str(tmp_path / "in")
+    assert {path.suffix for path in (out / "_manifest").iterdir()} == {".pq"}
 
 
-def test_the_table_of_the_manifest_is_written_without_pandas(tmp_path):
-    """Importing it takes longer than many logs; a manifest without entries is an empty table."""
+def test_the_manifest_is_written_without_pandas(tmp_path):
+    """Importing it takes longer than many logs."""
     code = (
-        "import sys; from pathlib import Path; from quatprop.batch.manifest import write_table; "
-        "write_table([{'log': 'a', 'remarks': ['é'], 'more': 1}], Path('one.parquet')); "
-        "sys.exit('pandas' in sys.modules)"
+        "import sys; from quatprop.batch.manifest import Manifest; "
+        "from quatprop.batch.entries import ManifestEntry; manifest = Manifest('out'); "
+        "manifest.prepare(); manifest.record(ManifestEntry('done', '/', 'a', 'a', remarks=('é',)));"
+        "manifest.collect(); sys.exit('pandas' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
-    write_table([], tmp_path / "none.parquet")
-    assert pyarrow.parquet.read_table(tmp_path / "none.parquet").num_rows == 0
-    (row,) = pyarrow.parquet.read_table(tmp_path / "one.parquet").to_pylist()
-    assert {name: value for name, value in row.items() if value is not None} == {
-        "log": "a", "remarks": ["é"],
-    }  # fmt: skip
+    assert entries(tmp_path / "out")["a"]["remarks"] == ["é"]
+    assert len(Manifest(str(tmp_path / "none")).history()) == 0
+
+
+def journal(out, *lines):
+    """Write lines as a batch does that was killed."""
+    (out / "_manifest").mkdir(parents=True, exist_ok=True)
+    (out / "_manifest" / "1-killed.jsonl").write_bytes(b"".join(lines))
 
 
 def test_a_line_that_was_cut_is_ignored(tmp_path):
     """A kill costs the line that was being written, and no other."""
-    logs, out = [spin(tmp_path / f"{name}.csv") for name in "ab"], tmp_path / "out"
-    batch(logs[0], "-o", out)
-    manifest = out / "manifest.jsonl"
-    line = manifest.read_bytes()
-    manifest.write_bytes(line + line[:100])
-    batch(logs[1], "-o", out)
-    assert list(entries(out)) == ["a.parquet", "b.parquet"]
-    assert manifest.read_bytes().startswith(line + line[:100] + b"\n{")
-    done = batch(*logs, "-o", out, "--skip-existing")
-    assert done.stderr == "nothing to do: all 2 outputs are up to date\n"
+    entry = ManifestEntry("done", "/in", "a.csv", "a.parquet").recorded("1")
+    line = json_line(entry)
+    journal(tmp_path, line, line[:100])
+    assert list(entries(tmp_path)) == ["a.parquet"]
+    assert Manifest(str(tmp_path)).history().num_rows == 1
 
+
+OWN = ManifestEntry("done", "/in", "a.csv", "b.parquet", samples=5).recorded("1")
+LINE = json_line(OWN)[:-1]
 
 FOREIGN = [
-    b'{"state": "done", "log": 5, "output": "a.parquet"}',
-    b'{"state": ["done"], "log": "x", "output": "a.parquet"}',
-    b'{"state": "done", "log": "x", "output": null}',
-    b'{"state": "done", "log": "x", "output": "a.parquet", "samples": "many"}',
-    b'{"state": "done", "log": "x", "output": "a.parquet", "rows": 100000000000000000000}',
-    b'{"state": "done", "log": "x", "output": "a.parquet", "final_wxyz": [1, "x"]}',
-    b'{"state": "done", "log": "x", "output": "a.parquet", "span_s": NaN}',
-    b'{"state": "done", "log": "\\ud800", "output": "a.parquet"}',
-    b'{"state": "done", "log": "\\u0000", "output": "a.parquet"}',
-    b'{"state": "done", "log": "x", "log": "y", "output": "a.parquet"}',
+    LINE.replace(b'"a.csv"', b"5"),
+    LINE.replace(b'"done"', b'["done"]'),
+    LINE.replace(b'"b.parquet"', b"null"),
+    LINE.replace(b'"samples": 5', b'"samples": "many"'),
+    LINE.replace(b'"samples": 5', b'"samples": 100000000000000000000'),
+    LINE.replace(b'"final_wxyz": null', b'"final_wxyz": [1, "x"]'),
+    LINE.replace(b'"a.csv"', b'"\\ud800"'),
+    LINE.replace(b'"log": ', b'"log": "y", "log": '),
+    LINE.replace(OWN.time.encode(), b"today"),
     b"[" * 100_000,
     b"9" * 5000,
     b"\xff\x00",
@@ -93,13 +95,11 @@ FOREIGN = [
 def test_a_line_that_no_batch_writes_is_said(tmp_path, line):
     """A log that is a number, and 100,000 brackets, were bugs, or errors without a file."""
     path, out = spin(tmp_path / "a.csv"), tmp_path / "out"
-    out.mkdir()
-    manifest = out / "manifest.jsonl"
-    manifest.write_bytes(b"\n" + line + b"\n" + line + b"\n")
+    journal(out, b"\n" + line + b"\n" + line + b"\n")
     done = batch(path, "-o", out, "-q", code=0)
     assert done.stderr == (
-        f"Warning: {manifest}: line 2 and 1 more: not what a batch writes; ignored, so that a log "
-        "may be propagated again\n"
+        f"Warning: {out / '_manifest'}: 2 lines that no batch writes; ignored, so that a log may "
+        "be propagated again\n"
     )
     assert list(entries(out)) == ["a.parquet"]
 
@@ -107,10 +107,10 @@ def test_a_line_that_no_batch_writes_is_said(tmp_path, line):
 def test_a_manifest_that_is_a_pipe_is_not_waited_for(tmp_path):
     """It would be read for ever."""
     (tmp_path / "out").mkdir()
-    pipe = tmp_path / "out" / "manifest.jsonl"
+    pipe = tmp_path / "out" / "_manifest"
     os.mkfifo(pipe)
     words = refused("batch", spin(tmp_path / "a.csv"), "-o", tmp_path / "out")
-    assert words == f"Error: {pipe}: is no file; remove it"
+    assert words == f"Error: {pipe}: is no folder; remove it"
 
 
 def test_a_log_whose_name_is_no_unicode_is_in_the_manifest(tmp_path):
@@ -150,26 +150,41 @@ def test_what_would_be_otherwise_is_not_skipped(tmp_path):
     assert skipped("--method", "mean")
     spin(path, rate=3.0, samples=7)
     assert not skipped("--method", "mean")
-    (out / "manifest.jsonl").write_text("nonsense")
+    shutil.rmtree(out / "_manifest")
     assert not skipped("--method", "mean")
     (out / "a.parquet").unlink()
     assert not skipped("--method", "mean")
 
 
-def test_a_log_that_changes_while_it_is_read_is_not_the_one_that_was(tmp_path, monkeypatch):
-    """What was noted is the log before the run, so the next run does it again."""
-    path, out = spin(tmp_path / "a.csv"), tmp_path / "out"
-    run_job = execution.run
+def changing(monkeypatch, path, times):
+    """Let a log be written again after each of so many readings."""
+    run_job, count = execution.run, itertools.count(1)
 
-    def changing(job, **options):
+    def run(job, **options):
         report = run_job(job, **options)
-        spin(path, rate=5.0, samples=9)
+        if (number := next(count)) <= times:
+            spin(path, rate=5.0, samples=9 + number)
         return report
 
-    with monkeypatch.context() as patched:
-        patched.setattr(execution, "run", changing)
-        batch(path, "-o", out, "-q")
-    assert said(batch(path, "-o", out, "--skip-existing")) == "1 of 1 logs done, 9 samples"
+    monkeypatch.setattr(execution, "run", run)
+
+
+def test_a_log_that_changes_while_it_is_read_is_read_again(tmp_path, monkeypatch):
+    """It was called done, with the attitudes of what it had been."""
+    path, out = spin(tmp_path / "a.csv"), tmp_path / "out"
+    changing(monkeypatch, path, 1)
+    assert said(batch(path, "-o", out, code=0)) == "1 of 1 logs done, 10 samples"
+    assert batch(path, "-o", out, "--skip-existing").stderr == UP_TO_DATE
+
+
+def test_a_log_that_changes_all_the_time_is_not_done(tmp_path, monkeypatch):
+    """Its recorder may still write to it."""
+    path, out = spin(tmp_path / "a.csv"), tmp_path / "out"
+    changing(monkeypatch, path, 99)
+    done = batch(path, "-o", out, "-q", code=2)
+    words = "it was written to while it was read; try again when it is complete"
+    assert done.stderr == f"Error: {path}: {words}\n"
+    assert outputs_in(out) == []
 
 
 def test_a_log_at_an_address_is_skipped_too(tmp_path):

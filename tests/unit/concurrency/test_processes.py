@@ -98,8 +98,8 @@ from pathlib import Path
 from quatprop.concurrency.processes import map_processes
 def work(folder):
     path = Path(folder, f"{os.getpid()}")
-    path.touch()
     try:
+        path.touch()
         time.sleep(600)
     finally:
         path.rename(path.with_suffix(".tidy"))

@@ -10,7 +10,7 @@ from make.commands import refused, run
 from make.tables import write_rates
 
 from quatprop import GyroSeries, propagate
-from quatprop.conditioning.quantisation import Levels, step_of
+from quatprop.conditioning.quantisation import Levels, shared_step, step_of
 from quatprop.kinematics.quaternion import conjugate, log, multiply
 
 HZ = 100
@@ -85,6 +85,21 @@ def test_a_named_part_in_which_the_body_moves_is_said_to_be_no_rest():
     assert report.conditioning.rest.scatter_rad_s > 1
 
 
+def test_a_rest_of_zeros_is_a_rest():
+    """Of a coarse sensor, or one with a dead band, which shows 0, there was said to be none.
+
+    Zeros before a sensor begins to measure are none where it rests later.
+    """
+    zeros, moving = np.zeros((10 * HZ, 3)), turning(2)
+    report, remarks = found(series(zeros, moving))
+    assert report.conditioning.rest.samples == 10 * HZ
+    assert not report.conditioning.bias_rad_s.any()
+    assert not [text for text in remarks if "would look the same" in text]
+    later = noise(1, 10) + np.array([0, 0, 0.01])
+    report, _ = found(series(zeros, moving, later))
+    np.testing.assert_allclose(report.conditioning.bias_rad_s, later.mean(axis=0), atol=1e-5)
+
+
 def test_rests_that_are_alike_are_not_said_to_differ():
     """Of a hundred logs whose rests differ by noise alone."""
     for seed in range(100):
@@ -92,6 +107,92 @@ def test_rests_that_are_alike_are_not_said_to_differ():
         report, remarks = found(samples)
         assert not [text for text in remarks if "differs" in text], seed
         assert report.conditioning.rest.other is None
+
+
+# --- several rests
+
+
+def three_rests():
+    """Return rests of 20, 10 and 10 s whose biases differ about z, with motion between them."""
+    changes = np.array([[0, 0, 0], [0, 0, 2e-3], [0, 0, -1e-3]])
+    first, second, third = noise(1, 20), noise(3, 10) + changes[1], noise(5, 10) + changes[2]
+    return series(first, turning(2), second, turning(4), third), changes
+
+
+@pytest.mark.parametrize("way", ["nearest", "interpolate"])
+def test_the_bias_of_several_rests(way):
+    """At rest it is that of the rest; it changes halfway to the next, or all the way to it."""
+    samples, changes = three_rests()
+    report, remarks = found(samples, bias=f"static:{way}")
+    conditioning = report.conditioning
+    assert conditioning.bias_rad_s is None
+    assert conditioning.interpolated == (way == "interpolate")
+    means = [rest.mean_rad_s for rest in conditioning.rests]
+    np.testing.assert_allclose(means, changes, atol=2e-4)
+    assert sum("differs by 0.17" in remark for remark in remarks) == 1
+    # The rates that are propagated, from attitudes that are.
+    wxyz = found_attitudes(samples, f"static:{way}")
+    rate = log(multiply(conjugate(wxyz[:-1]), wxyz[1:])) * HZ
+    bias = (samples.rate[:-1] - rate)[:, 2]
+    ends = [(rest.first_ns, rest.last_ns) for rest in conditioning.rests]
+    for (first, last), mean in zip(ends, means, strict=True):
+        inside = (samples.t_ns[:-1] >= first) & (samples.t_ns[:-1] <= last)
+        np.testing.assert_allclose(bias[inside], mean[2], atol=1e-9)
+    middle = int((ends[0][1] + ends[1][0]) // 2 // 10**7)
+    expected = np.mean(means[:2], axis=0) if way == "interpolate" else means[1]
+    assert bias[middle + 1] == pytest.approx(expected[2], abs=1e-5)
+    before = np.mean(means[:2], axis=0) if way == "interpolate" else means[0]
+    assert bias[middle - 1] == pytest.approx(before[2], abs=1e-5)
+
+
+def found_attitudes(samples, bias):
+    """Return attitudes, remarks aside."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return propagate(samples, bias=bias).wxyz
+
+
+def test_of_several_rests_the_error_between_them_is_stated():
+    """In deg/h/sqrt(h), with where it comes from; near a rest the bias is known well again."""
+    samples, _ = three_rests()
+    sigma = {}
+    for way in ("static", "static:nearest", "static:interpolate"):
+        report, _ = found(samples, bias=way)
+        sigma[way] = report.uncertainty.sigma_rad[2]
+        assert report.uncertainty.origins["bias_sigma"] == "rest"
+        assert ("random_walk" in report.uncertainty.origins) == (way != "static")
+    assert sigma["static:nearest"] < sigma["static"] / 5
+    assert report.uncertainty.origins["random_walk"] == "rests that differ"
+    walk = 3e-3 / math.sqrt(5.0)  # from rest to rest, of which windows cut off a part
+    assert report.uncertainty.errors.random_walk == pytest.approx(walk, rel=0.2)
+    given, _ = found(samples, bias="static:nearest", bias_sigma=1e-3)
+    assert given.uncertainty.origins["bias_sigma"] == "given"
+
+
+def test_one_rest_is_the_nearest_and_the_bias_between():
+    """To the bit what static takes."""
+    samples = series(noise(1, 10), turning(2))
+    one, nearest, between = (
+        found_attitudes(samples, f"static{way}") for way in ("", ":nearest", ":interpolate")
+    )
+    assert one.tobytes() == nearest.tobytes() == between.tobytes()
+
+
+def test_the_summary_says_how_the_bias_follows_from_rests(tmp_path):
+    """And the same attitudes come out of a file, in whatever batches."""
+    samples, _ = three_rests()
+    rows = ([t_ns, *rate] for t_ns, rate in zip(samples.t_ns, samples.rate.tolist(), strict=True))
+    path, out = write_rates(tmp_path / "log.csv", rows), tmp_path / "out.csv"
+    options = ("--rate-unit", "rad/s", "--bias", "static:interpolate")
+    result = run("propagate", path, "-o", out, *options)
+    (line,) = (line for line in result.stderr.splitlines() if line.startswith("bias"))
+    assert "interpolated between 3 rests of 39." in line
+    assert "z -0.00" in line
+    last = [float(part) for part in out.read_text().splitlines()[-1].split(",")[1:]]
+    expected = found_attitudes(samples, "static:interpolate")[-1]
+    np.testing.assert_allclose(last, expected, rtol=1e-15)
+    said = refused("propagate", path, "-o", out, "--bias", "static:2s:nearest")
+    assert "'2s' is not one of 'nearest', 'interpolate'" in said
 
 
 # --- a rest that is given
@@ -151,6 +252,18 @@ def test_the_step_of_rates_is_found(step):
     levels = np.unique(np.random.default_rng(1).integers(-200, 200, 300)) * step
     for values in (levels, levels.astype(np.float32), np.round(levels, 9)):
         assert step_of(np.unique(values.astype(float))) == pytest.approx(step, rel=1e-3)
+
+
+def test_an_axis_of_few_values_has_the_step_of_the_others():
+    """Of a log that turned steadily, or about one axis alone, no step was found, nor its error."""
+    for values in ([0, 1, 24, 49, 73], [2, -1, 25, 50, 72], [-2, 22, 0, 47, 3]):
+        assert shared_step(np.array(values) * DEG) == pytest.approx(DEG)
+    for values in ([0.0, 0.0, 1.0], [0.5, 1.0, 1.5], [math.pi, 1.0, math.e, math.sqrt(2)]):
+        assert shared_step(np.array(values)) == 0
+    planar = np.zeros((1000, 3))
+    planar[300:, 2] = np.rint(np.linspace(0, 40, 700))
+    report, _ = found(series(planar * DEG), bias="static@+0s..+2s")
+    assert len(report.conditioning.rest.levels) == 3
 
 
 @pytest.mark.parametrize("damaged", [np.nan, np.inf, -1e308, 1e300])

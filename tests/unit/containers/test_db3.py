@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 import zstandard
 from make.container_messages import messages_of, rosbags_messages, rows_of
+from make.ros import ROS2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 
 from quatprop.containers.rosbag2.db3 import Db3Log
 from quatprop.containers.rosbag2.sqlite_files import open_database
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.tables.log import Loss
 
-STORE = get_typestore(Stores.ROS2_HUMBLE)
 T0 = 1_700_000_000_000_000_000
 HEADER = b"\x00\x01\x00\x00"
 IMU = "/imu", "sensor_msgs/msg/Imu"
@@ -45,8 +44,8 @@ def write_bag(path, mode=CompressionMode.NONE, count=1500):
     if mode != CompressionMode.NONE:
         writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:
-        imu = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=STORE)
-        text = writer.add_connection("/text", "std_msgs/msg/String", typestore=STORE)
+        imu = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=ROS2)
+        text = writer.add_connection("/text", "std_msgs/msg/String", typestore=ROS2)
         for k in range(count):
             log_ns = T0 + 1000 * k - int(rng.integers(50_000))
             writer.write(imu, log_ns, HEADER + rng.bytes(316))

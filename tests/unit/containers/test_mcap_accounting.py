@@ -35,7 +35,7 @@ def read(path, data, **options):
 
 def places(data, kind):
     """Return where the records of a kind begin."""
-    return [start for start, opcode, _ in mcap.records(data) if opcode == kind]
+    return [start for opcode, start, _ in mcap.records(data) if opcode == kind]
 
 
 @pytest.mark.parametrize("layout", ["full", "no statistics", "no summary", "unclosed"])
@@ -77,7 +77,7 @@ def test_records_of_an_attached_log_are_no_samples(tmp_path, has_checksum, has_i
     begin = intact.index(inner)
     if not has_checksum:
         intact[begin + len(inner) : begin + len(inner) + 4] = bytes(4)
-    for stop in [begin + start for start, *_ in mcap.records(inner)][::7]:
+    for stop in [begin + start for _, start, _ in mcap.records(inner)][::7]:
         for field, value in ((at + 1, stop - at - 9), (begin - 8, stop - begin - 4)):
             data = bytearray(intact)
             struct.pack_into("<Q", data, field, value)
@@ -125,7 +125,7 @@ def test_times_that_no_checksum_shows_to_be_right_hide_no_chunk(tmp_path, layout
 
 def chunk_ends(data):
     """Return where the chunks end."""
-    return [start + 9 + size for start, opcode, size in mcap.records(data) if opcode == mcap.CHUNK]
+    return [end for opcode, _, end in mcap.records(data) if opcode == mcap.CHUNK]
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)

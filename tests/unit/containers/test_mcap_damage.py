@@ -5,10 +5,10 @@ import struct
 import zlib
 
 import pytest
-from make.numbered_mcap import BARE, MESSAGES, read, records, unclosed, written
+from make.mcap import BARE, MESSAGES, Topic, build, numbered, read_numbers, records, unclosed
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import CompressionType, IndexType
 
 from quatprop.containers.mcap.log import McapLog
 from quatprop.tables.log import Loss
@@ -40,35 +40,41 @@ def without(numbers):
     return [number for number in range(MESSAGES) if number not in set(numbers)]
 
 
+@pytest.fixture
+def is_left_out(tmp_path, monkeypatch):
+    """Tell whether a chunk is lost with the reason, and read where the user says so."""
+
+    def is_left_out(content, begin, lost, why):
+        numbers, losses = read_numbers(tmp_path, content)
+        monkeypatch.setenv("QUATPROP_CHECKSUMS", "ignore")
+        everything, _ = read_numbers(tmp_path, content)
+        way = "with QUATPROP_CHECKSUMS=ignore it is read all the same"
+        reason = f"{why}, so it is not what was recorded; {way}"
+        is_told = Loss(f"chunk at byte {begin}", reason, len(lost)) in losses
+        return is_told and (numbers, everything) == (without(lost), ALL)
+
+    return is_left_out
+
+
 @every_compression
 @pytest.mark.parametrize("closed", [True, False])
-def test_a_chunk_whose_checksum_is_wrong_is_left_out_and_told(
-    tmp_path, monkeypatch, compression, closed
-):
+def test_a_chunk_whose_checksum_is_wrong_is_left_out_and_told(is_left_out, compression, closed):
     """Nobody can tell which of its samples is wrong, so none is taken, unless the user says so."""
-    content = bytearray(written(compression=compression))
+    content = bytearray(numbered(compression=compression))
     begin, _ = chunks(content)[3]
     content[begin + 9 + 24] ^= 1  # in the checksum: the same as a bit in the samples, for any code
     content = bytes(content) if closed else unclosed(content)
-    numbers, losses = read(tmp_path, content)
-    lost = numbers_of_chunks(written(compression=compression))[3]
-    assert numbers == without(lost)
-    reason = (
-        "its checksum is wrong, so it is not what was recorded; with QUATPROP_CHECKSUMS=ignore "
-        "it is read all the same"
-    )
-    assert Loss(f"chunk at byte {begin}", reason, len(lost)) in losses
-    monkeypatch.setenv("QUATPROP_CHECKSUMS", "ignore")
-    assert read(tmp_path, content)[0] == ALL
+    lost = numbers_of_chunks(numbered(compression=compression))[3]
+    assert is_left_out(content, begin, lost, "its checksum is wrong")
 
 
 def test_a_wrong_checksum_of_the_data_section_is_told(tmp_path):
     """Messages outside chunks have no other checksum; it does not say where the damage is."""
-    content = bytearray(written(use_chunking=False, enable_data_crcs=True))
-    assert read(tmp_path, bytes(content)) == (ALL, [])
+    content = bytearray(numbered(use_chunking=False, enable_data_crcs=True))
+    assert read_numbers(tmp_path, bytes(content)) == (ALL, [])
     place = next(begin for opcode, begin, _ in records(content) if opcode == 5)
     content[place + 9 + 22 + 8] ^= 1
-    numbers, losses = read(tmp_path, bytes(content))
+    numbers, losses = read_numbers(tmp_path, bytes(content))
     assert numbers == ALL
     assert losses == [
         Loss(
@@ -82,12 +88,12 @@ def test_a_wrong_checksum_of_the_data_section_is_told(tmp_path):
 @every_layout
 def test_what_follows_a_hole_is_read(tmp_path, compression, layout):
     """Bytes that are missing in the middle cost the chunk they are missing in, and no other."""
-    intact = written(compression=compression, **LAYOUTS[layout])
+    intact = numbered(compression=compression, **LAYOUTS[layout])
     begin, _ = chunks(intact)[4]
     content = intact[: begin + 200] + intact[begin + 277 :]
     if layout != "whole":
         content = content[: len(unclosed(intact)) - 77]
-    numbers, losses = read(tmp_path, content)
+    numbers, losses = read_numbers(tmp_path, content)
     lost = numbers_of_chunks(intact)[4]
     assert numbers == without(lost)
     assert losses
@@ -100,7 +106,7 @@ def test_what_follows_a_hole_is_read(tmp_path, compression, layout):
 @pytest.mark.parametrize("field", ["opcode", "length", "packed size", "everything"])
 def test_what_follows_a_damaged_chunk_head_is_read(tmp_path, compression, layout, field):
     """A chunk that cannot be followed to its end does not hide those behind it."""
-    intact = written(compression=compression, **LAYOUTS[layout])
+    intact = numbered(compression=compression, **LAYOUTS[layout])
     begin, end = chunks(intact)[4]
     content = bytearray(intact)
     name = len({CompressionType.NONE: ""}.get(compression, compression.name))
@@ -115,7 +121,7 @@ def test_what_follows_a_damaged_chunk_head_is_read(tmp_path, compression, layout
         content = bytearray(intact[:begin] + value + intact[end:])
     if layout != "whole":
         content = bytearray(content[: len(unclosed(intact)) + len(content) - len(intact)])
-    numbers, losses = read(tmp_path, bytes(content))
+    numbers, losses = read_numbers(tmp_path, bytes(content))
     assert set(without(numbers_of_chunks(intact)[4])) <= set(numbers)
     assert numbers == sorted(set(numbers))
     # Of head and content, one is enough to tell where a chunk ends, if an index does not.
@@ -124,10 +130,10 @@ def test_what_follows_a_damaged_chunk_head_is_read(tmp_path, compression, layout
 
 def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path):
     """The records inside a chunk that is not compressed can be followed by themselves."""
-    content = bytearray(unclosed(written(**PLAIN)))
+    content = bytearray(unclosed(numbered(**PLAIN)))
     begin, _ = chunks(content)[4]
     content[begin : begin + 9] = b"\xff" * 9
-    numbers, losses = read(tmp_path, bytes(content))
+    numbers, losses = read_numbers(tmp_path, bytes(content))
     assert numbers == ALL
     assert losses[0].place == f"byte {begin}"
 
@@ -136,12 +142,12 @@ def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path):
 @pytest.mark.parametrize("length", [2**40, 63, 1000])
 def test_a_damaged_message_in_a_chunk_costs_itself(tmp_path, closed, length):
     """Where there is no checksum, the index tells where the messages of a chunk go on."""
-    intact = written(**PLAIN, enable_crcs=False)
+    intact = numbered(**PLAIN, enable_crcs=False)
     damaged = numbers_of_chunks(intact)[4][7]
     at = intact.index(struct.pack("<QQ", damaged, damaged), chunks(intact)[4][0]) - 15
     content = bytearray(intact)
     content[at + 1 : at + 9] = struct.pack("<Q", length)
-    numbers, losses = read(tmp_path, bytes(content) if closed else unclosed(bytes(content)))
+    numbers, losses = read_numbers(tmp_path, bytes(content) if closed else unclosed(bytes(content)))
     assert numbers == without([damaged])
     assert f"chunk at byte {chunks(intact)[4][0]}" in {loss.place for loss in losses}
 
@@ -153,14 +159,14 @@ def test_a_message_whose_channel_id_is_damaged_is_counted(tmp_path, layout):
         "bare": BARE,
         "without index": {"index_types": IndexType.NONE, "use_statistics": False},
     }.get(layout, {})
-    intact = written(**PLAIN, enable_crcs=False, **options)
+    intact = numbered(**PLAIN, enable_crcs=False, **options)
     begin, _ = chunks(intact)[4]
     damaged = numbers_of_chunks(intact)[4][7]
     at = intact.index(struct.pack("<QQ", damaged, damaged), begin) - 6
     content = intact[:at] + struct.pack("<H", 777) + intact[at + 2 :]
     if layout == "unclosed":
         content = unclosed(content)
-    numbers, losses = read(tmp_path, content)
+    numbers, losses = read_numbers(tmp_path, content)
     assert numbers == without([damaged])
     reason = "its message index lists messages that are not among its records"
     expected = (
@@ -174,12 +180,12 @@ def test_a_message_whose_channel_id_is_damaged_is_counted(tmp_path, layout):
 def test_messages_outside_chunks_are_read_behind_damage(tmp_path):
     """A message whose length is wrong costs itself."""
     for closed in (True, False):
-        content = bytearray(written(use_chunking=False))
+        content = bytearray(numbered(use_chunking=False))
         if not closed:
             content = bytearray(unclosed(content))
         begin = [begin for opcode, begin, _ in records(content) if opcode == 5][200]
         content[begin + 1 : begin + 9] = b"\xff" * 8
-        numbers, losses = read(tmp_path, bytes(content))
+        numbers, losses = read_numbers(tmp_path, bytes(content))
         assert numbers == without([200])
         assert losses[0] == Loss(f"byte {begin}", "no record begins there; 71 bytes are skipped")
 
@@ -191,10 +197,10 @@ def test_bytes_that_look_like_a_record_are_not_one(tmp_path):
         for opcode in (3, 4, 5, 6, 7, 9, 12, 15)
         for length in (4, 22, 64, 200, 300)
     )
-    intact = written(**BARE)
+    intact = numbered(**BARE)
     _, end = chunks(intact)[7]
     content = intact[:end] + b"\0" * 100 + fake + b"\xff" * 100 + intact[end:]
-    numbers, losses = read(tmp_path, content)
+    numbers, losses = read_numbers(tmp_path, content)
     assert numbers == ALL
     skipped = 200 + len(fake)
     assert losses == [Loss(f"byte {end}", f"no record begins there; {skipped} bytes are skipped")]
@@ -202,14 +208,9 @@ def test_bytes_that_look_like_a_record_are_not_one(tmp_path):
 
 def two_topics():
     """Return a log of two topics whose messages alternate."""
-    buffer = io.BytesIO()
-    writer = Writer(buffer, chunk_size=1500)
-    writer.start("ros2", "test")
-    ids = [writer.register_channel(topic, "cdr", 0) for topic in ("/a", "/b")]
-    for number in range(MESSAGES):
-        writer.add_message(ids[number % 2], number, number.to_bytes(8, "little") * 5, number)
-    writer.finish()
-    return buffer.getvalue()
+    topics = [(name, Topic("", encoding="cdr")) for name in ("/a", "/b")]
+    events = [(number % 2, number, number.to_bytes(8, "little") * 5) for number in ALL]
+    return build(topics, events, chunk_size=1500)
 
 
 def test_a_damaged_message_index_hides_no_channel(tmp_path):
@@ -218,30 +219,25 @@ def test_a_damaged_message_index_hides_no_channel(tmp_path):
     begin = [begin for opcode, begin, _ in records(intact) if opcode == 7][9]
     content = bytearray(unclosed(intact))
     content[begin : begin + 15] = b"\xff" * 15
-    numbers, losses = read(tmp_path, bytes(content))
+    numbers, losses = read_numbers(tmp_path, bytes(content))
     assert sorted(numbers) == ALL
     assert losses[0].place == f"byte {begin}"
     content = bytearray(intact)
     size = int.from_bytes(content[begin + 11 : begin + 15], "little")
     content[begin + 11 : begin + 15] = (size - 16 * 5).to_bytes(4, "little")
-    numbers, losses = read(tmp_path, bytes(content))
+    numbers, losses = read_numbers(tmp_path, bytes(content))
     assert (sorted(numbers), losses) == (ALL, [])
 
 
 @every_compression
 def test_a_torn_chunk_gives_what_can_be_unpacked_of_it(tmp_path, compression):
     """Of the chunk that a dying recorder was writing, the front is read."""
-    buffer = io.BytesIO()
-    writer = Writer(buffer, chunk_size=1 << 30, compression=compression, **BARE)
-    writer.start("ros2", "test")
-    channel = writer.register_channel("/imu", "cdr", 0)
     data = bytes(zlib.crc32(b"%d" % k) & 0xFF for k in range(1024))
-    for number in range(2000):
-        writer.add_message(channel, number, number.to_bytes(8, "little") + data, number)
-    writer.finish()
-    content = buffer.getvalue()
+    events = [(0, number, number.to_bytes(8, "little") + data) for number in range(2000)]
+    topics = [("/imu", Topic("", encoding="cdr"))]
+    content = build(topics, events, chunk_size=1 << 30, compression=compression, **BARE)
     ((begin, end),) = chunks(content)
-    numbers, losses = read(tmp_path, content[: begin + 9 * (end - begin) // 10])
+    numbers, losses = read_numbers(tmp_path, content[: begin + 9 * (end - begin) // 10])
     assert numbers == list(range(len(numbers)))
     assert 1000 < len(numbers) < 2000
     assert losses == [Loss(f"chunk at byte {begin}", "the file ends inside it")]
@@ -249,11 +245,11 @@ def test_a_torn_chunk_gives_what_can_be_unpacked_of_it(tmp_path, compression):
 
 def test_definitions_are_taken_from_a_chunk_whose_checksum_is_wrong(tmp_path):
     """Where nothing else says what the channels are, the first chunk does, though damaged."""
-    content = bytearray(unclosed(written(**BARE)))
+    content = bytearray(unclosed(numbered(**BARE)))
     begin, _ = chunks(content)[0]
     content[begin + 9 + 24] ^= 1
-    numbers, losses = read(tmp_path, bytes(content))
-    lost = numbers_of_chunks(written(**BARE))[0]
+    numbers, losses = read_numbers(tmp_path, bytes(content))
+    lost = numbers_of_chunks(numbered(**BARE))[0]
     assert numbers == without(lost)
     assert losses[-1].place == f"chunk at byte {begin}"
 
@@ -262,7 +258,7 @@ def test_definitions_are_taken_from_a_chunk_whose_checksum_is_wrong(tmp_path):
 @every_compression
 def test_a_chunk_of_another_size_than_the_index_says_is_read(tmp_path, compression, size):
     """The head of the chunk counts, whatever the summary says that it decompresses to."""
-    content = bytearray(written(compression=compression))
+    content = bytearray(numbered(compression=compression))
     ends = [end for opcode, _, end in records(content) if opcode == 8]
     for end in ends[3:5]:
         content[end - 8 : end] = size.to_bytes(8, "little")
@@ -270,16 +266,14 @@ def test_a_chunk_of_another_size_than_the_index_says_is_read(tmp_path, compressi
     crc = zlib.crc32(content[summary:-12])
     content[-12:-8] = crc.to_bytes(4, "little")
     assert len(ends) > 6
-    assert read(tmp_path, bytes(content)) == (ALL, [])
+    assert read_numbers(tmp_path, bytes(content)) == (ALL, [])
 
 
 @every_compression
 @every_layout
-def test_a_chunk_whose_log_times_are_not_as_it_states_is_lost(
-    tmp_path, monkeypatch, compression, layout
-):
+def test_a_chunk_whose_log_times_are_not_as_it_states_is_lost(is_left_out, compression, layout):
     """Without a checksum, they show that what was decompressed is not what was recorded."""
-    intact = written(compression=compression, enable_crcs=False, **LAYOUTS[layout])
+    intact = numbered(compression=compression, enable_crcs=False, **LAYOUTS[layout])
     begin, _ = chunks(intact)[4]
     content = bytearray(intact)
     lost = numbers_of_chunks(intact)[4]
@@ -289,29 +283,22 @@ def test_a_chunk_whose_log_times_are_not_as_it_states_is_lost(
         content[at : at + 16] = struct.pack("<QQ", lost[0], lost[-1] - 1)
         at = content.find(stated, at)
     content = unclosed(bytes(content)) if layout == "unclosed" else bytes(content)
-    numbers, losses = read(tmp_path, content)
-    assert numbers == without(lost)
-    reason = (
-        "its log times are outside the range that it states, so it is not what was recorded; "
-        "with QUATPROP_CHECKSUMS=ignore it is read all the same"
-    )
-    assert Loss(f"chunk at byte {begin}", reason, len(lost)) in losses
-    monkeypatch.setenv("QUATPROP_CHECKSUMS", "ignore")
-    assert read(tmp_path, content)[0] == ALL
+    why = "its log times are outside the range that it states"
+    assert is_left_out(content, begin, lost, why)
 
 
 @pytest.mark.parametrize("checked", [True, False])
 def test_times_that_a_chunk_does_not_state_or_that_its_checksum_refutes(tmp_path, checked):
     """A right checksum counts for more than the stated times; times of 0 state nothing."""
-    content = bytearray(written(enable_crcs=checked, **BARE))
+    content = bytearray(numbered(enable_crcs=checked, **BARE))
     for begin, _ in chunks(content):
         content[begin + 9 : begin + 25] = struct.pack("<QQ", 0, 1 if checked else 0)
-    assert read(tmp_path, bytes(content)) == (ALL, [])
+    assert read_numbers(tmp_path, bytes(content)) == (ALL, [])
 
 
 def test_no_part_of_an_unclosed_log_is_left_unread_for_the_times_in_heads_of_chunks(tmp_path):
     """A head has no checksum: a wrong time in it would hide the messages of its chunk."""
     path = tmp_path / "log.mcap"
-    path.write_bytes(unclosed(written()))
+    path.write_bytes(unclosed(numbered()))
     log = McapLog(path)
     assert [log.recorded_span(channel) for channel in log.channels()] == [None]

@@ -7,7 +7,7 @@ from contextlib import closing
 
 import pytest
 from make.commands import refused, run
-from make.mcap_files import Topic, write_topics
+from make.mcap import Topic, write_topics
 from make.reading import rates
 
 import quatprop

@@ -7,15 +7,14 @@ from contextlib import suppress
 import numpy as np
 import pytest
 from make.container_messages import messages_of, rosbags_messages
+from make.ros import ROS1
 from rosbags.rosbag1 import Reader, Writer
-from rosbags.typesys import Stores, get_typestore
 
 from quatprop.containers.rosbag1.log import Rosbag1Log
 from quatprop.containers.rosbag1.records import RecordFile
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.tables.log import Loss
 
-STORE = get_typestore(Stores.ROS1_NOETIC)
 T0 = 1_700_000_000_000_000_000
 TEXT = "std_msgs/msg/String"
 COMPRESSIONS = (None, "BZ2", "LZ4")
@@ -41,11 +40,11 @@ def write_bag(path, *, compression=None, threshold=2000, count=300, disorder=0):
     rng = np.random.default_rng(7)
     with writer_of(path, threshold, compression) as writer:
         imu = [
-            writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=STORE, callerid=name)
+            writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=ROS1, callerid=name)
             for name in ("/a", "/b")
         ]
-        text = writer.add_connection("/text", TEXT, typestore=STORE)
-        empty = writer.add_connection("/empty", "std_msgs/msg/Empty", typestore=STORE)
+        text = writer.add_connection("/text", TEXT, typestore=ROS1)
+        empty = writer.add_connection("/empty", "std_msgs/msg/Empty", typestore=ROS1)
         for k in range(count):
             late = int(rng.integers(disorder)) if disorder else 0
             log_ns = T0 + 1_000_000 * k - late
@@ -183,6 +182,16 @@ def test_messages_outside_any_chunk_are_read(tmp_path):
     assert messages(path) == (expected, [])
 
 
+def test_a_bag_that_ends_behind_its_header_is_cut_there(tmp_path):
+    """The header has a record of 4096 bytes, most of which is padding and holds no records."""
+    path = write_bag(tmp_path / "log.bag")
+    path.write_bytes(path.read_bytes()[: 13 + 4096])
+    log = Rosbag1Log(path)
+    assert log.channels() == []
+    assert [loss.place for loss in log.losses] == ["byte 4109"]
+    assert log.losses[0].reason.startswith("it ends before its index")
+
+
 @pytest.mark.parametrize("index_pos", [5, 1 << 60])
 def test_an_index_that_is_not_there_is_done_without(tmp_path, index_pos):
     """An index position that points nowhere is not believed."""
@@ -248,12 +257,12 @@ def beside_images(path, *, messages=400, picture=40_000):
     """Write a bag of small messages, each ninth followed by a large one of another topic."""
     with writer_of(path, 1 << 20) as writer:
         one, two, camera = (
-            writer.add_connection(topic, TEXT, typestore=STORE, callerid=who)
+            writer.add_connection(topic, TEXT, typestore=ROS1, callerid=who)
             for topic, who in (("/imu", "one"), ("/imu", "two"), ("/camera", "three"))
         )
         for number in range(messages):
-            content = STORE.types[TEXT]("x" * (number % 5) + str(number))
-            packed = bytes(STORE.serialize_ros1(content, TEXT))
+            content = ROS1.types[TEXT]("x" * (number % 5) + str(number))
+            packed = bytes(ROS1.serialize_ros1(content, TEXT))
             writer.write(one if number % 3 else two, T0 + number, packed)
             if number % 9 == 0:
                 writer.write(camera, T0 + number, struct.pack("<I", picture) + bytes(picture))
@@ -313,7 +322,7 @@ MESSAGES = 400
 def written(path, compression=None):
     """Write a bag of one topic in chunks of some dozen messages; return its bytes."""
     with writer_of(path, 3000, compression) as writer:
-        connection = writer.add_connection("/text", TEXT, typestore=STORE)
+        connection = writer.add_connection("/text", TEXT, typestore=ROS1)
         for number in range(MESSAGES):
             content = f"{number:08d}{hash((number, 1)):032d}".encode()
             writer.write(connection, 1000 * number, struct.pack("<I", len(content)) + content)
@@ -397,7 +406,7 @@ def test_a_torn_chunk_gives_what_can_be_unpacked_of_it(tmp_path, compression):
     """Of the chunk that a dying recorder was writing, the front is read."""
     path, noise = tmp_path / "log.bag", random.Random(1).randbytes(5000)
     with writer_of(path, 1 << 30, compression) as writer:
-        connection = writer.add_connection("/text", TEXT, typestore=STORE)
+        connection = writer.add_connection("/text", TEXT, typestore=ROS1)
         for number in range(4000):
             content = f"{number:08d}".encode() + noise[number : number + 500]
             writer.write(connection, 1000 * number, struct.pack("<I", len(content)) + content)
@@ -414,7 +423,7 @@ def test_a_torn_chunk_gives_what_can_be_unpacked_of_it(tmp_path, compression):
 def two_topics(path, topics, first):
     """Write a bag with messages of two topics in turn, their connections in the given order."""
     with writer_of(path, 2000) as writer:
-        connections = [writer.add_connection(topic, TEXT, typestore=STORE) for topic in topics]
+        connections = [writer.add_connection(topic, TEXT, typestore=ROS1) for topic in topics]
         for number in range(first, first + MESSAGES):
             content = struct.pack("<I", 8) + f"{number:08d}".encode()
             writer.write(connections[number % 2], 1000 * number, content)

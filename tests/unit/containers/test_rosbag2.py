@@ -12,8 +12,8 @@ import pytest
 import zstandard
 from make.container_messages import messages_of, rosbags_messages
 from make.into_logs import write_mcap
+from make.ros import ROS2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
 from quatprop.containers.mcap.log import McapLog
@@ -23,7 +23,6 @@ from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogE
 from quatprop.stores.file_source import FileSource
 from quatprop.tables.log import Loss
 
-STORE = get_typestore(Stores.ROS2_HUMBLE)
 T0 = 1_700_000_000_000_000_000
 HEADER = b"\x00\x01\x00\x00"
 IMU, TEXT = ("/imu", "sensor_msgs/msg/Imu"), ("/text", "std_msgs/msg/String")
@@ -54,8 +53,8 @@ def write_bag(path, form=FORMS[0], first=0, count=300, late=0):
     if mode != CompressionMode.NONE:
         writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:
-        imu = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=STORE)
-        text = writer.add_connection("/text", "std_msgs/msg/String", typestore=STORE)
+        imu = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=ROS2)
+        text = writer.add_connection("/text", "std_msgs/msg/String", typestore=ROS2)
         for k in range(first, first + count):
             log_ns = T0 + 1_000_000 * k - (int(rng.integers(late)) if late else 0)
             writer.write(imu, log_ns, HEADER + rng.bytes(316))

@@ -123,7 +123,7 @@ def test_blocked_oracle_is_the_serial_one():
 @pytest.mark.parametrize("scale", [0.01, 1.0, 100.0])
 def test_every_method_and_frame_against_the_oracle(method, rates, scale):
     """Methods, frames and q0 agree with the serial oracle, from tiny steps to steps of a turn."""
-    t_ns, rate = noisy(4, 2000, scale, 20_000_000)
+    t_ns, rate = noisy(4, 1000, scale, 20_000_000)
     q0 = [0.1, -0.7, 0.3, 0.5]
     q = attitudes(t_ns, rate, q0=q0, method=method, rates=rates)
     truth = oracle.serial(t_ns, rate, q0, method, rates)

@@ -9,13 +9,14 @@ from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.uncertainty import TILE, ErrorGrowth, SensorErrors
 from quatprop.series import GyroSeries
 
-N, B, K, S = 2e-3, 3e-4, 1e-4, 2e-4
+N, B, K, S, M = 2e-3, 3e-4, 1e-4, 2e-4, 5e-3
 EACH = {
     "noise_density": SensorErrors(noise_density=N),
     "bias_sigma": SensorErrors(bias_sigma=B),
     "random_walk": SensorErrors(random_walk=K),
     "scale_sigma": SensorErrors(scale_sigma=S),
-    "together": SensorErrors(N, B, K, S),
+    "misalignment_sigma": SensorErrors(misalignment_sigma=M),
+    "together": SensorErrors(N, B, K, S, M),
 }
 
 
@@ -120,7 +121,7 @@ def test_the_same_bits_for_any_batch_and_any_end(rates, size):
 
 @pytest.mark.parametrize("rates", ["body", "inertial"])
 def test_contributions_add_up(rates):
-    """Each error alone, and the sum of the four, which is the trace of the covariance."""
+    """Each error alone, and the sum of all, which is the trace of the covariance."""
     t_ns = stamps(100, 30)
     _, rate = rotor(t_ns / 1e9)
     together, growth = covariances(t_ns, rate, EACH["together"], rates)

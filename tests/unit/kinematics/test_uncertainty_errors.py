@@ -24,15 +24,22 @@ EACH = {
     "bias_sigma": SensorErrors(bias_sigma=3e-4),
     "random_walk": SensorErrors(random_walk=3e-4),
     "scale_sigma": SensorErrors(scale_sigma=3e-4),
-    "together": SensorErrors(2e-4, 3e-4, 3e-4, 3e-4),
+    "misalignment_sigma": SensorErrors(misalignment_sigma=3e-4),
+    "q0_sigma": SensorErrors(),
+    "together": SensorErrors(2e-4, 3e-4, 3e-4, 3e-4, 3e-4),
 }
+Q0_SIGMA = dict.fromkeys(("q0_sigma", "together"), np.array([1e-4, 2e-4, 4e-4]))
+"""Standard deviations of the first attitude, whose body axes are those of the reference."""
+IN_PROPORTION = ("scale_sigma", "misalignment_sigma")
+"""Errors that a sensor at rest does not show."""
 CASES = list(product(MOTIONS, FRAMES))
 
 
-def predicted(t_ns, rate, errors, frame, method="start"):
+def predicted(t_ns, rate, errors, frame, *, method="start", q0=0.0):  # noqa: PLR0913  # all of them
     """Return the covariances of the attitudes, ``(N, 3, 3)``."""
     wxyz = attitudes(t_ns, rate, method=method, rates=frame)
-    return ErrorGrowth(errors, frame, method).advance(GyroSeries(t_ns, rate), wxyz)
+    growth = ErrorGrowth(errors, frame, method, q0=q0**2 * np.eye(3))
+    return growth.advance(GyroSeries(t_ns, rate), wxyz)
 
 
 def times(factor, errors):
@@ -68,12 +75,15 @@ def by_differences(errors, motion, frame, method):
     """Return the samples, and the covariances of the attitudes of which the rates have errors."""
     t_ns, rate, change = differences(motion, frame, method)
     bias = change.sum(axis=2)
-    scale = np.einsum("nikl,kl->nil", change, rate)
+    by_rate = np.einsum("nikl,km->nilm", change, rate)  # of the axis l, by the rate about m
+    scale = np.einsum("nill->nil", by_rate)
+    leaning = by_rate[:, :, ~np.eye(3, dtype=bool)]
     # Under the method start, the mean of the walk in an interval is that in its middle.
     t_s = (t_ns + (INTERVAL_NS / 2 if method == "start" else 0)) / 1e9
     walk = np.einsum("nikl,km,njml->nij", change, np.minimum.outer(t_s, t_s), change, optimize=True)
     noise = np.einsum("nikl,njkl->nij", change, change) * 1e9 / INTERVAL_NS
-    parts = (noise, bias @ bias.swapaxes(1, 2), walk, scale @ scale.swapaxes(1, 2))
+    bias, scale, leaning = (each @ each.swapaxes(1, 2) for each in (bias, scale, leaning))
+    parts = (noise, bias, walk, scale, leaning)
     total = sum(size**2 * part for size, part in zip(errors, parts, strict=True))
     return t_ns, rate, total
 
@@ -95,7 +105,7 @@ def test_finite_differences(motion, frame):
     """Of rates in reference axes, the errors of biases and scale factors were those at rest."""
     for name, errors in EACH.items():
         assert are_close(errors, motion, frame), name
-        if (motion, name) != ("rest", "scale_sigma"):
+        if not (motion == "rest" and name in IN_PROPORTION) and any(errors):
             for fault in (0.95, 1.05):
                 told = {"errors": times(fault, errors)}
                 assert not are_close(errors, motion, frame, told=told), name
@@ -104,12 +114,12 @@ def test_finite_differences(motion, frame):
 @pytest.mark.parametrize(("motion", "frame"), CASES)
 def test_finite_differences_under_other_methods(motion, frame):
     """Biases and scale factors act on the rate that the method takes for that of an interval."""
-    for method, name in product(("mean", "coning", "end"), ("bias_sigma", "scale_sigma")):
+    for method, name in product(("mean", "coning", "end"), ("bias_sigma", *IN_PROPORTION)):
         assert are_close(EACH[name], motion, frame, method), (method, name)
 
 
 @pytest.mark.parametrize(("motion", "frame"), CASES)
-@pytest.mark.parametrize("name", ["bias_sigma", "random_walk", "scale_sigma"])
+@pytest.mark.parametrize("name", ["bias_sigma", "random_walk", *IN_PROPORTION])
 def test_finite_differences_tell_the_axes(motion, frame, name):
     """Unless the axis is fixed, errors in body axes and in reference axes grow differently."""
     (other,) = set(FRAMES) - {frame}
@@ -122,7 +132,10 @@ def test_finite_differences_tell_the_axes(motion, frame, name):
 RUNS, STEPS = 5000, 30
 SEEN = (STEPS // 2, STEPS)
 TOLD = [
-    (name, *case) for name in EACH for case in CASES if (name, case[0]) != ("scale_sigma", "rest")
+    (name, *case)
+    for name in EACH
+    for case in CASES
+    if not (name in IN_PROPORTION and case[0] == "rest")
 ]
 
 
@@ -136,21 +149,24 @@ def ensemble(motion, frame):
     t_ns, rate = simulated(motion, frame, STEPS + 1, interval_ns)
     h = interval_ns / 1e9
     random = np.random.default_rng([20, *map(ord, motion + frame)])
-    density, bias, walk, scale = (
+    density, bias, walk, scale, leaning = (
         np.repeat([getattr(errors, name) for errors in EACH.values()], RUNS)
         for name in SensorErrors._fields
     )
+    q0 = np.repeat([Q0_SIGMA.get(name, np.zeros(3)) for name in EACH], RUNS, axis=0).T
 
     def normal():
         return random.standard_normal((3, len(density)))
 
     bias = bias * normal() + walk * np.sqrt(h / 2) * normal()  # that in the middle of an interval
     scale = 1 + scale * normal()
-    truth = wrong = (1.0, 0.0, 0.0, 0.0)
+    further = (leaning * normal(), leaning * normal())
+    truth, wrong = (1.0, 0.0, 0.0, 0.0), oracle.increments((q0 * normal()).T)
     errors = []
     for k in range(STEPS):
         true = rate[k, :, None]
         measured = true * scale + bias + density / np.sqrt(h) * normal()
+        measured += sum(part * np.roll(true, -n, axis=0) for n, part in enumerate(further, 1))
         bias += walk * np.sqrt(h) * normal()
         pairs = (truth, oracle.increments(true.T * h)), (wrong, oracle.increments(measured.T * h))
         truth, wrong = (
@@ -166,7 +182,8 @@ def ensemble(motion, frame):
 def all_as_predicted(name, motion, frame, fault=1.0):
     """Tell whether the means of e' P^-1 e are in the 99.9 % band of all comparisons together."""
     t_ns, rate, found = ensemble(motion, frame)
-    covariance = predicted(t_ns, rate, times(fault, EACH[name]), frame)[[*SEEN]]
+    q0 = fault * Q0_SIGMA.get(name, np.zeros(3))
+    covariance = predicted(t_ns, rate, times(fault, EACH[name]), frame, q0=q0)[[*SEEN]]
     squares = np.einsum("sin,sij,sjn->s", found[name], np.linalg.inv(covariance), found[name])
     tail = 0.001 / 2 / (len(TOLD) * len(SEEN))
     low, high = chi2.ppf([tail, 1 - tail], 3 * RUNS)

@@ -11,7 +11,14 @@ from quatprop import GyroSeries, propagate
 from quatprop.kinematics.quaternion import conjugate, exp, log, multiply
 
 CHANGE = 1e-6
-ERRORS = ("bias_sigma", "scale_sigma")
+ERRORS = {
+    "bias_sigma": lambda rate: [np.broadcast_to(axis, rate.shape) for axis in np.eye(3)],
+    "scale_sigma": lambda rate: [axis * rate for axis in np.eye(3)],
+    "misalignment_sigma": lambda rate: [
+        axis * np.roll(rate, -further, axis=1) for axis in np.eye(3) for further in (1, 2)
+    ],
+}
+"""Error -> what a rate is off by where one of its parts is 1."""
 Q0 = exp(np.array([0.5, -0.4, 1.0]))
 OBLIQUE = exp(np.array([0.9, 0.3, -0.5]))
 RUNS = {
@@ -54,10 +61,9 @@ def tumbling(name, frame):
 
 
 def differences(series, error, **options):
-    """Return the covariances of the attitudes, from those with an error on each axis in turn."""
+    """Return the covariances of the attitudes, from those with each part of an error in turn."""
     true, changes = propagate(series, **options).wxyz, []
-    for axis in np.eye(3):
-        wrong = axis if error == "bias_sigma" else axis * series.rate
+    for wrong in ERRORS[error](series.rate):
         wxyz = propagate(series.with_rate(series.rate + CHANGE * wrong), **options).wxyz
         changes.append(log(multiply(conjugate(true), wxyz)) / CHANGE)
     change = np.stack(changes, axis=2)
@@ -88,6 +94,8 @@ def test_errors_of_whole_runs(name, frame):
     options = {"rates": frame, "q0": Q0, **RUNS[name]}
     series = tumbling(name, frame)
     for error in ERRORS:
+        if (name, error) == ("gap splits, dense", "misalignment_sigma"):
+            continue  # bounded on this motion, so that the first intervals after a gap are told
         found = propagate(series, sigma=True, **{error: 1.0}, **options).covariance
         assert_close(found, differences(series, error, **options))
 

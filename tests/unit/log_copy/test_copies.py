@@ -10,6 +10,7 @@ from make.bag_doctor import examine_bag
 from make.commands import run
 from make.into_logs import BOOT, RATE, START, moments, write_bag, write_mcap, write_rosbag2
 from make.mcap_doctor import examine
+from make.ros import ROS1, ROS2
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, IndexType
 from rosbags.highlevel import AnyReader
@@ -17,7 +18,6 @@ from rosbags.rosbag1 import Reader as Rosbag1Reader
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import Reader as Rosbag2Reader
 from rosbags.rosbag2 import StoragePlugin
-from rosbags.typesys import Stores, get_typestore
 
 from quatprop.logs.open_log import open_log
 
@@ -25,8 +25,6 @@ ADDED = "/attitude"
 LONG = "m" * 2000
 """A name of a frame with which 300 attitudes fill several chunks."""
 
-STORES = {kind: get_typestore(store) for kind, store in
-          {"bag": Stores.ROS1_NOETIC, "mcap": Stores.ROS2_HUMBLE}.items()}  # fmt: skip
 PACKED = Rosbag1Writer.CompressionFormat
 
 
@@ -162,7 +160,7 @@ def described(path):
 
 def attitudes(messages, kind="mcap"):
     """Return stamps, log times and wxyz of the messages that were added."""
-    store = STORES["bag" if kind == "bag" else "mcap"]
+    store = ROS1 if kind == "bag" else ROS2
     decode = store.deserialize_ros1 if kind == "bag" else store.deserialize_cdr
     found = []
     for topic, logged, data, *_ in messages:

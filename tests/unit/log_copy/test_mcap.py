@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from make.commands import run
 from make.into_logs import BOOT, moments, write_mcap
-from make.mcap_doctor import MAGIC, examine
+from make.mcap import MAGIC
+from make.mcap_doctor import examine
 from mcap.opcode import Opcode
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.records import Channel, Schema

@@ -5,12 +5,11 @@ import pytest
 from make.bag_doctor import examine_bag
 from make.commands import refused, run
 from make.into_logs import IMU, imu_message, moments, write_bag
+from make.ros import ROS1
 from rosbags.rosbag1 import Reader, Writer
-from rosbags.typesys import Stores, get_typestore
 
 from quatprop.logs.open_log import open_log
 
-STORE = get_typestore(Stores.ROS1_NOETIC)
 PACKED = Writer.CompressionFormat
 SECOND = 1_000_000_000
 
@@ -45,12 +44,12 @@ def test_a_bag_keeps_its_start_and_end(tmp_path, order, chunk_size, compression)
     if compression:
         writer.set_compression(compression)
     with writer:
-        imu = writer.add_connection("/imu", IMU, typestore=STORE)
-        text = writer.add_connection("/text", "std_msgs/msg/String", typestore=STORE)
+        imu = writer.add_connection("/imu", IMU, typestore=ROS1)
+        text = writer.add_connection("/text", "std_msgs/msg/String", typestore=ROS1)
         writer.write(text, times[0][1] - 5 * SECOND, bytes(4))
         for number in ORDERS[order]:
             stamp, logged = times[number]
-            writer.write(imu, logged, imu_message(STORE, stamp, ros1=True))
+            writer.write(imu, logged, imu_message(ROS1, stamp, ros1=True))
         for k in range(90):
             writer.write(text, times[-1][1] + (k + 1) * SECOND, bytes(4))
     run("propagate", log, "--into", out, "-q", "--on-backwards", "sort", code=0)

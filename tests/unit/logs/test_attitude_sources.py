@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 import pytest
-from make.mcap_files import Topic, write_topics
+from make.mcap import Topic, write_topics
 from make.reading import attitudes
-from rosbags.typesys import Stores, get_typestore
+from make.ros import ROS2
 
 from quatprop.errors import (
     AmbiguousTopicError,
@@ -31,7 +31,6 @@ from quatprop.logs.signals.quaternion_check import QuaternionCheck
 from quatprop.logs.signals.rates import choose_rates
 from quatprop.settings.selection import AttitudeSelection, RateSelection
 
-STORE = get_typestore(Stores.ROS2_HUMBLE)
 HALF = 2.0**-0.5
 
 
@@ -287,7 +286,7 @@ def test_an_absent_orientation_is_no_rotation(table, tmp_path):
 
 def transform(stamp_ns, parent, child, wxyz):
     """Return a transform between two frames."""
-    types = {name.rpartition("/")[2]: made for name, made in STORE.types.items()}
+    types = {name.rpartition("/")[2]: made for name, made in ROS2.types.items()}
     w, x, y, z = wxyz
     return types["TransformStamped"](
         types["Header"](types["Time"](*divmod(stamp_ns, 10**9)), parent),
@@ -313,8 +312,8 @@ def test_transforms_are_found_wherever_they_stand_in_their_lists(tmp_path):
             transforms.append(transform(stamp, parent, child, wxyz))
             if (parent, child) == ("base", "b"):
                 expected.append((stamp, wxyz))
-        messages.append(bytes(STORE.serialize_cdr(STORE.types[kind](transforms), kind)))
-    definition, _ = STORE.generate_msgdef(kind, ros_version=2)
+        messages.append(bytes(ROS2.serialize_cdr(ROS2.types[kind](transforms), kind)))
+    definition, _ = ROS2.generate_msgdef(kind, ros_version=2)
     topic = Topic(kind, messages, definition.encode(), "ros2msg", "cdr")
     log = write_topics(tmp_path / "log.mcap", {"/tf": topic})
     source, t_ns, wxyz, _ = attitudes(log, frame="base:b")

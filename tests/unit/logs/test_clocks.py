@@ -268,6 +268,34 @@ def test_seconds_and_their_fraction_are_one_stamp(tmp_path, pair, unit_ns, count
         assert told(table(tmp_path / "log.csv", ordered)) == (SINCE_1970[:count], [])
 
 
+WHOLE = [k // 50 for k in range(150)]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "unit", "fraction"),
+    [
+        # Seconds with decimals are a stamp by themselves, even behind a row that has none.
+        ([k / 50 for k in range(150)], "nsec", [k * 20_000_000 % 10**9 for k in range(150)]),
+        (["?", *(k / 50 for k in range(1, 150))], "nsec", [0] * 150),
+        # And so are parts that go on beyond a second.
+        (WHOLE, "msec", [20 * k for k in range(150)]),
+        (WHOLE, "nsec", [20_000_000 * k for k in range(150)]),
+    ],
+)
+def test_a_whole_stamp_beside_another_is_no_fraction_of_it(tmp_path, seconds, unit, fraction):
+    """Nobody can tell which of the two is meant."""
+    path = table(tmp_path / "log.csv", {"t_sec": seconds, f"t_{unit}": fraction})
+    names = f"'t_sec', 't_{unit}'"
+    assert f"the time column (one of {names})" in refusal(path, UndeclaredError)
+
+
+def test_nanoseconds_may_go_on_a_little_beyond_a_second(tmp_path):
+    """As in odd messages of ROS."""
+    parts = [20_000_000 * k for k in range(100)]
+    path = table(tmp_path / "log.csv", {"t_sec": [7] * 100, "t_nsec": parts})
+    assert told(path) == ([7 * 10**9 + part for part in parts], [])
+
+
 @pytest.mark.parametrize("units", list(permutations(["K", "V", "ms"], 2)), ids=",".join)
 def test_clocks_in_what_is_no_unit_of_time_end_in_no_bug(tmp_path, units):
     """Temperatures and voltages of such names cannot be compared as times."""

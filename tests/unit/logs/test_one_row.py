@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pandas as pd
 import pytest
-from make.mcap_files import Topic, write_topics
+from make.mcap import Topic, write_topics
 from rosbags.rosbag1 import Writer as BagWriter
 
 from quatprop import DataLossWarning, RemarkWarning, read_attitudes, read_rates

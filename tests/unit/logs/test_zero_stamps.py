@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from make.commands import run
-from make.mcap_files import Topic, write_topics
+from make.mcap import Topic, write_topics
 from make.reading import attitudes, rates
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

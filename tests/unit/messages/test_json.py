@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from make.json_messages import imu
-from make.mcap_files import Topic, write_topics
+from make.mcap import Topic, write_topics
 from make.messages_reference import block_of
 from make.reading import found_in, mark, rates
 from rosbags.typesys import Stores, get_typestore

@@ -4,7 +4,7 @@ import sys
 
 import numpy as np
 import pytest
-from make.mcap_files import Topic, write_topics
+from make.mcap import Topic, write_topics
 from make.protobuf import DOUBLE, FLOAT, FOXGLOVE, UINT64, described, file_of, made, stamp_file
 from make.reading import found_in, rates
 

@@ -52,6 +52,13 @@ update_rate:                 200.0      #Hz (for discretization of the values ab
         ("scale_sigma", "1000ppm", 1e-3),
         ("scale_sigma", "0.1 %", 1e-3),
         ("scale_sigma", 0.0, 0.0),
+        ("misalignment_sigma", "5mrad", 5e-3),
+        ("misalignment_sigma", "0.5deg", math.radians(0.5)),
+        ("misalignment_sigma", 5e-3, 5e-3),
+        ("q0_sigma", "0.5deg", (math.radians(0.5),)),
+        ("q0_sigma", "1mrad, 2mrad,0.1rad", (1e-3, 2e-3, 0.1)),
+        ("q0_sigma", np.array([1e-3, 2e-3, 0.1]), (1e-3, 2e-3, 0.1)),
+        ("q0_sigma", 0.01, (0.01,)),
     ],
 )
 def test_quantities_have_the_units_of_data_sheets(name, value, expected):
@@ -69,6 +76,9 @@ def test_quantities_have_the_units_of_data_sheets(name, value, expected):
         ("scale_sigma", "5", "is not a ratio{}1000ppm or 0.1%"),
         ("scale_sigma", -1, "is below 0"),
         ("bias_sigma", "-1deg/h", "is not a rate{}20deg/h"),
+        ("misalignment_sigma", "5", "is not an angle{}5mrad"),
+        ("q0_sigma", "5", "is not an angle{}0.5deg or 5mrad"),
+        ("q0_sigma", "1deg,5deg", "is neither one angle nor ROLL,PITCH,YAW"),
     ],
 )
 def test_other_quantities_are_refused(name, value, message):
@@ -139,7 +149,7 @@ UNCONFIRMED = pytest.mark.filterwarnings("ignore:series. no accelerometer and no
 
 def noisy(seconds=100, hz=100, density=2e-3, bias=0.01):
     """Return rates at rest, of a gyroscope with known errors."""
-    random = np.random.default_rng(1)
+    random = np.random.default_rng(2)
     t_ns = np.arange(seconds * hz + 1) * (SECOND // hz)
     rate = bias + density * np.sqrt(hz) * random.normal(size=(len(t_ns), 3))
     return GyroSeries(t_ns, rate)
@@ -155,8 +165,14 @@ def test_rest_gives_the_noise_and_what_is_left_of_the_bias(tmp_path):
     density, bias = uncertainty.errors.noise_density, uncertainty.errors.bias_sigma
     assert density == pytest.approx(2e-3, rel=4 / math.sqrt(6 * rest.samples))
     assert bias == pytest.approx(density / math.sqrt(rest_s), rel=1e-12)
-    sigma = math.hypot(density * math.sqrt(100), bias * 100)
-    assert uncertainty.sigma_rad == pytest.approx([sigma] * 3, rel=0.02)
+    # Over the rest itself its mean takes the noise away.
+    for given in ("static", "static@+20s..+60s", "static@+0s..+5s"):
+        report = propagate(noisy(), bias=given).report
+        uncertainty, rest = report.uncertainty, report.conditioning.rest
+        density, bias = uncertainty.errors.noise_density, uncertainty.errors.bias_sigma
+        away_s = 100 - (rest.last_ns - rest.first_ns) / 1e9
+        sigma = math.hypot(density * math.sqrt(away_s + 0.01), bias * away_s)
+        assert uncertainty.sigma_rad == pytest.approx([sigma] * 3, rel=0.02)
     # What is given goes before the file, and the file before rest.
     path = tmp_path / "imu.yaml"
     path.write_text(KALIBR)
@@ -218,8 +234,8 @@ def test_settings_that_say_nothing_are_refused():
     with pytest.raises(UsageError) as error:
         propagate(noisy(1), sigma=True)
     assert str(error.value) == (
-        "sigma needs the errors of the gyroscope; give noise_density, bias_sigma, random_walk or "
-        "scale_sigma, a file with imu, or bias='static'"
+        "sigma needs the errors of the gyroscope; give noise_density, bias_sigma, random_walk, "
+        "scale_sigma or misalignment_sigma, a file with imu, or bias='static'"
     )
     with pytest.raises(UsageError, match=r"^sigma_axes goes with sigma$"):
         propagate(noisy(1), sigma_axes="reference")
@@ -356,11 +372,12 @@ def test_messages_have_the_covariance(tmp_path, arguments, name, message, frame)
     ],
 )
 def test_outputs_without_a_place_for_them_are_refused(tmp_path, arguments, name, sentence):
-    """Before anything is written; the library writes a trajectory without them."""
+    """Before anything is written; the library writes a trajectory without them, and says so."""
     out = tmp_path / name
     assert refused(*arguments, "-o", out) == f"Error: --sigma: {sentence}"
     assert not out.exists()
-    write(expected_of()[0], tmp_path / "out.tum")
+    with pytest.warns(RemarkWarning, match="or covariances of the attitudes are not kept"):
+        write(expected_of()[0], tmp_path / "out.tum")
     assert len((tmp_path / "out.tum").read_text().splitlines()[1].split()) == 8
 
 

@@ -46,6 +46,24 @@ def test_rates_against_the_log_s_own_orientation(scale, sentence):
         assert said is None if sentence is None else sentence in in_python(said)
 
 
+def test_a_unit_that_is_declared_already_is_not_advised():
+    """Rates read as deg/s that were rad/s were said to be scaled, those too large to be in it."""
+    gyro, own = turning(1000)
+    for scale, said in (
+        (math.pi / 180, ": if they are in rad/s, use rate_unit='rad/s'"),
+        (180 / math.pi, ": were they scaled by 180/pi once too often?"),
+        (1e-4, ": are both of the same sensor?"),
+    ):
+        remark = against_orientation([gyro.with_rate(gyro.rate * scale)], [own], unit="deg/s")
+        assert in_python(remark).endswith(said)
+
+
+def test_rates_of_zero_are_not_scaled():
+    """Twists that a driver leaves at zero were said to be scaled by pi/180."""
+    gyro, own = turning(1000)
+    assert against_orientation([gyro.with_rate(0 * gyro.rate)], [own]) is None
+
+
 def test_an_orientation_that_does_not_move_tells_nothing():
     """At rest there is nothing to compare, nor without common stamps or an estimate."""
     t_ns = np.arange(1000) * 10 * MS
@@ -114,6 +132,6 @@ def test_only_the_beginning_is_searched_for_an_orientation(monkeypatch):
     absent = SimpleNamespace(first=rows)
     monkeypatch.setattr("quatprop.pipeline.plausibility.choose_attitudes", lambda *_: absent)
     rates = GyroSeries(np.arange(10), np.ones((10, 3)))
-    source = SimpleNamespace(name="/imu", matches=(), batches=lambda **_: iter([rates]))
+    source = SimpleNamespace(unit="rad/s", matches=(), batches=lambda **_: iter([rates]))
     assert orientation_remarks(SimpleNamespace(path="log.bag"), source) == []
     assert len(read) == 2

@@ -118,6 +118,38 @@ def test_each_finding_is_a_sentence(rate, expected):
     assert [one.split(" rad/s for")[0] for one in said] == expected
 
 
+GIVEN = ", in {} as given: is that right?"
+
+
+@pytest.mark.parametrize(
+    ("unit", "is_given", "peak", "advice"),
+    [
+        ("rad/s", False, 80, "; if they are in deg/s, use rate_unit='deg/s'"),
+        ("rad/s", True, 80, GIVEN.format("rad/s")),
+        ("deg/s", False, 4584, ": is deg/s right?"),
+        ("deg/s", True, 4584, GIVEN.format("deg/s")),
+    ],
+)
+def test_a_unit_is_not_advised_to_who_has_given_it(unit, is_given, peak, advice):
+    """Use --rate-unit deg/s, it was said to who had; and of numbers in deg/s, in rad/s."""
+    checks = RateChecks(unit, is_given=is_given)
+    rate = np.clip(swinging(peak=80.0), -80, 80)
+    list(checks.observe([GyroSeries(np.arange(len(rate)), rate)]))
+    (said,) = map(in_python, checks.remarks(Counts(used=len(rate), first_ns=0, last_ns=10**10)))
+    assert said == f"rates up to {peak} {unit} are beyond any gyroscope{advice}"
+
+
+def test_the_extreme_is_said_in_the_unit_of_the_log():
+    """Of a log in deg/s whose sensor stops at 250, it was said to stop at 4.36332 rad/s."""
+    limit = math.radians(250)
+    checks, rate = RateChecks("deg/s"), np.clip(swinging(1000), [-9, -9, -9], [9, limit, 9])
+    list(checks.observe([GyroSeries(np.arange(1000) * 10_000_000, rate)]))
+    counts = Counts(used=1000, first_ns=0, last_ns=9_990_000_000, median_dt_ns=10_000_000)
+    (said,) = checks.remarks(counts)
+    assert said.startswith("axis +y stays at its extreme of 250 deg/s for 3 samples or more")
+    assert said.code == "saturated"
+
+
 def test_a_car_sampled_once_a_second_is_too_slow():
     """Steps of few degrees, each of another rate: what lies between them is unknown."""
     (said,) = remarks(CAR[::50], 1_000_000_000)

@@ -47,7 +47,7 @@ def surveyed(path, **options):
 SINCE_START = {"stamps": STAMPS - T0 + 60_000_000_000}
 OTHER_CLOCK = (
     "header stamps begin at 1970-01-01T00:01:00Z and the recording at 2023-11-14T22:13:20Z: "
-    "another clock; for the time of recording choose clock='log'"
+    "another clock, or recorded again later; for the time of recording choose clock='log'"
 )
 SEVERAL_FRAMES = (
     "its messages are in several frames, 'left', 'right_imu': if they are those of several "

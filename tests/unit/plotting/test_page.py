@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from make.commands import run
 from make.json_messages import imu
-from make.mcap_files import Topic, write_topics
+from make.mcap import Topic, write_topics
 from make.places import SAMPLE_LOGS
 from make.tables import write_attitudes, write_rates
 

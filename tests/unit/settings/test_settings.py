@@ -23,8 +23,9 @@ from quatprop.settings import PROPAGATE
 from quatprop.settings.keyword import Keyword, keywords_of, parameters
 from quatprop.settings.parsers import Choice
 from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_RATES
-from quatprop.settings.rotations import StaticBias, file_beside
+from quatprop.settings.rotations import file_beside
 from quatprop.settings.spelling import in_keys, in_options
+from quatprop.settings.static_bias import StaticBias
 from quatprop.settings.values import parse_all
 from quatprop.text import Setting, in_python
 from quatprop.times import Instant
@@ -40,6 +41,8 @@ from quatprop.times import Instant
         ("bias", ["0.1,-2,3e-3", [0.1, -2, 0.003]], (0.1, -2.0, 0.003)),
         ("bias", ["static", "static:1s", StaticBias()], StaticBias(1_000_000_000)),
         ("bias", ["static:250ms"], StaticBias(250_000_000)),
+        ("bias", ["static:nearest"], StaticBias(between="nearest")),
+        ("bias", ["static:interpolate:2s"], StaticBias(2_000_000_000, between="interpolate")),
         ("mount", ["x,-y,-z", ("x", "-y", "-z")], "x,-y,-z"),
         ("end", ["0", 0], Instant(0, "clock")),
         ("end", ["1000000", 1_000_000], Instant(1_000_000, "clock")),

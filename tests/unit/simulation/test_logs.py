@@ -4,8 +4,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from make.ros import ROS1, ROS2
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from quatprop.errors import OutputError, UsageError
@@ -30,7 +30,7 @@ SHAPE = Shape(angle=Fraction(25))
 @pytest.mark.parametrize("encoding", ["cdr", "ros1"])
 def test_messages_are_what_the_library_would_encode(encoding):
     """Every byte of a block of messages is that of rosbags' own serialiser."""
-    store = get_typestore(Stores.ROS2_HUMBLE if encoding == "cdr" else Stores.ROS1_NOETIC)
+    store = ROS2 if encoding == "cdr" else ROS1
     make = {name.rpartition("/")[2]: kind for name, kind in store.types.items()}
     s = np.sqrt(0.5)
     up = 2 * (s * s)
@@ -60,9 +60,7 @@ def test_accelerations_are_the_reaction_to_gravity():
     wxyz = np.roll(tilt.as_quat(), 1)
     (series,) = record(motion_named("rest", SHAPE), Gyroscope(Fraction(1), 1), wxyz)
     (message,) = ImuEncoder(0.0, ros1=False).encode(series, "a")
-    imu = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(
-        message.tobytes(), "sensor_msgs/msg/Imu"
-    )
+    imu = ROS2.deserialize_cdr(message.tobytes(), "sensor_msgs/msg/Imu")
     felt = imu.linear_acceleration
     np.testing.assert_allclose(
         [felt.x, felt.y, felt.z], tilt.inv().apply([0, 0, GRAVITY]), atol=1e-14
@@ -109,7 +107,7 @@ def test_the_same_samples_give_the_same_bytes(tmp_path, kind, compression):
 def test_rosbags_reads_simulated_logs(tmp_path, kind, compression):
     """The library of the field finds the samples, stamped when they were taken."""
     path, measured = log_of(tmp_path, kind, compression)
-    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+    with AnyReader([path], default_typestore=ROS2) as reader:
         assert [c.topic for c in reader.connections] == ["/imu"]
         log_ns, messages = zip(
             *((ns, reader.deserialize(data, c.msgtype)) for c, ns, data in reader.messages()),

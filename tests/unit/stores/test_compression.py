@@ -4,7 +4,6 @@ import bz2
 import gzip
 import io
 import struct
-import tempfile
 from contextlib import closing
 from pathlib import Path
 
@@ -37,16 +36,6 @@ NOISE = np.random.default_rng(1).bytes(1_200_000)
 """Both are more than what is unpacked at a time."""
 
 each_suffix = pytest.mark.parametrize("suffix", PACK_FILE)
-
-
-@pytest.fixture
-def temporary(tmp_path, monkeypatch):
-    """Let temporary files go to a folder that is empty at the end, too."""
-    folder = tmp_path / "temporary"
-    folder.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    yield folder
-    assert list(folder.iterdir()) == []
 
 
 @pytest.fixture

@@ -174,7 +174,7 @@ def test_a_named_pipe_is_written_to(tmp_path):
     reader = threading.Thread(target=lambda: got.append(pipe.read_bytes()))
     reader.start()
     write(pipe)
-    reader.join(timeout=10)
+    reader.join(timeout=120)
     assert got == [b"t_ns,qw,qx,qy,qz\n0,1,0,0,0\n1,1,0,0,0\n2,1,0,0,0\n"]
     assert pipe.is_fifo()
 

@@ -7,9 +7,9 @@ from itertools import product
 import numpy as np
 import pytest
 from make.mcap_doctor import examine
+from make.ros import ROS1, ROS2
 from mcap.reader import NonSeekingReader, make_reader
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
@@ -26,7 +26,7 @@ KINDS = [kind for kind, known in WRITERS.items() if known.encodings]
 START = 1_700_000_000_000_000_000
 TOLD = {"convention": {"layout": "scalar-last"}, "n": "ø"}
 MCAP_KINDS = {"mcap": "a.mcap", "rosbag2-mcap": "a/a.mcap"}
-STORES = {True: ros1_types(), False: get_typestore(Stores.ROS2_HUMBLE)}
+STORES = {True: ROS1, False: ROS2}
 """The types of the library, for ROS 1 and ROS 2."""
 
 LONG = "m" * 5_000

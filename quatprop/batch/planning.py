@@ -1,0 +1,266 @@
+"""Which logs of a batch are to be propagated, and where their outputs go."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from quatprop.batch.entries import COMPLETE, ManifestEntry, as_text, bucket_of, hash_of
+from quatprop.batch.logs import TABLES, BatchTask, absolute, kind_by_suffix, place_below
+from quatprop.batch.origins import changed_ns
+from quatprop.batch.tasks import output_size
+from quatprop.errors import StoreError, UsageError
+from quatprop.provenance import digest_of
+from quatprop.stores.objects import exists, is_address, list_objects, without_secret
+from quatprop.stores.stored import objects_of
+from quatprop.stores.transfers import get
+from quatprop.text import Setting, quoted
+from quatprop.times import NS_PER_S
+from quatprop.version import __version__
+from quatprop.writers.targets import refuse_overlap
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+    from datetime import datetime
+
+    from quatprop.batch.manifest import Manifest
+    from quatprop.batch.tasks import BatchSettings
+
+REQUESTS = 32
+"""Logs in an object store about which it is asked at a time."""
+
+SAME_S = 60
+"""Between the clocks of a store and of a machine, and beyond its whole seconds, s."""
+
+OTHER_OUTPUT = (
+    f"keep their folders in the names with {Setting('root', 'DIR')}, a folder above both, or "
+    "write to another folder"
+)
+"""The way out where two logs have the same output."""
+
+_COLUMNS = (
+    "state", "root", "log", "quatprop", "options", "origin", "log_etag", "output_bytes",
+    "output_sha256", "time", "seconds",
+)  # fmt: skip
+
+
+class Known(NamedTuple):
+    """What the manifest knows of a log; fields as of an entry."""
+
+    state: str
+    root: str
+    log: str
+    quatprop: str
+    options: str | None
+    origin: str
+    log_etag: str | None
+    output_bytes: int | None
+    output_sha256: str | None
+    time: datetime
+    seconds: float
+
+
+class Plan(NamedTuple):
+    """What is to be done.
+
+    `skipped`, `lost`: number of logs whose outputs are up to date, and of those with losses
+    """
+
+    tasks: list[BatchTask]
+    skipped: int = 0
+    lost: int = 0
+
+
+def shard(logs: Iterable[BatchTask], text: str) -> list[BatchTask]:
+    """Return one part of N of the logs: that of one machine of many, as in an array job.
+
+    A log is in the same part whatever other logs there are.
+
+    `text`: ``"I/N"``, the I-th part, from 1 to N
+    """
+    match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
+    part, parts = map(int, match.groups()) if match else (0, 0)
+    if not 1 <= part <= parts:
+        raise UsageError(f"{quoted(text)} is not I/N, from 1/N to N/N, for {Setting('shard')}")
+    return [log for log in logs if hash_of(log.stem.lower()) % parts == part - 1]
+
+
+def with_names(tasks: list[BatchTask], folder: str) -> None:
+    """Let no two logs have one output: a table beside a recording keeps its suffix in the name."""
+    # Hashes, as there may be a million names.
+    seen, twice = set[int](), set[int]()
+    for task in tasks:
+        number = hash(task.stem.lower())
+        (twice if number in seen else seen).add(number)
+    groups = defaultdict[str, list[int]](list)
+    for place, task in enumerate(tasks if twice else ()):
+        if hash(task.stem.lower()) in twice:
+            groups[task.stem.lower()].append(place)
+    owners: dict[str, BatchTask] = {}
+    for stem, places in groups.items():
+        for place in sorted(places, key=lambda place: _rank(tasks[place])):
+            task = tasks[place]
+            owner = owners.setdefault(stem, task)
+            if owner is not task and absolute(owner.root) == absolute(task.root):
+                tasks[place] = task = task._replace(named=f"{task.log}{task.suffix}")
+                owner = owners.setdefault(task.log.lower(), task)
+            if owner is not task:
+                tasks[place] = _refused(task, owner.path, place_below(folder, task.name))
+
+
+def _rank(log: BatchTask) -> tuple[bool, bool, str, str]:
+    """Return by what the first of several logs is told: recordings come before tables."""
+    return not log.is_folder, kind_by_suffix(log.log) in TABLES, log.log, log.path
+
+
+def _refused(task: BatchTask, owner: str, output: str) -> BatchTask:
+    """Return a task that fails, as another log has its output."""
+    name, place = quoted(without_secret(owner)), quoted(without_secret(output))
+    return task._replace(named="", refused=f"its output {place} is that of {name}; {OTHER_OUTPUT}")
+
+
+def plan(
+    tasks: list[BatchTask],
+    settings: BatchSettings,
+    manifest: Manifest,
+    *,
+    skip: bool,
+    verify: bool = False,
+) -> Plan:
+    """Return the tasks of the logs whose outputs are not up to date, or of all logs."""
+    with_names(tasks, settings.folder)
+    _refuse_replaced(tasks, settings)
+    buckets = np.array([bucket_of(task.name) for task in tasks], np.uint8)
+    is_due, lost = np.ones(len(tasks), bool), 0
+    size_of = _sizes(settings.folder) if skip else None
+    for part, entries in manifest.slices(_COLUMNS):
+        places = np.flatnonzero((buckets >= part.start) & (buckets < part.stop)).tolist()
+        known = {
+            place: Known(*entries[name])
+            for place in places
+            if (name := as_text(tasks[place].name)) in entries
+        }
+        for place, entry in known.items():
+            if (owner := _other_owner(tasks[place], entry)) is not None:
+                output = settings.output_of(tasks[place])
+                tasks[place] = _refused(tasks[place], owner, output)
+        if size_of is None:
+            continue
+
+        def is_current(one: tuple[int, Known]) -> bool:
+            task, entry = tasks[one[0]], one[1]
+            return (
+                size_of(task.name) == entry.output_bytes
+                and _is_current(task, entry, settings)
+                and (not verify or entry.output_sha256 == _sha256(settings.output_of(task)))
+            )
+
+        is_near = not any(is_address(tasks[place].path) for place in known)
+        with ThreadPoolExecutor(REQUESTS) as pool:
+            every = (map if is_near else pool.map)(is_current, known.items())
+            for place, current in zip(known, every, strict=True):
+                is_due[place] = not current
+                lost += current and known[place].state == "data lost"
+    due = [task for task, wanted in zip(tasks, is_due.tolist(), strict=True) if wanted]
+    return Plan(due, len(tasks) - len(due), lost)
+
+
+def _refuse_replaced(tasks: Sequence[BatchTask], settings: BatchSettings) -> None:
+    """Refuse outputs in the place of inputs."""
+    folder = settings.folder
+    top = os.path.join(absolute(folder) if is_address(folder) else os.path.realpath(folder), "")  # noqa: PTH118
+    places: dict[str, str] = {}
+
+    def is_inside(path: str) -> bool:
+        # Many logs are in few folders, whose links are followed once.
+        if is_address(path):
+            return absolute(path).startswith(top)
+        above = os.path.dirname(path) or os.curdir  # noqa: PTH120
+        if above not in places:
+            places[above] = os.path.join(os.path.realpath(above), "")  # noqa: PTH118
+        return places[above].startswith(top) or os.path.islink(path)  # noqa: PTH114
+
+    inputs = [task.path for task in tasks if is_inside(task.path)]
+    if inputs := [*inputs, *settings.job.settings.inputs.values()]:
+        refuse_overlap(inputs, [settings.output_of(task) for task in tasks if task.name])
+
+
+def _other_owner(task: BatchTask, entry: Known) -> str | None:
+    """Return the log that an output was made from, if it is another one that is still there."""
+    owner, own = place_below(entry.root, entry.log), absolute(task.path)
+    if entry.state not in COMPLETE or owner == as_text(own):
+        return None
+    try:
+        if is_address(owner):
+            return owner if exists(owner) else None
+        return owner if not os.path.samefile(owner, task.path) else None  # noqa: PTH121
+    except OSError:
+        return None
+    except StoreError:
+        return owner
+
+
+def _is_current(task: BatchTask, entry: Known, settings: BatchSettings) -> bool:
+    """Return whether an output was made by this version, with these settings, from this log."""
+    if (
+        entry.state not in COMPLETE
+        or (entry.quatprop, entry.options) != (__version__, settings.options)
+        or not entry.origin
+        or entry.origin != task.origin_now()
+    ):
+        return False
+    began_s = entry.time.timestamp() - entry.seconds
+    if entry.log_etag is None or changed_ns(entry.origin) < (began_s - SAME_S) * NS_PER_S:
+        return True
+    # It may have been written again in the second in which it had been written.
+    try:
+        return objects_of(task.path)[0].etag == entry.log_etag
+    except StoreError:
+        return False
+
+
+def _sizes(folder: str) -> Callable[[str], int | None]:
+    """Return a function that tells the size of an output, by its path in the folder."""
+    if not is_address(folder):
+        return lambda name: output_size(place_below(folder, name))
+    sizes: dict[str, int] = {}
+    for name, info in list_objects(folder, missing_ok=True).items():
+        sizes[name] = info.size
+        above = name.rpartition("/")[0]  # an output may be a folder
+        sizes[above] = sizes.get(above, 0) + info.size
+    return sizes.get
+
+
+def _sha256(output: str) -> str | None:
+    if not is_address(output):
+        return digest_of(output).sha256
+    return hashlib.sha256(get(output)).hexdigest()
+
+
+def deleted(
+    manifest: Manifest, logs: Iterable[BatchTask], searched: Iterable[str], part: str | None
+) -> list[ManifestEntry]:
+    """Return entries for logs that are no longer in the folders that were searched.
+
+    `part`: the part of the logs that this batch has; None for all
+    """
+    found: dict[str, set[str]] = {absolute(root): set() for root in searched}
+    for log in logs:
+        if (root := absolute(log.root)) in found:
+            found[root].add(as_text(log.log))
+    gone = []
+    for _, entries in manifest.slices(("state", "root", "log")) if found else ():
+        for output, (state, root, log) in entries.items():
+            if state == "deleted" or log in found.get(root, {log}):
+                continue
+            if not part or shard([BatchTask(root, log)], part):
+                place = place_below(root, log)
+                if not (exists(place) if is_address(place) else os.path.lexists(place)):
+                    gone.append(ManifestEntry("deleted", root, log, output))
+    return gone

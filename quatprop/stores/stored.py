@@ -1,0 +1,96 @@
+"""By what objects of a store are recognised, and whether a log is still the one it was."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from quatprop.errors import ReplacedError
+from quatprop.provenance import Digest
+from quatprop.stores.objects import find, list_objects, locate, reading, without_secret
+from quatprop.text import plain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from pyarrow import NativeFile
+    from pyarrow.fs import FileSystem
+
+
+class StoredObject(NamedTuple):
+    """By what an object is recognised.
+
+    `name`: its path below the prefix that was asked for; empty for the object itself
+    `size`: bytes
+    `etag`: by what its store recognises its content; None if it does not say
+    `changed`: when it was written, as its store says it
+    """
+
+    name: str
+    size: int
+    etag: str | None
+    changed: str
+
+
+def stored_object(file: NativeFile, store: FileSystem, place: str, name: str = "") -> StoredObject:
+    """Return by what an open object is recognised."""
+    known = {
+        str(key, "utf-8") if isinstance(key, bytes) else key: value.decode()
+        for key, value in (file.metadata() or {}).items()
+    }
+    etag, changed = known.get("ETag"), known.get("Last-Modified")
+    if changed is None:  # no request in a file system of this machine
+        changed = str(store.get_file_info(place).mtime_ns)
+    return StoredObject(name, file.size(), etag.strip('"') if etag else None, changed)
+
+
+def objects_of(address: str, names: Iterable[str] = ("",)) -> list[StoredObject]:
+    """Return what is known of some objects below an address, or of itself: one request each."""
+    objects = []
+    with reading(address):
+        store, place = locate(address)
+        for name in names:
+            path = f"{place}/{name}" if name else place
+            with store.open_input_file(path) as file:
+                objects.append(stored_object(file, store, path, name))
+    return objects
+
+
+class StoredLog:
+    """What a log in a store was when it was opened.
+
+    `address`: of an object, or of the prefix of several
+    `objects`: those that are read; grows while the log is opened
+    """
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self.objects: list[StoredObject] = []
+        self._is_confirmed = False
+
+    @property
+    def digest(self) -> Digest:
+        """Size and ETag of its object, or of each of its objects."""
+        digests = {one.name: Digest(one.size, etag=one.etag) for one in self.objects}
+        if "" in digests:
+            return digests[""]
+        return Digest(sum(digest.bytes or 0 for digest in digests.values()), files=digests)
+
+    def confirm(self) -> None:
+        """Ask the store, once, whether it still has the same: Arrow's ranges have no If-Match."""
+        if self._is_confirmed:
+            return
+        if self.objects != objects_of(self.address, [one.name for one in self.objects]):
+            raise ReplacedError(
+                f"{plain(without_secret(self.address))}: it was replaced while it was read; try "
+                "again when nobody writes it"
+            )
+        self._is_confirmed = True
+
+
+def digest_of_object(address: str) -> Digest:
+    """Return size and ETag of an object, and those of each object of a prefix."""
+    found = find(address)[1]
+    names = [""] if found.is_file else list(list_objects(address))
+    log = StoredLog(address)
+    log.objects += objects_of(address, names)
+    return log.digest

@@ -1,0 +1,104 @@
+"""Batches on the workers of a Dask cluster: what they may be without."""
+
+import pytest
+from make.batches import entries, spin
+
+from quatprop import __version__
+from quatprop.batch.cluster import on_a_cluster, propagate_on_worker
+from quatprop.batch.execution import propagate_log
+from quatprop.batch.logs import BatchTask
+from quatprop.batch.manifest import Manifest
+from quatprop.batch.tasks import BatchSettings
+from quatprop.errors import QuatpropError, UsageError
+from quatprop.pipeline.job import Job
+from quatprop.pipeline.settings import OutputSettings
+
+
+def settings_in(folder):
+    """Return the settings of a batch with outputs in a folder."""
+    return BatchSettings.of(Job("LOG", OutputSettings("OUT", to="npy")), str(folder))
+
+
+SETTINGS = settings_in("OUT")
+
+QUIET = {"processes": False, "dashboard_address": None}
+
+
+def tasks_of(folder, *names):
+    """Return the tasks of new logs."""
+    for name in names:
+        spin(folder / f"{name}.csv")
+    return [BatchTask(str(folder), f"{name}.csv", ".npy") for name in names]
+
+
+def prepared(folder):
+    """Return the manifest of a folder."""
+    manifest = Manifest(str(folder))
+    manifest.prepare()
+    return manifest
+
+
+def without_the_package(task, settings, _version):
+    """Raise what a worker without this package does."""
+    if task.name == "a.npy":
+        raise ModuleNotFoundError("No module named 'quatprop'")
+    return propagate_log(task, settings)
+
+
+def without_the_folder(task, settings, _version):
+    """Write to a folder that the client does not see."""
+    if task.name == "a.npy":
+        settings = settings._replace(folder=f"{settings.folder}/elsewhere")
+    return propagate_log(task, settings)
+
+
+@pytest.mark.parametrize(
+    ("worker", "reason"),
+    [
+        (without_the_package, "its worker cannot import quatprop (No module named 'quatprop'); "),
+        (without_the_folder, "its worker has written an output that is not seen here; give "),
+    ],
+)
+def test_what_other_machines_cannot_do_is_an_outcome(tmp_path, monkeypatch, worker, reason):
+    """A worker that does not share the folder was believed; one without the package ended all."""
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("quatprop.batch.cluster.propagate_on_worker", worker)
+    monkeypatch.setattr("quatprop.batch.cluster.PATIENCE_S", 0)
+    tasks, manifest, settings = (
+        tasks_of(tmp_path, "a", "b"),
+        prepared(tmp_path),
+        settings_in(tmp_path),
+    )
+    # Yesterday's output, of the same size.
+    propagate_log(tasks[0], settings)
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, **QUIET) as cluster:
+        results = dict(on_a_cluster(tasks, settings, cluster.scheduler_address, manifest))
+    assert f"a.csv: {reason}" in str(results[0].entry.error)
+    states = {name: entry["state"] for name, entry in entries(tmp_path).items()}
+    assert states == {"a.npy": "failed", "b.npy": "done"}
+    assert not (tmp_path / "a.npy").exists()
+
+
+def test_a_cluster_without_workers_or_scheduler(tmp_path, monkeypatch):
+    """One sentence in seconds for a cluster that does nothing, and for one that goes."""
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr("quatprop.batch.cluster.WORKERS_S", 0.2)
+    tasks, manifest = tasks_of(tmp_path, "a"), prepared(tmp_path)
+    with distributed.LocalCluster(n_workers=0, **QUIET) as cluster:
+        results = on_a_cluster(tasks, settings_in(tmp_path), cluster.scheduler_address, manifest)
+        with pytest.raises(UsageError, match=r"has no workers; start some, and try again$"):
+            list(results)
+    cancelled = distributed.client.FutureCancelledError("a", "lost")
+    monkeypatch.setattr(distributed.Future, "result", lambda _: (_ for _ in ()).throw(cancelled))
+    with distributed.LocalCluster(n_workers=1, **QUIET) as cluster:
+        results = on_a_cluster(tasks, settings_in(tmp_path), cluster.scheduler_address, manifest)
+        with pytest.raises(QuatpropError, match="no longer answers; what is done is recorded"):
+            list(results)
+
+
+def test_a_worker_of_another_version_is_refused():
+    """Its outputs would be those of another version."""
+    there = BatchTask("", "a.csv", ".csv")
+    assert propagate_on_worker(there, SETTINGS, "0.0.1").entry.error == (
+        f"a.csv: its worker has quatprop {__version__}, not 0.0.1; install the same version"
+    )
