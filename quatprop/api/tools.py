@@ -123,7 +123,9 @@ def plot(  # noqa: PLR0913  # one keyword for each option
 
     values = parse_all(options, PLOT)
     paths, target = paths_of("files", files), path_text("output", output)
-    against = None if reference is None else AttitudeInput(path_text("reference", reference))
+    against = (
+        None if reference is None else AttitudeInput(path_text("reference", reference), drop=True)
+    )
     if components and unwrap:
         raise UsageError(f"{Setting('unwrap')} does not go with {Setting('components')}")
     for name in ("start", "end"):
@@ -131,6 +133,8 @@ def plot(  # noqa: PLR0913  # one keyword for each option
             raise UsageError(f"{Setting(name)} does not go with {Setting('reference')}")
     of_attitudes = any(name in values for name in ONE_SERIES if name not in READ_RATES)
     is_attitude = components or unwrap or of_attitudes
+    if is_attitude and show == "rates":
+        raise UsageError(f"the settings of attitudes go with {Setting('show', 'attitude')}")
     view = View(
         kind=values.get("kind"),
         show="attitude" if is_attitude else show,
@@ -142,7 +146,10 @@ def plot(  # noqa: PLR0913  # one keyword for each option
     )
     _, remarks, data_lost = draw(paths, target, view, against, comparison_settings())
     for remark in remarks:
-        warnings.warn(remark, DataLossWarning if data_lost else RemarkWarning, stacklevel=2)
+        warnings.warn(remark, RemarkWarning, stacklevel=2)
+    if data_lost:
+        lost = f"{' + '.join(paths)}: a part was not read, or left out"
+        warnings.warn(lost, DataLossWarning, stacklevel=2)
 
 
 @with_keywords_of(SimulateOptions)

@@ -56,7 +56,13 @@ def _size(value: object) -> float:
 
 
 def _seed(value: object) -> int:
-    return 0 if str(value) == "0" else count(value)
+    """Return a whole number from 0 on."""
+    if str(value) == "0":
+        return 0
+    try:
+        return count(value)
+    except UsageError:
+        raise UsageError(f"{shown(value)} is not a whole number from 0 on") from None
 
 
 class SimulateOptions(TypedDict, total=False):
