@@ -21,7 +21,7 @@ help:
 	@echo 'make fuzz         random properties, damaged logs, flipped bits, command lines, regressions: report what goes wrong'
 	@echo 'make lint         ruff and mypy'
 	@echo 'make format       let ruff format the code'
-	@echo 'make documents    update what commands print in the documents'
+	@echo 'make documents    update the documents: what commands print, tables, pictures, references'
 	@echo 'make bench        measure against rosbags, mcap, scipy, ahrs, numba and numpy-quaternion'
 	@echo 'make sample-logs  generate sample_logs/ again, bit for bit'
 	@echo 'make clean        remove everything that was made here'

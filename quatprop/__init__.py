@@ -65,14 +65,20 @@ if TYPE_CHECKING:
     from quatprop.api.reading import read_attitudes, read_rates
     from quatprop.api.tools import Simulation, info, plot, simulate
     from quatprop.comparison.result import Comparison
+    from quatprop.comparison.statistics import ErrorStatistics
+    from quatprop.conversion.job import ConversionReport
     from quatprop.errors import DataLossWarning, QuatpropError, QuatpropWarning, RemarkWarning
     from quatprop.pipeline.report import RunReport
     from quatprop.series import AttitudeSeries, GyroSeries
+    from quatprop.timeline.counts import Counts
 
 __all__ = [
     "AttitudeSeries",
     "Comparison",
+    "ConversionReport",
+    "Counts",
     "DataLossWarning",
+    "ErrorStatistics",
     "GyroSeries",
     "PropagatedSeries",
     "QuatpropError",
@@ -94,7 +100,10 @@ __all__ = [
 _MODULES = {
     "AttitudeSeries": "quatprop.series",
     "Comparison": "quatprop.comparison.result",
+    "ConversionReport": "quatprop.conversion.job",
+    "Counts": "quatprop.timeline.counts",
     "DataLossWarning": "quatprop.errors",
+    "ErrorStatistics": "quatprop.comparison.statistics",
     "GyroSeries": "quatprop.series",
     "PropagatedSeries": "quatprop.api.propagation",
     "QuatpropError": "quatprop.errors",

@@ -12,12 +12,15 @@ from quatprop.api.propagation import PropagatedSeries
 from quatprop.api.reading import path_text, read_attitudes, warn, with_keywords_of
 from quatprop.comparison.settings import CompareOptions
 from quatprop.conversion.settings import CONVERT, TERMS, ConvertOptions
-from quatprop.errors import DataLossWarning, SeriesError
+from quatprop.errors import DataLossWarning, SeriesError, UsageError
 from quatprop.series import AttitudeSeries
+from quatprop.settings.reading import READ_ATTITUDES
 from quatprop.settings.values import parse_all, refuse_unknown
-from quatprop.text import Remark, Setting, in_python
+from quatprop.text import Remark, Setting, in_python, quoted
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from quatprop.api.reading import StrPath
     from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.result import Comparison
@@ -58,6 +61,7 @@ def compare(
     from quatprop.comparison.compare import compare as compare_series
     from quatprop.comparison.settings import comparison_settings
 
+    _refuse_settings_of_a_side(options)
     settings = comparison_settings(**options)
     result = compare_series(_side("a", a), _side("b", b), settings)
     remarks = tuple(one.spelled(in_python) for one in result.remarks)
@@ -205,6 +209,17 @@ def _in_python(cause: Cause | None) -> Cause | None:
         remedy=cause.remedy and in_python(cause.remedy),
         also=_in_python(cause.also),
     )
+
+
+def _refuse_settings_of_a_side(options: Collection[str]) -> None:
+    """Refuse what the command has as options of A and B: here it belongs to reading them."""
+    for name in options:
+        setting = name.removesuffix("_a").removesuffix("_b")
+        if setting in READ_ATTITUDES:
+            raise UsageError(
+                f"there is no setting {quoted(name)}; give compare() what read_attitudes() "
+                f"returns with {setting}=..."
+            )
 
 
 def _side(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:

@@ -54,10 +54,9 @@ class GroupedOption(click.Option):
 
 
 def brief(names: str, text: str) -> tuple[str, str]:
-    """Return the record of an option with the first clause of its help, and its default."""
+    """Return the record of an option with the first clause of its help, and its whole default."""
     said, bracket, default = text.partition("  [")
     said = re.split(r"[.:;] ", said + " ")[0].rstrip(" .")
-    default = re.sub("(;|, (but|else|required|without)) [^]]*", "", default)
     return names, said if default.startswith("default: none") else said + bracket + default
 
 

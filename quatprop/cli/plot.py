@@ -41,8 +41,7 @@ EXAMPLES = (
 OPTIONS = {
     "--show": Keyword(
         Choice("rates", "attitude"), "What to draw.",
-        "attitudes where an option says which, else the rates of a file that has some, "
-        "else its attitudes", group="Options"),
+        "attitudes if an option says which, else rates, else attitudes", group="Options"),
     "--components": Keyword(
         flag, "Draw the four components of the quaternion.", "yaw, pitch and roll",
         group="Options"),

@@ -24,7 +24,7 @@ EXAMPLES = (
 LOG = {
     "--to kind": Keyword(
         Choice(*GENERAL_KINDS), "Kind of the log.",
-        "by the suffix; without one a ROS 2 bag folder"),
+        "by the suffix, else a ROS 2 bag"),
     "--compression": Keyword(
         Choice("none", "lz4", "zstd", "bz2"), "Compression of a message log.",
         "zstd for mcap, else none"),

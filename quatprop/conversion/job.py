@@ -93,15 +93,28 @@ def terms_of(values: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class ConversionReport:
-    """What a conversion read and wrote.
+    """What a conversion read and wrote; the result of :func:`quatprop.convert`.
 
-    `path`, `kind`, `digest`: the file that was read, its size and SHA-256
-    `signal`: which attitudes of it, how they were stored there, and how they were made
-    `columns`: the names of what is written beside timestamps
-    `counts`: valid and invalid rows
-    `written`: rows of the output
-    `outside`: rows before and after the time range
-    `remarks`: what a reader should know
+    Parameters
+    ----------
+    job
+        What was asked for.
+    path, kind, digest
+        The file that was read, its format, and its size and SHA-256.
+    signal
+        Which attitudes of it, how they were stored there, and how they were made.
+    columns
+        Names of the columns that were written beside the timestamps.
+    counts
+        Rows that were read, used, normalized, and left out, by reason.
+    written
+        Rows of the output.
+    outside
+        Rows before and after the time range.
+    losses
+        What of the file could not be read.
+    remarks
+        What else a reader should know.
     """
 
     job: Conversion

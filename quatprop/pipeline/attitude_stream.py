@@ -249,7 +249,7 @@ class AttitudeStream:
             if not (is_mounted and remark.code == "stated-mount"):
                 yield remark
         yield from self._source.method_remarks(settings.method)
-        yield from remarks(counts, settings.policy)
+        yield from remarks(counts, settings.policy, self._timeline.chosen_by)
         yield from clipping_remarks(settings.conditioning, self._conditioned)
         yield from self._conditioned.all_remarks
         yield from self._checks.remarks(counts)

@@ -38,8 +38,11 @@ CONVENTION = {
 class SourceReport(NamedTuple):
     """Where the samples came from.
 
+    `path`, `kind`: the log, and its format
+    `digest`: its size and SHA-256
     `name`, `type`: topic and message type, or rate columns and dialect
     `rate`, `rate_unit`: the field or the columns that are the rate, and their unit
+    `clock`: the source of the timestamps
     """
 
     path: str
@@ -106,6 +109,7 @@ class ConventionReport(NamedTuple):
 class ResultReport(NamedTuple):
     """What came out.
 
+    `samples`, `rows`: samples propagated, and attitudes written
     `first_ns`, `last_ns`: their first and last stamp, ns
     `span_s`: time between them, s
     `sample_rate_hz`: mean rate of the samples, Hz; None where they span no time

@@ -34,7 +34,7 @@ class RunOptions(RateOptions, total=False):
         "its start, of the one at its end, their mean, linear between them (coning), a cubic "
         "through four samples (cubic) or a quintic through six (quintic, for sensors with next to "
         "no noise). The last three also correct averages and increments for coning.",
-        "start; end where the log's samples are averages or increments",
+        "start (averages: end)",
         group="Integration", common=True)]
     rates: Annotated[Frame | None, Keyword(
         Choice(*FRAMES), "Frame the rates are resolved in: body multiplies right, inertial (or "

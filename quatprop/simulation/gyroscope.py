@@ -38,7 +38,7 @@ class Gyroscope:
     `sample_rate`: samples a second, Hz. Sample k is taken at the whole ns at or before ``k /
         sample_rate``, and its stamp is true
     `start_ns`: first stamp, ns
-    `noise`: angular random walk, rad/s/sqrt(Hz): each sample of each axis gets white noise of
+    `noise`: angle random walk, rad/s/sqrt(Hz): each sample of each axis gets white noise of
         standard deviation ``noise * sqrt(sample_rate)``
     `bias`: added to the rate, rad/s
     """

@@ -82,7 +82,7 @@ class SimulateOptions(TypedDict, total=False):
     seed: Annotated[int | None, Keyword(
         _seed, "Of noise and random walk: the same seed gives the same log.", "0", "N")]
     noise: Annotated[float | None, Keyword(
-        _size, "Angular random walk, rad/s/sqrt(Hz).", "0", "X")]
+        _size, "Angle random walk, rad/s/sqrt(Hz).", "0", "X")]
     bias: Annotated[Collection[float] | str | None, Keyword(
         number_list("X,Y,Z"), "Constant error of the rates, rad/s.", "0,0,0", "X,Y,Z")]
     q0: Annotated[Collection[float] | str, Keyword(

@@ -1,5 +1,6 @@
 """What the documents show is what happens: commands, listings, suites, links."""
 
+import json
 import re
 import sys
 import tomllib
@@ -7,9 +8,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from make.commands import run
 from make.documents import GUIDES, ROOT, Document
 from make.places import SHARED_LOGS
 from make.reading import found_in, mark, stamps
+from make.reference import python_reference, reference
 
 from quatprop import propagate, write
 from quatprop.cli.help import GROUPS
@@ -106,6 +109,36 @@ def headings(text, level="#+"):
     """Return the headings of a document, with the anchors that they have."""
     heads = re.findall(rf"^{level} (.*)$", text, re.MULTILINE)
     return [(head, re.sub(r"[^a-z0-9 -]", "", head.lower()).replace(" ", "-")) for head in heads]
+
+
+def test_references_say_what_the_program_says_of_itself():
+    """`make documents` writes them from options, docstrings and reports."""
+    assert (GUIDES / "reference.md").read_text() == reference()
+    assert (GUIDES / "api.md").read_text() == python_reference()
+
+
+def keys_in(value):
+    """Yield the keys of JSON, but for those that are names of settings, files and errors."""
+    parts = value.items() if isinstance(value, dict) else enumerate(value)
+    for key, item in parts:
+        if isinstance(key, str):
+            yield key
+        if isinstance(item, dict | list) and key not in {"settings", "files", "origins"}:
+            yield from keys_in(item)
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+def test_the_reference_has_every_key_of_a_report(tmp_path):
+    """Of a run with a gyroscope's errors and a bias, and of a comparison that fails."""
+    log, out = ROOT / "sample_logs" / "rest.parquet", tmp_path / "out.csv"
+    report = tmp_path / "report.json"
+    run("propagate", log, "-o", out, "-q", "--report", report, "--bias", "static", code=0)
+    wanted = {*keys_in(json.loads(report.read_text()))}
+    truth = ROOT / "sample_logs" / "rest.truth.parquet"
+    options = ("--json", "--tol", "1e-9deg", "--window", "1s", "--align", "yaw")
+    wanted |= {*keys_in(json.loads(run("compare", out, truth, *options, code=1).stdout))}
+    described = {*re.findall(r"`(\w+)`", (GUIDES / "reference.md").read_text())}
+    assert wanted <= described, wanted - described
 
 
 def test_the_contents_name_every_section():

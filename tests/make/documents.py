@@ -14,7 +14,10 @@ from tempfile import TemporaryDirectory
 
 from fuzz.flips import TABLE, unnoticed_table
 from make.commands import run
+from make.measured import METHOD_TABLE, method_table
+from make.pictures import PICTURES, draw
 from make.places import ROOT, SHARED_LOGS
+from make.reference import python_reference, reference
 from make.tables import write_rates
 
 from quatprop import QuatpropWarning
@@ -155,9 +158,14 @@ class Document:
 
 
 if __name__ == "__main__":
+    (GUIDES / "reference.md").write_text(reference())
+    (GUIDES / "api.md").write_text(python_reference())
+    for name in PICTURES:
+        draw(GUIDES / name)
     for document in (ROOT / "README.md", *sorted(GUIDES.glob("*.md"))):
         with TemporaryDirectory() as place:
             text = re.sub(TABLE, unnoticed_table(), document.read_text())
+            text = re.sub(METHOD_TABLE, method_table(), text)
             document.write_text(text)
             if document.name != "fleets.md":
                 document.write_text(Document(document, Path(place), SHARED_LOGS).run())

@@ -257,10 +257,10 @@ def test_what_is_about_logs_is_refused_for_rates_in_memory(name):
 IN_MEMORY = {
     "if they are in deg/s, use numpy.deg2rad": [0, 10**7],
     "choose on_backwards='drop' or 'sort', or another t_ns": [0, 5, 3],
-    "is there another t_ns or time column, or are they in another unit?": [0] * 30,
+    "is there another t_ns, or are they in another unit?": [0] * 30,
     "in another unit, use t_ns in ns": list(range(0, 30 * 10**13, 10**13)),
     "check unit, the time column or t_ns": [-(2**63), 2**63 - 1],
-    "choose another with t_ns or other stamps": [10**9] * 5 + [2 * 10**9] * 5,
+    "choose another with t_ns": [10**9] * 5 + [2 * 10**9] * 5,
 }
 """How advice ends on rates in memory, and stamps that it is given for, in ns."""
 
@@ -474,6 +474,18 @@ def test_a_way_out_names_the_function_that_has_it(tmp_path, called, way_out):
     with pytest.raises(quatprop.QuatpropError) as error:
         called(path)
     assert str(error.value).endswith(way_out)
+
+
+@pytest.mark.parametrize(
+    ("name", "setting"),
+    [("topic_b", "topic"), ("from_layout_a", "from_layout"), ("time_col", "time_col")],
+)
+def test_comparing_says_where_settings_of_a_side_belong(name, setting):
+    """They were refused with a list of the limits: options of the command had no way out here."""
+    path = SAMPLE_LOGS / "tumbling.truth.csv"
+    way_out = f"give compare\\(\\) what read_attitudes\\(\\) returns with {setting}=...$"
+    with pytest.raises(UsageError, match=f"^there is no setting '{name}'; {way_out}"):
+        quatprop.compare(path, path, **{name: "x"})
 
 
 def test_the_public_names_are_listed():
