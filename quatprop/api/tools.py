@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING, Literal, NamedTuple, Unpack
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack
 
 import numpy as np
 
@@ -16,10 +16,11 @@ from quatprop.simulation.settings import SIMULATE, SimulateOptions
 from quatprop.text import Setting
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from quatprop.api.reading import StrPath
     from quatprop.pipeline.log_survey import LogSurvey
+    from quatprop.plotting.files import View
 
 
 class Simulation(NamedTuple):
@@ -114,28 +115,46 @@ def plot(  # noqa: PLR0913  # one keyword for each option
         Something looks wrong, such as gaps.
     """
     from quatprop.comparison.settings import comparison_settings
-    from quatprop.conditioning import GyroCorrection
     from quatprop.logs.attitude_input import AttitudeInput
-    from quatprop.plotting.files import View
     from quatprop.plotting.plot import plot as draw
     from quatprop.settings.reading import PLOT
-    from quatprop.settings.selection import AttitudeSelection, RateSelection
 
     values = parse_all(options, PLOT)
     paths, target = paths_of("files", files), path_text("output", output)
     against = (
         None if reference is None else AttitudeInput(path_text("reference", reference), drop=True)
     )
-    if components and unwrap:
-        raise UsageError(f"{Setting('unwrap')} does not go with {Setting('components')}")
     for name in ("start", "end"):
         if reference is not None and name in values:
             raise UsageError(f"{Setting(name)} does not go with {Setting('reference')}")
+    view = _view(values, show, components=components, unwrap=unwrap)
+    _, remarks, data_lost = draw(paths, target, view, against, comparison_settings())
+    for remark in remarks:
+        warnings.warn(remark, RemarkWarning, stacklevel=2)
+    if data_lost:
+        lost = f"{' + '.join(paths)}: a part was not read, or left out"
+        warnings.warn(lost, DataLossWarning, stacklevel=2)
+
+
+def _view(
+    values: Mapping[str, Any],
+    show: Literal["rates", "attitude"] | None,
+    *,
+    components: bool,
+    unwrap: bool,
+) -> View:
+    """Return what to draw: a setting of attitudes asks for attitudes."""
+    from quatprop.conditioning import GyroCorrection
+    from quatprop.plotting.files import View
+    from quatprop.settings.selection import AttitudeSelection, RateSelection
+
+    if components and unwrap:
+        raise UsageError(f"{Setting('unwrap')} does not go with {Setting('components')}")
     of_attitudes = any(name in values for name in ONE_SERIES if name not in READ_RATES)
     is_attitude = components or unwrap or of_attitudes
     if is_attitude and show == "rates":
         raise UsageError(f"the settings of attitudes go with {Setting('show', 'attitude')}")
-    view = View(
+    return View(
         kind=values.get("kind"),
         show="attitude" if is_attitude else show,
         rates=RateSelection.of(values),
@@ -144,12 +163,6 @@ def plot(  # noqa: PLR0913  # one keyword for each option
         unwrap=unwrap,
         part=GyroCorrection(start=values.get("start"), end=values.get("end")),
     )
-    _, remarks, data_lost = draw(paths, target, view, against, comparison_settings())
-    for remark in remarks:
-        warnings.warn(remark, RemarkWarning, stacklevel=2)
-    if data_lost:
-        lost = f"{' + '.join(paths)}: a part was not read, or left out"
-        warnings.warn(lost, DataLossWarning, stacklevel=2)
 
 
 @with_keywords_of(SimulateOptions)
