@@ -18,7 +18,7 @@ help:
 	@echo 'make test         run the tests'
 	@echo 'make lowest       run the tests with the lowest versions that pyproject.toml allows'
 	@echo 'make dist         build wheel and sdist, and run the tests of the sdist'
-	@echo 'make fuzz         random properties, damaged logs, flipped bits, command lines, regressions: report what goes wrong'
+	@echo 'make fuzz         random properties, damaged logs, command lines, regressions, planted mistakes: report what goes wrong'
 	@echo 'make lint         ruff and mypy'
 	@echo 'make format       let ruff format the code'
 	@echo 'make documents    update the documents: what commands print, tables, pictures, references'
@@ -70,6 +70,7 @@ fuzz: $(READY)
 	cd tests && ../$(BIN)/python -m fuzz.damage
 	cd tests && ../$(BIN)/python -m fuzz.flips
 	cd tests && ../$(BIN)/python -m fuzz.command_lines
+	cd tests && ../$(BIN)/python -m fuzz.causes
 	cd tests && ../$(BIN)/python -m fuzz.regressions
 	cd tests && ../$(BIN)/python -m fuzz.remarks
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection
 
     from quatprop.api.reading import StrPath
-    from quatprop.comparison.hypotheses import Cause
+    from quatprop.comparison.cause import Cause
     from quatprop.comparison.result import Comparison
     from quatprop.conversion.job import ConversionReport
     from quatprop.settings.choices import Layout
@@ -206,7 +206,7 @@ def _in_python(cause: Cause | None) -> Cause | None:
         return None
     return cause._replace(
         sentence=in_python(cause.sentence),
-        remedy=cause.remedy and in_python(cause.remedy),
+        remedy=in_python(cause.remedy),
         also=_in_python(cause.also),
     )
 

@@ -130,7 +130,7 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
         if not one.passed:
             failures.append(named(criterion_text(one, result)))
     cause = result.likely_cause
-    causes = [one for one in (cause, cause and cause.also) if one and not one.explains_little]
+    causes = filter(None, (cause, cause and cause.also))
     return CaseComparison(
         result,
         summary="; ".join([f"{' of '.join(worst)} at {since(result.worst.t_ns)}{left}", *others]),

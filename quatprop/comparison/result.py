@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from quatprop.comparison.accumulator import ComparedSample
     from quatprop.comparison.alignment import Alignment
     from quatprop.comparison.association import Matching, Pairs
+    from quatprop.comparison.cause import Cause
     from quatprop.comparison.clocks import ClockOffset
     from quatprop.comparison.heading import ErrorParts
-    from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.judged import Judged
     from quatprop.comparison.statistics import ErrorStatistics, SigmaStatistics, WindowStatistics
 
@@ -178,9 +178,8 @@ class Comparison:
     first_exceeding
         The first pair with an error above the tolerance.
     likely_cause
-        What explains the error, where something does and a criterion failed or none was given; or
-        a mistake that was found and explains little of it
-        (:attr:`~quatprop.comparison.hypotheses.Cause.explains_little`).
+        What explains most of the error, where something does and a criterion failed or none was
+        given.
     remarks
         What else a reader should know.
     """

@@ -165,8 +165,7 @@ def _warnings(files: Sequence[ComparedFile], reference: ReadAttitudes) -> Iterat
                 yield f"{name}: {named(criterion_text(criterion, comparison))}"
         if cause := comparison.likely_cause:
             for each in filter(None, (cause, cause.also)):
-                how = "explains little of the error" if each.explains_little else "likely cause"
-                yield f"{name}: {how} ({each.name}): {named(spelled(each.advice))}"
+                yield f"{name}: likely cause ({each.name}): {named(spelled(each.advice))}"
         yield from (f"{name}: {named(spelled(remark))}" for remark in comparison.remarks)
         yield from _operand_warnings(operand)
     yield from _operand_warnings(reference)

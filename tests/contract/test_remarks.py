@@ -415,6 +415,16 @@ CONVERSIONS = {
         converted(np.delete(T_NS, range(40, 45)), np.delete(TURNED, range(40, 45), 0), rate=50),
     ),
 }
+
+
+def tumbling(x, y, z, bias=0.0):
+    """Return attitudes of rates about the three axes, of these sizes."""
+    t_ns = np.arange(2000) * 10 * MS
+    rate = np.sin(t_ns[:, None] / 1e9 * [1.3, 2.1, 0.7]) * [x, y, z] + bias
+    made = quatprop.propagate(quatprop.GyroSeries(t_ns, rate))
+    return AttitudeSeries(t_ns, made.wxyz)
+
+
 COMPARISONS = {
     "interpolated": (
         compared(TRUTH, shifted(), match="interpolate", tol="1e-9rad"),
@@ -432,6 +442,10 @@ COMPARISONS = {
     "exact-sigma": (
         compared(AttitudeSeries(T_NS, TURNED, covariance=EXACT), turned(2e-9, 0, 0)),
         compared(AttitudeSeries(T_NS, TURNED, covariance=EXACT), turned(5e-10, 0, 0)),
+    ),
+    "dead-axis": (
+        compared(tumbling(1, 0, 1), tumbling(1, 1, 1)),
+        compared(tumbling(1, 0, 1), tumbling(1, 0, 1, 0.1)),
     ),
     "normalised": (
         lambda _: compare_series(TRUTH, AttitudeSeries(T_NS, 2 * TURNED)).remarks,

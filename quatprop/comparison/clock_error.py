@@ -1,39 +1,27 @@
-"""Mistakes that rotations over windows show: each is undone, and what remains is compared."""
+"""What one clock is off against another, by least squares over windows of common motion."""
 
 from __future__ import annotations
 
-from itertools import permutations, product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from quatprop.comparison.alignment import kabsch
-from quatprop.comparison.windows import PER_WINDOW, Angles, BodyAngle, centred
-from quatprop.kinematics.quaternion import IDENTITY, geodesic_angle, rotate
+from quatprop.comparison.association import shifted
+from quatprop.comparison.windows import (
+    PER_WINDOW,
+    BodyAngle,
+    body_angle,
+    centred,
+    common_beginning,
+    window_grids,
+)
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from quatprop.arrays import Float64, Intp
+    from quatprop.series import AttitudeSeries
 
-
-SIGNED_AXES = sorted(
-    (
-        np.diag(signs) @ np.eye(3)[list(order)]
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ),
-    key=lambda matrix: -np.trace(matrix),
-)[1:-1]
-"""Matrices of all orders and signs of axes, those with the fewest changes first; without the one
-that changes nothing, and the one that reverses everything."""
-
-SAME_FIT = 1e-3
-"""Orders and signs that fit as well, as a share: the motion does not show the axis of change."""
-
-SAME_TURN = 0.99
-"""A rotation that fits worse than its mirror image, by this factor, is none."""
 
 MAX_OFFSET_S = 0.5
 """Time offsets are tried up to this; what is larger cannot be told from another motion, s."""
@@ -49,6 +37,9 @@ MIN_BLOCKS = 10
 
 BLOCK_S = 2.0
 """Length of such a block, s: errors further apart are taken to be independent."""
+
+MAX_FITS = 30
+"""Fits at most; each is closer to the offset."""
 
 
 class ClockError(NamedTuple):
@@ -76,74 +67,57 @@ class ClockError(NamedTuple):
         return self.seconds + self.ratio * (seconds - self.middle)
 
 
-class RateRatio(NamedTuple):
-    """The ratio of A's rates to B's, and its limits, as noise in either changes it."""
+def clock_errors(
+    a: AttitudeSeries, b: AttitudeSeries, offset_ns: int, *, turned: bool = True
+) -> tuple[ClockError, ClockError, int] | None:
+    """Return what is left of an offset, constant and changing steadily, if windows show any.
 
-    value: float
-    least: float
-    most: float
+    It is estimated from windows of the length that shows it best. The last value is when the times
+    of the second begin, ns.
 
-
-class Trial(NamedTuple):
-    """What remains of the differences between A and B over windows when a mistake is undone.
-
-    `name`: the mistake; empty where nothing was undone
-    `remaining`: remaining differences, shape ``(M, 3)``, rad
-    `side`: in which series it was undone, ``"a"`` or ``"b"``, where that is known
-    `value`: what was estimated: what a clock is off by, a ratio, a matrix of axes or an angle, rad;
-        or the integration rules of A and B
+    `turned`: whether the bodies may be turned against each other
     """
-
-    name: str
-    remaining: Float64
-    side: str = ""
-    value: ClockError | RateRatio | tuple[str, str] | Float64 | float | None = None
-
-    @property
-    def rms(self) -> float:
-        """RMS of the remaining differences, rad."""
-        return rms_length(self.remaining)
-
-
-def trials(angles: Sequence[Angles], starts: Float64, length: float) -> Iterator[Trial]:
-    """Yield a trial for each mistake: what remains when it is undone.
-
-    `starts`, `length`: the windows, s
-    """
-    for name, side, a, b in angles:
-        yield Trial(name, a.over(starts, length) - b.over(starts, length), side)
-    y, x = (angle.over(starts, length) for angle in angles[0][2:])
-    common = y.T @ x
-    for handed in (1.0, -1.0):
-        matrix = _closest_axes(common, handed)
-        yield Trial("axes", y - x @ matrix.T, value=matrix)
-    shared, power_x, power_y = (float(np.trace(m)) for m in (common, x.T @ x, y.T @ y))
-    if shared > 0:
-        # Noise in B lowers the slope of A over B, and noise in A raises the inverse of the other.
-        ratio = np.sqrt(power_y / power_x)
-        limits = RateRatio(ratio, shared / power_x, power_y / shared)
-        yield Trial("scale", (y - ratio * x) / min(ratio, 1.0), value=limits)
-    (turn, _), (mirrored, _) = kabsch(x, y), kabsch(-x, y)
-    turned = y - rotate(turn, x)
-    if SAME_TURN * rms_length(turned) <= rms_length(y + rotate(mirrored, x)):
-        # Otherwise axes are reversed, about which the motion hardly turns.
-        yield Trial("body frame", turned, value=float(geodesic_angle(IDENTITY, turn)))
-    offset = clock_error(angles[0], starts, length)
-    drift = clock_error(angles[0], starts, length, offset.seconds, drifts=True)
-    for name, clock in (("time offset", offset), ("clock drift", drift)):
-        moved = angles[0].b.over(starts - clock.at(starts), length)
-        yield Trial(name, y - moved, value=clock)
+    a, b = common_beginning(a, shifted(b, offset_ns))
+    first_ns = min(int(a.t_ns[0]), int(b.t_ns[0]))
+    of_a, of_b = body_angle(a, first_ns), body_angle(b, first_ns)
+    found = [
+        (
+            *(
+                _turn_and_offset(of_a, of_b, starts, length)
+                if turned
+                else (clock_error(of_a, of_b, starts, length), of_b)
+            ),
+            starts,
+            length,
+        )
+        for length, starts in window_grids(of_a.seconds, of_b.seconds)
+    ]
+    if not found:
+        return None
+    clock, of_b, starts, length = min(found, key=lambda one: one[0].white_std)
+    changing = clock_error(of_a, of_b, starts, length, clock.seconds, drifts=True)
+    return clock, changing, first_ns
 
 
-def _closest_axes(common: Float64, handed: float) -> Float64:
-    """Return the best order and signs of axes: right-handed for 1, left-handed for -1."""
-    kept = [matrix for matrix in SIGNED_AXES if np.linalg.det(matrix) * handed > 0]
-    fits = np.array([float((matrix * common).sum()) for matrix in kept])
-    return kept[int(np.argmax(fits >= fits.max() - SAME_FIT * abs(fits.max())))]
+def _turn_and_offset(
+    a: BodyAngle, b: BodyAngle, starts: Float64, length: float
+) -> tuple[ClockError, BodyAngle]:
+    """Estimate the offset, and the rotation between the bodies, in turn until they converge."""
+    before, begin = 0.0, None
+    y = a.over(starts, length)
+    for _ in range(MAX_FITS):
+        turn, _ = kabsch(b.over(starts - before, length), y)
+        turned = b.turned(turn)
+        found = clock_error(a, turned, starts, length, begin)
+        if abs(found.seconds - before) * NS_PER_S < 1:
+            break
+        before = begin = found.seconds
+    return found, turned
 
 
-def clock_error(
-    pair: Angles,
+def clock_error(  # noqa: PLR0913  # two angles, and windows of them
+    a: BodyAngle,
+    b: BodyAngle,
     starts: Float64,
     length: float,
     begin: float | None = None,
@@ -167,7 +141,7 @@ def clock_error(
     # The offset is a sum of terms: found is so much of each.
     terms = np.stack([np.ones_like(starts), starts - middle][: 1 + drifts])
     found = np.zeros(len(terms))
-    found[0] = _on_grid(pair, starts, length) if begin is None else begin
+    found[0] = _on_grid(a, b, starts, length) if begin is None else begin
 
     def clock(std: float, white_std: float) -> ClockError:
         seconds, ratio = np.append(found, 0.0)[:2].tolist()
@@ -175,11 +149,11 @@ def clock_error(
 
     step = length / 8
     largest = np.abs(terms).max(axis=1)
-    y, slope_a = pair.a.over(starts, length), _slope(pair.a, starts, length, step)
+    y, slope_a = a.over(starts, length), _slope(a, starts, length, step)
     for _ in range(MAX_ROUNDS):
         moved = starts - found @ terms
-        error = y - pair.b.over(moved, length)
-        slope = _slope(pair.b, moved, length, step)
+        error = y - b.over(moved, length)
+        slope = _slope(b, moved, length, step)
         scores = terms * (slope * error).sum(axis=1)
         powers = terms[:, None] * terms * (slope_a * slope).sum(axis=1)
         power = powers.sum(axis=2)
@@ -203,13 +177,13 @@ def clock_error(
     return clock(float(np.sqrt((changes**2).sum(axis=0))[-1]), float(white_std))
 
 
-def _on_grid(pair: Angles, starts: Float64, length: float) -> float:
+def _on_grid(a: BodyAngle, b: BodyAngle, starts: Float64, length: float) -> float:
     few = starts[:: max(len(starts) // GRID_WINDOWS, 1)]
-    free = float(few[0] - max(pair.a.seconds[0], pair.b.seconds[0]))
+    free = float(few[0] - max(a.seconds[0], b.seconds[0]))
     reach = min(MAX_OFFSET_S, free)
-    y = pair.a.over(few, length)
+    y = a.over(few, length)
     grid = np.linspace(-reach, reach, 2 * int(np.ceil(reach / (length / 8))) + 1)
-    remaining = [((y - pair.b.over(few - at, length)) ** 2).sum() for at in grid]
+    remaining = [((y - b.over(few - at, length)) ** 2).sum() for at in grid]
     return float(grid[int(np.argmin(remaining))])
 
 
@@ -217,11 +191,6 @@ def _slope(angle: BodyAngle, starts: Float64, length: float, step: float) -> Flo
     """Return the derivative of angles over windows with respect to a time offset."""
     earlier, later = (angle.between(at, at + length) for at in (starts - step, starts + step))
     return centred((earlier - later) / (2 * step))
-
-
-def rms_length(values: Float64) -> float:
-    """Return the RMS length of vectors."""
-    return float(np.sqrt((values**2).sum(axis=1).mean()))
 
 
 def _blocks(starts: Float64, length: float) -> Intp:
