@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     from quatprop.api.attitudes import compare, convert, write
     from quatprop.api.propagation import PropagatedSeries, propagate
     from quatprop.api.reading import read_attitudes, read_rates
+    from quatprop.api.tools import Simulation, info, plot, simulate
     from quatprop.comparison.result import Comparison
     from quatprop.comparison.statistics import ErrorStatistics
     from quatprop.conversion.job import ConversionReport
@@ -84,11 +85,15 @@ __all__ = [
     "QuatpropWarning",
     "RemarkWarning",
     "RunReport",
+    "Simulation",
     "compare",
     "convert",
+    "info",
+    "plot",
     "propagate",
     "read_attitudes",
     "read_rates",
+    "simulate",
     "write",
 ]
 
@@ -105,11 +110,15 @@ _MODULES = {
     "QuatpropWarning": "quatprop.errors",
     "RemarkWarning": "quatprop.errors",
     "RunReport": "quatprop.pipeline.report",
+    "Simulation": "quatprop.api.tools",
     "compare": "quatprop.api.attitudes",
     "convert": "quatprop.api.attitudes",
+    "info": "quatprop.api.tools",
+    "plot": "quatprop.api.tools",
     "propagate": "quatprop.api.propagation",
     "read_attitudes": "quatprop.api.reading",
     "read_rates": "quatprop.api.reading",
+    "simulate": "quatprop.api.tools",
     "write": "quatprop.api.attitudes",
 }
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from quatprop.errors import QuatpropError
-from quatprop.plot.errors import pair_page
-from quatprop.plot.target import PictureFile
+from quatprop.plotting.errors import pair_page
+from quatprop.plotting.target import PictureFile
 from quatprop.settings.spelling import option
 from quatprop.writers.atomic import open_atomic
 from quatprop.writers.targets import refuse_outside

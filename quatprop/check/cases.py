@@ -17,8 +17,9 @@ from quatprop.comparison.settings import COMPARE, ERROR_LIMITS, comparison_setti
 from quatprop.errors import QuatpropError, SuiteError, UsageError
 from quatprop.logs.attitude_input import attitude_input
 from quatprop.pipeline.settings import propagation_settings
-from quatprop.settings import PROPAGATE, READ_ATTITUDES
-from quatprop.settings.parsers import file_beside
+from quatprop.settings import PROPAGATE
+from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_ATTITUDES
+from quatprop.settings.rotations import file_beside
 from quatprop.settings.spelling import in_keys, suite_key
 from quatprop.text import Setting, did_you_mean, quoted, spelled, spelling
 
@@ -41,7 +42,7 @@ DEFAULT_COVERAGE = "99"
 
 PROPAGATION_KEYS = {suite_key(name): name for name in PROPAGATE}
 COMPARISON_KEYS = {suite_key(name): name for name in COMPARE}
-REFERENCE_KEYS = {suite_key(name, "b"): name for name in READ_ATTITUDES}
+REFERENCE_KEYS = {suite_key(name, "b"): name for name in (*ONE_SERIES, *CHECKS)}
 
 PARSERS: Mapping[str, Callable[[object], Any]] = {
     **{key: PROPAGATE[name] for key, name in PROPAGATION_KEYS.items()},

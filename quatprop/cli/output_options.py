@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.types import PATH
-from quatprop.settings import EULER_SEQUENCES, LAYOUTS
+from quatprop.settings.choices import EULER_SEQUENCES, LAYOUTS
 from quatprop.settings.keyword import Keyword
 from quatprop.settings.parsers import Choice, flag
 from quatprop.writers.formats import WRITERS

@@ -14,8 +14,8 @@ import numpy as np
 
 from quatprop.comparison.association import interval_ns
 from quatprop.comparison.clock_error import clock_errors
-from quatprop.comparison.interpolation import interpolate
 from quatprop.errors import ComparisonError
+from quatprop.kinematics.interpolation import interpolate
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S

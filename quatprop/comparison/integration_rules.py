@@ -15,7 +15,7 @@ from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.series.blocks import rms
-from quatprop.settings import METHODS
+from quatprop.settings.choices import METHODS
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S, duration_text
 

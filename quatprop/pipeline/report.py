@@ -177,6 +177,16 @@ class RunReport:
     unchecked_chunks: int = 0
     seconds: float | None = None
 
+    def __repr__(self) -> str:
+        # All of it is pages long; as_json() has it.
+        result, method = self.result, self.convention.method
+        noted = f", {len(self.remarks)} remarks" * bool(self.remarks)
+        lost = ", data lost" * self.data_lost
+        return (
+            f"<RunReport: {result.rows:,} attitudes of {result.samples:,} samples by method "
+            f"{method}{noted}{lost}>"
+        )
+
     @property
     def data_lost(self) -> bool:
         """Whether a part of the log could not be read, or samples were dropped."""

@@ -6,8 +6,9 @@ Text that leaves the program has gone through :func:`quatprop.text.spelled`; the
 
 from __future__ import annotations
 
-from quatprop.settings import ONE_SERIES, OPTION_NAMES, PROPAGATE, READ_ATTITUDES, READ_RATES
+from quatprop.settings import PROPAGATE
 from quatprop.settings.parsers import flag
+from quatprop.settings.reading import ONE_SERIES, OPTION_NAMES, READ_ATTITUDES, READ_RATES
 from quatprop.text import said_once, with_settings
 
 LOOKUPS = {"at": {"start"}, "q0": {"start"}, "info": READ_RATES.keys()}

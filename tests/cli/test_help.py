@@ -8,7 +8,8 @@ from click.testing import CliRunner
 from quatprop.cli.commands import COMMANDS, cli
 from quatprop.cli.help import GROUPS
 from quatprop.comparison.settings import COMPARE
-from quatprop.settings import PROPAGATE, READ_ATTITUDES
+from quatprop.settings import PROPAGATE
+from quatprop.settings.reading import READ_ATTITUDES
 
 SCREEN = 60
 """Lines of a terminal window."""

@@ -412,6 +412,10 @@ CONVERSIONS = {
         converted(with_value(T_NS, 9, T_NS[8]), TURNED),
         converted(with_value(T_NS, 9, T_NS[8] + 1), TURNED),
     ),
+    "gaps-kept": (
+        converted(np.delete(T_NS, range(40, 60)), np.delete(TURNED, range(40, 60), 0), rate=50),
+        converted(np.delete(T_NS, range(40, 45)), np.delete(TURNED, range(40, 45), 0), rate=50),
+    ),
 }
 
 

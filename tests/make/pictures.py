@@ -16,8 +16,8 @@ from PIL.PngImagePlugin import PngInfo
 import quatprop
 from quatprop.kinematics.quaternion import conjugate, multiply, shorter
 from quatprop.kinematics.quaternion import log as rotation_vector
-from quatprop.simulate.gyroscope import Gyroscope, record
-from quatprop.simulate.motion import Shape, motion_named
+from quatprop.simulation.gyroscope import Gyroscope, record
+from quatprop.simulation.motion import Shape, motion_named
 
 STYLE = {"font.size": 8, "lines.linewidth": 1.0, "axes.grid": True, "grid.alpha": 0.3}
 KEY = "Description"

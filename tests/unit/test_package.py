@@ -92,9 +92,9 @@ LAYERS = (
     {"containers"},
     {"logs", "rendering"},
     {"writers"},
-    {"log_copy", "simulate"},
+    {"log_copy", "simulation"},
     {"comparison", "pipeline"},
-    {"conversion", "plot"},
+    {"conversion", "plotting"},
     {"api", "batch", "check"},
     {"cli", "pytest_plugin", "__main__"},
 )

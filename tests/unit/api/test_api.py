@@ -22,8 +22,10 @@ from scipy.spatial.transform import Rotation
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
 from quatprop.comparison.settings import COMPARE
+from quatprop.conversion.settings import CONVERT
 from quatprop.errors import LogError, NoRatesError, SeriesError, UsageError
-from quatprop.settings import PROPAGATE, RATES_IN_MEMORY, READ_ATTITUDES
+from quatprop.settings import PROPAGATE
+from quatprop.settings.reading import RATES_IN_MEMORY, READ_ATTITUDES
 from quatprop.text import Setting
 
 T_NS = np.array([1_700_000_000_000_000_000, 1_700_000_000_010_000_000, 1_700_000_000_020_000_001])
@@ -442,7 +444,7 @@ def test_only_attitudes_are_written(tmp_path):
         (quatprop.read_attitudes, READ_ATTITUDES),
         (quatprop.propagate, PROPAGATE),
         (quatprop.compare, COMPARE),
-        (quatprop.convert, {"to", "layout", "extra_columns", "representation"}),
+        (quatprop.convert, {"to", "layout", "extra_columns", "representation", *CONVERT}),
         (quatprop.write, {"to", "layout", "extra_columns"}),
     ],
 )
@@ -450,7 +452,7 @@ def test_every_keyword_is_documented(function, settings):
     """Each setting stands before a colon, or in a list of them, in the parameters."""
     parameters = function.__doc__.split("Returns\n")[0]
     for name in settings:
-        assert re.search(rf"\b{name}\b(?=[\w, \\\n]*( :|\n        ))", parameters), name
+        assert re.search(rf"\b{name}\b(?=[\w, \\\n]*( :|\n    ))", parameters), name
 
 
 @pytest.mark.parametrize(
@@ -458,8 +460,6 @@ def test_every_keyword_is_documented(function, settings):
     [
         (lambda path: quatprop.compare(path, path),
          "name the columns with quat_cols, from_layout and time_col of read_attitudes"),
-        (lambda path: quatprop.propagate(SAMPLE_LOGS / "spin.csv", at=path),
-         "name the columns with quat_cols, from_layout and time_col of convert"),
         (lambda path: quatprop.propagate(SAMPLE_LOGS / "spin.csv", q0=path),
          "name the columns with quat_cols, from_layout and time_col of convert"),
         (quatprop.read_attitudes, "name the columns with quat_cols, from_layout and time_col"),

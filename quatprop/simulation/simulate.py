@@ -16,8 +16,8 @@ import numpy as np
 from quatprop.errors import OutputError, UsageError
 from quatprop.progress import with_progress
 from quatprop.provenance import as_json
-from quatprop.simulate.gyroscope import Gyroscope, record
-from quatprop.simulate.motion import Shape, motion_named
+from quatprop.simulation.gyroscope import Gyroscope, record
+from quatprop.simulation.motion import Shape, motion_named
 from quatprop.text import listed, quoted
 from quatprop.writers import open_messages, open_table, open_writer
 from quatprop.writers.attitudes import AttitudeWriter, attitude_messages, column_table

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from quatprop.pipeline.summary import conventions, facts
-from quatprop.plot.accumulators import SIGMA_BAND, AttitudeAccumulator, RateAccumulator
-from quatprop.plot.picture import Page, PlottedFile, picture
-from quatprop.plot.target import PictureFile
+from quatprop.plotting.accumulators import SIGMA_BAND, AttitudeAccumulator, RateAccumulator
+from quatprop.plotting.picture import Page, PlottedFile, picture
+from quatprop.plotting.target import PictureFile
 from quatprop.rendering import file_names, instant_text, loss_lines, source_text
 from quatprop.text import spelled
 

@@ -12,7 +12,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
-    from quatprop.plot.reduction import Reduced
+    from quatprop.plotting.reduction import Reduced
 
 
 TURN = 360.0

@@ -10,9 +10,15 @@ from scipy.spatial.transform import Rotation
 
 from quatprop.errors import OutputError, UsageError
 from quatprop.series import AttitudeSeries
-from quatprop.simulate.gyroscope import Gyroscope, record
-from quatprop.simulate.motion import Shape, motion_named
-from quatprop.simulate.simulate import GRAVITY, ImuEncoder, open_log_writer, simulate, truth_beside
+from quatprop.simulation.gyroscope import Gyroscope, record
+from quatprop.simulation.motion import Shape, motion_named
+from quatprop.simulation.simulate import (
+    GRAVITY,
+    ImuEncoder,
+    open_log_writer,
+    simulate,
+    truth_beside,
+)
 from quatprop.writers.formats import GENERAL_KINDS, WRITERS
 
 SHAPE = Shape(angle=Fraction(25))

@@ -6,13 +6,6 @@ from collections import deque
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from quatprop.conditioning import GyroCorrection, GyroCorrectionInputs, condition
-from quatprop.conditioning.time_range import (
-    EndsFinder,
-    absolute_range,
-    clipped,
-    length_text,
-    pause_remarks,
-)
 from quatprop.conventions import HAMILTON
 from quatprop.errors import (
     NoAttitudesError,
@@ -22,14 +15,20 @@ from quatprop.errors import (
     NothingToDrawError,
     UndeclaredError,
 )
+from quatprop.logs.attitude_part import AttitudePart
 from quatprop.logs.open_log import open_log
 from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.logs.signals.rates import choose_rates
 from quatprop.logs.signals.signal import AttitudeSignal, RateSignal
 from quatprop.pipeline.plausibility import log_remarks
 from quatprop.pipeline.rate_checks import RateChecks
-from quatprop.plot.accumulators import SIGMA_BAND, Accumulator, AttitudeAccumulator, RateAccumulator
-from quatprop.plot.picture import PlottedFile
+from quatprop.plotting.accumulators import (
+    SIGMA_BAND,
+    Accumulator,
+    AttitudeAccumulator,
+    RateAccumulator,
+)
+from quatprop.plotting.picture import PlottedFile
 from quatprop.provenance import entry_of
 from quatprop.rendering import Row, count_text, instant_text, samples_text, source_text
 from quatprop.series import AttitudeSeries
@@ -39,7 +38,6 @@ from quatprop.stores.objects import without_secret
 from quatprop.text import Remark, plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import OBSERVE
-from quatprop.timeline.outliers import marked
 from quatprop.timeline.stamps import StampChecks
 from quatprop.times import duration_text
 
@@ -152,24 +150,14 @@ def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> 
     drawn = AttitudeAccumulator(
         components=view.components, unwrap=view.unwrap, has_sigmas=source.may_have_covariances
     )
-    outside, stamps = [0, 0], StampChecks(path)
+    part, stamps = AttitudePart(source, view.part), StampChecks(path)
     counts = stamps.counts
-    covariances = source.may_have_covariances
-    read = (AttitudeSeries(*row) for row in source.read(covariances=covariances))
-    finder = EndsFinder()
-    if view.part.looks_ahead:
-        for t_ns, outliers, _ in marked((t_ns for t_ns, _ in source.rows()), lambda t_ns: t_ns):
-            finder.add(t_ns[~outliers])
-    ends = finder.ends()
-    numbered = ((batch, batch.t_ns) for batch in read)
-    part = clipped(numbered, view.part, *absolute_range(view.part, ends), outside)
-    shown = drawn.passing(batch for batch, _ in part)
+    rows = part.read(covariances=source.may_have_covariances)
+    shown = drawn.passing(AttitudeSeries(*row) for row in rows)
     deque(stamps.observe(batch.t_ns for batch in shown), maxlen=0)
     if not counts.used:
-        length = length_text(view.part, ends)
-        raise NoSamplesError(path, source.name, outside, losses=log.losses, length=length)
-    pauses = pause_remarks(view.part, ends)
-    remarks = [*source.remarks, *_irregularities(counts), *pauses, *log.remarks]
+        raise NoSamplesError(path, source.name, part.outside, losses=log.losses, length=part.length)
+    remarks = [*source.remarks, *_irregularities(counts), *part.remarks(), *log.remarks]
     if drawn.invalid:
         invalid = count_text(drawn.invalid, "invalid quaternion")
         text = f"{invalid} (zero, absent or not finite): not drawn"

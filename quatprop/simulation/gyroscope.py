@@ -10,7 +10,7 @@ import numpy as np
 
 from quatprop.errors import UsageError
 from quatprop.series import AttitudeSeries
-from quatprop.simulate.motion import hamilton
+from quatprop.simulation.motion import hamilton
 from quatprop.times import NS_PER_S, regular_stamps
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from quatprop.arrays import Float64
-    from quatprop.simulate.motion import Motion
+    from quatprop.simulation.motion import Motion
 
 START_NS = 1_700_000_000_000_000_000
 """Default first stamp: 2023-11-14T22:13:20Z. Fixed, so that logs are reproducible."""

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.plot.accumulators import MINUS, NORM_ERROR
-from quatprop.plot.lines import TURN, lone_points
-from quatprop.plot.palette import ALARM, SHADE, colour_of, stroke_of
+from quatprop.plotting.accumulators import MINUS, NORM_ERROR
+from quatprop.plotting.lines import TURN, lone_points
+from quatprop.plotting.palette import ALARM, SHADE, colour_of, stroke_of
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-    from quatprop.plot.picture import Curve, Mark, Panel, Picture
+    from quatprop.plotting.picture import Curve, Mark, Panel, Picture
 
 THIN, THICKER, WIDEST = 0.8, 0.9, 3
 """Points: a line, and what each line below another has more, so many times at most."""

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.errors import UsageError
-from quatprop.plot.axes import draw_panel
-from quatprop.plot.palette import colour_of, stroke_of
+from quatprop.plotting.axes import draw_panel
+from quatprop.plotting.palette import colour_of, stroke_of
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from quatprop.plot.picture import Page, Picture
+    from quatprop.plotting.picture import Page, Picture
 
 WIDTH = 7.5
 """Inches: a page between its margins."""

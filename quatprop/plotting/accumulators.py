@@ -9,8 +9,8 @@ import numpy as np
 from quatprop.conventions import Signs
 from quatprop.conventions.representations import euler_angles
 from quatprop.kinematics.quaternion import exp, multiply
-from quatprop.plot.lines import TURN, Unwrap
-from quatprop.plot.reduction import Reduced, Reduction
+from quatprop.plotting.lines import TURN, Unwrap
+from quatprop.plotting.reduction import Reduced, Reduction
 from quatprop.settings.quantities import RATES
 
 if TYPE_CHECKING:

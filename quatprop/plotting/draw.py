@@ -14,15 +14,15 @@ from json import dumps
 from typing import TYPE_CHECKING, Any
 
 from quatprop.errors import UsageError
-from quatprop.plot.figure import FONT, STYLE, Style, figure
-from quatprop.plot.palette import GRID, INK
+from quatprop.plotting.figure import FONT, STYLE, Style, figure
+from quatprop.plotting.palette import GRID, INK
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from matplotlib.figure import Figure
 
-    from quatprop.plot.picture import Page
+    from quatprop.plotting.picture import Page
 
 MIN_ZOOM_BINS = 150
 """Least of the bins of a long series that a page zooms to."""

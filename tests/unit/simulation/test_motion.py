@@ -8,9 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quatprop.errors import UsageError
-from quatprop.simulate import gyroscope, phase
-from quatprop.simulate.gyroscope import Gyroscope, record
-from quatprop.simulate.motion import MOTIONS, Shape, motion_named, precession, spin
+from quatprop.simulation import gyroscope, phase
+from quatprop.simulation.gyroscope import Gyroscope, record
+from quatprop.simulation.motion import MOTIONS, Shape, motion_named, precession, spin
 from quatprop.times import regular_stamps
 
 CLOSED_FORMS = ["rest", "spin", "coning", "tumbling"]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.errors import UsageError
-from quatprop.plot.lines import TURN, Line, folded, gaps_in, line
+from quatprop.plotting.lines import TURN, Line, folded, gaps_in, line
 from quatprop.rendering import instant_text
 from quatprop.text import Setting, plain
 from quatprop.times import NS_PER_S
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from quatprop.arrays import Float64
-    from quatprop.plot.accumulators import Group, Quantity
-    from quatprop.plot.reduction import Reduced
+    from quatprop.plotting.accumulators import Group, Quantity
+    from quatprop.plotting.reduction import Reduced
     from quatprop.rendering import Row
 
 
@@ -25,7 +25,7 @@ class Curve(NamedTuple):
     """A line of a panel.
 
     `drawn`: its points, seconds and values
-    `colour`: a key of :data:`quatprop.plot.palette.AXES`, or the number of the file
+    `colour`: a key of :data:`quatprop.plotting.palette.AXES`, or the number of the file
     `band`: the area of one standard deviation: seconds, lower and upper edge, shape ``(P,)`` each,
         NaN where it breaks; None where it is unknown
     """

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Self
 
 from quatprop.errors import OutputError
 from quatprop.pipeline.report import digest_of_input
-from quatprop.plot.draw import render, require_matplotlib
-from quatprop.plot.figure import STYLE, Style
-from quatprop.plot.page import html
+from quatprop.plotting.draw import render, require_matplotlib
+from quatprop.plotting.figure import STYLE, Style
+from quatprop.plotting.page import html
 from quatprop.provenance import as_json
 from quatprop.stores.objects import without_secret
 from quatprop.writers.atomic import OutputFile
@@ -18,7 +18,7 @@ from quatprop.writers.targets import is_stdout, is_stream, output_errors, refuse
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from quatprop.plot.picture import Page
+    from quatprop.plotting.picture import Page
     from quatprop.rendering import Row
 
 KINDS = {".png": "png", ".svg": "svg", ".pdf": "pdf", ".html": "html", ".htm": "html"}

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.errors import UsageError
-from quatprop.simulate import phase
+from quatprop.simulation import phase
 from quatprop.text import listed, quoted
 from quatprop.times import NS_PER_S
 

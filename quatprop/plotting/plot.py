@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 from quatprop.comparison.compare import compare
 from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
-from quatprop.plot.errors import ComparedFile, error_page
-from quatprop.plot.figure import STYLE, Style
-from quatprop.plot.files import FileView, View, view_file
-from quatprop.plot.picture import Page, picture
-from quatprop.plot.target import PictureFile
+from quatprop.plotting.errors import ComparedFile, error_page
+from quatprop.plotting.figure import STYLE, Style
+from quatprop.plotting.files import FileView, View, view_file
+from quatprop.plotting.picture import Page, picture
+from quatprop.plotting.target import PictureFile
 from quatprop.rendering import file_names, loss_lines
 from quatprop.text import spelled
 

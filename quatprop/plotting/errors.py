@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.comparison.summary import comparison_rows, criterion_text, sigma_text, with_names
-from quatprop.plot.accumulators import ERROR, SIGMA_BAND, Accumulator
-from quatprop.plot.picture import Mark, Page, Picture, PlottedFile, picture
+from quatprop.plotting.accumulators import ERROR, SIGMA_BAND, Accumulator
+from quatprop.plotting.picture import Mark, Page, Picture, PlottedFile, picture
 from quatprop.rendering import degrees_text, file_names, loss_lines
 from quatprop.text import plain, spelled
 from quatprop.timeline.stamps import GAP_FACTOR

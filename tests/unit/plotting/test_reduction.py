@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from quatprop.plot.reduction import BINS, PENDING, Reduction
+from quatprop.plotting.reduction import BINS, PENDING, Reduction
 
 
 def whole(t_ns, values, bins):

@@ -8,14 +8,14 @@ from html import escape
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
-from quatprop.plot.draw import inline_svg
+from quatprop.plotting.draw import inline_svg
 from quatprop.text import plain
 from quatprop.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from quatprop.plot.picture import Page
+    from quatprop.plotting.picture import Page
     from quatprop.rendering import Row
 
 
@@ -70,7 +70,7 @@ def html(page: Page, made_by: str, inputs: Iterable[Row]) -> str:
 
 
 def _resource(name: str) -> str:
-    return files("quatprop.plot").joinpath(name).read_text("utf-8")
+    return files("quatprop.plotting").joinpath(name).read_text("utf-8")
 
 
 def _text(text: str) -> str:
