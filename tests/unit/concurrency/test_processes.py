@@ -93,7 +93,7 @@ def test_windows_has_at_most_61_processes(monkeypatch, platform, wanted, items, 
 
 
 WAITS = """
-import os, sys, time
+import os, signal, sys, time
 from pathlib import Path
 from quatprop.concurrency.processes import map_processes
 def work(folder):
@@ -104,6 +104,8 @@ def work(folder):
     finally:
         path.rename(path.with_suffix(".tidy"))
 if __name__ == "__main__":
+    # A shell lets what it starts in the background ignore it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     list(map_processes(work, [sys.argv[1]] * 4, 2, print))
 """
 
