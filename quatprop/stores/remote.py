@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import threading
 from bisect import bisect_right
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import PurePosixPath
@@ -87,7 +87,7 @@ class RemoteSource(FileSource):
         self._lock = threading.Lock()
         self._copy: FileSource | None = None
         self._parts: OrderedDict[Place, Future[bytes]] = OrderedDict()
-        self._announced: deque[list[Place]] = deque(maxlen=ANNOUNCEMENTS)
+        self._announced: list[list[Place]] = []
         with reading(address):
             store, place = locate(address)
             self._object = store.open_input_file(place)
@@ -118,7 +118,8 @@ class RemoteSource(FileSource):
 
     def _announce(self, ranges: list[Place]) -> None:
         with self._lock:
-            self._announced.appendleft(ranges)
+            others = [each for each in self._announced if each != ranges]
+            self._announced = [ranges, *others][:ANNOUNCEMENTS]
             self._single_reads = 0
 
     def _read(self, length: int, start: int) -> bytes:
