@@ -18,10 +18,10 @@ help:
 	@echo 'make test         run the tests'
 	@echo 'make lowest       run the tests with the lowest versions that pyproject.toml allows'
 	@echo 'make dist         build wheel and sdist, and run the tests of the sdist'
-	@echo 'make fuzz         random properties, damaged logs, flipped bits, command lines: report what goes wrong'
+	@echo 'make fuzz         random properties, damaged logs, command lines, regressions, planted mistakes: report what goes wrong'
 	@echo 'make lint         ruff and mypy'
 	@echo 'make format       let ruff format the code'
-	@echo 'make documents    update what commands print in the documents'
+	@echo 'make documents    update the documents: what commands print, tables, pictures, references'
 	@echo 'make bench        measure against rosbags, mcap, scipy, ahrs, numba and numpy-quaternion'
 	@echo 'make sample-logs  generate sample_logs/ again, bit for bit'
 	@echo 'make clean        remove everything that was made here'
@@ -70,6 +70,8 @@ fuzz: $(READY)
 	cd tests && ../$(BIN)/python -m fuzz.damage
 	cd tests && ../$(BIN)/python -m fuzz.flips
 	cd tests && ../$(BIN)/python -m fuzz.command_lines
+	cd tests && ../$(BIN)/python -m fuzz.causes
+	cd tests && ../$(BIN)/python -m fuzz.regressions
 	cd tests && ../$(BIN)/python -m fuzz.remarks
 
 lint: $(READY)

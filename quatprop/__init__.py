@@ -63,44 +63,62 @@ if TYPE_CHECKING:
     from quatprop.api.attitudes import compare, convert, write
     from quatprop.api.propagation import PropagatedSeries, propagate
     from quatprop.api.reading import read_attitudes, read_rates
+    from quatprop.api.tools import Simulation, info, plot, simulate
     from quatprop.comparison.result import Comparison
+    from quatprop.comparison.statistics import ErrorStatistics
+    from quatprop.conversion.job import ConversionReport
     from quatprop.errors import DataLossWarning, QuatpropError, QuatpropWarning, RemarkWarning
     from quatprop.pipeline.report import RunReport
     from quatprop.series import AttitudeSeries, GyroSeries
+    from quatprop.timeline.counts import Counts
 
 __all__ = [
     "AttitudeSeries",
     "Comparison",
+    "ConversionReport",
+    "Counts",
     "DataLossWarning",
+    "ErrorStatistics",
     "GyroSeries",
     "PropagatedSeries",
     "QuatpropError",
     "QuatpropWarning",
     "RemarkWarning",
     "RunReport",
+    "Simulation",
     "compare",
     "convert",
+    "info",
+    "plot",
     "propagate",
     "read_attitudes",
     "read_rates",
+    "simulate",
     "write",
 ]
 
 _MODULES = {
     "AttitudeSeries": "quatprop.series",
     "Comparison": "quatprop.comparison.result",
+    "ConversionReport": "quatprop.conversion.job",
+    "Counts": "quatprop.timeline.counts",
     "DataLossWarning": "quatprop.errors",
+    "ErrorStatistics": "quatprop.comparison.statistics",
     "GyroSeries": "quatprop.series",
     "PropagatedSeries": "quatprop.api.propagation",
     "QuatpropError": "quatprop.errors",
     "QuatpropWarning": "quatprop.errors",
     "RemarkWarning": "quatprop.errors",
     "RunReport": "quatprop.pipeline.report",
+    "Simulation": "quatprop.api.tools",
     "compare": "quatprop.api.attitudes",
     "convert": "quatprop.api.attitudes",
+    "info": "quatprop.api.tools",
+    "plot": "quatprop.api.tools",
     "propagate": "quatprop.api.propagation",
     "read_attitudes": "quatprop.api.reading",
     "read_rates": "quatprop.api.reading",
+    "simulate": "quatprop.api.tools",
     "write": "quatprop.api.attitudes",
 }
 

@@ -7,6 +7,7 @@ updates references: ``quatprop check SUITE.toml --update``.
 from __future__ import annotations
 
 from fnmatch import fnmatch
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -15,26 +16,41 @@ from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-    from pathlib import Path
 
-    from quatprop.check.case import Case, CaseNotRun
+    from quatprop.check.case import Case, CaseNotRun, CaseResult
     from quatprop.check.lock import Pin
 
 OPTION = "--quatprop-suite"
+STRICT = "--quatprop-strict"
+ARTIFACTS = "--quatprop-artifacts"
 
 
-class RegressionFailure(Exception):  # noqa: N818  # its name is what pytest shows
-    """A case that did not pass; its text is the reason."""
+class RegressionError(Exception):
+    """A case of which there is no result; its text is the reason."""
+
+
+class RegressionFailure(RegressionError):  # noqa: N818  # its name is what pytest shows
+    """A case that is above a limit; its text is the reason."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option."""
-    parser.getgroup("quatprop").addoption(
+    """Add the options."""
+    group = parser.getgroup("quatprop")
+    group.addoption(
         OPTION,
         action="append",
         default=[],
         metavar="SUITE.toml",
         help="Also collect the cases of a quatprop check suite; can be repeated.",
+    )
+    group.addoption(
+        STRICT,
+        action="store_true",
+        help="Fail, too, if a case is pinned and no longer in its suite, if one passes that is "
+        "known to fail, or if a remark on a log is not pinned.",
+    )
+    group.addoption(
+        ARTIFACTS, metavar="DIR", help="Keep the evidence of each case that fails in DIR/CASE."
     )
 
 
@@ -43,6 +59,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
     pytest 8 leaves out the rest of a folder of which a file is named too.
     """
+    config.addinivalue_line("markers", "quatprop: a case of a quatprop check suite.")
     paths = [(config.invocation_params.dir / arg.split("::")[0]).resolve() for arg in config.args]
     skipped = config.getini("norecursedirs")
     for suite in _suites(config):
@@ -72,12 +89,41 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> SuiteFile 
     return suite
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection_modifyitems(
+    config: pytest.Config, items: list[pytest.Item]
+) -> Iterable[None]:
+    """Refuse a suite that was asked for and of which no case was found; count what is chosen."""
+    found = {item.path.resolve() for item in items if isinstance(item, CaseItem)}
+    yield
+    left = {item.path.resolve() for item in items if isinstance(item, CaseItem)}
+    broken = config.stash.setdefault(BROKEN, set())
+    # What was not run for --lf did not fail before.
+    for suite in [] if config.getoption("lf", default=False) else _suites(config):
+        if suite.resolve() not in found | broken:
+            reason = "none of its cases was collected; is it ignored by an option or a conftest.py?"
+            raise pytest.UsageError(f"{OPTION}: {plain(suite)}: {reason}")
+    config.stash[DESELECTED] = sorted(map(str, found - left))
+
+
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter, config: pytest.Config
+) -> None:
+    """Name the suites of which every case was deselected."""
+    for suite in config.stash.get(DESELECTED, []):
+        terminalreporter.write_line(f"quatprop: every case of {plain(suite)} was deselected")
+
+
+DESELECTED = pytest.StashKey[list[str]]()
+BROKEN = pytest.StashKey[set[Path]]()
+
+
 class SuiteFile(pytest.File):
     """A suite."""
 
     def collect(self) -> Iterable[CaseItem]:
-        """Return its cases."""
-        from quatprop.check.cases import load_cases
+        """Return its cases, and those that only its lock has."""
+        from quatprop.check.cases import deleted_cases, load_cases
         from quatprop.check.lock import read_lock
         from quatprop.errors import QuatpropError
 
@@ -85,8 +131,9 @@ class SuiteFile(pytest.File):
             suite, cases = load_cases(self.path)
             pins = read_lock(suite.lock)
         except QuatpropError as error:
+            self.config.stash.setdefault(BROKEN, set()).add(self.path.resolve())
             raise self.CollectError(str(error)) from None
-        for case in cases:
+        for case in [*cases, *deleted_cases(cases, pins)]:
             yield CaseItem.from_parent(self, name=case.name, case=case, pin=pins.get(case.name))
 
 
@@ -96,27 +143,44 @@ class CaseItem(pytest.Item):
     def __init__(self, *, case: Case | CaseNotRun, pin: Pin | None, **options: Any) -> None:
         super().__init__(**options)
         self.case, self.pin = case, pin
+        self.add_marker("quatprop")
+        if reason := getattr(case, "xfail", ""):
+            strict = {"strict": True} if self.config.getoption(STRICT) else {}
+            self.add_marker(pytest.mark.xfail(reason=reason, raises=RegressionFailure, **strict))
 
     def runtest(self) -> None:
-        """Judge the case."""
-        from quatprop.check.runner import run_case
+        """Judge the case; whether it may fail is left to pytest."""
+        from quatprop.check.case import Case
+        from quatprop.check.runner import CheckOptions, run_case
 
-        result = run_case((self.case, self.pin))
-        if result.verdict == "skip":
+        case = self.case._replace(xfail="") if isinstance(self.case, Case) else self.case
+        artifacts = self.config.getoption(ARTIFACTS)
+        strict = self.config.getoption(STRICT)
+        options = CheckOptions(artifacts=artifacts and Path(artifacts), strict=strict)
+        result = run_case((case, self.pin), options)
+        if result.verdict in {"skip", "deleted"}:
             pytest.skip(result.reason)
-        if result.verdict == "xfail":
-            pytest.xfail(result.reason)
         if result.verdict in {"fail", "error"}:
-            raise RegressionFailure("; ".join(filter(None, [result.summary, result.reason])))
-        notes = [text for text in (result.summary, result.reason, *result.notes) if text]
+            failure = RegressionFailure if result.verdict == "fail" else RegressionError
+            raise failure("\n".join([result.reason, *_table(result)]))
+        notes = [text for text in (result.summary, *result.notes) if text]
         self.add_report_section("call", "quatprop", "\n".join(notes))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         """Return the reason; other errors are shown with their traceback."""
-        if isinstance(excinfo.value, RegressionFailure):
+        if isinstance(excinfo.value, RegressionError):
             return str(excinfo.value)
         return super().repr_failure(excinfo, style)
 
     def reportinfo(self) -> tuple[Path, int, str]:
         """Return where the case is written."""
         return self.path, self.case.line - 1, f"case {self.name}"
+
+
+def _table(result: CaseResult) -> list[str]:
+    """Return what was obtained and what was expected, as lines."""
+    if not result.limits:
+        return [result.summary] if result.summary else []
+    rows = [("", "obtained", "expected"), *((x.label, x.value, x.limit) for x in result.limits)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]

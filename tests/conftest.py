@@ -18,9 +18,10 @@ BYTES = json.loads((ROOT / "tests" / "field" / "recordings.json").read_text())
 os.environ["QUATPROP_TRACEBACK"] = "1"
 """Errors of the package itself are not made sentences of, so that no test can pass over one."""
 
-# No test writes into the summary of the CI that runs it; and the many processes that tests start
-# would each compile the package anew, which takes longer than what most of them do.
-for name in ("GITHUB_STEP_SUMMARY", "GITHUB_ACTIONS", "PYTHONDONTWRITEBYTECODE"):
+# No test writes into the summary of the CI that runs it, where no update would run; and the many
+# processes that tests start would each compile the package anew, which takes longer than what most
+# of them do.
+for name in ("CI", "GITHUB_STEP_SUMMARY", "GITHUB_ACTIONS", "PYTHONDONTWRITEBYTECODE"):
     os.environ.pop(name, None)
 sys.dont_write_bytecode = False
 

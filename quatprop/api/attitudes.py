@@ -11,21 +11,21 @@ import numpy as np
 from quatprop.api.propagation import PropagatedSeries
 from quatprop.api.reading import path_text, read_attitudes, warn, with_keywords_of
 from quatprop.comparison.settings import CompareOptions
-from quatprop.errors import DataLossWarning, SeriesError
+from quatprop.conversion.settings import CONVERT, TERMS, ConvertOptions
+from quatprop.errors import DataLossWarning, SeriesError, UsageError
 from quatprop.series import AttitudeSeries
-from quatprop.settings import READ_ATTITUDES, AttitudeOptions
-from quatprop.settings.parsers import mounting
+from quatprop.settings.reading import READ_ATTITUDES
 from quatprop.settings.values import parse_all, refuse_unknown
-from quatprop.text import Remark, Setting, in_python
+from quatprop.text import Remark, Setting, in_python, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
     from quatprop.api.reading import StrPath
-    from quatprop.comparison.hypotheses import Cause
+    from quatprop.comparison.cause import Cause
     from quatprop.comparison.result import Comparison
     from quatprop.conversion.job import ConversionReport
-    from quatprop.settings import Convention, Direction, Layout, Rotated, Sign
+    from quatprop.settings.choices import Layout
 
 
 @with_keywords_of(CompareOptions, log="`b`")
@@ -61,6 +61,7 @@ def compare(
     from quatprop.comparison.compare import compare as compare_series
     from quatprop.comparison.settings import comparison_settings
 
+    _refuse_settings_of_a_side(options)
     settings = comparison_settings(**options)
     result = compare_series(_side("a", a), _side("b", b), settings)
     remarks = tuple(one.spelled(in_python) for one in result.remarks)
@@ -135,46 +136,32 @@ def write(
     warn(place, (), format_remarks(place, to, **lost))
 
 
-def convert(  # noqa: PLR0913  # one keyword for each option
+@with_keywords_of(ConvertOptions, "attitudes", "the source")
+def convert(  # noqa: PLR0913  # those of write(), and what to read
     source: StrPath,
     output: StrPath,
     *,
     to: str | None = None,
     layout: Layout | None = None,
     extra_columns: str | None = None,
-    convention: Convention = "hamilton",
-    direction: Direction = "body-to-ref",
-    sign: Sign = "keep",
     representation: str = "quaternion",
-    left: str | Collection[float] | Rotated | None = None,
-    right: str | Collection[float] | Rotated | None = None,
-    **options: Unpack[AttitudeOptions],
+    **options: Unpack[ConvertOptions],
 ) -> ConversionReport:
     """Write an attitude series in another layout, convention, direction, form or format.
 
     Parameters
     ----------
-    source, **options
+    source
         What to read, as for :func:`read_attitudes`.
     output, to, layout, extra_columns
         Where and how to write, as for :func:`write`.
-    convention
-        ``"hamilton"`` or ``"jpl"``.
-    direction
-        ``"body-to-ref"`` or ``"ref-to-body"``.
-    sign
-        Of q and -q ``"keep"`` what is there, ``"continuous"`` the one nearer to the row before, or
-        ``"positive"`` the one with w >= 0.
     representation
         ``"quaternion"``, ``"rotvec"`` (rad), ``"matrix"``, ``"euler-zyx"`` (rad) or
         ``"euler-zyx-deg"`` and so every other sequence of intrinsic rotations, or the rates that
         lead from each attitude to the next, ``"body-rates"`` or ``"inertial-rates"`` (rad/s):
         propagated by ``start`` they give the attitudes back.
-    left, right
-        What takes axes of the source's reference, and of its body, to those of the output, v_new =
-        r v_old r*: q_out = left q_in right*. A quaternion, three signed old axes such as
-        ``"y,x,-z"``, ``"rpy:R,P,Y"`` (deg, about axes that stay), a matrix or a rotation of scipy,
-        ``"ned-to-enu"``, ``"enu-to-ned"``, ``"frd-to-flu"`` or ``"flu-to-frd"``.
+    **options
+        What to read of the source, and in which terms to write it.
 
     Returns
     -------
@@ -191,28 +178,20 @@ def convert(  # noqa: PLR0913  # one keyword for each option
     DataLossWarning
         A part of the source could not be read, or rows were dropped.
     """
-    from quatprop.conventions import AttitudeConvention
     from quatprop.conversion.convert import convert as convert_file
-    from quatprop.conversion.job import Conversion
+    from quatprop.conversion.job import Conversion, terms_of
     from quatprop.logs.attitude_input import attitude_input
     from quatprop.pipeline.settings import OutputSettings
 
-    own = ("to", "layout", "extra_columns", "convention", "direction", "sign", "representation")
-    turns = parse_all({"left": left, "right": right}, {"left": mounting, "right": mounting})
-    refuse_unknown(options, (*own, "left", "right", *READ_ATTITUDES))
-    wanted = attitude_input(path_text("source", source, "write() takes a series"), options)
-    report = convert_file(
-        Conversion(
-            source=wanted,
-            output=OutputSettings(
-                path_text("output", output), to=to, layout=layout, extra_columns=extra_columns
-            ),
-            meaning=AttitudeConvention(convention, direction),
-            sign=sign,
-            representation=str(representation).lower(),
-            **turns,
-        )
+    refuse_unknown(options, ("to", "layout", "extra_columns", "representation", *CONVERT))
+    terms = parse_all({name: value for name, value in options.items() if name in TERMS}, TERMS)
+    reading = {name: value for name, value in options.items() if name not in TERMS}
+    wanted = attitude_input(path_text("source", source, "write() takes a series"), reading)
+    written = OutputSettings(
+        path_text("output", output), to=to, layout=layout, extra_columns=extra_columns
     )
+    form = str(representation).lower()
+    report = convert_file(Conversion(wanted, written, representation=form, **terms_of(terms)))
     if report.data_lost:
         warnings.warn(f"{wanted.path}: rows were lost or dropped", DataLossWarning, stacklevel=2)
     # The command line alone has that setting.
@@ -227,9 +206,20 @@ def _in_python(cause: Cause | None) -> Cause | None:
         return None
     return cause._replace(
         sentence=in_python(cause.sentence),
-        remedy=cause.remedy and in_python(cause.remedy),
+        remedy=in_python(cause.remedy),
         also=_in_python(cause.also),
     )
+
+
+def _refuse_settings_of_a_side(options: Collection[str]) -> None:
+    """Refuse what the command has as options of A and B: here it belongs to reading them."""
+    for name in options:
+        setting = name.removesuffix("_a").removesuffix("_b")
+        if setting in READ_ATTITUDES:
+            raise UsageError(
+                f"there is no setting {quoted(name)}; give compare() what read_attitudes() "
+                f"returns with {setting}=..."
+            )
 
 
 def _side(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, SupportsIndex, Unpack
 from quatprop.api.reading import paths_of, warn, with_keywords_of
 from quatprop.errors import QuatpropError, SeriesError, UsageError
 from quatprop.series import AttitudeSeries, GyroSeries
-from quatprop.settings import READ_RATES, PropagateOptions
+from quatprop.settings import PropagateOptions
+from quatprop.settings.reading import READ_RATES
 from quatprop.text import Setting, in_python, with_settings
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ import numpy as np
 
 from quatprop.errors import DataLossWarning, RemarkWarning, UsageError
 from quatprop.series import AttitudeSeries, GyroSeries
-from quatprop.settings import RATES_IN_MEMORY, AttitudeOptions, ReadOptions
 from quatprop.settings.keyword import parameters
 from quatprop.settings.parsers import path as parse_path
+from quatprop.settings.reading import RATES_IN_MEMORY, AttitudeOptions, ReadOptions
 from quatprop.settings.values import parse_all
 from quatprop.text import Remark, Setting, spelled
 

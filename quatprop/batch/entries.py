@@ -33,6 +33,9 @@ class ManifestEntry(NamedTuple):
         it was done, and the log is no longer there
     `root`, `log`: the absolute folder or the address below which the log is, and its path there
     `output`: path of the output in the folder of the batch, by which entries are told apart
+    `samples`, `rows`: samples propagated, attitudes written
+    `remarks`, `losses`: what should be known of; what could not be read
+    `seconds`: how long it took, s
     `time`, `run`: when it was recorded, as ISO 8601 in UTC, and by which batch
     `error`: why there is no output
     `log_bytes`, `log_sha256`, `log_etag`, `output_bytes`, `output_sha256`: sizes and digests; None

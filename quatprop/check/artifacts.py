@@ -1,19 +1,18 @@
-"""Keep the evidence of a failure: the attitudes, a page with the error, and the commands."""
+"""Keep the evidence of a case: the attitudes that were judged, a page, and the commands."""
 
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from html import escape
+from shutil import copyfile
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from quatprop.check.case_run import propagate_case
-from quatprop.comparison.compare import compare
 from quatprop.errors import QuatpropError
-from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
-from quatprop.plot.errors import pair_page
-from quatprop.plot.target import PictureFile
-from quatprop.writers import open_writer
+from quatprop.plotting.errors import pair_page
+from quatprop.plotting.target import PictureFile
+from quatprop.settings.spelling import option
 from quatprop.writers.atomic import open_atomic
 from quatprop.writers.targets import refuse_outside
 
@@ -22,59 +21,75 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.check.case import Case
-    from quatprop.check.lock import Pin
+    from quatprop.check.judge import Judgement
+    from quatprop.logs.attitude_input import LoadedAttitudes
 
 
-def write_artifacts(case: Case, pin: Pin | None, folder: Path) -> Path:
-    """Write the evidence of a case that failed, and return its folder.
+def write_artifacts(case: Case, judged: Judgement, folder: Path, *, strict: bool) -> Path:
+    """Write the evidence of a case, of the very series that were judged, and return its folder.
 
-    It has ``attitude.parquet``, the attitudes as they were compared; ``error.html``, a page with
-    the error over time; and ``commands.txt``, the commands that repeat the case.
+    It has ``attitude.parquet``, and of a stored reference ``reference.parquet``, as they were
+    compared; ``error.html``, a page with the verdict and the error over time; and
+    ``commands.txt``, the commands that repeat the case, its propagation and its comparison.
     """
     place = folder / quote(case.name, safe=" @+").replace(".", "%2E", case.name.startswith("."))
-    series, page, commands = (
-        place / name for name in ("attitude.parquet", "error.html", "commands.txt")
-    )
-    for file in (series, page, commands):
+    files = ("attitude.parquet", "reference.parquet", "error.html", "commands.txt")
+    series, copied, page, commands = (place / name for name in files)
+    for file in (series, copied, page, commands):
         refuse_outside(file, folder)
     place.mkdir(parents=True, exist_ok=True)
-    every = pin.every if pin else None
-    run = propagate_case(case, every)
-    with open_writer(series, "parquet", layout="scalar-first") as writer:
-        writer.write(run.series)
-        writer.commit(run.report.as_json())
-    reference = case.external or AttitudeInput(str(case.reference), "parquet")
+    copyfile(judged.run.attitudes.input.path, series)
+    reference = judged.reference
+    if reference is not None and case.external is None:
+        copyfile(reference.input.path, copied)
+        reference = _moved(reference, copied)
     with open_atomic(commands) as stream:
-        stream.write(f"{_commands(case, every, str(series), reference.path)}\n".encode())
+        stream.write(_commands(case, judged, str(series), reference, strict=strict).encode())
     try:
-        a, b = load_attitudes(AttitudeInput(str(series), "parquet")), load_attitudes(reference)
-        comparison = compare(a.series, b.series, case.comparison)
-        with PictureFile(str(page), [str(series), reference.path]) as picture:
-            picture.commit(pair_page(a, b, comparison))
+        _write_page(judged, _moved(judged.run.attitudes, series), reference, page)
     except QuatpropError as error:
-        # No matplotlib, or nothing to compare: a page of this says so.
-        text = escape(str(error), quote=False)
+        # No matplotlib: a page of this says so.
+        sentences = [f"{judged.result.verdict}: {judged.result.reason}", str(error)]
+        text = "".join(f"<p>{escape(sentence, quote=False)}</p>\n" for sentence in sentences)
         with open_atomic(page) as stream:
-            stream.write(f"<!doctype html>\n<p>{text}</p>\n".encode())
+            stream.write(f'<!doctype html>\n<meta charset="utf-8">\n{text}'.encode())
     return place
 
 
-def _commands(case: Case, every: int | None, series: str, reference: str) -> str:
-    """Return the commands that propagate and compare as the case does."""
+def _moved(loaded: LoadedAttitudes, path: Path) -> LoadedAttitudes:
+    return replace(loaded, input=replace(loaded.input, path=str(path)))
+
+
+def _write_page(
+    judged: Judgement, series: LoadedAttitudes, reference: LoadedAttitudes | None, page: Path
+) -> None:
+    """Write the page of a comparison, on which the verdict of the case is first."""
+    if reference is None or judged.comparison is None or judged.comparison.result is None:
+        raise QuatpropError("there is nothing to draw, as nothing was compared")
+    verdict = f"{judged.result.verdict}: {judged.result.reason}".removesuffix(": ")
+    with PictureFile(str(page), [series.input.path, reference.input.path]) as picture:
+        content = pair_page(series, reference, judged.comparison.result)
+        picture.commit(content._replace(lead=(verdict, *content.lead)))
+
+
+def _commands(
+    case: Case, judged: Judgement, series: str, reference: LoadedAttitudes | None, *, strict: bool
+) -> str:
+    """Return the commands that judge the case again, propagate and compare as it does."""
     options = {key: case.inputs.get(key, value) for key, value in case.options.items()}
-    if every is not None:
-        options["every"] = str(every)
+    if judged.run.every is not None:
+        options["every"] = str(judged.run.every)
     compared = {
         f"{key.removeprefix('reference-')}-b" if key.startswith("reference-") else key: value
         for key, value in case.comparison_options.items()
     }
-    return "\n".join(
-        shlex.join(["quatprop", *command])
-        for command in (
-            ["propagate", case.log, "-o", series, *_arguments(options)],
-            ["compare", series, reference, *_arguments(compared)],
-        )
-    )
+    commands = [
+        ["check", case.suite, "-k", case.name, *([option("strict")] if strict else [])],
+        ["propagate", case.log, "-o", series, *_arguments(options)],
+    ]
+    if reference is not None:
+        commands.append(["compare", series, reference.input.path, *_arguments(compared)])
+    return "".join(f"{shlex.join(['quatprop', *command])}\n" for command in commands)
 
 
 def _arguments(options: Mapping[str, str]) -> list[str]:

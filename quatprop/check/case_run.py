@@ -5,73 +5,97 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
+from quatprop.check.case import Case, Limit
 from quatprop.comparison.compare import compare
+from quatprop.comparison.settings import ComparisonSettings
 from quatprop.comparison.summary import criterion_text, with_names
 from quatprop.errors import ComparisonError
-from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
+from quatprop.logs.attitude_input import AttitudeInput, LoadedAttitudes, load_attitudes
 from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings
-from quatprop.text import Remark, spelled
+from quatprop.rendering import degrees_text
+from quatprop.settings.spelling import suite_key
+from quatprop.text import Setting, spelled
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from pathlib import Path
 
-    from quatprop.check.case import Case
-    from quatprop.comparison.result import Criterion
+    from quatprop.comparison.result import Comparison, Criterion
     from quatprop.pipeline.report import RunReport
     from quatprop.series import AttitudeSeries
 
+MEASURE = ComparisonSettings(tol=math.inf, min_coverage=0.0)
+"""Measures and accepts everything: no causes are looked for."""
+
+ALL = 99.9999
+"""Percentage of a reference that is all of it, but for rounding."""
+
+TRACE_PARTS = 64
+"""Parts of a small plot of the error over time."""
+
 
 class CaseRun(NamedTuple):
-    """The attitudes of a case."""
+    """The attitudes of a case, and the file that they were written to.
 
-    series: AttitudeSeries
+    `every`: one of every N was kept; None where the case itself chooses them, or all are kept
+    """
+
+    attitudes: LoadedAttitudes
     report: RunReport
+    every: int | None
+
+    @property
+    def series(self) -> AttitudeSeries:
+        """The attitudes themselves."""
+        return self.attitudes.series
 
     @property
     def samples(self) -> int:
         """Number of samples that were propagated."""
         return self.report.result.samples
 
-    @property
-    def remarks(self) -> tuple[Remark, ...]:
-        """What a propagation says of the log, spelled as the keys of a suite."""
-        return tuple(remark.spelled(spelled) for remark in self.report.remarks)
-
 
 class CaseComparison(NamedTuple):
     """How the attitudes of a case differ from the reference.
 
-    `error_rad`: the worst error, rad; None where they cannot be compared
-    `where`: the time of the worst error
-    `summary`: the worst error, the tolerance, where, and what else was judged: errors in sigma, and
-        how much of the reference was compared; empty where they cannot be compared
+    `result`: None where they cannot be compared
+    `impossible`: why they cannot be; empty where they can
+    `summary`: the worst error, where, and what is left of each limit; empty where there is none
     `failure`: why the error is not accepted; empty where it is
     `cause`: the likely cause of the error; empty where none is known
     """
 
-    error_rad: float | None
-    where: str = ""
+    result: Comparison | None
+    impossible: str = ""
     summary: str = ""
+    limits: tuple[Limit, ...] = ()
     failure: str = ""
     cause: str = ""
-    report: Mapping[str, object] | None = None
+
+    @property
+    def trace(self) -> tuple[float, ...]:
+        """The error over time, rad: the largest of each part."""
+        if self.result is None:
+            return ()
+        parts = np.array_split(self.result.errors, min(TRACE_PARTS, len(self.result.errors)))
+        return tuple(float(part.max()) for part in parts)
 
 
-def propagate_case(case: Case, every: int | None) -> CaseRun:
-    """Propagate the log of a case."""
-    with TemporaryDirectory(prefix="quatprop-") as folder:
-        output = str(Path(folder) / "attitude.parquet")
-        settings = case.propagation
-        if not chooses_rows(case):
-            settings = replace(settings, every=every)
-        report = run(Job(case.log, OutputSettings(output, to="parquet"), settings))
-        return CaseRun(load_attitudes(AttitudeInput(output, "parquet")).series, report)
+def propagate_case(case: Case, every: int | None, folder: Path) -> CaseRun:
+    """Propagate the log of a case, into a file of a folder."""
+    output = str(folder / f"attitude-{every}.parquet")
+    settings = case.propagation
+    if chooses_rows(case):
+        every = None
+    else:
+        settings = replace(settings, every=every)
+    report = run(Job(case.log, OutputSettings(output, to="parquet"), settings))
+    return CaseRun(load_attitudes(AttitudeInput(output, "parquet")), report, every)
 
 
 def chooses_rows(case: Case) -> bool:
@@ -81,9 +105,12 @@ def chooses_rows(case: Case) -> bool:
 
 
 def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseComparison:
-    """Compare the attitudes of a case, `a`, with others, `b`."""
-    result = compare(a, b, case.comparison)
+    """Compare the attitudes of a case, `a`, with the reference, `b`."""
     named = partial(with_names, a="the log's attitudes", b="the reference")
+    try:
+        result = compare(a, b, case.comparison)
+    except ComparisonError as error:
+        return CaseComparison(None, _no_overlap(case, a, b) or named(str(error)))
 
     def since(t_ns: int) -> str:
         return f"+{duration_text(t_ns - result.association.first_ns)}"
@@ -91,31 +118,79 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
     failures, first = [], result.first_exceeding
     if first is not None:
         failures.append(f"above the tolerance, first at {since(first.t_ns)} ({first.t_ns} ns)")
-    failures += [
-        named(criterion_text(one, result))
-        for one in result.criteria
-        if not one.passed and (one.setting, one.unit) != ("tol", "rad")
-    ]
+    limits, worst, left, others = [], [case.angle_text(result.worst.error_rad)], "", []
+    for one in result.criteria:
+        limits.append(limit := _limit(case, one))
+        if (one.setting, one.unit) == ("tol", "rad"):
+            # The summary begins with the worst error; where it is above, was said.
+            worst.append(limit.limit)
+            left = f", {limit.left}" if limit.left else ""
+            continue
+        others.append(str(limit))
+        if not one.passed:
+            failures.append(named(criterion_text(one, result)))
     cause = result.likely_cause
-    causes = [one for one in (cause, cause and cause.also) if one and not one.explains_little]
-    sizes = filter(math.isfinite, (result.worst.error_rad, case.comparison.limit_rad))
-    where, also = f"at {since(result.worst.t_ns)}", "".join(map(_also, result.criteria))
+    causes = filter(None, (cause, cause and cause.also))
     return CaseComparison(
-        error_rad=result.worst.error_rad,
-        where=where,
-        summary=f"{' of '.join(map(case.angle_text, sizes))} {where}{also}",
+        result,
+        summary="; ".join([f"{' of '.join(worst)} at {since(result.worst.t_ns)}{left}", *others]),
+        limits=tuple(limits),
         failure="; ".join(failures),
         cause="; ".join(f"{named(one.sentence)} ({one.name})" for one in causes),
-        report=result.report(),
     )
 
 
-def try_compare(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseComparison:
-    """Compare as :func:`compare_case`, where attitudes that cannot be compared are a failure."""
+def _limit(case: Case, one: Criterion) -> Limit:
+    """Return a criterion as text."""
+    key = suite_key(one.setting)
+    if one.unit == "%":
+        label, limit = "reference covered", f"at least {one.limit:.6g} %"
+        return Limit(key, label, f"{one.value:.4g} %", limit, "")
+    if one.unit == "rad":
+        value, limit = case.angle_text(one.value), case.angle_text(one.limit)
+    else:
+        value, limit = f"{one.value:.3g}", f"{one.limit:.6g} {one.unit}"
+    left = f"{100 * (1 - abs(one.value) / one.limit):.0f} % left" if one.limit else "0 % left"
+    return Limit(key, one.label, value, limit, left if one.passed else "")
+
+
+def _no_overlap(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> str:
+    """Say that two series have no time in common; empty where they have.
+
+    An offset between two runs would be another one tomorrow: the clocks are what to look at.
+    """
+    offset = case.comparison.time_offset
+    t_a, t_b = a.t_ns, b.t_ns + (offset if isinstance(offset, int) else 0)
+    if not len(a) or not len(b) or (t_a.min() <= t_b.max() and t_b.min() <= t_a.max()):
+        return ""
+    spans = [f"from {t.min()} to {t.max()} ns" for t in (t_a, t_b)]
+    ways = [Setting("clock"), Setting("start"), Setting("time_unit")]
+    if case.external is not None:
+        ways += [Setting("clock", side="b"), Setting("time_offset", "auto")]
+    return spelled(
+        f"the log's attitudes ({spans[0]}) and the reference ({spans[1]}) have no time in common: "
+        f"their stamps are of different clocks, or of different recordings; see {', '.join(ways)}"
+    )
+
+
+def distance_text(a: AttitudeSeries, b: AttitudeSeries) -> str:
+    """Return how far attitudes are from others, in degrees, nothing aligned; or why unknown."""
     try:
-        return compare_case(case, a, b)
+        result = compare(a, b, MEASURE)
     except ComparisonError as error:
-        return CaseComparison(None, failure=str(error))
+        named = with_names(str(error), a="the new attitudes", b="the old reference")
+        return f"not comparable with the old reference: {named}"
+    sizes = zip(("max", "RMS", "final"), largest_errors(result), strict=True)
+    # Rounding errors are no change.
+    sentence = ", ".join(f"{name} {degrees_text(round(size, 12))}" for name, size in sizes)
+    share = result.coverage.least
+    part = "the old reference" if share > ALL else f"the {share:.4g} % of the old reference covered"
+    return f"{sentence} from {part}"
+
+
+def largest_errors(result: Comparison) -> tuple[float, float, float]:
+    """Return the worst, the RMS and the final error, rad."""
+    return result.error_rad.max, result.error_rad.rms, result.error_rad.final
 
 
 def compare_timestamps(a: AttitudeSeries, b: AttitudeSeries) -> str:
@@ -130,12 +205,3 @@ def compare_timestamps(a: AttitudeSeries, b: AttitudeSeries) -> str:
         f"{len(differing)} of {len(a)} timestamps differ from the reference, the first at attitude "
         f"{first}: {a.t_ns[first]} ns, not {b.t_ns[first]} ns"
     )
-
-
-def _also(criterion: Criterion) -> str:
-    """Return the summary of a criterion other than the worst error; a failure says more itself."""
-    if criterion.unit == "%":
-        return f", {criterion.value:.4g} % of the reference covered"
-    if criterion.unit == "sigma" and criterion.passed:
-        return f", {criterion.label} {criterion.value:.3g} of {criterion.limit:.6g} sigma"
-    return ""

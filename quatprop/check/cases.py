@@ -17,13 +17,14 @@ from quatprop.comparison.settings import COMPARE, ERROR_LIMITS, comparison_setti
 from quatprop.errors import QuatpropError, SuiteError, UsageError
 from quatprop.logs.attitude_input import attitude_input
 from quatprop.pipeline.settings import propagation_settings
-from quatprop.settings import PROPAGATE, READ_ATTITUDES
-from quatprop.settings.parsers import file_beside
+from quatprop.settings import PROPAGATE
+from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_ATTITUDES
+from quatprop.settings.rotations import file_beside
 from quatprop.settings.spelling import in_keys, suite_key
-from quatprop.text import did_you_mean, quoted, spelling
+from quatprop.text import Setting, did_you_mean, quoted, spelled, spelling
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
 
@@ -33,12 +34,15 @@ DEFAULT_TOLERANCE = "1e-9rad"
 LIMITS = {name.replace("_", "-") for name in ERROR_LIMITS}
 """Keys of limits on the error, of which a case with an independent reference needs one."""
 
+CRITERIA = LIMITS | {"drift-tol", "min-coverage"}
+"""Keys of all limits by which a case is judged."""
+
 DEFAULT_COVERAGE = "99"
 """Percentage of a reference that a log must cover which need not have the same bytes."""
 
 PROPAGATION_KEYS = {suite_key(name): name for name in PROPAGATE}
 COMPARISON_KEYS = {suite_key(name): name for name in COMPARE}
-REFERENCE_KEYS = {suite_key(name, "b"): name for name in READ_ATTITUDES}
+REFERENCE_KEYS = {suite_key(name, "b"): name for name in (*ONE_SERIES, *CHECKS)}
 
 PARSERS: Mapping[str, Callable[[object], Any]] = {
     **{key: PROPAGATE[name] for key, name in PROPAGATION_KEYS.items()},
@@ -55,8 +59,8 @@ OWN_KEYS = {"log", "reference", "reference-log", "pin-log", "skip", "xfail"}
 def load_cases(path: Path | str) -> tuple[Suite, list[Case | CaseNotRun]]:
     """Read a suite and make its cases."""
     suite = read_suite(path)
-    for name in suite.defaults:
-        _refuse_unknown(suite, name, None)
+    for name, value in suite.defaults.items():
+        _refuse_unknown(suite, name, value, None)
     cases: list[Case | CaseNotRun] = []
     owners: dict[str, str] = {}
     for table in suite.tables:
@@ -77,6 +81,14 @@ def load_cases(path: Path | str) -> tuple[Suite, list[Case | CaseNotRun]]:
     return suite, cases
 
 
+def deleted_cases(cases: Iterable[Case | CaseNotRun], pinned: Iterable[str]) -> list[CaseNotRun]:
+    """Return the cases that the lock has and the suite has not."""
+    names = {case.name for case in cases}
+    restore = f"restore it, or remove it from the lock with {Setting('update')}"
+    reason = spelled(f"it is pinned, but not in the suite; {restore}")
+    return [CaseNotRun(name, reason, "deleted") for name in pinned if name not in names]
+
+
 def same_option(key: str, one: str | None, other: str | None) -> bool:
     """Return whether two texts are the same value of a key, as ``50`` and ``50.0`` are."""
     if one is None or other is None or one == other:
@@ -87,8 +99,11 @@ def same_option(key: str, one: str | None, other: str | None) -> bool:
         return False
 
 
-def _refuse_unknown(suite: Suite, key: str, case: str | None) -> None:
+def _refuse_unknown(suite: Suite, key: str, value: object, case: str | None) -> None:
     known = OWN_KEYS | PARSERS.keys()
+    if case is not None and isinstance(value, dict):
+        reason = f'a case has no tables; if its name has a dot, quote it: [case."{case}.{key}"]'
+        raise SuiteError(suite.path, reason, case, key)
     if key not in known:
         keys = "a case has the options of propagate that determine the attitudes, and of compare"
         place = key if case is not None else f"defaults.{key}"
@@ -106,8 +121,8 @@ class _CaseParser:
     def case(self) -> Case:
         """Return the case."""
         values = self._values
-        for key in values:
-            _refuse_unknown(self._suite, key, self._table.name)
+        for key, value in values.items():
+            _refuse_unknown(self._suite, key, value, self._table.name)
         pins_log = values.get("pin-log", True)
         if not isinstance(pins_log, bool):
             self._refuse("this is true or false", "pin-log")
@@ -149,7 +164,8 @@ class _CaseParser:
             strict=strict,
             pins_log=pins_log,
             xfail=self.reason("xfail"),
-            in_degrees=str(values.get("tol", "")).strip().endswith("deg"),
+            in_degrees=any(comparison_texts.get(key, "").strip().endswith("deg") for key in LIMITS),
+            suite=str(self._suite.path),
             line=self._table.line,
         )
 

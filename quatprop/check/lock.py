@@ -1,8 +1,8 @@
-"""The lock of a suite: a JSON file that pins the inputs, options and references of its cases.
+"""The lock of a suite: a JSON file that pins the inputs, options and results of its cases.
 
-It is text, so that a review shows which log, option or reference has changed. A reference is
-binary, and an independent series has no place for such a record. Files are pinned by their digests;
-why one has changed is found out here, too.
+It is text, so that a review shows which log, option or reference has changed, and by how much. A
+reference is binary, and an independent series has no place for such a record. Files are pinned by
+their digests; why one has changed is found out here, too.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,35 +22,45 @@ from quatprop.text import Setting
 from quatprop.writers.atomic import open_atomic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection, Iterator, Mapping
+
+FORMAT = 1
+"""Number of the format of a lock."""
 
 MAX_LOCK = 1 << 27
 """Bytes of a lock, which has about a thousand for each case."""
 
-CONFLICT_MARKERS = ("<<<<<<<", "=======", ">>>>>>>")
-"""How lines begin that an unfinished merge leaves."""
+_CONFLICT = re.compile("(<{7}|={7}|>{7})( .*)?")
+"""A line that an unfinished merge leaves."""
 
 
 class Pin(NamedTuple):
-    """What a case depended on when it was last updated.
+    """What a case depended on, and what came out, when it was last updated.
 
     `quatprop`: the version that did the update
     `inputs`: key of the suite -> SHA-256 of the file that it names; of a folder, of each of its
         files that is read, by key and name
+    `span_s`: time from the first sample to the last, s
+    `final_deg`: roll, pitch and yaw of the attitude at the last sample, deg
+    `total_angle_deg`: total angle traversed, deg
+    `remarks`: codes of the remarks on the log and the reference, sorted
     `every`: the reference holds every N-th attitude; None where the case itself chooses them
     `reference`: SHA-256 of the stored reference; None where there is none
-    `final_wxyz`: the attitude at the last sample, which the reference may lack
-    `error_rad`: the worst error against an independent series, rad; None for a stored reference
+    `measured`: the errors against an independent series, deg, and what else a limit is on, by the
+        key of the limit; empty for a stored reference
     """
 
     quatprop: str
     inputs: Mapping[str, str]
     options: Mapping[str, str]
     samples: int
+    span_s: float
+    final_deg: Mapping[str, float]
+    total_angle_deg: float
+    remarks: tuple[str, ...]
     every: int | None
     reference: str | None
-    final_wxyz: tuple[float, ...]
-    error_rad: float | None
+    measured: Mapping[str, float]
 
 
 def _is_count(value: object) -> bool:
@@ -63,64 +75,104 @@ def _is_number(value: object) -> bool:
     return type(value) in {int, float}
 
 
+def _is_number_table(value: object) -> bool:
+    return isinstance(value, dict) and all(map(_is_number, value.values()))
+
+
 IS_VALID: Mapping[str, Callable[[Any], bool]] = {
     "quatprop": lambda value: isinstance(value, str),
     "inputs": _is_text_table,
     "options": _is_text_table,
     "samples": _is_count,
+    "span_s": _is_number,
+    "final_deg": lambda value: _is_number_table(value) and set(value) == {"roll", "pitch", "yaw"},
+    "total_angle_deg": _is_number,
+    "remarks": lambda value: isinstance(value, list) and all(isinstance(x, str) for x in value),
     "every": lambda value: value is None or _is_count(value),
     "reference": lambda value: value is None or isinstance(value, str),
-    "final_wxyz": lambda value: len(value) == len("wxyz") and all(map(_is_number, value)),
-    "error_rad": lambda value: value is None or _is_number(value),
+    "measured": _is_number_table,
 }
 """Field of :class:`Pin` -> whether a value in the lock is valid."""
 
 
-def read_lock(path: Path) -> dict[str, Pin]:
-    """Return the pin of each case; empty where there is no lock yet."""
+def read_lock(path: Path, *, anew: bool = False) -> dict[str, Pin]:
+    """Return the pin of each case; empty where there is no lock yet.
+
+    `anew`: empty, too, where another version has written the lock: it is about to be replaced
+    """
     if not path.exists():
         return {}
+    refuse_lfs_pointer(str(path))
     try:
         content = read_bytes(path, MAX_LOCK)
     except ContentError as error:
         raise SuiteError(path, str(error)) from error
+    if line := conflict_line(content):
+        way_out = "remove the markers, keeping one side of each case, and check with "
+        reason = f"line {line} is a conflict marker of a merge; {way_out}{Setting('update')}"
+        raise SuiteError(path, reason)
     try:
-        return {name: _pin(entry) for name, entry in read_json(content)["cases"].items()}
+        lock = read_json(content)
+        if lock.get("format") != FORMAT and isinstance(lock["cases"], dict):
+            if anew:
+                return {}
+            reason = "the lock was written by an older format; run check with "
+            raise SuiteError(path, f"{reason}{Setting('update')}, which lists what it replaces")
+        return {name: _pin(entry) for name, entry in lock["cases"].items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise SuiteError(path, _what_is_wrong(content.decode(errors="replace"))) from error
+        why = f" ({error})" if isinstance(error, ContentError) else ""
+        reason = f"it is not the lock that {Setting('update')} writes{why}; restore it"
+        raise SuiteError(path, f"{reason}, or remove it and update") from error
 
 
-def _what_is_wrong(text: str) -> str:
-    """Return what is wrong with a lock that cannot be used."""
-    for number, line in enumerate(text.splitlines(), 1):
-        if line.startswith(CONFLICT_MARKERS):
-            return (
-                f"line {number} is a conflict marker of a merge; remove the markers, keeping one "
-                f"side of each case, and check with {Setting('update')}"
-            )
-    return (
-        f"it is not the lock that {Setting('update')} writes; restore it, or remove it and update"
-    )
+def conflict_line(content: bytes) -> int | None:
+    """Return the first line that an unfinished merge has left, from 1; None where there is none."""
+    lines = content.decode(errors="replace").splitlines()
+    return next((number for number, line in enumerate(lines, 1) if _CONFLICT.fullmatch(line)), None)
 
 
 def _pin(entry: JsonObject) -> Pin:
     if entry.keys() != IS_VALID.keys() or not all(IS_VALID[key](entry[key]) for key in IS_VALID):
         raise ValueError(entry)
-    return Pin(**{**entry, "final_wxyz": tuple(entry["final_wxyz"])})
+    return Pin(**{**entry, "remarks": tuple(entry["remarks"])})
 
 
-def write_lock(path: Path, pins: Mapping[str, Pin]) -> None:
-    """Write the lock; each case is a block of lines, so that changes of two cases merge."""
-    content = as_json({"cases": dict(sorted(pins.items()))})
-    text = (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
-    if path.exists() and path.read_bytes() == text:
-        return
-    with open_atomic(path) as stream:
-        stream.write(text)
+def merge_into_lock(
+    suite: Path, path: Path, pins: Mapping[str, Pin], deleted: Collection[str]
+) -> None:
+    """Write the pins of cases into the lock, in which the others stay as they are by now.
+
+    Another update may have written it meanwhile. Each case is a block of lines, so that changes of
+    two cases merge.
+    """
+    with _alone(suite):
+        old = read_lock(path, anew=True)
+        kept = {name: pin for name, pin in old.items() if name not in deleted}
+        cases = dict(sorted({**kept, **pins}.items()))
+        content = as_json({"format": FORMAT, "cases": cases})
+        text = (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
+        if path.exists() and path.read_bytes() == text:
+            return
+        with open_atomic(path) as stream:
+            stream.write(text)
+
+
+@contextmanager
+def _alone(suite: Path) -> Iterator[None]:
+    """Let one update after the other write, where the system can lock the suite."""
+    with suite.open("rb") as stream:
+        with suppress(ImportError, OSError):  # Windows, and some file systems of a network
+            import fcntl
+
+            fcntl.flock(stream, fcntl.LOCK_EX)
+        yield
 
 
 DIGITS = 12
 """Digits of a SHA-256 that are shown."""
+
+MAX_SEARCHED = 1 << 32
+"""Bytes of the files beside a missing one that are read: it may be one of them, renamed."""
 
 MAX_TEXT = 1 << 28
 """Bytes of a file up to which it is looked at whether only its line ends changed."""
@@ -184,6 +236,17 @@ def sha256_of(path: str) -> str:
     if digest is None:
         raise UnreadableLogError(path, "no such file or folder; check the path")
     return str(digest)
+
+
+def renamed_to(path: Path, digest: str | None) -> Path | None:
+    """Return the file beside a missing one that has its content; None where there is none."""
+    left = MAX_SEARCHED
+    with suppress(OSError):
+        for other in sorted(path.parent.glob(f"*{escape(path.suffix)}")):
+            left -= other.stat().st_size
+            if left > 0 and other.is_file() and digest_of(other).sha256 == digest:
+                return other
+    return None
 
 
 def refuse_lfs_pointer(path: str) -> None:

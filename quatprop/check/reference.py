@@ -49,9 +49,15 @@ def read_reference(path: str) -> LoadedAttitudes:
     return load_attitudes(AttitudeInput(path, "parquet"))
 
 
-def write_reference(case: Case, run: CaseRun, hashes: Mapping[str, str], every: int | None) -> None:
-    """Write the reference of a case, with its provenance."""
-    target = Path(str(case.reference))
+def final_of(reference: LoadedAttitudes) -> Any:
+    """Return the attitude at the last sample of a stored reference, wxyz; None if not known."""
+    return reference.signal.provenance.get("result", {}).get("final_wxyz")
+
+
+def write_reference(
+    case: Case, run: CaseRun, hashes: Mapping[str, str], every: int | None, target: Path
+) -> None:
+    """Write the reference of a case, with its provenance, to a file."""
     # The content must not depend on the folder in which it was made.
     names = {path: case.options.get(key, Path(path).name) for key, path in case.inputs.items()}
     report = _with_names(replace(run.report, seconds=None).as_json(), names)
@@ -61,7 +67,6 @@ def write_reference(case: Case, run: CaseRun, hashes: Mapping[str, str], every: 
         "every": every,
         "inputs": dict(hashes),
     }
-    target.parent.mkdir(parents=True, exist_ok=True)
     with open_writer(target, "parquet", layout="scalar-first") as writer:
         writer.write(run.series)
         writer.commit(report)

@@ -2,8 +2,12 @@
 
 References
 ----------
-"Workflow commands for GitHub Actions", docs.github.com: ``::error file=,line=,title=::message``,
-and Markdown appended to the file that ``GITHUB_STEP_SUMMARY`` names.
+"Workflow commands for GitHub Actions", docs.github.com: ``::error file=,line=,title=::message``, of
+which ten of a kind are shown for a step, and Markdown appended to the file that
+``GITHUB_STEP_SUMMARY`` names, 1 MiB at most.
+
+junit-10.xsd of the xUnit plugin of Jenkins, by which pytest tests its own: no lines nor files of
+cases, no count of skipped ones over all suites.
 """
 
 from __future__ import annotations
@@ -29,16 +33,24 @@ VERDICTS: Mapping[Verdict, tuple[str, str, str]] = {
     "skip": ("skip", "skipped", "skipped"),
     "xfail": ("xfail", "failed as expected", "failed as expected"),
     "xpass": ("XPASS", "passed unexpectedly", ":warning: passed unexpectedly"),
+    "deleted": ("gone", "deleted", ":warning: deleted"),
 }
 """Verdict -> how it is written before a case, after a count, and on GitHub."""
 
 JUNIT_ELEMENTS: Mapping[Verdict, str] = {
     "fail": "failure", "error": "error", "skip": "skipped", "xfail": "skipped",
+    "deleted": "skipped",
 }  # fmt: skip
 """Verdict -> element of JUnit XML."""
 
-NEEDS_ATTENTION: frozenset[Verdict] = frozenset({"fail", "error", "xpass"})
+NEEDS_ATTENTION: frozenset[Verdict] = frozenset({"fail", "error", "xpass", "deleted"})
 """Verdicts that somebody has to look at."""
+
+MAX_ANNOTATIONS = 10
+"""Annotations of a kind that GitHub shows for a step."""
+
+MAX_SUMMARY = 1_000_000
+"""Bytes of a summary; GitHub shows none of more than 1 MiB."""
 
 WIDTH = max(len(shown) for shown, *_ in VERDICTS.values())
 
@@ -63,21 +75,20 @@ def _details(result: CaseResult) -> list[str]:
 def note_lines(results: Sequence[CaseResult], *, remarks: bool = False) -> Iterator[str]:
     """Yield each note once, with the number of its cases; those of a failure are in its reason.
 
-    `remarks`: whether those on logs are notes, too
+    `remarks`: whether those on logs are notes, too, also where they are pinned
     """
     names: dict[str, list[str]] = {}
     for result in results:
-        for note in () if result.verdict in {"fail", "error"} else result.notes:
+        notes = () if result.verdict in {"fail", "error"} else result.notes
+        for note in dict.fromkeys([*notes, *(result.remarks if remarks else ())]):
             names.setdefault(note, []).append(plain(result.name))
-        for remark in result.remarks if remarks else ():
-            names.setdefault(remark, []).append(plain(result.name))
     for note, cases in names.items():
         yield f"note on {cases[0] if len(cases) == 1 else f'{len(cases)} cases'}: {plain(note)}"
 
 
 def worst_first(results: Iterable[CaseResult]) -> list[CaseResult]:
     """Return results in the order in which somebody should look at them."""
-    order: list[Verdict] = ["error", "fail", "xpass", "xfail", "pass", "skip"]
+    order: list[Verdict] = ["error", "fail", "xpass", "deleted", "xfail", "pass", "skip"]
     return sorted(
         results, key=lambda result: (order.index(result.verdict), -(result.error_rad or 0.0))
     )
@@ -96,29 +107,24 @@ def totals(results: Sequence[CaseResult]) -> str:
 
 def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) -> None:
     """Write results as JUnit XML."""
-    verdicts = [result.verdict for result in results]
+    elements = [JUNIT_ELEMENTS.get(result.verdict) for result in results]
     counts = {
         "tests": str(len(results)),
-        "failures": str(verdicts.count("fail")),
-        "errors": str(verdicts.count("error")),
-        "skipped": str(verdicts.count("skip") + verdicts.count("xfail")),
+        "failures": str(elements.count("failure")),
+        "errors": str(elements.count("error")),
         "time": f"{sum(result.seconds for result in results):.3f}",
     }
     root = ET.Element("testsuites", counts)
-    tests = ET.SubElement(root, "testsuite", {"name": plain(suite.name), **counts})
+    facts = {"name": plain(suite.name), "file": plain(suite.as_posix()), **counts}
+    tests = ET.SubElement(root, "testsuite", {**facts, "skipped": str(elements.count("skipped"))})
     for result in results:
-        facts = {
-            "classname": plain(suite.stem),
-            "name": plain(result.name),
-            "file": plain(suite.as_posix()),
-            "line": str(result.line),
-            "time": f"{result.seconds:.3f}",
-        }
-        case = ET.SubElement(tests, "testcase", facts)
+        facts = {"classname": plain(suite.stem), "name": plain(result.name)}
+        case = ET.SubElement(tests, "testcase", {**facts, "time": f"{result.seconds:.3f}"})
         if result.verdict in JUNIT_ELEMENTS:
             reason = plain(result.reason)
             element = ET.SubElement(case, JUNIT_ELEMENTS[result.verdict], {"message": reason})
-            element.text = "\n".join(filter(None, [result.summary, reason]))
+            place = f"{plain(suite.as_posix())}:{result.line}"
+            element.text = "\n".join(filter(None, [place, result.summary, reason]))
         elif texts := [*filter(None, [result.summary, *_details(result), *result.notes])]:
             ET.SubElement(case, "system-out").text = "\n".join(map(plain, texts))
     ET.indent(root)
@@ -129,24 +135,41 @@ def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) 
 
 def append_github_summary(target: str, suite: Path, results: Sequence[CaseResult]) -> None:
     """Append a table of results to the summary of a step on GitHub."""
-    rows = [f"### {_markdown(suite.as_posix())}: {totals(results)}", ""]
-    rows += ["| case | verdict | worst error | why |", "|---|---|---|---|"]
-    for result in worst_first(results):
-        why = result.reason or "; ".join([*result.changes, *result.notes])
-        cells = [result.name, VERDICTS[result.verdict][2], result.summary, why]
-        rows.append(f"| {' | '.join(map(_markdown, cells))} |")
+    text = f"### {_markdown(suite.as_posix())}: {totals(results)}\n\n"
+    text += "| case | verdict | worst error | why |\n|---|---|---|---|\n"
     with output_errors(target), Path(target).open("a", encoding="utf-8") as stream:
-        stream.write("\n".join(rows) + "\n\n")
+        left = MAX_SUMMARY - stream.tell() - len(text.encode())
+        for number, result in enumerate(worst_first(results)):
+            why = result.reason or "; ".join([*result.changes, *result.notes])
+            cells = [result.name, VERDICTS[result.verdict][2], result.summary, why]
+            row = f"| {' | '.join(map(_markdown, cells))} |\n"
+            left -= len(row.encode())
+            if left < 0:
+                more = count_text(len(results) - number, "more case")
+                text += f"\n{more} for which there is no room here; see JUnit or the log\n"
+                break
+            text += row
+        stream.write(f"{text}\n")
 
 
 def github_annotations(suite: Path, results: Sequence[CaseResult]) -> Iterator[str]:
-    """Yield a line for each case that did not pass, which GitHub shows beside the suite."""
-    for result in results:
-        if result.verdict in {"fail", "error"}:
+    """Yield a line for each case to look at, worst first, which GitHub shows beside the suite."""
+    kinds: dict[str, list[str]] = {"error": [], "warning": []}
+    for result in worst_first(results):
+        if result.verdict in NEEDS_ATTENTION or result.unpinned:
+            kind = "error" if result.verdict in {"fail", "error"} else "warning"
             where = f"file={_property(suite.as_posix())},line={result.line}"
             title = _property(f"{result.name}: {result.verdict}")
-            message = "; ".join(filter(None, [result.summary, result.reason]))
-            yield f"::error {where},title={title}::{_message(message)}"
+            texts = [result.summary, result.reason or "; ".join(result.notes)]
+            message = _message("; ".join(filter(None, texts)))
+            kinds[kind].append(f"::{kind} {where},title={title}::{message}")
+    for kind, lines in kinds.items():
+        if len(lines) <= MAX_ANNOTATIONS:
+            yield from lines
+            continue
+        yield from lines[: MAX_ANNOTATIONS - 1]
+        more = f"{len(lines) - MAX_ANNOTATIONS + 1} more cases, {len(lines)} in all"
+        yield f"::{kind} file={_property(suite.as_posix())},line=1::{more}"
 
 
 def _markdown(text: str) -> str:

@@ -5,98 +5,160 @@ from __future__ import annotations
 import time
 from contextlib import closing
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.check.case import Case, CaseNotRun, CaseResult
-from quatprop.check.judge import judge
-from quatprop.check.lock import Pin, write_lock
-from quatprop.check.update import update
+from quatprop.check.judge import Judgement, judge
+from quatprop.check.lock import Pin, merge_into_lock
+from quatprop.check.update import propose, put_in_place, refuse_target
 from quatprop.concurrency.processes import KILLED, in_order, map_processes
 from quatprop.errors import QuatpropError
 from quatprop.errors.third_party import as_user_error
 from quatprop.settings.spelling import in_keys
-from quatprop.text import plain, spelling
+from quatprop.text import Setting, plain, spelled, spelling
 from quatprop.writers.targets import output_errors
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Callable, Generator, Mapping, Sequence
+
+    from quatprop.check.suite import Suite
 
     PinnedCase = tuple[Case | CaseNotRun, Pin | None]
 
 
-@spelling(in_keys)
-def run_case(
-    pinned: PinnedCase, *, updating: Path | None = None, artifacts: Path | None = None
-) -> CaseResult:
-    """Judge or update a case; an error becomes its result.
+class CheckOptions(NamedTuple):
+    """How cases are run.
 
-    `artifacts`: where to keep the evidence of a failure; None: nowhere
+    `suite`: update: the suite whose references and lock are written; None judges
+    `deleted`: pins of cases that the suite has no more
+    `dry_run`: show what an update would do, and write nothing
+    `confirm`: asks whether a change is accepted; None: all are
+    `artifacts`: where to keep the evidence of failures; None: nowhere
+    `strict`: a case fails that is deleted, passes unexpectedly, or has a remark that is not pinned
     """
+
+    suite: Suite | None = None
+    deleted: dict[str, Pin] = {}  # noqa: RUF012  # never changed
+    dry_run: bool = False
+    confirm: Callable[[CaseResult], bool] | None = None
+    artifacts: Path | None = None
+    strict: bool = False
+
+
+JUDGE = CheckOptions()
+
+
+@spelling(in_keys)
+def run_case(pinned: PinnedCase, options: CheckOptions = JUDGE) -> CaseResult:
+    """Judge or update a case; an error becomes its result."""
     case, pin = pinned
-    if isinstance(case, CaseNotRun):
-        return CaseResult(case.name, case.verdict, case.reason, line=case.line)
     began = time.perf_counter()
-    try:
-        # An update would make a known failure pass.
-        if updating is None or (case.xfail and pin):
-            result = judge(case, pin)
-        else:
-            result = update(case, pin, updating)
-        if artifacts is not None and result.verdict == "fail":
-            evidence = _keep_evidence(case, pin, artifacts)
-            result = result._replace(reason=f"{result.reason}; {evidence}")
-    except Exception as error:
-        if (user_error := as_user_error(error)) is None:
-            raise
-        result = CaseResult(case.name, "error", str(user_error))
-    if case.xfail and result.verdict == "fail":
-        result = result._replace(verdict="xfail", reason=f"{case.xfail}: {result.reason}")
-    elif case.xfail and result.verdict == "pass":
-        result = result._replace(verdict="xpass", reason=f"it is known to fail: {case.xfail}")
+    if isinstance(case, CaseNotRun):
+        result = CaseResult(case.name, case.verdict, case.reason)
+        result = _strictly(result) if options.strict else result
+    else:
+        try:
+            with TemporaryDirectory(prefix="quatprop-") as scratch:
+                result = _run(case, pin, options, Path(scratch))
+        except Exception as error:
+            if (user_error := as_user_error(error)) is None:
+                raise
+            result = CaseResult(case.name, "error", str(user_error))
     return result._replace(seconds=time.perf_counter() - began, line=case.line)
 
 
-def _keep_evidence(case: Case, pin: Pin | None, artifacts: Path) -> str:
-    """Keep the evidence of a failure; return where it is, or why it is not there."""
+def _run(case: Case, pin: Pin | None, options: CheckOptions, scratch: Path) -> CaseResult:
+    # An update would make a known failure pass.
+    suite = None if case.xfail and pin else options.suite
+    if suite is not None:
+        refuse_target(case, pin, suite.lock.parent)
+    judged = judge(case, pin, scratch)
+    if suite is not None:
+        judged = judged._replace(result=_updated(case, pin, judged, options, scratch))
+    result = _expected(case, judged.result)
+    if options.strict:
+        result = _strictly(result)
+    if options.artifacts is not None and result.verdict in {"fail", "error", "xfail"}:
+        return _with_evidence(case, judged._replace(result=result), options)
+    return result
+
+
+def _updated(
+    case: Case, pin: Pin | None, judged: Judgement, options: CheckOptions, scratch: Path
+) -> CaseResult:
+    """Update a case, unless the change is not accepted."""
+    proposal = propose(case, pin, judged, scratch, options.deleted)
+    if options.dry_run:
+        return proposal.result._replace(pin=None)
+    is_change = proposal.result.updated != "kept" or proposal.result.changes
+    if is_change and options.confirm is not None and not options.confirm(proposal.result):
+        return judged.result
+    put_in_place(case, proposal)
+    return proposal.result
+
+
+def _expected(case: Case, result: CaseResult) -> CaseResult:
+    """Return the result of a case that may be known to fail."""
+    if case.xfail and result.verdict == "fail":
+        return result._replace(verdict="xfail", reason=f"{case.xfail}: {result.reason}")
+    if case.xfail and result.verdict == "pass":
+        return result._replace(verdict="xpass", reason=f"it is known to fail: {case.xfail}")
+    return result
+
+
+def _strictly(result: CaseResult) -> CaseResult:
+    """Return the result of a case where nothing passes that somebody has to look at."""
+    strict = spelled(f"with {Setting('strict')} this is a failure")
+    if result.verdict in {"xpass", "deleted"}:
+        return result._replace(verdict="fail", reason=f"{result.reason}; {strict}")
+    if result.verdict == "pass" and result.unpinned:
+        reasons = [f"not pinned: {note}" for note in result.notes]
+        return result._replace(verdict="fail", reason="; ".join([*reasons, strict]))
+    return result
+
+
+def _with_evidence(case: Case, judged: Judgement, options: CheckOptions) -> CaseResult:
+    """Keep the evidence of a failure; say where it is, or why it is not there."""
     from quatprop.check.artifacts import write_artifacts  # matplotlib, for failures only
 
+    result, folder = judged.result, Path(str(options.artifacts))
     try:
-        with output_errors(artifacts):
-            return f"see {plain(write_artifacts(case, pin, artifacts))}"
+        with output_errors(folder):
+            place = str(write_artifacts(case, judged, folder, strict=options.strict))
+        return result._replace(reason=f"{result.reason}; see {plain(place)}", evidence=place)
     except QuatpropError as error:
-        return f"its artifacts cannot be kept: {error}"
+        return result._replace(reason=f"{result.reason}; its artifacts cannot be kept: {error}")
 
 
 def run_cases(
     cases: Sequence[Case | CaseNotRun],
     pins: Mapping[str, Pin],
-    *,
-    lock: Path | None = None,
-    artifacts: Path | None = None,
+    options: CheckOptions = JUDGE,
     processes: int = 1,
 ) -> Generator[CaseResult]:
     """Yield the result of each case, in their order, as soon as those before are done.
 
-    `lock`: update: write references anew, and at the end the lock, with the pins of all other
-        cases; None judges
+    At the end of an update the lock is written anew, without the cases that the suite has no more.
     """
-    new_pins = dict(pins)
+    new_pins: dict[str, Pin] = {}
 
     def record(result: CaseResult) -> None:
         if result.pin is not None:
             new_pins[result.name] = result.pin
 
     pinned = [(case, pins.get(case.name)) for case in cases]
-    work = partial(run_case, updating=lock and lock.parent, artifacts=artifacts)
-    results = map_processes(work, pinned, processes, _killed, record=record)
+    results = map_processes(
+        partial(run_case, options=options), pinned, processes, _killed, record=record
+    )
     try:
         with closing(results):
             yield from in_order(results)
     finally:
-        if lock is not None:
+        if (suite := options.suite) is not None and not options.dry_run:
             # After an interruption, too: the lock must have the references that were written.
-            write_lock(lock, new_pins)
+            merge_into_lock(suite.path, suite.lock, new_pins, options.deleted)
 
 
 def _killed(pinned: PinnedCase) -> CaseResult:

@@ -9,6 +9,8 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from quatprop.check.lock import conflict_line
+from quatprop.check.proposal import propose_limits
 from quatprop.errors import SuiteError
 from quatprop.settings.guarded_text import ContentError, read_bytes, read_toml
 from quatprop.text import listed, quoted
@@ -53,11 +55,15 @@ class Suite(NamedTuple):
 def read_suite(path: Path | str) -> Suite:
     """Read a suite; its keys are checked when its cases are parsed."""
     path = Path(path)
+    text = b""
     try:
         text = read_bytes(path)
         tables = read_toml(text)
     except ContentError as error:
-        raise SuiteError(path, str(error)) from error
+        reason = str(error)
+        if line := conflict_line(text):
+            reason = f"line {line} is a conflict marker of a merge; keep one side, or both"
+        raise SuiteError(path, reason) from error
     if unknown := tables.keys() - {"defaults", "case"}:
         raise SuiteError(path, f"unknown {listed(sorted(unknown))}; {SHAPE}")
     defaults, cases = tables.get("defaults", {}), tables.get("case", {})
@@ -76,25 +82,42 @@ def read_suite(path: Path | str) -> Suite:
     return Suite(path, defaults, tuple(case_tables))
 
 
-def write_suite(path: Path | str, logs: Iterable[str]) -> None:
-    """Write a new suite with a case for each log, whose references are still to be made."""
+def write_suite(path: Path | str, logs: Iterable[str], series: str | None = None) -> None:
+    """Write a new suite with a case for each log, whose references are still to be made.
+
+    `series`: an independent one, with which each log is compared in a second case
+    """
     path = Path(path)
     if path.exists():
         raise SuiteError(path, "there is a suite already; add cases to it, or name another file")
     names: dict[str, str] = {}
+    proposed: dict[str, list[str]] = {}
     for log in logs:
         stem = Path(log).stem
         numbered = (f"{stem}-{number}" for number in count(2))
         name = next(name for name in chain([stem], numbered) if name not in names)
-        names[name] = Path(os.path.relpath(log, path.parent)).as_posix()
+        names[name] = log
+        if series is not None:
+            proposed[name] = [*propose_limits(log, series)]
     text = "# Cases of quatprop check; the keys are options of propagate and compare.\n[defaults]\n"
     for name, log in names.items():
-        key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
-        paths = {"log": log, "reference": f"refs/{name}.parquet"}
-        text += f"\n[case.{key}]\n"
-        text += "".join(f"{k} = {json.dumps(v, ensure_ascii=False)}\n" for k, v in paths.items())
+        relative = _quoted(Path(os.path.relpath(log, path.parent)).as_posix())
+        reference = _quoted(f"refs/{name}.parquet")
+        text += f"\n[case.{_key(name)}]\nlog = {relative}\nreference = {reference}\n"
+        if series is not None:
+            truth = _quoted(Path(os.path.relpath(series, path.parent)).as_posix())
+            text += f"\n[case.{_key(f'{name}-truth')}]\nlog = {relative}\nreference-log = {truth}\n"
+            text += "".join(f"{line}\n" for line in proposed[name])
     with open_atomic(path) as stream:
         stream.write(text.encode())
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
 
 
 def _line_of(name: str, lines: Iterable[str]) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,18 +16,12 @@ from quatprop.cli.options import JSON, with_options
 from quatprop.cli.types import PATH
 from quatprop.settings.keyword import Keyword
 from quatprop.settings.parsers import flag
-from quatprop.text import listed, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from quatprop.check.case import Case, CaseNotRun, CaseResult
-    from quatprop.check.lock import Pin
+    from quatprop.check.case import Case, CaseNotRun
     from quatprop.check.suite import Suite
-
-
-MAX_LISTED = 8
-"""Of more cases, those that pass are only counted."""
 
 
 EXAMPLES = (
@@ -41,22 +35,29 @@ OPTIONS = {
         "Cases at a time, each in a process of its own; the output is the same for any N.", "1",
         "N", preset=True),
     "--update": Keyword(
-        flag, "Write the references of cases that are new, changed or fail, and show what "
-        "changed. Cases that pass are left as they are."),
+        flag, "Write the references of cases that are new, changed or fail, and list each with "
+        "what changes, in degrees. Cases that pass are left as they are."),
+    "--dry-run": Keyword(flag, "With --update: list what would change, and write nothing."),
+    "--interactive": Keyword(flag, "With --update: ask before each change."),
+    "--force": Keyword(flag, "With --update or --init: also where CI is set: nobody reviews there "
+        "what is replaced."),
     "--init": Keyword(flag, "Write SUITE.toml, with a case for each LOG, and the references."),
+    "--reference-log": Keyword(
+        PATH, "With --init: compare each LOG with these attitudes, too; limits are proposed from "
+        "what is measured.", takes="FILE"),
     "--explain": Keyword(
         flag, "Show what the cases depend on, what is pinned, and how they are judged; run "
         "nothing."),
     "--artifacts": Keyword(
         PATH, "Keep the attitudes, a page with the error, and the commands of each case that "
-        "fails in DIR/CASE.", takes="DIR"),
+        "fails in DIR/CASE, and an overview of all cases in DIR/index.html.", takes="DIR"),
     "--strict": Keyword(
-        flag, "Fail, too, if a case that is pinned is no longer in the suite, or if one passes "
-        "that is known to fail."),
+        flag, "Fail, too, if a case that is pinned is no longer in the suite, if one passes that "
+        "is known to fail, or if a remark on a log is not pinned."),
     "--junit": Keyword(PATH, "Also write the results as JUnit XML.", takes="FILE"),
     **JSON,
     "-q --quiet": Keyword(flag, "Only failures and the totals."),
-    "-v --verbose": Keyword(flag, "A line for every case that passes, and remarks on the logs."),
+    "-v --verbose": Keyword(flag, "A line for every case that passes, and all remarks on logs."),
 }  # fmt: skip
 
 
@@ -68,8 +69,8 @@ OPTIONS = {
     "patterns",
     metavar="EXPR",
     multiple=True,
-    help="Only cases whose names contain EXPR, or match it where it has *, ? or [...]; can be "
-    "repeated.  [default: all]",
+    help="Only the case named EXPR, or else those whose names contain it, or match it where it has "
+    "*, ? or [...]; can be repeated.  [default: all]",
 )
 @with_options(OPTIONS)
 def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
@@ -98,49 +99,71 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
     xfail = "REASON" for a case that is known to fail.
 
     Exit code 0: all pass; 1: a case failed; 2: there was an error (a log is missing, or something
-    that is pinned changed), whatever the other cases do.
+    that is pinned changed), whatever the other cases do. A case that changed is compared with its
+    old reference all the same; --update replaces what it pins, and --dry-run shows that before.
     """
     from quatprop.check.case import exit_code
-    from quatprop.check.cases import load_cases
-    from quatprop.check.judge import explain
+    from quatprop.check.cases import deleted_cases, load_cases
+    from quatprop.check.explain import explain
     from quatprop.check.lock import read_lock
+    from quatprop.cli.check_results import json_report, report_deleted, report_new, run_and_show
     from quatprop.writers.targets import refuse_outside
 
-    if options["init"] != bool(logs):
-        raise click.UsageError("--init needs a LOG for each case, and nothing else takes one")
-    with _new_suite(suite, logs) if options["init"] else nullcontext():
+    updating = options["update"] or options["init"]
+    _refuse_contradictions(logs, options)
+    with _new_suite(suite, logs, options["reference_log"]) if options["init"] else nullcontext():
         loaded, all_cases = load_cases(suite)
-        cases = _selected(all_cases, options["patterns"], suite)
-        locked = read_lock(loaded.lock)
-        pins = {case.name: locked[case.name] for case in all_cases if case.name in locked}
-        deleted = {name: pin for name, pin in locked.items() if name not in pins}
+        pins = read_lock(loaded.lock, anew=updating)
+        gone = deleted_cases(all_cases, pins)
+        deleted = {case.name: pins[case.name] for case in gone}
+        shown = [*all_cases, *(() if updating else gone)]
+        cases = _selected(shown, options["patterns"], suite)
         if options["explain"]:
             click.echo("\n\n".join(explain(case, pins.get(case.name)) for case in cases))
             return 0
         _refuse_overlap(loaded, all_cases, options["junit"])
-        lock = loaded.lock if options["update"] or options["init"] else None
-        if lock is not None:
-            refuse_outside(lock, lock.parent)
-        results = _run(cases, pins, lock, options)
-    if options["init"] and not options["as_json"]:
-        _report_new(loaded, results)
-    missing = options["strict"] and deleted and lock is None
-    code = exit_code(results, strict=options["strict"]) or int(bool(missing))
+        if updating:
+            refuse_outside(loaded.lock, loaded.lock.parent)
+        results = run_and_show(loaded, cases, pins, deleted, options)
+    code = exit_code(results)
     if options["as_json"]:
-        report = _report(loaded, results, deleted, passed=not code)
-        click.echo(json.dumps(report, indent=2))
-    _report_to_ci(loaded, results, options["junit"])
-    if deleted:
-        _report_deleted(all_cases, deleted, updating=lock is not None)
+        click.echo(json.dumps(json_report(loaded, results, passed=not code), indent=2))
+    elif options["init"]:
+        report_new(loaded, results)
+    if updating:
+        report_deleted(all_cases, deleted, written=not options["dry_run"])
     return code
+
+
+def _refuse_contradictions(logs: Sequence[str], options: Mapping[str, Any]) -> None:
+    """Refuse options that go with others, and an update that nobody would review."""
+    if options["init"] != bool(logs):
+        raise click.UsageError("--init needs a LOG for each case, and nothing else takes one")
+    if options["reference_log"] and not options["init"]:
+        raise click.UsageError("--reference-log goes with --init; in a suite, it is a key")
+    updating = options["update"] or options["init"]
+    for name in ("dry_run", "interactive", "force"):
+        if options[name] and not (options["update"] or (updating and name == "force")):
+            raise click.UsageError(f"--{name.replace('_', '-')} goes with --update")
+    if options["interactive"] and options["processes"] > 1:
+        raise click.UsageError("--interactive asks about one case at a time; leave -j out")
+    on_ci = os.environ.get("CI", "").lower() not in {"", "0", "false"}
+    if updating and on_ci and not options["force"] and not options["dry_run"]:
+        raise click.UsageError(
+            "CI is set, where nobody reviews the references that this would write; run it at "
+            "home, preview it with --dry-run, or write them all the same with --force"
+        )
 
 
 def _selected(
     cases: Sequence[Case | CaseNotRun], patterns: Sequence[str], suite: str
 ) -> Sequence[Case | CaseNotRun]:
     """Return the cases whose names contain a pattern or match it; all where there are none."""
+    names = {case.name for case in cases}
 
     def matches(name: str, pattern: str) -> bool:
+        if pattern in names:
+            return name == pattern
         return fnmatchcase(name, pattern) if set(pattern) & set("*?[") else pattern in name
 
     found = [case for case in cases if any(matches(case.name, one) for one in patterns or [""])]
@@ -150,12 +173,12 @@ def _selected(
 
 
 @contextmanager
-def _new_suite(path: str, logs: Iterable[str]) -> Iterator[None]:
+def _new_suite(path: str, logs: Iterable[str], series: str | None) -> Iterator[None]:
     """Write a new suite, and remove it again, with its lock, if no case gets a reference."""
     from quatprop.check.lock import read_lock
     from quatprop.check.suite import write_suite
 
-    write_suite(path, logs)
+    write_suite(path, logs, series)
     try:
         yield
     finally:
@@ -163,61 +186,6 @@ def _new_suite(path: str, logs: Iterable[str]) -> Iterator[None]:
         if not read_lock(lock):
             Path(path).unlink()
             lock.unlink(missing_ok=True)
-
-
-def _report_new(suite: Suite, results: Sequence[CaseResult]) -> None:
-    """Say what of a new suite was written."""
-    written = sum(result.pin is not None for result in results)
-    if not written:
-        click.echo("wrote nothing, as no log could be propagated", err=True)
-        return
-    of = "" if written == len(results) else f" of {written} of {len(results)} cases"
-    click.echo(f"wrote {suite.path}, {suite.lock} and the references{of}", err=True)
-
-
-def _run(
-    cases: Sequence[Case | CaseNotRun], pins: Mapping[str, Pin], lock: Path | None, options: Any
-) -> list[CaseResult]:
-    """Run cases, show their results, failures last, and return them."""
-    from quatprop.check.reports import NEEDS_ATTENTION, note_lines, result_text, totals
-    from quatprop.check.runner import run_cases
-
-    listed = options["verbose"] or (len(cases) <= MAX_LISTED and not options["quiet"])
-    artifacts = options["artifacts"] and Path(options["artifacts"])
-    running = run_cases(cases, pins, lock=lock, artifacts=artifacts, processes=options["processes"])
-    width = max(len(plain(case.name)) for case in cases)
-    results, last = [], []
-    with closing(running):
-        try:
-            for result in running:
-                results.append(result)
-                if result.verdict in NEEDS_ATTENTION:
-                    last.append(result)
-                elif listed and not options["as_json"]:
-                    click.echo(result_text(result, width))
-        finally:
-            # After an interruption, too.
-            if not options["as_json"]:
-                click.echo("".join(result_text(result, width) + "\n" for result in last), nl=False)
-    if not options["as_json"]:
-        notes = note_lines(results, remarks=options["verbose"])
-        click.echo("\n".join([*notes, totals(results)]))
-    return results
-
-
-def _report_deleted(
-    cases: Sequence[Case | CaseNotRun], deleted: Mapping[str, Pin], *, updating: bool
-) -> None:
-    """Name the cases that the lock has and the suite has not."""
-    from quatprop.check.reference import orphaned_references
-
-    if not updating:
-        way_out = "restore them, or remove them from the lock with --update"
-        click.echo(f"pinned, but not in the suite: {listed(deleted)}; {way_out}", err=True)
-        return
-    click.echo(f"removed from the lock: {listed(deleted)}", err=True)
-    for path in orphaned_references(cases, deleted.values()):
-        click.echo(f"no longer used, to be removed: {plain(path)}", err=True)
 
 
 def _refuse_overlap(suite: Suite, cases: Sequence[Case | CaseNotRun], junit: str | None) -> None:
@@ -232,36 +200,3 @@ def _refuse_overlap(suite: Suite, cases: Sequence[Case | CaseNotRun], junit: str
     refuse_overlap([str(suite.path), *inputs], [str(suite.lock), *references, junit])
     if junit is not None and not is_address(junit):
         checked_place(junit)
-
-
-def _report(
-    suite: Suite, results: list[CaseResult], deleted: Mapping[str, Pin], *, passed: bool
-) -> Any:
-    from quatprop.check.reports import VERDICTS
-    from quatprop.provenance import as_json
-    from quatprop.version import __version__
-
-    verdicts = [result.verdict for result in results]
-    return as_json(
-        {
-            "quatprop": __version__,
-            "suite": suite.path,
-            "passed": passed,
-            "counts": {verdict: verdicts.count(verdict) for verdict in VERDICTS},
-            "deleted": list(deleted),
-            "cases": [result.report() for result in results],
-        }
-    )
-
-
-def _report_to_ci(suite: Suite, results: list[CaseResult], junit: str | None) -> None:
-    """Write what CI services read."""
-    from quatprop.check.reports import append_github_summary, github_annotations, write_junit
-
-    if junit is not None:
-        write_junit(junit, suite.path, results)
-    if summary := os.environ.get("GITHUB_STEP_SUMMARY"):
-        append_github_summary(summary, suite.path, results)
-    if os.environ.get("GITHUB_ACTIONS") == "true":
-        for annotation in github_annotations(suite.path, results):
-            click.echo(annotation, err=True)

@@ -12,9 +12,9 @@ from quatprop.cli.help import Command
 from quatprop.cli.options import JSON, PLOT, input_of, options_of, refuse_stdin_twice, with_options
 from quatprop.cli.types import PATH
 from quatprop.comparison.settings import COMPARE, ComparisonSettings
-from quatprop.settings import CHECKS, ONE_SERIES
 from quatprop.settings.keyword import Keyword
 from quatprop.settings.parsers import flag
+from quatprop.settings.reading import CHECKS, ONE_SERIES
 from quatprop.text import spelled
 
 if TYPE_CHECKING:
@@ -64,8 +64,8 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
     picture = None
     with progress(quiet=quiet), ExitStack() as stack:
         if plot is not None:
-            from quatprop.plot.errors import pair_page
-            from quatprop.plot.target import PictureFile
+            from quatprop.plotting.errors import pair_page
+            from quatprop.plotting.target import PictureFile
 
             picture = stack.enter_context(PictureFile(plot, [a, b], command=command_line()))
         first, second, comparison = compare_files(

@@ -10,7 +10,7 @@ from click.shell_completion import CompletionItem, get_completion_class
 
 from quatprop.cli import COMPLETE
 from quatprop.cli.help import SIDES, Command
-from quatprop.settings.parsers import FILE_SETTINGS
+from quatprop.settings.rotations import FILE_SETTINGS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping

@@ -12,7 +12,7 @@ from quatprop.cli.help import GroupedOption
 from quatprop.cli.types import PATH, content_of
 from quatprop.provenance import as_json
 from quatprop.settings.guarded_text import ContentError, read_toml
-from quatprop.settings.parsers import file_beside
+from quatprop.settings.rotations import file_beside
 from quatprop.settings.spelling import option
 from quatprop.text import did_you_mean, plain, quoted
 

@@ -10,9 +10,10 @@ from quatprop.cli.help import Command
 from quatprop.cli.options import QUIET, REPORT, input_of, options_of, with_options
 from quatprop.cli.output_options import EULER, INTO, OUTPUT_OPTIONS, output_settings, with_unit
 from quatprop.cli.types import PATH
-from quatprop.settings import CONVENTIONS, DIRECTIONS, READ_ATTITUDES, SIGNS
+from quatprop.conversion.settings import TERMS
 from quatprop.settings.keyword import Keyword
-from quatprop.settings.parsers import Choice, mounting
+from quatprop.settings.parsers import Choice
+from quatprop.settings.reading import READ_ATTITUDES
 from quatprop.text import plain, spelled
 
 if TYPE_CHECKING:
@@ -29,20 +30,7 @@ EXAMPLES = (
 )
 
 
-ROTATION = "W,X,Y,Z|x,-y,-z|rpy:R,P,Y|ned-to-enu|frd-to-flu"
-
 OPTIONS = {
-    "--convention": Keyword(
-        Choice(*CONVENTIONS), "Convention of OUT.", "hamilton", group="Output", common=True,
-        preset=True),
-    "--direction": Keyword(
-        Choice(*DIRECTIONS), "Which coordinates OUT turns into which.", "body-to-ref",
-        group="Output", common=True, preset=True),
-    "--sign": Keyword(Choice(*SIGNS),
-        "Of q and -q, which are the same attitude: the one that is there, the one nearer "
-        "to the row before, or the one with w >= 0 (of half turns, w = 0, the one whose "
-        "first component that is not zero is positive).", "keep", group="Output", common=True,
-        preset=True),
     "--as representation": Keyword(
         Choice("quaternion", "rotvec", *EULER, "matrix", "body-rates", "inertial-rates"),
         "What to write: quaternions, rotation vectors in rad, yaw, pitch and roll about "
@@ -51,13 +39,6 @@ OPTIONS = {
         "next: propagated with --method start, they give the attitudes back.", "quaternion",
         "quaternion|rotvec|euler-zyx|matrix|body-rates|inertial-rates", group="Output", common=True,
         preset=True),
-    "--left": Keyword(
-        mounting, "Axes of IN's reference to those of OUT's: a quaternion with v_new = r v_old r*, "
-        "the old axes that become x, y and z, angles about axes that stay (deg), or a name. "
-        "Positions are turned, too.", "the same", ROTATION, group="Output"),
-    "--right": Keyword(
-        mounting, "Axes of IN's body to those of OUT's, as --left: q_out = LEFT q_in RIGHT*. "
-        "Covariances are turned, too.", "the same", ROTATION, group="Output"),
     **REPORT,
     **QUIET,
 }  # fmt: skip
@@ -70,6 +51,7 @@ OPTIONS = {
     INTO,
     options_of(READ_ATTITUDES, log="IN", signal="attitudes"),
     OUTPUT_OPTIONS,
+    options_of(TERMS, log="IN"),
     OPTIONS,
 )
 def command(*, quiet: bool, **chosen: Any) -> int:
@@ -80,18 +62,14 @@ def command(*, quiet: bool, **chosen: Any) -> int:
     """
     from quatprop.cli.progress import progress
     from quatprop.cli.summary import show
-    from quatprop.conventions import AttitudeConvention
     from quatprop.conversion.convert import convert
-    from quatprop.conversion.job import Conversion
+    from quatprop.conversion.job import Conversion, terms_of
 
     job = Conversion(
         source=input_of(chosen["log"], chosen),
         output=output_settings(chosen, "OUT"),
-        meaning=AttitudeConvention(chosen["convention"], chosen["direction"]),
-        sign=chosen["sign"],
         representation=with_unit(chosen["representation"], chosen["euler_unit"]),
-        left=chosen["left"],
-        right=chosen["right"],
+        **terms_of(chosen),
     )
     with progress(quiet=quiet):
         report = convert(job)
@@ -111,8 +89,10 @@ def _summary(report: ConversionReport) -> Iterator[str]:
     written_as = f"{job.meaning.convention} {job.meaning.direction}, {job.representation}"
     name = source_text(stored.name, stored.type_name)
     yield f"in   {plain(report.path)} ({report.kind}): {name}; {stored_as}, {stored.clock} clock"
-    path, rows = plain(without_secret(job.output.path)), count_text(counts.used, "row")
+    path, rows = plain(without_secret(job.output.path)), count_text(report.written, "row")
     yield f"out  {path}: {rows}; {written_as}, {','.join(report.columns)}"
+    if outside := sum(report.outside):
+        yield f"left out: {count_text(outside, 'row')} outside the time range"
     if counts.normalized:
         yield (
             f"warning: {count_text(counts.normalized, 'row')} scaled to unit length, off by up to "

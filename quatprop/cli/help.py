@@ -54,10 +54,9 @@ class GroupedOption(click.Option):
 
 
 def brief(names: str, text: str) -> tuple[str, str]:
-    """Return the record of an option with the first clause of its help, and its default."""
+    """Return the record of an option with the first clause of its help, and its whole default."""
     said, bracket, default = text.partition("  [")
     said = re.split(r"[.:;] ", said + " ")[0].rstrip(" .")
-    default = re.sub("(;|, (but|else|required|without)) [^]]*", "", default)
     return names, said if default.startswith("default: none") else said + bracket + default
 
 
@@ -82,6 +81,8 @@ class Command(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Name the option that was meant where there is no such option."""
         try:
+            if not ctx.resilient_parsing:
+                self._refuse_two_topics(ctx, args)
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
             names = [name for p in self.get_params(ctx) for name in p.opts if name[:2] == "--"]
@@ -89,6 +90,18 @@ class Command(click.Command):
             meant = "--topic" if error.option_name == "-t" else error.option_name
             hint = did_you_mean(meant, names)
             raise click.UsageError(f"No such option {error.option_name!r}{hint}", ctx) from None
+
+    def _refuse_two_topics(self, ctx: click.Context, args: list[str]) -> None:
+        """Refuse a topic that is given twice: the last would be read, and nothing said."""
+        _, _, order = self.make_parser(ctx).parse_args(args=list(args))
+        for parameter in {*order}:
+            given = order.count(parameter)
+            if str(parameter.name).startswith("topic") and given > 1:
+                raise click.UsageError(
+                    f"{parameter.opts[-1]} is given {given} times, and one topic is read; run the "
+                    "command once for each",
+                    ctx,
+                )
 
     def invoke(self, ctx: click.Context) -> None:
         """Run the command and exit with the code that it returns."""

@@ -12,9 +12,9 @@ from quatprop.cli.options import options_of, with_options
 from quatprop.cli.types import PATH
 from quatprop.provenance import as_json as to_json
 from quatprop.rendering import loss_lines
-from quatprop.settings import READ_RATES
 from quatprop.settings.keyword import Keyword
 from quatprop.settings.parsers import flag
+from quatprop.settings.reading import READ_RATES
 from quatprop.text import plain, spelled
 
 if TYPE_CHECKING:

@@ -129,9 +129,13 @@ def input_of(
 ) -> AttitudeInput:
     """Return which attitudes to read, from the options of a command."""
     from quatprop.logs.attitude_input import attitude_input
-    from quatprop.settings import READ_ATTITUDES
+    from quatprop.settings.reading import READ_ATTITUDES
 
     keys = {name: f"{name}_{side}" if f"{name}_{side}" in chosen else name
             for name in READ_ATTITUDES}  # fmt: skip
-    options = {name: chosen[key] for name, key in keys.items() if key in chosen}
+    # A time range of the command is that of the input without a side.
+    without = ("start", "end") if side else ()
+    options = {
+        name: chosen[key] for name, key in keys.items() if key in chosen and name not in without
+    }
     return attitude_input(path, {"on_invalid": "drop" if drop else None, **options}, side)

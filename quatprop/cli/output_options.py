@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.types import PATH
-from quatprop.settings import EULER_SEQUENCES, LAYOUTS
+from quatprop.settings.choices import EULER_SEQUENCES, LAYOUTS
 from quatprop.settings.keyword import Keyword
 from quatprop.settings.parsers import Choice, flag
 from quatprop.writers.formats import WRITERS
@@ -32,11 +32,10 @@ INTO = {
 OUTPUT_OPTIONS = {
     "--to": Keyword(
         Choice(*WRITERS), f"{', '.join(WRITERS)}.",
-        "by the suffix; without one a ROS 2 bag folder", "FORMAT", group="Output", common=True),
+        "by the suffix, else a ROS 2 bag", "FORMAT", group="Output", common=True),
     "--layout": Keyword(
-        Choice(*LAYOUTS), "Order of the quaternion: a matter of storage only.",
-        "scalar-first, but what the format prescribes for tum, euroc and ROS messages",
-        group="Output", common=True),
+        Choice(*LAYOUTS), "Order of the quaternion: a matter of storage only; scalar-first where "
+        "the format leaves the choice.", "by the format", group="Output", common=True),
     "--with extra_columns": Keyword(Choice("rotvec", *EULER, "matrix"),
         "Also write angles, a rotation vector or a matrix; in further columns of a "
         "table: euler-zyx is yaw, pitch and roll, euler-xyz and so on another sequence; "

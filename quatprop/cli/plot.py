@@ -11,17 +11,18 @@ from quatprop.cli.help import Command, GroupedOption
 from quatprop.cli.options import QUIET, input_of, options_of, refuse_stdin_twice, with_options
 from quatprop.cli.types import PATH
 from quatprop.comparison.settings import COMPARE
-from quatprop.settings import ONE_SERIES, PROPAGATE, READ_RATES
+from quatprop.settings import PROPAGATE
 from quatprop.settings.keyword import Keyword
 from quatprop.settings.parsers import Choice, flag
 from quatprop.settings.quantities import picture_size
+from quatprop.settings.reading import ONE_SERIES, READ_RATES
 from quatprop.settings.spelling import option
 from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from quatprop.plot.figure import Style
+    from quatprop.plotting.figure import Style
 
 ATTITUDES = {name: parser for name, parser in ONE_SERIES.items() if name not in READ_RATES}
 """Settings about attitudes alone."""
@@ -40,8 +41,7 @@ EXAMPLES = (
 OPTIONS = {
     "--show": Keyword(
         Choice("rates", "attitude"), "What to draw.",
-        "attitudes where an option says which, else the rates of a file that has some, "
-        "else its attitudes", group="Options"),
+        "attitudes if an option says which, else rates, else attitudes", group="Options"),
     "--components": Keyword(
         flag, "Draw the four components of the quaternion.", "yaw, pitch and roll",
         group="Options"),
@@ -96,8 +96,8 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     from quatprop.cli.progress import progress
     from quatprop.cli.summary import command_line
     from quatprop.conditioning import GyroCorrection
-    from quatprop.plot.files import View
-    from quatprop.plot.plot import plot
+    from quatprop.plotting.files import View
+    from quatprop.plotting.plot import plot
     from quatprop.settings.selection import RateSelection
 
     reference = chosen["reference"]
@@ -133,7 +133,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
 
 def _style(chosen: Mapping[str, Any]) -> Style:
     """Return how large the picture is to be."""
-    from quatprop.plot.figure import STYLE, Style
+    from quatprop.plotting.figure import STYLE, Style
 
     width, height = chosen["size"] or (STYLE.width, None)
     dpi, font = chosen["dpi"] or STYLE.dpi, chosen["font_size"] or STYLE.font

@@ -14,7 +14,8 @@ from quatprop.cli.output_options import INTO, OUTPUT_OPTIONS, output_settings
 from quatprop.cli.types import PATH, TEXTS
 from quatprop.settings import PROPAGATE
 from quatprop.settings.keyword import Keyword
-from quatprop.settings.parsers import file_beside, flag
+from quatprop.settings.parsers import flag
+from quatprop.settings.rotations import file_beside
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -65,7 +66,7 @@ def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> i
     picture = None
     with progress(quiet=quiet), ExitStack() as stack:
         if plot is not None:
-            from quatprop.plot.propagation import PropagationPicture
+            from quatprop.plotting.propagation import PropagationPicture
 
             drawing = PropagationPicture(plot, job, command=command_line())
             picture = stack.enter_context(drawing)

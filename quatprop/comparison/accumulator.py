@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from array import array
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
 from quatprop.comparison.settings import BY_ALL
 from quatprop.comparison.statistics import S_PER_H, ErrorStatistics
 from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.series.blocks import blocks
 from quatprop.timeline.stamps import GAP_FACTOR, MEDIAN_WINDOW
 from quatprop.times import NS_PER_S
 
@@ -50,6 +51,14 @@ class CoveredTime:
         self._intervals: list[Int64] = []
         self._limit: float | None = None
         self._ns = 0
+
+    @classmethod
+    def of(cls, t_ns: Int64) -> Self:
+        """Return the time that the stamps of a series cover."""
+        covered = cls()
+        for rows in blocks(len(t_ns)):
+            covered.add(t_ns[rows])
+        return covered
 
     def add(self, t_ns: Int64) -> None:
         """Add the next stamps, shape ``(N,)``, at least one, ns, in rising order."""

@@ -166,7 +166,8 @@ def find_mounting(a: Float64, b: Float64) -> tuple[Float64, MountingFit]:
             f"a mounting needs {MIN_MOTIONS} relative rotations, and there are only {len(a)} "
             f"attitudes; {WAY_OUT}"
         )
-    mount, fit = min(fits, key=lambda found: found[1].std_rad)
+    # Where two motions are the same, all are exact.
+    mount, fit = min(fits, key=lambda one: (one[1].turn_rad < MIN_TURN, one[1].std_rad))
     _refuse_unexcited(fit)
     return mount, fit
 

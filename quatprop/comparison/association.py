@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
-from quatprop.comparison.interpolation import interpolate
 from quatprop.errors import ComparisonError
+from quatprop.kinematics.interpolation import interpolate
 from quatprop.text import Setting
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import duration_text

@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.comparison.alignment import kabsch
-from quatprop.comparison.association import interval_ns, shifted
-from quatprop.comparison.interpolation import interpolate
-from quatprop.comparison.trials import ClockError, clock_error
-from quatprop.comparison.windows import Angles, common_beginning, undone_misreadings, window_grids
+from quatprop.comparison.association import interval_ns
+from quatprop.comparison.clock_error import clock_errors
 from quatprop.errors import ComparisonError
+from quatprop.kinematics.interpolation import interpolate
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S
@@ -32,9 +30,6 @@ MIN_POINTS = 16
 
 MAX_POINTS = 1 << 20
 """Longer series are sampled more coarsely."""
-
-MAX_FITS = 30
-"""Fits at most; each is closer to the offset."""
 
 SMOOTH_NS = 50_000_000
 """Speeds are taken over this time at least: over shorter ones, noise looks like motion."""
@@ -79,7 +74,25 @@ def find_offset(a: AttitudeSeries, b: AttitudeSeries) -> ClockOffset:
     References
     ----------
     Knapp and Carter, "The generalized correlation method for estimation of time delay", IEEE
-    Trans. ASSP 24(4), 1976. The rest as :func:`quatprop.comparison.trials.clock_error`.
+    Trans. ASSP 24(4), 1976. The rest as :func:`quatprop.comparison.clock_error.clock_error`.
+    """
+    coarse, runner_up = coarse_offset(a, b)
+    found = clock_errors(a, b, coarse)
+    if found is None:
+        raise ComparisonError(
+            "A and B have too few windows of common motion to estimate a time offset; "
+            f"{GIVE_OFFSET}"
+        )
+    refined, _, _ = found
+    offset = coarse + round(refined.seconds * NS_PER_S)
+    std_ns = refined.std * NS_PER_S
+    return ClockOffset(offset, _correlation_at(a, b, offset), runner_up, std_ns)
+
+
+def coarse_offset(a: AttitudeSeries, b: AttitudeSeries) -> tuple[int, float]:
+    """Return the offset, ns, at which angular speeds correlate best, and the next best correlation.
+
+    The speeds are the same however attitudes were read, aligned and mounted.
     """
     step = _step_ns(a, b)
     speed_a, speed_b = (_angles(one, int(one.t_ns[0]), int(one.t_ns[-1]), step) for one in (a, b))
@@ -104,10 +117,7 @@ def find_offset(a: AttitudeSeries, b: AttitudeSeries) -> ClockOffset:
         )
     lag = peak - (len(speed_b) - 1)
     coarse = int(a.t_ns[0]) - int(b.t_ns[0]) + lag * step
-    refined = _refined(a, b, coarse)
-    offset = coarse + round(refined.seconds * NS_PER_S)
-    std_ns = refined.std * NS_PER_S
-    return ClockOffset(offset, _correlation_at(a, b, offset, step), runner_up, std_ns)
+    return coarse, runner_up
 
 
 def _step_ns(a: AttitudeSeries, b: AttitudeSeries) -> int:
@@ -173,37 +183,8 @@ def _runner_up(correlation: Float64, peak: int) -> float:
     return float(outside.max(initial=0.0))
 
 
-def _refined(a: AttitudeSeries, b: AttitudeSeries, offset: int) -> ClockError:
-    """Return the correction of an offset, from windows of the length that shows it best."""
-    a, b = common_beginning(a, shifted(b, offset))
-    first = next(undone_misreadings(a, b))
-    found = [
-        _turn_and_offset(first, starts, length)
-        for length, starts in window_grids(first.a.seconds, first.b.seconds)
-    ]
-    if not found:
-        raise ComparisonError(
-            "A and B have too few windows of common motion to estimate a time offset; "
-            f"{GIVE_OFFSET}"
-        )
-    return min(found, key=lambda clock: clock.white_std)
-
-
-def _turn_and_offset(pair: Angles, starts: Float64, length: float) -> ClockError:
-    """Estimate the rotation between the bodies and the offset in turn, until they converge."""
-    before, begin = 0.0, None
-    y = pair.a.over(starts, length)
-    for _ in range(MAX_FITS):
-        turn, _ = kabsch(pair.b.over(starts - before, length), y)
-        turned = pair._replace(b=pair.b.turned(turn))
-        found = clock_error(turned, starts, length, begin)
-        if abs(found.seconds - before) * NS_PER_S < 1:
-            break
-        before = begin = found.seconds
-    return found
-
-
-def _correlation_at(a: AttitudeSeries, b: AttitudeSeries, offset: int, step: int) -> float:
+def _correlation_at(a: AttitudeSeries, b: AttitudeSeries, offset: int) -> float:
+    step = _step_ns(a, b)
     start = max(int(a.t_ns[0]), int(b.t_ns[0]) + offset)
     stop = min(int(a.t_ns[-1]), int(b.t_ns[-1]) + offset, start + MAX_POINTS * step)
     speed_a = _angles(a, start, stop, step)

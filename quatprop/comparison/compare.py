@@ -11,8 +11,10 @@ import numpy as np
 from quatprop.comparison.accumulator import CoveredTime, ErrorAccumulator
 from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, Pairs, associate, shifted
+from quatprop.comparison.cause import NO_ERROR
 from quatprop.comparison.clocks import find_offset
-from quatprop.comparison.diagnosis import NO_ERROR, likely_cause
+from quatprop.comparison.diagnosis import MIN_PAIRS, likely_cause
+from quatprop.comparison.findings import dead_axes
 from quatprop.comparison.heading import error_parts
 from quatprop.comparison.judged import Judged, judged
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judge
@@ -61,13 +63,12 @@ def compare(
         pairs.at, align(settings.align, pairs.a, pairs.b), settings.limit_rad
     )
     measured.add(pairs.t_ns, pairs.index, pairs.a, pairs.b)
-    wanted = b if part is None else part.part_of(b)
-    reference = CoveredTime()
-    for rows in blocks(len(wanted)):
-        reference.add(wanted.t_ns[rows])
+    of_a, of_b = (side if part is None else part.part_of(side) for side in (a, b))
     counted = pairs.match == "exact" or pairs.at == "B"
     coverage = Coverage(
-        measured.covered.share_of(reference), 100 * len(pairs) / len(wanted) if counted else None
+        measured.covered.share_of(CoveredTime.of(of_b.t_ns)),
+        100 * len(pairs) / len(of_b) if counted else None,
+        measured.covered.share_of(CoveredTime.of(of_a.t_ns)),
     )
     return build_comparison(
         a,
@@ -139,7 +140,13 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
     passed = all(criterion.passed for criterion in criteria) if criteria else None
     if part is not None:
         a, b = part.part_of(a), part.part_of(b)
-    cause = None if passed else likely_cause(a, b, settings, rising)
+    cause = None
+    if not passed and len(rising) >= MIN_PAIRS:
+        # What has no remedy is no cause, and makes others look like one.
+        findings = tuple(dead_axes(a, b))
+        said += findings
+        if not findings:
+            cause = likely_cause(a, b, settings, rising, time_offset.added_to_b_ns)
     return replace(comparison, criteria=criteria, passed=passed, likely_cause=cause, remarks=said)
 
 

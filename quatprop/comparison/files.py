@@ -173,7 +173,8 @@ def _streamed(
     matching = Matching("exact", "A", 0, len(measured), candidates, *ends)
     spans_ns = [(side.covered.first_ns, side.covered.last_ns) for side in sides]
     require_enough(matching, spans_ns, settings)
-    coverage = Coverage(covered.share_of(sides[1].covered), 100 * len(measured) / sides[1].samples)
+    time_of_a, time_of_b = (covered.share_of(side.covered) for side in sides)
+    coverage = Coverage(time_of_b, 100 * len(measured) / sides[1].samples, time_of_a)
     first, second = (AttitudeSeries.joined(side.head) for side in sides)
     offset = AppliedOffset(offset_ns, None)
     return build_comparison(first, second, settings, measured, matching, offset, coverage)

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from quatprop.comparison.accumulator import ComparedSample
     from quatprop.comparison.alignment import Alignment
     from quatprop.comparison.association import Matching, Pairs
+    from quatprop.comparison.cause import Cause
     from quatprop.comparison.clocks import ClockOffset
     from quatprop.comparison.heading import ErrorParts
-    from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.judged import Judged
     from quatprop.comparison.statistics import ErrorStatistics, SigmaStatistics, WindowStatistics
 
@@ -60,20 +60,27 @@ class Criterion(NamedTuple):
 
 
 class Coverage(NamedTuple):
-    """How much of the reference, B, was compared, in percent.
+    """How much of the reference, B, and of A was compared, in percent.
 
     `time`: of its time span without its own gaps: the time between neighbouring pairs, without gaps
     `samples`: of its samples; None where they were interpolated, and so have no partners of their
         own
+    `time_of_a`: as `time`, of A
     """
 
     time: float
     samples: float | None
+    time_of_a: float
 
     @property
     def least(self) -> float:
         """The smaller of the two."""
         return self.time if self.samples is None else min(self.time, self.samples)
+
+
+USUAL_COVERAGE = 25.0
+"""Percentage of either series that must be compared where an error is limited and nothing says how
+much: a limit that most of a log was never held against says little."""
 
 
 def judge(settings: ComparisonSettings, measured: Comparison) -> Iterator[Criterion]:
@@ -120,6 +127,9 @@ def judge(settings: ComparisonSettings, measured: Comparison) -> Iterator[Criter
             )
         passed = size >= limit if setting == "min_coverage" else abs(size) <= limit
         yield Criterion(setting, label, size, limit, unit, passed)
+    least = min(measured.coverage.time, measured.coverage.time_of_a)
+    if settings.min_coverage is None and settings.is_limited and least < USUAL_COVERAGE:
+        yield Criterion("min_coverage", "coverage", least, USUAL_COVERAGE, "%", passed=False)
 
 
 @dataclass(frozen=True, slots=True, repr=False, kw_only=True)
@@ -156,7 +166,7 @@ class Comparison:
     sigmas
         The errors in standard deviations; None where neither series has any.
     coverage
-        How much of B was compared.
+        How much of B was compared, and of the time of A.
     left_out
         Attitudes of A and B that were left out, since another one has the same stamp.
     tolerance_rad
@@ -168,9 +178,8 @@ class Comparison:
     first_exceeding
         The first pair with an error above the tolerance.
     likely_cause
-        What explains the error, where something does and a criterion failed or none was given; or
-        a mistake that was found and explains little of it
-        (:attr:`~quatprop.comparison.hypotheses.Cause.explains_little`).
+        What explains most of the error, where something does and a criterion failed or none was
+        given.
     remarks
         What else a reader should know.
     """

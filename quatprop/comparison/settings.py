@@ -117,6 +117,11 @@ class ComparisonSettings:
         return min((each for each in limits if isinstance(each, float | int)), default=math.inf)
 
     @property
+    def is_limited(self) -> bool:
+        """Whether there is a limit on an error."""
+        return any(getattr(self, name) is not None for name in (*ERROR_LIMITS, "drift_tol"))
+
+    @property
     def in_parts(self) -> bool:
         """Whether errors in heading and in inclination are told apart."""
         return self.align == "yaw" or (self.tol_heading, self.tol_inclination) != (None, None)
@@ -190,7 +195,8 @@ class CompareOptions(TypedDict, total=False):
     # fmt: off
     tol: Annotated[float | str | None, Keyword(
         error_limit, "Largest error that passes, such as 1e-9rad or 0.1deg (in Python, a number is "
-        "in rad), or 3sigma where a series has standard deviations; so for the next three.",
+        "in rad), or 3sigma where a series has standard deviations. "
+        f"{Setting('rms_tol')}, {Setting('final_tol')} and {Setting('p95_tol')} take the same.",
         "none, all pass", "ANGLE", "Limits", common=True)]
     rms_tol: Annotated[float | str | None, Keyword(
         error_limit, "Largest RMS error that passes.", takes="ANGLE", group="Limits")]
@@ -216,7 +222,7 @@ class CompareOptions(TypedDict, total=False):
         f"{Setting('align', 'none|first')}.", takes="DRIFT", group="Limits")]
     min_coverage: Annotated[float | None, Keyword(
         _percentage, "Least part of {log}, of its time and of its samples, that must be compared.",
-        takes="PERCENT", group="Limits")]
+        "25 of the time of either series where an error is limited", "PERCENT", "Limits")]
     max_sigma: Annotated[float | None, Keyword(
         _sigmas, "Largest error that passes, in standard deviations (Mahalanobis distance), beside "
         "one in rad or deg.", takes="N", group="Limits")]

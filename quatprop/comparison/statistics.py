@@ -33,9 +33,16 @@ ROUNDING_RAD = 1e-9
 
 
 class ErrorStatistics(NamedTuple):
-    """Size of an error, rad.
+    """Size of the geodesic error over all pairs that are judged, rad.
 
-    `max`, `rms`, `mean`, `median`, `p95`: over all pairs; p95 is the 95th percentile
+    Parameters
+    ----------
+    max, rms, mean, median
+        Largest, root mean square, mean and median error, rad.
+    p95
+        95th percentile of the errors, rad.
+    final
+        Error of the last pair, rad.
     """
 
     max: float

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from quatprop.comparison.accumulator import ComparedSample
     from quatprop.comparison.association import Matching
     from quatprop.comparison.heading import ErrorParts
-    from quatprop.comparison.hypotheses import Cause
     from quatprop.comparison.result import Comparison, Criterion
     from quatprop.comparison.statistics import SigmaStatistics, WindowStatistics
     from quatprop.logs.attitude_input import ReadAttitudes
@@ -44,11 +43,7 @@ def comparison_rows(a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison) 
         yield "passed" if criterion.passed else "failed", criterion_text(criterion, comparison)
     if cause := comparison.likely_cause:
         for each in filter(None, (cause, cause.also)):
-            label, how = "cause", "likely"
-            if each.explains_little:
-                label, how = "remark", "explains little of the error"
-            yield label, f"{how} ({each.name}): {spelled(each.advice)}"
-            yield "", _evidence(each)
+            yield "cause", f"likely ({each.name}): {spelled(each.advice)}"
     yield from _remarks("A", a)
     yield from _remarks("B", b)
     for remark in comparison.remarks:
@@ -73,7 +68,9 @@ def criterion_text(criterion: Criterion, comparison: Comparison) -> str:
             covered = comparison.coverage
             share = covered.samples
             samples = "" if share is None else f" and {share:.4g} % of the samples"
-            return f"{label} {covered.time:.4g} % of the time{samples} of B, at least {limit:.6g} %"
+            of_a = f" and {covered.time_of_a:.4g} % of that of A" if value < covered.least else ""
+            shares = f"{covered.time:.4g} % of the time{samples} of B{of_a}"
+            return f"{label} {shares}, at least {limit:.6g} %"
         case _:
             return f"{label} {angle_text(value)}, at most {angle_text(limit)}"
 
@@ -180,23 +177,6 @@ def _sample(sample: ComparedSample, first_ns: int) -> str:
         f"sample {sample.index} of {sample.at}, {sample.t_ns} ns, {since} after the first: "
         f"{angle_text(sample.error_rad)}"
     )
-
-
-def _evidence(cause: Cause) -> str:
-    if cause.window_ns is None:
-        return f"without it {_from_to(cause.rms_before, cause.rms_after)}"
-    total = ""
-    if cause.total_before is not None and cause.total_after is not None:
-        total = f"; {_from_to(cause.total_before, cause.total_after)}"
-    before, after = (degrees_text(rms, 3) for rms in (cause.rms_before, cause.rms_after))
-    return (
-        f"rotations over {duration_text(cause.window_ns)} differ by {before} RMS, and without it "
-        f"by {after}{total}"
-    )
-
-
-def _from_to(before: float, after: float) -> str:
-    return f"the RMS error goes from {degrees_text(before, 4)} to {degrees_text(after, 4)}"
 
 
 def _remarks(name: str, operand: ReadAttitudes) -> Iterator[Row]:

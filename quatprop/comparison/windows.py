@@ -17,7 +17,7 @@ from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     from quatprop.arrays import Bool, Float64
     from quatprop.series import AttitudeSeries
@@ -46,21 +46,6 @@ EDGE = 0.2
 
 MAX_EDGE_S = 0.5
 """At most this time is left free at both ends, s."""
-
-AS_READ, LAST, FIRST = [0, 1, 2, 3], [3, 0, 1, 2], [1, 2, 3, 0]
-
-MISREADINGS: Mapping[str, tuple[list[int], str, float]] = {
-    "conjugate": (AS_READ, "inertial", -1.0),
-    "side": (AS_READ, "inertial", 1.0),
-    "layout": (LAST, "body", 1.0),
-    "layout and conjugate": (LAST, "inertial", -1.0),
-    "layout-first": (FIRST, "body", 1.0),
-    "layout-first and conjugate": (FIRST, "inertial", -1.0),
-}
-"""How a misreading of B is undone: which components, as they were read, are w, x, y and z (for A
-it is the other way round); which rates are integrated; and their sign. The body rates of a
-conjugate are the opposite of the inertial rates. Rates that were composed on the wrong side are the
-inertial rates of the result."""
 
 
 class BodyAngle(NamedTuple):
@@ -134,39 +119,8 @@ def centred(values: Float64) -> Float64:
     return np.asarray(values - values.mean(axis=0))
 
 
-class Angles(NamedTuple):
-    """Body angles of A and B, after a misreading of one of them was undone.
-
-    `name`: the misreading; empty where nothing was undone
-    `side`: which series it was undone in: ``"a"``, ``"b"`` or neither
-    """
-
-    name: str
-    side: str
-    a: BodyAngle
-    b: BodyAngle
-
-    @property
-    def interpolation(self) -> float:
-        """RMS error, rad, of interpolation half-way between samples: 1/8 of second differences."""
-        errors = [np.diff(angle.angle, 2, axis=0) / 8 for angle in (self.a, self.b)]
-        return float(sum(np.sqrt((error**2).sum(axis=1).mean()) for error in errors))
-
-
-def undone_misreadings(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Angles]:
-    """Yield the body angles as they are, and with each misreading undone in either series."""
-    first_ns = min(int(a.t_ns[0]), int(b.t_ns[0]))
-
-    def angle(series: AttitudeSeries, order: list[int], rates: str, sign: float) -> BodyAngle:
-        wxyz = np.ascontiguousarray(series.wxyz[:, order])
-        total = np.zeros((len(wxyz), 3))
-        np.cumsum(sign * rotation_vectors_between(wxyz, rates=rates), axis=0, out=total[1:])
-        return BodyAngle((series.t_ns - first_ns) / NS_PER_S, total)
-
-    body = {side: angle(one, AS_READ, "body", 1.0) for side, one in (("a", a), ("b", b))}
-    yield Angles("", "", **body)
-    for side, series in (("b", b), ("a", a)):
-        for name, (order, rates, sign) in MISREADINGS.items():
-            components = order if side == "b" else np.argsort(order).tolist()
-            yield Angles(name, side, **{**body, side: angle(series, components, rates, sign)})
-    yield Angles("rate sign", "", body["a"], angle(b, AS_READ, "body", -1.0))
+def body_angle(series: AttitudeSeries, first_ns: int) -> BodyAngle:
+    """Return the body angle of a series; times are from `first_ns`."""
+    total = np.zeros((len(series), 3))
+    np.cumsum(rotation_vectors_between(series.wxyz), axis=0, out=total[1:])
+    return BodyAngle((series.t_ns - first_ns) / NS_PER_S, total)

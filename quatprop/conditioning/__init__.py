@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from quatprop.conditioning.static_period import StaticPeriod
     from quatprop.conditioning.window_sums import Rows
     from quatprop.series import GyroSeries
-    from quatprop.settings.parsers import InMemory
+    from quatprop.settings.rotations import InMemory
     from quatprop.settings.static_bias import StaticBias
     from quatprop.text import Remark
     from quatprop.timeline import Timeline

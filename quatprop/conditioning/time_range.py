@@ -166,7 +166,18 @@ def pause_remarks(settings: GyroCorrection, ends: Ends) -> Iterator[Remark]:
 
 def clipping_remarks(settings: GyroCorrection, report: GyroCorrectionReport) -> Iterator[Remark]:
     """Yield a remark for each absolute end that leaves nothing out, and on what was not read."""
-    before, after = report.outside if report.part is None else report.part.leaves_out
+    outside = report.outside if report.part is None else report.part.leaves_out
+    yield from idle_remarks(settings, *outside)
+    if report.part is not None:
+        yield Remark(
+            "part-read",
+            "only the part of the log around the time range was read, by its index: what is "
+            "damaged or lost elsewhere is not reported, and there is no SHA-256 of the log",
+        )
+
+
+def idle_remarks(settings: GyroCorrection, before: int, after: int) -> Iterator[Remark]:
+    """Yield a remark for each absolute end that leaves nothing out, before or after the range."""
     ends = (
         ("start", "before the first", settings.start, before),
         ("end", "after the last", settings.end, after),
@@ -178,12 +189,6 @@ def clipping_remarks(settings: GyroCorrection, report: GyroCorrectionReport) -> 
                 f"{Setting(name)} is {side} sample and leaves nothing out; a number without a unit "
                 "is in ns",
             )
-    if report.part is not None:
-        yield Remark(
-            "part-read",
-            "only the part of the log around the time range was read, by its index: what is "
-            "damaged or lost elsewhere is not reported, and there is no SHA-256 of the log",
-        )
 
 
 def clipped(

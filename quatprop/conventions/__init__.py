@@ -31,7 +31,7 @@ import numpy as np
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate
-from quatprop.settings import CONVENTIONS, DIRECTIONS, SIGNS
+from quatprop.settings.choices import CONVENTIONS, DIRECTIONS, SIGNS
 from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:

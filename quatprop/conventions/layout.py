@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from quatprop.errors import UsageError
-from quatprop.settings import LAYOUTS
+from quatprop.settings.choices import LAYOUTS
 from quatprop.text import listed, quoted
 
 

@@ -18,7 +18,7 @@ from quatprop.kinematics.quaternion import (
     normalize,
     rotation_matrix,
 )
-from quatprop.settings import EULER_SEQUENCES
+from quatprop.settings.choices import EULER_SEQUENCES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -12,7 +12,9 @@ from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.destination import kept_sigma, open_destination, remarks_on
 from quatprop.conversion.job import Conversion, ConversionReport
 from quatprop.conversion.rates import RATES, rate_batches
+from quatprop.conversion.resampling import Resampling
 from quatprop.errors import NoSamplesError, UsageError
+from quatprop.logs.attitude_part import AttitudePart
 from quatprop.logs.open_log import open_log
 from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.logs.signals.quaternion_check import QuaternionCheck
@@ -67,7 +69,9 @@ def _written(
     order = _Order()
     # A reference that is turned into the body is no place for a position.
     keeps = target.holds_positions and source.meaning.direction == HAMILTON.direction
-    rows = source.read(
+    part = AttitudePart(source, wanted.part)
+    resampling = None if job.rate is None else Resampling(wanted.path, job.rate)
+    rows = part.read(
         positions=keeps and source.has_positions,
         covariances=sigma is not None,
         logged=job.output.into,
@@ -77,11 +81,20 @@ def _written(
         attitudes: Iterable[AttitudeSeries] = order.counted(check.apply(rows))
         if job.axes is not None:
             attitudes = job.axes.applied(attitudes)
+        if resampling is not None:
+            attitudes = resampling.applied(attitudes)
+        written = 0
         for series in _as_written(job, attitudes):
             write(series)
+            written += len(series)
         if not check.counts.used:
-            raise NoSamplesError(wanted.path, source.name, losses=log.losses)
+            raise NoSamplesError(
+                wanted.path, source.name, part.outside, losses=log.losses, length=part.length
+            )
         columns = job.columns(sigma)
+        found = [*part.remarks(), *log.remarks, *order.remarks()]
+        if resampling is not None:
+            found += resampling.remarks()
         lost = remarks_on(
             job,
             target.locked_rows,
@@ -97,8 +110,10 @@ def _written(
             signal=source,
             columns=columns,
             counts=check.counts,
+            written=written,
+            outside=(part.outside[0], part.outside[1]),
             losses=tuple(log.losses),
-            remarks=(*source.remarks, *log.remarks, *order.remarks(), *lost),
+            remarks=(*source.remarks, *found, *lost),
         )
 
 

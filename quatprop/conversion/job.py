@@ -16,12 +16,14 @@ from quatprop.writers.formats import WRITERS, layout_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from fractions import Fraction
 
     from quatprop.conventions.layout import Layout
     from quatprop.logs.attitude_input import AttitudeInput
     from quatprop.logs.signals.quaternion_check import QuaternionCounts
     from quatprop.logs.signals.signal import AttitudeSignal
     from quatprop.pipeline.settings import OutputSettings
+    from quatprop.provenance import JsonObject
     from quatprop.tables.log import Loss
     from quatprop.text import Remark
 
@@ -37,6 +39,7 @@ class Conversion:
         :data:`quatprop.conversion.rates.RATES`
     `left`, `right`: what takes axes of the reference, and of the body, to those of the output, as
         :func:`quatprop.conditioning.mounting.mounting` reads it; None: they stay
+    `rate`: interpolate attitudes at this rate, Hz; None: those of the source
     """
 
     source: AttitudeInput
@@ -46,6 +49,7 @@ class Conversion:
     representation: str = QUATERNION
     left: str | None = None
     right: str | None = None
+    rate: Fraction | None = None
 
     @property
     def axes(self) -> AxisChange | None:
@@ -77,15 +81,40 @@ class Conversion:
         return columns + (SIGMA_COLUMNS if sigma and WRITERS[self.output.kind].columns else ())
 
 
+def terms_of(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return parameters of a :class:`Conversion` by settings: in which terms to write."""
+    meaning = AttitudeConvention(
+        values.get("convention") or HAMILTON.convention,
+        values.get("direction") or HAMILTON.direction,
+    )
+    turns = {name: values.get(name) for name in ("left", "right", "rate")}
+    return {"meaning": meaning, "sign": values.get("sign") or "keep", **turns}
+
+
 @dataclass(frozen=True, slots=True)
 class ConversionReport:
-    """What a conversion read and wrote.
+    """What a conversion read and wrote; the result of :func:`quatprop.convert`.
 
-    `path`, `kind`, `digest`: the file that was read, its size and SHA-256
-    `signal`: which attitudes of it, how they were stored there, and how they were made
-    `columns`: the names of what is written beside timestamps
-    `counts`: valid and invalid rows
-    `remarks`: what a reader should know
+    Parameters
+    ----------
+    job
+        What was asked for.
+    path, kind, digest
+        The file that was read, its format, and its size and SHA-256.
+    signal
+        Which attitudes of it, how they were stored there, and how they were made.
+    columns
+        Names of the columns that were written beside the timestamps.
+    counts
+        Rows that were read, used, normalized, and left out, by reason.
+    written
+        Rows of the output.
+    outside
+        Rows before and after the time range.
+    losses
+        What of the file could not be read.
+    remarks
+        What else a reader should know.
     """
 
     job: Conversion
@@ -95,12 +124,14 @@ class ConversionReport:
     signal: AttitudeSignal
     columns: tuple[str, ...]
     counts: QuaternionCounts
+    written: int
+    outside: tuple[int, int]
     losses: tuple[Loss, ...]
     remarks: tuple[Remark, ...]
 
     def __repr__(self) -> str:
         path = self.job.output.path
-        return f"<ConversionReport: {self.counts.used:,} of {self.counts.read:,} rows in {path}>"
+        return f"<ConversionReport: {self.written:,} of {self.counts.read:,} rows in {path}>"
 
     @property
     def data_lost(self) -> bool:
@@ -128,6 +159,7 @@ class ConversionReport:
                 for name, turn in (("left", job.left), ("right", job.right))
                 if turn is not None
             },
+            **({} if job.rate is None else {"rate_hz": str(job.rate)}),
             "columns": list(self.columns),
             "sign": job.applied_sign,
         }
@@ -141,6 +173,7 @@ class ConversionReport:
                 "field": signal.field,
             },
             "to": terms,
+            **self._time_range(),
             "normalize": job.source.normalize,
             "counts": as_json(self.counts),
             "losses": as_json(self.losses),
@@ -162,3 +195,11 @@ class ConversionReport:
             "conversions": [*entry_of(history, "conversions", list), step],
             "data_lost": bool(history.get("data_lost") or self.data_lost),
         }
+
+    def _time_range(self) -> JsonObject:
+        part = self.job.source.part
+        if part.start is None and part.end is None:
+            return {}
+        start, end = (None if one is None else str(one) for one in (part.start, part.end))
+        before, after = self.outside
+        return {"time_range": {"start": start, "end": end, "before": before, "after": after}}

@@ -17,7 +17,7 @@ import numpy as np
 from quatprop.errors import UsageError
 from quatprop.kinematics.cubic import cross, curvature, curvature_of_averages
 from quatprop.kinematics.quintic import quintic, quintic_of_averages, steps_and_lengths
-from quatprop.settings import CORRECT_CONING, FRAMES, LOOK_AHEAD
+from quatprop.settings.choices import CORRECT_CONING, FRAMES, LOOK_AHEAD
 from quatprop.text import listed, quoted
 from quatprop.times import NS_PER_S
 

@@ -26,7 +26,7 @@ from quatprop.kinematics.quaternion import IDENTITY, conjugate, normalize
 from quatprop.kinematics.quintic import AFTER, BEFORE
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.series.blocks import BLOCK, reblock, with_next
-from quatprop.settings import LOOK_AHEAD
+from quatprop.settings.choices import LOOK_AHEAD
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

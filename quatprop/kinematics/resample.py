@@ -19,7 +19,7 @@ from quatprop.kinematics.quintic import AFTER, BEFORE, Quintic, quintic, quintic
 from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.series.blocks import with_next
-from quatprop.settings import CORRECT_CONING, LOOK_AHEAD
+from quatprop.settings.choices import CORRECT_CONING, LOOK_AHEAD
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S, regular_count, regular_stamps
 
@@ -168,19 +168,18 @@ def at_times(
                 between = np.where(inside[:, None], wxyz[at], between)
             if rates == "inertial":
                 between = conjugate(between)
-            yield _with_columns(known, wanted, between, rates)
+            yield with_columns(known, wanted, between, rates)
 
 
-def _with_columns(
-    known: AttitudeSeries, wanted: Int64, wxyz: Float64, rates: str
-) -> AttitudeSeries:
+def with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64, rates: str) -> AttitudeSeries:
     """Return attitudes between known ones, with what those have beside them.
 
     Rates are taken as linear in time in the axes in which they are resolved, and covariances in
     the others, where they are sums of integrals. What is between two
     samples is recorded as long after the first as it is, but not after the second.
     """
-    if known.covariance is None and known.rate is None and known.log_ns is None:
+    beside = known.covariance, known.rate, known.log_ns, known.position
+    if all(values is None for values in beside):
         return AttitudeSeries(wanted, wxyz)
     before = np.searchsorted(known.t_ns, wanted, side="right") - 1
     after = np.minimum(before + 1, len(known) - 1)
@@ -197,6 +196,7 @@ def _with_columns(
         result = first + part * (second - first)
         return result if turn is None else turn(conjugate(wxyz), result)
 
+    position = None if known.position is None else between(known.position, None)
     covariance = rate = log_ns = None
     if known.log_ns is not None:
         recorded, latest = known.log_ns[before], np.maximum(*known.log_ns[[before, after]])
@@ -205,7 +205,7 @@ def _with_columns(
         covariance = between(known.covariance, None if inertial else reference_covariance)
     if known.rate is not None:
         rate = between(known.rate, rotate if inertial else None)
-    return AttitudeSeries(wanted, wxyz, covariance=covariance, rate=rate, log_ns=log_ns)
+    return AttitudeSeries(wanted, wxyz, position, covariance, rate, log_ns)
 
 
 class _Shape(NamedTuple):

@@ -15,7 +15,7 @@ from quatprop.kinematics.propagate import FinalAttitude
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.quintic import steps_and_lengths, windows_over
 from quatprop.series import GyroSeries
-from quatprop.settings import CORRECT_CONING
+from quatprop.settings.choices import CORRECT_CONING
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

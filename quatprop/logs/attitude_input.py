@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from quatprop.conditioning import GyroCorrection
 from quatprop.errors import NoSamplesError, QuatpropError
+from quatprop.logs.attitude_part import AttitudePart
 from quatprop.logs.open_log import open_log
 from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.logs.signals.quaternion_check import QuaternionCheck, QuaternionCounts
 from quatprop.series import AttitudeSeries
-from quatprop.settings import READ_ATTITUDES
+from quatprop.settings.reading import READ_ATTITUDES
 from quatprop.settings.selection import AttitudeSelection
 from quatprop.settings.values import parse_all
 from quatprop.stores.objects import without_secret
@@ -36,6 +38,7 @@ class AttitudeInput:
         suffix show
     `normalize`: scale quaternions of any length but zero to unit length
     `drop`: leave out invalid quaternions instead of refusing the series
+    `part`: start and end of the part to read, ends included
     `side`: which side of a comparison it is, ``"a"`` or ``"b"``, for errors
     `positions`: read positions beside the attitudes too, where there are any
     """
@@ -45,6 +48,7 @@ class AttitudeInput:
     selection: AttitudeSelection = field(default_factory=AttitudeSelection)
     normalize: bool = False
     drop: bool = False
+    part: GyroCorrection = field(default_factory=GyroCorrection)
     side: str = ""
     positions: bool = False
 
@@ -107,6 +111,7 @@ def attitude_input(path: str, options: Mapping[str, object], side: str = "") -> 
         AttitudeSelection.of(values),
         normalize=values.get("normalize", False),
         drop=values.get("on_invalid") == "drop",
+        part=GyroCorrection(start=values.get("start"), end=values.get("end")),
         side=side,
     )
 
@@ -143,6 +148,7 @@ class AttitudeFile:
         self.read_once = str(log.path) == "-"
         self._wanted = wanted
         self._log = log
+        self._part = AttitudePart(signal, wanted.part)
         self._check = QuaternionCheck(wanted.path)
         self._zeros = self._first_ns = self._last_ns = 0
 
@@ -156,7 +162,7 @@ class AttitudeFile:
         """Read the valid attitudes, batch by batch, at least one; again with each call."""
         wanted, signal = self._wanted, self.signal
         self._check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
-        rows = signal.read(
+        rows = self._part.read(
             positions=wanted.positions and signal.has_positions,
             covariances=signal.may_have_covariances,
         )
@@ -168,7 +174,13 @@ class AttitudeFile:
                 ends += int(batch.t_ns.min()), int(batch.t_ns.max())
                 yield batch
             if not ends:
-                raise NoSamplesError(wanted.path, signal.name, losses=self._log.losses)
+                raise NoSamplesError(
+                    wanted.path,
+                    signal.name,
+                    self._part.outside,
+                    losses=self._log.losses,
+                    length=self._part.length,
+                )
         self._first_ns, self._last_ns = min(ends), max(ends)
 
     def load(self, batches: Iterator[AttitudeSeries]) -> LoadedAttitudes:
@@ -181,7 +193,8 @@ class AttitudeFile:
     def facts(self) -> ReadAttitudes:
         """Return what is known of the series, once all of it was read."""
         counts, signal = self._check.counts, self.signal
-        signal = replace(signal, remarks=(*signal.remarks, *self._log.remarks))
+        found = *self._part.remarks(), *self._log.remarks
+        signal = replace(signal, remarks=(*signal.remarks, *found))
         # A series may begin at 0.
         if signal.clock == "header" and self._zeros > 1:
             text = f"{self._zeros} of {counts.used} header stamps are zero"

@@ -15,7 +15,7 @@ from quatprop.logs.signals.rate_columns import match_bias
 from quatprop.logs.signals.reading import read_vectors
 from quatprop.logs.vocabulary.sources import TYPES
 from quatprop.series import GyroSeries
-from quatprop.settings.parsers import InMemory
+from quatprop.settings.rotations import InMemory
 from quatprop.settings.selection import RateSelection, SignalSelection
 from quatprop.text import Setting, listed, plain, quoted
 

@@ -11,12 +11,10 @@ import numpy as np
 from quatprop.errors import (
     LogError,
     NoAttitudesError,
-    NoRatesError,
     NoSamplesError,
     NoSuchTopicError,
     NotRotationsError,
     TimelineError,
-    UndeclaredError,
     UsageError,
 )
 from quatprop.kinematics.quaternion import normalize, slerp
@@ -25,7 +23,6 @@ from quatprop.logs.beside_rates import own_orientation
 from quatprop.logs.open_log import open_log
 from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.logs.signals.quaternion_check import QuaternionCheck
-from quatprop.logs.signals.rates import choose_rates
 from quatprop.settings.selection import AttitudeSelection, RateSelection, SignalSelection
 from quatprop.text import Setting, plain, quoted
 from quatprop.times import NS_PER_UNIT, duration_text
@@ -33,7 +30,7 @@ from quatprop.times import NS_PER_UNIT, duration_text
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from quatprop.arrays import Float64, Int64
+    from quatprop.arrays import Float64
     from quatprop.logs.signals.signal import RateSignal
     from quatprop.series import AttitudeSeries
     from quatprop.tables.log import Log
@@ -83,19 +80,6 @@ def attitude_at(
             raise NotRotationsError(
                 log.path, f"{quoted(signal.name)} has no orientation: {check.counts.summary}"
             ) from None
-
-
-def stamps_in(path: Path | str) -> Int64:
-    """Return the stamps of a series of attitudes or rates, in order, ``(N,)``, int64 ns."""
-    with errors_of("at"), open_log(path) as opened:
-        try:
-            stamps = [t_ns for t_ns, _ in choose_attitudes(opened, AttitudeSelection()).rows()]
-        except (NoAttitudesError, UndeclaredError) as error:
-            try:
-                stamps = [batch.t_ns for batch in choose_rates(opened, RateSelection()).batches()]
-            except (NoRatesError, UndeclaredError):
-                raise error from None
-    return np.sort(np.concatenate([np.zeros(0, np.int64), *stamps]))
 
 
 def first_orientation(log: Log, source: RateSignal, selection: RateSelection, t_ns: int) -> Float64:

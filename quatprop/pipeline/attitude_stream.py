@@ -22,8 +22,8 @@ from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, 
 from quatprop.pipeline.segments import Segments
 from quatprop.provenance import Digest
 from quatprop.series.columns import stamps_of
-from quatprop.settings.parsers import InMemory
 from quatprop.settings.quantities import RATES
+from quatprop.settings.rotations import InMemory
 from quatprop.stores.objects import without_secret
 from quatprop.tables.base import TableLog
 from quatprop.text import Remark, Setting
@@ -93,7 +93,7 @@ class AttitudeStream:
             part_reader=None if settings.policy.on_backwards == "sort" else source.part_reader,
         )
         self._errors = known_errors(settings.errors, self._conditioned)
-        self._times = _times(settings)
+        self._times = _times(settings, log)
 
     @property
     def reads_all(self) -> bool:
@@ -249,7 +249,7 @@ class AttitudeStream:
             if not (is_mounted and remark.code == "stated-mount"):
                 yield remark
         yield from self._source.method_remarks(settings.method)
-        yield from remarks(counts, settings.policy)
+        yield from remarks(counts, settings.policy, self._timeline.chosen_by)
         yield from clipping_remarks(settings.conditioning, self._conditioned)
         yield from self._conditioned.all_remarks
         yield from self._checks.remarks(counts)
@@ -281,13 +281,13 @@ class AttitudeStream:
         return uncertainty_report(self._errors, self._q0_covariance, growth, self._settings.errors)
 
 
-def _times(settings: PropagationSettings) -> Times | None:
+def _times(settings: PropagationSettings, log: Log | None) -> Times | None:
     """Return when attitudes are wanted; None is at the samples."""
     if isinstance(settings.at, InMemory):
         at = settings.at.value
         return Listed(np.sort(stamps_of("at", getattr(at, "t_ns", at))))
     if settings.at is not None:
-        from quatprop.logs.interpolation import stamps_in
+        from quatprop.logs.wanted_times import stamps_in
 
-        return Listed(stamps_in(settings.at))
+        return Listed(stamps_in(settings.at, log, settings.selection))
     return None if settings.rate is None else Steady(settings.rate)

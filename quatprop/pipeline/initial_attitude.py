@@ -19,7 +19,7 @@ from quatprop.kinematics.quaternion import (
     rotation_matrix,
 )
 from quatprop.series import AttitudeSeries
-from quatprop.settings.parsers import InMemory
+from quatprop.settings.rotations import InMemory
 from quatprop.text import Setting, quoted
 
 if TYPE_CHECKING:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from quatprop.provenance import JsonObject, entry_of
+from quatprop.text import in_python, listed
 
 if TYPE_CHECKING:
     from quatprop.tables.log import Loss
@@ -82,6 +83,9 @@ class AttitudeSurvey(SignalSurvey):
     q0_wxyz: tuple[float, ...] | None = None
 
 
+SignalT = TypeVar("SignalT", bound=SignalSurvey)
+
+
 @dataclass(frozen=True, slots=True)
 class LogSurvey:
     """What a log holds.
@@ -94,6 +98,24 @@ class LogSurvey:
     sources: tuple[RateSurvey, ...]
     attitudes: tuple[AttitudeSurvey, ...]
     losses: tuple[Loss, ...]
+
+    def __repr__(self) -> str:
+        sources = [f"{one.source} ({one.samples})" for one in (*self.sources, *self.attitudes)]
+        return f"<LogSurvey: {self.path} ({self.kind}): {listed(sources) or 'nothing'}>"
+
+    def in_python(self) -> LogSurvey:
+        """Return it with settings spelled as keywords."""
+
+        def spelled(one: SignalT) -> SignalT:
+            missing = one.missing and in_python(one.missing)
+            return replace(
+                one,
+                missing=missing,
+                remarks=tuple(remark.spelled(in_python) for remark in one.remarks),
+            )
+
+        sources, attitudes = tuple(map(spelled, self.sources)), tuple(map(spelled, self.attitudes))
+        return replace(self, sources=sources, attitudes=attitudes)
 
 
 def timing(counts: Counts) -> dict[str, Any]:

@@ -38,8 +38,11 @@ CONVENTION = {
 class SourceReport(NamedTuple):
     """Where the samples came from.
 
+    `path`, `kind`: the log, and its format
+    `digest`: its size and SHA-256
     `name`, `type`: topic and message type, or rate columns and dialect
     `rate`, `rate_unit`: the field or the columns that are the rate, and their unit
+    `clock`: the source of the timestamps
     """
 
     path: str
@@ -106,6 +109,7 @@ class ConventionReport(NamedTuple):
 class ResultReport(NamedTuple):
     """What came out.
 
+    `samples`, `rows`: samples propagated, and attitudes written
     `first_ns`, `last_ns`: their first and last stamp, ns
     `span_s`: time between them, s
     `sample_rate_hz`: mean rate of the samples, Hz; None where they span no time
@@ -172,6 +176,16 @@ class RunReport:
     files: Mapping[str, Digest] = field(default_factory=dict)
     unchecked_chunks: int = 0
     seconds: float | None = None
+
+    def __repr__(self) -> str:
+        # All of it is pages long; as_json() has it.
+        result, method = self.result, self.convention.method
+        noted = f", {len(self.remarks)} remarks" * bool(self.remarks)
+        lost = ", data lost" * self.data_lost
+        return (
+            f"<RunReport: {result.rows:,} attitudes of {result.samples:,} samples by method "
+            f"{method}{noted}{lost}>"
+        )
 
     @property
     def data_lost(self) -> bool:

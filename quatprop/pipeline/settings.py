@@ -17,7 +17,7 @@ from quatprop.errors import UsageError
 from quatprop.pipeline.earth_rate import EarthRate
 from quatprop.pipeline.gyro_errors import ErrorSettings
 from quatprop.pipeline.initial_attitude import InitialAttitude
-from quatprop.settings.parsers import FROM_THE_LOG, InMemory, file_beside
+from quatprop.settings.rotations import FROM_THE_LOG, InMemory, file_beside
 from quatprop.settings.selection import RateSelection
 from quatprop.settings.static_bias import StaticBias
 from quatprop.settings.values import as_text, parse_all
@@ -112,9 +112,10 @@ class PropagationSettings:
     @property
     def needs_second_read(self) -> bool:
         """Whether the log has to be read before it is propagated; stdin cannot be."""
-        source = self.q0.source
-        is_topic = isinstance(source, str) and bool(source) and "q0" not in self.inputs
-        return self.conditioning.looks_ahead or is_topic
+        named = {"q0": self.q0.source, "at": self.at}
+        is_topic = [isinstance(one, str) and one and name not in self.inputs
+                    for name, one in named.items()]  # fmt: skip
+        return self.conditioning.looks_ahead or any(is_topic)
 
     @property
     def inputs(self) -> Mapping[str, str]:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from quatprop.conditioning import GyroCorrectionReport
     from quatprop.conditioning.static_period import StaticPeriod
     from quatprop.pipeline.gyro_errors import UncertaintyReport
-    from quatprop.pipeline.report import ResultReport, RunReport
+    from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport
     from quatprop.timeline.counts import SteadyClock
 
 
@@ -59,7 +59,7 @@ def facts(report: RunReport) -> Iterator[Row]:
     if (earth := convention.earth_rate_rad_s) is not None:
         yield "earth rate", "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s taken off".format(*earth)
     if result.method_sensitivity_rad is not None:
-        yield "sensitivity", _sensitivity(result)
+        yield "sensitivity", _sensitivity(result, convention)
     if report.uncertainty is not None:
         yield from _uncertainty(report.uncertainty)
     yield "final", quaternion_text(result.final_wxyz)
@@ -85,14 +85,16 @@ def _clock(clock: SteadyClock | None) -> str:
     return f"{text}; {count_text(clock.kept, 'timestamp')} kept" if clock.kept else text
 
 
-def _sensitivity(result: ResultReport) -> str:
+def _sensitivity(result: ResultReport, convention: ConventionReport) -> str:
     # Rounding errors are no sensitivity.
     by_method, by_sampling = (
         degrees_text(round(angle or 0.0, 12), 3)
         for angle in (result.method_sensitivity_rad, result.sampling_sensitivity_rad)
     )
+    is_sum = convention.method == "end" and convention.samples != "rates"
+    unless = " (no error if the sensor corrects for coning itself)" if is_sum else ""
     return (
-        f"the final attitude differs by {by_method} from method {result.next_method}, "
+        f"the final attitude differs by {by_method} from method {result.next_method}{unless}, "
         f"by {by_sampling} from every second sample"
     )
 

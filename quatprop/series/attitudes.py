@@ -155,7 +155,7 @@ class AttitudeSeries(Series):
             There is no such sequence.
         """
         from quatprop.conventions.representations import euler_angles
-        from quatprop.settings import EULER_SEQUENCES
+        from quatprop.settings.choices import EULER_SEQUENCES
 
         known = [name.upper() for name in EULER_SEQUENCES]
         if sequence not in known:

@@ -8,198 +8,33 @@ as Python has it, and what help and documents say. Nothing heavy is imported, so
 """
 
 from collections.abc import Collection, Sequence
-from datetime import datetime, timedelta
+from datetime import timedelta
 from fractions import Fraction
 from os import PathLike
-from typing import Annotated, Any, Literal, Protocol, TypeAlias, TypedDict, get_args
+from typing import Annotated, Any, Literal
 
+from quatprop.settings.choices import FRAMES, LAYOUTS, METHODS, Frame, Layout, Method
 from quatprop.settings.error_options import ErrorOptions
 from quatprop.settings.keyword import Keyword, keywords_of
-from quatprop.settings.parsers import (
-    Choice,
-    column_list,
-    count,
-    flag,
-    frequency,
-    initial_attitude,
-    length,
-    moment,
-    mounting,
-    number,
-    path,
-    place,
-    text,
-    times,
-)
+from quatprop.settings.parsers import Choice, column_list, count, frequency, length, number, path
+from quatprop.settings.reading import End, RateOptions, RegularTime, Start
+from quatprop.settings.rotations import Rotated, Timed, initial_attitude, mounting, place, times
 from quatprop.settings.static_bias import bias
-from quatprop.stores.kinds import READERS
 from quatprop.text import Setting
-
-
-class Rotated(Protocol):
-    """A rotation, such as scipy's."""
-
-    def as_matrix(self) -> Any:
-        """Return its matrix, shape ``(3, 3)``."""
-
-
-class Timed(Protocol):
-    """A series of rates or of attitudes."""
-
-    @property
-    def t_ns(self) -> Any:
-        """Its stamps, shape ``(N,)``, ns."""
-
-
-Layout: TypeAlias = Literal["scalar-first", "scalar-last", "wxyz", "xyzw"]
-LAYOUTS: tuple[str, ...] = get_args(Layout)
-RateUnit: TypeAlias = Literal["rad/s", "deg/s"]
-RATE_UNITS: tuple[str, ...] = get_args(RateUnit)
-TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns"]
-TIME_UNITS: tuple[str, ...] = get_args(TimeUnit)
-ClockName: TypeAlias = Literal["header", "log", "publish"]
-CLOCKS: tuple[str, ...] = get_args(ClockName)
-Method: TypeAlias = Literal["start", "end", "mean", "coning", "cubic", "quintic"]
-METHODS: tuple[str, ...] = get_args(Method)
-LOOK_AHEAD = {"cubic", "quintic"}
-"""Methods for which samples after an interval count."""
-CORRECT_CONING = {"coning", *LOOK_AHEAD}
-"""Methods that add to averages and increments how the axis has turned."""
-Frame: TypeAlias = Literal["body", "inertial"]
-FRAMES: tuple[str, ...] = get_args(Frame)
-"""Where rates may be resolved: body rates multiply on the right, inertial rates on the left."""
-EulerSequence: TypeAlias = Literal[
-    "zyx", "xyz", "xzy", "yxz", "yzx", "zxy", "zxz", "zyz", "xyx", "xzx", "yxy", "yzy"
-]
-EULER_SEQUENCES: tuple[str, ...] = get_args(EulerSequence)
-"""Axes of intrinsic rotations in their order: Tait-Bryan angles, then proper Euler angles."""
-Convention: TypeAlias = Literal["hamilton", "jpl"]
-CONVENTIONS: tuple[str, ...] = get_args(Convention)
-Direction: TypeAlias = Literal["body-to-ref", "ref-to-body"]
-DIRECTIONS: tuple[str, ...] = get_args(Direction)
-Sign: TypeAlias = Literal["keep", "continuous", "positive"]
-SIGNS: tuple[str, ...] = get_args(Sign)
-OPTION_NAMES = {"kind": "from", "representation": "as", "extra_columns": "with"}
-"""Settings whose name as an option or a key of a suite is a word of Python -> that name."""
-
-
-class SelectOptions(TypedDict, total=False):
-    """Keywords that choose a topic and its time base."""
-
-    # fmt: off
-    kind: Annotated[str | None, Keyword(
-        Choice(*READERS), "Kind of {log}.", "told by its content, then by its suffix", "KIND")]
-    topic: Annotated[str | None, Keyword(
-        text, "Topic of {log}.", "the only one with {signal}", "NAME", common=True)]
-    msg_path: Annotated[str | PathLike[str] | None, Keyword(
-        path, "Message definitions for {log}: a .msg file, or a folder of them.", "those in the "
-        "log or beside it", "PATH")]
-    clock: Annotated[ClockName | None, Keyword(
-        Choice(*CLOCKS), "Timestamp source.", "header where the message has one, else log")]
-    time_field: Annotated[str | None, Keyword(
-        text, "Message field of {log} that is the time.", "the header stamp", "A.B")]
-    time_col: Annotated[str | int | None, Keyword(
-        lambda value: text(str(value)), f"Time column of {{log}}, by name or number from 0; two "
-        "(SEC,NANOSEC, SEC,USEC or SEC,MSEC) of one stamp; none counts rows at "
-        f"{Setting('sample_rate')}.", "by the header", "C")]
-    time_unit: Annotated[TimeUnit | None, Keyword(
-        Choice(*TIME_UNITS), "Unit of the time in {log}.", "as the log says")]
-    sample_rate: Annotated[float | Fraction | str | None, Keyword(
-        frequency, "Rows a second of {log}, a table without a time, or what its counter of samples "
-        "counts a second, Hz.", takes="HZ")]
-    series: Annotated[str | int | None, Keyword(
-        lambda value: text(str(value)), "Which of the interleaved series in the rows of {log}, "
-        "such as those of two sensors; all reads them as one.", "the only one there is",
-        "VALUE|COLUMN=VALUE")]
-    # fmt: on
-
-
-class RateOptions(SelectOptions, total=False):
-    """Keywords that say which rates to read, beside those of :class:`SelectOptions`."""
-
-    # fmt: off
-    rate_field: Annotated[str | None, Keyword(
-        text, "Message field that is the rate.", "known from the message type", "A.B.C")]
-    rate_cols: Annotated[str | Sequence[str | int] | None, Keyword(
-        column_list("X,Y,Z"), "Rate columns of a table; by name or number from 0.", "by the header",
-        "X,Y,Z", common=True)]
-    rate_unit: Annotated[RateUnit | None, Keyword(
-        Choice(*RATE_UNITS), "Unit of the rates.", "as the log says", common=True)]
-    # fmt: on
-
-
-RegularTime = Annotated[bool | None, Keyword(
-    flag, "Replace timestamps that jitter about a steady clock, as times of arrival and rounded "
-    "ones do, by the times of that clock. Gaps stay, as whole numbers of its intervals; timestamps "
-    "without such a clock are refused.", "timestamps as they are", group="Timestamps")]  # fmt: skip
-
-
-class ReadOptions(RateOptions, total=False):
-    """Keywords of :func:`quatprop.read_rates`, beside those of :class:`RateOptions`."""
-
-    regular_time: RegularTime
-
-
-class SeriesOptions(SelectOptions, total=False):
-    """Keywords that say which attitudes to read, beside those of :class:`SelectOptions`."""
-
-    # fmt: off
-    quat_field: Annotated[str | None, Keyword(
-        text, "Message field of {log} that is the quaternion.", "known from the message type",
-        "A.B.C")]
-    quat_cols: Annotated[str | Sequence[str | int] | None, Keyword(
-        column_list("A,B,C[,D]"), f"Columns of the quaternion in {{log}} in the order in which "
-        f"they are stored, by name or number from 0; or of three angles, with "
-        f"{Setting('from_euler')}.",
-        "by the header", "A,B,C[,D]")]
-    frame: Annotated[str | None, Keyword(
-        text, "Which transform of {log}, where it is a list of them.", "the only one there is",
-        "[PARENT:]CHILD")]
-    from_layout: Annotated[Layout | None, Keyword(
-        Choice(*LAYOUTS), "Order of the quaternion in {log}.", "by names, definitions or metadata; "
-        "required where none of them says it")]
-    from_convention: Annotated[Convention | None, Keyword(
-        Choice(*CONVENTIONS), "Convention of {log}.", "by metadata, else hamilton")]
-    from_direction: Annotated[Direction | None, Keyword(
-        Choice(*DIRECTIONS), "Which coordinates {log} turns into which.", "by metadata, else "
-        "body-to-ref")]
-    from_angle_unit: Annotated[Literal["rad", "deg"] | None, Keyword(
-        Choice("rad", "deg"), "Unit of angles in {log}, a table of yaw, pitch, roll or rotation "
-        "vectors.", "by names; required where they do not say it")]
-    from_euler: Annotated[EulerSequence | None, Keyword(
-        Choice(*EULER_SEQUENCES), "Sequence of the angles in {log}: xyz turns about x, the new y "
-        "and the newest z. yaw, pitch and roll are about z, y and x.", "zyx, or by names")]
-    # fmt: on
-
-
-class AttitudeOptions(SeriesOptions, total=False):
-    """Keywords of :func:`quatprop.read_attitudes`, beside those of :class:`SeriesOptions`."""
-
-    # fmt: off
-    normalize: Annotated[bool | None, Keyword(
-        flag, "Scale quaternions to unit length.", "refuse those off by more than 0.001")]
-    on_invalid: Annotated[Literal["error", "drop"] | None, Keyword(
-        Choice("error", "drop"), "Invalid quaternions (zero, NaN, marked absent, not of unit "
-        "length): refuse or leave out.", "error")]
-    # fmt: on
 
 
 class RunOptions(RateOptions, total=False):
     """Keywords that determine attitudes, beside those of :class:`RateOptions`."""
 
     # fmt: off
-    start: Annotated[str | int | datetime | None, Keyword(
-        moment, "Use {log} from here: RFC 3339, ns, +10s from its first or -30s from its last "
-        "sample.", "all", "TIME", "Time range", common=True)]
-    end: Annotated[str | int | datetime | None, Keyword(
-        moment, f"Use {{log}} up to here; as {Setting('start')}.", "all", "TIME", "Time range",
-        common=True)]
+    start: Start
+    end: End
     method: Annotated[Method | None, Keyword(
         Choice(*METHODS), "Integration rule: the rate over an interval is that of the sample at "
         "its start, of the one at its end, their mean, linear between them (coning), a cubic "
         "through four samples (cubic) or a quintic through six (quintic, for sensors with next to "
         "no noise). The last three also correct averages and increments for coning.",
-        "start; end where the log's samples are averages or increments",
+        "start (averages: end)",
         group="Integration", common=True)]
     rates: Annotated[Frame | None, Keyword(
         Choice(*FRAMES), "Frame the rates are resolved in: body multiplies right, inertial (or "
@@ -268,8 +103,9 @@ class RunOptions(RateOptions, total=False):
         frequency, "Rate of the attitudes: exact at its times under the method.", "at the samples",
         "HZ", "Output", common=True)]
     at: Annotated[str | PathLike[str] | Timed | Collection[Any] | None, Keyword(
-        times, "Write attitudes at the stamps of this series of attitudes or rates, exact under "
-        "the method; times outside the log are left out.", "at the samples", "FILE", "Output")]
+        times, "Write attitudes at the stamps of this file (attitudes, rates, or stamps alone) or "
+        "TOPIC of the log, exact under the method; times outside the log are left out.", "at the "
+        "samples", "FILE|TOPIC", "Output")]
     threads: Annotated[int | None, Keyword(
         count, "Threads that compute at a time; the output is the same for any number.", "the "
         "cores of this machine", "N", "Execution")]
@@ -279,21 +115,6 @@ class RunOptions(RateOptions, total=False):
 class PropagateOptions(RunOptions, ErrorOptions, total=False):
     """Keywords of :func:`quatprop.propagate`."""
 
-
-READ_RATES = keywords_of(RateOptions)
-"""How rates are read: name -> its row."""
-
-RATES_IN_MEMORY = keywords_of(ReadOptions)
-"""The same, and what is done to their stamps where nothing else is done to them."""
-
-ONE_SERIES = keywords_of(SeriesOptions)
-"""What has to be known of each series where several are read: name -> its row."""
-
-READ_ATTITUDES = keywords_of(AttitudeOptions)
-"""How attitudes are read: name -> its row."""
-
-CHECKS = {name: READ_ATTITUDES[name] for name in READ_ATTITUDES if name not in ONE_SERIES}
-"""How attitudes are checked, those of several series alike: name -> its row."""
 
 PROPAGATE = keywords_of(PropagateOptions)
 """Everything that determines the attitudes of a log, and how many threads compute them: name ->

@@ -32,8 +32,8 @@ class ErrorOptions(TypedDict, total=False):
         "Uncertainty")]
     bias_sigma: Annotated[str | float | None, Keyword(
         quantity_of(RATES, "a rate", "20deg/h"), "Standard deviation of its constant bias, such as "
-        "20deg/h; a bias instability counts as this.", f"by {Setting('bias', 'static')}, else 0",
-        "X", "Uncertainty")]
+        "20deg/h: how well the bias is known, as turn-on repeatability says; bias instability says "
+        "less.", f"by {Setting('bias', 'static')}, else 0", "X", "Uncertainty")]
     random_walk: Annotated[str | float | None, Keyword(
         quantity_of(RATE_WALKS, "a rate random walk", "1e-5rad/s^2/sqrt(Hz)"), "Rate random walk "
         "of its bias, such as 1e-5rad/s^2/sqrt(Hz) or 3deg/h/sqrt(h).", f"by {Setting('imu')}, "

@@ -7,15 +7,13 @@ raises a :class:`quatprop.errors.UsageError` that does not name the setting.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable
 from datetime import datetime, timedelta
 from decimal import Decimal
 from fractions import Fraction
 from operator import index
 from os import PathLike, fspath
-from pathlib import Path
-from typing import Any, TypeAlias, TypeGuard
+from typing import Any, TypeAlias
 
 from quatprop.errors import UsageError
 from quatprop.text import did_you_mean, listed, shown
@@ -24,31 +22,11 @@ from quatprop.times import Instant, duration_ns, instant
 Parser: TypeAlias = Callable[[object], Any]
 """Returns a value in the type that the program uses, or raises a UsageError about it."""
 
-FROM_THE_LOG = ("level", "log")
-"""Initial attitudes that are taken from the log itself."""
-
-FILE_SETTINGS = frozenset({"at", "bias", "calibration", "imu", "msg_path", "q0"})
-"""Settings whose value is, or may be, the name of a file."""
-
-STATIC = "static"
-"""The bias is the mean rate at rest."""
-
 MAX_FREQUENCY = 1_000_000_000
 """Hz: stamps are whole nanoseconds."""
 
 MIN_FREQUENCY = Decimal("1e-9")
 """Hz: an interval of 31 years."""
-
-
-class InMemory:
-    """A value that has no text: times, or a series, in a program that uses the library."""
-
-    def __init__(self, value: Any) -> None:
-        self.value = value
-
-    def __str__(self) -> str:
-        """Return it as it is recorded."""
-        return "in memory"
 
 
 def text(value: object) -> str:
@@ -113,15 +91,6 @@ def column_list(names: str) -> Callable[[object], tuple[str, ...]]:
         return parts
 
     return parse_columns
-
-
-def place(value: object) -> tuple[float, ...]:
-    """Return a latitude, and the azimuth of the reference's x axis where it is given, deg."""
-    names = "LAT,AZIMUTH" if len(parts_of(value)) > 1 else "LAT"
-    numbers = number_list(names)(value)
-    if abs(numbers[0]) > 90:  # noqa: PLR2004  # the poles
-        raise UsageError(f"{shown(value)} is no latitude: it is from -90 to 90 deg, north positive")
-    return numbers
 
 
 def number_list(names: str) -> Callable[[object], tuple[float, ...]]:
@@ -214,59 +183,6 @@ def moment(value: object) -> Instant:
     return Instant(ns, "clock")
 
 
-def file_beside(name: str, text: str, folder: Path) -> Path | None:
-    """Return the file that a setting names, relative to a folder; None where it names none."""
-    path = folder / text
-    words = {"bias": (STATIC,), "q0": FROM_THE_LOG}.get(name, ())
-    if name not in FILE_SETTINGS or "://" in text or re.split("[:@]", text)[0].strip() in words:
-        return None
-    # It may as well be a topic or numbers.
-    return path if path.exists() or not (words or "," in text) else None
-
-
-def times(value: object) -> str | InMemory:
-    """Return the path of a series, or times in memory."""
-    is_times = isinstance(value, Iterable) and not isinstance(value, str)
-    return InMemory(value) if is_times else path(value)
-
-
-def initial_attitude(value: object) -> tuple[float, ...] | str | InMemory:
-    """Return four numbers, ``"level"``, ``"log"``, or an attitude series: a path or a topic.
-
-    `value`: text, four numbers, a series in memory, or a rotation of scipy
-    """
-    if hasattr(value, "t_ns"):
-        return InMemory(value)
-    if (as_quat := getattr(value, "as_quat", None)) is not None:
-        x, y, z, w = parts_of(as_quat())
-        value = (w, x, y, z)
-    if isinstance(value, str) and value in FROM_THE_LOG:
-        return value
-    if not is_name(value):
-        return number_list("W,X,Y,Z")(value)
-    may_be_a_topic = isinstance(value, str) and "." not in Path(value).name
-    if not may_be_a_topic and not Path(value).exists():
-        raise UsageError(
-            f"{shown(value)} is neither four numbers W,X,Y,Z nor level or log, and no such file "
-            "is there"
-        )
-    return path(value)
-
-
-def mounting(value: object) -> str:
-    """Return axes, a name or a quaternion as text, for the conditioning to read.
-
-    `value`: text, four numbers, a matrix of shape ``(3, 3)``, or a rotation of scipy
-    """
-    if isinstance(value, str):
-        return value
-    as_matrix = getattr(value, "as_matrix", None)
-    parts = parts_of(value if as_matrix is None else as_matrix())
-    # The rows of a matrix one after the other.
-    rows = [parts_of(part) if not isinstance(part, str) else [part] for part in parts]
-    return ",".join(str(part) for row in rows for part in row)
-
-
 def parts_of(value: object) -> list[object]:
     """Return the parts of text with commas, of a list, or of an array."""
     if isinstance(value, str):
@@ -285,14 +201,3 @@ def _whole(value: object) -> int | None:
         return None if str(value) in {"True", "False"} else index(value)  # type: ignore[arg-type]
     except TypeError:
         return None
-
-
-def is_name(value: object) -> TypeGuard[str | PathLike[str]]:
-    """Tell whether a value may be a file or a topic: text that is not numbers."""
-    if not isinstance(value, str) or not value:
-        return isinstance(value, PathLike)
-    try:
-        list(map(float, value.split(",")))
-    except ValueError:
-        return True
-    return False

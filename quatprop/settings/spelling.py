@@ -6,8 +6,9 @@ Text that leaves the program has gone through :func:`quatprop.text.spelled`; the
 
 from __future__ import annotations
 
-from quatprop.settings import ONE_SERIES, OPTION_NAMES, PROPAGATE, READ_ATTITUDES, READ_RATES
+from quatprop.settings import PROPAGATE
 from quatprop.settings.parsers import flag
+from quatprop.settings.reading import ONE_SERIES, OPTION_NAMES, READ_ATTITUDES, READ_RATES
 from quatprop.text import said_once, with_settings
 
 LOOKUPS = {"at": {"start"}, "q0": {"start"}, "info": READ_RATES.keys()}
@@ -16,6 +17,9 @@ quatprop convert can say everything about them."""
 
 FLAGS = {name for name, row in {**PROPAGATE, **READ_ATTITUDES}.items() if row.parse is flag}
 """Settings that are on or off."""
+
+OF_CHECK = {"update", "strict", "force"}
+"""Options of the command check, which are no keys of a case."""
 
 _ELSEWHERE = " of quatprop convert"
 
@@ -53,7 +57,7 @@ def in_keys(text: str, side: str = "") -> str:
         if name not in LOOKUPS.get(about, (name,)):
             # Attitudes of a file that is only looked up have no keys of their own.
             return f"{option(name)} {value}".rstrip() + _ELSEWHERE
-        if name == "update":  # an option of the command, not a key of a case
+        if name in OF_CHECK:
             return option(name)
         values = " or ".join(f'"{one}"' for one in value.split("|")) if value else ""
         on = " = true" if name in FLAGS else ""

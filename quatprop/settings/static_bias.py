@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from quatprop.errors import UsageError
-from quatprop.settings.parsers import STATIC, Choice, InMemory, is_name, moment, number_list, path
+from quatprop.settings.parsers import Choice, moment, number_list, path
+from quatprop.settings.rotations import STATIC, InMemory, is_name
 from quatprop.text import shown
 from quatprop.times import Instant, duration_ns
 

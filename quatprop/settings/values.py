@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from quatprop.errors import UsageError
-from quatprop.settings import OPTION_NAMES, PROPAGATE
+from quatprop.settings import PROPAGATE
+from quatprop.settings.reading import OPTION_NAMES
 from quatprop.text import Setting, did_you_mean, listed, quoted
 
 if TYPE_CHECKING:

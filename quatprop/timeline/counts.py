@@ -122,25 +122,38 @@ class SteadyClock(NamedTuple):
 
 @dataclass(slots=True)
 class Counts:
-    """What was observed of time stamps and rates; complete when the last batch has passed.
+    """What was observed of timestamps and rates; complete when the last batch has passed.
 
-    `read`, `used`: samples read, but for those outside of the range that is asked for, and samples
-        used
-    `first_ns`, `last_ns`: stamps of the first and last sample used
-    `median_dt_ns`: median of the first :data:`quatprop.timeline.stamps.MEDIAN_WINDOW` positive
-        intervals, ns
-    `min_dt_ns`, `max_dt_ns`: extreme intervals between samples used, ns
-    `gap_limit_ns`: intervals longer than this were counted as gaps
-    `duplicates`, `backwards`, `outliers`, `gaps`: stamps equal to the one before; earlier than one
-        before; ahead of those after them; long intervals. A gap is located by the sample after it
-    `longest_gap`: the stamps before and after the longest, ns
-    `gap_list`: the first :data:`LISTED_GAPS` gaps: the stamps before and after each, ns
-    `max_rate`: largest finite magnitude of the angular rate, rad/s
-    `path_angle_rad`: total angle traversed, rad: the sum of abs(w) dt with the rate at each
-        interval's start, or of the increments
-    `integrated_ns`: for increments: the time over which the sensor integrated them, ns, in all
-        intervals
-    `steady_clock`: that about which the stamps jitter; None where they do not
+    Parameters
+    ----------
+    read, used
+        Samples read, but for those outside of the range that is asked for, and samples used.
+    first_ns, last_ns
+        Timestamps of the first and last sample used, ns.
+    median_dt_ns
+        Median of the first :data:`quatprop.timeline.stamps.MEDIAN_WINDOW` positive intervals, ns.
+    min_dt_ns, max_dt_ns
+        Shortest and longest interval between samples used, ns.
+    gap_limit_ns
+        Intervals longer than this were counted as gaps, ns.
+    duplicates, backwards, outliers, gaps
+        Timestamps equal to the one before, earlier than one before, and ahead of those after them;
+        long intervals. A gap is located by the sample after it.
+    longest_gap
+        The timestamps before and after the longest gap, ns.
+    gap_list
+        The timestamps before and after each of the first :data:`LISTED_GAPS` gaps, ns.
+    max_rate
+        Largest finite magnitude of the angular rate, rad/s.
+    path_angle_rad
+        Total angle traversed, rad: the sum of abs(w) dt with the rate at the start of each
+        interval, or of the increments.
+    integrated_ns
+        For increments, the time over which the sensor integrated them in all intervals, ns.
+    nonfinite
+        Rates that are NaN or infinite.
+    steady_clock
+        The clock about which the timestamps jitter; None where they do not.
     """
 
     read: int = 0
@@ -192,8 +205,11 @@ HANDLED = {
 """Setting and its value -> what was done to an event."""
 
 
-def remarks(counts: Counts, policy: Policy) -> Iterator[Remark]:
-    """Yield a sentence for every event that a reader of the result should know of."""
+def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterator[Remark]:
+    """Yield a sentence for every event that a reader of the result should know of.
+
+    `chosen_by`: the setting that chooses other stamps, as of a timeline
+    """
     limit = duration_text(counts.gap_limit_ns or 0)
     events = {
         "": ("repeated-stamps", counts.duplicates, "repeated timestamp{s}"),
@@ -214,7 +230,7 @@ def remarks(counts: Counts, policy: Policy) -> Iterator[Remark]:
                 f"{event.count} {noun.format(s='s' if event.count > 1 else '')} ({handled}), first "
                 f"at sample {event.first_index}, t = {event.first_ns} ns{event.cause}{longest}",
             )
-    yield from _time_remarks(counts)
+    yield from _time_remarks(counts, chosen_by)
     clock = counts.steady_clock
     if clock is not None and clock.error_rad >= COSTLY and not policy.regular_time:
         yield Remark(
@@ -236,7 +252,7 @@ def _longest(counts: Counts) -> str:
     return f"{which}{duration_text(after - before)} after {before} ns"
 
 
-def _time_remarks(counts: Counts) -> Iterator[Remark]:
+def _time_remarks(counts: Counts, chosen_by: str) -> Iterator[Remark]:
     """Yield sentences about the time that the samples cover."""
     if (
         counts.duplicates.count > counts.used / 2
@@ -247,7 +263,7 @@ def _time_remarks(counts: Counts) -> Iterator[Remark]:
         yield Remark(
             "whole-seconds",
             "the timestamps are whole seconds, each of several samples: they do not tell when a "
-            f"sample was taken; choose another with {Setting('clock')} or {Setting('time_col')}",
+            f"sample was taken; choose another with {Setting(chosen_by)}",
         )
     if counts.integrated_ns is not None:
         missed = counts.span_ns - counts.integrated_ns
@@ -261,8 +277,8 @@ def _time_remarks(counts: Counts) -> Iterator[Remark]:
     if counts.used > 1 and counts.span_ns == 0:
         yield Remark(
             "equal-stamps",
-            f"all timestamps are {counts.first_ns} ns; is there another {Setting('clock')} or "
-            f"time column, or are they in another {Setting('time_unit')}?",
+            f"all timestamps are {counts.first_ns} ns; is there another "
+            f"{Setting(chosen_by)}, or are they in another {Setting('time_unit')}?",
         )
     elif counts.used >= MIN_SAMPLES and counts.span_ns > 0:
         first_ns, rate = counts.first_ns or 0, (counts.used - 1) * NS_PER_S / counts.span_ns

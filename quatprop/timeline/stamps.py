@@ -157,7 +157,7 @@ class StampChecks:
                 # To drop or sort what a counter has begun again with would only spoil the data.
                 ways_out = (
                     "log a wider counter, or add 2^32 to the column after each such step, or "
-                    f"choose another {Setting('clock')}"
+                    f"choose {another}"
                 )
             raise TimelineError(
                 self.path,

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply, rotate
-from quatprop.simulate.motion import Shape, motion_named
+from quatprop.simulation.motion import Shape, motion_named
 
 SECONDS = 20
 FINER = 20

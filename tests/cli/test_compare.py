@@ -12,7 +12,7 @@ from make.tables import write_attitudes
 from scipy.spatial.transform import Rotation
 
 from quatprop.errors import LogError
-from quatprop.settings import ONE_SERIES
+from quatprop.settings.reading import ONE_SERIES
 from quatprop.settings.spelling import option
 
 T_NS = 1_700_000_000_000_000_000 + 10_000_000 * np.arange(100)
@@ -64,7 +64,7 @@ def test_above_the_tolerance_is_exit_code_1(spin, bumped):
         "failed    above the tolerance 0.00174533 rad (0.1 deg), first at sample 30 of A, "
         "1700000000300000000 ns, 300 ms after the first: 0.1 rad (5.72958 deg)\n"
         "cause     likely (isolated samples): 1 of 100 samples carry the error, and the others are "
-        "right\n"
+        "right; leave 1 sample of B out\n"
     ) in run(*words, code=1).stdout
     assert run(*words, "-q", code=1).output == ""
     found = json.loads(run(*words, "--json", code=1).stdout)
@@ -81,7 +81,8 @@ def test_json_names_options(tmp_path):
     made = tmp_path / "start.csv"
     run("propagate", SAMPLE_LOGS / "coning.mcap", "-o", made, "-q", code=0)
     assert report(made, SAMPLE_LOGS / "coning.truth.csv")["likely_cause"]["remedy"] == (
-        "if A was propagated, propagate it with --method quintic; if B was, with --method start"
+        "if A was propagated with method start, propagate it with --method quintic; if B was "
+        "propagated with method quintic, with --method start"
     )
 
 
@@ -138,12 +139,7 @@ def test_what_hardly_changes_the_error_is_no_likely_cause(tmp_path):
     wander = Rotation.from_rotvec(np.sin(seconds * [0.05, 0.04, 0.06] + [0, 1, 2]))
     a = write(tmp_path / "a.csv", wander * motion, t_ns)
     b = write(tmp_path / "b.csv", motion, t_ns + 30_000_000)
-    found = report(a, b)["likely_cause"]
-    assert found["name"] == "time offset"
-    assert 0.9 < found["total_after"] / found["total_before"] < 1.1
-    shown = run("compare", a, b, code=0).stdout
-    assert "remark    explains little of the error (time offset): B is " in shown
-    assert "likely" not in shown
+    assert report(a, b)["likely_cause"] is None
     late = run("compare", write(tmp_path / "c.csv", motion, t_ns), b, code=0).stdout
     assert "cause     likely (time offset): B is 30 ms late" in late
 
@@ -249,7 +245,7 @@ def test_an_option_of_a_side_arrives_there_alone(command, suffix, place, name, m
         return nullcontext()
 
     monkeypatch.setattr("quatprop.comparison.files.open_attitudes", read)
-    monkeypatch.setattr("quatprop.plot.plot.load_attitudes", read)
+    monkeypatch.setattr("quatprop.plotting.plot.load_attitudes", read)
     given, expected = GIVEN.get(option(name), ("a.b", "a.b"))
     result = run(*command, option(name) + suffix, given, code=2)
     assert "that is all" in result.stderr

@@ -1,12 +1,15 @@
 """Help: groups of options, one screen of common ones, defaults."""
 
+import re
+
 import pytest
 from click.testing import CliRunner
 
 from quatprop.cli.commands import COMMANDS, cli
 from quatprop.cli.help import GROUPS
 from quatprop.comparison.settings import COMPARE
-from quatprop.settings import PROPAGATE, READ_ATTITUDES
+from quatprop.settings import PROPAGATE
+from quatprop.settings.reading import READ_ATTITUDES
 
 SCREEN = 60
 """Lines of a terminal window."""
@@ -52,6 +55,27 @@ def test_help_fits_the_terminal(name, width):
     whole = shown(name, "--help-all", width=width, NO_COLOR="1").splitlines()
     assert max(map(len, [*common, *whole])) <= width
     assert width == 80 or max(map(len, whole)) > 80
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_both_helps_give_the_same_defaults(name):
+    """The short one cut "start; end where the samples are averages" down to "start"."""
+
+    def defaults(which):
+        text = " ".join(shown(name, which, width=400, NO_COLOR="1").split())
+        return set(re.findall(r"\[default: .*?\]", text))
+
+    assert defaults("--help") <= defaults("--help-all")
+
+
+def test_help_names_what_it_refers_to_and_the_terms_of_the_field():
+    """It spoke of the next three options, angular random walk, and bias instability as a bias."""
+    text = " ".join(shown("plot", "--help-all", width=400, NO_COLOR="1").split())
+    assert "next three" not in text
+    assert "--rms-tol, --final-tol and --p95-tol take the same" in text
+    assert "Angle random walk" in shown("simulate", "--help", NO_COLOR="1")
+    text = " ".join(shown("propagate", "--help-all", NO_COLOR="1").split())
+    assert "turn-on repeatability says; bias instability says less" in text
 
 
 def test_long_examples_go_on_in_a_second_line():

@@ -12,9 +12,9 @@ from make.tables import write_attitudes, write_rates
 from scipy.spatial.transform import Rotation
 
 from quatprop.kinematics.quaternion import exp, multiply
-from quatprop.plot import draw, palette
-from quatprop.plot.files import View, view_file
-from quatprop.plot.picture import Page, picture
+from quatprop.plotting import draw, palette
+from quatprop.plotting.files import View, view_file
+from quatprop.plotting.picture import Page, picture
 from quatprop.rendering import instant_text
 
 T0 = 1_700_000_000_000_000_000

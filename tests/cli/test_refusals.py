@@ -104,7 +104,7 @@ SIMULATE = {
     "a.csv --rate 1e12": RATE,
     "a.csv --rate 0": RATE,
     "a.csv --angle wide": "Invalid value for '--angle': 'wide' is not a number",
-    "a.csv --seed -1": "Invalid value for '--seed': -1 is not in the range x>=0",
+    "a.csv --seed -1": "Invalid value for '--seed': '-1' is not a whole number from 0 on",
     "a.csv --start +10s": f"'+10s' {NO_TIME}",
     "a.csv --start noon": "'noon' is not a time",
     "a.csv --duration 0s": "'0s' is not a duration above 0",
@@ -246,3 +246,16 @@ def test_it_is_one_sentence_and_nothing_is_written(small_files, monkeypatch, lin
     assert said.startswith("Error: ")
     assert sentence in said
     assert contents(small_files) == before
+
+
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [
+        (["propagate", "a.bag", "-o", "a.csv", "-t", "/a", "--topic", "/b"], "--topic"),
+        (["compare", "a.bag", "b.bag", "--topic-a", "/a", "--topic-a=/b"], "--topic-a"),
+    ],
+)
+def test_a_topic_given_twice_is_refused(words, option):
+    """The last was read, and nothing was said of the first."""
+    said = refused(*words)
+    assert f"{option} is given 2 times, and one topic is read; run the command once" in said

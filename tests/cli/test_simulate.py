@@ -2,13 +2,13 @@
 
 from make.commands import run
 
-from quatprop.cli import simulate
-from quatprop.simulate.motion import MOTIONS
+from quatprop.simulation.motion import MOTIONS
+from quatprop.simulation.settings import SIMULATE
 
 
 def test_the_command_knows_every_motion():
     """The names that it lists without importing the motions are theirs."""
-    assert tuple(MOTIONS) == simulate.MOTIONS
+    assert tuple(MOTIONS) == SIMULATE["motion"].choices
 
 
 def test_the_command_writes_log_and_truth(tmp_path):

@@ -82,14 +82,16 @@ def test_a_trajectory_of_evo_is_read_as_it_is(tmp_path):
 
 
 def test_columns_that_are_only_components_mean_a_quaternion_where_one_is_asked_for(tmp_path):
-    """As NGIMU's quaternion.csv has them; by themselves they are not taken for one."""
-    path = tmp_path / "quaternion.csv"
+    """By themselves they are not taken for one, but in NGIMU's quaternion.csv."""
+    path = tmp_path / "log.csv"
     frame = pd.DataFrame(WXYZ, columns=list("WXYZ"))
     frame.insert(0, "Time (s)", TRAJECTORY.timestamps)
     frame.to_csv(path, index=False)
     for columns in ("W,X,Y,Z", "X,Y,Z,W"):
         np.testing.assert_array_equal(read_attitudes(path, quat_cols=columns).wxyz, WXYZ)
     refused("convert", path, "-")
+    path.rename(tmp_path / "quaternion.csv")
+    np.testing.assert_array_equal(read_attitudes(tmp_path / "quaternion.csv").wxyz, WXYZ)
 
 
 @pytest.mark.parametrize(

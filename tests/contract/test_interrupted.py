@@ -13,9 +13,9 @@ import pytest
 from make.commands import INSTALLED, installed
 
 import quatprop
-from quatprop.simulate.gyroscope import Gyroscope
-from quatprop.simulate.motion import Shape
-from quatprop.simulate.simulate import simulate
+from quatprop.simulation.gyroscope import Gyroscope
+from quatprop.simulation.motion import Shape
+from quatprop.simulation.simulate import simulate
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and devices of POSIX")
 ENDS = {

@@ -6,6 +6,7 @@ A remark is added with a row here: its code, a log that has what it says, and on
 import re
 from contextlib import suppress
 from itertools import product
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -61,6 +62,7 @@ from make.remarked import (
 
 import quatprop
 from quatprop import AttitudeSeries
+from quatprop.check.remarks import loss_notes
 from quatprop.comparison.compare import compare as compare_series
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.pipeline.survey import survey
@@ -410,8 +412,30 @@ CONVERSIONS = {
         converted(with_value(T_NS, 9, T_NS[8]), TURNED),
         converted(with_value(T_NS, 9, T_NS[8] + 1), TURNED),
     ),
+    "gaps-kept": (
+        converted(np.delete(T_NS, range(40, 60)), np.delete(TURNED, range(40, 60), 0), rate=50),
+        converted(np.delete(T_NS, range(40, 45)), np.delete(TURNED, range(40, 45), 0), rate=50),
+    ),
 }
+
+
+def tumbling(x, y, z, bias=0.0):
+    """Return attitudes of rates about the three axes, of these sizes."""
+    t_ns = np.arange(2000) * 10 * MS
+    rate = np.sin(t_ns[:, None] / 1e9 * [1.3, 2.1, 0.7]) * [x, y, z] + bias
+    made = quatprop.propagate(quatprop.GyroSeries(t_ns, rate))
+    return AttitudeSeries(t_ns, made.wxyz)
+
+
+def lost(*, is_lost):
+    """Return what `check` notes of a log of which something was lost, or nothing."""
+    case = SimpleNamespace(log="a.bag", external=None)
+    run = SimpleNamespace(report=SimpleNamespace(data_lost=is_lost))
+    return list(loss_notes(case, run, None))
+
+
 COMPARISONS = {
+    "data-lost": (lambda _: lost(is_lost=True), lambda _: lost(is_lost=False)),
     "interpolated": (
         compared(TRUTH, shifted(), match="interpolate", tol="1e-9rad"),
         compared(TRUTH, shifted(), match="interpolate", tol="1deg"),
@@ -428,6 +452,10 @@ COMPARISONS = {
     "exact-sigma": (
         compared(AttitudeSeries(T_NS, TURNED, covariance=EXACT), turned(2e-9, 0, 0)),
         compared(AttitudeSeries(T_NS, TURNED, covariance=EXACT), turned(5e-10, 0, 0)),
+    ),
+    "dead-axis": (
+        compared(tumbling(1, 0, 1), tumbling(1, 1, 1)),
+        compared(tumbling(1, 0, 1), tumbling(1, 0, 1, 0.1)),
     ),
     "normalised": (
         lambda _: compare_series(TRUTH, AttitudeSeries(T_NS, 2 * TURNED)).remarks,

@@ -28,9 +28,9 @@ from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.series import GyroSeries
 from quatprop.settings.selection import RateSelection
-from quatprop.simulate.gyroscope import Gyroscope
-from quatprop.simulate.motion import Shape
-from quatprop.simulate.simulate import simulate
+from quatprop.simulation.gyroscope import Gyroscope
+from quatprop.simulation.motion import Shape
+from quatprop.simulation.simulate import simulate
 from quatprop.timeline.counts import Policy
 from quatprop.times import NS_PER_S, instant
 from quatprop.writers.rosbag1 import file as rosbag1_file

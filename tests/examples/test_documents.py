@@ -1,8 +1,7 @@
 """What the documents show is what happens: commands, listings, suites, links."""
 
+import json
 import re
-import shlex
-import shutil
 import sys
 import tomllib
 from types import SimpleNamespace
@@ -13,6 +12,7 @@ from make.commands import run
 from make.documents import GUIDES, ROOT, Document
 from make.places import SHARED_LOGS
 from make.reading import found_in, mark, stamps
+from make.reference import python_reference, reference
 
 from quatprop import propagate, write
 from quatprop.cli.help import GROUPS
@@ -52,7 +52,8 @@ def test_the_readme_teaches_what_is_true(ran):
 def test_the_library_guide_is_true(ran):
     """Every line of Python, one block after the other."""
     document = ran(GUIDES / "library.md")
-    samples, passed, sigma, parts, *recorded = document.printed.splitlines()
+    samples, passed, rate, sigma, parts, *recorded = document.printed.splitlines()
+    assert rate == "100.0"
     assert samples.startswith("1000 [-9.99772140e-01 ")
     assert passed.startswith("True 0.0001")
     assert sigma == "[0.00349753 0.00351605 0.01746708]"
@@ -104,23 +105,40 @@ def test_a_batch_of_one_machine_is_done(ran, tmp_path):
     ]  # fmt: skip
 
 
-def test_the_suite_gives_the_output_that_is_shown(tmp_path, monkeypatch):
-    """Both commands of the example print what stands beneath them."""
-    text = (GUIDES / "ci.md").read_text()
-    blocks = [re.findall(rf"```{kind}\n(.*?)```", text, re.DOTALL) for kind in ("toml", "console")]
-    (suite,), (commands,) = blocks
-    shutil.copytree(ROOT / "sample_logs", tmp_path / "ci" / "logs")
-    monkeypatch.chdir(tmp_path)
-    for part, method in zip(commands.split("$ ")[1:], ("coning", "end"), strict=True):
-        command, shown = part.split("\n", 1)
-        (tmp_path / "ci" / "suite.toml").write_text(suite.replace("coning", method))
-        assert run(*shlex.split(command, comments=True)[1:]).stdout.rstrip() == shown.rstrip()
-
-
 def headings(text, level="#+"):
     """Return the headings of a document, with the anchors that they have."""
     heads = re.findall(rf"^{level} (.*)$", text, re.MULTILINE)
     return [(head, re.sub(r"[^a-z0-9 -]", "", head.lower()).replace(" ", "-")) for head in heads]
+
+
+def test_references_say_what_the_program_says_of_itself():
+    """`make documents` writes them from options, docstrings and reports."""
+    assert (GUIDES / "reference.md").read_text() == reference()
+    assert (GUIDES / "api.md").read_text() == python_reference()
+
+
+def keys_in(value):
+    """Yield the keys of JSON, but for those that are names of settings, files and errors."""
+    parts = value.items() if isinstance(value, dict) else enumerate(value)
+    for key, item in parts:
+        if isinstance(key, str):
+            yield key
+        if isinstance(item, dict | list) and key not in {"settings", "files", "origins"}:
+            yield from keys_in(item)
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+def test_the_reference_has_every_key_of_a_report(tmp_path):
+    """Of a run with a gyroscope's errors and a bias, and of a comparison that fails."""
+    log, out = ROOT / "sample_logs" / "rest.parquet", tmp_path / "out.csv"
+    report = tmp_path / "report.json"
+    run("propagate", log, "-o", out, "-q", "--report", report, "--bias", "static", code=0)
+    wanted = {*keys_in(json.loads(report.read_text()))}
+    truth = ROOT / "sample_logs" / "rest.truth.parquet"
+    options = ("--json", "--tol", "1e-9deg", "--window", "1s", "--align", "yaw")
+    wanted |= {*keys_in(json.loads(run("compare", out, truth, *options, code=1).stdout))}
+    described = {*re.findall(r"`(\w+)`", (GUIDES / "reference.md").read_text())}
+    assert wanted <= described, wanted - described
 
 
 def test_the_contents_name_every_section():

@@ -1,6 +1,7 @@
 """Run the commands and listings of the documents; as a program, write what they print into them."""
 
 import io
+import math
 import os
 import re
 import shlex
@@ -13,7 +14,11 @@ from tempfile import TemporaryDirectory
 
 from fuzz.flips import TABLE, unnoticed_table
 from make.commands import run
+from make.measured import METHOD_TABLE, method_table
+from make.pictures import PICTURES, draw
 from make.places import ROOT, SHARED_LOGS
+from make.reference import python_reference, reference
+from make.tables import write_rates
 
 from quatprop import QuatpropWarning
 
@@ -23,6 +28,7 @@ SIMULATED = {
     "drive.mcap": ("--motion", "rest", "--duration", "40s", "--noise", "1e-4"),
     "flight.bag": ("--motion", "tumbling", "--duration", "10s"),
     "walk.bag": ("--motion", "coning", "--duration", "30s"),
+    "builds/1.0/bench.csv": ("--motion", "tumbling", "--duration", "10s"),
     "recordings/a.csv": (),
     "runs/1/imu.bag": (),
 }
@@ -37,6 +43,14 @@ RECORDED = {
     "euroc/truth.csv": "csv/euroc_v102/state_groundtruth_data.csv",
 }
 """Name of a log in the documents -> the real recording that it is."""
+
+
+GIT = {
+    "GIT_CONFIG_GLOBAL": os.devnull, "GIT_CONFIG_NOSYSTEM": "1",
+    **dict.fromkeys(("GIT_AUTHOR_NAME", "GIT_COMMITTER_NAME"), "A"),
+    **dict.fromkeys(("GIT_AUTHOR_EMAIL", "GIT_COMMITTER_EMAIL"), "a@example.org"),
+}  # fmt: skip
+"""Whose commits those of the documents are."""
 
 
 class Document:
@@ -67,6 +81,8 @@ class Document:
                 run("simulate", path, "--truth", "none", "-q", *SIMULATED[name], code=0)
             elif name in RECORDED and recordings:
                 path.symlink_to(recordings / RECORDED[name])
+        if "builds/2.0" in self.text:
+            self._write_second_build()
         rows = "".join(f"{number / 100},1,2,3\n" for number in range(100))
         (self.folder / "log.csv").write_text("t,gx,gy,gz\n" + rows)
         (self.folder / "names.txt").write_text("runs/1/imu.bag\n")
@@ -74,6 +90,13 @@ class Document:
         shim.parent.mkdir()
         shim.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m quatprop "$@"\n')
         shim.chmod(0o755)
+
+    def _write_second_build(self):
+        """Write the log of a build whose rates are in deg/s, under the same names."""
+        head, *rows = (self.folder / "builds/1.0/bench.csv").read_text().splitlines()
+        parts = [row.split(",") for row in rows]
+        values = [[t, *(repr(math.degrees(float(rate))) for rate in rates)] for t, *rates in parts]
+        write_rates(self.folder / "builds/2.0/bench.csv", values, head)
 
     def run(self):
         """Run all blocks; return the text with what is printed now in place of what is shown."""
@@ -96,11 +119,12 @@ class Document:
         """Return a command, and what it prints where something is shown below it."""
         command, _, before = part.partition("\n")
         code, output = self._command(command)
-        assert code in {0, 3}, f"{command}: {output}"
+        told = re.search(r"  # exit code (\d)$", command)
+        assert code in ({int(told[1])} if told else {0, 3}), f"{command}: {code}, {output}"
         return f"$ {command}\n" + (output.rstrip("\n") + "\n" if before else "")
 
     def _command(self, command):
-        words, _, grep = command.partition(" | grep ")
+        words, _, grep = re.sub(r" +# exit code \d$", "", command).partition(" | grep ")
         words, _, target = words.partition(" > ")
         if words.startswith("quatprop "):
             # No process of its own: it is faster.
@@ -113,7 +137,12 @@ class Document:
         folders = (self.folder / ".bin", Path(sys.executable).parent, os.environ["PATH"])
         done = subprocess.run(
             ["/bin/bash", "-c", command],
-            env={**os.environ, "PATH": os.pathsep.join(map(str, folders)), "PYTHONPATH": str(ROOT)},
+            env={
+                **os.environ,
+                **GIT,
+                "PATH": os.pathsep.join(map(str, folders)),
+                "PYTHONPATH": str(ROOT),
+            },
             capture_output=True,
             text=True,
             check=False,
@@ -129,9 +158,14 @@ class Document:
 
 
 if __name__ == "__main__":
+    (GUIDES / "reference.md").write_text(reference())
+    (GUIDES / "api.md").write_text(python_reference())
+    for name in PICTURES:
+        draw(GUIDES / name)
     for document in (ROOT / "README.md", *sorted(GUIDES.glob("*.md"))):
         with TemporaryDirectory() as place:
             text = re.sub(TABLE, unnoticed_table(), document.read_text())
+            text = re.sub(METHOD_TABLE, method_table(), text)
             document.write_text(text)
-            if document.name not in {"ci.md", "fleets.md"}:
+            if document.name != "fleets.md":
                 document.write_text(Document(document, Path(place), SHARED_LOGS).run())

@@ -1,18 +1,13 @@
-"""Mistakes put into recordings that have a reference: which cause is named for each.
-
-``python -m make.mistakes LOGS`` (in ``tests/``) prints the table over all recordings.
-"""
+"""Recordings that have a reference, for mistakes to be put into."""
 
 import re
-import sys
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
-from quatprop.kinematics.quaternion import conjugate, multiply
+from quatprop.kinematics.quaternion import multiply
 
 AUK = {"log": "auk/auk.bag", "rates": {"topic": "/auk/fcu/imu"}}
 PX4 = {"log": "ulog/sample.ulg", "rates": {"topic": "sensor_combined/0"}}
@@ -55,10 +50,6 @@ RECORDINGS = {
 }
 """Recordings with a reference; without another one, it is the orientation beside the rates."""
 
-FRAMES_AND_BIAS = {"reference frame", "rate bias", "drift", "rate bias and reference frame"}
-"""What recordings have without a mistake: references are relative to other frames, gyroscopes
-have biases."""
-
 AXES = {
     "x and y swapped": [[0, 1, 0], [1, 0, 0], [0, 0, 1]],
     "turned by 90 deg": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
@@ -66,18 +57,6 @@ AXES = {
     "z reversed": [[1, 0, 0], [0, 1, 0], [0, 0, -1]],
 }
 """Body axes as they are taken by mistake, as a matrix for the rates."""
-
-METHODS = [
-    ("start", "end"),
-    ("mean", "start"),
-    ("end", "mean"),
-    ("start", "coning"),
-    ("coning", "end"),
-    ("mean", "coning"),
-    ("cubic", "start"),
-    ("coning", "cubic"),
-]
-"""Methods of A and B."""
 
 
 class Recording:
@@ -119,28 +98,6 @@ def delayed(series, offset_ms):
     return AttitudeSeries(series.t_ns + offset_ms * 1_000_000, series.wxyz)
 
 
-def mistakes(recording):
-    """Yield the mistake, the name its cause should get (None: no mistake), A and B."""
-    a, b = recording.propagated(), recording.reference
-    yield "none", None, a, b
-    # JPL numbers body to reference are those of the Hamilton conjugate: one cause for both.
-    yield "direction or JPL of B", "conjugate", a, changed(b, conjugate)
-    yield "direction or JPL of A", "conjugate", changed(a, conjugate), b
-    yield "scalar-last read as first", "layout", a, changed(b, lambda q: q[:, [1, 2, 3, 0]])
-    yield "scalar-first read as last", "layout-first", a, changed(b, lambda q: q[:, [3, 0, 1, 2]])
-    yield "inertial rates", "side", recording.propagated(rates="inertial"), b
-    for factor in (np.pi / 180, 2.0, 1.1):
-        yield f"scaled by {factor:.3g}", "scale", recording.propagated(np.eye(3) * factor), b
-    for name, matrix in AXES.items():
-        yield name, "axes", recording.propagated(matrix), b
-    yield "all axes reversed", "rate sign", recording.propagated(-np.eye(3)), b
-    for offset_ms in (20, -20, 200, -200):
-        yield f"late by {offset_ms} ms", "time offset", a, delayed(b, offset_ms)
-    for of_a, of_b in METHODS:
-        a_by, b_by = recording.propagated(method=of_a), recording.propagated(method=of_b)
-        yield f"{of_a} against {of_b}", "method", a_by, b_by
-
-
 def named_causes(a, b):
     """Return the causes that a comparison names."""
     cause = quatprop.compare(a, b, align="mean").likely_cause
@@ -151,31 +108,3 @@ def ppm_named(cause):
     """Return the drift of B's clock and its standard deviation as a sentence has them, ppm."""
     found = re.match(r"B's clock is (slow|fast) by ([\d.]+) \+- ([\d.]+) ppm", cause.sentence)
     return (-1 if found[1] == "slow" else 1) * float(found[2]), float(found[3])
-
-
-def verdict(wanted, names):
-    """Return whether the right cause was named, a wrong one, or none."""
-    if wanted in names or (wanted is None and names <= FRAMES_AND_BIAS):
-        return "right"
-    return "wrong" if names - FRAMES_AND_BIAS else "none"
-
-
-def main(folder: Path) -> None:
-    """Print the verdict on every mistake in every recording."""
-    columns, total = list(RECORDINGS), Counter()
-    table = {}
-    for column in columns:
-        for mistake, wanted, a, b in mistakes(Recording(folder, column)):
-            names = {cause.name for cause in named_causes(a, b)}
-            found = verdict(wanted, names)
-            table.setdefault(mistake, []).append("ok" if found == "right" else found)
-            total[wanted is not None, found] += 1
-    print(" " * 28 + "".join(f"{column:>10}" for column in columns))
-    for mistake, verdicts in table.items():
-        print(f"{mistake:28}" + "".join(f"{one:>10}" for one in verdicts))
-    for (with_mistake, found), count in sorted(total.items()):
-        print(f"{'with' if with_mistake else 'without'} a mistake: {found} {count}")
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1] if sys.argv[1:] else "../shared/logs"))

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 
 from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotate
-from quatprop.simulate.motion import Shape, motion_named
+from quatprop.simulation.motion import Shape, motion_named
 
 SECOND = 1_000_000_000
 RATES_HZ = (50, 100, 200, 400)

@@ -20,7 +20,7 @@ from quatprop import AttitudeSeries, GyroSeries, compare, convert, propagate, re
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.pipeline.survey import survey
-from quatprop.settings import READ_RATES
+from quatprop.settings.reading import READ_RATES
 from quatprop.settings.selection import RateSelection
 
 EPOCH = 1_700_000_000_000_000_000

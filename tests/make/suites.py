@@ -1,8 +1,10 @@
 """Suites, and `quatprop check` on them."""
 
 import json
+import shutil
 
 from click.testing import CliRunner
+from make.places import SAMPLE_LOGS
 
 from quatprop.cli.commands import cli
 
@@ -19,15 +21,23 @@ STRICT = TRUTH.replace("0.1deg", "1e-9deg")
 """The same case, which fails."""
 
 
-def check(suite, *options):
+def check(suite, *options, **kwargs):
     """Run the command; errors come back as exit code and text."""
-    return CliRunner().invoke(cli, ["check", str(suite), *map(str, options)])
+    return CliRunner().invoke(cli, ["check", str(suite), *map(str, options)], **kwargs)
 
 
 def stored(name="spin", log="spin.csv", *more):
     """Return a case with a stored reference."""
     lines = [f"[case.{name}]", f'log = "logs/{log}"', f'reference = "refs/{name}.parquet"', *more]
     return "\n".join(lines) + "\n"
+
+
+def with_logs(folder):
+    """Copy sample logs into a folder, and return it."""
+    (folder / "logs").mkdir()
+    for name in ("spin.csv", "spin.truth.csv", "coning.mcap", "coning.truth.csv", "rest.parquet"):
+        shutil.copy(SAMPLE_LOGS / name, folder / "logs")
+    return folder
 
 
 def write_suite(folder, text):

@@ -1,10 +1,14 @@
 """Suites in processes that are killed or interrupted, and under pytest."""
 
+import io
 import os
 import shutil
 import signal
 import subprocess
 import sys
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from unittest import mock
+from xml.etree import ElementTree as ET
 
 import pytest
 from make.commands import installed
@@ -72,7 +76,8 @@ def test_ctrl_c_ends_tidily(folder, processes):
     shutil.copy(folder / "logs" / "spin.csv", folder / "logs" / "long.csv")
     suite = write_suite(folder, stored("short") + stored("long", "long.csv"))
     process = subprocess.Popen(
-        [sys.executable, "-c", LISTENING, "check", suite, "--update", "-j", processes],
+        [sys.executable, "-c", LISTENING, "check", suite, "--update", "-j", processes,
+         "--junit", folder / "junit.xml"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         env={**os.environ, **hooked(folder)},
     )  # fmt: skip
@@ -82,6 +87,10 @@ def test_ctrl_c_ends_tidily(folder, processes):
     assert (process.returncode, errors) == (130, "Interrupted.\n")
     assert lock_of(suite).keys() == {"short"}
     assert [path.name for path in (folder / "refs").iterdir()] == ["short.parquet"]
+    # What was not run has not passed.
+    (tests,) = ET.parse(folder / "junit.xml").getroot()  # noqa: S314  # our own file
+    assert [tests.get(key) for key in ("tests", "errors")] == ["2", "1"]
+    assert tests.find("./testcase[@name='long']/error") is not None
     assert check(suite, "--update").exit_code == 0
     assert lock_of(suite).keys() == {"short", "long"}
 
@@ -101,16 +110,21 @@ def mixed(folder):
 
 
 def run_pytest(folder, *options, code=0):
-    """Run pytest with the plugin, and no other; return what it says."""
-    command = [sys.executable, "-m", "pytest", "-p", "quatprop.pytest_plugin", "-p",
-               "no:cacheprovider", "-W", "error", "-rA", *options]  # fmt: skip
-    environment = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "COLUMNS": "200"}
-    result = subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
-    )
-    assert result.returncode == code, result.stdout
-    assert "Traceback" not in result.stdout
-    return result.stdout + result.stderr
+    """Run pytest with the plugin, and no other, in this process; return what it says."""
+    arguments = ["-p", "quatprop.pytest_plugin", "-p", "no:cacheprovider", "-W", "error", "-rA",
+                 "--import-mode=importlib", "--assert=plain", *options]  # fmt: skip
+    environment = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "COLUMNS": "200", "PYTEST_ADDOPTS": ""}
+    with (
+        chdir(folder),
+        mock.patch.dict(os.environ, environment),
+        redirect_stdout(io.StringIO()) as stream,
+        redirect_stderr(stream),
+    ):
+        result = pytest.main(arguments)
+    told = stream.getvalue()
+    assert result == code, told
+    assert "Traceback" not in told
+    return told
 
 
 def test_pytest_collects_cases_beside_other_tests(mixed):
@@ -130,6 +144,72 @@ def test_pytest_refuses_a_suite_that_is_not_there(mixed):
     told = run_pytest(mixed, "--quatprop-suite=siute.toml", code=pytest.ExitCode.USAGE_ERROR)
     name = mixed.resolve() / "siute.toml"
     assert f"--quatprop-suite: {name}: no such file; check the path" in told
+
+
+def test_pytest_refuses_a_suite_of_which_nothing_is_collected(mixed):
+    """Ignored, with a misspelt name in the configuration, or without cases, it passed."""
+    told = run_pytest(
+        mixed,
+        "--quatprop-suite=suite.toml",
+        "--ignore=suite.toml",
+        code=pytest.ExitCode.USAGE_ERROR,
+    )
+    assert "suite.toml: none of its cases was collected; is it ignored by an option" in told
+    (mixed / "pytest.ini").write_text("[pytest]\naddopts = --quatprop-suite=ci/siute.toml\n")
+    told = run_pytest(mixed, "test_other.py", code=pytest.ExitCode.USAGE_ERROR)
+    assert "siute.toml: no such file; check the path" in told
+    (mixed / "pytest.ini").write_text("[pytest]\naddopts = --quatprop-suit=suite.toml\n")
+    assert "unrecognized arguments" in run_pytest(mixed, code=pytest.ExitCode.USAGE_ERROR)
+    (mixed / "pytest.ini").unlink()
+    (mixed / "suite.toml").write_text("[defaults]\n")
+    told = run_pytest(mixed, "--quatprop-suite=suite.toml", code=pytest.ExitCode.INTERRUPTED)
+    assert "it has no cases" in told
+
+
+def test_pytest_says_if_every_case_is_deselected(mixed):
+    """-k and -m choose among all tests; cases are marked."""
+    told = run_pytest(mixed, "--quatprop-suite=suite.toml", "-k", "spinning")
+    assert f"quatprop: every case of {mixed.resolve() / 'suite.toml'} was deselected" in told
+    told = run_pytest(mixed, "--quatprop-suite=suite.toml", "-m", "quatprop", code=1)
+    assert "2 failed, 1 passed, 1 deselected" in told
+
+
+def test_pytest_knows_cases_that_fail_as_expected(folder):
+    """XPASS was a pass, whatever `xfail_strict` says; deleted cases were seen nowhere."""
+    known = 'xfail = "the filter drifts"\n'
+    pinned(folder, TRUTH + stored() + stored("gone"))
+    write_suite(folder, TRUTH + known + STRICT.replace("coning]", "bad]") + known + stored())
+    pinned_too = ["--quatprop-suite=suite.toml"]
+    told = run_pytest(folder, *pinned_too, code=1)
+    assert "XPASS suite.toml::coning - the filter drifts" in told
+    assert "it is pinned, but not in the suite; restore it" in told
+    # A case that is not pinned has no result, which no reason explains.
+    assert "FAILED suite.toml::bad" in told
+    assert check(folder / "suite.toml", "--update", "-k", "bad").exit_code == 0
+    told = run_pytest(folder, *pinned_too)
+    assert "1 passed, 1 xfailed, 1 xpassed" in told
+    (folder / "pytest.ini").write_text("[pytest]\nxfail_strict = true\n")
+    assert "[XPASS(strict)] the filter drifts" in run_pytest(folder, *pinned_too, code=1)
+    (folder / "pytest.ini").unlink()
+    write_suite(folder, TRUTH + known + stored().replace("spin]", "spun]"))
+    strictly = (*pinned_too, "--quatprop-strict", "--quatprop-artifacts=evidence")
+    told = run_pytest(folder, *strictly, code=1)
+    assert "[XPASS(strict)] the filter drifts" in told
+    assert "with --strict this is a failure" in told
+
+
+def test_pytest_shows_what_was_obtained_and_expected(folder):
+    """As a table, above the reason, and with the evidence."""
+    pinned(folder, TRUTH)
+    write_suite(folder, STRICT + 'rms-tol = "1deg"\n')
+    told = run_pytest(folder, "--quatprop-suite=suite.toml", "--quatprop-artifacts=kept", code=1)
+    lines = [line.split() for line in told.splitlines()]
+    assert ["obtained", "expected"] in lines
+    table = lines[lines.index(["obtained", "expected"]) + 1 :]
+    assert table[0] == ["largest", "error", "0.0718199", "deg", "1e-09", "deg"]
+    assert "FAILED suite.toml::coning - above the tolerance, first at " in told
+    assert table[1][:2] == ["RMS", "error"]
+    assert (folder / "kept" / "coning" / "error.html").is_file()
 
 
 def test_pytest_runs_one_case_by_its_name(mixed):

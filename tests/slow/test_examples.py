@@ -29,13 +29,15 @@ def test_the_examples_of_every_command_run(tmp_path, monkeypatch):
             run(*arguments, code=0)
 
 
-ELSEWHERE = {"ci", "development", "fleets", "library"}
+ELSEWHERE = {"development", "fleets", "library"}
 """Guides of which examples/test_documents.py runs what is in them."""
 
 
 @pytest.mark.parametrize("name", sorted({path.stem for path in GUIDES.glob("*.md")} - ELSEWHERE))
 def test_commands_of_guides_print_what_is_shown(name, tmp_path, monkeypatch):
-    """To the letter; where nothing is shown, they end well."""
+    """To the letter; where nothing is shown, they end well, or as it says."""
+    if name == "ci" and not shutil.which("git"):
+        pytest.skip("its last sections merge with git")
     monkeypatch.setenv("COLUMNS", "200")
     recordings = SHARED_LOGS if SHARED_LOGS.is_dir() else None
     document = Document(GUIDES / f"{name}.md", tmp_path, recordings)

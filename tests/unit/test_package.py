@@ -3,6 +3,7 @@
 import ast
 import doctest
 import importlib.util
+import inspect
 import os
 import pkgutil
 import re
@@ -51,6 +52,18 @@ def test_public_names_are_sorted_and_there():
         _ = quatprop.nonsense
 
 
+@pytest.mark.parametrize("name", quatprop.__all__)
+def test_every_field_of_a_public_name_is_described(name):
+    """help() showed bare names of the fields of results, and no sentence about some of them."""
+    public = getattr(quatprop, name)
+    if inspect.isclass(public) and not issubclass(public, Exception):
+        text = "\n".join(inspect.getdoc(base) for base in public.__mro__[:-1])
+        fields = {*inspect.signature(public).parameters} - {"metadata"}
+        heads = re.findall(r"^(\w[\w, *]*)(?: : .*)?\n    ", text, re.MULTILINE)
+        described = {word for head in heads for word in head.split(", ")}
+        assert fields <= described, fields - described
+
+
 def part_of(module):
     """Return the package or module in the root of the package that a module belongs to."""
     return ".".join(module.split(".")[:2])
@@ -79,9 +92,9 @@ LAYERS = (
     {"containers"},
     {"logs", "rendering"},
     {"writers"},
-    {"log_copy", "simulate"},
+    {"log_copy", "simulation"},
     {"comparison", "pipeline"},
-    {"conversion", "plot"},
+    {"conversion", "plotting"},
     {"api", "batch", "check"},
     {"cli", "pytest_plugin", "__main__"},
 )

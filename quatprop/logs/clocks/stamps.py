@@ -47,7 +47,7 @@ def stamps_of(found: Found) -> list[Stamp]:
     """Return the stamps that belong to columns: those of the row, then the nearest around."""
     table, row = found.table, found.row
     stamps = [stamp_at(table, found.part.prefix + name, row.time_unit) for name in row.stamps]
-    name = table.columns[found.sets[0][0]].text
+    name = table.columns[found.sets[0][0]].text if found.sets[0] else ""
     levels = [name[: dot.end()] for dot in re.finditer(r"\.", name)]
     for prefix in (*reversed(levels), ""):
         around = (stamp_at(table, prefix + place) for place in STAMPS)

@@ -24,7 +24,7 @@ from quatprop.logs.signals.attitude_covariance import CONSTANT_MESSAGES, covaria
 from quatprop.logs.signals.choice import ATTITUDES, Candidate, candidates, choose
 from quatprop.logs.signals.signal import AttitudeSignal
 from quatprop.provenance import entry_of
-from quatprop.settings import LAYOUTS
+from quatprop.settings.choices import LAYOUTS
 from quatprop.text import Remark, Setting, plain
 
 if TYPE_CHECKING:

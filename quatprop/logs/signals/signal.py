@@ -9,7 +9,7 @@ from quatprop.conventions import HAMILTON
 from quatprop.errors import LogError
 from quatprop.logs.signals.reading import attitudes_of, rates_of
 from quatprop.series import GyroSeries
-from quatprop.settings import CORRECT_CONING
+from quatprop.settings.choices import CORRECT_CONING
 from quatprop.tables.batches import merge_by_time
 from quatprop.text import Remark, quoted
 

@@ -6,7 +6,7 @@ do not say which is the scalar: only a row that is certain about it is trusted w
 
 from __future__ import annotations
 
-from quatprop.settings import EULER_SEQUENCES
+from quatprop.settings.choices import EULER_SEQUENCES
 from quatprop.tables.column_names import (
     EULER,
     EULER_NUMBERED,

@@ -22,8 +22,10 @@ from scipy.spatial.transform import Rotation
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
 from quatprop.comparison.settings import COMPARE
+from quatprop.conversion.settings import CONVERT
 from quatprop.errors import LogError, NoRatesError, SeriesError, UsageError
-from quatprop.settings import PROPAGATE, RATES_IN_MEMORY, READ_ATTITUDES
+from quatprop.settings import PROPAGATE
+from quatprop.settings.reading import RATES_IN_MEMORY, READ_ATTITUDES
 from quatprop.text import Setting
 
 T_NS = np.array([1_700_000_000_000_000_000, 1_700_000_000_010_000_000, 1_700_000_000_020_000_001])
@@ -255,10 +257,10 @@ def test_what_is_about_logs_is_refused_for_rates_in_memory(name):
 IN_MEMORY = {
     "if they are in deg/s, use numpy.deg2rad": [0, 10**7],
     "choose on_backwards='drop' or 'sort', or another t_ns": [0, 5, 3],
-    "is there another t_ns or time column, or are they in another unit?": [0] * 30,
+    "is there another t_ns, or are they in another unit?": [0] * 30,
     "in another unit, use t_ns in ns": list(range(0, 30 * 10**13, 10**13)),
     "check unit, the time column or t_ns": [-(2**63), 2**63 - 1],
-    "choose another with t_ns or other stamps": [10**9] * 5 + [2 * 10**9] * 5,
+    "choose another with t_ns": [10**9] * 5 + [2 * 10**9] * 5,
 }
 """How advice ends on rates in memory, and stamps that it is given for, in ns."""
 
@@ -442,7 +444,7 @@ def test_only_attitudes_are_written(tmp_path):
         (quatprop.read_attitudes, READ_ATTITUDES),
         (quatprop.propagate, PROPAGATE),
         (quatprop.compare, COMPARE),
-        (quatprop.convert, {"to", "layout", "extra_columns", "representation"}),
+        (quatprop.convert, {"to", "layout", "extra_columns", "representation", *CONVERT}),
         (quatprop.write, {"to", "layout", "extra_columns"}),
     ],
 )
@@ -450,7 +452,7 @@ def test_every_keyword_is_documented(function, settings):
     """Each setting stands before a colon, or in a list of them, in the parameters."""
     parameters = function.__doc__.split("Returns\n")[0]
     for name in settings:
-        assert re.search(rf"\b{name}\b(?=[\w, \\\n]*( :|\n        ))", parameters), name
+        assert re.search(rf"\b{name}\b(?=[\w, \\\n]*( :|\n    ))", parameters), name
 
 
 @pytest.mark.parametrize(
@@ -458,8 +460,6 @@ def test_every_keyword_is_documented(function, settings):
     [
         (lambda path: quatprop.compare(path, path),
          "name the columns with quat_cols, from_layout and time_col of read_attitudes"),
-        (lambda path: quatprop.propagate(SAMPLE_LOGS / "spin.csv", at=path),
-         "name the columns with quat_cols, from_layout and time_col of convert"),
         (lambda path: quatprop.propagate(SAMPLE_LOGS / "spin.csv", q0=path),
          "name the columns with quat_cols, from_layout and time_col of convert"),
         (quatprop.read_attitudes, "name the columns with quat_cols, from_layout and time_col"),
@@ -474,6 +474,18 @@ def test_a_way_out_names_the_function_that_has_it(tmp_path, called, way_out):
     with pytest.raises(quatprop.QuatpropError) as error:
         called(path)
     assert str(error.value).endswith(way_out)
+
+
+@pytest.mark.parametrize(
+    ("name", "setting"),
+    [("topic_b", "topic"), ("from_layout_a", "from_layout"), ("time_col", "time_col")],
+)
+def test_comparing_says_where_settings_of_a_side_belong(name, setting):
+    """They were refused with a list of the limits: options of the command had no way out here."""
+    path = SAMPLE_LOGS / "tumbling.truth.csv"
+    way_out = f"give compare\\(\\) what read_attitudes\\(\\) returns with {setting}=...$"
+    with pytest.raises(UsageError, match=f"^there is no setting '{name}'; {way_out}"):
+        quatprop.compare(path, path, **{name: "x"})
 
 
 def test_the_public_names_are_listed():

@@ -1,8 +1,11 @@
 """What is said of cases: in the terminal, for CI, as evidence; and first steps."""
 
 import json
+import re
 import shlex
 import shutil
+from pathlib import Path
+from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -10,6 +13,8 @@ from make.commands import run
 from make.suites import STRICT, TRUTH, check, lock_of, pinned, stored, write_suite
 
 from quatprop import __version__
+from quatprop.check.case import CaseResult
+from quatprop.check.reports import append_github_summary, github_annotations
 from quatprop.errors import ComparisonError
 
 
@@ -17,14 +22,14 @@ def test_of_many_cases_those_that_pass_are_counted(folder):
     """Failures come last, and -v lists all."""
     many = "".join(stored(f"case{number}") for number in range(9))
     suite = write_suite(folder, many + stored("bad", "none.csv") + stored("z"))
-    first, second = check(suite, "--update").stdout.splitlines()
+    check(suite, "--update")
+    first, second = check(suite).stdout.splitlines()
     assert first.startswith("ERROR  bad    ")
     assert second == "11 cases: 10 passed, 1 error"
     *lines, note, _ = check(suite, "-v").stdout.splitlines()
     assert [line.split()[0] for line in lines] == [*["pass"] * 10, "ERROR"]
-    # What propagate says of the log was seen nowhere.
+    # What propagate says of the log, pinned or not.
     assert note.startswith("note on 10 cases: every rate is the same, ")
-    assert note.split(": ", 1)[1] in run("propagate", folder / "logs/spin.csv", "-o", "-").stderr
 
 
 def test_a_suite_can_be_written_for_logs(folder):
@@ -35,7 +40,8 @@ def test_a_suite_can_be_written_for_logs(folder):
     logs = [log, shutil.copy(log, folder / "more"), shutil.copy(log, folder / "a b.csv")]
     result = check(suite, "--init", *logs)
     assert result.exit_code == 0, result.output
-    assert [line.split()[1] for line in result.stdout.splitlines()[:2]] == ["spin", "spin-2"]
+    cases = [line for line in result.stdout.splitlines() if line.startswith("pass ")]
+    assert [line.split()[1] for line in cases] == ["spin", "spin-2", "a"]
     lock = suite.with_name("suite.lock.json")
     assert result.stderr.splitlines()[-1] == f"wrote {suite}, {lock} and the references"
     assert '[case."a b"]\nlog = "../a b.csv"\nreference = "refs/a b.parquet"\n' in suite.read_text()
@@ -74,7 +80,8 @@ def test_any_limit_on_the_error_is_a_tolerance(folder, limit, code):
     suite = write_suite(folder, case)
     result = check(suite)
     assert result.exit_code == code, result.output
-    assert ("error in inclination" in result.stdout) == bool(code)
+    shown = limit.replace("-9", "-09").replace("deg", " deg")
+    assert f"; error in inclination 0.0154633 deg of {shown}" in result.stdout
     explained = check(suite, "--explain").stdout
     assert "judged by" in explained
     assert " alignment yaw\n" in explained
@@ -95,17 +102,18 @@ def test_a_case_can_be_explained(folder):
     result = check(suite, "--explain")
     assert result.exit_code == 0
     spin, coning = result.stdout.split("\n\n")
-    title, log, method, reference, judged, stamps, samples, last = spin.splitlines()
+    title, log, method, reference, judged, tol, stamps, samples, last, remark = spin.splitlines()
     assert title == "spin (line 1 of the suite)"
     assert log.startswith(f"  log        {folder / 'logs' / 'spin.csv'}: SHA-256 ")
     assert log.endswith(", as pinned")
     assert method == "  method     end, pinned as mean"
     assert reference.endswith("spin.parquet: no such file or folder; check the path")
-    assert judged == "  judged by  worst error of at most 1e-09 rad, alignment none"
+    assert (judged, tol.strip()) == ("  judged by  alignment none", "tol 1e-9rad")
     assert (stamps.strip(), samples.strip()) == ("equal timestamps", "1000 samples")
     assert last == f"  lock       by quatprop {__version__}, one of every 2 attitudes"
     assert "coning.truth.csv, an independent series" in coning
-    assert "worst error of at most 0.1 deg" in coning
+    assert remark == "  remark     frozen"
+    assert "tol 0.1deg: 0.0718199 deg when it was pinned, 28 % left" in coning
 
 
 # Evidence
@@ -129,9 +137,9 @@ def test_the_evidence_of_a_failure_is_kept(failing, folder):
     ]  # fmt: skip
     assert "<svg" in (place / "error.html").read_text()
     commands = [shlex.split(line) for line in (place / "commands.txt").read_text().splitlines()]
-    assert [name for name, *_ in commands] == ["quatprop", "quatprop"]
-    assert [run(*arguments).exit_code for _, *arguments in commands] == [0, 1]
-    assert [path.name for path in (folder / "failed").iterdir()] == ["a%2Fb"]
+    assert [name for name, *_ in commands] == ["quatprop"] * 3
+    assert [run(*arguments).exit_code for _, *arguments in commands] == [1, 0, 1]
+    assert sorted(path.name for path in (folder / "failed").iterdir()) == ["a%2Fb", "index.html"]
 
 
 def test_evidence_without_a_comparison_says_why(failing, folder, monkeypatch):
@@ -140,10 +148,12 @@ def test_evidence_without_a_comparison_says_why(failing, folder, monkeypatch):
     def fails(*_arguments):
         raise ComparisonError("A turns <b>faster</b> & B does not")
 
-    monkeypatch.setattr("quatprop.check.artifacts.compare", fails)
-    assert check(failing, "--artifacts", folder / "failed").exit_code == 1
+    monkeypatch.setattr("quatprop.check.case_run.compare", fails)
+    assert check(failing, "--artifacts", folder / "failed").exit_code == 2
+    sentence = "the log's attitudes turns &lt;b&gt;faster&lt;/b&gt; &amp; the reference does not"
     assert (folder / "failed" / "a%2Fb" / "error.html").read_text() == (
-        "<!doctype html>\n<p>A turns &lt;b&gt;faster&lt;/b&gt; &amp; B does not</p>\n"
+        f'<!doctype html>\n<meta charset="utf-8">\n<p>error: {sentence}</p>\n'
+        "<p>there is nothing to draw, as nothing was compared</p>\n"
     )
 
 
@@ -177,14 +187,14 @@ def test_junit_has_each_case(mixed, folder):
     assert check(mixed, "--junit", target).exit_code == 2
     root = ET.parse(target).getroot()  # noqa: S314  # our own file
     assert root.tag == "testsuites"
-    assert [root.get(key) for key in ("tests", "failures", "errors", "skipped")] == list("3110")
+    assert [root.get(key) for key in ("tests", "failures", "errors")] == list("311")
     (tests,) = root
-    assert [(case.get("name"), case.get("line")) for case in tests] == [
-        ("coning", "1"), ("spin", "6"), ("rest", "9"),
-    ]  # fmt: skip
+    assert tests.get("skipped") == "0"
+    assert [case.get("name") for case in tests] == ["coning", "spin", "rest"]
     failure, error = tests.find("./testcase/failure"), tests.find("./testcase/error")
     assert failure.get("message").startswith("above the tolerance, first at +")
     assert error.get("message").endswith("rest.parquet: no such file or folder; check the path")
+    assert error.text.startswith(f"{mixed}:9\n")
 
 
 def test_a_place_where_junit_cannot_go_is_reported_before_anything_runs(mixed, folder):
@@ -215,10 +225,10 @@ def test_github_gets_a_summary_and_annotations(summary):
     """The summary is appended to; annotations go to stderr; stdout stays JSON."""
     summary.write_text("before\n")
     result = check("suite.toml", "--json")
-    counts = {"pass": 1, "fail": 1, "error": 1, "skip": 0, "xfail": 0, "xpass": 0}
+    counts = {"pass": 1, "fail": 1, "error": 1, "skip": 0, "xfail": 0, "xpass": 0, "deleted": 0}
     report = json.loads(result.stdout)
     assert (report["passed"], report["counts"]) == (False, counts)
-    first, second = result.stderr.splitlines()
+    second, first = result.stderr.splitlines()
     assert first.startswith("::error file=suite.toml,line=1,title=coning%3A fail::")
     assert second == (
         "::error file=suite.toml,line=9,title=rest%3A error::logs/rest.parquet: no such file or "
@@ -232,6 +242,54 @@ def test_github_gets_a_summary_and_annotations(summary):
     ]  # fmt: skip
 
 
+MANY = 2000
+
+
+def many(verdict="fail", count=MANY):
+    """Return results, each with a reason of usual length."""
+    reason = "above the tolerance, first at +1 s; likely cause: " + "the rates are larger " * 30
+    return [CaseResult(f"case{k}", verdict, reason, "1 deg of 0.1 deg") for k in range(count)]
+
+
+def test_a_summary_is_shown_of_any_number_of_failures(tmp_path):
+    """GitHub shows nothing of more than 1 MiB; the part that fits says how many are missing."""
+    summary = tmp_path / "summary.md"
+    for _ in range(2):
+        append_github_summary(str(summary), Path("suite.toml"), many())
+    text = summary.read_text()
+    assert len(text.encode()) < 1 << 20
+    assert text.startswith("### suite.toml: 2,000 cases: 0 passed, 2000 failed")
+    rows = text.split("### ")[1].count("\n| case") - 1
+    assert f"\n{MANY - rows:,} more cases for which there is no room here; see JUnit" in text
+
+
+@pytest.mark.parametrize("count", [10, 11, MANY])
+def test_ten_annotations_of_a_kind_are_shown(count):
+    """GitHub drops the others silently; the tenth says how many there are."""
+    results = [*many("fail", count), *many("deleted", count)]
+    lines = [*github_annotations(Path("suite.toml"), results)]
+    kinds = [line.split(" ")[0] for line in lines]
+    assert kinds == ["::error"] * 10 + ["::warning"] * 10
+    if count > 10:
+        assert lines[9] == f"::error file=suite.toml,line=1::{count - 9} more cases, {count} in all"
+
+
+def test_all_cases_are_seen_at_a_glance(failing, folder):
+    """Worst first, each with its plot and, where there is one, a link to its page."""
+    check(failing, "--artifacts", folder / "failed")
+    page = (folder / "failed" / "index.html").read_text()
+    first, second = page.split("<tbody>")[1].split("<tr>")[1:]
+    (link,) = re.findall(r'<a href="(.*?)">a/b</a>', first)
+    assert (folder / "failed" / unquote(link)).is_file()
+    assert link == "a%252Fb/error.html"
+    assert "<polyline" in first
+    assert "0.0718199 deg</td>" in first
+    assert "<a " not in second
+    assert "2 cases: 1 passed, 1 failed" in page
+    assert page.count("<th scope") == page.count("<button>") == 5
+    assert "http" not in page.replace("http-equiv", "")
+
+
 def test_names_cannot_command_what_shows_them(folder, summary):
     """Line breaks, bars and escapes in a name stay text in the terminal, the summary, and XML."""
     junit = folder / "junit.xml"
@@ -243,3 +301,6 @@ def test_names_cannot_command_what_shows_them(folder, summary):
     assert "| a\\\\n::error::\\|\\<b\\>\\\\x1b\\[31m |" in summary.read_text()
     (case,) = ET.parse(junit).getroot().iter("testcase")  # noqa: S314  # our own file
     assert case.get("name") == "a\\n::error::|<b>\\x1b[31m"
+    check(suite, "--artifacts", folder / "failed")
+    page = (folder / "failed" / "index.html").read_text()
+    assert '<td data-key="a\\n::error::|&lt;b&gt;\\x1b[31m">a\\n::error::|&lt;b&gt;' in page

@@ -3,10 +3,12 @@
 import json
 import shutil
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from make.places import SAMPLE_LOGS
 from make.suites import STRICT, TRUTH, check, lock_of, pinned, stored, write_suite
+from scipy.spatial.transform import Rotation
 
 from quatprop.check.case_run import propagate_case
 from quatprop.errors.third_party import TRACEBACK
@@ -24,13 +26,20 @@ def test_an_update_says_what_changed(folder):
     write_suite(folder, stored("spin", "spin.csv", 'mount = "x,-y,-z"'))
     changed = check(suite, "--update")
     assert changed.exit_code == 0
-    first, sha, mount, samples, attitudes, _ = changed.stdout.splitlines()
+    first, sha, mount, samples, final, reference, attitudes, _ = changed.stdout.splitlines()
     assert first.startswith("pass   spin  updated  999 of 999 attitudes in ")
     assert sha.split()[:2] == ["log:", "SHA-256"]
     assert mount == "       mount: the default -> 'x,-y,-z'"
     assert samples == "       samples: 1000 -> 999"
-    assert attitudes.startswith("       attitudes: up to ")
-    assert "rad from the old reference, at +" in attitudes
+    # A quarter turn a second, for 9.99 s, and for 9.98 s about an axis with y and z reversed.
+    rate = np.pi / 6 * np.array([1, 2, 2])
+    ends = [Rotation.from_rotvec(9.99 * rate), Rotation.from_rotvec(9.98 * rate * [1, -1, -1])]
+    apart = np.degrees((ends[0].inv() * ends[1]).magnitude())
+    assert final.split()[2:4] == [f"{apart:.6g}", "deg"]
+    assert final.endswith("from the one pinned; total angle: 899.1 deg -> 898.2 deg")
+    assert reference.split()[:2] == ["reference:", "SHA-256"]
+    assert attitudes.startswith("       attitudes: max ")
+    assert " deg from the 99.9 % of the old reference covered" in attitudes
     assert check(suite).exit_code == 0
 
 
@@ -40,7 +49,7 @@ def test_the_cause_of_an_update_names_the_log_and_the_reference(folder):
     write_suite(folder, stored("coning", "coning.mcap", 'method = "coning"'))
     assert (
         "likely cause: the same rates lead to the log's attitudes with method coning, and to the "
-        "reference with method start (method)"
+        "reference with method start; undoing it takes the RMS error from "
     ) in check(suite, "--update").stdout
 
 
@@ -64,7 +73,8 @@ def test_an_update_does_not_hide_a_failure_against_an_independent_series(folder)
     result = check(suite, "--update")
     assert result.exit_code == 1
     assert result.stdout.startswith("FAIL   coning  updated  ")
-    assert "       method: 'coning' -> 'end'\n       worst error: " in result.stdout
+    assert "       method: 'coning' -> 'end'\n       final attitude: " in result.stdout
+    assert "       max error: 0.0718199 deg -> 0.62864 deg\n" in result.stdout
 
 
 def test_an_update_replaces_only_what_an_update_wrote(folder):
@@ -117,26 +127,29 @@ def test_a_lock_that_is_none_is_refused(folder):
     intact = lock.read_text()
     contents = [b"\xff"]
     for key, value in (
-        ("final_wxyz", [1.0]),
-        ("final_wxyz", None),
-        ("final_wxyz", ["1", 0, 0, 0]),
+        ("final_deg", {"roll": 1.0}),
+        ("final_deg", None),
+        ("final_deg", {"roll": 1.0, "pitch": 0.0, "yaw": "north"}),
+        ("remarks", "frozen"),
+        ("span_s", None),
         ("samples", "1001"),
         ("every", 1.5),
         ("every", 0),
         ("reference", 7),
         ("quatprop", None),
-        ("error_rad", "small"),
+        ("measured", {"max": "small"}),
         ("inputs", {"log": 1}),
         ("options", {"method": None}),
     ):
         told = json.loads(intact)
         told["cases"]["spin"][key] = value
         contents.append(json.dumps(told).encode())
-    words = "it is not the lock that --update writes; restore it, or remove it and update"
     for content in contents:
         lock.write_bytes(content)
         result = check(suite)
         assert result.exit_code == 2
+        why = " (it is not JSON: line 1: Expecting value)" if content == b"\xff" else ""
+        words = f"it is not the lock that --update writes{why}; restore it, or remove it and update"
         assert result.stderr == f"Error: {lock}: {words}\n", content
     lock.unlink()
     words = "the reference is there, but not in the lock; restore the lock, or check with --update"
@@ -150,11 +163,11 @@ def test_a_deleted_case_is_named(folder):
     write_suite(folder, stored() + TRUTH)
     result = check(suite)
     assert result.exit_code == 0
-    assert result.stderr == (
-        "pinned, but not in the suite: 'rest'; restore them, or remove them from the lock with "
-        "--update\n"
-    )
-    assert json.loads(check(suite, "--json").stdout)["deleted"] == ["rest"]
+    words = "it is pinned, but not in the suite; restore it, or remove it from the lock with "
+    *_, gone, last = result.stdout.splitlines()
+    assert gone == f"gone   rest    {words}--update"
+    assert last == "3 cases: 2 passed, 1 deleted"
+    assert json.loads(check(suite, "--json").stdout)["counts"]["deleted"] == 1
     assert check(suite, "--strict").exit_code == 1
     result = check(suite, "--update", "--strict")
     assert (result.exit_code, result.stderr.splitlines()) == (
@@ -180,13 +193,13 @@ def test_a_deleted_case_is_named(folder):
 def test_what_nobody_expected_does_not_stop_the_other_cases(folder, monkeypatch, error, sentence):
     """Errors that are none of a log, too, are those of one case of many."""
 
-    def fails(case, every):
+    def fails(case, every, folder):
         if case.name == "bad":
             raise error
-        return propagate_case(case, every)
+        return propagate_case(case, every, folder)
 
     monkeypatch.delenv(TRACEBACK, raising=False)
-    monkeypatch.setattr("quatprop.check.update.propagate_case", fails)
+    monkeypatch.setattr("quatprop.check.judge.propagate_case", fails)
     result = check(write_suite(folder, stored("bad") + stored("good")), "--update")
     assert result.exit_code == 2
     assert f"ERROR  bad   {sentence}" in result.stdout

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from quatprop.comparison import association
 from quatprop.comparison.association import shifted
-from quatprop.comparison.interpolation import interpolate
 from quatprop.comparison.settings import ComparisonSettings
 from quatprop.errors import ComparisonError
+from quatprop.kinematics.interpolation import interpolate
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.series import AttitudeSeries
 

@@ -86,40 +86,34 @@ NAMED = {
     "other axes": (
         lambda: (attitudes(axes=(1, 2, 0), signs=(1, -1, -1)), attitudes()),
         "axes",
-        "^the body axes x, y, z of A are y, -z, -x of B$",
-        "with --mount -z,x,-y; if B was, with --mount y,-z,-x; --align mount takes it out",
+        "^the body axes x, y, z of A are y, -z, -x of B;",
+        "with --mount -z,x,-y; if B was, with --mount y,-z,-x",
     ),
     "another method is no mounting": (
         lambda: (attitudes("start"), attitudes("coning")),
         "method",
-        "^the same rates lead to A with method start, and to B with method coning$",
-        "propagate it with --method coning; if B was, with --method start",
+        "^the same rates lead to A with method start, and to B with method coning;",
+        "coning; if B was propagated with method coning, with --method start",
     ),
     "between start and end lies one interval": (
         lambda: (attitudes("start"), attitudes("end")),
         "method",
-        "with method end, or their timestamps are one interval, 10 ms, apart$",
+        "with method end, or their timestamps are one interval, 10 ms, apart;",
         "",
     ),
-    "half an interval": (
-        lambda: noisy_with(lambda b: delayed(b, 5)),
+    "an offset is named with the value that takes it out": (
+        lambda: (attitudes("cubic"), delayed(attitudes("cubic"), 30)),
         "time offset",
-        r"late \(half a sampling interval of A\): a clock offset, or another integration rule$",
-        "--time-offset auto takes the offset out, --method changes the rule",
-    ),
-    "no half interval, as the offset is known to a tenth of the difference": (
-        lambda: noisy_with(lambda b: AttitudeSeries(b.t_ns + 5_700_000, b.wxyz)),
-        "time offset",
-        "^((?!interval).)*$",
-        "--time-offset auto takes the offset out",
+        "^B is 30 ms late;",
+        "--time-offset -30ms takes it out",
     ),
     "motion about one axis leaves alternatives": (
         about_z,
-        "conjugate",
-        "not distinguish it from swapped or reversed axes or rates of the opposite sign$",
-        "",
+        "rate sign",
+        "not distinguish it from a wrong direction or JPL convention or swapped or reversed axes;",
+        "if A was propagated, multiply its rates by -1; if B was, multiply its rates by -1",
     ),
-    "a bias explains the error, and the windows show the delay": (
+    "a bias explains the error, and a delay most of what is left": (
         lambda: noisy_with(lambda b: delayed(b, 30)),
         "time offset",
         "",
@@ -138,17 +132,17 @@ def test_a_cause_is_named_with_what_settles_it(pair, name, sentence, advice):
     assert in_options(found.advice).endswith(advice)
 
 
-def test_the_evidence_is_the_windows_with_and_without_the_cause():
-    """Over some window the error is far smaller; a script is told keywords, not options."""
+def test_the_evidence_is_the_error_before_and_after():
+    """It is that of the comparison; a script is told keywords, not options."""
     a, b = noisy()
-    cause = compare(a, changed(b, conjugate)).likely_cause
-    assert cause.window_ns in {100_000_000, 200_000_000, 500_000_000, 1_000_000_000, 2_000_000_000}
-    assert cause.rms_before > 20 * cause.rms_after
+    found = compare(a, changed(b, conjugate))
+    cause = found.likely_cause
+    assert cause.rms_before == found.error_rad.rms
+    assert cause.rms_after == pytest.approx(compare(a, b).error_rad.rms, rel=1e-9)
+    before, after = (f"{np.degrees(rms):.4g} deg" for rms in (cause.rms_before, cause.rms_after))
+    assert cause.sentence.endswith(f"undoing it takes the RMS error from {before} to {after}")
     words = "read it with from_direction='ref-to-body' or from_convention='jpl'"
     assert in_python(cause.advice).endswith(words)
-    cause = compare(attitudes("start"), attitudes("coning"), tol="1e-9rad").likely_cause
-    assert cause.rms_after < 1e-12
-    assert cause.rms_before > 1e-5
 
 
 def test_a_mounting_is_described_as_the_option_takes_it():
@@ -160,9 +154,9 @@ def test_a_mounting_is_described_as_the_option_takes_it():
         assert compare(again, other).error_rad.max < 1e-12
 
 
-@pytest.mark.parametrize("ppm", [-1000, 300, 1000])
+@pytest.mark.parametrize("ppm", [-1000, 1500])
 def test_a_clock_that_drifts_is_named_with_its_uncertainty(ppm):
-    """Within three standard deviations; the offset changes by 18 or 60 ms in a minute."""
+    """Within three standard deviations; the offset changes by 60 or 90 ms in a minute."""
     a, b = noisy()
     drifting = AttitudeSeries(T_NS + T_NS * ppm // 1_000_000, b.wxyz)
     cause = compare(a, drifting, align="mean").likely_cause
@@ -170,7 +164,9 @@ def test_a_clock_that_drifts_is_named_with_its_uncertainty(ppm):
     found, std = ppm_named(drift)
     assert std < 0.1 * abs(ppm)
     assert found == pytest.approx(ppm, abs=3 * std)
-    assert in_options(drift.remedy) == "correct the stamps; --time-offset auto leaves the change in"
+    first_ms, added = map(float, re.findall(r"([-.\d]+) (?:ms to|ppm of)", drift.remedy))
+    stamps = drifting.t_ns + np.rint(first_ms * 1e6 + added * 1e-6 * T_NS).astype(np.int64)
+    assert np.abs(stamps - T_NS).max() < 3e6
 
 
 @pytest.mark.parametrize("ms", [-55, -45, 37, 50])
@@ -182,14 +178,28 @@ def test_steady_precession_does_not_distinguish_a_clock_from_a_mounting(ms):
     cause = compare(a, b).likely_cause
     found = re.fullmatch(
         r"B is (\d+) ms (late|early); this motion does not distinguish it from body frames that "
-        r"differ by ([\d.]+) deg",
+        r"differ by ([\d.]+) deg; undoing it .*",
         cause.sentence,
     )
     assert found.groups()[:2] == (str(abs(ms)), "late" if ms > 0 else "early")
     assert float(found[3]) == pytest.approx(np.degrees(0.5e-3 * abs(ms)), rel=1e-5)
-    assert in_options(cause.remedy) == f"--time-offset {-ms}ms or --align mount takes it out"
+    assert in_options(cause.remedy) == f"--time-offset {-ms}ms takes it out"
     for remedy in ({"time_offset": f"{-ms}ms"}, {"align": "mount"}):
         assert compare(a, b, **remedy).error_rad.rms < 1e-5
+
+
+def test_a_dead_axis_is_a_finding_and_no_cause():
+    """It was called swapped axes or a bias. The truth about one axis alone has no such finding."""
+    a, b = attitudes(signs=(1, 0, 1)), attitudes()
+    for pair, name, other in (((a, b), "A", "B"), ((b, a), "B", "A")):
+        found = compare(*pair, align="mean")
+        assert found.likely_cause is None
+        (remark,) = found.remarks
+        assert remark == (
+            f"the rate of {name} about its y axis never changes, and {other} turns about all "
+            "three: are rates missing?"
+        )
+    assert compare(attitudes(signs=(0, 0, 1)), about_z()[1]).remarks == ()
 
 
 def test_an_axis_that_hardly_turns_is_no_turned_body():
@@ -209,8 +219,16 @@ def test_what_explains_most_of_the_error_is_named_first():
     cause = compare(a, delayed(turned(a), 30), tol="5deg").likely_cause
     assert (cause.name, cause.also.name) == ("reference frame", "time offset")
     assert cause.also.sentence.startswith("B is 30 ms")
-    assert np.degrees(cause.also.total_before) == pytest.approx(171.9, abs=2)
-    assert np.degrees(cause.also.total_after) == pytest.approx(np.degrees(3.0), abs=0.01)
+    assert np.degrees(cause.rms_before) == pytest.approx(171.9, abs=2)
+    assert cause.rms_after == cause.also.rms_before > 100 * cause.also.rms_after
+
+
+def test_what_the_limit_allows_has_no_second_cause():
+    """A wrong unit was followed by a drift of 0.4 deg/h that explained millionths of the error."""
+    a, _ = noisy()
+    cause = compare(a, delayed(turned(a), 30), tol="40deg").likely_cause
+    assert cause.name == "reference frame"
+    assert cause.also is None
 
 
 def test_turned_frames_come_before_a_method():

@@ -42,7 +42,8 @@ def test_a_tilt_fails_by_its_inclination():
     assert heading.value < 1e-14
     assert np.degrees(inclination.value) == pytest.approx(1, abs=1e-12)
     assert not found.passed
-    assert found.likely_cause.advice == "the reference frames differ by 1 deg"  # no remedy
+    assert found.likely_cause.sentence.startswith("the reference frames differ by 1 deg;")
+    assert found.likely_cause.remedy == "align='mean' takes it out"
     assert np.degrees(found.alignment.reference_rad) == pytest.approx(40, abs=1e-9)
 
 

@@ -14,9 +14,9 @@ from quatprop import RemarkWarning, convert, read_attitudes, write
 from quatprop.conventions.representations import REPRESENTATIONS, from_euler, from_matrices
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.logs.interpolation import stamps_in
 from quatprop.logs.open_log import open_log
-from quatprop.settings import EULER_SEQUENCES
+from quatprop.logs.wanted_times import stamps_in
+from quatprop.settings.choices import EULER_SEQUENCES
 from quatprop.tables.model import Stamp
 from quatprop.writers import open_table
 from quatprop.writers.formats import WRITERS

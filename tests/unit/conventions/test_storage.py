@@ -21,7 +21,7 @@ from quatprop.conventions import AttitudeConvention, Signs
 from quatprop.conventions.representations import REPRESENTATIONS, euler_angles, from_euler
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.settings import EULER_SEQUENCES
+from quatprop.settings.choices import EULER_SEQUENCES
 
 BODY_TO_REF = np.array([[81, -76, 48], [84, 87, -4], [-32, 36, 111]]) / 121
 

@@ -12,7 +12,7 @@ from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import rotation_matrix
 from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
 from quatprop.series import GyroSeries
-from quatprop.simulate.motion import MOTIONS
+from quatprop.simulation.motion import MOTIONS
 
 COUNT, INTERVAL_NS = 401, 25_000_000
 H = INTERVAL_NS / 1e9

@@ -5,7 +5,7 @@ import pytest
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.increments import rotation_vectors
-from quatprop.settings import METHODS
+from quatprop.settings.choices import METHODS
 
 T_NS = np.array([0, 500_000_000, 750_000_000])
 RATE = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 4.0]])

@@ -19,7 +19,7 @@ from quatprop.kinematics.propagate import TILE, FinalAttitude, Propagation, atti
 from quatprop.kinematics.quaternion import exp, geodesic_angle, rotate
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK, reblock
-from quatprop.settings import METHODS
+from quatprop.settings.choices import METHODS
 
 needs_80_bits = pytest.mark.skipif(not oracle.EXTENDED, reason="longdouble has no 80 bits here")
 
@@ -333,7 +333,7 @@ PROGRAMS = {
     WIDE: """
 import hashlib
 import numpy as np
-from quatprop.settings import METHODS
+from quatprop.settings.choices import METHODS
 from quatprop.kinematics.propagate import attitudes
 rate = np.random.default_rng(1).normal(0, 3, (20_000, 3))
 rate[::7] *= 1000

@@ -14,7 +14,7 @@ from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
 from quatprop.kinematics.quintic import quintic, quintic_of_averages
 from quatprop.kinematics.resample import Listed, Steady
 from quatprop.series import GyroSeries
-from quatprop.simulate.motion import Shape, motion_named
+from quatprop.simulation.motion import Shape, motion_named
 
 RATES_HZ = (16, 32, 64, 125)
 

@@ -17,7 +17,7 @@ from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, log, multiply
 from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
 from quatprop.series import GyroSeries
-from quatprop.simulate.motion import MOTIONS
+from quatprop.simulation.motion import MOTIONS
 
 EACH = {
     "noise_density": SensorErrors(noise_density=2e-4),

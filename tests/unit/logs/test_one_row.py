@@ -13,7 +13,7 @@ from quatprop import DataLossWarning, RemarkWarning, read_attitudes, read_rates
 from quatprop.logs.vocabulary import sources
 from quatprop.logs.vocabulary.rows import PARTS, WXYZ, XYZ, Row
 from quatprop.messages.schema import ros_name
-from quatprop.settings import LAYOUTS, METHODS, RATE_UNITS, TIME_UNITS
+from quatprop.settings.choices import LAYOUTS, METHODS, RATE_UNITS, TIME_UNITS
 
 NAME = "my_msgs/msg/Gyro"
 ROW = Row(

@@ -14,9 +14,9 @@ from quatprop.logs.signals.rates import choose_rates
 from quatprop.pipeline.plausibility import against_orientation, log_remarks, orientation_remarks
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.settings.selection import RateSelection
-from quatprop.simulate.gyroscope import Gyroscope
-from quatprop.simulate.motion import Shape
-from quatprop.simulate.simulate import simulate
+from quatprop.simulation.gyroscope import Gyroscope
+from quatprop.simulation.motion import Shape
+from quatprop.simulation.simulate import simulate
 from quatprop.text import in_python
 
 MS = 1_000_000

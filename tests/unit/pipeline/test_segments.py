@@ -18,6 +18,7 @@ from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply
 from quatprop.pipeline.segments import Segments
+from quatprop.pipeline.summary import facts
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK
 from quatprop.timeline import Timeline
@@ -259,3 +260,16 @@ def test_a_wrong_timestamp_does_not_fill_the_disk(tmp_path):
     assert not out.exists()
     run(*arguments, "--on-gap", "split", code=0)
     assert len(out.read_text().splitlines()) == 1 + 4
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+@pytest.mark.parametrize(("method", "is_said"), [("end", True), ("coning", False)])
+def test_coning_is_no_error_of_averages_that_are_corrected(method, is_said):
+    """The summary announced 0.0106 deg by method coning that PX4's corrected averages do not have.
+
+    Nothing in such a log tells whether the sensor corrects, so that the summary says both.
+    """
+    t_us, rate = np.arange(100) * 10_000, np.random.default_rng(1).normal(0, 0.1, (100, 3))
+    log = GyroSeries(t_us * 1000, rate, is_interval_average=True)
+    rows = dict(facts(propagate(log, method=method).report))
+    assert ("(no error if the sensor corrects for coning itself)" in rows["sensitivity"]) is is_said

@@ -15,7 +15,7 @@ import quatprop
 from quatprop import AttitudeSeries, GyroSeries
 from quatprop.errors import LogError, SeriesError, TimelineError, UsageError
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.settings import EULER_SEQUENCES
+from quatprop.settings.choices import EULER_SEQUENCES
 
 NS = 1_000_000_000
 TURNS = Rotation.random(40, np.random.default_rng(3))

@@ -16,11 +16,14 @@ from quatprop.cli.commands import cli
 from quatprop.cli.options import options_of, with_options
 from quatprop.cli.propagate import command
 from quatprop.comparison.settings import COMPARE
+from quatprop.conversion.settings import CONVERT
 from quatprop.errors import UsageError
 from quatprop.pipeline.settings import PropagationSettings, propagation_settings
-from quatprop.settings import CHECKS, ONE_SERIES, PROPAGATE, READ_ATTITUDES, READ_RATES
+from quatprop.settings import PROPAGATE
 from quatprop.settings.keyword import Keyword, keywords_of, parameters
-from quatprop.settings.parsers import Choice, file_beside
+from quatprop.settings.parsers import Choice
+from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_RATES
+from quatprop.settings.rotations import file_beside
 from quatprop.settings.spelling import in_keys, in_options
 from quatprop.settings.static_bias import StaticBias
 from quatprop.settings.values import parse_all
@@ -170,13 +173,13 @@ def test_words_of_settings_are_no_files(tmp_path, monkeypatch, name, text):
     [
         ("propagate", "", PROPAGATE),
         ("batch", "", PROPAGATE),
-        ("convert", "", READ_ATTITUDES),
+        ("convert", "", CONVERT),
         ("info", "", READ_RATES),
         ("plot", "", {**READ_RATES, **ONE_SERIES}),
         ("plot", "ref", ONE_SERIES),
         ("compare", "", {**COMPARE, **CHECKS}),
-        ("compare", "a", {**COMPARE, **READ_ATTITUDES}),
-        ("compare", "b", {**COMPARE, **READ_ATTITUDES}),
+        ("compare", "a", {**COMPARE, **CHECKS, **ONE_SERIES}),
+        ("compare", "b", {**COMPARE, **CHECKS, **ONE_SERIES}),
     ],
 )
 def test_options_in_sentences_exist(command, side, rows):
@@ -191,7 +194,7 @@ def test_options_in_sentences_exist(command, side, rows):
 
 @pytest.mark.parametrize(
     ("side", "rows"),
-    [("", {**PROPAGATE, **COMPARE, **CHECKS}), ("b", {**COMPARE, **READ_ATTITUDES})],
+    [("", {**PROPAGATE, **COMPARE, **CHECKS}), ("b", {**COMPARE, **CHECKS, **ONE_SERIES})],
 )
 def test_keys_in_sentences_exist(side, rows):
     """What a sentence names is a key of a case, and its parser takes the values it says."""
@@ -209,7 +212,7 @@ def test_keys_in_sentences_exist(side, rows):
 @pytest.mark.parametrize("side", ["at", "q0", "info"])
 def test_options_of_a_lookup_are_those_of_convert(side):
     """About attitudes that are only looked up, a command has few options of its own."""
-    for name in READ_ATTITUDES:
+    for name in {**ONE_SERIES, **CHECKS}:
         said = in_options(f"use {Setting(name)} or so", side)
         own = "info" if name in READ_RATES and side == "info" else "convert"
         options = [option for one in cli.get_command(None, own).params for option in one.opts]

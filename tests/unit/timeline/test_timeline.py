@@ -418,7 +418,7 @@ def test_remarks_say_how_gaps_were_handled(on_gap, handled):
 
 
 FEW = "0.1 samples per second are few for a"
-EQUAL = "all timestamps are 0 ns; is there another clock or time column, or are they in another"
+EQUAL = "all timestamps are 0 ns; is there another clock, or are they in another"
 WHOLE = "whole seconds"
 
 

@@ -148,7 +148,7 @@ def test_a_picture_that_cannot_be_drawn_leaves_the_old_output(tmp_path, monkeypa
     def fail(*_arguments):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("quatprop.plot.target.render", fail)
+    monkeypatch.setattr("quatprop.plotting.target.render", fail)
     refused("propagate", log, "-o", out, "--plot", tmp_path / "a.png", "-q")
     assert out.read_text() == "old"
 

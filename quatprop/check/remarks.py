@@ -1,0 +1,39 @@
+"""Remarks on the log and the reference of a case, and the codes by which they are pinned."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from quatprop.comparison.summary import with_names
+from quatprop.text import Remark, plain, spelled
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from quatprop.check.case import Case
+    from quatprop.check.case_run import CaseComparison, CaseRun
+    from quatprop.logs.attitude_input import LoadedAttitudes
+
+
+def remarks_of(
+    case: Case, run: CaseRun, reference: LoadedAttitudes | None, comparison: CaseComparison | None
+) -> dict[str, Remark]:
+    """Return what was remarked on the log and on an independent reference, by its code."""
+    found = [remark.spelled(spelled) for remark in run.report.remarks]
+    if case.external is not None and reference is not None:
+        result = comparison and comparison.result
+        for remark in (*reference.signal.remarks, *(result.remarks if result else ())):
+            text = with_names(spelled(remark), a="the log's attitudes", b="the reference")
+            found.append(Remark(f"reference: {remark.code}", text))
+    found += loss_notes(case, run, reference)
+    return {remark.code: remark for remark in found}
+
+
+def loss_notes(case: Case, run: CaseRun, reference: LoadedAttitudes | None) -> Iterator[Remark]:
+    """Yield a note where data of the log or of the reference were lost."""
+    lost = "data of {} were lost or left out, see {}"
+    if run.report.data_lost:
+        yield Remark("data-lost", lost.format(plain(case.log), "propagate"))
+    if case.external is not None and reference is not None and reference.data_lost:
+        text = lost.format(plain(case.external.path), "compare")
+        yield Remark("reference: data-lost", text)

@@ -1,0 +1,168 @@
+"""Run the cases of a suite, and show their results in the terminal and to CI services."""
+
+from __future__ import annotations
+
+import os
+from contextlib import closing
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from quatprop.errors import QuatpropError
+from quatprop.text import listed, plain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from quatprop.check.case import Case, CaseNotRun, CaseResult
+    from quatprop.check.lock import Pin
+    from quatprop.check.suite import Suite
+
+
+MAX_LISTED = 8
+"""Of more cases, those that pass are only counted."""
+
+
+def run_and_show(
+    suite: Suite,
+    cases: Sequence[Case | CaseNotRun],
+    pins: Mapping[str, Pin],
+    deleted: dict[str, Pin],
+    options: Any,
+) -> list[CaseResult]:
+    """Run cases, show their results, failures last, and return them."""
+    from quatprop.check.case import CaseResult
+    from quatprop.check.reports import note_lines, totals
+    from quatprop.check.runner import CheckOptions, run_cases
+
+    updating = options["update"] or options["init"]
+    width = max(len(plain(case.name)) for case in cases)
+    run_options = CheckOptions(
+        suite=suite if updating else None,
+        deleted=deleted,
+        dry_run=options["dry_run"],
+        confirm=partial(_confirmed, width) if options["interactive"] else None,
+        artifacts=options["artifacts"] and Path(options["artifacts"]),
+        strict=options["strict"],
+    )
+    running = run_cases(cases, pins, run_options, options["processes"])
+    results: list[CaseResult] = []
+    try:
+        with closing(running):
+            few = len(cases) <= MAX_LISTED and not options["quiet"]
+            _show(running, results, width, options, every=options["verbose"] or few)
+    finally:
+        # After an interruption, too: what was not run has not passed.
+        reason = "the run was interrupted before this case was done"
+        undone = [
+            CaseResult(case.name, "error", reason, line=case.line) for case in cases[len(results) :]
+        ]
+        _report_to_ci(suite, [*results, *undone], options)
+    if not options["as_json"]:
+        click.echo("\n".join([*note_lines(results, remarks=options["verbose"]), totals(results)]))
+    return results
+
+
+def _show(
+    running: Iterable[CaseResult],
+    results: list[CaseResult],
+    width: int,
+    options: Any,
+    *,
+    every: bool,
+) -> None:
+    """Show results and add them to a list; of many cases only those to look at, which come last."""
+    from quatprop.check.reports import NEEDS_ATTENTION, result_text
+
+    last: list[str] = []
+    try:
+        for result in running:
+            results.append(result)
+            text = result_text(result, width) + "\n"
+            if result.verdict in NEEDS_ATTENTION:
+                last.append(text)
+            elif not options["as_json"] and (
+                every or result.changes or result.updated == "updated"
+            ):
+                click.echo(text, nl=False)
+    finally:
+        # After an interruption, too.
+        if not options["as_json"]:
+            click.echo("".join(last), nl=False)
+
+
+def _confirmed(width: int, result: CaseResult) -> bool:
+    """Show a change and ask whether it is accepted; the end of the input is a no."""
+    from quatprop.check.reports import result_text
+
+    click.echo(result_text(result, width), err=True)
+    try:
+        return click.confirm("accept?", err=True)
+    except click.Abort:
+        click.echo(err=True)
+        return False
+
+
+def report_deleted(
+    cases: Sequence[Case | CaseNotRun], deleted: Mapping[str, Pin], *, written: bool
+) -> None:
+    """Name the cases that an update removes from the lock, and their references."""
+    from quatprop.check.reference import orphaned_references
+
+    if deleted:
+        click.echo(f"removed from the lock: {listed(deleted)}", err=True)
+    if not written:
+        click.echo("nothing was written, because of --dry-run", err=True)
+        return
+    for path in orphaned_references(cases, deleted.values()):
+        click.echo(f"no longer used, to be removed: {plain(path)}", err=True)
+
+
+def report_new(suite: Suite, results: Sequence[CaseResult]) -> None:
+    """Say what of a new suite was written."""
+    written = sum(result.pin is not None for result in results)
+    if not written:
+        click.echo("wrote nothing, as no log could be propagated", err=True)
+        return
+    of = "" if written == len(results) else f" of {written} of {len(results)} cases"
+    click.echo(f"wrote {suite.path}, {suite.lock} and the references{of}", err=True)
+
+
+def json_report(suite: Suite, results: list[CaseResult], *, passed: bool) -> Any:
+    """Return the results as JSON has them."""
+    from quatprop.check.reports import VERDICTS
+    from quatprop.provenance import as_json
+    from quatprop.version import __version__
+
+    verdicts = [result.verdict for result in results]
+    return as_json(
+        {
+            "quatprop": __version__,
+            "suite": suite.path,
+            "passed": passed,
+            "counts": {verdict: verdicts.count(verdict) for verdict in VERDICTS},
+            "cases": [result.report() for result in results],
+        }
+    )
+
+
+def _report_to_ci(suite: Suite, results: list[CaseResult], options: Mapping[str, Any]) -> None:
+    """Write what CI services read, and the overview of all cases."""
+    from quatprop.check.reports import append_github_summary, github_annotations, write_junit
+
+    if options["junit"] is not None:
+        write_junit(options["junit"], suite.path, results)
+    if summary := os.environ.get("GITHUB_STEP_SUMMARY"):
+        append_github_summary(summary, suite.path, results)
+    if os.environ.get("GITHUB_ACTIONS") == "true":
+        for annotation in github_annotations(suite.path, results):
+            click.echo(annotation, err=True)
+    if options["artifacts"] is not None:
+        from quatprop.check.overview import write_overview
+
+        try:
+            write_overview(Path(options["artifacts"]), suite.path, results)
+        except (OSError, QuatpropError) as error:
+            click.echo(f"the overview cannot be written: {error}", err=True)

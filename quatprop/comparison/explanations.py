@@ -1,0 +1,280 @@
+"""Explanations of an error: which mistakes, undone together, leave least of it.
+
+An explanation undoes at most one mistake of each kind: in reading, of a clock, in rates, in frames.
+Every mistake has a price, the share of the error that may remain when it is undone beside the
+others; the explanation that leaves least at its price is the best.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.comparison.alignment import Alignment, align, find_mounting, mean_rotation
+from quatprop.comparison.association import associate
+from quatprop.comparison.cause import NO_ERROR
+from quatprop.comparison.clock_mistakes import clocks
+from quatprop.comparison.clocks import coarse_offset
+from quatprop.comparison.integration_rules import integration_rules
+from quatprop.comparison.misreadings import axes, misreadings
+from quatprop.comparison.plans import CLOCKS, CONTAINED, NOTHING, PRICE, PRICES, Explanation, Plan
+from quatprop.comparison.rate_mistakes import RATES, rate_mistake
+from quatprop.comparison.undoing import Sides, Undoing, frames
+from quatprop.comparison.windows import common_beginning
+from quatprop.errors import ComparisonError
+from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply
+from quatprop.rendering import degrees_text
+from quatprop.series import AttitudeSeries
+from quatprop.series.blocks import rms
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from quatprop.arrays import Float64
+    from quatprop.comparison.settings import ComparisonSettings
+
+NEGLIGIBLE = 1e-4
+"""Share of the error below which explanations are equally good."""
+
+ENOUGH = 0.02
+"""Share of the error that may remain where no more mistakes are looked for at once."""
+
+TIE = 1.05
+"""Explanations within this factor of the best are as good: the first of them is taken."""
+
+AS_GOOD = 1.3
+"""Within this factor of the best, an explanation is not ruled out."""
+
+PROMISING = 4.0
+"""Within this factor of the best, a reading is tried with all alignments."""
+
+SEARCHED = 1_000
+"""Pairs in which explanations are compared, about; what is claimed is measured in all."""
+
+MIN_SAMPLES = 100
+"""Fewer samples show no clock."""
+
+ROUNDS = 2
+"""How often every kind of mistake is looked for, beside those that were found."""
+
+
+class Search:
+    """The search for what explains the errors of two series.
+
+    `added_ns`: what was added to B's stamps already, ns
+    `known`: mistakes that are undone first
+    `best`, `others`: the best explanation, and what explains as much; once it has run
+    `is_open`: whether kinds of mistakes were left out, since little of the error remains
+    """
+
+    def __init__(
+        self,
+        sides: Sides,
+        settings: ComparisonSettings,
+        added_ns: int,
+        known: Sequence[Undoing] = (),
+    ) -> None:
+        self._settings, self._added_ns, self._known = settings, added_ns, known
+        self._align = settings.align
+        for undoing in known:
+            sides, self._align = undoing.apply(sides), undoing.align or self._align
+        self._whole = sides
+        same = np.isin(sides.a.t_ns, sides.b.t_ns)
+        self._same_stamps = 2 * int(same.sum()) > len(same)
+        self._sides = Sides(*common_beginning(*sides))
+        self._pairs: dict[tuple[str, str, bool], Sides] = {}
+        self._mounts: dict[tuple[str, str], Float64 | None] = {}
+        self._clocks: dict[tuple[str, bool], tuple[Undoing | None, Undoing | None]] = {}
+        self._fits: dict[Plan, Explanation] = {}
+        self._readings: dict[str, Undoing] = {}
+        self._rules: Undoing | None = None
+        self._floor, self.is_open, self.best = 0.0, False, NOTHING
+        self.others: list[str] = []
+        above = {"mean": ("mount",), "mount": ()}.get(self._align, ("mean", "mount"))
+        self._frames = ("", *above)
+
+    def judged(self, undone: Iterable[Undoing]) -> float:
+        """Return the RMS error that is left in the whole series, rad."""
+        sides, name = self._whole, self._align
+        for undoing in undone:
+            sides, name = undoing.apply(sides), undoing.align or name
+        with suppress(ComparisonError):
+            pairs = associate(*sides, self._settings)
+            return _rms(pairs.a, align(name, pairs.a, pairs.b).apply(pairs.b))
+        return math.inf
+
+    def run(self) -> None:
+        """Find the best explanation, and what else explains as much."""
+        before = self._fit(Plan())
+        if before is NOTHING:
+            return
+        self._floor = max(NO_ERROR, NEGLIGIBLE * before.rms)
+        self._fits.clear()
+        sign, *others = misreadings()
+        readings = [sign, *axes(self._read(Plan())), *others]
+        self._readings = {f"{number}": each for number, each in enumerate(readings)}
+        plan = self._least(Plan(rates="rate bias", frames=frame) for frame in self._frames)
+        for _ in range(ROUNDS):
+            plan = last = self._read_and_aligned(plan)
+            self.is_open = self._fit(plan).rms <= ENOUGH * before.rms
+            if self.is_open and not plan.rates and plan.frames != "mount":
+                break
+            self._rules = integration_rules(self._read(last._replace(clock="")))
+            rules = self._varied(
+                [last], clock=[""], rates=["method"] if self._rules else [], frames=self._frames
+            )
+            ruled = self._least([last, *rules])
+            rates = dict.fromkeys(("", last.rates, "rate bias"))
+            some = self._varied([last], clock=CLOCKS, rates=rates, frames=self._frames)
+            plan = self._least([ruled, *some])
+            # Where stamps are the same, the rule is the simpler reason for an interval or a half.
+            most = max(AS_GOOD * self._fit(plan).rms, ENOUGH * before.rms)
+            if self._same_stamps and ruled != last and self._fit(ruled).rms <= most:
+                plan = ruled
+            if plan == last:
+                break
+        self.best = self._fit(plan)
+        self.others = self._alternatives(plan)
+
+    def _read_and_aligned(self, plan: Plan) -> Plan:
+        """Return the best plan with another reading, other rates and frames."""
+        readings = [plan._replace(reading=key) for key in ("", *self._readings)]
+        most = PROMISING * min(self._fit(each).score for each in readings)
+        near = [each for each in readings if self._fit(each).score <= most]
+        plan = self._least(self._varied(near, rates=("", plan.rates), frames=self._frames))
+        return self._least(self._varied([plan], rates=RATES, frames=self._frames))
+
+    @staticmethod
+    def _varied(plans: Iterable[Plan], **kinds: Iterable[str]) -> Iterator[Plan]:
+        for plan, values in product(plans, product(*kinds.values())):
+            yield plan._replace(**dict(zip(kinds, values, strict=True)))
+
+    def _least(self, plans: Iterable[Plan]) -> Plan:
+        """Return the first of the plans whose explanation is as good as the best."""
+        plans = list(plans)
+        least = min(self._fit(plan).score for plan in plans)
+        return next(plan for plan in plans if self._fit(plan).score <= TIE * least)
+
+    def _alternatives(self, plan: Plan) -> list[str]:
+        """Return which mistakes explain as much, with no more of them."""
+        names = {undoing.name for undoing in self.best.undone}
+        found: dict[str, str] = {}
+        most = AS_GOOD * (self.best.rms + self._floor) - self._floor
+        for other, fit in sorted(self._fits.items(), key=lambda tried: tried[1].rms):
+            # A mounting makes one misreading of another.
+            count = len(fit.undone) + (other.frames == "mount" and other.reading != "")
+            if fit.rms <= most and count <= len(self.best.undone):
+                for undoing in fit.undone:
+                    if not any((name, undoing.name) in CONTAINED for name in names):
+                        found.setdefault(undoing.name, undoing.other)
+        if "reference frame" in names:
+            sides = self._read(plan)
+            for undoing in self.best.undone:
+                if undoing.name in {"rate bias", "scale", "drift", "method"}:
+                    sides = undoing.apply(sides)
+            a, b = (series.wxyz for series in sides)
+            turn = mean_rotation(multiply(conjugate(b), a))
+            if _rms(a, multiply(b, turn)) <= most:
+                angle = float(geodesic_angle(IDENTITY, turn))
+                found["body frame"] = f"body frames that differ by {degrees_text(angle)}"
+        return sorted({text for name, text in found.items() if name not in names})
+
+    def _read(self, plan: Plan) -> Sides:
+        """Return pairs with a reading and a clock, as series of the same stamps."""
+        key = plan.reading, plan.clock, bool(plan.clock) and self._is_turned(plan)
+        if key not in self._pairs:
+            # Where no clock is wrong, the pairs are read otherwise: they are interpolated once.
+            again = plan.clock or not plan.reading
+            sides = self._sides if again else self._read(Plan())
+            for undoing in self._undone(plan):
+                sides = undoing.apply(sides)
+            if again:
+                pairs = associate(*sides, self._settings)
+                sides = Sides(*(AttitudeSeries(pairs.t_ns, q) for q in (pairs.a, pairs.b)))
+            self._pairs[key] = sides
+        return self._pairs[key]
+
+    def _undone(self, plan: Plan) -> Iterator[Undoing]:
+        """Yield a reading and a clock."""
+        if plan.reading:
+            yield self._readings[plan.reading]
+        if plan.clock:
+            key = plan.reading, self._is_turned(plan)
+            if key not in self._clocks:
+                self._clocks[key] = self._clocks_of(*key)
+            undoing = self._clocks[key][CLOCKS.index(plan.clock)]
+            if undoing is None:
+                raise ComparisonError("the motion shows no offset")
+            yield undoing
+
+    def _is_turned(self, plan: Plan) -> bool:
+        return "mount" in {plan.frames, self._align}
+
+    def _clocks_of(self, reading: str, turned: bool) -> tuple[Undoing | None, Undoing | None]:
+        sides = self._readings[reading].apply(self._sides) if reading else self._sides
+        if min(map(len, sides)) < MIN_SAMPLES:
+            return None, None
+        coarse_ns = 0
+        with suppress(ComparisonError):
+            coarse_ns, _ = coarse_offset(*sides)
+        offset, change = clocks(sides, coarse_ns, self._added_ns, turned=turned)
+        return None if self._settings.time_offset == "auto" else offset, change
+
+    def _fit(self, plan: Plan) -> Explanation:
+        if plan not in self._fits:
+            self._fits[plan] = NOTHING
+            with suppress(ComparisonError):
+                self._fits[plan] = self._fitted(plan)
+        return self._fits[plan]
+
+    def _fitted(self, plan: Plan) -> Explanation:
+        sides = self._read(plan)
+        undone = [*self._undone(plan)]
+        alignment, left = self._aligned(plan, sides)
+        for kind in plan.rates.split(" and "):
+            if not kind:
+                continue
+            turned = [each.mount for each in (*self._known, *undone) if each.mount is not None]
+            undoing = (
+                self._rules
+                if kind == "method"
+                else rate_mistake(kind, sides, alignment, turned[0] if turned else None)
+            )
+            if undoing is None:
+                return NOTHING
+            undone.append(undoing)
+            sides = undoing.apply(sides)
+            alignment, left = self._aligned(plan, sides)
+        if plan.frames:
+            undone.append(frames(self._aligned(Plan(), sides)[0], alignment))
+        price = math.prod(PRICES.get(undoing.name, PRICE) for undoing in undone)
+        if plan.frames == "mount" and self._align != "mean":
+            price *= PRICES["reference frame"]  # it rotates both
+        return Explanation(tuple(undone), left, (left + self._floor) / price)
+
+    def _aligned(self, plan: Plan, sides: Sides) -> tuple[Alignment, float]:
+        some = slice(None, None, max(len(sides.a) // SEARCHED, 1))
+        a, b = (series.wxyz[some] for series in sides)
+        name = plan.frames or self._align
+        if name == "mount":
+            # Rotations between samples show it, and hardly what goes wrong slowly.
+            key = plan.reading, plan.clock
+            if key not in self._mounts:
+                self._mounts[key] = None
+                self._mounts[key], _ = find_mounting(a, b)
+            mount = self._mounts[key]
+            if mount is None:
+                raise ComparisonError("the motion shows no mounting")
+            turned = multiply(b, mount)
+            alignment = Alignment(name, align("mean", a, turned).reference_wxyz, mount)
+        else:
+            alignment = align(name, a, b)
+        return alignment, _rms(a, alignment.apply(b))
+
+
+def _rms(a: Float64, b: Float64) -> float:
+    return rms(geodesic_angle(a, b))

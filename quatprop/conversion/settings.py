@@ -1,0 +1,47 @@
+"""In which terms attitudes are written: the keywords of a conversion."""
+
+from collections.abc import Collection
+from fractions import Fraction
+from typing import Annotated
+
+from quatprop.settings.choices import CONVENTIONS, DIRECTIONS, SIGNS, Convention, Direction, Sign
+from quatprop.settings.keyword import Keyword, keywords_of
+from quatprop.settings.parsers import Choice, frequency
+from quatprop.settings.reading import AttitudeOptions
+from quatprop.settings.rotations import Rotated, mounting
+
+ROTATION = "W,X,Y,Z|x,-y,-z|rpy:R,P,Y|ned-to-enu|frd-to-flu"
+
+
+class ConvertOptions(AttitudeOptions, total=False):
+    """Keywords of :func:`quatprop.convert`, beside those of :class:`AttitudeOptions`."""
+
+    # fmt: off
+    convention: Annotated[Convention | None, Keyword(
+        Choice(*CONVENTIONS), "Convention of OUT.", "hamilton", group="Output", common=True)]
+    direction: Annotated[Direction | None, Keyword(
+        Choice(*DIRECTIONS), "Which coordinates OUT turns into which.", "body-to-ref",
+        group="Output", common=True)]
+    sign: Annotated[Sign | None, Keyword(
+        Choice(*SIGNS), "Of q and -q, which are the same attitude: the one that is there, the one "
+        "nearer to the row before, or the one with w >= 0 (of half turns, w = 0, the one whose "
+        "first component that is not zero is positive).", "keep", group="Output", common=True)]
+    left: Annotated[str | Collection[float] | Rotated | None, Keyword(
+        mounting, "Axes of the reference of {log} to those of OUT's: a quaternion with v_new = r "
+        "v_old r*, the old axes that become x, y and z, angles about axes that stay (deg), or a "
+        "name. Positions are turned, too.", "the same", ROTATION, group="Output")]
+    right: Annotated[str | Collection[float] | Rotated | None, Keyword(
+        mounting, "Axes of the body of {log} to those of OUT's, in the same way: q_out = LEFT q_in "
+        "RIGHT*. Covariances are turned, too.", "the same", ROTATION, group="Output")]
+    rate: Annotated[float | Fraction | str | None, Keyword(
+        frequency, "Rate of the attitudes, interpolated between those of {log} by polynomials "
+        "through six of them, not across gaps; holds them in memory.", "as they are", "HZ",
+        "Output", common=True)]
+    # fmt: on
+
+
+CONVERT = keywords_of(ConvertOptions)
+"""How attitudes are read and converted: name -> its row."""
+
+TERMS = {name: row for name, row in CONVERT.items() if name not in keywords_of(AttitudeOptions)}
+"""How they are converted alone."""

@@ -1,0 +1,146 @@
+"""Draw one panel of a picture: lines, gaps, tolerance, marks; its range and ticks."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.plotting.accumulators import MINUS, NORM_ERROR
+from quatprop.plotting.lines import TURN, lone_points
+from quatprop.plotting.palette import ALARM, SHADE, colour_of, stroke_of
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+
+    from quatprop.plotting.picture import Curve, Mark, Panel, Picture
+
+THIN, THICKER, WIDEST = 0.8, 0.9, 3
+"""Points: a line, and what each line below another has more, so many times at most."""
+
+FLAT = 1e-9
+"""Share of its size below which a series counts as constant: its rounding is not drawn large."""
+
+SMALLEST, LARGEST = 1e-2, 1e5
+"""Values between are written out on an axis, others with an exponent each."""
+
+WIDE_ANGLE = 150.0
+"""deg: angles that reach further have the full circle as their axis."""
+
+LEVEL_SHARE = 100.0
+"""An error this many times above or below its tolerance has a logarithmic axis."""
+
+
+def draw_panel(axes: Axes, panel: Panel, picture: Picture, place: int) -> list[tuple[Artist, str]]:
+    """Draw one panel: gaps behind, then lines, tolerance and marks."""
+    several = len(picture.gaps) > 1
+    for file, spans in enumerate(picture.gaps):
+        if len(spans):
+            axes.broken_barh(
+                [(start, stop - start) for start, stop in spans.tolist()],
+                (0, 1),
+                transform=axes.get_xaxis_transform(),
+                color=colour_of(file) if several else SHADE,
+                alpha=0.25 if several else 0.6,
+                linewidth=0.4,
+                zorder=0.5,
+            )
+    for number, curve in enumerate(panel.curves):
+        # Of lines that coincide, those below show on both sides.
+        wider = min(len(panel.curves) - 1 - number, WIDEST)
+        _draw_curve(axes, curve, THIN + THICKER * wider, f"curve_{place}_{number}")
+    axes.grid(visible=True)
+    axes.set_axisbelow(True)
+    unit = f"\n{panel.quantity.unit}" if panel.quantity.unit else ""
+    axes.set_ylabel(panel.quantity.name.replace("norm error ", "norm error\n") + unit)
+    _set_value_axis(axes, panel)
+    explained: list[tuple[Artist, str]] = []
+    if panel.level is not None:
+        value, label = panel.level
+        level = axes.axhline(value, color=ALARM, linestyle="dashed", linewidth=1.0)
+        explained.append((level, label))
+    explained += [(_draw_mark(axes, mark), mark.label) for mark in panel.marks]
+    return explained
+
+
+def _draw_curve(axes: Axes, curve: Curve, width: float, name: str) -> None:
+    colour, points = colour_of(curve.colour), lone_points(curve.drawn)
+    stroke = stroke_of(curve.colour)
+    axes.plot(*curve.drawn, color=colour, linestyle=stroke, linewidth=width, gid=name)
+    if curve.band:
+        seconds, low, high = curve.band
+        axes.fill_between(seconds, low, high, color=colour, alpha=0.2, linewidth=0, zorder=1)
+    if len(points.seconds):
+        axes.plot(*points, color=colour, linestyle="none", marker=".", markersize=5)
+
+
+def _draw_mark(axes: Axes, mark: Mark) -> Artist:
+    first = mark.sign == "first"
+    (drawn,) = axes.plot(
+        [mark.seconds],
+        [mark.value],
+        linestyle="none",
+        marker="o" if first else "v",
+        markersize=6,
+        markerfacecolor="none" if first else ALARM,
+        markeredgecolor=ALARM,
+        markeredgewidth=1.2,
+        zorder=4,
+        clip_on=False,
+    )
+    return drawn
+
+
+def _set_value_axis(axes: Axes, panel: Panel) -> None:
+    """Choose the range, the scale and the ticks of a panel."""
+    parts = [curve.drawn.values for curve in panel.curves]
+    parts += [edge for curve in panel.curves if curve.band for edge in curve.band[1:]]
+    values = np.concatenate(parts)
+    values = values[np.isfinite(values)]
+    axes.margins(y=0.08)
+    axes.ticklabel_format(axis="y", useOffset=False, style="plain")
+    if not len(values):
+        axes.set_yticks([])
+        axes.text(0.5, 0.5, "no values", transform=axes.transAxes, ha="center", va="center")
+        return
+    low, high = float(values.min()), float(values.max())
+    if panel.quantity is NORM_ERROR:
+        low, high = min(low, 0.0), max(high, 0.0)
+        if high > low:
+            axes.set_ylim(low - 0.08 * (high - low), high + 0.08 * (high - low))
+    if not SMALLEST <= max(-low, high) < LARGEST:
+        axes.yaxis.set_major_formatter(_tick_label)
+    if panel.level is not None or panel.marks:
+        _set_error_scale(axes, panel, high)
+    elif panel.quantity.wraps and max(-low, high) > WIDE_ANGLE:
+        axes.set_ylim(-TURN / 2 - 10, TURN / 2 + 10)
+        axes.set_yticks(np.linspace(-TURN / 2, TURN / 2, 5))
+    else:
+        size = max(-low, high)
+        if high - low <= max(FLAT * size, panel.quantity.least):
+            middle, half = (low + high) / 2, 0.05 * size
+            if half <= panel.quantity.least:
+                half = panel.quantity.scale
+            axes.set_ylim(middle - half, middle + half)
+
+
+def _tick_label(value: float, _position: float = 0) -> str:
+    """Return a short tick label."""
+    text = f"{value:g}"
+    if value and not SMALLEST <= abs(value) < LARGEST:
+        digits, exponent = f"{value:.2e}".split("e")
+        text = f"{float(digits):g}e{int(exponent)}"
+    return text.replace("-", MINUS, 1) if value < 0 else text
+
+
+def _set_error_scale(axes: Axes, panel: Panel, high: float) -> None:
+    """Show an error from zero; where it is far from its tolerance, on a logarithmic axis."""
+    level = panel.level[0] if panel.level else high
+    top = max(high, level)
+    if level > 0 and high > 0 and not 1 / LEVEL_SHARE <= high / level <= LEVEL_SHARE:
+        axes.set_ylim(min(high, level) / LEVEL_SHARE, 5 * top)
+        axes.set_yscale("log", nonpositive="mask")
+        axes.yaxis.set_major_formatter(_tick_label)
+    else:
+        axes.set_ylim(0, 1.18 * top if top > 0 else 1.0)

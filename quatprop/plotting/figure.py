@@ -1,0 +1,203 @@
+"""The figure of a picture: where panels, legend and text stand, and how large they are."""
+
+from __future__ import annotations
+
+from math import ceil
+from textwrap import wrap
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from quatprop.errors import UsageError
+from quatprop.plotting.axes import draw_panel
+from quatprop.plotting.palette import colour_of, stroke_of
+from quatprop.text import Setting, plain
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from quatprop.plotting.picture import Page, Picture
+
+WIDTH = 7.5
+"""Inches: a page between its margins."""
+
+HEAD, PANEL, SINGLE, FOOT = 0.75, 1.25, 3.2, 0.5
+"""Inches: title and facts; one of several panels; a single panel; the time axis."""
+
+BARE_HEAD, GAP = 0.2, 0.1
+"""Inches: above panels without a title; between the legend and the panels."""
+
+LINE, FACT_LINE, FILE_LINE = 0.15, 0.165, 0.18
+"""Inches: a line of notes, of facts, and of the legend."""
+
+MARGIN = 0.012
+"""Share of the width left of text."""
+
+DOTS = 200
+"""Dots an inch of a PNG."""
+
+FONT, FONT_TITLE, FONT_SMALL = 8.5, 10.0, 7.5
+"""Points."""
+
+LEFT, RIGHT, LABEL = 0.99, 0.1875, 0.61
+"""Inches: left and right of the panels, and from their labels to them."""
+
+LONGEST_TITLE = 88
+"""Characters that fit the width in the title's size; facts, which are smaller, may have more."""
+
+LONGEST_FACT = 125
+
+LONGEST_LABEL = 85
+
+LONGEST_NAME, TWO_COLUMNS_FROM = 54, 0.7
+"""Characters in two columns of a legend; share of the usual width below which it has one."""
+
+MIN_HEIGHT_SHARE = 0.8
+"""Least share of its usual height that a panel has, for letters of the usual size."""
+
+MIN_PANEL_HEIGHT, MIN_PANEL_WIDTH = 0.4, 1.15
+"""Inches: least height of one of several panels, and least width, for letters of the usual size."""
+
+MAX_NOTES = 3
+"""Notes below a picture."""
+
+
+class Style(NamedTuple):
+    """How large a picture and its letters are.
+
+    `width`, `height`: inches; no height is that which the panels need
+    `dpi`: dots an inch of a PNG
+    `font`: size of the letters, points
+    `title`: whether title, facts and notes stand around the panels
+    """
+
+    width: float = WIDTH
+    height: float | None = None
+    dpi: int = DOTS
+    font: float = FONT
+    title: bool = True
+
+
+STYLE = Style()
+
+
+def figure(page: Page, style: Style = STYLE) -> Figure:
+    """Return the figure of a page, in the style of matplotlib's current settings."""
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    picture, notes = page.picture, notes_of(page.warnings) if style.title else ()
+    panels, scale = picture.panels, style.font / FONT
+    heights = [panel.quantity.height for panel in panels]
+    least_width = (LEFT + MIN_PANEL_WIDTH + RIGHT) * scale
+    room = max(style.width, least_width) / WIDTH / scale
+    time = wrap(picture.time, round(LONGEST_LABEL * room))
+    body = SINGLE if len(panels) == 1 else PANEL * sum(heights)
+    entries = len(picture.legend) + sum(len(panel.marks) + bool(panel.level) for panel in panels)
+    columns = 2 if room >= TWO_COLUMNS_FROM else 1
+    head = ((HEAD if style.title else BARE_HEAD) + FILE_LINE * -(-entries // columns)) * scale
+    foot = (FOOT + LINE * (len(notes) + len(time) - 1)) * scale
+    height = style.height or head + body * max(style.width / WIDTH, MIN_HEIGHT_SHARE * scale) + foot
+    _require_room(style, least_width, head + MIN_PANEL_HEIGHT * sum(heights) * scale + foot)
+    result = Figure(figsize=(style.width, height))
+    left, right = LEFT * scale / style.width, 1 - RIGHT * scale / style.width
+    edges = {"left": left, "right": right, "top": 1 - head / height, "bottom": foot / height}
+    rows = result.subplots(
+        len(panels), sharex=True, squeeze=False, height_ratios=heights,
+        gridspec_kw={**edges, "hspace": 0.14},
+    )  # fmt: skip
+    label = -LABEL * scale / (style.width * (right - left))
+    explained: list[tuple[Artist, str]] = [
+        (Line2D([], [], color=colour_of(file), linestyle=stroke_of(file), linewidth=1.8), name)
+        for file, name in enumerate(picture.legend)
+    ]
+    for number, (axes, panel) in enumerate(zip(rows[:, 0], panels, strict=True), 1):
+        explained += draw_panel(axes, panel, picture, number)
+        axes.yaxis.set_label_coords(label, 0.5)
+    result.axes[-1].set_xlabel("\n".join(time))
+    _set_time(result.axes[0], picture)
+    if style.title:
+        _write_text(result, page, notes, scale, room)
+    if explained:
+        top = 1 - (head - GAP * scale) / height
+        _write_legend(result, explained, top, columns, round(2 * LONGEST_NAME * room / columns))
+    return result
+
+
+def _require_room(style: Style, width: float, height: float) -> None:
+    """Raise an error if the picture is smaller than this, in inches."""
+    if style.width >= width and (style.height is None or style.height >= height):
+        return
+    sides = (max(style.width, width), *([] if style.height is None else [height]))
+    least = "x".join(f"{ceil(round(25.4 * side, 6))}" for side in sides)
+    raise UsageError(
+        "the panels and their letters do not fit into this picture; give at least "
+        f"{Setting('size', f'{least}mm')}, or a smaller {Setting('font_size')}"
+    )
+
+
+def _set_time(axes: Axes, picture: Picture) -> None:
+    seconds = [curve.drawn.seconds for panel in picture.panels for curve in panel.curves]
+    finite = np.concatenate(seconds)
+    finite = finite[np.isfinite(finite)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+    margin = 0.01 * (high - low) if high > low else 0.5
+    axes.set_xlim(low - margin, high + margin)
+    axes.ticklabel_format(axis="x", useOffset=False, style="plain")
+
+
+def _write_text(
+    result: Figure, page: Page, notes: Sequence[str], scale: float, room: float
+) -> None:
+    """Write title and facts at the top, notes at the bottom."""
+    height = result.get_size_inches()[1] / scale
+    title = shortened(page.title, round(LONGEST_TITLE * room))
+    large, small = FONT_TITLE * scale, FONT_SMALL * scale
+    result.text(MARGIN, 1 - 0.1 / height, title, fontsize=large, weight="bold", va="top")
+    longest = round(LONGEST_FACT * room)
+    for number, fact in enumerate(page.facts):
+        place = 1 - (0.32 + FACT_LINE * number) / height
+        result.text(MARGIN, place, shortened(fact, longest), fontsize=small, va="top")
+    for number, note in enumerate(reversed(notes)):
+        place = (0.07 + LINE * number) / height
+        result.text(MARGIN, place, shortened(note, longest), fontsize=small)
+
+
+def _write_legend(
+    result: Figure, explained: Sequence[tuple[Artist, str]], top: float, columns: int, longest: int
+) -> None:
+    legend = result.legend(
+        [artist for artist, _ in explained],
+        [f"{number}" for number in range(len(explained))],
+        loc="lower left",
+        bbox_to_anchor=(0.006, top),
+        ncols=columns,
+        frameon=False,
+        borderaxespad=0.2,
+        borderpad=0.1,
+        labelspacing=0.2,
+    )
+    # Set afterwards, since names that begin with "_" would be left out.
+    for text, (_, name) in zip(legend.get_texts(), explained, strict=True):
+        text.set_text(shortened(name, longest))
+
+
+def notes_of(warnings: Sequence[str]) -> tuple[str, ...]:
+    """Return the warnings that stand below a picture; a page has all of them."""
+    if len(warnings) <= MAX_NOTES:
+        return tuple(warnings)
+    shown = warnings[: MAX_NOTES - 1]
+    return (*shown, f"and {len(warnings) - len(shown)} more warnings")
+
+
+def shortened(text: str, longest: int) -> str:
+    """Return a text with its middle left out where it is too long."""
+    text = plain(text)
+    if len(text) <= longest:
+        return text
+    half = (longest - 1) // 2
+    return f"{text[: longest - 1 - half]}\N{HORIZONTAL ELLIPSIS}{text[-half:]}"

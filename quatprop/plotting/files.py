@@ -1,0 +1,226 @@
+"""Read files for a picture: once from beginning to end, in constant memory."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+from quatprop.conditioning import GyroCorrection, GyroCorrectionInputs, condition
+from quatprop.conventions import HAMILTON
+from quatprop.errors import (
+    NoAttitudesError,
+    NoRatesError,
+    NoSamplesError,
+    NoSuchTopicError,
+    NothingToDrawError,
+    UndeclaredError,
+)
+from quatprop.logs.attitude_part import AttitudePart
+from quatprop.logs.open_log import open_log
+from quatprop.logs.signals.attitudes import choose_attitudes
+from quatprop.logs.signals.rates import choose_rates
+from quatprop.logs.signals.signal import AttitudeSignal, RateSignal
+from quatprop.pipeline.plausibility import log_remarks
+from quatprop.pipeline.rate_checks import RateChecks
+from quatprop.plotting.accumulators import (
+    SIGMA_BAND,
+    Accumulator,
+    AttitudeAccumulator,
+    RateAccumulator,
+)
+from quatprop.plotting.picture import PlottedFile
+from quatprop.provenance import entry_of
+from quatprop.rendering import Row, count_text, instant_text, samples_text, source_text
+from quatprop.series import AttitudeSeries
+from quatprop.settings.quantities import RATES
+from quatprop.settings.selection import AttitudeSelection, RateSelection
+from quatprop.stores.objects import without_secret
+from quatprop.text import Remark, plain
+from quatprop.timeline import Timeline
+from quatprop.timeline.counts import OBSERVE
+from quatprop.timeline.stamps import StampChecks
+from quatprop.times import duration_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from quatprop.tables.log import Log, Loss
+    from quatprop.timeline.counts import Counts
+
+
+class View(NamedTuple):
+    """What to draw of files.
+
+    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: by content and suffix
+    `show`: none: the rates of a file that has some, else its attitudes
+    `components`: draw quaternions as they are instead of as angles
+    `unwrap`: draw angles beyond half a turn
+    `part`: start and end of the part to draw, ends included
+    """
+
+    kind: str | None = None
+    show: Literal["rates", "attitude"] | None = None
+    rates: RateSelection = RateSelection()
+    attitudes: AttitudeSelection = AttitudeSelection()
+    components: bool = False
+    unwrap: bool = False
+    part: GyroCorrection = GyroCorrection()
+
+
+class FileView(NamedTuple):
+    """What is shown of one file.
+
+    `plotted`: what is drawn of it, labelled with its path
+    `meaning`: unit and clock of its numbers, or convention and method
+    `remarks`: what a reader should know
+    """
+
+    plotted: PlottedFile
+    meaning: str
+    samples: str
+    facts: tuple[Row, ...]
+    remarks: tuple[Remark, ...]
+    losses: tuple[Loss, ...]
+
+
+DRAWN_AS = {
+    False: "yaw, pitch and roll, q = q_z(yaw) q_y(pitch) q_x(roll), deg",
+    True: "components, of q and -q those nearer to the row before",
+}
+"""Whether components are drawn -> what is drawn of an attitude."""
+
+
+def view_file(path: str, view: View) -> FileView:
+    """Read a file for a picture.
+
+    `path`: a log or a table, or ``"-"`` for CSV on stdin
+    """
+    with open_log(path, view.kind, msg_path=view.rates.msg_path) as log:
+        signal = _choose(log, view)
+        if isinstance(signal, RateSignal):
+            return _view_rates(without_secret(path), log, signal, view)
+        return _view_attitudes(without_secret(path), log, signal, view)
+
+
+def _choose(log: Log, view: View) -> RateSignal | AttitudeSignal:
+    """Return the rates to draw, or else the attitudes."""
+    if view.show == "attitude":
+        return choose_attitudes(log, view.attitudes)
+    try:
+        return choose_rates(log, view.rates)
+    except (NoRatesError, NoSuchTopicError, UndeclaredError) as error:
+        if view.show == "rates":
+            raise
+        try:
+            return choose_attitudes(log, view.attitudes)
+        except (NoAttitudesError, NoSuchTopicError, UndeclaredError) as other:
+            if isinstance(error, NoRatesError) and isinstance(other, NoAttitudesError):
+                raise NothingToDrawError(log.path, error.seen, error.what) from error
+            if isinstance(other, UndeclaredError):
+                raise
+            raise error from other
+
+
+def _view_rates(path: str, log: Log, source: RateSignal, view: View) -> FileView:
+    drawn, timeline = RateAccumulator(source.unit), Timeline(OBSERVE, path)
+    checks = RateChecks(source.unit, is_given=source.unit_is_given)
+    unit, counts = RATES[source.unit], timeline.counts
+    batches, done = condition(source.batches, timeline, view.part, unit, GyroCorrectionInputs())
+    deque(timeline.measured(drawn.passing(checks.observe(batches))), maxlen=0)
+    if not counts.used:
+        raise NoSamplesError(path, source.name, done.outside, losses=log.losses, length=done.length)
+    found = *_irregularities(counts), *done.all_remarks, *checks.remarks(counts)
+    remarks = [*source.remarks, *found, *log.remarks]
+    if str(log.path) != "-":
+        remarks += log_remarks(log, source)
+    convention = "rates as recorded, in the axes of the sensor; nothing subtracted"
+    about = [("convention", convention), ("rate", f"{source.field} in {source.unit}")]
+    last = ("largest rate", f"{counts.max_rate / RATES[source.unit]:.6g} {source.unit}")
+    return FileView(
+        plotted=_plotted(path, source, drawn, counts),
+        meaning=f"body rates as recorded, {source.unit}, {source.clock} clock",
+        samples=samples_text(counts.used, counts.span_ns, counts.median_dt_ns),
+        facts=(*_facts(path, log, source, about, counts), last),
+        remarks=tuple(remarks),
+        losses=tuple(log.losses),
+    )
+
+
+def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> FileView:
+    drawn = AttitudeAccumulator(
+        components=view.components, unwrap=view.unwrap, has_sigmas=source.may_have_covariances
+    )
+    part, stamps = AttitudePart(source, view.part), StampChecks(path)
+    counts = stamps.counts
+    rows = part.read(covariances=source.may_have_covariances)
+    shown = drawn.passing(AttitudeSeries(*row) for row in rows)
+    deque(stamps.observe(batch.t_ns for batch in shown), maxlen=0)
+    if not counts.used:
+        raise NoSamplesError(path, source.name, part.outside, losses=log.losses, length=part.length)
+    remarks = [*source.remarks, *_irregularities(counts), *part.remarks(), *log.remarks]
+    if drawn.invalid:
+        invalid = count_text(drawn.invalid, "invalid quaternion")
+        text = f"{invalid} (zero, absent or not finite): not drawn"
+        remarks.append(Remark("invalid-quaternions", text))
+    method = plain(entry_of(source.provenance, "convention", dict).get("method") or "")
+    form = "components, sign continuous" if view.components else "zyx angles"
+    form += f" ({SIGMA_BAND})" if drawn.knows_sigmas else ""
+    propagated = f", propagated with method {method}" if method else ""
+    stored = f"{source.meaning.convention} {source.meaning.direction}"
+    about = [
+        ("convention", HAMILTON.description),
+        ("drawn as", DRAWN_AS[view.components]),
+        ("attitude", f"{source.field}, stored {source.layout}, {stored}"),
+        *([("method", method)] if method else []),
+    ]
+    last = ("norm error", f"at most {drawn.norm_error:.3g}")
+    return FileView(
+        plotted=_plotted(path, source, drawn, counts),
+        meaning=f"Hamilton q, body to reference, as {form}{propagated}, {source.clock} clock",
+        samples=samples_text(counts.used, counts.span_ns, counts.median_dt_ns),
+        facts=(*_facts(path, log, source, about, counts), last),
+        remarks=tuple(remarks),
+        losses=tuple(log.losses),
+    )
+
+
+def _plotted(
+    path: str, source: RateSignal | AttitudeSignal, drawn: Accumulator, counts: Counts
+) -> PlottedFile:
+    shown = source_text(source.name, source.type_name)
+    return PlottedFile(path, (drawn.group(counts.gap_limit_ns),), shown)
+
+
+def _facts(
+    path: str,
+    log: Log,
+    source: RateSignal | AttitudeSignal,
+    about: Iterable[Row],
+    counts: Counts,
+) -> Iterator[Row]:
+    yield "file", f"{path} ({log.kind})"
+    yield "source", source_text(source.name, source.type_name)
+    yield "clock", source.clock
+    yield from about
+    yield "samples", samples_text(counts.used, counts.span_ns, counts.median_dt_ns)
+    for label, t_ns in (("first", counts.first_ns), ("last", counts.last_ns)):
+        yield label, f"{instant_text(t_ns or 0)} ({t_ns} ns)"
+    if counts.median_dt_ns is not None and counts.max_dt_ns is not None:
+        median, longest = duration_text(counts.median_dt_ns), duration_text(counts.max_dt_ns)
+        yield "interval", f"median {median}, longest {longest}"
+
+
+def _irregularities(counts: Counts) -> Iterator[Remark]:
+    """Yield a sentence for each kind of irregularity."""
+    limit = duration_text(counts.gap_limit_ns or 0)
+    longest = duration_text(counts.max_dt_ns or 0)
+    for code, event, noun, details in (
+        ("gaps", counts.gaps, "gap", f" longer than {limit}, the longest {longest}: shaded"),
+        ("repeated-stamps", counts.duplicates, "repeated timestamp", ""),
+        ("stamp-outliers", counts.outliers, "timestamp outlier", counts.outliers.cause),
+        ("stamps-back", counts.backwards, "non-monotonic timestamp", ""),
+        ("nonfinite-rates", counts.nonfinite, "non-finite rate", " (not drawn)"),
+    ):
+        if event.count:
+            text = f"{count_text(event.count, noun)}{details}, first at {event.first_ns} ns"
+            yield Remark(code, text)

@@ -1,0 +1,176 @@
+"""What a user may set about reading a log: every name, and how its value is read."""
+
+from collections.abc import Sequence
+from datetime import datetime
+from fractions import Fraction
+from os import PathLike
+from typing import Annotated, Literal, TypedDict
+
+from quatprop.settings.choices import (
+    CLOCKS,
+    CONVENTIONS,
+    DIRECTIONS,
+    EULER_SEQUENCES,
+    LAYOUTS,
+    RATE_UNITS,
+    TIME_UNITS,
+    ClockName,
+    Convention,
+    Direction,
+    EulerSequence,
+    Layout,
+    RateUnit,
+    TimeUnit,
+)
+from quatprop.settings.keyword import Keyword, keywords_of
+from quatprop.settings.parsers import Choice, column_list, flag, frequency, moment, path, text
+from quatprop.stores.kinds import READERS
+from quatprop.text import Setting
+
+OPTION_NAMES = {"kind": "from", "representation": "as", "extra_columns": "with"}
+"""Settings whose name as an option or a key of a suite is a word of Python -> that name."""
+
+
+Start = Annotated[
+    str | int | datetime | None,
+    Keyword(
+        moment,
+        "Use {log} from here: RFC 3339, ns, +10s from its first or -30s from its last sample.",
+        "all",
+        "TIME",
+        "Time range",
+        common=True,
+    ),
+]
+End = Annotated[str | int | datetime | None, Keyword(
+    moment, f"Use {{log}} up to here; as {Setting('start')}.", "all", "TIME", "Time range",
+    common=True)]  # fmt: skip
+
+
+class SelectOptions(TypedDict, total=False):
+    """Keywords that choose a topic and its time base."""
+
+    # fmt: off
+    kind: Annotated[str | None, Keyword(
+        Choice(*READERS), "Kind of {log}.", "told by its content, then by its suffix", "KIND")]
+    topic: Annotated[str | None, Keyword(
+        text, "Topic of {log}.", "the only one with {signal}", "NAME", common=True)]
+    msg_path: Annotated[str | PathLike[str] | None, Keyword(
+        path, "Message definitions for {log}: a .msg file, or a folder of them.", "those in the "
+        "log or beside it", "PATH")]
+    clock: Annotated[ClockName | None, Keyword(
+        Choice(*CLOCKS), "Timestamp source.", "header where the message has one, else log")]
+    time_field: Annotated[str | None, Keyword(
+        text, "Message field of {log} that is the time.", "the header stamp", "A.B")]
+    time_col: Annotated[str | int | None, Keyword(
+        lambda value: text(str(value)), f"Time column of {{log}}, by name or number from 0; two "
+        "(SEC,NANOSEC, SEC,USEC or SEC,MSEC) of one stamp; none counts rows at "
+        f"{Setting('sample_rate')}.", "by the header", "C")]
+    time_unit: Annotated[TimeUnit | None, Keyword(
+        Choice(*TIME_UNITS), "Unit of the time in {log}.", "as the log says")]
+    sample_rate: Annotated[float | Fraction | str | None, Keyword(
+        frequency, "Rows a second of {log}, a table without a time, or what its counter of samples "
+        "counts a second, Hz.", takes="HZ")]
+    series: Annotated[str | int | None, Keyword(
+        lambda value: text(str(value)), "Which of the interleaved series in the rows of {log}, "
+        "such as those of two sensors; all reads them as one.", "the only one there is",
+        "VALUE|COLUMN=VALUE")]
+    # fmt: on
+
+
+class RateOptions(SelectOptions, total=False):
+    """Keywords that say which rates to read, beside those of :class:`SelectOptions`."""
+
+    # fmt: off
+    rate_field: Annotated[str | None, Keyword(
+        text, "Message field that is the rate.", "known from the message type", "A.B.C")]
+    rate_cols: Annotated[str | Sequence[str | int] | None, Keyword(
+        column_list("X,Y,Z"), "Rate columns of a table; by name or number from 0.", "by the header",
+        "X,Y,Z", common=True)]
+    rate_unit: Annotated[RateUnit | None, Keyword(
+        Choice(*RATE_UNITS), "Unit of the rates.", "as the log says", common=True)]
+    # fmt: on
+
+
+RegularTime = Annotated[bool | None, Keyword(
+    flag, "Replace timestamps that jitter about a steady clock, as times of arrival and rounded "
+    "ones do, by the times of that clock. Gaps stay, as whole numbers of its intervals; timestamps "
+    "without such a clock are refused.", "timestamps as they are", group="Timestamps")]  # fmt: skip
+
+
+class ReadOptions(RateOptions, total=False):
+    """Keywords of :func:`quatprop.read_rates`, beside those of :class:`RateOptions`."""
+
+    regular_time: RegularTime
+
+
+class SeriesOptions(SelectOptions, total=False):
+    """Keywords that say which attitudes to read, beside those of :class:`SelectOptions`."""
+
+    # fmt: off
+    quat_field: Annotated[str | None, Keyword(
+        text, "Message field of {log} that is the quaternion.", "known from the message type",
+        "A.B.C")]
+    quat_cols: Annotated[str | Sequence[str | int] | None, Keyword(
+        column_list("A,B,C[,D]"), f"Columns of the quaternion in {{log}} in the order in which "
+        f"they are stored, by name or number from 0; or of three angles, with "
+        f"{Setting('from_euler')}.",
+        "by the header", "A,B,C[,D]")]
+    frame: Annotated[str | None, Keyword(
+        text, "Which transform of {log}, where it is a list of them.", "the only one there is",
+        "[PARENT:]CHILD")]
+    from_layout: Annotated[Layout | None, Keyword(
+        Choice(*LAYOUTS), "Order of the quaternion in {log}.", "by names, definitions or metadata; "
+        "required where none of them says it")]
+    from_convention: Annotated[Convention | None, Keyword(
+        Choice(*CONVENTIONS), "Convention of {log}.", "by metadata, else hamilton")]
+    from_direction: Annotated[Direction | None, Keyword(
+        Choice(*DIRECTIONS), "Which coordinates {log} turns into which.", "by metadata, else "
+        "body-to-ref")]
+    from_angle_unit: Annotated[Literal["rad", "deg"] | None, Keyword(
+        Choice("rad", "deg"), "Unit of angles in {log}, a table of yaw, pitch, roll or rotation "
+        "vectors.", "by names; required where they do not say it")]
+    from_euler: Annotated[EulerSequence | None, Keyword(
+        Choice(*EULER_SEQUENCES), "Sequence of the angles in {log}: xyz turns about x, the new y "
+        "and the newest z. yaw, pitch and roll are about z, y and x.", "zyx, or by names")]
+    # fmt: on
+
+
+class AttitudeOptions(SeriesOptions, total=False):
+    """Keywords of :func:`quatprop.read_attitudes`, beside those of :class:`SeriesOptions`."""
+
+    # fmt: off
+    normalize: Annotated[bool | None, Keyword(
+        flag, "Scale quaternions to unit length.", "refuse those off by more than 0.001")]
+    on_invalid: Annotated[Literal["error", "drop"] | None, Keyword(
+        Choice("error", "drop"), "Invalid quaternions (zero, NaN, marked absent, not of unit "
+        "length): refuse or leave out.", "error")]
+    start: Start
+    end: End
+    # fmt: on
+
+
+class PlotOptions(RateOptions, SeriesOptions, total=False):
+    """Keywords of :func:`quatprop.plot`, beside those of both its bases."""
+
+    start: Start
+    end: End
+
+
+PLOT = keywords_of(PlotOptions)
+"""What is read of files that are drawn: name -> its row."""
+
+READ_RATES = keywords_of(RateOptions)
+"""How rates are read: name -> its row."""
+
+RATES_IN_MEMORY = keywords_of(ReadOptions)
+"""The same, and what is done to their stamps where nothing else is done to them."""
+
+ONE_SERIES = keywords_of(SeriesOptions)
+"""What has to be known of each series where several are read: name -> its row."""
+
+READ_ATTITUDES = keywords_of(AttitudeOptions)
+"""How attitudes are read: name -> its row."""
+
+CHECKS = {name: READ_ATTITUDES[name] for name in ("normalize", "on_invalid")}
+"""How attitudes are checked, those of several series alike: name -> its row."""

@@ -1,0 +1,131 @@
+"""What is simulated: the keywords, their rows, and what they make."""
+
+from collections.abc import Collection, Mapping
+from datetime import datetime, timedelta
+from fractions import Fraction
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypedDict, get_args
+
+from quatprop.errors import UsageError
+from quatprop.settings.keyword import Keyword, keywords_of
+from quatprop.settings.parsers import Choice, count, frequency, length, moment, number, number_list
+from quatprop.text import Setting, shown
+
+if TYPE_CHECKING:
+    from quatprop.simulation.gyroscope import Gyroscope
+    from quatprop.simulation.motion import Shape
+
+MotionName: TypeAlias = Literal["rest", "spin", "coning", "tumbling", "random-walk"]
+"""The keys of :data:`quatprop.simulation.motion.MOTIONS`; spelled out to keep help quick."""
+
+SHAPED_BY = {
+    "frequency": ("spin", "coning", "tumbling"),
+    "axis": ("spin",),
+    "angle": ("coning", "tumbling"),
+    "spin_frequency": ("tumbling",),
+    "walk": ("random-walk",),
+}
+"""The motions that each setting belongs to."""
+
+DEFAULT_DURATION_NS = 20_000_000_000
+
+
+def _exact(value: object) -> Fraction:
+    """Return an exact number: 0.1 is one tenth."""
+    try:
+        return Fraction(str(value))
+    except (ValueError, ZeroDivisionError):
+        raise UsageError(f"{shown(value)} is not a number") from None
+
+
+def _moment(value: object) -> int:
+    """Return an absolute time in ns."""
+    given = moment(value)
+    if given.origin != "clock":
+        raise UsageError(
+            f"{shown(value)} is not a time; write RFC 3339 (2024-01-31T12:00:00Z) or integer "
+            "nanoseconds"
+        )
+    return given.ns
+
+
+def _size(value: object) -> float:
+    """Return a number from 0 on."""
+    if (parsed := number(value)) < 0:
+        raise UsageError(f"{shown(value)} is below 0")
+    return parsed
+
+
+def _seed(value: object) -> int:
+    """Return a whole number from 0 on."""
+    if str(value) == "0":
+        return 0
+    try:
+        return count(value)
+    except UsageError:
+        raise UsageError(f"{shown(value)} is not a whole number from 0 on") from None
+
+
+class SimulateOptions(TypedDict, total=False):
+    """Keywords of :func:`quatprop.simulate`."""
+
+    # fmt: off
+    motion: Annotated[MotionName, Keyword(
+        Choice(*get_args(MotionName)), "What the body does.", "spin", preset=True)]
+    rate: Annotated[float | Fraction | str, Keyword(
+        frequency, "Samples a second.", "100", "HZ", preset=True)]
+    duration: Annotated[str | int | timedelta | None, Keyword(
+        length, "How long, such as 20s or 1h; the last sample is just before it.", "20s", "DUR")]
+    samples: Annotated[int | None, Keyword(
+        count, "How many samples, instead of a duration.", "by duration", "N")]
+    start: Annotated[str | int | datetime | None, Keyword(
+        _moment, "Time of the first sample, RFC 3339 or ns.", "2023-11-14T22:13:20Z", "TIME")]
+    seed: Annotated[int | None, Keyword(
+        _seed, "Of noise and random walk: the same seed gives the same log.", "0", "N")]
+    noise: Annotated[float | None, Keyword(
+        _size, "Angle random walk, rad/s/sqrt(Hz).", "0", "X")]
+    bias: Annotated[Collection[float] | str | None, Keyword(
+        number_list("X,Y,Z"), "Constant error of the rates, rad/s.", "0,0,0", "X,Y,Z")]
+    q0: Annotated[Collection[float] | str, Keyword(
+        number_list("W,X,Y,Z"), "True attitude at the first sample, body to reference, scalar "
+        "first.", "1,0,0,0", "W,X,Y,Z", preset=True)]
+    frequency: Annotated[float | Fraction | str | None, Keyword(
+        _exact, "Turns a second: of a spin, of coning, of the precession of tumbling.", "0.5",
+        "HZ")]
+    axis: Annotated[Collection[float] | str | None, Keyword(
+        number_list("X,Y,Z"), "Axis of a spin in the body.", "0,0,1", "X,Y,Z")]
+    angle: Annotated[float | Fraction | str | None, Keyword(
+        _exact, "Half-angle of the cone, or nutation angle of tumbling.", "10", "DEG")]
+    spin_frequency: Annotated[float | Fraction | str | None, Keyword(
+        _exact, "Turns a second of a tumbling body about its own axis.", "0.2", "HZ")]
+    walk: Annotated[float | None, Keyword(
+        _size, "Random walk of the rate, rad/s/sqrt(s).", "0.1", "X")]
+    # fmt: on
+
+
+SIMULATE = keywords_of(SimulateOptions)
+"""What is simulated: name -> its row."""
+
+
+def simulated(values: Mapping[str, Any]) -> "tuple[str, Shape, Gyroscope, tuple[float, ...]]":
+    """Return a motion, its shape, the gyroscope, and the first attitude, from parsed settings."""
+    from quatprop.simulation.gyroscope import Gyroscope, samples_in
+    from quatprop.simulation.motion import Shape
+
+    given = {name: value for name, value in values.items() if value is not None}
+    motion, rate = given.get("motion", "spin"), given.get("rate", Fraction(100))
+    for name, motions in SHAPED_BY.items():
+        if motion not in motions and name in given:
+            whose = Setting("motion", " or ".join(motions))
+            raise UsageError(f"{Setting(name)} goes with {whose}")
+    if "samples" in given and "duration" in given:
+        raise UsageError(
+            f"{Setting('samples')} and {Setting('duration')} exclude each other; give one of them"
+        )
+    count = given.get("samples") or samples_in(given.get("duration", DEFAULT_DURATION_NS), rate)
+    shape = Shape(**{name: given[name] for name in (*SHAPED_BY, "seed") if name in given})
+    parts: dict[str, Any] = {
+        name: given[name] for name in ("noise", "bias", "seed") if name in given
+    }
+    if "start" in given:
+        parts["start_ns"] = given["start"]
+    return motion, shape, Gyroscope(rate, count, **parts), given.get("q0", (1.0, 0.0, 0.0, 0.0))

@@ -1,0 +1,101 @@
+"""`quatprop convert` of a part of a series, and at a steady rate."""
+
+import json
+
+import numpy as np
+import pytest
+from make.commands import run
+from make.places import SAMPLE_LOGS
+from scipy.spatial.transform import Rotation, Slerp
+
+import quatprop
+from quatprop.errors import TimelineError
+
+TRUTH = SAMPLE_LOGS / "tumbling.truth.csv"
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """Return the attitudes of the sample log, 100 a second."""
+    return quatprop.read_attitudes(TRUTH)
+
+
+@pytest.mark.parametrize(
+    ("part", "first", "last"),
+    [
+        (("--start", "+1s"), 100, 999),
+        (("--end", "-2s"), 0, 799),
+        (("--start", "-3s", "--end", "1700000008000000000"), 699, 800),
+    ],
+)
+def test_a_time_range_is_converted(tmp_path, truth, part, first, last):
+    """Ends included; the provenance has the range, and what it left out."""
+    out, report = tmp_path / "out.csv", tmp_path / "report.json"
+    said = run("convert", TRUTH, out, *part, "--report", report).stderr
+    assert quatprop.read_attitudes(out) == truth[first : last + 1]
+    recorded = json.loads(report.read_text())["conversions"][0]["time_range"]
+    assert (recorded["before"], recorded["after"]) == (first, 999 - last)
+    assert f"left out: {first + 999 - last} rows outside the time range" in said
+
+
+def test_attitudes_of_a_time_range_are_read(truth):
+    """In Python too, by the same rule."""
+    part = quatprop.read_attitudes(TRUTH, start="+1s", end="-2s")
+    assert part == truth[100:800]
+
+
+def test_a_time_range_without_attitudes_is_refused(tmp_path):
+    """The sentence tells where the attitudes are."""
+    told = run("convert", TRUTH, tmp_path / "out.csv", "--start", "+1h", code=2).stderr
+    assert "between --start and --end: 1000 are before, 0 after; the log is 9.99 s long" in told
+
+
+def test_a_time_range_that_leaves_nothing_out_is_remarked_on(tmp_path):
+    """An absolute time may be in other units than was meant."""
+    told = run("convert", TRUTH, tmp_path / "out.csv", "--end", "1800000000000000000").stderr
+    assert "note: --end is after the last sample and leaves nothing out" in told
+
+
+def test_a_steady_rate_is_interpolated(tmp_path, truth):
+    """Better than ten times slerp, and to the bit where there is an attitude."""
+    half, out = tmp_path / "half.csv", tmp_path / "out.csv"
+    quatprop.write(truth[::2], half)
+    report = quatprop.convert(half, out, rate="100Hz", convention="hamilton")
+    known, found = truth[:999], quatprop.read_attitudes(out)
+    assert (report.written, report.counts.used) == (999, 500)
+    assert found.t_ns.tolist() == known.t_ns.tolist()
+    assert np.array_equal(found.wxyz[::2], known.wxyz[::2])
+    rotations = Rotation.from_quat(known.wxyz, scalar_first=True)
+    slerp = Slerp(known.t_ns[::2] - known.t_ns[0], rotations[::2])(known.t_ns - known.t_ns[0])
+    error = Rotation.from_quat(found.wxyz, scalar_first=True) * rotations.inv()
+    assert error.magnitude().max() < (slerp * rotations.inv()).magnitude().max() / 10
+
+
+def test_nothing_is_interpolated_across_gaps(tmp_path, truth):
+    """They stay gaps, and it is said; a single attitude between two is kept."""
+    gappy, out = tmp_path / "gappy.csv", tmp_path / "out.csv"
+    rows = np.r_[0:100, 300, 500:600]
+    quatprop.write(truth[rows], gappy)
+    said = run("convert", gappy, out, "--rate", "200").stderr
+    found = quatprop.read_attitudes(out)
+    since = (found.t_ns - truth.t_ns[0]) // 5_000_000
+    assert since.tolist() == [*range(199), 600, *range(1000, 1199)]
+    assert "no attitudes are interpolated across 2 gaps longer than 100 ms" in said
+
+
+def test_what_is_beside_attitudes_is_interpolated_too(tmp_path):
+    """Positions in a straight line."""
+    source, out = tmp_path / "in.tum", tmp_path / "out.tum"
+    source.write_text("1.0 0 0 0 0 0 0 1\n1.2 2 4 6 0 0 0 1\n1.4 4 8 12 0 0 0 1\n")
+    run("convert", source, out, "--rate", "10")
+    found = quatprop.read_attitudes(out)
+    expected = np.arange(5)[:, None] * [1, 2, 3]
+    assert np.allclose(found.position, expected, rtol=0, atol=1e-12)
+
+
+def test_stamps_that_do_not_rise_are_not_interpolated(tmp_path):
+    """There is no attitude between them."""
+    source = tmp_path / "in.csv"
+    source.write_text("t_ns,qw,qx,qy,qz\n5,1,0,0,0\n5,1,0,0,0\n")
+    with pytest.raises(TimelineError, match="timestamps do not rise: 5 ns and then 5 ns; leave ra"):
+        quatprop.convert(source, tmp_path / "out.csv", rate=10)

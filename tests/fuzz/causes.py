@@ -1,0 +1,241 @@
+"""Likely causes of planted mistakes: wrong names, and remedies that do not deliver.
+
+``python -m fuzz.causes [LOGS]`` (in ``tests/``): for each of 600 pairs the remedy that is printed
+is applied, by the option that it names, and the error is measured before and after.
+"""
+
+import math
+import re
+import sys
+import warnings
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from fuzz.planted import FINDINGS, KINDS, Pair, Source, pair
+from make.places import SHARED_LOGS
+
+import quatprop
+from quatprop import AttitudeSeries, GyroSeries
+from quatprop.errors import ComparisonError, QuatpropError
+from quatprop.kinematics.quaternion import exp, multiply
+
+PAIRS = 600
+
+ALTERNATIVES = {
+    "a wrong direction or JPL convention": {"conjugate"},
+    "a wrong layout": {"layout", "layout-first"},
+    "body rates taken for inertial rates": {"side"},
+    "rates of the opposite sign": {"rate sign"},
+    "swapped or reversed axes": {"axes"},
+    "a time offset": {"time offset"},
+    "clocks that differ": {"clock drift"},
+    "rates that differ by a factor": {"scale"},
+    "body frames that differ": {"body frame"},
+    "reference frames that differ": {"reference frame"},
+    "a constant rate": {"rate bias"},
+    "a steady drift": {"drift"},
+    "another integration rule": {"method"},
+}
+"""What a sentence does not rule out -> its names."""
+
+
+def rms_deg(one: Pair) -> float:
+    """Return the RMS error of a pair as it is compared; infinite where it cannot be."""
+    try:
+        found = quatprop.compare(one.a.attitudes(), one.b.attitudes(), **one.options, tol=4)
+    except QuatpropError:
+        return math.inf
+    return math.degrees(found.error_rad.rms)
+
+
+def named(cause) -> list[set]:
+    """Return the names that a cause has, with all those that its sentence leaves open."""
+    cases = []
+    while cause:
+        names = {cause.name}
+        _, _, others = cause.sentence.partition("does not distinguish it from ")
+        for phrase, of_phrase in ALTERNATIVES.items():
+            names |= of_phrase if phrase in others else set()
+        if "or another integration rule" in cause.sentence:
+            names.add("method")
+        cases.append(names)
+        cause = cause.also
+    return cases
+
+
+def is_true(names: set, true: set) -> bool:
+    """Return whether one of some names, or all that it is made of, is true of a pair."""
+    return any(name in true or set(name.split(" and ")) <= true for name in names)
+
+
+def mended(one: Pair, remedy: str):
+    """Yield pairs in which a printed remedy was applied: one for each way that it offers."""
+    first, _, rest = remedy.partition("; and also, ")
+    for way in _ways(one, first):
+        yield from mended(way, rest) if rest else [way]
+
+
+def _ways(one: Pair, remedy: str):
+    if found := re.match(r"(align|time_offset)='([^']*)'", remedy):
+        key, value = found.groups()
+        assert one.options.get(key) != value, f"{key}={value} is on already"
+        yield replace(one, options={**one.options, key: value})
+        return
+    for clause in remedy.split("; "):
+        found = re.search(r"\bif (?:it is )?([AB])\b|B\b", clause)
+        sides = "ab" if found is None else (found[1] or "b").lower()
+        for side in sides:
+            source = _mended(getattr(one, side), clause, one)
+            if source is not None:
+                yield replace(one, **{side: source})
+                break
+
+
+def _mended(source, clause, one):  # noqa: PLR0911, PLR0912  # one kind of remedy after another
+    """Return a source to which a clause of a remedy was applied; None: it does not apply."""
+    number = r"([-+\d.e]+)"
+    if "read it with" in clause:
+        given = dict(re.findall(r"(from_\w+)='([^']*)'", clause))
+        if len(given) > 1 and " or from_convention" in clause:
+            given.pop("from_convention")
+        assert not given.items() <= source.read.items(), f"{given} is on already"
+        return replace(source, read={**source.read, **given})
+    if found := re.search(
+        f"turn B back by {number}, {number}, {number} deg/h.*(body|reference)", clause
+    ):
+        series = source.attitudes()
+        seconds = (series.t_ns - series.t_ns[0])[:, None] / 1e9
+        turn = exp(-seconds * np.radians(np.array(found.groups()[:3], float) / 3600))
+        pair = (series.wxyz, turn) if found[4] == "body" else (turn, series.wxyz)
+        return Source(series=AttitudeSeries(series.t_ns, multiply(*pair)))
+    if found := re.search(f"add {number} ms to B's stamps.* {number} ppm", clause):
+        series = source.attitudes()
+        since = series.t_ns - series.t_ns[0]
+        added = float(found[1]) * 1e6 + float(found[2]) * 1e-6 * since
+        t_ns = series.t_ns + np.round(added).astype(np.int64)
+        return Source(series=AttitudeSeries(t_ns, series.wxyz))
+    if re.search(r"leave \d", clause):
+        errors = quatprop.compare(one.a.attitudes(), one.b.attitudes(), tol=4, **one.options)
+        keep = (
+            errors.errors
+            <= np.sort(errors.errors)[-1 - int(re.search(r"leave ([\d]+)", clause)[1])]
+        )
+        series = one.b.attitudes()
+        kept = np.isin(series.t_ns, errors.t_ns[keep])
+        return Source(series=series[kept])
+    if source.rates is None:
+        return None
+    rate, options = source.rates.rate, dict(source.propagate)
+    if found := re.search(f"multiply its rates by {number}", clause):
+        rate = rate * float(found[1])
+    elif found := re.search(r"take its rates as ([-xyz]+), ([-xyz]+), ([-xyz]+)", clause):
+        rate = np.stack(
+            [rate[:, "xyz".index(n[-1])] * (-1) ** ("-" in n) for n in found.groups()], 1
+        )
+    elif "rate_unit" in clause:
+        rate = np.radians(rate) if np.abs(rate).max() > 30 else np.degrees(rate)
+    elif "rates=" in clause:
+        wanted = re.findall("rates='([a-z]+)'", clause)
+        options["rates"] = wanted[0] if wanted else "body" if "rates" in options else "inertial"
+    else:
+        found = re.search(r"propagated with method (\w+)", clause)
+        if found and options.get("method") != found[1]:
+            return None
+        given = dict(re.findall(r"(method|mount|bias)='([^']*)'", clause))
+        if not given or any(options.get(key) == value for key, value in given.items()):
+            return None
+        options |= given
+    return replace(source, rates=GyroSeries(source.rates.t_ns, rate), propagate=options)
+
+
+def judge(one: Pair):
+    """Return the verdict on the names, sentences on what is wrong, and the cause."""
+    a, b = one.a.attitudes(), one.b.attitudes()
+    try:
+        found = quatprop.compare(a, b, **one.options)
+    except ComparisonError as error:
+        return "refused", [str(error)], None
+    cause = found.likely_cause
+    cases = named(cause)
+    claims = [
+        names
+        for names, each in zip(cases, _chain(cause), strict=True)
+        if not getattr(each, "explains_little", False)
+    ]
+    wrong = [sorted(names) for names in claims if not is_true(names, one.true)]
+    parts = [{part for name in names for part in (name, *name.split(" and "))} for names in cases]
+    right = any(names & one.planted for names in parts)
+    faults = list(_undelivered(one, cause, math.degrees(found.error_rad.rms)))
+    verdict = "wrong" if wrong else "right" if right else "named" if claims else "none"
+    return verdict, faults, cause
+
+
+def _chain(cause):
+    while cause:
+        yield cause
+        cause = cause.also
+
+
+def _undelivered(one: Pair, cause, before: float):
+    """Yield where a remedy does not do what is said of it."""
+    for each in _chain(cause):
+        if getattr(each, "explains_little", False):
+            continue
+        if not each.remedy:
+            yield f"{each.name}: no remedy"
+            return
+        after = math.degrees(
+            each.total_after if getattr(each, "total_after", None) else each.rms_after
+        )
+        said_before = getattr(each, "total_before", None) or each.rms_before
+        if getattr(each, "window_ns", None) and not getattr(each, "total_after", None):
+            after, said_before = 0.5 * before, math.radians(before)
+            slack = 0.0
+        else:
+            slack = 0.03 * before + 0.1 * after
+        try:
+            ways = list(mended(one, each.remedy))
+        except AssertionError as error:
+            yield f"{each.name}: {error}"
+            return
+        measured = [rms_deg(way) for way in ways]
+        if not before <= 1.1 * math.degrees(said_before) + 1e-9:
+            yield f"{each.name}: before {math.degrees(said_before):.4g} is {before:.4g}"
+        if not measured:
+            yield f"{each.name}: no way to apply {each.remedy!r}"
+            return
+        for now in measured:
+            if not now <= after + slack + 1e-9 or not now <= 0.5 * before + 1e-9:
+                yield f"{each.name}: {before:.4g} to {after:.4g} is to {now:.4g} ({each.remedy})"
+        one, before = ways[0], measured[0]
+
+
+def main(folder: Path, numbers: range) -> None:
+    """Print the verdict on every pair, and the sums."""
+    warnings.simplefilter("ignore")
+    total, kinds, undelivered = Counter(), {}, 0
+    for number in numbers:
+        one = pair(number, folder if folder.is_dir() else None)
+        verdict, faults, cause = judge(one)
+        total[verdict] += 1
+        kinds.setdefault(KINDS[number % len(KINDS)], Counter())[verdict] += 1
+        claimed = bool(cause) and not getattr(cause, "explains_little", False)
+        undelivered += bool(faults) and claimed
+        if verdict == "wrong" or faults or "-v" in sys.argv:
+            sentence = cause and f"{cause.name}: {cause.sentence[:110]}"
+            print(f"{verdict:8}{one.title}\n        {sentence}")
+            for fault in faults:
+                print(f"        ! {fault}")
+    for kind, verdicts in kinds.items():
+        print(f"{kind:20}{dict(verdicts)}{' (finding)' * (kind in FINDINGS)}")
+    print(dict(total), f"remedies that do not deliver: {undelivered}")
+
+
+if __name__ == "__main__":
+    given = [argument for argument in sys.argv[1:] if argument != "-v"]
+    main(
+        Path(given[0]) if given else SHARED_LOGS,
+        range(*map(int, given[1:])) if given[1:] else range(PAIRS),
+    )

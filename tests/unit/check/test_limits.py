@@ -1,0 +1,88 @@
+"""Limits: what is left of each, those that are proposed, and what a limit hides."""
+
+import pytest
+from make.commands import run
+from make.suites import TRUTH, check, pinned, write_suite
+
+LIMITS = """\
+align = "first"
+window = "1s"
+window-rms-tol = "0.05deg"
+drift-tol = "100deg/h"
+min-coverage = 90
+"""
+
+
+def test_every_limit_is_shown_with_what_is_left_of_it(folder):
+    """`window-rms-tol`, which tells most regressions, was not in the line, nor what was left."""
+    suite = pinned(folder, TRUTH + LIMITS)
+    shown, explained = check(suite).stdout, check(suite, "--explain").stdout
+    for label in ("RMS error over windows ", "drift ", "reference covered 100 % of at least 90 %"):
+        assert f"; {label}" in shown
+    assert " of 0.05 deg, " in shown
+    assert shown.count(" % left") == 3
+    for key in ("tol 0.1deg", "window-rms-tol 0.05deg", "drift-tol 100deg/h", "min-coverage 90"):
+        (line,) = [line for line in explained.splitlines() if key in line.split(": ")[0]]
+        assert "when it was pinned" in line
+        assert line.endswith(" % left") == (key != "min-coverage 90")
+    alone = TRUTH.replace("tol =", 'window = "1s"\nwindow-rms-tol =')
+    assert check(write_suite(folder, alone)).exit_code == 0
+
+
+@pytest.fixture
+def drifting(folder):
+    """Give a log with a bias, and its truth, relative to other frames."""
+    log = folder / "logs" / "drift.csv"
+    motion = ("--motion", "tumbling", "--duration", "20s", "--seed", "3")
+    run("simulate", log, *motion, "--noise", "1e-3", code=0)
+    return log, folder / "logs" / "drift.truth.csv"
+
+
+def delayed(path, ns):
+    """Let the stamps of a log be late."""
+    head, *rows = path.read_text().splitlines()
+    late = [f"{int(row.split(',')[0]) + ns},{row.split(',', 1)[1]}" for row in rows]
+    path.write_text("\n".join([head, *late]) + "\n")
+
+
+def test_limits_are_proposed_that_find_a_delay(drifting, folder):
+    """With `align = "first"` and a tolerance for the drift, 20 ms passed."""
+    log, truth = drifting
+    suite = folder / "ci.toml"
+    result = check(suite, "--init", log, "--reference-log", truth)
+    assert result.exit_code == 0, result.output
+    text = suite.read_text()
+    for key in ("tol", "rms-tol", "window-rms-tol", "min-coverage"):
+        (line,) = [line for line in text.splitlines() if line.startswith(f"{key} = ")]
+        assert " is " in line.partition("  # ")[2], line
+    assert check(suite).exit_code == 0
+    delayed(log, 20_000_000)
+    result = check(suite, "--update", "-k", "drift-truth")
+    assert result.exit_code == 1
+    assert "RMS error over windows " in result.stdout.splitlines()[1]
+
+
+def test_a_series_for_limits_goes_with_init(folder):
+    """In a suite that is there, it is a key."""
+    result = check(pinned(folder, TRUTH), "--reference-log", folder / "logs/coning.truth.csv")
+    assert result.exit_code == 2
+    assert "--reference-log goes with --init" in result.stderr
+
+
+@pytest.mark.parametrize(("rows", "code"), [(slice(100), 1), (slice(600), 0)])
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_limit_holds_for_what_was_compared(folder, rows, code, swapped):
+    """With 90 % of A missing, `compare --tol` ended with 0, without a remark."""
+    truth = folder / "logs" / "spin.truth.csv"
+    head, *lines = truth.read_text().splitlines()
+    part = folder / "part.csv"
+    part.write_text("\n".join([head, *lines[rows]]) + "\n")
+    pair = [truth, part] if swapped else [part, truth]
+    assert run("compare", *pair, "-q").exit_code == 0
+    result = run("compare", *pair, "--tol", "1deg")
+    assert result.exit_code == code, result.output
+    assert ("failed" in result.output) == bool(code)
+    if code:
+        share = "100 % of the time and 100 % of the samples of B and 9.91 % of that of A"
+        assert (share if swapped else "coverage 9.91 % of the time") in result.output
+    assert run("compare", *pair, "--tol", "1deg", "--min-coverage", "0").exit_code == 0

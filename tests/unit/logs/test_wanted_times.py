@@ -1,0 +1,70 @@
+"""`--at`: stamps of files that hold nothing else, and of other topics of the log."""
+
+import json
+
+import pytest
+from make.commands import run
+from make.places import SAMPLE_LOGS
+from make.ros import imu_messages, write_messages
+
+import quatprop
+
+BAG = SAMPLE_LOGS / "tumbling.bag"
+AT = [1_700_000_001_500_000_000, 1_700_000_002_500_000_001]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t_ns\n{0}\n{1}\n",
+        "{0}\n{1}\n",
+        "{1}\n\n{0}",
+        "#timestamp [ns],filename\n{0},a.png\n{1},b.png\n",
+        "time (s)\n1700000001.5\n1700000002.500000001\n",
+        "time\n2023-11-14T22:13:21.5Z\n2023-11-14T22:13:22.500000001Z\n",
+        "camera,t_ns,exposure\nfront,{0},7\nfront,{1},8\n",
+    ],
+)
+def test_a_file_of_stamps_alone(tmp_path, text):
+    """By unit, or as whole ns or dates; a CSV of them was no attitudes and refused."""
+    frames = tmp_path / "frames.csv"
+    frames.write_text(text.format(*AT))
+    assert quatprop.propagate(BAG, at=frames).t_ns.tolist() == AT
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("1700000001.5\n", "line 1: '1700000001.5' is no stamp; write RFC 3339 or whole ns, or"),
+        ("t_ns\n1\nx\n", "line 3: 'x' is no stamp"),
+        ("t_ns\n", "it holds no stamps"),
+    ],
+)
+def test_what_is_no_stamp_is_refused(tmp_path, text, reason):
+    """With its line."""
+    frames = tmp_path / "frames.csv"
+    frames.write_text(text)
+    assert reason in run("propagate", BAG, "-o", "-", "--at", frames, code=2).stderr
+
+
+IMAGE, STRING = "sensor_msgs/msg/CompressedImage", "std_msgs/msg/String"
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
+@pytest.mark.parametrize(("kind", "late"), [(IMAGE, 3_000_000), (STRING, 0)])
+def test_a_topic_of_the_log_gives_the_times(tmp_path, suffix, kind, late):
+    """Of any type: by its header stamps, or the time of recording where it has none."""
+    stamps, frames = range(0, 10**9, 10_000_000), [1_015_000_000, 1_337_000_001]
+    imu = imu_messages([10**9 + t for t in stamps], rate=[(0.0, k / 100, 1.0) for k in range(100)])
+    values = [{"header": {"stamp": t}} if kind == IMAGE else {} for t in frames]
+    other = [("/other", kind, t + late, one) for t, one in zip(frames, values, strict=True)]
+    log = write_messages(tmp_path / f"log{suffix}", sorted([*imu, *other], key=lambda one: one[2]))
+    assert quatprop.propagate(log, at="/other").t_ns.tolist() == frames
+    out, report = tmp_path / "a.csv", tmp_path / "report.json"
+    run("propagate", log, "-o", out, "--at", "/other", "--report", report)
+    assert quatprop.read_attitudes(out).t_ns.tolist() == frames
+    assert json.loads(report.read_text())["settings"]["at"] == "/other"
+    assert (
+        "no such file is there, and the log has no such topic"
+        in run("propagate", log, "-o", out, "--at", "/nothing", code=2).stderr
+    )
