@@ -22,7 +22,7 @@ help:
 	@echo 'make lint         ruff and mypy'
 	@echo 'make format       let ruff format the code'
 	@echo 'make documents    update the documents: what commands print, tables, pictures, references'
-	@echo 'make bench        measure against rosbags, mcap, scipy, ahrs, numba and numpy-quaternion'
+	@echo 'make bench        measure against rosbags, mcap, pyarrow, polars, h5py, scipy, ahrs, numba and numpy-quaternion'
 	@echo 'make sample-logs  generate sample_logs/ again, bit for bit'
 	@echo 'make clean        remove everything that was made here'
 

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 LARGE = 1 << 17
 """Bytes of a chunk below which it is read whole."""
+REMOTE_LARGE = 5 << 18
+"""The same in an object store, where reading in part takes three requests or more."""
 GAP = 1 << 14
 """Bytes between messages that are quicker read than skipped."""
 SHARE = 4

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
     from quatprop.stores.stored import StoredObject
 
+    Place = tuple[int, int]
+
 SMALL_BYTES = 1 << 20
 """Size of an object up to which it is read at once."""
 
@@ -36,8 +38,22 @@ FIRST_REQUEST_BYTES, REQUEST_BYTES = 1 << 18, 1 << 23
 Often only the beginning of a log is looked at.
 """
 
-GAP_BYTES = 1 << 16
-"""Bytes between two ranges that are sooner read than asked for separately."""
+GAP_BYTES = 1 << 18
+"""Bytes between two ranges that are sooner read than asked for separately.
+
+A request takes some 30 ms before its first byte, a sixteenth of it where sixteen are under way: in
+that time a network of 1 Gbit/s moves as many bytes.
+"""
+
+RANGES_BYTES = 1 << 21
+"""Bytes of a request in which parts of a chunk are put together; what is between them is dropped
+as it arrives."""
+
+ANNOUNCEMENTS = 8
+"""How many are remembered: topics are read in turns."""
+
+SINGLE_BYTES = 1 << 16
+"""Bytes of a small read."""
 
 AHEAD_BYTES = 1 << 24
 """Bytes that are read ahead of their use."""
@@ -70,7 +86,8 @@ class RemoteSource(FileSource):
         self._pool = ThreadPoolExecutor(REQUESTS)
         self._lock = threading.Lock()
         self._copy: FileSource | None = None
-        self._parts: OrderedDict[tuple[int, int], Future[bytes]] = OrderedDict()
+        self._parts: OrderedDict[Place, Future[bytes]] = OrderedDict()
+        self._announced: list[list[Place]] = []
         with reading(address):
             store, place = locate(address)
             self._object = store.open_input_file(place)
@@ -90,7 +107,7 @@ class RemoteSource(FileSource):
         if self._copy is not None or self.size <= SMALL_BYTES:
             return super().read_ranges(begins, ends)
         self._single_reads = 0
-        return b"".join(self._pool.map(self._fetch, begins, ends))
+        return b"".join(self._pool.map(self._fetch_together, _neighbours(begins, ends)))
 
     def as_arrow(self) -> NativeFile:
         """Return the object as Arrow reads it."""
@@ -99,20 +116,20 @@ class RemoteSource(FileSource):
         # Not the object itself: errors of the store would look like damage of the log.
         return pa.PythonFile(_Stream(self), mode="r")
 
-    def _announce(self, ranges: list[tuple[int, int]]) -> None:
+    def _announce(self, ranges: list[Place]) -> None:
         with self._lock:
-            self._ranges = ranges
+            others = [each for each in self._announced if each != ranges]
+            self._announced = [ranges, *others][:ANNOUNCEMENTS]
             self._single_reads = 0
 
     def _read(self, length: int, start: int) -> bytes:
         if self._copy is not None:
             return self._copy.read(start, length)
         with self._lock:
-            number = bisect_right(self._ranges, (start, self.size)) - 1
-            if number >= 0 and start + length <= self._ranges[number][1]:
-                begin, part = self._ranges[number][0], self._requested(number)
+            if found := self._smallest_with(start, start + length):
+                begin, part = found[0][found[1]][0], self._requested(*found)
             else:
-                self._single_reads += length <= GAP_BYTES
+                self._single_reads += length <= SINGLE_BYTES
                 begin, part = start, None
         if part is None and self._single_reads > SINGLE_READS:
             return self._local().read(start, length)
@@ -120,17 +137,29 @@ class RemoteSource(FileSource):
             part = self._pool.submit(self._fetch, start, start + length)
         return part.result()[start - begin : start - begin + length]
 
-    def _requested(self, number: int) -> Future[bytes]:
+    def _smallest_with(self, start: int, end: int) -> tuple[list[Place], int] | None:
+        """Return the announcement that has some bytes in its smallest range, and its number there.
+
+        The requests for one topic may have those for another in them, and much else.
+        """
+        found = []
+        for ranges in self._announced:
+            number = bisect_right(ranges, (start, self.size)) - 1
+            if number >= 0 and end <= ranges[number][1]:
+                found.append((ranges, number))
+        return min(found, key=lambda each: each[0][each[1]][1] - each[0][each[1]][0], default=None)
+
+    def _requested(self, ranges: list[Place], number: int) -> Future[bytes]:
         """Return a range that was announced, and request those after it."""
         ahead = 0
         # The more has been read, the more is expected to be.
-        for begin, end in self._ranges[number : 2 * number + 1]:
+        for begin, end in ranges[number : 2 * number + 1]:
             if ahead > AHEAD_BYTES:
                 break
             ahead += end - begin
             if (begin, end) not in self._parts:
                 self._parts[begin, end] = self._pool.submit(self._fetch, begin, end)
-        wanted = self._ranges[number]
+        wanted = ranges[number]
         self._parts.move_to_end(wanted)
         kept = sum(end - begin for begin, end in self._parts)
         for begin, end in list(self._parts)[:-1]:
@@ -143,6 +172,12 @@ class RemoteSource(FileSource):
     def _fetch(self, begin: int, end: int) -> bytes:
         with reading(self._address):
             return bytes(self._object.read_at(end - begin, begin))
+
+    def _fetch_together(self, places: list[Place]) -> bytes:
+        """Return the bytes of ranges that one request reads, without what is between them."""
+        first = places[0][0]
+        data = self._fetch(first, places[-1][1])
+        return b"".join([data[begin - first : end - first] for begin, end in places])
 
     def _local(self) -> FileSource:
         """Return a temporary copy of the whole object."""
@@ -225,9 +260,21 @@ class _Stream(io.RawIOBase):
         return data
 
 
-def _requests(begins: Sequence[int], ends: Sequence[int]) -> list[tuple[int, int]]:
+def _neighbours(begins: Sequence[int], ends: Sequence[int]) -> list[list[Place]]:
+    """Return ranges in their order, those together that one request reads."""
+    together: list[list[Place]] = []
+    for begin, end in zip(begins, ends, strict=True):
+        first, last = (together[-1][0][0], together[-1][-1][1]) if together else (0, -1)
+        if 0 <= last <= begin <= last + GAP_BYTES and end - first <= RANGES_BYTES:
+            together[-1].append((begin, end))
+        else:
+            together.append([(begin, end)])
+    return together
+
+
+def _requests(begins: Sequence[int], ends: Sequence[int]) -> list[Place]:
     """Return the ranges of the requests for some ranges: close ones together."""
-    together: list[tuple[int, int]] = []
+    together: list[Place] = []
     for begin, end in sorted(zip(begins, ends, strict=True)):
         if together and begin <= together[-1][1] + GAP_BYTES:
             first, last = together[-1]

@@ -14,6 +14,7 @@ import commands
 import decode
 import mixed_logs
 import product
+import table_logs
 import writers
 
 PARTS = {
@@ -22,6 +23,7 @@ PARTS = {
     "accuracy": accuracy,
     "writers": writers,
     "commands": commands,
+    "tables": table_logs,
 }
 SOURCES = {
     "imu_zstd.mcap": ("--to", "mcap", "--compression", "zstd"),
@@ -32,11 +34,14 @@ SOURCES = {
     "imu_db3": ("--to", "rosbag2"),
     "imu.csv": ("--to", "csv"),
     "imu.parquet": ("--to", "parquet"),
+    "imu.feather": ("--to", "feather"),
+    "imu.jsonl": ("--to", "jsonl"),
 }
 MIXED = {
     "frames_zstd.mcap": (mixed_logs.varying_frames, 1),
     "images_zstd.mcap": (mixed_logs.beside_images, 10),
     "images_none.mcap": (mixed_logs.beside_images, 10),
+    "imu.h5": (table_logs.as_hdf5, 1),
 }
 """How each is written, and which part of the samples it has: pictures take room."""
 

@@ -1,4 +1,4 @@
-"""Whole commands on every kind of log, each against what users would take or a library needs."""
+"""Whole commands on recordings, each against what users would take or a library needs."""
 
 import sys
 import tempfile
@@ -15,12 +15,6 @@ import sys
 with open(sys.argv[1], "rb", buffering=0) as file:
     while file.read(1 << 20): pass
 """
-READ_CSV = "import sys, pyarrow.csv as c; c.read_csv(sys.argv[1])"
-READ_PARQUET = "import sys, pyarrow.parquet as p; [p.read_table(name) for name in sys.argv[1:]]"
-COPY = """
-import sys, pyarrow.parquet as p, pyarrow.csv as c
-c.write_csv(p.read_table(sys.argv[1]), sys.argv[2])
-"""
 UNPACK_BAG = """
 import sys; from pathlib import Path; from rosbags.rosbag1 import Reader
 with Reader(Path(sys.argv[1])) as bag:
@@ -36,8 +30,6 @@ FLOORS = {
     "imu_bz2.bag": ("rosbags Reader, messages not decoded", UNPACK_BAG),
     "imu_lz4.bag": ("rosbags Reader, messages not decoded", UNPACK_BAG),
     "imu_db3": ("SELECT of stamps and blobs alone", SELECT),
-    "imu.csv": ("pyarrow.csv.read_csv", READ_CSV),
-    "imu.parquet": ("pyarrow.parquet.read_table", READ_PARQUET),
 }
 """Log -> what its floor is called, and the script that does it."""
 
@@ -68,14 +60,6 @@ def measure(folder: Path, samples: int) -> None:
         tables[f"the last second of {log.name}"] = {
             "quatprop propagate --start -1s": [*run, log, "-o", a, "--start", "-1s"],
             "the whole log": [*run, log, "-o", a],
-        }
-        tables["compare two Parquet files"] = {
-            "quatprop compare": [*QUATPROP, "compare", a, b],
-            "pyarrow.parquet.read_table of both": [*PYTHON, READ_PARQUET, a, b],
-        }
-        tables["convert Parquet to CSV"] = {
-            "quatprop convert": [*QUATPROP, "convert", a, out, "--layout", "xyzw"],
-            "pyarrow read_table and write_csv": [*PYTHON, COPY, a, out],
         }
         tables["start up, per sample of the log"] = {
             "quatprop --help": [*QUATPROP, "--help"],

@@ -7,22 +7,24 @@ import time
 from collections.abc import Callable, Sequence
 
 
-def best_of(repeats: int, work: Callable[[], object]) -> float:
+def best_of(
+    repeats: int, work: Callable[[], object], clock: Callable[[], float] = time.perf_counter
+) -> float:
     """Return the shortest of several runs, in seconds."""
-    return min(_times(repeats, work))
+    return min(_times(repeats, work, clock))
 
 
 def median_of(repeats: int, work: Callable[[], object]) -> float:
     """Return the median of several runs, in seconds: writing waits for disks now and then."""
-    return statistics.median(_times(repeats, work))
+    return statistics.median(_times(repeats, work, time.perf_counter))
 
 
-def _times(repeats: int, work: Callable[[], object]) -> list[float]:
+def _times(repeats: int, work: Callable[[], object], clock: Callable[[], float]) -> list[float]:
     seconds = []
     for _ in range(repeats):
-        began = time.perf_counter()
+        began = clock()
         work()
-        seconds.append(time.perf_counter() - began)
+        seconds.append(clock() - began)
     return seconds
 
 
@@ -31,20 +33,24 @@ import os, subprocess, sys, time
 began = time.perf_counter()
 process = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 _, status, usage = os.wait4(process.pid, 0)
-print(time.perf_counter() - began, usage.ru_maxrss, os.waitstatus_to_exitcode(status))
+seconds, cpu = time.perf_counter() - began, usage.ru_utime + usage.ru_stime
+print(seconds, cpu, usage.ru_maxrss, os.waitstatus_to_exitcode(status))
 """
 """Runs a command; a process of its own, since a command inherits the peak of who starts it."""
 
 
-def command(repeats: int, words: Sequence[object]) -> tuple[float, float]:
-    """Return seconds and peak MB of the shortest run; a command that compares may end with 1."""
+def command(repeats: int, words: Sequence[object], *, is_cpu: bool = False) -> tuple[float, float]:
+    """Return seconds and peak MB of the shortest run; a command that compares may end with 1.
+
+    `is_cpu`: whether the seconds are CPU time of all threads
+    """
     launch = [sys.executable, "-S", "-c", LAUNCH, *map(str, words)]
     runs = []
     for _ in range(repeats):
         told = subprocess.run(launch, check=True, capture_output=True, text=True).stdout.split()
-        if told[2] not in {"0", "1"}:
-            raise subprocess.CalledProcessError(int(told[2]), launch[4:])
-        runs.append((float(told[0]), float(told[1]) / 1024))
+        if told[3] not in {"0", "1"}:
+            raise subprocess.CalledProcessError(int(told[3]), launch[4:])
+        runs.append((float(told[is_cpu]), float(told[2]) / 1024))
     return min(runs)
 
 

@@ -18,7 +18,7 @@ from quatprop.containers.mcap.messages import (
 )
 from quatprop.containers.mcap.walk import MESSAGE_HEAD, walk_records
 from quatprop.errors import UnsupportedLogError
-from quatprop.stores.byte_ranges import ranges_worth_reading
+from quatprop.stores.byte_ranges import REMOTE_LARGE, ranges_worth_reading
 from quatprop.stores.compression import UnreadableDataError
 from quatprop.stores.limits import CHECKSUMS, checksums_matter
 
@@ -64,7 +64,7 @@ class McapReader(ChunkReader[Chunk, Loaded]):
     def expected(self, chunk: Chunk, *, is_mixed: bool) -> list[tuple[int, int]]:
         """Return the bytes of a chunk, or head and index of a chunk that is read in part."""
         head_end = chunk.start + PEEK
-        if is_mixed and chunk.can_be_read_in_part:
+        if is_mixed and self._is_read_in_part(chunk):
             return [(chunk.start, head_end), (chunk.start + chunk.length, chunk.end)]
         return [(chunk.start, max(chunk.end, head_end))]
 
@@ -74,12 +74,16 @@ class McapReader(ChunkReader[Chunk, Loaded]):
 
     def load(self, chunk: Chunk, *, is_mixed: bool) -> Loaded:
         """Return the records of a chunk, or only the wanted messages of a large chunk."""
-        if is_mixed and chunk.can_be_read_in_part:
+        if is_mixed and self._is_read_in_part(chunk):
             with suppress(UnreadableDataError, OSError):
                 selected = self._load_messages(chunk)
                 if selected is not None:
                     return selected
         return self._load_chunk(chunk)
+
+    def _is_read_in_part(self, chunk: Chunk) -> bool:
+        is_large = not self.source.is_remote or chunk.length > REMOTE_LARGE
+        return is_large and chunk.can_be_read_in_part
 
     def _load_chunk(self, chunk: Chunk) -> Loaded:
         try:

@@ -63,23 +63,31 @@ def test_a_log_in_a_store_is_the_log(tmp_path, bucket, name):
     assert assert_the_same(tmp_path, path, address)["source"]["path"] == address
 
 
-def beside_images(path, compression, count=500, step_ns=10_000_000):
-    """Write an MCAP of which body rates are 5 %, beside images."""
+def beside_images(path, compression, count=500, step_ns=10_000_000, image=50_000):
+    """Write an MCAP of which body rates are 5 % or less, beside images."""
     noise, events = np.random.default_rng(1), []
     for k in range(count):
         ns = 10**18 + step_ns * k
         if k % 5 == 0:
-            events.append((0, ns, noise.bytes(50_000)))
-        message = {"w": [0.1, 0.2, np.sin(k)], "pad": "." * 400}
-        events.append((1, ns, json.dumps(message).encode()))
+            events.append((0, ns, noise.bytes(image)))
+        events.append((1, ns, rates_message(k, 400)))
     topics = [("/camera", Topic("")), ("/imu", Topic(""))]
     path.write_bytes(build(topics, events, chunk_size=1 << 20, compression=compression))
 
 
+def rates_message(k, pad):
+    """Return body rates as JSON, and text that makes the message longer."""
+    return json.dumps({"w": [0.1, 0.2, np.sin(k)], "pad": "." * pad}).encode()
+
+
 BESIDE = ["--topic", "/imu", "--rate-field", "w", "--rate-unit", "rad/s"]
+CASES = {
+    CompressionType.NONE: {"count": 100, "image": 800_000},
+    CompressionType.ZSTD: {},
+}
 
 
-@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
+@pytest.mark.parametrize("compression", CASES)
 def test_only_what_is_needed_of_a_log_is_read(
     tmp_path, bucket, store_server, monkeypatch, compression
 ):
@@ -88,7 +96,7 @@ def test_only_what_is_needed_of_a_log_is_read(
     Chunks that are not read whole are not compared with their checksums, which is reported.
     """
     path, address = tmp_path / "ride.mcap", f"{bucket}/ride.mcap"
-    beside_images(path, compression)
+    beside_images(path, compression, **CASES[compression])
     upload(path, address)
     read = []
     read_file = FileSource._read  # noqa: SLF001
@@ -100,6 +108,55 @@ def test_only_what_is_needed_of_a_log_is_read(
     report = assert_the_same(tmp_path, path, address, *BESIDE)
     assert store_server.sent - before <= 1.3 * sum(read)
     assert (report["unchecked_chunks"] > 1) == (compression is CompressionType.NONE)
+
+
+def test_what_is_between_messages_is_read_where_requests_cost_more(tmp_path, bucket, store_server):
+    """Each message between small pictures was a request of its own: 1,129 for 7 MB of a log."""
+    path, address = tmp_path / "ride.mcap", f"{bucket}/ride.mcap"
+    beside_images(path, CompressionType.NONE)
+    upload(path, address)
+    sent, count = store_server.sent, len(store_server.requests)
+    assert_the_same(tmp_path, path, address, *BESIDE)
+    assert store_server.sent - sent <= 1.05 * path.stat().st_size
+    assert len(store_server.requests) - count <= 15
+
+
+def test_chunks_without_the_topic_are_not_read(tmp_path, bucket, store_server):
+    """After another topic had been looked into, what lay between its chunks was read, too."""
+    path, address, noise = tmp_path / "ride.mcap", f"{bucket}/ride.mcap", np.random.default_rng(1)
+    events, chunk = [], 1 << 20
+    for k in range(160):
+        if k % 10 == 0:  # a message of this size ends its chunk
+            events += [(0, 10**18 + k * 10**7, noise.bytes(chunk)) for _ in range(2)]
+        events.append((1, 10**18 + k * 10**7, rates_message(k, chunk if k % 10 == 9 else 0)))
+    topics = [("/camera", Topic("")), ("/imu", Topic(""))]
+    path.write_bytes(build(topics, events, chunk_size=chunk, compression=CompressionType.ZSTD))
+    upload(path, address)
+    before = store_server.sent
+    assert_the_same(tmp_path, path, address, *BESIDE)
+    # The first picture shows that its topic, which no schema describes, has no attitudes.
+    assert store_server.sent - before <= 1.2 * chunk
+
+
+def test_ranges_are_put_together_in_requests_of_bounded_size(tmp_path, monkeypatch):
+    """Close ranges are one request, far ones are not, and only what was asked for is returned."""
+    path = tmp_path / "bytes"
+    data = np.random.default_rng(1).bytes(6 << 20)
+    path.write_bytes(data)
+    fetched, fetch = [], RemoteSource._fetch  # noqa: SLF001
+    monkeypatch.setattr(
+        RemoteSource,
+        "_fetch",
+        lambda self, begin, end: fetched.append(end - begin) or fetch(self, begin, end),
+    )
+    begins = [*range(0, 4 << 20, 100_000), 6 << 19, 5 << 20]  # one step back, one far ahead
+    ends = [begin + 100 for begin in begins]
+    with RemoteSource(path.as_uri(), path) as source:
+        wanted = b"".join(data[begin:end] for begin, end in zip(begins, ends, strict=True))
+        del fetched[:]
+        assert source.read_ranges(begins, ends) == wanted
+    assert len(fetched) == 2 + 1 + 1
+    assert max(fetched) <= 2 << 20
 
 
 def test_a_time_range_is_all_that_is_read(tmp_path, bucket, store_server):

@@ -53,6 +53,18 @@ def test_a_time_is_its_nearest_nanosecond(time, unit, t_ns):
     assert table_rates(rows, rate_unit="rad/s", time_unit=unit)[::2] == ([t_ns], [])
 
 
+@pytest.mark.parametrize("number", ["17e-40", "1E-100", "1e-2147483647"])
+def test_a_tiny_number_is_refused_wherever_it_is(number):
+    """The text is searched in pieces: also where the number is in two of them."""
+    for place in [0, *range((1 << 16) - 6, (1 << 16) + 2), 1 << 17]:
+        text = b" " * place + number.encode()
+        for whole in (text, text + b"," + bytes(1 << 16)):
+            with pytest.raises(timestamps.TimestampRangeError):
+                timestamps.refuse_tiny_numbers(memoryview(whole))
+        for harmless in (b"1e-39", b"1e+40", b"1e-4"):
+            timestamps.refuse_tiny_numbers(b" " * place + harmless)
+
+
 NUMBERS = st.from_regex(r"-?[0-9]{1,45}(\.[0-9]{0,45})?(e[+-]?[0-9]{1,2})?", fullmatch=True)
 
 
