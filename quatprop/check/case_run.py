@@ -98,6 +98,13 @@ def propagate_case(case: Case, every: int | None, folder: Path) -> CaseRun:
     return CaseRun(load_attitudes(AttitudeInput(output, "parquet")), report, every)
 
 
+def propagate_all(case: Case, folder: Path) -> CaseRun:
+    """Propagate the log of a case with all of its attitudes, whatever rows the case chooses."""
+    settings = replace(case.propagation, every=None, rate=None, at=None)
+    (place := folder / "all").mkdir()
+    return propagate_case(case._replace(propagation=settings), None, place)
+
+
 def chooses_rows(case: Case) -> bool:
     """Return whether the case itself says which attitudes are kept."""
     settings = case.propagation
@@ -173,19 +180,22 @@ def _no_overlap(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> str:
     )
 
 
-def distance_text(a: AttitudeSeries, b: AttitudeSeries) -> str:
-    """Return how far attitudes are from others, in degrees, nothing aligned; or why unknown."""
+def distance_text(a: AttitudeSeries, b: AttitudeSeries) -> tuple[str, float]:
+    """Return how far attitudes are from others, in degrees, nothing aligned, or why unknown.
+
+    The number is the percentage of `b` for which it is known.
+    """
     try:
         result = compare(a, b, MEASURE)
     except ComparisonError as error:
         named = with_names(str(error), a="the new attitudes", b="the old reference")
-        return f"not comparable with the old reference: {named}"
+        return f"not comparable with the old reference: {named}", 0.0
     sizes = zip(("max", "RMS", "final"), largest_errors(result), strict=True)
     # Rounding errors are no change.
     sentence = ", ".join(f"{name} {degrees_text(round(size, 12))}" for name, size in sizes)
     share = result.coverage.least
     part = "the old reference" if share > ALL else f"the {share:.4g} % of the old reference covered"
-    return f"{sentence} from {part}"
+    return f"{sentence} from {part}", share
 
 
 def largest_errors(result: Comparison) -> tuple[float, float, float]:

@@ -240,9 +240,14 @@ def sha256_of(path: str) -> str:
 
 def renamed_to(path: Path, digest: str | None) -> Path | None:
     """Return the file beside a missing one that has its content; None where there is none."""
+    return with_content(path.parent, f"*{escape(path.suffix)}", digest)
+
+
+def with_content(folder: Path, pattern: str, digest: str | None) -> Path | None:
+    """Return the first file of a folder that has some content; None where there is none."""
     left = MAX_SEARCHED
     with suppress(OSError):
-        for other in sorted(path.parent.glob(f"*{escape(path.suffix)}")):
+        for other in sorted(folder.glob(pattern)):
             left -= other.stat().st_size
             if left > 0 and other.is_file() and digest_of(other).sha256 == digest:
                 return other

@@ -34,6 +34,9 @@ DEFAULT = "the default"
 MAX_ROWS = 1000
 """Most attitudes in a reference, unless the case itself chooses them."""
 
+LEAST_ROWS = 10
+"""Fewest attitudes in a reference of a log that has as many."""
+
 
 def decimation(samples: int) -> int:
     """Return N, where a reference keeps every N-th attitude of a log: 1, 2, 5, 10, 20, 50...
@@ -79,6 +82,21 @@ def _with_names(value: Any, names: Mapping[str, str]) -> Any:
     if isinstance(value, list):
         return [_with_names(item, names) for item in value]
     return names.get(value, value) if isinstance(value, str) else value
+
+
+def refuse_thin(case: Case, run: CaseRun) -> None:
+    """Refuse a reference of so few attitudes of a log that a change would not be seen."""
+    count, t_ns = len(run.series), run.series.t_ns
+    covered = float(t_ns.max() - t_ns.min()) * 1e-9 if count else 0.0
+    if count >= min(LEAST_ROWS, run.samples) and 2 * covered >= run.report.result.span_s:
+        return
+    keys = " or ".join(key for key in ("every", "rate", "at") if key in case.options)
+    raise OutputError(
+        str(case.reference),
+        f"a reference of {count} of {run.samples} attitudes, over {covered:.6g} s of "
+        f"{run.report.result.span_s:.6g} s, would pass nearly any change; choose at least "
+        f"{LEAST_ROWS} over half of the log with {keys or 'another log'}",
+    )
 
 
 def refuse_replacing(target: Path) -> None:

@@ -34,6 +34,7 @@ class CheckOptions(NamedTuple):
     `suite`: update: the suite whose references and lock are written; None judges
     `deleted`: pins of cases that the suite has no more
     `dry_run`: show what an update would do, and write nothing
+    `force`: accept a change that cannot be measured, too
     `confirm`: asks whether a change is accepted; None: all are
     `artifacts`: where to keep the evidence of failures; None: nowhere
     `strict`: a case fails that is deleted, passes unexpectedly, or has a remark that is not pinned
@@ -42,6 +43,7 @@ class CheckOptions(NamedTuple):
     suite: Suite | None = None
     deleted: dict[str, Pin] = {}  # noqa: RUF012  # never changed
     dry_run: bool = False
+    force: bool = False
     confirm: Callable[[CaseResult], bool] | None = None
     artifacts: Path | None = None
     strict: bool = False
@@ -90,6 +92,8 @@ def _updated(
 ) -> CaseResult:
     """Update a case, unless the change is not accepted."""
     proposal = propose(case, pin, judged, scratch, options.deleted)
+    if proposal.unknown and not options.force:
+        return CaseResult(case.name, "error", proposal.unknown, changes=proposal.result.changes)
     if options.dry_run:
         return proposal.result._replace(pin=None)
     is_change = proposal.result.updated != "kept" or proposal.result.changes

@@ -6,21 +6,36 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.check.case import Case, CaseResult
-from quatprop.check.case_run import CaseRun, chooses_rows, distance_text, propagate_case
+from quatprop.check.case_run import (
+    CaseRun,
+    chooses_rows,
+    distance_text,
+    propagate_all,
+    propagate_case,
+)
 from quatprop.check.changes import change_lines
 from quatprop.check.judge import result_of
-from quatprop.check.lock import DIGITS, Pin, refuse_lfs_pointer, sha256_of
-from quatprop.check.reference import decimation, refuse_replacing, write_reference
+from quatprop.check.lock import DIGITS, Pin, refuse_lfs_pointer, sha256_of, with_content
+from quatprop.check.reference import (
+    decimation,
+    read_reference,
+    refuse_replacing,
+    refuse_thin,
+    write_reference,
+)
 from quatprop.check.remarks import loss_notes
-from quatprop.text import plain, quoted
+from quatprop.text import Setting, plain, quoted, spelled
 from quatprop.version import __version__
 from quatprop.writers.atomic import open_atomic
 from quatprop.writers.targets import refuse_outside, refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
     from quatprop.check.judge import Judgement
+
+LEAST_COVERED = 50.0
+"""Percentage of the old reference with which the new attitudes must be compared."""
 
 
 class Proposal(NamedTuple):
@@ -28,10 +43,12 @@ class Proposal(NamedTuple):
 
     `result`: the result with what would change, and what would be pinned
     `reference`: the new reference, to be put in its place; None where it stays
+    `unknown`: why nobody knows how far the attitudes have changed; empty where that is listed
     """
 
     result: CaseResult
     reference: Path | None = None
+    unknown: str = ""
 
 
 def refuse_target(case: Case, pin: Pin | None, folder: Path) -> None:
@@ -65,28 +82,33 @@ def propose(
         kept = pin._replace(quatprop=__version__, remarks=judged.found.remarks)
         result = judged.result._replace(notes=lasting, unpinned=(), changes=remarks)
         return Proposal(result._replace(updated="kept", pin=kept))
-    found, target, changes = judged.found, None, list[str]()
+    found, target, changes, unknown = judged.found, None, list[str](), ""
+    log = found.inputs.get("log")
+    former = {name: old for name, old in deleted.items() if old.inputs.get("log", "") == log}
+    if pin is not None:
+        former = {}
     if case.reference is None:
         failures = filter(None, [judged.comparison and judged.comparison.failure])
         result = result_of(case, judged.comparison, "", [*failures], lasting)
     else:
         run, every = _rerun(case, judged, folder)
+        refuse_thin(case, run)
         target = folder / "reference.parquet"
         write_reference(case, run, found.inputs, every, target)
         found = found._replace(every=every, reference=sha256_of(str(target)))
         written = f"{len(run.series)} of {run.samples} attitudes in {plain(case.reference)}"
         result = CaseResult(case.name, "pass", summary=written, notes=lasting)
-        changes += _of_reference(case, pin, judged, found)
+        before = pin or next(iter(former.values()), None)
+        changes, unknown = _of_reference(case, before, judged, found, folder)
     if pin is not None:
         changes = [*change_lines(case, pin, found, judged.run), *changes]
-    for name, former in deleted.items() if pin is None else ():
-        if former.inputs.get("log", "") == found.inputs.get("log"):
-            changes.append(f"pinned as {quoted(name)} before")
-            changes += change_lines(case, former, found, judged.run)
+    for name, old in former.items():
+        lines = change_lines(case, old, found, judged.run)
+        changes = [*changes, f"pinned as {quoted(name)} before", *lines]
     updated = "new" if pin is None and not changes else "updated" if changes else "kept"
     result = result._replace(updated=updated, changes=(*changes, *remarks))
     result = result._replace(remarks=tuple(judged.remarks.values()))
-    return Proposal(result._replace(pin=found), target if updated != "kept" else None)
+    return Proposal(result._replace(pin=found), target if updated != "kept" else None, unknown)
 
 
 def put_in_place(case: Case, proposal: Proposal) -> None:
@@ -108,19 +130,44 @@ def _rerun(case: Case, judged: Judgement, folder: Path) -> tuple[CaseRun, int | 
     return (judged.run if as_judged else propagate_case(case, every, folder)), every
 
 
-def _of_reference(case: Case, pin: Pin | None, judged: Judgement, found: Pin) -> Iterator[str]:
-    """Yield how a new reference differs from the one that is there, or was."""
-    path, new = str(case.reference), str(found.reference)
-    if not Path(path).exists():
-        if pin is not None:
-            yield f"reference: missing -> SHA-256 {new[:DIGITS]}"
-        return
-    if (old := sha256_of(path)) == new:
-        return
-    yield f"reference: SHA-256 {old[:DIGITS]} -> {new[:DIGITS]}"
-    if judged.reference is None:
-        yield "attitudes: the old reference could not be read"
-        return
+def _of_reference(
+    case: Case, before: Pin | None, judged: Judgement, found: Pin, folder: Path
+) -> tuple[list[str], str]:
+    """Return how a new reference differs from the old one, and why that is not known, if it is not.
+
+    `before`: the pin of the case, or of the one that it was before it was renamed
+    """
+    path, new = Path(str(case.reference)), str(found.reference)
+    there = sha256_of(str(path)) if path.exists() else None
+    pinned = before.reference if before else there
+    if pinned == new == there or (before is None and there is None):
+        return [], ""
+    was = there if there != new else pinned
+    was_text = f"SHA-256 {was[:DIGITS]}" if was else "missing"
+    lines = [f"reference: {was_text} -> SHA-256 {new[:DIGITS]}"]
+    if pinned == new and there is None:
+        return lines, ""
+    run, old = judged.run, judged.reference
+    if pinned not in {there, new}:
+        suite = Path(case.suite).parent
+        moved = with_content(suite, "**/*.p[aq]*", pinned) if pinned else None
+        old = read_reference(str(moved)) if moved else None
+    if old is None:
+        why = "could not be read" if pinned == there else "is gone"
+        distance, share = f"not comparable: the old reference {why}", 0.0
+    else:
+        if chooses_rows(case) or pinned not in {there, new}:
+            # Of fewer attitudes than there were, the largest change is not the largest.
+            run = propagate_all(case, folder)
+        distance, share = distance_text(run.series, old.series)
     cause = judged.comparison.cause if judged.comparison else ""
-    distance = distance_text(judged.run.series, judged.reference.series)
-    yield f"attitudes: {distance}" + (f"; likely cause: {cause}" if cause else "")
+    lines.append(f"attitudes: {distance}" + (f"; likely cause: {cause}" if cause else ""))
+    if share >= LEAST_COVERED:
+        return lines, ""
+    way_out = (
+        f"restore the old one, or accept it unseen with {Setting('update')} {Setting('force')}"
+    )
+    return lines, spelled(
+        f"{plain(path)}: the largest change of the attitudes cannot be measured: {distance}; "
+        f"{way_out}"
+    )

@@ -43,6 +43,7 @@ def run_and_show(
         suite=suite if updating else None,
         deleted=deleted,
         dry_run=options["dry_run"],
+        force=options["force"],
         confirm=partial(_confirmed, width) if options["interactive"] else None,
         artifacts=options["artifacts"] and Path(options["artifacts"]),
         strict=options["strict"],

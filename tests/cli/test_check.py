@@ -185,7 +185,7 @@ def test_references_do_not_depend_on_folders(pinned, tmp_path, monkeypatch):
     said = check(tmp_path / "suite.toml").stdout
     assert "its metadata have imu of SHA-256 '3dc44c013510' instead of '" in said
     (tmp_path / "suite.toml").write_text(SUITE)
-    assert check(tmp_path / "suite.toml", "--update").exit_code == 0
+    assert check(tmp_path / "suite.toml", "--update", "--force").exit_code == 0
     for name in ("refs/spin.parquet", "refs/rest.parquet", "suite.lock.json"):
         assert (tmp_path / name).read_bytes() == (pinned / name).read_bytes()
 

@@ -1,0 +1,94 @@
+"""What would let a change of the attitudes through the gate unseen."""
+
+import re
+
+import pytest
+from make.suites import check, lock_of, pinned, stored, write_suite
+
+TURNED = 'mount = "x,-y,-z"'
+GONE = (
+    "the largest change of the attitudes cannot be measured: not comparable: the old reference is"
+)
+
+
+@pytest.fixture
+def folder(folder):
+    """Give the folder with a short log: of many runs, all are quick."""
+    log = folder / "logs" / "spin.csv"
+    log.write_text("\n".join(log.read_text().splitlines()[:302]) + "\n")
+    return folder
+
+
+def largest(result):
+    """Return the largest change that an update has listed, deg."""
+    return max(map(float, re.findall(r"attitudes: max ([\d.]+) deg", result.stdout)))
+
+
+@pytest.mark.parametrize("place", ["refs/s2", "other/spin"])
+def test_a_reference_of_another_name_is_compared_with_the_old_one(folder, place):
+    """A change of 180 deg was accepted with a SHA-256 where the key `reference` had changed."""
+    suite = pinned(folder, stored())
+    write_suite(folder, stored("spin", "spin.csv", TURNED).replace("refs/spin", place))
+    result = check(suite, "--update", "-k", "spin")
+    assert result.exit_code == 0
+    assert largest(result) > 100
+
+
+@pytest.mark.parametrize("remove", [True, False])
+def test_a_change_from_a_reference_that_is_gone_is_refused(folder, remove):
+    """Deleted, or replaced by hand with the new one, the old one was compared no more."""
+    suite = pinned(folder, stored())
+    reference, lock = folder / "refs" / "spin.parquet", suite.with_suffix(".lock.json")
+    turned = stored("spin", "spin.csv", TURNED)
+    if remove:
+        reference.unlink()
+    else:
+        before = lock.read_bytes()
+        pinned(folder, turned)
+        lock.write_bytes(before)
+    write_suite(folder, turned)
+    before = lock_of(suite)
+    result = check(suite, "--update")
+    assert result.exit_code == 2
+    assert result.stdout.startswith("ERROR  spin  ")
+    assert (
+        f"{reference}: {GONE} gone; restore the old one, or accept it unseen with --update --f"
+        in (result.stdout)
+    )
+    assert lock_of(suite) == before
+    assert reference.exists() != remove
+    result = check(suite, "--update", "--force")
+    assert result.exit_code == 0
+    assert "attitudes: not comparable: the old reference is gone" in result.stdout
+    assert check(suite).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    "rows",
+    ["every = 1000", "every = 40", "rate = 1", 'at = "logs/at.csv"'],
+)
+def test_a_reference_of_a_few_attitudes_is_refused(folder, rows):
+    """One of 1 attitude, q0, passed whatever came after it."""
+    lines = (folder / "logs" / "spin.truth.csv").read_text().splitlines()
+    (folder / "logs" / "at.csv").write_text("\n".join(lines[:40]) + "\n")
+    suite = write_suite(folder, stored("spin", "spin.csv", rows))
+    result = check(suite, "--update")
+    assert result.exit_code == 2
+    assert re.search(
+        r"a reference of \d+ of 301 attitudes, over [\d.]+ s of 3 s, would pass", (result.stdout)
+    ), result.stdout
+    assert not (folder / "refs" / "spin.parquet").exists()
+
+
+@pytest.mark.parametrize("rows", ["every = 30", "rate = 3.7"])
+@pytest.mark.parametrize("turned", [False, True])
+def test_fewer_attitudes_do_not_hide_how_far_they_have_changed(folder, rows, turned):
+    """The change was measured on the stamps that `every` had left."""
+    suite = pinned(folder, stored())
+    change = [TURNED] if turned else []
+    write_suite(folder, stored("spin", "spin.csv", *change))
+    all_rows = check(suite, "--update", "--dry-run")
+    write_suite(folder, stored("spin", "spin.csv", rows, *change))
+    result = check(suite, "--update")
+    assert result.exit_code == 0
+    assert largest(result) == (largest(all_rows) if turned else 0)
