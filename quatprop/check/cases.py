@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import datetime as dt
 import os
+import shlex
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from quatprop.check.case import Case, CaseNotRun
@@ -21,7 +22,7 @@ from quatprop.settings import PROPAGATE
 from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_ATTITUDES
 from quatprop.settings.rotations import file_beside
 from quatprop.settings.spelling import in_keys, suite_key
-from quatprop.text import Setting, did_you_mean, quoted, spelled, spelling
+from quatprop.text import did_you_mean, plain, quoted, spelling
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -84,9 +85,12 @@ def load_cases(path: Path | str) -> tuple[Suite, list[Case | CaseNotRun]]:
 def deleted_cases(cases: Iterable[Case | CaseNotRun], pinned: Iterable[str]) -> list[CaseNotRun]:
     """Return the cases that the lock has and the suite has not."""
     names = {case.name for case in cases}
-    restore = f"restore it, or remove it from the lock with {Setting('update')}"
-    reason = spelled(f"it is pinned, but not in the suite; {restore}")
-    return [CaseNotRun(name, reason, "deleted") for name in pinned if name not in names]
+    reason = "it is pinned, but not in the suite; restore it, or remove it from the lock with "
+    return [
+        CaseNotRun(name, f"{reason}--update -k {shlex.quote(plain(name))}", "deleted")
+        for name in pinned
+        if name not in names
+    ]
 
 
 def same_option(key: str, one: str | None, other: str | None) -> bool:

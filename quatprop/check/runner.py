@@ -21,7 +21,7 @@ from quatprop.text import Setting, plain, spelled, spelling
 from quatprop.writers.targets import output_errors
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 
     from quatprop.check.suite import Suite
 
@@ -33,6 +33,7 @@ class CheckOptions(NamedTuple):
 
     `suite`: update: the suite whose references and lock are written; None judges
     `deleted`: pins of cases that the suite has no more
+    `removed`: those of them that the update removes from the lock
     `dry_run`: show what an update would do, and write nothing
     `force`: accept a change that cannot be measured, too
     `confirm`: asks whether a change is accepted; None: all are
@@ -42,6 +43,7 @@ class CheckOptions(NamedTuple):
 
     suite: Suite | None = None
     deleted: dict[str, Pin] = {}  # noqa: RUF012  # never changed
+    removed: Collection[str] = ()
     dry_run: bool = False
     force: bool = False
     confirm: Callable[[CaseResult], bool] | None = None
@@ -144,7 +146,7 @@ def run_cases(
 ) -> Generator[CaseResult]:
     """Yield the result of each case, in their order, as soon as those before are done.
 
-    At the end of an update the lock is written anew, without the cases that the suite has no more.
+    At the end of an update the lock is written anew, without the cases that it removes.
     """
     new_pins: dict[str, Pin] = {}
 
@@ -162,7 +164,7 @@ def run_cases(
     finally:
         if (suite := options.suite) is not None and not options.dry_run:
             # After an interruption, too: the lock must have the references that were written.
-            merge_into_lock(suite.path, suite.lock, new_pins, options.deleted)
+            merge_into_lock(suite.path, suite.lock, new_pins, options.removed)
 
 
 def _killed(pinned: PinnedCase) -> CaseResult:

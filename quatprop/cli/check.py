@@ -16,11 +16,13 @@ from quatprop.cli.options import JSON, with_options
 from quatprop.cli.types import PATH
 from quatprop.settings.keyword import Keyword
 from quatprop.settings.parsers import flag
+from quatprop.text import listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from quatprop.check.case import Case, CaseNotRun
+    from quatprop.check.lock import Pin
     from quatprop.check.suite import Suite
 
 
@@ -39,8 +41,9 @@ OPTIONS = {
         "what changes, in degrees. Cases that pass are left as they are."),
     "--dry-run": Keyword(flag, "With --update: list what would change, and write nothing."),
     "--interactive": Keyword(flag, "With --update: ask before each change."),
-    "--force": Keyword(flag, "With --update or --init: also where CI is set: nobody reviews there "
-        "what is replaced."),
+    "--force": Keyword(flag, "With --update or --init: also where CI is set, where nobody "
+        "reviews it; where the change of the attitudes cannot be measured; and where cases "
+        "are removed from the lock."),
     "--init": Keyword(flag, "Write SUITE.toml, with a case for each LOG, and the references."),
     "--reference-log": Keyword(
         PATH, "With --init: compare each LOG with these attitudes, too; limits are proposed from "
@@ -116,22 +119,24 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
         pins = read_lock(loaded.lock, anew=updating)
         gone = deleted_cases(all_cases, pins)
         deleted = {case.name: pins[case.name] for case in gone}
-        shown = [*all_cases, *(() if updating else gone)]
-        cases = _selected(shown, options["patterns"], suite)
+        cases = _selected([*all_cases, *gone], options, suite)
+        removed = _removed(cases, pins, options) if updating else {}
+        if updating:
+            cases = [case for case in cases if case.name not in deleted]
         if options["explain"]:
             click.echo("\n\n".join(explain(case, pins.get(case.name)) for case in cases))
             return 0
         _refuse_overlap(loaded, all_cases, options["junit"])
         if updating:
             refuse_outside(loaded.lock, loaded.lock.parent)
-        results = run_and_show(loaded, cases, pins, deleted, options)
+        results = run_and_show(loaded, cases, pins, (deleted, removed), options)
     code = exit_code(results)
     if options["as_json"]:
         click.echo(json.dumps(json_report(loaded, results, passed=not code), indent=2))
     elif options["init"]:
         report_new(loaded, results)
     if updating:
-        report_deleted(all_cases, deleted, written=not options["dry_run"])
+        report_deleted(all_cases, removed, written=not options["dry_run"])
     return code
 
 
@@ -156,7 +161,7 @@ def _refuse_contradictions(logs: Sequence[str], options: Mapping[str, Any]) -> N
 
 
 def _selected(
-    cases: Sequence[Case | CaseNotRun], patterns: Sequence[str], suite: str
+    cases: Sequence[Case | CaseNotRun], options: Mapping[str, Any], suite: str
 ) -> Sequence[Case | CaseNotRun]:
     """Return the cases whose names contain a pattern or match it; all where there are none."""
     names = {case.name for case in cases}
@@ -166,10 +171,32 @@ def _selected(
             return name == pattern
         return fnmatchcase(name, pattern) if set(pattern) & set("*?[") else pattern in name
 
-    found = [case for case in cases if any(matches(case.name, one) for one in patterns or [""])]
-    if not found:
-        raise click.UsageError(f"no case of {suite} matches -k {' -k '.join(patterns)}")
-    return found
+    patterns = options["patterns"]
+    for pattern in patterns:
+        verdicts = [getattr(one, "verdict", "") for one in cases if matches(one.name, pattern)]
+        # Of a case that is gone nothing is judged; only by its whole name is it removed.
+        if all(one == "deleted" for one in verdicts) and not (
+            options["update"] and pattern in names
+        ):
+            gone = ": what matches is pinned, but not in the suite" if verdicts else ""
+            raise click.UsageError(f"no case of {suite} matches -k {pattern}{gone}")
+    return [case for case in cases if any(matches(case.name, one) for one in patterns or [""])]
+
+
+def _removed(
+    cases: Iterable[Case | CaseNotRun], pins: Mapping[str, Pin], options: Mapping[str, Any]
+) -> dict[str, Pin]:
+    """Return the pins that an update removes: those of cases that are gone, and named or forced."""
+    patterns = options["patterns"]
+    gone = [one.name for one in cases if getattr(one, "verdict", "") == "deleted"]
+    names = [name for name in gone if not patterns or name in patterns]
+    if names and not (patterns or options["force"] or options["dry_run"]):
+        raise click.UsageError(
+            f"the lock pins {listed(names)}, which the suite has no more; restore what was "
+            f"deleted or renamed, or see with --dry-run what was pinned, and remove it with "
+            f"--update -k NAME, or all of them with --update --force"
+        )
+    return {name: pins[name] for name in names}
 
 
 @contextmanager

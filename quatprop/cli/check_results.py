@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.errors import QuatpropError
-from quatprop.text import listed, plain
+from quatprop.rendering import count_text
+from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -29,19 +30,23 @@ def run_and_show(
     suite: Suite,
     cases: Sequence[Case | CaseNotRun],
     pins: Mapping[str, Pin],
-    deleted: dict[str, Pin],
+    gone: tuple[dict[str, Pin], dict[str, Pin]],
     options: Any,
 ) -> list[CaseResult]:
-    """Run cases, show their results, failures last, and return them."""
+    """Run cases, show their results, failures last, and return them.
+
+    `gone`: pins of cases that the suite has no more, and those of them that an update removes
+    """
     from quatprop.check.case import CaseResult
     from quatprop.check.reports import note_lines, totals
     from quatprop.check.runner import CheckOptions, run_cases
 
     updating = options["update"] or options["init"]
-    width = max(len(plain(case.name)) for case in cases)
+    width = max((len(plain(case.name)) for case in cases), default=0)
     run_options = CheckOptions(
         suite=suite if updating else None,
-        deleted=deleted,
+        deleted=gone[0],
+        removed=gone[1],
         dry_run=options["dry_run"],
         force=options["force"],
         confirm=partial(_confirmed, width) if options["interactive"] else None,
@@ -112,8 +117,14 @@ def report_deleted(
     """Name the cases that an update removes from the lock, and their references."""
     from quatprop.check.reference import orphaned_references
 
-    if deleted:
-        click.echo(f"removed from the lock: {listed(deleted)}", err=True)
+    done = "removed" if written else "would be removed"
+    for name, pin in deleted.items():
+        final = ", ".join(f"{angle} {size:g}" for angle, size in pin.final_deg.items())
+        pinned = f"{count_text(pin.samples, 'sample')}, total angle {pin.total_angle_deg:g} deg"
+        click.echo(
+            f"{done} from the lock: {quoted(name)}, pinned with {pinned}, final {final} deg",
+            err=True,
+        )
     if not written:
         click.echo("nothing was written, because of --dry-run", err=True)
         return

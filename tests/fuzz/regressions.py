@@ -165,7 +165,7 @@ class Study:
         text = text.replace("[case.log-truth]", f"{free}\n[case.truth]") + "pin-log = false\n"
         text = text.replace('.parquet"\n', '.parquet"\ntol = "0.01deg"\n')
         self.suite.write_text(text)
-        run("check", self.suite, "--update", code=0)
+        run("check", self.suite, "--update", "--force", code=0)
         rows = np.loadtxt(self.log, delimiter=",", skiprows=1, dtype=str)
         self.t, self.w = rows[:, 0].astype(np.int64), rows[:, 1:].astype(float)
 

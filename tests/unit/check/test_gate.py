@@ -92,3 +92,43 @@ def test_fewer_attitudes_do_not_hide_how_far_they_have_changed(folder, rows, tur
     result = check(suite, "--update")
     assert result.exit_code == 0
     assert largest(result) == (largest(all_rows) if turned else 0)
+
+
+def test_a_case_that_is_replaced_by_another_is_not_forgotten_without_being_asked(folder):
+    """A case renamed with its log and reference changed was `new`, without any angle."""
+    suite = pinned(folder, stored())
+    log = folder / "logs" / "spin.csv"
+    log.write_text("\n".join(log.read_text().splitlines()[:-1]) + "\n")
+    write_suite(folder, stored("turn", "spin.csv", TURNED))
+    preview = check(suite, "--update", "--dry-run")
+    assert "would be removed from the lock: 'spin', pinned with 301 samples, " in (preview.stderr)
+    result = check(suite, "--update")
+    assert result.exit_code == 2
+    assert "the lock pins 'spin', which the suite has no more; restore" in result.stderr
+    assert list(lock_of(suite)) == ["spin"]
+    assert check(suite, "--update", "-k", "turn").exit_code == 0
+    assert list(lock_of(suite)) == ["spin", "turn"]
+    assert check(suite, "--update", "--force").exit_code == 0
+    assert list(lock_of(suite)) == ["turn"]
+
+
+def test_an_update_of_some_cases_removes_no_others(folder):
+    """With -k, too, all cases that the suite had no more were removed from the lock."""
+    suite = pinned(folder, stored("a") + stored("b") + stored("bb"))
+    write_suite(folder, stored("a"))
+    assert check(suite, "--update", "-k", "a").exit_code == 0
+    assert list(lock_of(suite)) == ["a", "b", "bb"]
+    assert check(suite, "--update", "-k", "b").exit_code == 0
+    assert list(lock_of(suite)) == ["a", "bb"]
+    assert check(suite, "--update", "-k", "b*").exit_code == 2
+    assert list(lock_of(suite)) == ["a", "bb"]
+
+
+@pytest.mark.parametrize("chosen", [["spin", "nothere"], ["gone"], ["spin", "go"]])
+def test_every_choice_has_a_case(folder, chosen):
+    """-k spin -k nothere ran spin alone, and passed; so did a case that was deleted."""
+    suite = pinned(folder, stored() + stored("gone"))
+    write_suite(folder, stored())
+    result = check(suite, *(part for one in chosen for part in ("-k", one)))
+    assert result.exit_code == 2
+    assert f"no case of {suite} matches -k {chosen[-1]}" in result.stderr

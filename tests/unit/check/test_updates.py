@@ -62,7 +62,7 @@ def test_only_what_changed_is_pinned_anew(folder):
     assert check(suite, "--update", "-k", "spin").exit_code == 0
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()} == before
     assert list(lock_of(suite)) == ["coning", "spin"]
-    pinned(folder, TRUTH)
+    assert check(write_suite(folder, TRUTH), "--update", "--force").exit_code == 0
     assert list(lock_of(suite)) == ["coning"]
 
 
@@ -160,20 +160,24 @@ def test_a_deleted_case_is_named(folder):
     """--strict fails on it; an update removes it from the lock, and names its reference."""
     suite = pinned(folder, stored() + stored("rest", "rest.parquet") + TRUTH)
     assert check(suite, "-k", "spin", "--strict").exit_code == 0
+    lock = lock_of(suite)["rest"]
     write_suite(folder, stored() + TRUTH)
     result = check(suite)
     assert result.exit_code == 0
     words = "it is pinned, but not in the suite; restore it, or remove it from the lock with "
     *_, gone, last = result.stdout.splitlines()
-    assert gone == f"gone   rest    {words}--update"
+    assert gone == f"gone   rest    {words}--update -k rest"
     assert last == "3 cases: 2 passed, 1 deleted"
     assert json.loads(check(suite, "--json").stdout)["counts"]["deleted"] == 1
     assert check(suite, "--strict").exit_code == 1
-    result = check(suite, "--update", "--strict")
+    result = check(suite, "--update", "--strict", "--force")
+    final = ", ".join(f"{angle} {size:g}" for angle, size in lock["final_deg"].items())
+    turned = f"total angle {lock['total_angle_deg']:g} deg, final {final} deg"
+    pinned_rest = f"{lock['samples']:,} samples, {turned}"
     assert (result.exit_code, result.stderr.splitlines()) == (
         0,
         [
-            "removed from the lock: 'rest'",
+            f"removed from the lock: 'rest', pinned with {pinned_rest}",
             f"no longer used, to be removed: {folder / 'refs' / 'rest.parquet'}",
         ],
     )
