@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from quatprop.text import plain
+from quatprop.text import plain, spelling
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -126,10 +126,12 @@ class SuiteFile(pytest.File):
         from quatprop.check.cases import deleted_cases, load_cases
         from quatprop.check.lock import read_lock
         from quatprop.errors import QuatpropError
+        from quatprop.settings.spelling import in_keys
 
         try:
-            suite, cases = load_cases(self.path)
-            pins = read_lock(suite.lock)
+            with spelling(in_keys):
+                suite, cases = load_cases(self.path)
+                pins = read_lock(suite.lock)
         except QuatpropError as error:
             self.config.stash.setdefault(BROKEN, set()).add(self.path.resolve())
             raise self.CollectError(str(error)) from None

@@ -128,7 +128,9 @@ def read_lock(path: Path, *, anew: bool = False) -> dict[str, Pin]:
 def conflict_line(content: bytes) -> int | None:
     """Return the first line that an unfinished merge has left, from 1; None where there is none."""
     lines = content.decode(errors="replace").splitlines()
-    return next((number for number, line in enumerate(lines, 1) if _CONFLICT.fullmatch(line)), None)
+    return next(
+        (number for number, line in enumerate(lines, 1) if _CONFLICT.fullmatch(line.strip())), None
+    )
 
 
 def _pin(entry: JsonObject) -> Pin:

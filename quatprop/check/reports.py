@@ -57,13 +57,17 @@ WIDTH = max(len(shown) for shown, *_ in VERDICTS.values())
 
 def result_text(result: CaseResult, width: int) -> str:
     """Return the result of a case: one line, and its reason and changes below."""
-    summary = result.summary
+    # The summary of an error, such as a small angle, reads as that of a pass.
+    summary = "" if result.verdict == "error" else result.summary
     if result.updated is not None and result.verdict != "error":
-        summary = f"{result.updated:<7}  {summary}"
+        planned = result.pin is None and result.updated != "kept"
+        summary = f"{'would be ' if planned else ''}{result.updated:<7}  {summary}"
     name = f"{plain(result.name):<{width}}"
     first = f"{VERDICTS[result.verdict][0]:<{WIDTH}}  {name}  {summary or plain(result.reason)}"
     indent = " " * (WIDTH + 2)
-    below = _details(result) if summary else _details(result)[1:]
+    below = _details(result)
+    if not summary:
+        below = [*filter(None, [result.summary]), *below[1:]]
     return "\n".join([first.rstrip(), *(f"{indent}{plain(text)}" for text in below)])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -109,12 +109,21 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
     from quatprop.check.cases import deleted_cases, load_cases
     from quatprop.check.explain import explain
     from quatprop.check.lock import read_lock
-    from quatprop.cli.check_results import json_report, report_deleted, report_new, run_and_show
+    from quatprop.cli.check_results import (
+        json_report,
+        report_deleted,
+        report_new,
+        run_and_show,
+        told_to_ci,
+    )
     from quatprop.writers.targets import refuse_outside
 
     updating = options["update"] or options["init"]
-    _refuse_contradictions(logs, options)
-    with _new_suite(suite, logs, options["reference_log"]) if options["init"] else nullcontext():
+    with ExitStack() as stack:
+        stack.enter_context(told_to_ci(Path(suite), options))
+        _refuse_contradictions(logs, options)
+        if options["init"]:
+            stack.enter_context(_new_suite(suite, logs, options["reference_log"]))
         loaded, all_cases = load_cases(suite)
         pins = read_lock(loaded.lock, anew=updating)
         gone = deleted_cases(all_cases, pins)
@@ -155,8 +164,9 @@ def _refuse_contradictions(logs: Sequence[str], options: Mapping[str, Any]) -> N
     on_ci = os.environ.get("CI", "").lower() not in {"", "0", "false"}
     if updating and on_ci and not options["force"] and not options["dry_run"]:
         raise click.UsageError(
-            "CI is set, where nobody reviews the references that this would write; run it at "
-            "home, preview it with --dry-run, or write them all the same with --force"
+            "CI is set, where nobody reviews the references that this would write; run it at home, "
+            f"{'' if options['init'] else 'preview it with --dry-run, '}or write them all the same "
+            "with --force"
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from contextlib import closing
+from contextlib import closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ from quatprop.rendering import count_text
 from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from quatprop.check.case import Case, CaseNotRun, CaseResult
     from quatprop.check.lock import Pin
@@ -65,7 +65,7 @@ def run_and_show(
         undone = [
             CaseResult(case.name, "error", reason, line=case.line) for case in cases[len(results) :]
         ]
-        _report_to_ci(suite, [*results, *undone], options)
+        _report_to_ci(suite.path, [*results, *undone], options)
     if not options["as_json"]:
         click.echo("\n".join([*note_lines(results, remarks=options["verbose"]), totals(results)]))
     return results
@@ -160,21 +160,49 @@ def json_report(suite: Suite, results: list[CaseResult], *, passed: bool) -> Any
     )
 
 
-def _report_to_ci(suite: Suite, results: list[CaseResult], options: Mapping[str, Any]) -> None:
+@contextmanager
+def told_to_ci(suite: Path, options: Mapping[str, Any]) -> Iterator[None]:
+    """Report an error that ends the run to CI, too: the files of the last run may be green."""
+    from quatprop.check.case import CaseResult
+
+    try:
+        yield
+    except Exception as error:
+        reason = str(error)
+        if isinstance(error, click.ClickException):
+            reason = error.format_message()
+        junit = options["junit"]
+        if junit is not None and not _may_be_junit(junit):
+            junit = None
+        # What ended the run is raised, whatever cannot be written now.
+        with suppress(Exception):
+            result = CaseResult(suite.name, "error", reason)
+            _report_to_ci(suite, [result], {**options, "junit": junit})
+        raise
+
+
+def _may_be_junit(path: str) -> bool:
+    """Return whether a file has results, or is none yet: the error may be that it is an input."""
+    with suppress(OSError), Path(path).open("rb") as stream:
+        return b"<testsuites" in stream.read(200)
+    return path.endswith(".xml")
+
+
+def _report_to_ci(suite: Path, results: list[CaseResult], options: Mapping[str, Any]) -> None:
     """Write what CI services read, and the overview of all cases."""
     from quatprop.check.reports import append_github_summary, github_annotations, write_junit
 
     if options["junit"] is not None:
-        write_junit(options["junit"], suite.path, results)
+        write_junit(options["junit"], suite, results)
     if summary := os.environ.get("GITHUB_STEP_SUMMARY"):
-        append_github_summary(summary, suite.path, results)
+        append_github_summary(summary, suite, results)
     if os.environ.get("GITHUB_ACTIONS") == "true":
-        for annotation in github_annotations(suite.path, results):
+        for annotation in github_annotations(suite, results):
             click.echo(annotation, err=True)
     if options["artifacts"] is not None:
         from quatprop.check.overview import write_overview
 
         try:
-            write_overview(Path(options["artifacts"]), suite.path, results)
+            write_overview(Path(options["artifacts"]), suite, results)
         except (OSError, QuatpropError) as error:
             click.echo(f"the overview cannot be written: {error}", err=True)

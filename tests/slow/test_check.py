@@ -174,6 +174,14 @@ def test_pytest_says_if_every_case_is_deselected(mixed):
     assert "2 failed, 1 passed, 1 deselected" in told
 
 
+def test_pytest_says_how_a_lock_of_a_merge_is_mended(mixed):
+    """The option was `update`, without its dashes."""
+    lock = mixed / "suite.lock.json"
+    lock.write_text("<<<<<<< HEAD\n" + lock.read_text())
+    told = run_pytest(mixed, "--quatprop-suite=suite.toml", code=pytest.ExitCode.INTERRUPTED)
+    assert "keeping one side of each case, and check with --update" in told
+
+
 def test_pytest_knows_cases_that_fail_as_expected(folder):
     """XPASS was a pass, whatever `xfail_strict` says; deleted cases were seen nowhere."""
     known = 'xfail = "the filter drifts"\n'

@@ -1,6 +1,7 @@
 """What would let a change of the attitudes through the gate unseen."""
 
 import re
+from xml.etree import ElementTree as ET
 
 import pytest
 from make.suites import check, lock_of, pinned, stored, write_suite
@@ -132,3 +133,63 @@ def test_every_choice_has_a_case(folder, chosen):
     result = check(suite, *(part for one in chosen for part in ("-k", one)))
     assert result.exit_code == 2
     assert f"no case of {suite} matches -k {chosen[-1]}" in result.stderr
+
+
+@pytest.mark.parametrize("options", [["-k", "nothere"], []])
+def test_a_run_that_ends_at_once_leaves_no_older_results(folder, options):
+    """JUnit and the overview of the last run stayed, and were green."""
+    suite, junit, page = pinned(folder, stored()), folder / "x.xml", folder / "ev" / "index.html"
+    kept = ["--junit", junit, "--artifacts", page.parent]
+    assert check(suite, *kept).exit_code == 0
+    assert "1 passed" in page.read_text()
+    if not options:
+        write_suite(folder, "<<<<<<< HEAD\n" + stored())
+    result = check(suite, *kept, *options)
+    assert result.exit_code == 2
+    (tests,) = ET.parse(junit).getroot()  # noqa: S314  # our own file
+    assert [tests.get(key) for key in ("tests", "errors")] == ["1", "1"]
+    reason = tests.find("./testcase/error").get("message")
+    assert result.stderr.strip().endswith(reason)
+    assert "1 error" in page.read_text()
+
+
+def test_a_run_that_ends_at_once_replaces_no_input(folder):
+    """Results of an error must not go where there is something else."""
+    suite = write_suite(folder, "<<<<<<< HEAD\n" + stored())
+    before = suite.read_bytes()
+    assert check(suite, "--junit", suite).exit_code == 2
+    assert suite.read_bytes() == before
+
+
+def test_advice_can_be_followed(folder):
+    """--init has no --dry-run, and --update leaves a case with xfail as it is."""
+    result = check(folder / "new.toml", "--init", folder / "logs/spin.csv", env={"CI": "true"})
+    assert "run it at home, or write them all the same with --force" in result.stderr
+    suite = pinned(folder, stored())
+    write_suite(folder, stored("spin", "spin.csv", TURNED, 'xfail = "drifts"'))
+    words = "leaves it as it is, because of xfail"
+    assert words not in check(suite).stdout
+    result = check(suite, "--update")
+    assert (result.exit_code, words in result.stdout) == (2, True)
+
+
+def test_an_error_does_not_read_as_a_pass(folder):
+    """Its first line was `0 rad of 1e-09 rad at +0 ns, 100 % left`."""
+    suite = pinned(folder, stored())
+    write_suite(folder, stored("spin", "spin.csv", 'method = "cubic"'))
+    first, second, *_ = check(suite).stdout.splitlines()
+    assert first.startswith(
+        f"ERROR  spin  {folder / 'refs' / 'spin.parquet'}: the case has changed"
+    )
+    assert second.endswith(" left")
+    assert "pass   spin  would be updated  301 of" in check(suite, "--update", "--dry-run").stdout
+
+
+def test_conflict_markers_in_a_lock_are_named(folder):
+    """Indented by an editor, they were no JSON, and the advice was to remove what was pinned."""
+    suite = pinned(folder, stored())
+    lock = suite.with_suffix(".lock.json")
+    lock.write_text("{\n  <<<<<<< HEAD\n" + lock.read_text())
+    result = check(suite)
+    assert result.exit_code == 2
+    assert f"{lock}: line 2 is a conflict marker of a merge" in result.stderr
