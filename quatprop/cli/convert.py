@@ -93,6 +93,10 @@ def _summary(report: ConversionReport) -> Iterator[str]:
     yield f"out  {path}: {rows}; {written_as}, {','.join(report.columns)}"
     if outside := sum(report.outside):
         yield f"left out: {count_text(outside, 'row')} outside the time range"
+    if job.axes is not None:
+        changed = {"reference": job.left, "body": job.right}
+        turned = (f"of the {name} by {plain(str(turn))}" for name, turn in changed.items() if turn)
+        yield f"axes {' and '.join(turned)}"
     if counts.normalized:
         yield (
             f"warning: {count_text(counts.normalized, 'row')} scaled to unit length, off by up to "

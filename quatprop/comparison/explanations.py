@@ -21,7 +21,15 @@ from quatprop.comparison.clock_mistakes import clocks
 from quatprop.comparison.clocks import coarse_offset
 from quatprop.comparison.integration_rules import integration_rules
 from quatprop.comparison.misreadings import axes, misreadings
-from quatprop.comparison.plans import CLOCKS, CONTAINED, NOTHING, PRICE, PRICES, Explanation, Plan
+from quatprop.comparison.plans import (
+    CLOCKS,
+    CONTAINED,
+    NOTHING,
+    PRICE,
+    PRICES,
+    Explanation,
+    Undoings,
+)
 from quatprop.comparison.rate_mistakes import RATES, rate_mistake
 from quatprop.comparison.undoing import Sides, Undoing, frames
 from quatprop.comparison.windows import common_beginning
@@ -89,7 +97,7 @@ class Search:
         self._pairs: dict[tuple[str, str, bool], Sides] = {}
         self._mounts: dict[tuple[str, str], Float64 | None] = {}
         self._clocks: dict[tuple[str, bool], tuple[Undoing | None, Undoing | None]] = {}
-        self._fits: dict[Plan, Explanation] = {}
+        self._fits: dict[Undoings, Explanation] = {}
         self._readings: dict[str, Undoing] = {}
         self._rules: Undoing | None = None
         self._floor, self.is_open, self.best = 0.0, False, NOTHING
@@ -109,15 +117,15 @@ class Search:
 
     def run(self) -> None:
         """Find the best explanation, and what else explains as much."""
-        before = self._fit(Plan())
+        before = self._fit(Undoings())
         if before is NOTHING:
             return
         self._floor = max(NO_ERROR, NEGLIGIBLE * before.rms)
         self._fits.clear()
         sign, *others = misreadings()
-        readings = [sign, *axes(self._read(Plan())), *others]
+        readings = [sign, *axes(self._read(Undoings())), *others]
         self._readings = {f"{number}": each for number, each in enumerate(readings)}
-        plan = self._least(Plan(rates="rate bias", frames=frame) for frame in self._frames)
+        plan = self._least(Undoings(rates="rate bias", frames=frame) for frame in self._frames)
         for _ in range(ROUNDS):
             plan = last = self._read_and_aligned(plan)
             self.is_open = self._fit(plan).rms <= ENOUGH * before.rms
@@ -140,7 +148,7 @@ class Search:
         self.best = self._fit(plan)
         self.others = self._alternatives(plan)
 
-    def _read_and_aligned(self, plan: Plan) -> Plan:
+    def _read_and_aligned(self, plan: Undoings) -> Undoings:
         """Return the best plan with another reading, other rates and frames."""
         readings = [plan._replace(reading=key) for key in ("", *self._readings)]
         most = PROMISING * min(self._fit(each).score for each in readings)
@@ -149,17 +157,17 @@ class Search:
         return self._least(self._varied([plan], rates=RATES, frames=self._frames))
 
     @staticmethod
-    def _varied(plans: Iterable[Plan], **kinds: Iterable[str]) -> Iterator[Plan]:
+    def _varied(plans: Iterable[Undoings], **kinds: Iterable[str]) -> Iterator[Undoings]:
         for plan, values in product(plans, product(*kinds.values())):
             yield plan._replace(**dict(zip(kinds, values, strict=True)))
 
-    def _least(self, plans: Iterable[Plan]) -> Plan:
+    def _least(self, plans: Iterable[Undoings]) -> Undoings:
         """Return the first of the plans whose explanation is as good as the best."""
         plans = list(plans)
         least = min(self._fit(plan).score for plan in plans)
         return next(plan for plan in plans if self._fit(plan).score <= TIE * least)
 
-    def _alternatives(self, plan: Plan) -> list[str]:
+    def _alternatives(self, plan: Undoings) -> list[str]:
         """Return which mistakes explain as much, with no more of them."""
         names = {undoing.name for undoing in self.best.undone}
         found: dict[str, str] = {}
@@ -183,13 +191,13 @@ class Search:
                 found["body frame"] = f"body frames that differ by {degrees_text(angle)}"
         return sorted({text for name, text in found.items() if name not in names})
 
-    def _read(self, plan: Plan) -> Sides:
+    def _read(self, plan: Undoings) -> Sides:
         """Return pairs with a reading and a clock, as series of the same stamps."""
         key = plan.reading, plan.clock, bool(plan.clock) and self._is_turned(plan)
         if key not in self._pairs:
             # Where no clock is wrong, the pairs are read otherwise: they are interpolated once.
             again = plan.clock or not plan.reading
-            sides = self._sides if again else self._read(Plan())
+            sides = self._sides if again else self._read(Undoings())
             for undoing in self._undone(plan):
                 sides = undoing.apply(sides)
             if again:
@@ -198,7 +206,7 @@ class Search:
             self._pairs[key] = sides
         return self._pairs[key]
 
-    def _undone(self, plan: Plan) -> Iterator[Undoing]:
+    def _undone(self, plan: Undoings) -> Iterator[Undoing]:
         """Yield a reading and a clock."""
         if plan.reading:
             yield self._readings[plan.reading]
@@ -211,7 +219,7 @@ class Search:
                 raise ComparisonError("the motion shows no offset")
             yield undoing
 
-    def _is_turned(self, plan: Plan) -> bool:
+    def _is_turned(self, plan: Undoings) -> bool:
         return "mount" in {plan.frames, self._align}
 
     def _clocks_of(self, reading: str, turned: bool) -> tuple[Undoing | None, Undoing | None]:
@@ -224,14 +232,14 @@ class Search:
         offset, change = clocks(sides, coarse_ns, self._added_ns, turned=turned)
         return None if self._settings.time_offset == "auto" else offset, change
 
-    def _fit(self, plan: Plan) -> Explanation:
+    def _fit(self, plan: Undoings) -> Explanation:
         if plan not in self._fits:
             self._fits[plan] = NOTHING
             with suppress(ComparisonError):
                 self._fits[plan] = self._fitted(plan)
         return self._fits[plan]
 
-    def _fitted(self, plan: Plan) -> Explanation:
+    def _fitted(self, plan: Undoings) -> Explanation:
         sides = self._read(plan)
         undone = [*self._undone(plan)]
         alignment, left = self._aligned(plan, sides)
@@ -250,13 +258,13 @@ class Search:
             sides = undoing.apply(sides)
             alignment, left = self._aligned(plan, sides)
         if plan.frames:
-            undone.append(frames(self._aligned(Plan(), sides)[0], alignment))
+            undone.append(frames(self._aligned(Undoings(), sides)[0], alignment))
         price = math.prod(PRICES.get(undoing.name, PRICE) for undoing in undone)
         if plan.frames == "mount" and self._align != "mean":
             price *= PRICES["reference frame"]  # it rotates both
         return Explanation(tuple(undone), left, (left + self._floor) / price)
 
-    def _aligned(self, plan: Plan, sides: Sides) -> tuple[Alignment, float]:
+    def _aligned(self, plan: Undoings, sides: Sides) -> tuple[Alignment, float]:
         some = slice(None, None, max(len(sides.a) // SEARCHED, 1))
         a, b = (series.wxyz[some] for series in sides)
         name = plan.frames or self._align

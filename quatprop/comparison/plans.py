@@ -35,7 +35,7 @@ CONTAINED = {
 """Mistakes of which the second is no alternative to the first: it has as much, or is a part."""
 
 
-class Plan(NamedTuple):
+class Undoings(NamedTuple):
     """Which mistakes are undone, by their keys; empty where none is of that kind."""
 
     reading: str = ""

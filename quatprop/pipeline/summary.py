@@ -57,7 +57,11 @@ def facts(report: RunReport) -> Iterator[Row]:
     if convention.q0_from not in {"given", "identity"}:
         yield "q0", f"{quaternion_text(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
     if (earth := convention.earth_rate_rad_s) is not None:
-        yield "earth rate", "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s taken off".format(*earth)
+        rates = "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s".format(*earth)
+        yield (
+            "earth rate",
+            f"{rates} in reference axes, at {report.settings['earth_rate']}: taken off",
+        )
     if result.method_sensitivity_rad is not None:
         yield "sensitivity", _sensitivity(result, convention)
     if report.uncertainty is not None:
@@ -74,7 +78,7 @@ def facts(report: RunReport) -> Iterator[Row]:
 def _clock(clock: SteadyClock | None) -> str:
     """Return which steady clock took the place of the timestamps."""
     if clock is None:
-        return "the timestamps do not jitter about a steady clock: used as they are"
+        return "the timestamps are those of a steady clock already: used as they are"
     text = (
         f"steady at {clock.rate_hz:.9g} Hz from t = {clock.offset_ns} ns, in place of timestamps "
         f"that scatter about it by {duration_text(round(clock.residual_rms_ns))} RMS and are at "

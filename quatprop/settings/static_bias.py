@@ -8,7 +8,7 @@ from typing import NamedTuple
 from quatprop.errors import UsageError
 from quatprop.settings.parsers import Choice, moment, number_list, path
 from quatprop.settings.rotations import STATIC, InMemory, is_name
-from quatprop.text import shown
+from quatprop.text import did_you_mean, shown
 from quatprop.times import Instant, duration_ns
 
 BETWEEN_RESTS = ("nearest", "interpolate")
@@ -48,7 +48,10 @@ def bias(value: object) -> tuple[float, ...] | StaticBias | InMemory | str:
         if not colon and way.strip() not in BETWEEN_RESTS:
             way, window = "", way
         between = Choice(*BETWEEN_RESTS)(way.strip()) if way else None
-        window_ns = duration_ns(window) if window else StaticBias().window_ns
+        try:
+            window_ns = duration_ns(window) if window else StaticBias().window_ns
+        except UsageError as error:
+            raise UsageError(error.text + did_you_mean(window, BETWEEN_RESTS)) from None
         return StaticBias(window_ns, between=between)
     if isinstance(value, str) and value.partition("@")[0].strip() == STATIC:
         start, dots, end = value.partition("@")[2].partition("..")

@@ -99,7 +99,8 @@ def test_covariances_turn_with_the_body(tmp_path):
 
 def test_the_metadata_say_what_was_changed(source, tmp_path):
     """As typed."""
-    run("convert", source[0], tmp_path / "a.parquet", "--left", "ned-to-enu", code=0)
+    done = run("convert", source[0], tmp_path / "a.parquet", "--left", "ned-to-enu", code=0)
+    assert "axes of the reference by ned-to-enu\n" in done.stderr
     told = json.loads(pq.read_metadata(tmp_path / "a.parquet").metadata[b"quatprop"])
     assert told["conversions"][0]["to"]["left"] == "ned-to-enu"
     assert "right" not in told["conversions"][0]["to"]

@@ -61,6 +61,8 @@ PROPAGATE = {
     "log.csv --method conning": "'quintic'; did you mean 'coning'?",
     "log.csv --with euler-zyx,rotvec": "'euler-zyx,rotvec' names several, and only one is poss",
     "log.csv --rate-cols x,y": "'x,y' does not name 3 columns X,Y,Z",
+    "log.csv --bias static:neares": "'neares' is not a duration; write a number with a unit, such "
+    "as 20ms, 0.5s or 1m30s; did you mean 'nearest'?",
     "log.csv --mount x,y,-z": "the mounting 'x,y,-z' is left-handed, so it is not a rotation",
     "log.csv --mount 2,0,0,0": "the mounting '2,0,0,0' has the length 2, so it is not a rotation",
     "log.csv --start 2000000000": f"Error: log.csv: no samples in {EUROC_COLUMNS} between --start "
