@@ -128,13 +128,14 @@ class SuiteFile(pytest.File):
         from quatprop.errors import QuatpropError
         from quatprop.settings.spelling import in_keys
 
-        try:
-            with spelling(in_keys):
+        # A sentence is spelled when it is shown.
+        with spelling(in_keys):
+            try:
                 suite, cases = load_cases(self.path)
                 pins = read_lock(suite.lock)
-        except QuatpropError as error:
-            self.config.stash.setdefault(BROKEN, set()).add(self.path.resolve())
-            raise self.CollectError(str(error)) from None
+            except QuatpropError as error:
+                self.config.stash.setdefault(BROKEN, set()).add(self.path.resolve())
+                raise self.CollectError(str(error)) from None
         for case in [*cases, *deleted_cases(cases, pins)]:
             yield CaseItem.from_parent(self, name=case.name, case=case, pin=pins.get(case.name))
 
