@@ -90,9 +90,11 @@ def take_mode_of(path: Path, place: Path) -> None:
     except FileNotFoundError:
         # What the umask and the folder's own rules make of a new file can only be tried.
         trial = place.with_name(f"{_prefix(place)}{os.urandom(4).hex()}.part")
-        with trial.open("xb") as empty:
-            trial.unlink()
-            mode = os.fstat(empty.fileno()).st_mode
+        try:
+            with trial.open("xb") as empty:
+                mode = os.fstat(empty.fileno()).st_mode
+        finally:  # a signal may end the run between any two steps
+            trial.unlink(missing_ok=True)
     if path.stat().st_mode != mode:
         path.chmod(stat.S_IMODE(mode))
 
