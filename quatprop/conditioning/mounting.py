@@ -56,7 +56,12 @@ def mounting(text: str, what: str = "mounting") -> Float64:
     old_to_new = {"mounting": "sensor axes to body axes"}.get(what, "old axes to new ones")
     word = text.strip().lower()
     parts = [part.strip() for part in NAMED.get(word, word.removeprefix("rpy:")).split(",")]
-    if len(parts) == len(AXES) and {part.lstrip("+-") for part in parts} == set(AXES):
+    is_angles = word.startswith("rpy:")
+    if (
+        len(parts) == len(AXES)
+        and not is_angles
+        and {part.lstrip("+-") for part in parts} == set(AXES)
+    ):
         axes = np.zeros((3, 3))
         for row, part in enumerate(parts):
             axes[row, AXES[part[-1]]] = -1.0 if part.startswith("-") else 1.0
@@ -70,10 +75,10 @@ def mounting(text: str, what: str = "mounting") -> Float64:
     with suppress(ValueError):
         numbers = np.array([float(part) for part in parts])
     if np.isfinite(numbers).all():
-        if word.startswith("rpy:") and numbers.shape == (3,):
+        if is_angles and numbers.shape == (3,):
             roll, pitch, yaw = exp(np.diag(np.radians(numbers)))
             return rotation_matrix(multiply(yaw, multiply(pitch, roll)))
-        if numbers.shape in {(4,), (9,)} and numbers.any() and not word.startswith("rpy:"):
+        if numbers.shape in {(4,), (9,)} and numbers.any() and not is_angles:
             return _matrix(numbers, text, what)
     raise UsageError(
         f"{quoted(text)} is not a {what}; write three signed axes such as x,-y,-z, a quaternion "

@@ -120,6 +120,7 @@ WAYS = (
         ("2,0,0,0", "the rotation '2,0,0,0' has the length 2"),
         ("ned", WAYS),
         ("rpy:1,2", "is not a rotation"),
+        ("rpy:x,-y,-z", "is not a rotation"),
         ("rpy:1,2,3,4", "is not a rotation"),
         ("1,2,3", "is not a rotation"),
     ],
