@@ -32,15 +32,10 @@ class AxisChange(NamedTuple):
         stay = "1,0,0,0"
         return cls(mounting(left or stay, "rotation"), mounting(right or stay, "rotation"))
 
-    @property
-    def mixes_body_axes(self) -> bool:
-        """Whether a new axis of the body is not along an old one."""
-        return bool((np.abs(self.body).max(axis=0) < 1 - 1e-12).any())
-
-    @property
-    def mixes_reference_axes(self) -> bool:
-        """Whether a new axis of the reference is not along an old one."""
-        return bool((np.abs(self.reference).max(axis=0) < 1 - 1e-12).any())
+    def mixes(self, axes: str) -> bool:
+        """Tell whether a new axis of the ``"body"`` or the ``"reference"`` is along no old one."""
+        change: Float64 = self.body if axes == "body" else self.reference
+        return bool((np.abs(change).max(axis=0) < 1 - 1e-12).any())
 
     def applied(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
         """Yield attitudes q' = L q R*, with positions and covariances in the new axes."""

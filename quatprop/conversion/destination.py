@@ -29,10 +29,9 @@ def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> s
     another direction or convention changes what they are about. Three standard deviations say
     nothing of axes between theirs.
     """
-    if job.axes is not None and source.sigma_axes is not None:
-        body = source.sigma_axes == "body"
-        if job.axes.mixes_body_axes if body else job.axes.mixes_reference_axes:
-            return None
+    axes = source.sigma_axes
+    if job.axes is not None and axes is not None and job.axes.mixes(axes):
+        return None
     has_place = holds_covariances(job.output.kind, job.output.message)
     is_plain = job.meaning == HAMILTON and job.representation == QUATERNION
     return stored if has_place and is_plain and source.may_have_covariances else None
