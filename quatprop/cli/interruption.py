@@ -13,14 +13,14 @@ import sys
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, NoReturn
 
+from quatprop.concurrency.destructors import raise_interruptions_of_destructors
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from types import FrameType
 
 INTERRUPTED = 130
 MESSAGE = "Interrupted."
-
-_AGAIN_S = 0.01
 
 
 def handle_signals() -> None:
@@ -32,8 +32,7 @@ def handle_signals() -> None:
             signal.signal(number, _end)
     if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
         signal.signal(signal.SIGINT, _exit_at_once)
-    if hasattr(signal, "setitimer"):
-        sys.unraisablehook = _raise_again
+    raise_interruptions_of_destructors()
 
 
 @contextmanager
@@ -61,17 +60,3 @@ def _end(number: int, _frame: FrameType | None) -> NoReturn:
 def _exit_at_once(_number: int, _frame: FrameType | None) -> None:
     os.write(2, f"{MESSAGE}\n".encode())
     os._exit(INTERRUPTED)
-
-
-def _raise_again(unraisable: sys.UnraisableHookArgs) -> None:
-    """Raise an interruption again that came inside a destructor, where exceptions are lost."""
-    error = unraisable.exc_value
-    if not isinstance(error, KeyboardInterrupt | SystemExit):
-        sys.__unraisablehook__(unraisable)
-        return
-
-    def raise_error(_number: int, _frame: FrameType | None) -> NoReturn:
-        raise error
-
-    signal.signal(signal.SIGALRM, raise_error)
-    signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)

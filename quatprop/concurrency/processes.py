@@ -20,6 +20,7 @@ from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from quatprop.concurrency import keep_freed_memory
+from quatprop.concurrency.destructors import raise_interruptions_of_destructors
 from quatprop.concurrency.threads import signals_blocked
 
 if TYPE_CHECKING:
@@ -212,6 +213,7 @@ class _Interruption:
 
     def __init__(self) -> None:
         self.busy = self._interrupted = False
+        raise_interruptions_of_destructors()
         for number in _SIGNALS:
             signal.signal(number, self._handle)
 

@@ -44,6 +44,7 @@ class LockedTemp(Generic[T]):
     """
 
     def __init__(self, place: Path, make: Callable[[Path], T]) -> None:
+        self._lock: int | None = None
         _remove_abandoned(place)
         while True:
             self.path = place.with_name(f"{_prefix(place)}{os.urandom(4).hex()}.part")
@@ -56,11 +57,12 @@ class LockedTemp(Generic[T]):
                 break
 
     def remove(self) -> None:
-        """Remove it if it is still there, and unlock it; may be called twice."""
-        self._removal()
-        if self._lock is not None:
-            os.close(self._lock)
-            self._lock = None
+        """Remove it if it is still there, and unlock it; may be called twice, or interrupted."""
+        _remove(self.path)
+        self._removal.detach()
+        lock, self._lock = self._lock, None
+        if lock is not None:
+            os.close(lock)
 
 
 def temp_folder(place: Path | None = None) -> LockedTemp[None]:
@@ -89,12 +91,9 @@ def take_mode_of(path: Path, place: Path) -> None:
         mode = place.stat().st_mode
     except FileNotFoundError:
         # What the umask and the folder's own rules make of a new file can only be tried.
-        trial = place.with_name(f"{_prefix(place)}{os.urandom(4).hex()}.part")
-        try:
-            with trial.open("xb") as empty:
-                mode = os.fstat(empty.fileno()).st_mode
-        finally:  # a signal may end the run between any two steps
-            trial.unlink(missing_ok=True)
+        trial = LockedTemp(place, Path.touch)
+        mode = trial.path.stat().st_mode
+        trial.remove()
     if path.stat().st_mode != mode:
         path.chmod(stat.S_IMODE(mode))
 

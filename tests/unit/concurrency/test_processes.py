@@ -28,6 +28,24 @@ def work(item):
     return (item, os.getpid())
 
 
+class EndsItself:
+    """Whose destructor the process is told to end in."""
+
+    def __del__(self):
+        """Send the signal."""
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def work_on_after_destructor(item):
+    """Work for a minute where an item has a destructor that is interrupted."""
+    if item == "interrupted":
+        thing = EndsItself()
+        del thing
+        for _ in range(6000):
+            time.sleep(0.01)
+    return item
+
+
 def killed(item):
     """Return the result of an item whose process was killed."""
     return f"{item}: no result"
@@ -44,6 +62,13 @@ def test_a_process_that_dies_takes_no_other_item_with_it(processes):
     done = [found[index] for index in (0, 2, 4)]
     assert [item for item, _ in done] == [0, 2, 4]
     assert os.getpid() not in {process for _, process in done}
+
+
+@on_posix
+def test_an_interruption_inside_a_destructor_ends_the_process():
+    """Python drops it there: the process went on until it was killed, and left its files."""
+    found = dict(map_processes(work_on_after_destructor, ["interrupted", 1], 2, killed))
+    assert found == {0: "interrupted: no result", 1: 1}
 
 
 @on_posix

@@ -1,14 +1,18 @@
 """Nothing half-written, and one clear sentence for every place that cannot be written to."""
 
+import contextlib
 import errno
 import gc
+import itertools
 import os
+import pathlib
 import random
 import stat
 import subprocess
 import sys
 import threading
 import time
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +22,9 @@ from make.tables import write_attitudes, write_rates
 
 from quatprop.errors import OutputError
 from quatprop.series import AttitudeSeries
+from quatprop.stores import temp_files
 from quatprop.stores.temp_files import LockedTemp
-from quatprop.writers import open_writer
+from quatprop.writers import atomic, open_writer
 from quatprop.writers.atomic import OutputFile, OutputPath, open_atomic
 from quatprop.writers.formats import WRITERS
 
@@ -362,17 +367,68 @@ def test_what_others_put_in_a_shared_folder_is_left_alone(tmp_path, monkeypatch,
     assert names(tmp_path) == before
 
 
-def test_a_signal_while_a_file_is_made_leaves_nothing(tmp_path):
-    """Between making a temporary file and knowing of it, the end of the run removes it."""
+TIDYING = {module.__file__ for module in (temp_files, atomic, pathlib, contextlib, weakref)}
 
-    def interrupted(path):
-        path.touch()
-        raise SystemExit(143)
 
-    with pytest.raises(SystemExit):
-        LockedTemp(tmp_path / "out.csv", interrupted)
-    gc.collect()
-    assert names(tmp_path) == []
+def interrupted_at(step, task):
+    """Run a task that is interrupted before one of its instructions; return whether it was."""
+    steps = 0
+
+    def trace(frame, event, _argument):
+        nonlocal steps
+        if frame.f_code.co_filename not in TIDYING:
+            return None
+        frame.f_trace_opcodes = True
+        steps += event == "opcode"
+        if steps == step:
+            sys.settrace(None)
+            raise KeyboardInterrupt
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        task()
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(before)
+    return False
+
+
+def replace_file(place):
+    """Write a file."""
+    with open_atomic(place) as file:
+        file.write(b"{}\n")
+
+
+def make_folder(place):
+    """Make a folder with a file in it."""
+    output = OutputPath(place, folder=True)
+    try:
+        output.path.mkdir()
+        (output.path / "file").touch()
+        output.publish()
+    finally:
+        output.discard()
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")
+@pytest.mark.parametrize("task", [replace_file, make_folder])
+def test_nothing_is_left_wherever_a_run_is_interrupted(tmp_path, task):
+    """A signal between making the file that shows the mode of new ones, and removing it, left it.
+
+    Every seventh instruction is tried.
+    """
+    for step in itertools.count(1, 7):
+        folder = tmp_path / str(step)
+        folder.mkdir()
+        is_interrupted = interrupted_at(step, lambda folder=folder: task(folder / "out"))
+        gc.collect()
+        assert set(names(folder)) <= {"out"}
+        if not is_interrupted:
+            break
+    assert step > 1000
 
 
 def test_what_was_put_in_its_place_stays(tmp_path):
