@@ -424,7 +424,7 @@ def test_nothing_is_left_wherever_a_run_is_interrupted(tmp_path, task):
         folder = tmp_path / str(step)
         folder.mkdir()
         is_interrupted = interrupted_at(step, lambda folder=folder: task(folder / "out"))
-        gc.collect()
+        gc.collect(0)
         assert set(names(folder)) <= {"out"}
         if not is_interrupted:
             break
