@@ -73,6 +73,7 @@ STATIC = {"bias": "static"}
 SLOW_TURN = np.tile([0.01, 0.02, 0.03], (1000, 1))
 STILL_FORCE = {"linear_acceleration": [(0.0, 0.0, 9.81)] * 2500}
 WAVES = swinging(count=2000, hz=200)
+STILL = np.concatenate([np.full((1000, 3), 0.02), swinging(count=500)])
 PEAK = integers(swinging(2000, 8000, 5.0, 0.4), 0.01)
 """Its rounded peaks are flat for many samples, and so are all its slow parts."""
 RATES = {
@@ -125,6 +126,7 @@ RATES = {
         in_memory(integers(resting(), DEG), **STATIC),
         in_memory(integers(resting(), DEG / 131), **STATIC),
     ),
+    "rest-one-value": (in_memory(STILL, **STATIC), in_memory(integers(STILL, DEG), **STATIC)),
     "method-differs": (
         in_memory(WAVES, averages=True, method="start"),
         in_memory(WAVES, averages=True, method="end"),
