@@ -16,7 +16,7 @@ from quatprop.comparison.clocks import find_offset
 from quatprop.comparison.diagnosis import MIN_PAIRS, likely_cause
 from quatprop.comparison.findings import dead_axes
 from quatprop.comparison.heading import error_parts
-from quatprop.comparison.judged import Judged, TimeRange, judged, steady
+from quatprop.comparison.judged import ComparedRange, Judged, judged, steady
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judge
 from quatprop.comparison.settings import ComparisonSettings
 from quatprop.comparison.statistics import sigma_statistics, window_statistics
@@ -52,7 +52,7 @@ def compare(
     settings = settings or ComparisonSettings()
     remarks: list[Remark] = []
     (a, lost_of_a), (b, lost_of_b) = _sorted(a, "A", remarks), _sorted(b, "B", remarks)
-    within, floor_rad = TimeRange(settings, a), 0.0
+    within, floor_rad = ComparedRange(settings, a), 0.0
     a = within.of(a, "A")
     found = find_offset(a, b) if settings.time_offset == "auto" else None
     offset = AppliedOffset(found.ns if found else int(settings.time_offset), found)

@@ -74,7 +74,7 @@ def judged(pairs: Pairs, ranges: Sequence[InstantRange]) -> tuple[Pairs, Judged]
     return replace(pairs, **columns), Judged(int(inside.sum()), ranges_ns)
 
 
-class TimeRange:
+class ComparedRange:
     """The part of both series that is compared; relative times count from A's ends.
 
     `left_out`: attitudes before and after it, so far
