@@ -143,7 +143,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
             fields["verdict"] = getattr(item.case, "verdict", "error")
         else:
             fields = {name: getattr(result, name) for name in SHOWN}
-        report.quatprop = json.dumps({"name": item.name, **fields})
+        report.quatprop = json.dumps({"name": item.name, "suite": str(item.path), **fields})
     return report
 
 
@@ -169,11 +169,11 @@ class Overviews:
             return
         name = report.nodeid.partition("::")[2]
         fields = json.loads(told) if told else {"name": name, "verdict": "error"}
-        verdict, xfail = fields["verdict"], hasattr(report, "wasxfail")
+        verdict = fields["verdict"]
         if report.failed and verdict not in {"fail", "error"}:
             verdict = "fail"
         elif report.skipped and verdict not in {"skip", "deleted", "xfail"}:
-            verdict = "xfail" if xfail else "skip"
+            verdict = "xfail" if hasattr(report, "wasxfail") else "skip"
         fields["reason"] = fields.get("reason") or report.longreprtext
         self._add(report.nodeid, {**fields, "verdict": verdict})
 
@@ -187,7 +187,8 @@ class Overviews:
     def _add(self, nodeid: str, fields: dict[str, Any]) -> None:
         from quatprop.check.case import CaseResult
 
-        results = self.results.get((self.config.rootpath / nodeid.partition("::")[0]).resolve())
+        suite = fields.pop("suite", nodeid.partition("::")[0])
+        results = self.results.get((self.config.rootpath / suite).resolve())
         if results is not None:
             results[fields["name"]] = CaseResult(**fields)
 

@@ -250,9 +250,9 @@ def with_content(folder: Path, pattern: str, digest: str | None) -> Path | None:
     """Return the first file of a folder that has some content; None where there is none."""
     left = MAX_SEARCHED
     with suppress(OSError):
-        for other in sorted(folder.glob(pattern)):
+        for other in filter(Path.is_file, sorted(folder.glob(pattern))):
             left -= other.stat().st_size
-            if left > 0 and other.is_file() and digest_of(other).sha256 == digest:
+            if left > 0 and digest_of(other).sha256 == digest:
                 return other
     return None
 

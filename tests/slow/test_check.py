@@ -284,6 +284,10 @@ def test_pytest_leaves_no_older_overview(folder):
     (folder / "suite.toml").unlink()
     run_pytest(folder, *options, code=pytest.ExitCode.USAGE_ERROR)
     assert not page.exists()
+    write_suite(folder, stored())
+    (folder / "elsewhere").mkdir()
+    run_pytest(folder, *options, "--rootdir=elsewhere")
+    assert overview(page)[0] == {"spin": "pass"}
 
 
 def test_pytest_keeps_the_evidence_of_suites_apart(folder):

@@ -238,6 +238,9 @@ def test_without_a_lock_what_changes_is_shown_against_the_references_that_are_th
     """A lock that was deleted made all cases new; a reference of another name was not looked at."""
     suite = pinned(folder, stored())
     suite.with_suffix(".lock.json").unlink()
+    # What cannot be read does not end the search.
+    (folder / "logs" / "link.parquet").symlink_to("nowhere")
+    (folder / "logs" / "other.parquet").write_bytes(b'PAR1 "check"')
     write_suite(folder, stored(name, "spin.csv", TURNED).replace("refs/", f"{place}/"))
     result = check(suite, "--update")
     assert result.exit_code == 0
