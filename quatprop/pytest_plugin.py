@@ -137,13 +137,15 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
     """Let the report of a case have its result, as text: it may come from another process."""
     report = yield
     if isinstance(item, CaseItem) and (report.when == "call" or not report.passed):
+        from quatprop.provenance import as_json
+
         result = item.result
         if result is None:
             fields = {"reason": getattr(item.case, "reason", "")}
             fields["verdict"] = getattr(item.case, "verdict", "error")
         else:
             fields = {name: getattr(result, name) for name in SHOWN}
-        report.quatprop = json.dumps({"name": item.name, "suite": str(item.path), **fields})
+        report.quatprop = json.dumps(as_json({"name": item.name, "suite": item.path, **fields}))
     return report
 
 
@@ -164,11 +166,13 @@ class Overviews:
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Take the result of a case, with the verdict that pytest has made of it."""
+        from quatprop.settings.guarded_text import read_json
+
         told = getattr(report, "quatprop", None)
         if told is None and not report.failed:
             return
         name = report.nodeid.partition("::")[2]
-        fields = json.loads(told) if told else {"name": name, "verdict": "error"}
+        fields = read_json(told) if told else {"name": name, "verdict": "error"}
         verdict = fields["verdict"]
         if report.failed and verdict not in {"fail", "error"}:
             verdict = "fail"

@@ -136,8 +136,9 @@ def propose(
         run, every = _rerun(case, judged, folder)
         if reason := thin(case, run.series, run.samples, run.report.result.span_s):
             raise QuatpropError(reason)
-        # What cannot be judged even by itself would never pass.
-        if reason := compare_case(case, run.series, run.series).impossible:
+        # What cannot be aligned even with itself would never pass.
+        fits = case.comparison.align == "none" and case.comparison.time_offset != "auto"
+        if not fits and (reason := compare_case(case, run.series, run.series).impossible):
             raise QuatpropError(reason)
         target = folder / "reference.parquet"
         write_reference(case, run, found.inputs, every, target)
