@@ -188,7 +188,7 @@ class Overviews:
             fields = {"name": name, "verdict": "error", "reason": report.longreprtext}
             self._add(report.nodeid, fields)
 
-    def _add(self, nodeid: str, fields: dict[str, Any]) -> None:
+    def _add(self, nodeid: str, fields: Any) -> None:
         from quatprop.check.case import CaseResult
 
         suite = fields.pop("suite", nodeid.partition("::")[0])

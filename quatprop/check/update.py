@@ -77,7 +77,8 @@ def former_cases(
             yield Former(pin, names_of, label, "remove that file first")
     for name in [name for name in pins if name not in names]:
         label = f"compared with {quoted(name)}, which is pinned, but not in the suite"
-        way_out = f"remove that from the lock first, with --update -k {shlex.quote(plain(name))}"
+        way_out = f"{Setting('update')} -k {shlex.quote(plain(name))}"
+        way_out = f"remove that from the lock first, with {way_out}"
         known = (name, *told.get(pins[name].reference, ()))
         yield Former(pins[name], known, label, way_out, is_pinned=True)
 
