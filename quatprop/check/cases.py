@@ -169,7 +169,9 @@ class _CaseParser:
             strict=strict,
             pins_log=pins_log,
             xfail=self.reason("xfail"),
-            in_degrees=any(comparison_texts.get(key, "").strip().endswith("deg") for key in LIMITS),
+            # A drift is in deg/h: no other angle of the case is in radians beside it.
+            in_degrees="drift-tol" in comparison_texts
+            or any(comparison_texts.get(key, "").strip().endswith("deg") for key in LIMITS),
             suite=str(self._suite.path),
             line=self._table.line,
         )
