@@ -137,7 +137,7 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
         if not one.passed:
             failures.append(named(criterion_text(one, result)))
     cause = result.likely_cause
-    causes = filter(None, (cause, cause and cause.also))
+    causes = cause.chain if cause else []
     return CaseComparison(
         result,
         summary="; ".join([f"{' of '.join(worst)} at {since(result.worst.t_ns)}{left}", *others]),

@@ -56,14 +56,23 @@ MIN_WINDOWS = 100
 """Windows of which rates are compared, about."""
 
 
+MIN_CORRELATION = 0.5
+"""Correlation of rates, less their means, below which they are not the same on another scale."""
+
+
 def scale(sides: Sides, mount: Float64, *, biased: bool) -> Undoing | None:
     """Return the ratio of rates; `biased`: whatever constant rate there is besides."""
     of_a, of_b, seconds = _steps(sides, mount)
     stride = max(len(of_a) // MIN_WINDOWS, 1)
     first = np.arange(0, len(of_a), stride)
     y, x, time = (np.add.reduceat(each, first) for each in (of_a, of_b, seconds))
+    varying = [each - time * each.sum(axis=0) / time.sum() for each in (y, x)]
+    sizes = [float((each * each).sum()) for each in varying]
+    # Of a gyroscope at rest, the bias is not the motion on another scale.
+    if not float((varying[0] * varying[1]).sum()) > MIN_CORRELATION * math.sqrt(math.prod(sizes)):
+        return None
     if biased:
-        y, x = (each - time * each.sum(axis=0) / time.sum() for each in (y, x))
+        y, x = varying
     # A's rates have the noise of a gyroscope, and B's attitudes any: it is in no square.
     power, shared = float((y * y).sum()), float((x * y).sum())
     if not power > 0 or not shared > 0:

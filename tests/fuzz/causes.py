@@ -67,7 +67,12 @@ def named(cause) -> list[set]:
 
 def is_true(names: set, true: set) -> bool:
     """Return whether one of some names, or all that it is made of, is true of a pair."""
-    return any(name in true or set(name.split(" and ")) <= true for name in names)
+    return any(set(parts(name)) <= true for name in names)
+
+
+def parts(name: str) -> list[str]:
+    """Return the mistakes that one name joins; a layout and the conjugate are one."""
+    return re.split(r"(?<!layout)(?<!layout-first) and | and (?!conjugate)", name)
 
 
 def mended(one: Pair, remedy: str):
@@ -165,8 +170,7 @@ def judge(one: Pair):
         if not getattr(each, "explains_little", False)
     ]
     wrong = [sorted(names) for names in claims if not is_true(names, one.true)]
-    parts = [{part for name in names for part in (name, *name.split(" and "))} for names in cases]
-    right = any(names & one.planted for names in parts)
+    right = any(one.planted & set(parts(name)) for names in cases for name in names)
     faults = list(_undelivered(one, cause, math.degrees(found.error_rad.rms)))
     verdict = "wrong" if wrong else "right" if right else "named" if claims else "none"
     return verdict, faults, cause

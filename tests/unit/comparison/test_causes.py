@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
 from quatprop.comparison import compare as comparing
+from quatprop.comparison.findings import findings
 from quatprop.comparison.settings import comparison_settings
 from quatprop.kinematics.quaternion import conjugate, exp, multiply
 from quatprop.settings.spelling import in_options
@@ -200,6 +201,57 @@ def test_a_dead_axis_is_a_finding_and_no_cause():
             "three: are rates missing?"
         )
     assert compare(attitudes(signs=(0, 0, 1)), about_z()[1]).remarks == ()
+
+
+def propagated(keep=slice(None), rates=RATES):
+    """Return attitudes of some of the rates."""
+    found = quatprop.propagate(GyroSeries(T_NS[keep], rates[keep]), method="mean")
+    return AttitudeSeries(found.t_ns, found.wxyz)
+
+
+def limited():
+    """Return attitudes of rates that saturate at 1 rad/s."""
+    return propagated(rates=np.clip(RATES, -1, 1))
+
+
+GAPS = ~np.isin(np.arange(6000) // 100, [7, 18, 33, 51])
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
+@pytest.mark.parametrize(
+    ("series", "where"),
+    [
+        (lambda: propagated(GAPS), "in gaps"),
+        (limited, "while its rates"),
+    ],
+)
+def test_lost_motion_is_a_finding_and_no_cause(series, where):
+    """Nothing mends it; it was followed by a cause that explained something of it."""
+    for pair, name in (((series(), attitudes()), "A"), ((attitudes(), series()), "B")):
+        found = compare(*pair, align="mean")
+        (remark,) = found.remarks
+        assert str(remark).startswith(f"{name} loses motion {where}")
+        assert found.likely_cause is None
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
+@pytest.mark.parametrize(
+    ("a", "b"),
+    [
+        (lambda: propagated(GAPS), lambda: changed(propagated(GAPS), lambda q: multiply(q, TURN))),
+        (lambda: propagated(GAPS, 1.05 * RATES), lambda: propagated(GAPS)),
+        (lambda: delayed(attitudes()[GAPS], 20), attitudes),
+        (lambda: propagated(rates=np.sin(PHASES)), lambda: propagated(rates=1.1 * np.sin(PHASES))),
+        (lambda: delayed(limited(), 20), limited),
+        (
+            lambda: propagated(rates=[0, 0, 1.0] + 0 * RATES),
+            lambda: propagated(rates=[0, 0, 1.05] + 0 * RATES),
+        ),
+    ],
+)
+def test_gaps_and_limits_that_make_no_error_are_no_findings(a, b):
+    """The error is made everywhere: by a scale, a delay, a mounting."""
+    assert findings(a(), b(), comparison_settings()) == ()
 
 
 def test_an_axis_that_hardly_turns_is_no_turned_body():
