@@ -57,7 +57,10 @@ MIN_WINDOWS = 100
 
 
 MIN_CORRELATION = 0.5
-"""Correlation of rates, less their means, below which they are not the same on another scale."""
+"""Correlation of rates, less their means, below which they do not show a ratio."""
+
+MAX_UNSHOWN = 1.5
+"""Ratio, at most, of rates that hardly vary."""
 
 
 def scale(sides: Sides, mount: Float64, *, biased: bool) -> Undoing | None:
@@ -68,9 +71,8 @@ def scale(sides: Sides, mount: Float64, *, biased: bool) -> Undoing | None:
     y, x, time = (np.add.reduceat(each, first) for each in (of_a, of_b, seconds))
     varying = [each - time * each.sum(axis=0) / time.sum() for each in (y, x)]
     sizes = [float((each * each).sum()) for each in varying]
-    # Of a gyroscope at rest, the bias is not the motion on another scale.
-    if not float((varying[0] * varying[1]).sum()) > MIN_CORRELATION * math.sqrt(math.prod(sizes)):
-        return None
+    common = float((varying[0] * varying[1]).sum())
+    shows = common > MIN_CORRELATION * math.sqrt(math.prod(sizes))
     if biased:
         y, x = varying
     # A's rates have the noise of a gyroscope, and B's attitudes any: it is in no square.
@@ -79,6 +81,9 @@ def scale(sides: Sides, mount: Float64, *, biased: bool) -> Undoing | None:
         return None
     factor = float(f"{shared / power:.6g}")
     ratio = max(factor, 1 / factor)
+    # Of a gyroscope at rest, the bias is not the motion on another scale.
+    if not shows and ratio > MAX_UNSHOWN:
+        return None
     near = (SCALES[named] for named in SCALES if abs(ratio / named - 1) < SCALE_TOLERANCE)
     meaning, where = next(near, ("", ""))
     return Undoing(
