@@ -13,6 +13,7 @@ import numpy as np
 
 from quatprop.comparison.alignment import align
 from quatprop.comparison.association import associate
+from quatprop.comparison.cause import NO_ERROR
 from quatprop.comparison.undoing import recomposed
 from quatprop.comparison.windows import body_angle, common_beginning
 from quatprop.errors import ComparisonError
@@ -59,7 +60,9 @@ def findings(
 ) -> tuple[Remark, ...]:
     """Return what no setting mends."""
     with suppress(ComparisonError):
-        return tuple(dead_axes(a, b)) or tuple(_lost_motion(a, b, settings))
+        dead = tuple(dead_axes(a, b))
+        # Between time ranges to judge, gaps are none of the series.
+        return dead if dead or settings.judge else tuple(_lost_motion(a, b, settings))
     return ()
 
 
@@ -71,6 +74,9 @@ def _lost_motion(
     name = "mount" if settings.align == "mount" else "mean"
     ours, theirs = pairs.a, align(name, pairs.a, pairs.b).apply(pairs.b)
     before = rms(geodesic_angle(ours, theirs))
+    asked = align(settings.align, pairs.a, pairs.b).apply(pairs.b)
+    if before <= max(NO_ERROR, MOST * rms(geodesic_angle(pairs.a, asked))):
+        return  # other frames make most of it
     seconds = np.diff(pairs.t_ns)[:, None] / NS_PER_S
     for of, series, own, other in (("A", a, ours, theirs), ("B", b, theirs, ours)):
         steps, known = rotation_vectors_between(own), rotation_vectors_between(other)

@@ -241,6 +241,8 @@ def test_lost_motion_is_a_finding_and_no_cause(series, where):
         (lambda: propagated(GAPS), lambda: changed(propagated(GAPS), lambda q: multiply(q, TURN))),
         (lambda: propagated(GAPS, 1.05 * RATES), lambda: propagated(GAPS)),
         (lambda: delayed(attitudes()[GAPS], 20), attitudes),
+        (lambda: turned(attitudes()), attitudes),
+        (lambda: turned(propagated(GAPS)), attitudes),
         (lambda: propagated(rates=np.sin(PHASES)), lambda: propagated(rates=1.1 * np.sin(PHASES))),
         (lambda: delayed(limited(), 20), limited),
         (
@@ -250,8 +252,21 @@ def test_lost_motion_is_a_finding_and_no_cause(series, where):
     ],
 )
 def test_gaps_and_limits_that_make_no_error_are_no_findings(a, b):
-    """The error is made everywhere: by a scale, a delay, a mounting."""
+    """The error is made everywhere: by a scale, a delay, a mounting; or by frames.
+
+    Of turned frames, rounding was left, and said to be lost motion.
+    """
     assert findings(a(), b(), comparison_settings()) == ()
+
+
+def test_time_that_is_not_judged_is_no_gap():
+    """What happens between time ranges is not lost: the gaps there are those of the ranges."""
+    a = changed(
+        attitudes(), lambda q: multiply(q, exp(np.minimum(SECONDS // 20, 1)[:, None] * [0.1, 0, 0]))
+    )
+    ranges = comparison_settings(judge=["+0s..+19s", "+21s..+60s"], align="mean")
+    found = comparing.compare(a, attitudes(), ranges)
+    assert "motion-lost" not in {remark.code for remark in found.remarks}
 
 
 def test_an_axis_that_hardly_turns_is_no_turned_body():
