@@ -139,7 +139,7 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
     if judged := case.comparison_options.get("judge"):
         others.append(f"judged at {plain(judged)} alone")
     cause = result.likely_cause
-    causes = filter(None, (cause, cause and cause.also))
+    causes = cause.chain if cause else []
     return CaseComparison(
         result,
         summary="; ".join([f"{' of '.join(worst)} at {since(result.worst.t_ns)}{left}", *others]),

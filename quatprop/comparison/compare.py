@@ -14,7 +14,7 @@ from quatprop.comparison.association import Matching, Pairs, associate, shifted
 from quatprop.comparison.cause import NO_ERROR
 from quatprop.comparison.clocks import find_offset
 from quatprop.comparison.diagnosis import MIN_PAIRS, likely_cause
-from quatprop.comparison.findings import dead_axes
+from quatprop.comparison.findings import findings
 from quatprop.comparison.heading import error_parts
 from quatprop.comparison.judged import ComparedRange, Judged, judged, steady
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judge
@@ -152,9 +152,9 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
     cause = None
     if not passed and len(rising) >= MIN_PAIRS:
         # What has no remedy is no cause, and makes others look like one.
-        findings = tuple(dead_axes(a, b))
-        said += findings
-        if not findings:
+        found = findings(a, b, settings)
+        said += found
+        if not found:
             cause = likely_cause(a, b, settings, rising, time_offset.added_to_b_ns)
     return replace(comparison, criteria=criteria, passed=passed, likely_cause=cause, remarks=said)
 

@@ -42,7 +42,7 @@ def comparison_rows(a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison) 
     for criterion in comparison.criteria:
         yield "passed" if criterion.passed else "failed", criterion_text(criterion, comparison)
     if cause := comparison.likely_cause:
-        for each in filter(None, (cause, cause.also)):
+        for each in cause.chain:
             yield "cause", f"likely ({each.name}): {spelled(each.advice)}"
     yield from _remarks("A", a)
     yield from _remarks("B", b)

@@ -421,11 +421,11 @@ CONVERSIONS = {
 }
 
 
-def tumbling(x, y, z, bias=0.0):
-    """Return attitudes of rates about the three axes, of these sizes."""
+def tumbling(x, y, z, bias=0.0, most=1.0):
+    """Return attitudes of rates about the three axes, of these sizes, and not above a limit."""
     t_ns = np.arange(2000) * 10 * MS
     rate = np.sin(t_ns[:, None] / 1e9 * [1.3, 2.1, 0.7]) * [x, y, z] + bias
-    made = quatprop.propagate(quatprop.GyroSeries(t_ns, rate))
+    made = quatprop.propagate(quatprop.GyroSeries(t_ns, np.clip(rate, -most, most)))
     return AttitudeSeries(t_ns, made.wxyz)
 
 
@@ -458,6 +458,10 @@ COMPARISONS = {
     "dead-axis": (
         compared(tumbling(1, 0, 1), tumbling(1, 1, 1)),
         compared(tumbling(1, 0, 1), tumbling(1, 0, 1, 0.1)),
+    ),
+    "motion-lost": (
+        compared(tumbling(1, 1, 1, most=0.6), tumbling(1, 1, 1)),
+        compared(tumbling(1, 1, 1, most=0.6), tumbling(1, 1, 1, 0.01, most=0.6)),
     ),
     "normalised": (
         lambda _: compare_series(TRUTH, AttitudeSeries(T_NS, 2 * TURNED)).remarks,
