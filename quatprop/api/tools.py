@@ -128,7 +128,8 @@ def plot(  # noqa: PLR0913  # one keyword for each option
         if reference is not None and name in values:
             raise UsageError(f"{Setting(name)} does not go with {Setting('reference')}")
     view = _view(values, show, components=components, unwrap=unwrap)
-    _, remarks, data_lost = draw(paths, target, view, against, comparison_settings())
+    files_as_seen = [(path, view) for path in paths]
+    _, remarks, data_lost = draw(files_as_seen, target, against, comparison_settings())
     for remark in remarks:
         warnings.warn(remark, RemarkWarning, stacklevel=2)
     if data_lost:

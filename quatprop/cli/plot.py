@@ -91,7 +91,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     """Draw rates or attitudes of each FILE, or its error against a reference, against time.
 
     A log shows its body rates, an attitude series its angles and its norm error. Gaps are shaded.
-    Several files are laid over one another.
+    Several files, or topics (FILE:TOPIC), are laid over one another.
     """
     from quatprop.cli.progress import progress
     from quatprop.cli.summary import command_line
@@ -99,6 +99,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     from quatprop.plotting.files import View
     from quatprop.plotting.plot import plot
     from quatprop.settings.selection import RateSelection
+    from quatprop.stores.log_names import split_topic
 
     reference = chosen["reference"]
     _refuse_idle(chosen)
@@ -116,10 +117,10 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
         part=GyroCorrection(start=chosen["start"], end=chosen["end"]),
     )
     with progress(quiet=quiet):
+        named = (split_topic(file, chosen["topic"]) for file in files)
         lines, warnings, data_lost = plot(
-            files,
+            [(path, view.of(topic)) for path, topic in named],
             chosen["output"],
-            view,
             against,
             settings_of(chosen),
             style=_style(chosen),
