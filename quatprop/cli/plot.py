@@ -55,6 +55,9 @@ OPTIONS = {
     "--font-size": Keyword(
         click.FloatRange(min=2, max=72), "Size of the letters in points.", "8.5", "PT",
         group="Options"),
+    "--style": Keyword(
+        PATH, "Style sheet of matplotlib, for fonts, axes and grid of a picture.", takes="FILE",
+        group="Options"),
     "--no-title": Keyword(flag, "Leave out the lines above and below the panels.", group="Options"),
 }  # fmt: skip
 REFERENCE = {
@@ -133,12 +136,15 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
 
 
 def _style(chosen: Mapping[str, Any]) -> Style:
-    """Return how large the picture is to be."""
+    """Return how large the picture is to be, and how matplotlib is to draw it."""
+    from quatprop.plotting.draw import style_sheet
     from quatprop.plotting.figure import STYLE, Style
 
     width, height = chosen["size"] or (STYLE.width, None)
-    dpi, font = chosen["dpi"] or STYLE.dpi, chosen["font_size"] or STYLE.font
-    return Style(width, height, dpi, font, title=not chosen["no_title"])
+    sheet = style_sheet(chosen["style"]) if chosen["style"] else {}
+    dpi = chosen["dpi"] or STYLE.dpi
+    font = chosen["font_size"] or sheet.get("font.size", STYLE.font)
+    return Style(width, height, dpi, font, title=not chosen["no_title"], sheet=sheet)
 
 
 def _show(chosen: Mapping[str, Any]) -> Literal["rates", "attitude"] | None:
