@@ -51,13 +51,13 @@ OPTIONS = {
         picture_size, "Size of the picture, such as 90mm, 16x9cm or 3.5in.", "7.5in wide",
         "W[xH]UNIT", group="Options"),
     "--dpi": Keyword(
-        click.IntRange(min=10, max=2400), "Dots an inch of a PNG.", "200", "N", group="Options"),
+        click.IntRange(min=10, max=2400), "Dots an inch of a PNG.", "200", "N", group="Output"),
     "--font-size": Keyword(
         click.FloatRange(min=2, max=72), "Size of the letters in points.", "8.5", "PT",
-        group="Options"),
+        group="Output"),
     "--style": Keyword(
         PATH, "Style sheet of matplotlib, for fonts, axes and grid of a picture.", takes="FILE",
-        group="Options"),
+        group="Output"),
     "--no-title": Keyword(flag, "Leave out the lines above and below the panels.", group="Options"),
 }  # fmt: skip
 REFERENCE = {
