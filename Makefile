@@ -6,12 +6,13 @@ BIN := $(VENV)/bin
 READY_DEMO := $(VENV)/.ready-demo
 READY := $(VENV)/.ready-dev
 READY_BENCH := $(VENV)/.ready-bench
+READY_SITE := $(VENV)/.ready-site
 # Exact versions, so that the sample logs and the test results are the same on every machine.
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint .ci/constraints.txt
 # As a path, where type checkers find it; by default it would be a hook that only Python knows.
 EDITABLE := $(INSTALL) --config-settings editable_mode=compat --editable
 
-.PHONY: demo test lowest dist fuzz lint format documents bench sample-logs clean help
+.PHONY: demo test lowest dist fuzz lint format documents site bench sample-logs clean help
 
 help:
 	@echo 'make demo         propagate the sample logs and show how far they are from the truth'
@@ -22,6 +23,7 @@ help:
 	@echo 'make lint         ruff and mypy'
 	@echo 'make format       let ruff format the code'
 	@echo 'make documents    update the documents: what commands print, tables, pictures, references'
+	@echo 'make site         the documents as a site, in .site/; links between its pages are checked'
 	@echo 'make bench        measure against rosbags, mcap, pyarrow, polars, h5py, scipy, ahrs, numba and numpy-quaternion'
 	@echo 'make sample-logs  generate sample_logs/ again, bit for bit'
 	@echo 'make clean        remove everything that was made here'
@@ -42,6 +44,10 @@ $(READY): pyproject.toml .ci/constraints.txt | $(BIN)/python
 $(READY_BENCH): pyproject.toml .ci/constraints.txt | $(BIN)/python
 	$(EDITABLE) '.[dev,bench]'
 	@touch $@ $(READY) $(READY_DEMO)
+
+$(READY_SITE): pyproject.toml .ci/constraints.txt | $(BIN)/python
+	$(EDITABLE) '.[site]'
+	@touch $@
 
 demo: $(READY_DEMO)
 	@PATH="$(CURDIR)/$(BIN):$$PATH" sh sample_logs/demo.sh
@@ -87,6 +93,9 @@ format: $(READY)
 documents: $(READY)
 	PYTHONPATH=tests $(BIN)/python -m make.documents
 
+site: $(READY_SITE)
+	PYTHONPATH=tests NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict -f quatprop/docs/site/mkdocs.yml
+
 bench: $(READY_BENCH)
 	$(BIN)/python tests/bench
 
@@ -94,4 +103,4 @@ sample-logs: $(READY)
 	$(BIN)/python sample_logs/generate.py
 
 clean:
-	rm -rf $(VENV) .venv-lowest .venv-dist dist .demo .bench build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) .venv-lowest .venv-dist dist .demo .bench .site build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

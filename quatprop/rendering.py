@@ -86,13 +86,19 @@ def source_text(name: str, type_name: str) -> str:
     return " ".join(plain(text) for text in (name, type_name) if text)
 
 
-def file_names(paths: Iterable[str]) -> list[str]:
-    """Return the names of files, or their paths where the names are the same."""
-    paths = list(paths)
+def file_names(files: Iterable[tuple[str, str]]) -> list[str]:
+    """Return the names of files, from their paths and the topics that are read of them.
+
+    Their paths where the names are the same, and the topics of one file.
+    """
+    files = list(files)
+    paths = [path for path, _ in files]
     names = ["stdin" if path == "-" else Path(path).name for path in paths]
     return [
-        plain(path if names.count(name) > 1 else name)
-        for path, name in zip(paths, names, strict=True)
+        plain(
+            f"{name} {topic}" if paths.count(path) > 1 else path if names.count(name) > 1 else name
+        )
+        for (path, topic), name in zip(files, names, strict=True)
     ]
 
 

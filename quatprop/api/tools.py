@@ -126,7 +126,8 @@ def plot(  # noqa: PLR0913  # one keyword for each option
     )
     within = ComparisonSettings(start=values.get("start"), end=values.get("end"))
     view = _view(values, show, components=components, unwrap=unwrap)
-    _, remarks, data_lost = draw(paths, target, view, against, within)
+    files_as_seen = [(path, view) for path in paths]
+    _, remarks, data_lost = draw(files_as_seen, target, against, within)
     for remark in remarks:
         warnings.warn(remark, RemarkWarning, stacklevel=2)
     if data_lost:

@@ -47,9 +47,10 @@ OPTIONS = {
 def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **chosen: Any) -> int:
     """Measure the geodesic error between two attitude series, A and B.
 
-    Each is a table of attitudes, or a log with a topic of them: the same log twice, too. q and -q
-    are the same attitude. B is the reference. Exit code 0: all criteria pass (--tol and others); 1:
-    one fails; 2: A and B cannot be read or compared; 3: as 0, but some of A or B was left out.
+    Each is a table of attitudes, or a log with a topic of them, LOG:TOPIC: the same log twice, too.
+    q and -q are the same attitude. B is the reference. Exit code 0: all criteria pass (--tol and
+    others); 1: one fails; 2: A and B cannot be read or compared; 3: as 0, but some of A or B was
+    left out.
     """
     from quatprop.cli.progress import progress
     from quatprop.cli.summary import command_line, show
@@ -67,7 +68,8 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
             from quatprop.plotting.errors import pair_page
             from quatprop.plotting.target import PictureFile
 
-            picture = stack.enter_context(PictureFile(plot, [a, b], command=command_line()))
+            paths = side_a.path, side_b.path
+            picture = stack.enter_context(PictureFile(plot, paths, command=command_line()))
         first, second, comparison = compare_files(
             side_a, side_b, settings_of(chosen), keep=picture is not None
         )

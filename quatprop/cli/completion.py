@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
@@ -52,25 +53,37 @@ def command(shell: str) -> None:
     click.echo(script(cli, {}, "quatprop", COMPLETE).source())
 
 
-def values(name: str, ctx: click.Context, incomplete: str) -> list[CompletionItem[str]]:
-    """Return what could be the value of a setting: files, or names from the log on the line."""
+def values(name: str, takes: str, ctx: click.Context, incomplete: str) -> list[CompletionItem[str]]:
+    """Return what could be the value of a setting: words, files, or names from the log on the line.
+
+    `takes`: what help calls the value, such as ``"X,Y,Z|static[:nearest|:interpolate]|FILE"``
+    """
     base, _, side = name.rpartition("_")
     setting = base if side in SIDES else name
-    if setting in FILE_SETTINGS:
-        return [CompletionItem(incomplete, type="file")]
+    found = [CompletionItem(word) for word in _words(takes) if word.startswith(incomplete)]
+    if setting in FILE_SETTINGS and re.search("FILE|PATH", takes):
+        found.append(CompletionItem(incomplete, type="file"))
     log = _log(ctx, side) if setting in NAMED else None
     if log is None:
-        return []
+        return found
     # Of columns that are listed, the last is completed.
     done, comma, begun = incomplete.rpartition(",") if setting.endswith("_cols") else ("", "", "")
     begun = begun if comma else incomplete
     # A line or a tab would end a value, and the terminal would obey control characters.
     names = (
-        found
-        for found in _names_in(log, setting, ctx)
-        if found and found.isprintable() and found not in done.split(",")
+        name
+        for name in _names_in(log, setting, ctx)
+        if name and name.isprintable() and name not in done.split(",")
     )
-    return [CompletionItem(done + comma + found) for found in names if found.startswith(begun)]
+    return found + [CompletionItem(done + comma + name) for name in names if name.startswith(begun)]
+
+
+def _words(takes: str) -> Iterator[str]:
+    """Yield the words of a value: what stands for itself, in small letters."""
+    pattern = r"(?:^|\|)([a-z-]+)(?=[|[]|$)(\[[^]]*)?"
+    for word, endings in re.findall(pattern, takes):
+        yield word
+        yield from (word + ending for ending in re.findall(":[a-z]+", endings))
 
 
 def _log(ctx: click.Context, side: str) -> str | None:
@@ -91,11 +104,13 @@ def _names_in(path: str, setting: str, ctx: click.Context) -> list[str]:
     """Return topics, fields or columns of a log; none where it cannot be read."""
     from quatprop.errors import QuatpropError
     from quatprop.logs.open_log import open_log
+    from quatprop.stores.log_names import split_topic
     from quatprop.stores.objects import is_address
 
     if is_address(path):
         return []
     try:
+        path, ctx.params["topic"] = split_topic(path, ctx.params.get("topic"))
         with open_log(path, ctx.params.get("kind")) as log:
             if setting.endswith(("_cols", "_col")):
                 files = (table for table in log.tables() if not table.is_typed)

@@ -57,8 +57,8 @@ OPTIONS = {
 def command(*, quiet: bool, **chosen: Any) -> int:
     """Write the attitude series IN as OUT: layout, convention, direction, representation, format.
 
-    IN is a table or a log of messages with attitudes, or - for stdin; OUT is a file, or -
-    for stdout. With --into instead, a copy of IN that holds them too.
+    IN is a table or a log of messages with attitudes (IN:TOPIC names one), or - for stdin; OUT is a
+    file, or - for stdout. With --into instead, a copy of IN that holds them too.
     """
     from quatprop.cli.progress import progress
     from quatprop.cli.summary import show

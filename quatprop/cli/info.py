@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -71,25 +72,28 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
     For every topic or set of columns: its type, samples, sample rate, span, gaps (longer than 10
     median intervals), repeated and non-monotonic timestamps; of rates the largest, of attitudes
     how many rows are invalid, and the layout. Where a source cannot be read without an option, that
-    option is named.
+    option is named. LOG:TOPIC shows one topic.
     """
     from quatprop.cli.progress import progress
     from quatprop.errors import QuatpropError
     from quatprop.pipeline.survey import survey
     from quatprop.settings.selection import RateSelection
+    from quatprop.stores.log_names import split_topic
 
     kind = chosen.pop("kind")
     wanted = RateSelection(**chosen)
     if as_config:
         if len(logs) > 1 or as_json:
             raise click.UsageError("--as-config prints one file for one LOG")
-        click.echo(_config(logs[0], kind, wanted))
+        path, topic = split_topic(logs[0], wanted.topic)
+        click.echo(_config(path, kind, replace(wanted, topic=topic)))
         return 0
     surveys: list[LogSurvey] = []
-    for path in logs:
+    for name in logs:
         try:
+            path, topic = split_topic(name, wanted.topic)
             with progress():
-                surveys.append(survey(path, kind, wanted))
+                surveys.append(survey(path, kind, replace(wanted, topic=topic)))
         except QuatpropError as error:
             click.echo(f"Error: {error}", err=True)
     if as_json:

@@ -52,10 +52,13 @@ OPTIONS = {
         picture_size, "Size of the picture, such as 90mm, 16x9cm or 3.5in.", "7.5in wide",
         "W[xH]UNIT", group="Options"),
     "--dpi": Keyword(
-        click.IntRange(min=10, max=2400), "Dots an inch of a PNG.", "200", "N", group="Options"),
+        click.IntRange(min=10, max=2400), "Dots an inch of a PNG.", "200", "N", group="Output"),
     "--font-size": Keyword(
         click.FloatRange(min=2, max=72), "Size of the letters in points.", "8.5", "PT",
-        group="Options"),
+        group="Output"),
+    "--style": Keyword(
+        PATH, "Style sheet of matplotlib, for fonts, axes and grid of a picture.", takes="FILE",
+        group="Output"),
     "--no-title": Keyword(flag, "Leave out the lines above and below the panels.", group="Options"),
 }  # fmt: skip
 REFERENCE = {
@@ -92,7 +95,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     """Draw rates or attitudes of each FILE, or its error against a reference, against time.
 
     A log shows its body rates, an attitude series its angles and its norm error. Gaps are shaded.
-    Several files are laid over one another.
+    Several files, or topics (FILE:TOPIC), are laid over one another.
     """
     from quatprop.cli.progress import progress
     from quatprop.cli.summary import command_line
@@ -100,6 +103,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     from quatprop.plotting.files import View
     from quatprop.plotting.plot import plot
     from quatprop.settings.selection import RateSelection
+    from quatprop.stores.log_names import split_topic
 
     reference = chosen["reference"]
     _refuse_idle(chosen)
@@ -117,10 +121,10 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
         part=GyroCorrection(start=chosen["start"], end=chosen["end"]),
     )
     with progress(quiet=quiet):
+        named = (split_topic(file, chosen["topic"]) for file in files)
         lines, warnings, data_lost = plot(
-            files,
+            [(path, view.of(topic)) for path, topic in named],
             chosen["output"],
-            view,
             against,
             settings_of(chosen),
             style=_style(chosen),
@@ -133,12 +137,15 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
 
 
 def _style(chosen: Mapping[str, Any]) -> Style:
-    """Return how large the picture is to be."""
+    """Return how large the picture is to be, and how matplotlib is to draw it."""
+    from quatprop.plotting.draw import style_sheet
     from quatprop.plotting.figure import STYLE, Style
 
     width, height = chosen["size"] or (STYLE.width, None)
-    dpi, font = chosen["dpi"] or STYLE.dpi, chosen["font_size"] or STYLE.font
-    return Style(width, height, dpi, font, title=not chosen["no_title"])
+    sheet = style_sheet(chosen["style"]) if chosen["style"] else {}
+    dpi = chosen["dpi"] or STYLE.dpi
+    font = chosen["font_size"] or sheet.get("font.size", STYLE.font)
+    return Style(width, height, dpi, font, title=not chosen["no_title"], sheet=sheet)
 
 
 def _show(chosen: Mapping[str, Any]) -> Literal["rates", "attitude"] | None:

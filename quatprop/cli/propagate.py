@@ -55,8 +55,9 @@ def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> i
     """Turn the body rates of LOG into its attitude series.
 
     LOG is an MCAP file, a ROS 1 or ROS 2 bag, a ULog, a table (CSV, Parquet and others), or - for
-    stdin. Several files of one recording are read as one log, in the order of their times. N
-    samples give N attitudes, which go to a file of their own (-o) or into a copy of LOG (--into).
+    stdin; LOG:TOPIC names a topic of it. Several files of one recording are read as one log, in the
+    order of their times. N samples give N attitudes, which go to a file of their own (-o) or into a
+    copy of LOG (--into).
     """
     from quatprop.cli.progress import progress
     from quatprop.cli.summary import INDENT, command_line, show, summary
@@ -80,17 +81,21 @@ def job_of(chosen: Mapping[str, Any], folder: Path | None = None) -> Job:
     """Return what the options ask for, with typed values; files lie beside a folder, if given."""
     from quatprop.pipeline.job import Job
     from quatprop.pipeline.settings import propagation_settings
+    from quatprop.stores.log_names import split_topic
 
     texts = click.get_current_context().meta.get(TEXTS, {})
     values = {name: texts.get(name, chosen[name]) for name in PROPAGATE}
-    log, *more = chosen.get("logs") or [chosen["log"]]
+    logs = []
+    for name in chosen.get("logs") or [chosen["log"]]:
+        path, values["topic"] = split_topic(name, values["topic"])
+        logs.append(path)
     if folder is not None:
         named = {name: value for name, value in values.items() if isinstance(value, str)}
         files = {name: file_beside(name, value, folder) for name, value in named.items()}
         values |= {name: str(file) for name, file in files.items() if file is not None}
     return Job(
-        log=log,
+        log=logs[0],
         output=output_settings(chosen),
         settings=propagation_settings(values),
-        more=tuple(more),
+        more=tuple(logs[1:]),
     )

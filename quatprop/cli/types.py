@@ -75,7 +75,7 @@ class Parsed(ParamType):
         """Return what could be the value, such as the topics of the log on the line."""
         from quatprop.cli.completion import values
 
-        return values(str(param.name), ctx, incomplete)
+        return values(str(param.name), self.name, ctx, incomplete)
 
 
 class OneOf(click.Choice[str]):

@@ -13,9 +13,10 @@ from io import BytesIO
 from json import dumps
 from typing import TYPE_CHECKING, Any
 
-from quatprop.errors import UsageError
+from quatprop.errors import UsageError, os_reason
 from quatprop.plotting.figure import FONT, STYLE, Style, figure
 from quatprop.plotting.palette import GRID, INK
+from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -62,13 +63,27 @@ def require_matplotlib() -> None:
         ) from error
 
 
+def style_sheet(path: str) -> dict[Any, Any]:
+    """Return the settings in a style sheet of matplotlib."""
+    require_matplotlib()
+    from matplotlib import rc_params_from_file
+
+    try:
+        return dict(rc_params_from_file(path, use_default_template=False))
+    except (OSError, UnicodeError) as error:
+        reason = os_reason(error) if isinstance(error, OSError) else "it is not text"
+        raise UsageError(
+            f"{plain(path)}: {reason}; {Setting('style')} takes a style sheet of matplotlib"
+        ) from error
+
+
 def render(page: Page, kind: str, style: Style = STYLE) -> bytes:
     """Return a picture as a file.
 
     `kind`: ``"png"``, ``"svg"`` or ``"pdf"``
     """
     stream = BytesIO()
-    with _figure_of(page, {"font.size": style.font}, style) as drawn:
+    with _figure_of(page, {**style.sheet, "font.size": style.font}, style) as drawn:
         drawn.savefig(stream, format=kind, dpi=style.dpi, metadata=METADATA[kind])
     return stream.getvalue()
 

@@ -12,7 +12,7 @@ from quatprop.comparison.summary import comparison_rows, criterion_text, sigma_t
 from quatprop.plotting.accumulators import ERROR, SIGMA_BAND, Accumulator
 from quatprop.plotting.picture import Mark, Page, Picture, PlottedFile, picture
 from quatprop.rendering import degrees_text, file_names, loss_lines
-from quatprop.text import plain, spelled
+from quatprop.text import spelled
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import duration_text
 
@@ -45,10 +45,7 @@ class ComparedFile(NamedTuple):
 
 def pair_page(a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison) -> Page:
     """Return the page on the comparison of A with B; see :func:`error_page`."""
-    name, reference = file_names([a.input.path, b.input.path])
-    if name == reference:
-        # Two topics of one log.
-        name, reference = (f"{name} {plain(side.signal.name)}" for side in (a, b))
+    name, reference = file_names((side.input.path, side.signal.name) for side in (a, b))
     return error_page([ComparedFile(name, a, comparison)], reference, b)
 
 

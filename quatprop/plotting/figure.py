@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from math import ceil
 from textwrap import wrap
-from typing import TYPE_CHECKING, NamedTuple
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from quatprop.plotting.palette import colour_of, stroke_of
 from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
@@ -73,6 +74,7 @@ class Style(NamedTuple):
     `dpi`: dots an inch of a PNG
     `font`: size of the letters, points
     `title`: whether title, facts and notes stand around the panels
+    `sheet`: settings of matplotlib that replace those of quatprop
     """
 
     width: float = WIDTH
@@ -80,6 +82,7 @@ class Style(NamedTuple):
     dpi: int = DOTS
     font: float = FONT
     title: bool = True
+    sheet: Mapping[str, Any] = MappingProxyType({})
 
 
 STYLE = Style()

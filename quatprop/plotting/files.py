@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal, NamedTuple, Self
 
 from quatprop.conditioning import GyroCorrection, GyroCorrectionInputs, condition
 from quatprop.conventions import HAMILTON
@@ -66,16 +67,24 @@ class View(NamedTuple):
     unwrap: bool = False
     part: GyroCorrection = GyroCorrection()
 
+    def of(self, topic: str | None) -> Self:
+        """Return the same of a topic."""
+        return self._replace(
+            rates=replace(self.rates, topic=topic), attitudes=replace(self.attitudes, topic=topic)
+        )
+
 
 class FileView(NamedTuple):
     """What is shown of one file.
 
     `plotted`: what is drawn of it, labelled with its path
+    `source`: the topic, or the columns
     `meaning`: unit and clock of its numbers, or convention and method
     `remarks`: what a reader should know
     """
 
     plotted: PlottedFile
+    source: str
     meaning: str
     samples: str
     facts: tuple[Row, ...]
@@ -138,6 +147,7 @@ def _view_rates(path: str, log: Log, source: RateSignal, view: View) -> FileView
     last = ("largest rate", f"{counts.max_rate / RATES[source.unit]:.6g} {source.unit}")
     return FileView(
         plotted=_plotted(path, source, drawn, counts),
+        source=source.name,
         meaning=f"body rates as recorded, {source.unit}, {source.clock} clock",
         samples=samples_text(counts.used, counts.span_ns, counts.median_dt_ns),
         facts=(*_facts(path, log, source, about, counts), last),
@@ -176,6 +186,7 @@ def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> 
     last = ("norm error", f"at most {drawn.norm_error:.3g}")
     return FileView(
         plotted=_plotted(path, source, drawn, counts),
+        source=source.name,
         meaning=f"Hamilton q, body to reference, as {form}{propagated}, {source.clock} clock",
         samples=samples_text(counts.used, counts.span_ns, counts.median_dt_ns),
         facts=(*_facts(path, log, source, about, counts), last),

@@ -21,9 +21,8 @@ if TYPE_CHECKING:
 
 
 def plot(  # noqa: PLR0913  # what the command line gives
-    files: Sequence[str],
+    files: Sequence[tuple[str, View]],
     output: str,
-    view: View,
     reference: AttitudeInput | None,
     settings: ComparisonSettings,
     *,
@@ -32,19 +31,19 @@ def plot(  # noqa: PLR0913  # what the command line gives
 ) -> tuple[list[str], Sequence[str], bool]:
     """Draw files into a picture.
 
-    `files`: paths, at least one; ``"-"`` is CSV on stdin
+    `files`: paths, at least one, and what to draw of each; ``"-"`` is CSV on stdin
     `reference`: draw the error of each file against this series instead; None: what is in the files
     """
-    inputs = [*files, None if reference is None else reference.path]
+    inputs = [*(path for path, _ in files), None if reference is None else reference.path]
     with PictureFile(output, inputs, style=style, command=command) as target:
         if reference is None:
-            views = [view_file(path, view) for path in files]
+            views = [view_file(path, view) for path, view in files]
             page = _page(views)
             named = zip(page.tables, views, strict=True)
             lines = [f"{name}: {one.samples}" for (name, _), one in named]
             data_lost = any(one.losses for one in views)
         else:
-            page, data_lost = _error_page(files, view, reference, settings)
+            page, data_lost = _error_page(files, reference, settings)
             lines = list(page.lead)
         target.commit(page)
     return lines, page.warnings, data_lost
@@ -53,8 +52,12 @@ def plot(  # noqa: PLR0913  # what the command line gives
 def _page(views: list[FileView]) -> Page:
     """Return the page on files, each as it is."""
     several = len(views) > 1
-    names = file_names(view.plotted.label for view in views)
-    files = [view.plotted._replace(label=name) for view, name in zip(views, names, strict=True)]
+    names = file_names((view.plotted.label, view.source) for view in views)
+    files = [
+        # Its detail has the topic.
+        view.plotted._replace(label=name.removesuffix(f" {view.source}"))
+        for view, name in zip(views, names, strict=True)
+    ]
     meanings = dict.fromkeys(view.meaning for view in views)
     facts = ("; ".join(meanings), "; ".join(view.samples for view in views))
     return Page(
@@ -72,19 +75,19 @@ def _page(views: list[FileView]) -> Page:
 
 
 def _error_page(
-    paths: Sequence[str],
-    view: View,
-    wanted: AttitudeInput,
-    settings: ComparisonSettings,
+    files: Sequence[tuple[str, View]], wanted: AttitudeInput, settings: ComparisonSettings
 ) -> tuple[Page, bool]:
     """Return the page on the errors of files against a reference, and whether data was lost."""
     reference = load_attitudes(wanted)
-    names = file_names([*paths, wanted.path])
-    files = []
-    for path, name in zip(paths, names, strict=False):
-        operand = load_attitudes(AttitudeInput(path, view.kind, view.attitudes, drop=True))
-        comparison = compare(operand.series, reference.series, settings)
-        files.append(ComparedFile(name, operand, comparison))
-    page = error_page(files, names[-1], reference)
-    left_out = any(file.operand.data_lost or file.comparison.left_out for file in files)
+    operands = [
+        load_attitudes(AttitudeInput(path, view.kind, view.attitudes, drop=True))
+        for path, view in files
+    ]
+    names = file_names((one.input.path, one.signal.name) for one in (*operands, reference))
+    compared = [
+        ComparedFile(name, operand, compare(operand.series, reference.series, settings))
+        for name, operand in zip(names, operands, strict=False)
+    ]
+    page = error_page(compared, names[-1], reference)
+    left_out = any(file.operand.data_lost or file.comparison.left_out for file in compared)
     return page, reference.data_lost or left_out

@@ -36,7 +36,7 @@ class PropagationPicture(PictureFile):
         if report.result.rows:
             groups.append(self._attitudes.group(None if self._resampled else limit_ns))
         source, convention = report.source, report.convention
-        (name,) = file_names([source.path])
+        (name,) = file_names([(source.path, source.name)])
         title = f"{name}: {source_text(source.name, source.type)}"
         samples = f"{report.result.samples:,} samples, {source.clock} clock"
         method = f"method {convention.method}, {convention.rates} rates"

@@ -79,7 +79,7 @@ class RunOptions(RateOptions, total=False):
         mounting, "Sensor axes to body axes: a quaternion with v_body = m v_sensor m*, the sensor "
         "axes that become x, y and z, roll, pitch and yaw of the sensor in the body (deg, as in "
         "URDF), a name such as frd-to-flu, or those of a frame by the log's own /tf_static.", "the "
-        "same", "W,X,Y,Z|x,-y,-z|rpy:R,P,Y|NAME|tf:FRAME", "Rates", common=True)]
+        "same", "W,X,Y,Z|x,-y,-z|rpy:R,P,Y|ned-to-enu|frd-to-flu|tf:FRAME", "Rates", common=True)]
     on_backwards: Annotated[Literal["error", "drop", "sort"] | None, Keyword(
         Choice("error", "drop", "sort"), "Timestamps that go backwards: refuse, drop until the "
         "clock has caught up, or sort (holds the log in memory); drop and sort leave out "

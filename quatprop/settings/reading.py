@@ -65,7 +65,7 @@ class SelectOptions(TypedDict, total=False):
     time_col: Annotated[str | int | None, Keyword(
         lambda value: text(str(value)), f"Time column of {{log}}, by name or number from 0; two "
         "(SEC,NANOSEC, SEC,USEC or SEC,MSEC) of one stamp; none counts rows at "
-        f"{Setting('sample_rate')}.", "by the header", "C")]
+        f"{Setting('sample_rate')}.", "by the header", "C|none")]
     time_unit: Annotated[TimeUnit | None, Keyword(
         Choice(*TIME_UNITS), "Unit of the time in {log}.", "as the log says")]
     sample_rate: Annotated[float | Fraction | str | None, Keyword(
@@ -74,7 +74,7 @@ class SelectOptions(TypedDict, total=False):
     series: Annotated[str | int | None, Keyword(
         lambda value: text(str(value)), "Which of the interleaved series in the rows of {log}, "
         "such as those of two sensors; all reads them as one.", "the only one there is",
-        "VALUE|COLUMN=VALUE")]
+        "VALUE|COLUMN=VALUE|all")]
     # fmt: on
 
 

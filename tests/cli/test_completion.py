@@ -59,7 +59,7 @@ def test_a_line_is_completed_word_by_word(shell, tmp_path):
     terminal.expect("ready")
     columns = "-q -o b.csv --rate-unit rad/s --time-unit ns --rate-cols wx,wy,wz --time-col '$(t"
     for words, end in (
-        (("quatprop propa", "wal", "--metho", "coni", "-t "), "-o a.csv -q"),
+        (("quatprop propa", "wal", "--metho", "coni", "--mount frd", "-t "), "-o a.csv -q"),
         (("quatprop propagate lo", columns), ""),
     ):
         for typed in words:
@@ -94,8 +94,20 @@ OFFERED = {
     "propagate -t ": [],
     "info coning.mcap rest.parquet --rate-field ang": ["angular_velocity"],
     "plot coning.mcap -t /": ["/imu"],
+    "info coning.mcap:/imu --rate-field ang": ["angular_velocity"],
+    "propagate x.bag --q0 le": ["level", "file"],
+    "propagate x.bag --bias st": ["static", "static:nearest", "static:interpolate", "file"],
+    "propagate x.bag --bias static:": ["static:nearest", "static:interpolate", "file"],
+    "propagate x.bag --mount frd": ["frd-to-flu"],
+    "convert a.csv b.csv --left n": ["ned-to-enu"],
+    "compare a.csv b.csv --time-offset a": ["auto"],
+    "plot a.csv --reference b.csv --time-offset a": ["auto"],
+    "propagate x.bag --series a": ["all"],
+    "propagate x.csv --time-col n": ["none"],
+    "propagate x.bag --rate-unit d": ["deg/s"],
     "propagate spin.csv -t ": [],
-    "propagate spin.csv --time-col ": ["t_ns", "wx", "wy", "wz"],
+    "propagate spin.csv --time-col ": ["none", "t_ns", "wx", "wy", "wz"],
+    "simulate --bias s": [],
     "propagate spin.csv --rate-cols wx,w": ["wx,wy", "wx,wz"],
     "compare spin.csv spin.truth.csv --quat-cols-b qw,qx,": ["qw,qx,t_ns", "qw,qx,qy", "qw,qx,qz"],
     "compare spin.csv spin.truth.csv --time-col-a w": ["wx", "wy", "wz"],

@@ -126,6 +126,20 @@ def test_the_suffix_tells_the_kind_and_the_bytes_are_the_same_every_time(
     assert {path.name for path in tmp_path.iterdir()} == {"spin.csv", first.name, second.name}
 
 
+def test_a_style_sheet_of_matplotlib_is_taken(turning, tmp_path):
+    """Its fonts and axes, and the size of its letters unless an option gives one."""
+    sheet = tmp_path / "paper.mplstyle"
+    sheet.write_text("font.size: 12\nfont.family: DejaVu Serif\naxes.edgecolor: 00ff00\n")
+    command = "plot", turning, "--style", sheet, "-o"
+    run(*command, tmp_path / "a.svg", code=0)
+    run(*command, tmp_path / "b.pdf", "--font-size", "6", code=0)
+    assert "stroke: #00ff00" in (tmp_path / "a.svg").read_text("utf-8")
+    assert b"DejaVuSerif" in (tmp_path / "b.pdf").read_bytes()
+    said = run("plot", turning, "--style", "none.mplstyle", "-o", tmp_path / "c.png", code=2).stderr
+    assert "none.mplstyle: no such file" in said
+    assert "--style takes a style sheet of matplotlib" in said
+
+
 @pytest.mark.parametrize(
     "command",
     [

@@ -103,6 +103,7 @@ def _options():
 def _general(text, command):
     """Return help without what differs between commands: the name of the input."""
     text = text.replace("(with --reference) ", "").replace("  [", " [")
+    text = text.replace("] [", "; ")  # two brackets side by side are a link
     for name, general in GENERAL.get(command, {}).items():
         text = re.sub(rf"\b{name}\b", general, text)
     return text
