@@ -7,7 +7,7 @@ import pytest
 from make.commands import run
 from make.tables import write_rates
 
-from quatprop.pipeline.plausibility import SENSITIVITIES
+from quatprop.pipeline.rate_checks import SENSITIVITIES
 
 REMARK = "those of a common gyroscope: if they are in "
 
