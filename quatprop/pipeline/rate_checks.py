@@ -130,7 +130,7 @@ class RateChecks:
     def step_remarks(self) -> list[Remark]:
         """Return a remark if the rates come in the steps of a gyroscope in another unit."""
         unit, scale = self._unit
-        steps = [step_of(axis) for axis in self._stored]
+        steps = [*filter(None, map(step_of, self._stored))]
         for factor, than in ((1.0, "57.3 times as large as"), (_DEG**2, "57.3 times smaller than")):
             known = [factor * sensitivity for sensitivity in SENSITIVITIES]
             for step in steps:
