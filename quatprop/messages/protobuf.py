@@ -15,7 +15,7 @@ import numpy as np
 from quatprop.errors import MessageError
 from quatprop.messages.columns import MessageBytes, take_messages
 from quatprop.messages.plan import Window
-from quatprop.messages.protobuf_layout import Layout
+from quatprop.messages.protobuf_layout import ProtobufLayout
 from quatprop.messages.schema import (
     BadDefinitionError,
     Primitive,
@@ -178,7 +178,7 @@ class ProtobufDecoder(ValueDecoder):
             raw = messages[0].tobytes()
             try:
                 first = self._parsed(raw)
-                layout = Layout(raw, first.DESCRIPTOR)
+                layout = ProtobufLayout(raw, first.DESCRIPTOR)
                 values = [self._values(first, wanted) for wanted in self.wanted]
             except (LookupError, RecursionError, ValueError):
                 return

@@ -43,7 +43,7 @@ class Place(NamedTuple):
     kind: int
 
 
-class Layout:
+class ProtobufLayout:
     """The layout of a message that the library has read.
 
     `places`: where the numbers are that are set, by their ways
