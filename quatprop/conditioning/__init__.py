@@ -150,10 +150,12 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
     inputs: GyroCorrectionInputs,
     *,
     part_reader: Callable[[], PartReader | None] | None = None,
+    begun: Callable[[Iterable[GyroSeries]], Iterable[GyroSeries]] = iter,
 ) -> tuple[Iterator[GyroSeries], GyroCorrectionReport]:
     """Return the conditioned samples, and what is done to them.
 
     `unit`: rad/s in the unit of the bias
+    `begun`: looks at the samples as the log has them
     `Returns`: the samples, rad/s, body axes
     """
     mount = None if settings.mount is None or inputs.mounting else mounting(settings.mount)
@@ -191,7 +193,7 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
         part=part,
         length=length_text(settings, ends),
     )
-    numbered, outside = timeline.ordered(batches), report.outside
+    numbered, outside = timeline.ordered(begun(batches)), report.outside
     if clips:
         inside = clipped(numbered, settings, start_ns, end_ns, outside)
         numbered = timeline.without(inside, outside)

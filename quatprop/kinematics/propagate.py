@@ -79,14 +79,14 @@ class _Composition:
         self._method = method
         q0 = unit_q0(q0)
         self._attitude: Wxyz = tuple((conjugate(q0) if self._inertial else q0).tolist())
-        self._previous: GyroSeries | None = None
+        self._before: list[GyroSeries] = []
 
     def _steps(
         self, series: GyroSeries, following: GyroSeries | None
     ) -> Iterator[tuple[slice, Pairs]]:
         """Yield where tiles are, and the steps that lead to their samples, ``(2, n)``."""
         # Before the very first sample comes itself: a step of no time leads to it.
-        previous = self._previous or series[:1]
+        previous = GyroSeries.joined(self._before)[-BEFORE:] if self._before else series[:1]
         for start in range(0, len(series), TILE):
             stop = min(start + TILE, len(series))
             # Of the neighbours of a tile, so many before it and after it count.
@@ -102,7 +102,7 @@ class _Composition:
                 samples = samples.with_rate(0.0 - samples.rate)
             rotvec = self._rotation_vectors(samples, self._method)
             yield slice(start, stop), tile_steps(rotvec[first - 1 :][: stop - start])
-        self._previous = GyroSeries.joined([previous, series[-BEFORE:]])[-BEFORE:]
+        self._before = [previous, series[-BEFORE:]]
 
     def _rotation_vectors(self, samples: GyroSeries, method: str) -> Float64:
         return rotation_vectors(

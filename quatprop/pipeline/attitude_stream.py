@@ -91,6 +91,7 @@ class AttitudeStream:
             conditioning_inputs(log, source, settings.selection, settings.conditioning),
             # Sorted, samples may belong to the range wherever they are in the log.
             part_reader=None if settings.policy.on_backwards == "sort" else source.part_reader,
+            begun=self._checks.begun,
         )
         self._errors = known_errors(settings.errors, self._conditioned)
         self._times = _times(settings, log)
@@ -255,6 +256,7 @@ class AttitudeStream:
         yield from self._checks.remarks(counts)
         if left_out := self._times_left_out():
             yield Remark("times-left-out", left_out)
+        yield from self._checks.step_remarks()
         yield from self._log_remarks
         yield from () if self._log is None else self._log.remarks
 

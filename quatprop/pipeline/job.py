@@ -190,7 +190,8 @@ def _refuse_contradictions(job: Job) -> None:
     settings, output = job.settings, job.output
     if not output.into:
         layout_of(output.kind, output.layout)
-    refuse_overlap([*job.paths, *settings.inputs.values()], [output.path, output.report])
+    if job.known_as is None:  # a batch has looked at all its logs and outputs together
+        refuse_overlap([*job.paths, *settings.inputs.values()], [output.path, output.report])
     if settings.needs_second_read and is_stream(job.log):
         raise UsageError(
             f"{'stdin' if job.log == '-' else 'a pipe'} can be read only once; "

@@ -11,15 +11,14 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from quatprop.conditioning.quantisation import step_of
 from quatprop.errors import QuatpropError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.logs.sensor_frames import sensor_frames
 from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.logs.signals.quaternion_check import QuaternionCheck, QuaternionCounts
+from quatprop.pipeline.rate_checks import other_unit
 from quatprop.series import AttitudeSeries, GyroSeries
-from quatprop.settings.quantities import RATES
 from quatprop.settings.selection import AttitudeSelection
 from quatprop.text import Remark, Setting, listed
 from quatprop.times import utc_text
@@ -33,19 +32,6 @@ if TYPE_CHECKING:
 
 
 Series = TypeVar("Series", GyroSeries, AttitudeSeries)
-
-SENSITIVITIES = (
-    *(range_deg_s / 32768 for range_deg_s in (125, 245, 250, 300, 450, 500, 1000, 2000, 4000)),
-    *(1 / per_deg_s for per_deg_s in (131, 131.2, 65.5, 65.6, 32.8, 16.4)),
-    *(0.004375, 0.00875, 0.0175, 0.035, 0.07),
-)
-"""deg/s in a step of common gyroscopes: of a range in 16 bits, InvenSense's and ST's."""
-
-SAME_STEP = 2e-4
-"""Steps that differ by less than this share are the same: sensitivities are given in few digits."""
-
-STEPPED = 10_000
-"""Samples whose step is looked at."""
 
 COMPARED_SAMPLES = 20_000
 """Rates are compared with the log's own orientation over so many samples from its beginning."""
@@ -65,23 +51,20 @@ OFF_SCALE = 20.0
 FARTHEST = 57.3**2 / OFF_SCALE
 """So far beyond 180/pi as :data:`OFF_SCALE` is below it; beyond that, it is no unit."""
 
-_DEG = math.radians(1.0)
-
 OTHER_CLOCK_NS = 3_600_000_000_000
 """Stamps further from the time of recording are of another clock, not delayed."""
 
 
 def log_remarks(log: Log | None, source: RateSignal, rates: str = "body") -> list[Remark]:
-    """Return remarks on the stamps, the steps, and the orientation beside the rates.
+    """Return remarks on the stamps, the frames, and the orientation beside the rates.
 
     `log`: None for rates in memory, beside which there is nothing
     `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
     """
     if log is None:
-        return step_remarks(source)
+        return []
     return [
         *stamp_remarks(source),
-        *step_remarks(source),
         *frame_remarks(source),
         *orientation_remarks(log, source, rates),
     ]
@@ -121,31 +104,6 @@ def stamp_remarks(source: RateSignal) -> list[Remark]:
     how = "another clock, or recorded again later" if stamped[0] < logged[0] else "another clock"
     text = f"header stamps begin at {begin} and the recording at {recorded}: {how}; {way_out}"
     return [Remark("other-clock", text)]
-
-
-def step_remarks(source: RateSignal) -> list[Remark]:
-    """Return a remark if the rates come in the steps of a gyroscope in another unit."""
-    first = next(source.batches(at_first=True), None)
-    if first is None:
-        return []
-    steps = [step_of(axis) for axis in first.rate[:STEPPED].T]
-    for factor, than in ((1.0, "57.3 times as large as"), (_DEG**2, "57.3 times smaller than")):
-        known = [factor * scale for scale in SENSITIVITIES]
-        for step in steps:
-            if any(abs(step - scale) < SAME_STEP * scale for scale in known):
-                shown = f"{step / RATES[source.unit]:.6g} {source.unit}"
-                said = f"the rates come in steps of {shown}, {than} those of a common gyroscope"
-                advice = _other_unit(source.unit, are_too_large=factor == 1.0)
-                return [Remark("unit-by-steps", f"{said}: {advice}")]
-    return []
-
-
-def _other_unit(unit: str, *, are_too_large: bool) -> str:
-    """Return which unit rates are in that are too large or too small by 180/pi."""
-    other, scale = ("deg/s", "180/pi") if are_too_large else ("rad/s", "pi/180")
-    if other == unit:
-        return f"were they scaled by {scale} once too often?"
-    return f"if they are in {other}, use {Setting('rate_unit', other)}"
 
 
 def orientation_remarks(log: Log, source: RateSignal, rates: str = "body") -> list[Remark]:
@@ -203,7 +161,7 @@ def against_orientation(
         return None
     why = "are both of the same sensor?"
     if times < FARTHEST:
-        why = _other_unit(unit, are_too_large=by_rates > by_orientation)
+        why = other_unit(unit, are_too_large=by_rates > by_orientation)
     return Remark("rates-off-scale", f"{what.format(f'{times:.3g} times as far as')}: {why}")
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.conditioning.quantisation import step_of
 from quatprop.pipeline.saturation import HAS_RUN, SMALLEST_RANGE, Saturation
 from quatprop.series.blocks import reblock
 from quatprop.settings.quantities import RATES
@@ -81,6 +82,22 @@ _OVERLAP = HAS_RUN - 1
 """Samples that are looked at again with those that follow."""
 
 
+SENSITIVITIES = (
+    *(range_deg_s / 32768 for range_deg_s in (125, 245, 250, 300, 450, 500, 1000, 2000, 4000)),
+    *(1 / per_deg_s for per_deg_s in (131, 131.2, 65.5, 65.6, 32.8, 16.4)),
+    *(0.004375, 0.00875, 0.0175, 0.035, 0.07),
+)
+"""deg/s in a step of common gyroscopes: of a range in 16 bits, InvenSense's and ST's."""
+
+SAME_STEP = 2e-4
+"""Steps that differ by less than this share are the same: sensitivities are given in few digits."""
+
+STEPPED = 10_000
+"""Samples whose step is looked at."""
+
+_DEG = math.radians(1.0)
+
+
 class RateChecks:
     """Checks rates as they pass.
 
@@ -101,6 +118,29 @@ class RateChecks:
         self._sums, self._neighbours = np.zeros((3, 3)), 0
         self._repeated = self._different = 0
         self._jumps = np.empty((3, 0))
+        self._stored = np.empty((3, 0))
+
+    def begun(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+        """Yield the samples as the log has them, and hold the first, whose steps are looked at."""
+        for batch in batches:
+            if (room := STEPPED - self._stored.shape[1]) > 0:
+                self._stored = np.concatenate([self._stored, batch.rate[:room].T], axis=1)
+            yield batch
+
+    def step_remarks(self) -> list[Remark]:
+        """Return a remark if the rates come in the steps of a gyroscope in another unit."""
+        unit, scale = self._unit
+        steps = [*filter(None, map(step_of, self._stored))]
+        for factor, than in ((1.0, "57.3 times as large as"), (_DEG**2, "57.3 times smaller than")):
+            known = [factor * sensitivity for sensitivity in SENSITIVITIES]
+            for step in steps:
+                if any(abs(step - one) < SAME_STEP * one for one in known):
+                    said = (
+                        f"the rates come in steps of {step / scale:.6g} {unit}, {than} those of a "
+                        f"common gyroscope: {other_unit(unit, are_too_large=factor == 1.0)}"
+                    )
+                    return [Remark("unit-by-steps", said)]
+        return []
 
     def observe(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Yield the samples in blocks, and check them."""
@@ -243,3 +283,11 @@ def _interval_s(counts: Counts) -> float | None:
     if counts.median_dt_ns is None:
         return None
     return min(counts.median_dt_ns, counts.span_ns / max(counts.used - 1, 1)) / NS_PER_S
+
+
+def other_unit(unit: str, *, are_too_large: bool) -> str:
+    """Return which unit rates are in that are too large or too small by 180/pi."""
+    other, scale = ("deg/s", "180/pi") if are_too_large else ("rad/s", "pi/180")
+    if other == unit:
+        return f"were they scaled by {scale} once too often?"
+    return f"if they are in {other}, use {Setting('rate_unit', other)}"

@@ -179,7 +179,7 @@ def _survey_rates(signal: RateSignal, log: Log, beside: _AttitudeReading | None)
     timeline = Timeline(OBSERVE, str(log.path), method=method)
     checks = RateChecks(signal.unit, is_given=signal.unit_is_given)
     batches = signal.batches() if beside is None else _in_step(signal.batches(), beside)
-    samples = timeline.apply(checks.observe(batches))
+    samples = timeline.apply(checks.observe(checks.begun(batches)))
     deque(samples, maxlen=0)
     counts = timeline.counts
     return RateSurvey(
@@ -193,7 +193,12 @@ def _survey_rates(signal: RateSignal, log: Log, beside: _AttitudeReading | None)
         nonfinite=counts.nonfinite.count,
         max_rate_rad_s=counts.max_rate,
         max_rate_deg_s=math.degrees(counts.max_rate),
-        remarks=(*signal.remarks, *timeline_remarks(counts, OBSERVE), *checks.remarks(counts)),
+        remarks=(
+            *signal.remarks,
+            *timeline_remarks(counts, OBSERVE),
+            *checks.remarks(counts),
+            *checks.step_remarks(),
+        ),
     )
 
 

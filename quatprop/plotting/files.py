@@ -134,12 +134,14 @@ def _view_rates(path: str, log: Log, source: RateSignal, view: View) -> FileView
     drawn, timeline = RateAccumulator(source.unit), Timeline(OBSERVE, path)
     checks = RateChecks(source.unit, is_given=source.unit_is_given)
     unit, counts = RATES[source.unit], timeline.counts
-    batches, done = condition(source.batches, timeline, view.part, unit, GyroCorrectionInputs())
+    batches, done = condition(
+        source.batches, timeline, view.part, unit, GyroCorrectionInputs(), begun=checks.begun
+    )
     deque(timeline.measured(drawn.passing(checks.observe(batches))), maxlen=0)
     if not counts.used:
         raise NoSamplesError(path, source.name, done.outside, losses=log.losses, length=done.length)
     found = *_irregularities(counts), *done.all_remarks, *checks.remarks(counts)
-    remarks = [*source.remarks, *found, *log.remarks]
+    remarks = [*source.remarks, *found, *log.remarks, *checks.step_remarks()]
     if str(log.path) != "-":
         remarks += log_remarks(log, source)
     convention = "rates as recorded, in the axes of the sensor; nothing subtracted"

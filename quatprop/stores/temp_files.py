@@ -90,12 +90,22 @@ def take_mode_of(path: Path, place: Path) -> None:
     try:
         mode = place.stat().st_mode
     except FileNotFoundError:
-        # What the umask and the folder's own rules make of a new file can only be tried.
-        trial = LockedTemp(place, Path.touch)
-        mode = trial.path.stat().st_mode
-        trial.remove()
+        mode = _mode_of_new(place)
     if path.stat().st_mode != mode:
         path.chmod(stat.S_IMODE(mode))
+
+
+def _mode_of_new(place: Path) -> int:
+    """Return what the umask and the folder's own rules make of a new file, which is tried."""
+    # Where files need no name, there is nothing to remove.
+    with suppress(AttributeError, OSError):
+        nameless = os.open(place.parent, os.O_TMPFILE | os.O_WRONLY, 0o666)
+        with os.fdopen(nameless, "wb"):
+            return os.fstat(nameless).st_mode
+    trial = LockedTemp(place, Path.touch)
+    mode = trial.path.stat().st_mode
+    trial.remove()
+    return mode
 
 
 def _prefix(place: Path) -> str:

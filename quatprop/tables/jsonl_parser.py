@@ -49,7 +49,8 @@ class JsonRows(TextRows):
             # It may be in another column, where it does no harm.
             for stamp in self._stamps(text):
                 timestamps.refuse_tiny_numbers(stamp.encode())
-        if b"null" in text and _TOP_LEVEL_NULL.search(text):
+        # Of one letter a text without is known many times as fast.
+        if b"u" in text and b"null" in text and _TOP_LEVEL_NULL.search(text):
             for line in text.split(b"\n"):
                 # At top level it ends the process.
                 if _TOP_LEVEL_NULL.search(line) and not _is_object(line):

@@ -86,11 +86,12 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
         )
     raw = _records(head.splitlines(keepends=True)[:_LINES])
     texts = [_text(line) for line in raw]
-    delimiter = _delimiter(texts)
+    delimiter, rows = _delimiter(texts)
     # The provenance of our own files is JSON in a comment, full of numbers and commas.
-    rows = [[] if text.startswith(_OURS) else split_cells(text, delimiter) for text in texts]
-    first = next((k for k, row in enumerate(rows) if is_data(row)), len(rows))
-    data = [row for row in rows[first:] if is_data(row)]
+    rows = [[] if text.startswith(_OURS) else row for text, row in zip(texts, rows, strict=True)]
+    places = [k for k, row in enumerate(rows) if is_data(row)]
+    first = next(iter(places), len(rows))
+    data = [rows[k] for k in places]
     width = len(data[0]) if data else max(map(len, rows), default=0)
     header = header_row(rows[:first], data)
     if not data and len(rows) > _HEADER_ROWS and not _is_table(rows, header):
@@ -99,7 +100,7 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
             f"none of its first {len(rows)} lines is a row of {RATES} numbers or more; is it a "
             "table with a row a sample?",
         )
-    _refuse_turns(rows, first, data, path)
+    _refuse_turns(rows, places, path)
     _refuse_checksums(data, path)
     _refuse_mixture(data[:-1] or data, rows[header][0] if header is not None else "", width, path)
     names = [str(k) for k in range(width)] if header is None else column_names(rows, header, width)
@@ -159,28 +160,31 @@ def _text(line: bytes) -> str:
 
 def is_data(row: list[str]) -> bool:
     """Return whether a row has numbers enough for one of rates."""
-    numbers = filter(NUMBER.fullmatch, row)
-    return sum(1 for _ in islice(numbers, RATES)) == RATES
+    return len(row) >= RATES and len([*islice(filter(NUMBER.fullmatch, row), RATES)]) == RATES
 
 
-def _delimiter(texts: list[str]) -> str:
-    """Return the separator with which most lines are rows of numbers; the first one of equals."""
+def _delimiter(texts: list[str]) -> tuple[str, list[list[str]]]:
+    """Return the separator with which most lines are rows of numbers, and the cells of the lines.
 
-    def fit(mark: str) -> tuple[int, bool, bool]:
-        rows = [split_cells(text, mark) for text in texts]
+    Of separators that are as good it is the first one.
+    """
+
+    def fit(split: tuple[str, list[list[str]]]) -> tuple[int, bool, bool]:
+        _, rows = split
         widths = set(map(len, rows))
         # The last is for a table that is too narrow for rates: the error lists its columns.
         return sum(map(is_data, rows)), max(widths) >= RATES, len(widths) == 1 < min(widths)
 
     # Tabs and blanks are also between cells where no mark is.
     text = "".join(texts)
-    return max((mark for mark in _DELIMITERS if mark.isspace() or mark in text), key=fit)
+    marks = [mark for mark in _DELIMITERS if mark.isspace() or mark in text]
+    return max(((mark, [split_cells(line, mark) for line in texts]) for mark in marks), key=fit)
 
 
 def _decimal(data: list[list[str]], delimiter: str) -> str:
     """Return the decimal mark: between commas only quoted cells have any, perhaps of thousands."""
     cells = [cell for row in data for cell in row]
-    with_comma = [cell for cell in cells if _COMMA_NUMBER.fullmatch(cell)]
+    with_comma = [cell for cell in cells if "," in cell and _COMMA_NUMBER.fullmatch(cell)]
     if delimiter == "," and (
         any(map(_POINT_NUMBER.fullmatch, cells)) or all(map(_THOUSANDS.fullmatch, with_comma))
     ):
@@ -193,11 +197,17 @@ def _dates(row: list[str]) -> dict[int, str | None]:
     return {k: "UTC" if match["zone"] else None for k, match in matches if match}
 
 
-def _refuse_turns(rows: list[list[str]], first: int, data: list[list[str]], path: Path) -> None:
-    """Refuse times on lines of their own: each would be counted as a row that was lost."""
-    others = [row for row in rows[first:] if row and not is_data(row) and any(map(str.strip, row))]
-    if len(data) > 2 and len(others) >= len(data) - 1 and all(map(_is_time, others)):  # noqa: PLR2004
-        in_pairs = first == 1 and _is_time(rows[0])
+def _refuse_turns(rows: list[list[str]], data: list[int], path: Path) -> None:
+    """Refuse times on lines of their own: each would be counted as a row that was lost.
+
+    `data`: which of the rows are rows of numbers
+    """
+    if len(data) <= 2 or len(rows) - data[0] < 2 * len(data) - 1:  # noqa: PLR2004
+        return
+    between = [row for k, row in enumerate(rows) if k > data[0] and k not in {*data}]
+    others = [row for row in between if any(map(str.strip, row))]
+    if len(others) >= len(data) - 1 and all(map(_is_time, others)):
+        in_pairs = data[0] == 1 and _is_time(rows[0])
         how = ", such as with paste -d, - -" if in_pairs else ""
         reason = f"times such as {quoted(' '.join(others[0]))} are on lines of their own between"
         raise UnsupportedLogError(

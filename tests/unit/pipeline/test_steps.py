@@ -7,7 +7,8 @@ import pytest
 from make.commands import run
 from make.tables import write_rates
 
-from quatprop.pipeline.plausibility import SENSITIVITIES
+from quatprop.pipeline.rate_checks import SENSITIVITIES, RateChecks
+from quatprop.series import GyroSeries
 
 REMARK = "those of a common gyroscope: if they are in "
 
@@ -41,3 +42,16 @@ def test_any_other_step_is_silent(tmp_path):
     """Of ten, from coarse to fine."""
     for step in np.geomspace(1e-5, 1, 10):
         assert REMARK not in remarks_on(tmp_path, step, "rad/s")
+
+
+def test_steps_do_not_depend_on_where_batches_end():
+    """They were those of the first batch alone, which may be a row."""
+    rate = np.random.default_rng(1).integers(-900, 900, (500, 3)) * (500 / 32768)
+    series, found = GyroSeries(np.arange(500), rate), []
+    for size in (1, 7, 500):
+        checks = RateChecks()
+        batches = [series[begin : begin + size] for begin in range(0, 500, size)]
+        assert sum(map(len, checks.begun(batches))) == 500
+        found.append(checks.step_remarks())
+    assert [remark.code for remark in found[0]] == ["unit-by-steps"]
+    assert found == [found[0]] * 3
