@@ -13,12 +13,12 @@ import os
 import stat
 import time
 import weakref
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Generic, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 T = TypeVar("T")
 
@@ -96,6 +96,17 @@ def take_mode_of(path: Path, place: Path) -> None:
         trial.remove()
     if path.stat().st_mode != mode:
         path.chmod(stat.S_IMODE(mode))
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Let one run at a time have a file or folder; where that is not supported, all of them."""
+    lock = _lock(path, wait=True)
+    try:
+        yield
+    finally:
+        if lock is not None:
+            os.close(lock)
 
 
 def _prefix(place: Path) -> str:

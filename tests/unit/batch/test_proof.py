@@ -1,6 +1,7 @@
 """What the manifest says is proved: outputs that are there, of logs as they are."""
 
 import errno
+import json
 import os
 import re
 import shutil
@@ -8,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pyarrow.dataset
+import pyarrow.parquet
 import pytest
 from make.batches import batch, entries, outputs_in, said, spin
 from make.commands import refused
@@ -16,6 +18,7 @@ from make.places import SAMPLE_LOGS
 import quatprop
 from quatprop import __version__
 from quatprop.batch import execution, listing
+from quatprop.batch.logs import BatchTask
 from quatprop.batch.manifest import Manifest
 from quatprop.stores.transfers import get, upload
 
@@ -226,6 +229,36 @@ def test_outputs_are_the_same_wherever_they_are_made(tmp_path, bucket, monkeypat
         made.append({path.name: path.read_bytes() for path in (out / "deep").iterdir()})
     assert len(made[0]) == 3
     assert made[1:] == made[:1] * 3
+
+
+def test_files_beside_the_logs_are_named_as_on_every_machine(tmp_path, bucket):
+    """A calibration, a truth and a first attitude were named by their absolute paths."""
+    made = []
+    for number, place in enumerate(("here", "deep/there", "here")):
+        root = tmp_path / place
+        spin(root / "in" / "a.csv")
+        spin(root / "in" / "times.csv", samples=3)
+        spin(root / "side" / "times.csv", samples=4)
+        if number == 0:
+            batch(root / "in" / "a.csv", "-o", root / "side", code=0)
+        elif number == 1:
+            shutil.copyfile(tmp_path / "here" / "side" / "a.parquet", root / "side" / "a.parquet")
+        logs = root / "in" / "a.csv"
+        if number == 2:
+            logs = f"{bucket}/in/a.csv"
+            upload(root / "in" / "a.csv", logs)
+        for times in ("in", "side"):
+            files = ("--at", root / times / "times.csv", "--q0", root / "side" / "a.parquet")
+            out = root / f"out{number}{times}"
+            batch(logs, "-o", out, *files, code=0)
+            made.append((out / "a.parquet").read_bytes())
+            text = pyarrow.parquet.read_metadata(out / "a.parquet").metadata[b"quatprop"]
+            assert set(json.loads(text)["files"]) == {"a.parquet", "times.csv"}
+            assert str(tmp_path).encode() not in text
+    assert made[2:] == made[:2] * 2
+    task = BatchTask("/r", "a.csv")
+    named = ["/r/a.csv", "/r/x/b.csv", "/s/1/b.csv", "/s/2/b.csv", "/s/c.csv"]
+    assert task.known_as(named) == ["a.csv", "x/b.csv", "1/b.csv", "2/b.csv", "s/c.csv"]
 
 
 def test_the_outputs_are_one_dataset(tmp_path):
