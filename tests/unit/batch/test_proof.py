@@ -258,7 +258,7 @@ def test_files_beside_the_logs_are_named_as_on_every_machine(tmp_path, bucket):
     assert made[2:] == made[:2] * 2
     task = BatchTask("/r", "a.csv")
     named = ["/r/a.csv", "/r/x/b.csv", "/s/1/b.csv", "/s/2/b.csv", "/s/c.csv"]
-    assert task.known_as(named) == ["a.csv", "x/b.csv", "1/b.csv", "2/b.csv", "s/c.csv"]
+    assert execution.known_as(task, named) == ["a.csv", "x/b.csv", "1/b.csv", "2/b.csv", "s/c.csv"]
 
 
 def test_the_outputs_are_one_dataset(tmp_path):
