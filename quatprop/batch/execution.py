@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.batch.entries import COMPLETE, ManifestEntry
 from quatprop.batch.logs import BatchTask, absolute
+from quatprop.batch.origins import origin_of_read
 from quatprop.batch.tasks import BatchResult, BatchSettings, failed, output_size
 from quatprop.concurrency.processes import KILLED, map_processes
 from quatprop.concurrency.threads import available_cores
@@ -95,7 +96,7 @@ def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchRes
     names, output = partial(known_as, task), job.output._replace(path=path)
     job = job._replace(log=task.path, known_as=names, output=output)
     for _ in range(ATTEMPTS):
-        origin = task.origin_now()
+        origin = task.origin if is_address(task.path) else task.origin_now()
         report = run(job, summary=False)
         # A log in a store was compared with itself when it had been read.
         if is_address(task.path) or origin == task.origin_now():
@@ -108,6 +109,7 @@ def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchRes
     log = report.source.digest
     if log.sha256 is None and not is_address(task.path):
         log = digest_of(task.path)
+    origin = origin or origin_of_read(task.path, log)
     entry = _entry(task, report, log, digest_of(path))._replace(origin=origin)
     json = report.as_json() if settings.reports else None
     return BatchResult(entry, losses=report.losses, report=json)

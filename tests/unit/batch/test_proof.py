@@ -197,21 +197,33 @@ def test_a_store_that_does_not_answer_is_asked_again(tmp_path, bucket, store_ser
 
 
 def test_a_skipped_log_of_a_store_costs_no_request(tmp_path, bucket, store_server):
-    """A new one cost six HEADs, and one that was skipped two; what a listing says is enough."""
+    """A new one cost six HEADs, then two, and one that was skipped two."""
+    logs = f"{bucket}/in"
     for number in range(3):
-        spin(f"{bucket}/in/{number}.csv")
-    again = (f"{bucket}/in", "-o", tmp_path / "out", "--skip-existing")
+        spin(f"{logs}/{number}.csv")
+    upload(SAMPLE_LOGS / "coning.mcap", f"{logs}/3.mcap")
+    rows = (f"{10_000_000 * k},0,0,{k % 7}\n" for k in range(90_000))  # more than is read at once
+    (tmp_path / "long.csv").write_text(f"t_ns,wx,wy,wz\n{''.join(rows)}")
+    upload(tmp_path / "long.csv", f"{logs}/4.csv")
 
-    def asked():
+    def heads(*given):
         before = len(store_server.requests)
-        batch(*again, code=0)
-        named = [one for one in store_server.requests[before:] if one[1].endswith(".csv")]
-        return named.count(("HEAD", named[0][1])) if named else 0
+        batch(*given, "--skip-existing", code=0)
+        named = [path for method, path in store_server.requests[before:] if method == "HEAD"]
+        return {number: sum(f"/{number}." in path for path in named) for number in range(5)}
 
-    assert asked() == 2  # to open it, and whether it is the same when it has been read
-    monkey = dict.fromkeys(entries(tmp_path / "out"), 0)
-    assert len(monkey) == 3
-    assert asked() <= 1  # it was written in the minute of its reading, perhaps twice
+    out = ("-o", tmp_path / "out")
+    assert heads(logs, *out) == dict.fromkeys(range(5), 1)  # to open it
+    # It was written in the minute of its reading, perhaps twice.
+    assert max(heads(logs, *out).values()) <= 1
+    store_server.age(bucket)
+    assert heads(logs, *out) == dict.fromkeys(range(5), 1)
+    assert heads(logs, *out) == dict.fromkeys(range(5), 0)
+    # Of a log that is named its store is asked by opening it.
+    assert heads(f"{logs}/3.mcap", f"{logs}/4.csv", "-o", tmp_path / "named")[3] == 1
+    assert {name: entry["origin"] for name, entry in entries(tmp_path / "named").items()} == {
+        name: entries(tmp_path / "out")[name]["origin"] for name in ("3.parquet", "4.parquet")
+    }
 
 
 def test_outputs_are_the_same_wherever_they_are_made(tmp_path, bucket, monkeypatch):
