@@ -6,7 +6,7 @@ import pyarrow.dataset
 import pyarrow.parquet
 import pytest
 from make.batches import batch, entries, said, spin
-from make.commands import refused
+from make.commands import refused, run
 
 from quatprop.batch import dataset
 from quatprop.batch.dataset import with_parts
@@ -72,7 +72,7 @@ def test_a_dataset_has_all_rows_in_order(made, logs, tmp_path):
     assert not [path for path in (made / "_parts").rglob("*") if path.is_file()]
 
 
-@pytest.mark.parametrize("way", ["shards", "one at a time", "again", "store", "larger"])
+@pytest.mark.parametrize("way", ["shards", "one at a time", "again", "dask", "store", "larger"])
 def test_a_dataset_is_the_same_bytes_however_it_is_made(made, logs, tmp_path, bucket, way):
     """In parts, log by log, a second time, from and into a store, and after other logs."""
     out = tmp_path / "out"
@@ -85,6 +85,11 @@ def test_a_dataset_is_the_same_bytes_however_it_is_made(made, logs, tmp_path, bu
     elif way == "again":
         for _ in range(2):
             batch(logs, "-o", out, *DATASET, code=0)
+    elif way == "dask":
+        distributed = pytest.importorskip("distributed")
+        options = {"processes": False, "dashboard_address": None}
+        with distributed.LocalCluster(n_workers=1, threads_per_worker=1, **options) as cluster:
+            run("batch", logs, "-o", out, *DATASET, "--dask", cluster.scheduler_address, code=0)
     elif way == "larger":
         shutil.copytree(logs, tmp_path / "in")
         batch(tmp_path / "in", "-o", out, *DATASET, code=0)
