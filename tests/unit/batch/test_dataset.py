@@ -1,6 +1,8 @@
 """One Parquet dataset instead of a file a log: the same bytes wherever and whenever it is made."""
 
+import re
 import shutil
+from pathlib import Path
 
 import pyarrow.dataset
 import pyarrow.parquet
@@ -8,12 +10,15 @@ import pytest
 from make.batches import batch, entries, said, spin
 from make.commands import refused, run
 
+import quatprop
 from quatprop.batch import dataset
 from quatprop.batch.dataset import with_parts
 from quatprop.batch.logs import BatchTask
 from quatprop.batch.planning import shard
 from quatprop.stores.objects import list_objects
 from quatprop.stores.transfers import get, upload
+
+FLEETS = Path(quatprop.__file__).parent / "docs" / "fleets.md"
 
 DATASET = ("--dataset", "--buckets", "3")
 
@@ -239,6 +244,20 @@ def test_a_log_that_was_compressed_takes_the_place_of_its_rows(logs, tmp_path):
     expected = {**ROWS, "a.csv.gz": ROWS["a.csv"]}
     del expected["a.csv"]
     assert rows_of(tmp_path / "out") == expected
+
+
+QUERY = re.findall(r"```sql\n(.*?)```", FLEETS.read_text(), re.DOTALL)[-1]
+
+
+def test_the_query_of_the_document_joins_dataset_and_manifest(tmp_path, monkeypatch):
+    """The column is the name of the log, as in the manifest."""
+    duckdb = pytest.importorskip("duckdb")
+    monkeypatch.chdir(tmp_path)
+    for name in ("whole", "torn"):
+        log = spin(tmp_path / "in" / f"{name}.csv", rate=0)
+    log.write_text(log.read_text() + "500000000,0\n")
+    batch("in", "-o", "attitudes", *DATASET, code=3)
+    assert duckdb.sql(QUERY).fetchall() == [("torn.csv", [1, 0, 0, 0])]
 
 
 def test_a_dataset_opens_everywhere(made):
