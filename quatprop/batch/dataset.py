@@ -79,66 +79,56 @@ def file_of(name: str) -> str:
 
 def refuse_mixture(outputs: Iterable[str], files: int | None, folder: str) -> None:
     """Refuse a folder whose outputs are those of another dataset, or of none."""
-    folders = {name.partition("/")[0] == PARTS and name.split("/")[1] for name in outputs}
-    found = (_FILE.fullmatch(name or "") for name in folders)
+    start, end = f"{PARTS}/", len(PARTS) + 1
+    folders = {
+        name[end : name.find("/", end)] if name.startswith(start) else "" for name in outputs
+    }
+    found = map(_FILE.fullmatch, folders)
     for other in {int(match[2]) if match else None for match in found} - {files}:
-        has = f"a dataset of {other} files" if other else "a file for each log"
-        options = f"{Setting('dataset')} {Setting('buckets', str(other))}"
-        choose = options if other else f"no {Setting('dataset')}"
-        raise UsageError(
-            f"{quoted(without_secret(folder))} has {has}; choose {choose}, or another folder"
-        )
+        what = f"a file for each log; leave {Setting('dataset')} out, or choose"
+        if other:
+            options = f"{Setting('dataset')} {Setting('buckets', str(other))}"
+            what = f"a dataset of {other} files; choose {options}, or"
+        raise UsageError(f"{quoted(without_secret(folder))} has {what} another folder")
 
 
-class Contents:
-    """What the files of a dataset hold; each is looked at once.
+def rows_in(folder: str, *, verify: bool) -> Callable[[str], Rows | None]:
+    """Return what tells the rows of a part that are in its file; each file is looked at once.
 
-    `verify`: whether a file with damaged rows is to hold nothing
+    `verify`: whether a file with damaged rows has none
     """
 
-    def __init__(self, folder: str, *, verify: bool) -> None:
-        @cache
-        def of_file(name: str) -> Mapping[str, Rows]:
-            with _opened(place_below(folder, name)) as file:
-                return {} if verify and _is_damaged(file) else _rows_in(file)
+    @cache
+    def of_file(name: str) -> Mapping[str, Rows]:
+        with _opened(place_below(folder, name)) as (file, rows):
+            return {} if verify and _is_damaged(file) else rows
 
-        self._of_file = of_file
-
-    def has(self, name: str, sha256: str | None) -> bool:
-        """Return whether the rows of a part are in its file."""
-        rows = self._of_file(file_of(name)).get(name)
-        return rows is not None and rows.sha256 == sha256
+    return lambda part: of_file(file_of(part)).get(part)
 
 
 @contextmanager
-def _opened(place: str) -> Iterator[ParquetFile | None]:
-    """Open a file of a dataset; None where there is none, or something else."""
+def _opened(place: str) -> Iterator[tuple[ParquetFile | None, dict[str, Rows]]]:
+    """Open a file of a dataset, with its logs in order; None where there is none."""
     from pyarrow import ArrowException
     from pyarrow.parquet import ParquetFile
 
-    file = None
+    file, rows = None, dict[str, Rows]()
     with ExitStack() as stack:
         try:
             source: object = place
             if is_address(place):
                 source = stack.enter_context(RemoteSource(place, Path("dataset"))).as_arrow()
-            file = ParquetFile(source, page_checksum_verification=True)
-            stack.enter_context(file)
-            if LOGS not in (file.metadata.metadata or {}):
-                file = None
+            found = stack.enter_context(ParquetFile(source, page_checksum_verification=True))
+            logs = json.loads((found.metadata.metadata or {}).get(LOGS, b""))
+            file, rows = found, {name: Rows(*values) for name, values in logs.items()}
         except StoreError as error:
             if not isinstance(error.__cause__, FileNotFoundError):
                 raise
-        except (ArrowException, OSError) as error:
+        except (ArrowException, OSError, ValueError) as error:
             reason = getattr(error, "strerror", None)
             if reason and not isinstance(error, FileNotFoundError):
                 raise OutputError(place, f"cannot be read: {reason}") from error
-        yield file
-
-
-def _rows_in(file: ParquetFile | None) -> dict[str, Rows]:
-    found = {} if file is None else json.loads(file.metadata.metadata[LOGS])
-    return {name: Rows(*values) for name, values in found.items()}
+        yield file, rows
 
 
 def _is_damaged(file: ParquetFile | None) -> bool:
@@ -227,25 +217,40 @@ class _Source(NamedTuple):
 
 def _merge(target: str, parts: Mapping[str, Path]) -> None:
     """Write a file again with the rows of parts in place of those that it has of the same logs."""
-    from pyarrow.parquet import ParquetFile
-
-    with _opened(target) as before:
+    with _opened(target) as (before, known):
         sources, first = dict[str, _Source](), 0
-        for name, rows in _rows_in(before).items():
+        for name, rows in known.items():
             sources[name] = _Source(rows, None, first)
             first += rows.groups
         for name, path in parts.items():
             sources.pop(name, None)
             if path.stat().st_size:
-                with ParquetFile(path) as part:
-                    log = json.loads(part.metadata.metadata[METADATA_KEY])["source"]["path"]
-                    rows = Rows(log, digest_of(path).sha256, part.num_row_groups)
-                sources[name] = _Source(rows, path)
+                sources[name] = _Source(_rows_of(path), path)
         order = sorted(sources, key=lambda name: (sources[name].rows.log, name))
         if order:
             _write(target, {name: sources[name] for name in order}, before)
     if not order:
         remove(target)
+
+
+def _rows_of(part: Path) -> Rows:
+    from pyarrow import ArrowException
+    from pyarrow.parquet import ParquetFile
+
+    try:
+        with ParquetFile(part) as file:
+            log = json.loads(file.metadata.metadata[METADATA_KEY])["source"]["path"]
+            return Rows(log, digest_of(part).sha256, file.num_row_groups)
+    except (ArrowException, OSError) as error:
+        raise _unreadable(part, error) from error
+
+
+def _unreadable(place: str | Path, error: Exception) -> OutputError:
+    return OutputError(
+        without_secret(place),
+        f"its rows cannot be read ({plain(error)}); remove it, and go on with "
+        f"{Setting('skip_existing')}",
+    )
 
 
 def _write(target: str, sources: Mapping[str, _Source], before: ParquetFile | None) -> None:
@@ -288,11 +293,7 @@ def _group(file: ParquetFile, number: int, log: str, target: str) -> pa.Table:
     try:
         table = file.read_row_group(number).combine_chunks()
     except (pa.ArrowException, OSError) as error:
-        raise OutputError(
-            without_secret(target),
-            f"its rows cannot be read ({plain(error)}); remove it, and go on with "
-            f"{Setting('skip_existing')}",
-        ) from error
+        raise _unreadable(target, error) from error
     if "log" in table.column_names:
         table = table.drop_columns("log")
     field = pa.field("log", pa.string(), nullable=False)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.batch.dataset import Contents, number_of, refuse_mixture
+from quatprop.batch.dataset import number_of, refuse_mixture, rows_in
 from quatprop.batch.entries import COMPLETE, ManifestEntry, as_text, bucket_of
 from quatprop.batch.logs import TABLES, BatchTask, absolute, kind_by_suffix, place_below
 from quatprop.batch.origins import changed_ns
@@ -162,7 +162,7 @@ def plan(
     buckets = np.array([bucket_of(task.name) for task in tasks], np.uint8)
     is_due, lost = np.ones(len(tasks), bool), 0
     size_of = _sizes(settings.folder) if skip else None
-    contents = Contents(settings.folder, verify=verify)
+    rows_of = rows_in(settings.folder, verify=verify)
     for part, entries in manifest.slices(_COLUMNS):
         refuse_mixture(entries, settings.files, settings.folder)
         places = np.flatnonzero((buckets >= part.start) & (buckets < part.stop)).tolist()
@@ -183,7 +183,8 @@ def plan(
             if not _is_current(task, entry, settings):
                 return False
             if task.folder and size_of(task.name) is None:
-                return contents.has(task.name, entry.output_sha256)
+                rows = rows_of(task.name)
+                return rows is not None and rows.sha256 == entry.output_sha256
             return size_of(task.name) == entry.output_bytes and (
                 not verify or entry.output_sha256 == _sha256(settings.output_of(task))
             )

@@ -15,7 +15,7 @@ from quatprop.batch import dataset
 from quatprop.batch.dataset import with_parts
 from quatprop.batch.logs import BatchTask
 from quatprop.batch.planning import shard
-from quatprop.stores.objects import list_objects
+from quatprop.stores.objects import _s3, list_objects
 from quatprop.stores.transfers import get, upload
 
 FLEETS = Path(quatprop.__file__).parent / "docs" / "fleets.md"
@@ -134,15 +134,20 @@ def test_rows_of_a_log_that_fails_do_not_stay(logs, tmp_path):
     assert rows_of(tmp_path / "out") == {**ROWS, "a.csv": 3, "d.csv": 4}
 
 
-def test_a_file_without_logs_is_removed(tmp_path):
+@pytest.mark.parametrize("at", ["folder", "store"])
+def test_a_file_without_logs_is_removed(tmp_path, bucket, at):
     """All rows of it were those of a log that fails now."""
-    log = spin(tmp_path / "a.csv")
-    batch(log, "-o", tmp_path / "out", "--dataset", code=0)
-    (name,) = files_in(tmp_path / "out")
-    assert name == f"{with_parts([BatchTask('', 'a.csv')], 256)[0].folder[7:-1]}.parquet"
+    log, out = spin(tmp_path / "a.csv"), f"{bucket}/out" if at == "store" else str(tmp_path / "out")
+
+    def files():
+        found = list_objects(out) if at == "store" else files_in(tmp_path / "out")
+        return [name for name in found if name[0] != "_"]
+
+    batch(log, "-o", out, "--dataset", code=0)
+    assert files() == [f"{with_parts([BatchTask('', 'a.csv')], 256)[0].folder[7:-1]}.parquet"]
     log.write_text("nothing")
-    batch(log, "-o", tmp_path / "out", "--dataset", code=2)
-    assert files_in(tmp_path / "out") == {}
+    batch(log, "-o", out, "--dataset", code=2)
+    assert files() == []
 
 
 @pytest.mark.parametrize("when", ["before a file", "before the parts go"])
@@ -210,7 +215,7 @@ def test_a_folder_is_one_dataset_or_files(made, logs, tmp_path):
         )
     batch(logs / "a.csv", "-o", tmp_path / "files", code=0)
     words = refused("batch", logs, "-o", tmp_path / "files", "--dataset")
-    assert words.endswith("has a file for each log; choose no --dataset, or another folder")
+    assert words.endswith("has a file for each log; leave --dataset out, or choose another folder")
     log = pyarrow.parquet.read_table(made / "1-of-3.parquet")["log"].to_pylist()[0]
     again = (logs / log, "--root", logs, "-o", out, *DATASET, "--with", "rotvec", "-q")
     assert " has other columns than other logs in it; propagate all" in refused("batch", *again)
@@ -273,3 +278,25 @@ def test_a_dataset_opens_everywhere(made):
     duckdb = pytest.importorskip("duckdb")
     table = duckdb.read_parquet(f"{made}/*.parquet").aggregate("log, count(*)")
     assert dict(table.fetchall()) == ROWS
+
+
+def test_a_store_that_does_not_answer_loses_no_rows(tmp_path, bucket, store_server, monkeypatch):
+    """A file that cannot be fetched is not one that is damaged: its rows would be left out."""
+    for name in "ab":
+        spin(tmp_path / "in" / f"{name}.csv")
+    arguments = ("--root", tmp_path / "in", "-o", f"{bucket}/out", "--dataset", "--buckets", "1")
+    batch(tmp_path / "in", *arguments, code=0)
+    before = get(f"{bucket}/out/0-of-1.parquet")
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    _s3.cache_clear()
+    for refused_method in ("HEAD", "GET"):
+        store_server.before = lambda method, path, which=refused_method: (
+            "503 Slow Down" if method == which and path.endswith("0-of-1.parquet") else None
+        )
+        done = batch(tmp_path / "in" / "a.csv", *arguments, code=2)
+        assert f"Error: {bucket}/out/0-of-1.parquet: its store has too much to do (" in done.stderr
+    store_server.before = lambda *_: None
+    _s3.cache_clear()
+    assert get(f"{bucket}/out/0-of-1.parquet") == before
+    batch(tmp_path / "in" / "a.csv", *arguments, "--skip-existing", code=0)
+    assert get(f"{bucket}/out/0-of-1.parquet") == before
