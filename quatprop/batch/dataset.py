@@ -12,7 +12,7 @@ import re
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 from quatprop.batch.entries import as_text, hash_of
 from quatprop.batch.logs import place_below
@@ -48,7 +48,7 @@ LOGS = b"quatprop logs"
 """Key of the metadata under which a file says whose rows it has."""
 
 
-class Rows(NamedTuple):
+class LogRows(NamedTuple):
     """The rows of a log in a file.
 
     `sha256`: of the part that they are from
@@ -92,14 +92,14 @@ def refuse_mixture(outputs: Iterable[str], files: int | None, folder: str) -> No
         raise UsageError(f"{quoted(without_secret(folder))} has {what} another folder")
 
 
-def rows_in(folder: str, *, verify: bool) -> Callable[[str], Rows | None]:
+def rows_in(folder: str, *, verify: bool) -> Callable[[str], LogRows | None]:
     """Return what tells the rows of a part that are in its file; each file is looked at once.
 
     `verify`: whether a file with damaged rows has none
     """
 
     @cache
-    def of_file(name: str) -> Mapping[str, Rows]:
+    def of_file(name: str) -> Mapping[str, LogRows]:
         with _opened(place_below(folder, name)) as (file, rows):
             return {} if verify and _is_damaged(file) else rows
 
@@ -107,12 +107,12 @@ def rows_in(folder: str, *, verify: bool) -> Callable[[str], Rows | None]:
 
 
 @contextmanager
-def _opened(place: str) -> Iterator[tuple[ParquetFile | None, dict[str, Rows]]]:
+def _opened(place: str) -> Iterator[tuple[ParquetFile | None, dict[str, LogRows]]]:
     """Open a file of a dataset, with its logs in order; None where there is none."""
     from pyarrow import ArrowException
     from pyarrow.parquet import ParquetFile
 
-    file, rows = None, dict[str, Rows]()
+    file, rows = None, dict[str, LogRows]()
     with ExitStack() as stack:
         try:
             source: object = place
@@ -120,7 +120,7 @@ def _opened(place: str) -> Iterator[tuple[ParquetFile | None, dict[str, Rows]]]:
                 source = stack.enter_context(RemoteSource(place, Path("dataset"))).as_arrow()
             found = stack.enter_context(ParquetFile(source, page_checksum_verification=True))
             logs = json.loads((found.metadata.metadata or {}).get(LOGS, b""))
-            file, rows = found, {name: Rows(*values) for name, values in logs.items()}
+            file, rows = found, {name: LogRows(*values) for name, values in logs.items()}
         except StoreError as error:
             if not isinstance(error.__cause__, FileNotFoundError):
                 raise
@@ -210,7 +210,7 @@ def _remove_parts(top: str, names: Iterable[str]) -> None:
 class _Source(NamedTuple):
     """Where the rows of a log are: in a part, or without a path in the file as it was."""
 
-    rows: Rows
+    rows: LogRows
     path: Path | None
     first: int = 0
 
@@ -233,14 +233,14 @@ def _merge(target: str, parts: Mapping[str, Path]) -> None:
         remove(target)
 
 
-def _rows_of(part: Path) -> Rows:
+def _rows_of(part: Path) -> LogRows:
     from pyarrow import ArrowException
     from pyarrow.parquet import ParquetFile
 
     try:
         with ParquetFile(part) as file:
             log = json.loads(file.metadata.metadata[METADATA_KEY])["source"]["path"]
-            return Rows(log, digest_of(part).sha256, file.num_row_groups)
+            return LogRows(log, digest_of(part).sha256, file.num_row_groups)
     except (ArrowException, OSError) as error:
         raise _unreadable(part, error) from error
 
@@ -265,8 +265,7 @@ def _write(target: str, sources: Mapping[str, _Source], before: ParquetFile | No
         for rows, path, first in sources.values():
             log = as_text(rows.log)
             own_key = METADATA_KEY + f" {log}".encode()
-            with ParquetFile(path) if path else nullcontext(before) as file:
-                assert file is not None  # noqa: S101  # rows without a path are in it
+            with ParquetFile(path) if path else nullcontext(cast("ParquetFile", before)) as file:
                 metadata[own_key] = file.metadata.metadata[METADATA_KEY if path else own_key]
                 for group in range(first, first + rows.groups):
                     table = _group(file, group, log, target)

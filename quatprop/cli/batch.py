@@ -122,6 +122,7 @@ def command(
     files = _files(folder, chosen)
     part = shard(chosen["shard"], files)
     search, logs = _search(names, folder, chosen, part)
+    logs = with_parts(logs, files) if files else logs
     manifest = Manifest(folder)
     paths = {"report": None, "into": None, "log": "LOG", "output": "OUT"}
     # Whoever propagates a log may do so in another folder.
@@ -131,10 +132,7 @@ def command(
     )
     gone = deleted(manifest, search.logs, search.searched, part)
     search.logs.clear()
-    if files:
-        logs = with_parts(logs, files)
-    skip, verify = chosen["skip_existing"], chosen["verify"]
-    planned = plan(logs, settings, manifest, skip=skip, verify=verify)
+    planned = plan(logs, settings, manifest, skip=chosen["skip_existing"], verify=chosen["verify"])
     _warn_of_unused(manifest)
     logs.clear()
     tasks = planned.tasks
