@@ -106,12 +106,14 @@ class Digest(NamedTuple):
         it was not computed
     `files`: the files of a folder, by name; None for a file
     `etag`: by what an object store recognises its content; None for a file of this machine
+    `changed`: when an object was written, as its store says it; not part of reports
     """
 
     bytes: int | None = None
     sha256: str | None = None
     files: Mapping[str, Digest] | None = None
     etag: str | None = None
+    changed: str | None = None
 
     def as_json(self) -> JsonObject:
         """Return the digest as it stands in reports."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.batch.entries import COMPLETE, ManifestEntry
 from quatprop.batch.logs import BatchTask, absolute
+from quatprop.batch.origins import origin_of_read
 from quatprop.batch.tasks import BatchResult, BatchSettings, failed, output_size
 from quatprop.concurrency.processes import KILLED, map_processes
 from quatprop.concurrency.threads import available_cores
@@ -29,6 +30,7 @@ from quatprop.stores.objects import find, is_address, is_transient, list_objects
 from quatprop.stores.temp_files import temp_folder
 from quatprop.stores.transfers import move, upload
 from quatprop.text import plain, spelled, spelling
+from quatprop.writers.atomic import open_atomic
 from quatprop.writers.targets import refuse_outside
 
 if TYPE_CHECKING:
@@ -91,9 +93,10 @@ def _done(task: BatchTask, settings: BatchSettings) -> BatchResult:
 def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchResult:
     """Propagate one log into a file of this machine."""
     job = settings.job
-    job = job._replace(log=task.path, known_as=task.log, output=job.output._replace(path=path))
+    names, output = partial(known_as, task), job.output._replace(path=path)
+    job = job._replace(log=task.path, known_as=names, output=output)
     for _ in range(ATTEMPTS):
-        origin = task.origin_now()
+        origin = task.origin if is_address(task.path) else task.origin_now()
         report = run(job, summary=False)
         # A log in a store was compared with itself when it had been read.
         if is_address(task.path) or origin == task.origin_now():
@@ -106,9 +109,26 @@ def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchRes
     log = report.source.digest
     if log.sha256 is None and not is_address(task.path):
         log = digest_of(task.path)
+    origin = origin or origin_of_read(task.path, log)
     entry = _entry(task, report, log, digest_of(path))._replace(origin=origin)
     json = report.as_json() if settings.reports else None
     return BatchResult(entry, losses=report.losses, report=json)
+
+
+def known_as(task: BatchTask, paths: Sequence[str]) -> list[str]:
+    """Return what the output of a log calls it and others: below its root by their paths there.
+
+    Others have their own name, with as many folders as tell them apart, on any machine.
+    """
+    above = os.path.join(absolute(task.root), "")  # noqa: PTH118
+    inside = [absolute(path).startswith(above) for path in paths]
+    places = [absolute(path).removeprefix(above).replace(os.sep, "/") for path in paths]
+    for depth in range(1, 2 + max(place.count("/") for place in places)):
+        tails = ("/".join(place.split("/")[-depth:]) for place in places)
+        names = [each[not own] for own, *each in zip(inside, places, tails, strict=True)]
+        if len({*names}) == len(names):
+            break
+    return [task.log, *names[1:]]
 
 
 def _entry(task: BatchTask, report: RunReport, log: Digest, output: Digest) -> ManifestEntry:
@@ -174,9 +194,18 @@ def output_size_of(output: str) -> int | None:
 
 
 def _set_aside(task: BatchTask, settings: BatchSettings) -> None:
-    """Move an earlier output of a log that fails now: it would look like one of today."""
+    """Move an earlier output of a log that fails now: it would look like one of today.
+
+    Of a dataset an empty part takes its rows out.
+    """
     output = settings.output_of(task)
-    if is_address(output) or os.path.lexists(output):
+    if task.folder:
+        if not is_address(output):
+            refuse_outside(output, settings.folder)
+            os.makedirs(os.path.dirname(output), exist_ok=True)  # noqa: PTH103, PTH120
+        with open_atomic(output):
+            pass
+    elif is_address(output) or os.path.lexists(output):
         move(output, settings.output_of(task._replace(named=f"{STALE}/{task.name}.old")))
 
 

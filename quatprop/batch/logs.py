@@ -42,6 +42,7 @@ class BatchTask(NamedTuple):
     `origin`: by what a store's listing tells that it is another log; empty if it was not listed
     `named`: path of its output in the folder of the batch, where that is another one than usually;
         empty where there cannot be any
+    `folder`: that of its output in the folder of the batch, with ``/``; empty where it is that
     """
 
     root: str
@@ -52,6 +53,7 @@ class BatchTask(NamedTuple):
     refused: str = ""
     origin: str = ""
     named: str | None = None
+    folder: str = ""
 
     @property
     def path(self) -> str:
@@ -75,7 +77,7 @@ class BatchTask(NamedTuple):
     @property
     def name(self) -> str:
         """The path of its output in the folder of the batch."""
-        return f"{self.stem}{self.suffix}" if self.named is None else self.named
+        return f"{self.folder}{self.stem}{self.suffix}" if self.named is None else self.named
 
     def origin_now(self) -> str:
         """Return by what it is told that the log is another one; empty if that is not known."""

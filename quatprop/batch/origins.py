@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from pyarrow.fs import FileInfo
+
+    from quatprop.provenance import Digest
 
 
 def origin_of(log: str) -> str:
@@ -31,6 +34,15 @@ def origin_of(log: str) -> str:
     # Definitions of messages may be in packages below.
     inside = {*place.iterdir(), *place.rglob("*.msg")}
     return origin_of_parts((file.name, _of_file(file)) for file in inside if file.exists())
+
+
+def origin_of_read(log: str, digest: Digest) -> str:
+    """Return the same of a log that was read from a store, which as a rule is not asked again."""
+    try:
+        changed = datetime.fromisoformat(digest.changed or "")
+    except ValueError:
+        return origin_of(log)
+    return f"{digest.bytes}:{int(changed.timestamp()) * NS_PER_S}"
 
 
 def _of_file(file: Path) -> str:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.batch.entries import COMPLETE, ManifestEntry, as_text, bucket_of, hash_of
+from quatprop.batch.dataset import number_of, refuse_mixture, rows_in
+from quatprop.batch.entries import COMPLETE, ManifestEntry, as_text, bucket_of
 from quatprop.batch.logs import TABLES, BatchTask, absolute, kind_by_suffix, place_below
 from quatprop.batch.origins import changed_ns
 from quatprop.batch.tasks import output_size
@@ -77,18 +78,40 @@ class Plan(NamedTuple):
     lost: int = 0
 
 
-def shard(logs: Iterable[BatchTask], text: str) -> list[BatchTask]:
-    """Return one part of N of the logs: that of one machine of many, as in an array job.
+class Shard(NamedTuple):
+    """One part of N of the logs: that of one machine of many, as in an array job.
 
-    A log is in the same part whatever other logs there are.
+    A log is in the same part whatever other logs there are, and a file of a dataset as a whole.
 
-    `text`: ``"I/N"``, the I-th part, from 1 to N
+    `number`: from 0
+    `files`: of the dataset; None for a file a log
     """
+
+    number: int
+    parts: int
+    files: int | None = None
+
+    def has_file(self, number: int) -> bool:
+        """Return whether a file of the dataset is in this part."""
+        return number % self.parts == self.number
+
+    def has(self, log: BatchTask) -> bool:
+        """Return whether a log is."""
+        return self.has_file(number_of(log) % self.files if self.files else number_of(log))
+
+
+def shard(text: str | None, files: int | None = None) -> Shard:
+    """Return the part that is asked for.
+
+    `text`: ``"I/N"``, the I-th part, from 1 to N; None for all logs
+    """
+    if text is None:
+        return Shard(0, 1)
     match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
     part, parts = map(int, match.groups()) if match else (0, 0)
     if not 1 <= part <= parts:
         raise UsageError(f"{quoted(text)} is not I/N, from 1/N to N/N, for {Setting('shard')}")
-    return [log for log in logs if hash_of(log.stem.lower()) % parts == part - 1]
+    return Shard(part - 1, parts, files)
 
 
 def with_names(tasks: list[BatchTask], folder: str) -> None:
@@ -108,7 +131,7 @@ def with_names(tasks: list[BatchTask], folder: str) -> None:
             task = tasks[place]
             owner = owners.setdefault(stem, task)
             if owner is not task and absolute(owner.root) == absolute(task.root):
-                tasks[place] = task = task._replace(named=f"{task.log}{task.suffix}")
+                tasks[place] = task = task._replace(named=f"{task.folder}{task.log}{task.suffix}")
                 owner = owners.setdefault(task.log.lower(), task)
             if owner is not task:
                 tasks[place] = _refused(task, owner.path, place_below(folder, task.name))
@@ -139,7 +162,9 @@ def plan(
     buckets = np.array([bucket_of(task.name) for task in tasks], np.uint8)
     is_due, lost = np.ones(len(tasks), bool), 0
     size_of = _sizes(settings.folder) if skip else None
+    rows_of = rows_in(settings.folder, verify=verify)
     for part, entries in manifest.slices(_COLUMNS):
+        refuse_mixture(entries, settings.files, settings.folder)
         places = np.flatnonzero((buckets >= part.start) & (buckets < part.stop)).tolist()
         known = {
             place: Known(*entries[name])
@@ -155,10 +180,13 @@ def plan(
 
         def is_current(one: tuple[int, Known]) -> bool:
             task, entry = tasks[one[0]], one[1]
-            return (
-                size_of(task.name) == entry.output_bytes
-                and _is_current(task, entry, settings)
-                and (not verify or entry.output_sha256 == _sha256(settings.output_of(task)))
+            if not _is_current(task, entry, settings):
+                return False
+            if task.folder and size_of(task.name) is None:
+                rows = rows_of(task.name)
+                return rows is not None and rows.sha256 == entry.output_sha256
+            return size_of(task.name) == entry.output_bytes and (
+                not verify or entry.output_sha256 == _sha256(settings.output_of(task))
             )
 
         is_near = not any(is_address(tasks[place].path) for place in known)
@@ -188,7 +216,7 @@ def _refuse_replaced(tasks: Sequence[BatchTask], settings: BatchSettings) -> Non
 
     inputs = [task.path for task in tasks if is_inside(task.path)]
     if inputs := [*inputs, *settings.job.settings.inputs.values()]:
-        refuse_overlap(inputs, [settings.output_of(task) for task in tasks if task.name])
+        refuse_overlap(inputs, {settings.file_of(task): None for task in tasks if task.name})
 
 
 def _other_owner(task: BatchTask, entry: Known) -> str | None:
@@ -244,12 +272,9 @@ def _sha256(output: str) -> str | None:
 
 
 def deleted(
-    manifest: Manifest, logs: Iterable[BatchTask], searched: Iterable[str], part: str | None
+    manifest: Manifest, logs: Iterable[BatchTask], searched: Iterable[str], part: Shard
 ) -> list[ManifestEntry]:
-    """Return entries for logs that are no longer in the folders that were searched.
-
-    `part`: the part of the logs that this batch has; None for all
-    """
+    """Return entries for logs of a part that are no longer in the folders that were searched."""
     found: dict[str, set[str]] = {absolute(root): set() for root in searched}
     for log in logs:
         if (root := absolute(log.root)) in found:
@@ -259,7 +284,7 @@ def deleted(
         for output, (state, root, log) in entries.items():
             if state == "deleted" or log in found.get(root, {log}):
                 continue
-            if not part or shard([BatchTask(root, log)], part):
+            if part.has(BatchTask(root, log)):
                 place = place_below(root, log)
                 if not (exists(place) if is_address(place) else os.path.lexists(place)):
                     gone.append(ManifestEntry("deleted", root, log, output))

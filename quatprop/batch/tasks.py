@@ -7,6 +7,7 @@ import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from quatprop.batch.dataset import file_of
 from quatprop.batch.entries import ManifestEntry
 from quatprop.batch.logs import BatchTask, absolute, place_below
 from quatprop.batch.origins import origin_of
@@ -26,6 +27,7 @@ class BatchSettings(NamedTuple):
     `options`: digest of all settings but the paths, and of the files that they name
     `reports`: whether results have the reports of the runs
     `retries`: how often a log is tried again whose store did not answer
+    `files`: number of files of the dataset; None for a file a log
     """
 
     job: Job
@@ -33,9 +35,10 @@ class BatchSettings(NamedTuple):
     options: str
     reports: bool = False
     retries: int = 0
+    files: int | None = None
 
     @classmethod
-    def of(cls, job: Job, folder: str, *, reports: bool = False, retries: int = 0) -> BatchSettings:
+    def of(cls, job: Job, folder: str, **others: Any) -> BatchSettings:
         """Return the settings of a batch, with the digest."""
         settings = job.settings
         named = [*settings.inputs.values(), *filter(None, [settings.selection.msg_path])]
@@ -46,11 +49,15 @@ class BatchSettings(NamedTuple):
             except (OSError, StoreError):  # each log says so
                 files.append("")
         text = repr((settings, job.output._replace(path=""), files))
-        return cls(job, folder, hashlib.sha256(text.encode()).hexdigest(), reports, retries)
+        return cls(job, folder, hashlib.sha256(text.encode()).hexdigest(), **others)
 
     def output_of(self, task: BatchTask) -> str:
         """Return the path or the address of the attitudes of a log."""
         return place_below(self.folder, task.name)
+
+    def file_of(self, task: BatchTask) -> str:
+        """Return where they are when the batch has ended."""
+        return place_below(self.folder, file_of(task.name)) if task.folder else self.output_of(task)
 
     def with_threads(self, count: int) -> BatchSettings:
         """Return the same with so many threads, unless the settings say how many."""

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from quatprop.batch.logs import BatchTask, LogSearch
     from quatprop.batch.manifest import Manifest
+    from quatprop.batch.planning import Shard
     from quatprop.batch.tasks import BatchResult, BatchSettings
 
 ONE_LOG = {"log", "logs", "output", "to", "into", "plot", "report", "quiet", "verbose"}
@@ -43,6 +44,12 @@ OPTIONS = {
     "--to": Keyword(
         Choice(*WRITERS), f"{', '.join(WRITERS)}.", "parquet", "FORMAT", group="Output",
         common=True, preset=True),
+    "--dataset": Keyword(
+        flag, "One Parquet dataset with a column log, instead of a file a log.", group="Output"),
+    "--buckets": Keyword(
+        click.IntRange(1, 1 << 16),
+        "With --dataset: the number of its files; in which a log is depends on its name alone.",
+        "256", "N", group="Output"),
     "--list list_file": Keyword(
         PATH, "Also take names from FILE or stdin, one a line, relative to the current folder.",
         takes="FILE|-", group="Execution"),
@@ -103,30 +110,29 @@ def command(
     DIR/_manifest lists them. A log that cannot be used does not stop the others (exit code
     2; 3: data was lost).
     """
+    from quatprop.batch.dataset import merge_parts, with_parts
     from quatprop.batch.manifest import Manifest
-    from quatprop.batch.planning import deleted, plan
+    from quatprop.batch.planning import deleted, plan, shard
     from quatprop.batch.tasks import BatchSettings
     from quatprop.cli.batch_results import ShownResults, counted
     from quatprop.cli.progress import bar, on_terminal
     from quatprop.stores.objects import without_file_scheme
 
     folder = without_file_scheme(folder)
-    if chosen["dask"] and chosen["processes"]:
-        raise click.UsageError("-j is for this machine; leave it out with --dask")
-    if chosen["verify"] and not chosen["skip_existing"]:
-        raise click.UsageError("--verify goes with --skip-existing")
-    if Path(folder).is_file():
-        raise click.UsageError(f"-o {folder} is a file; name a folder for the outputs")
-    search, logs = _search(names, folder, chosen)
+    files = _files(folder, chosen)
+    part = shard(chosen["shard"], files)
+    search, logs = _search(names, folder, chosen, part)
+    logs = with_parts(logs, files) if files else logs
     manifest = Manifest(folder)
     paths = {"report": None, "into": None, "log": "LOG", "output": "OUT"}
     # Whoever propagates a log may do so in another folder.
     job = propagate.job_of({**chosen, **paths}, Path.cwd())
-    settings = BatchSettings.of(job, folder, reports=as_json, retries=chosen["retries"])
-    gone = deleted(manifest, search.logs, search.searched, chosen["shard"])
+    settings = BatchSettings.of(
+        job, folder, reports=as_json, retries=chosen["retries"], files=files
+    )
+    gone = deleted(manifest, search.logs, search.searched, part)
     search.logs.clear()
-    skip, verify = chosen["skip_existing"], chosen["verify"]
-    planned = plan(logs, settings, manifest, skip=skip, verify=verify)
+    planned = plan(logs, settings, manifest, skip=chosen["skip_existing"], verify=chosen["verify"])
     _warn_of_unused(manifest)
     logs.clear()
     tasks = planned.tasks
@@ -142,6 +148,8 @@ def command(
                 shown.add(index, result)
     if tasks or gone:
         manifest.collect()
+    if files:
+        merge_parts(folder, part.has_file, chosen["processes"] or available_cores())
     if as_json:
         click.echo(json.dumps([report for _, report in sorted(shown.reports.items())], indent=2))
     counts = {
@@ -154,20 +162,36 @@ def command(
     only_tables = tasks and len(tasks) == shown.states["no rates"] and not planned.skipped
     if only_tables and not chosen["shard"]:
         raise click.UsageError(f"there are no logs: {counted(counts)}; name the logs themselves")
-    if shown.states["failed"]:
-        return 2
-    return 3 if shown.states["data lost"] or planned.lost else 0
+    return 2 if shown.states["failed"] else 3 if shown.states["data lost"] or planned.lost else 0
 
 
 command.params += SHARED
 
 
+def _files(folder: str, chosen: Mapping[str, Any]) -> int | None:
+    """Return the number of files of the dataset, if it is to be one; refuse contradictions."""
+    from quatprop.batch.entries import BUCKETS
+
+    if chosen["dask"] and chosen["processes"]:
+        raise click.UsageError("-j is for this machine; leave it out with --dask")
+    if chosen["verify"] and not chosen["skip_existing"]:
+        raise click.UsageError("--verify goes with --skip-existing")
+    if Path(folder).is_file():
+        raise click.UsageError(f"-o {folder} is a file; name a folder for the outputs")
+    if not chosen["dataset"]:
+        if chosen["buckets"]:
+            raise click.UsageError("--buckets goes with --dataset")
+        return None
+    if chosen["to"] != "parquet":
+        raise click.UsageError(f"--dataset is Parquet; leave --to {chosen['to']} out")
+    return chosen["buckets"] or BUCKETS
+
+
 def _search(
-    names: Iterable[str], folder: str, chosen: Mapping[str, Any]
+    names: Iterable[str], folder: str, chosen: Mapping[str, Any], part: Shard
 ) -> tuple[LogSearch, list[BatchTask]]:
-    """Return the search for all names, and its logs, or one part of them."""
+    """Return the search for all names, and one part of its logs."""
     from quatprop.batch.logs import LogSearch
-    from quatprop.batch.planning import shard
     from quatprop.stores.objects import without_secret
 
     given = list(names)
@@ -184,8 +208,7 @@ def _search(
         raise click.UsageError(
             f"there are no logs{where}; name files, folders or patterns, or use --list"
         )
-    part = chosen["shard"]
-    return search, shard(search.logs, part) if part else list(search.logs)
+    return search, [log for log in search.logs if part.has(log)]
 
 
 def _warn_of_unused(manifest: Manifest) -> None:

@@ -44,7 +44,7 @@ class ShownResults:
         self.states[result.entry.state] += 1
         self._samples += result.entry.samples or 0
         task = self._tasks[index]
-        output = self._settings.output_of(task)
+        output = self._settings.file_of(task)
         if self._keeps:
             self.reports[index] = _report(task, output, result)
         if result.entry.state == "failed":

@@ -27,9 +27,10 @@ from quatprop.writers.formats import format_remarks, layout_of
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from quatprop.pipeline.attitude_stream import Observer
+    from quatprop.provenance import JsonObject
     from quatprop.tables.log import Log
     from quatprop.writers.attitudes import AttitudeWriter
 
@@ -46,15 +47,15 @@ class Job(NamedTuple):
 
     `log`: path of the log, or ``"-"`` for CSV on stdin
     `more`: further files of the same recording, read as one log with it
-    `known_as`: what the output says of where it is from, so that it has the same bytes wherever it
-        is made; None for the path, with digests
+    `known_as`: returns what the output calls some files, the first of which is the log, so that it
+        has the same bytes wherever it is made; None for their paths, with digests
     """
 
     log: str
     output: OutputSettings
     settings: PropagationSettings = PropagationSettings()
     more: tuple[str, ...] = ()
-    known_as: str | None = None
+    known_as: Callable[[Sequence[str]], list[str]] | None = None
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -105,8 +106,7 @@ def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
         ):
             report = _written(stream, writer, job, log)
             # Everything that can fail comes before the first output is put in its place.
-            kept = report if job.known_as is None else report.named(job.known_as)
-            writer.finish(kept.as_json())
+            writer.finish(_provenance(report, job))
             report = replace(report, seconds=time.perf_counter() - began)
             if output.report is not None:
                 report_file.finish(report.as_json())
@@ -116,6 +116,16 @@ def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
             writer.publish()
             report_file.publish()
     return report
+
+
+def _provenance(report: RunReport, job: Job) -> JsonObject:
+    """Return what the output says of how it was made."""
+    if job.known_as is None:
+        return report.as_json()
+    named = filter(None, [*job.settings.inputs.values(), job.settings.selection.msg_path])
+    paths = sorted({*report.files, *map(str, named)} - {job.log})
+    log, *names = job.known_as([job.log, *paths])
+    return report.named(log, dict(zip(paths, names, strict=True)))
 
 
 def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log) -> RunReport:

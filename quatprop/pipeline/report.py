@@ -14,7 +14,7 @@ from quatprop.writers.atomic import OutputFile
 from quatprop.writers.targets import output_errors
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -192,10 +192,16 @@ class RunReport:
         """Whether a part of the log could not be read, or samples were dropped."""
         return bool(self.losses or self.counts.dropped)
 
-    def named(self, name: str) -> RunReport:
-        """Return the same without what depends on where its log is: its path, and who knows it."""
-        digest = Digest(self.source.digest.bytes)
-        return replace(self, source=self.source._replace(path=name, digest=digest))
+    def named(self, log: str, names: Mapping[str, str]) -> JsonObject:
+        """Return the report as JSON without what depends on where files are: their paths, and ETag.
+
+        `log`: name of the log
+        `names`: path of another file -> its name
+        """
+        source = self.source._replace(path=log, digest=Digest(self.source.digest.bytes))
+        longest = sorted(names.items(), key=lambda item: -len(item[0]))
+        renamed: JsonObject = _renamed(replace(self, source=source).as_json(), longest)
+        return renamed
 
     def as_json(self) -> JsonObject:
         """Return the report as JSON: the content of a report file and of outputs' metadata."""
@@ -205,6 +211,18 @@ class RunReport:
         if seconds is None:
             return report
         return {**report, "unchecked_chunks": unchecked, "timings": {"seconds": seconds}}
+
+
+def _renamed(value: Any, names: Sequence[tuple[str, str]]) -> Any:
+    """Return JSON in which files have other names, in sentences, too."""
+    if isinstance(value, dict):
+        return {_renamed(key, names): _renamed(item, names) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_renamed(item, names) for item in value]
+    if isinstance(value, str):
+        for path, name in names:
+            value = value.replace(path, name)
+    return value
 
 
 def convention_of(layout: str) -> JsonObject:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import threading
 from bisect import bisect_right
 from collections import OrderedDict
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -171,7 +173,10 @@ class RemoteSource(FileSource):
 
     def _fetch(self, begin: int, end: int) -> bytes:
         with reading(self._address):
-            return bytes(self._object.read_at(end - begin, begin))
+            data = bytes(self._object.read_at(end - begin, begin))
+        if end - begin == self.size:
+            self.stored.read.append(_md5(data).hexdigest())
+        return data
 
     def _fetch_together(self, places: list[Place]) -> bytes:
         """Return the bytes of ranges that one request reads, without what is between them."""
@@ -194,9 +199,12 @@ class RemoteSource(FileSource):
         blocks = [(begin, begin + BLOCK_BYTES) for begin in range(0, self.size, BLOCK_BYTES)]
         if self.size > SMALL_BYTES:
             self._announce(blocks)
+        digest = _md5()
         with target.open("wb") as file:
             for begin, end in blocks:
-                file.write(self.read(begin, end - begin))
+                file.write(data := self.read(begin, end - begin))
+                digest.update(data)
+        self.stored.read.append(digest.hexdigest())
 
     def close(self) -> None:
         """Close the object, and remove what was copied."""
@@ -234,6 +242,9 @@ def local_copy(
 def bag_files(address: str) -> list[str]:
     """Return the names of the files of a bag in a store, without those of folders inside."""
     return [name for name in list_objects(address) if "/" not in name]
+
+
+_md5 = partial(hashlib.md5, usedforsecurity=False)
 
 
 class _Stream(io.RawIOBase):

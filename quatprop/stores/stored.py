@@ -23,12 +23,19 @@ class StoredObject(NamedTuple):
     `size`: bytes
     `etag`: by what its store recognises its content; None if it does not say
     `changed`: when it was written, as its store says it
+    `read`: MD5 of all that was read of it, as many stores have it for their ETag
     """
 
     name: str
     size: int
     etag: str | None
     changed: str
+    read: list[str]
+
+    @property
+    def is_proved(self) -> bool:
+        """Whether what was read is what it was when it was opened: nobody need be asked."""
+        return self.etag in self.read
 
 
 def stored_object(file: NativeFile, store: FileSystem, place: str, name: str = "") -> StoredObject:
@@ -40,7 +47,7 @@ def stored_object(file: NativeFile, store: FileSystem, place: str, name: str = "
     etag, changed = known.get("ETag"), known.get("Last-Modified")
     if changed is None:  # no request in a file system of this machine
         changed = str(store.get_file_info(place).mtime_ns)
-    return StoredObject(name, file.size(), etag.strip('"') if etag else None, changed)
+    return StoredObject(name, file.size(), etag.strip('"') if etag else None, changed, [])
 
 
 def objects_of(address: str, names: Iterable[str] = ("",)) -> list[StoredObject]:
@@ -70,7 +77,9 @@ class StoredLog:
     @property
     def digest(self) -> Digest:
         """Size and ETag of its object, or of each of its objects."""
-        digests = {one.name: Digest(one.size, etag=one.etag) for one in self.objects}
+        digests = {
+            one.name: Digest(one.size, etag=one.etag, changed=one.changed) for one in self.objects
+        }
         if "" in digests:
             return digests[""]
         return Digest(sum(digest.bytes or 0 for digest in digests.values()), files=digests)
@@ -79,7 +88,8 @@ class StoredLog:
         """Ask the store, once, whether it still has the same: Arrow's ranges have no If-Match."""
         if self._is_confirmed:
             return
-        if self.objects != objects_of(self.address, [one.name for one in self.objects]):
+        before = [one._replace(read=[]) for one in self.objects if not one.is_proved]
+        if before != objects_of(self.address, [one.name for one in before]):
             raise ReplacedError(
                 f"{plain(without_secret(self.address))}: it was replaced while it was read; try "
                 "again when nobody writes it"

@@ -13,12 +13,12 @@ import os
 import stat
 import time
 import weakref
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Generic, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 T = TypeVar("T")
 
@@ -90,22 +90,23 @@ def take_mode_of(path: Path, place: Path) -> None:
     try:
         mode = place.stat().st_mode
     except FileNotFoundError:
-        mode = _mode_of_new(place)
+        # What the umask and the folder's own rules make of a new file can only be tried.
+        trial = LockedTemp(place, Path.touch)
+        mode = trial.path.stat().st_mode
+        trial.remove()
     if path.stat().st_mode != mode:
         path.chmod(stat.S_IMODE(mode))
 
 
-def _mode_of_new(place: Path) -> int:
-    """Return what the umask and the folder's own rules make of a new file, which is tried."""
-    # Where files need no name, there is nothing to remove.
-    with suppress(AttributeError, OSError):
-        nameless = os.open(place.parent, os.O_TMPFILE | os.O_WRONLY, 0o666)
-        with os.fdopen(nameless, "wb"):
-            return os.fstat(nameless).st_mode
-    trial = LockedTemp(place, Path.touch)
-    mode = trial.path.stat().st_mode
-    trial.remove()
-    return mode
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Let one run at a time have a file or folder; where that is not supported, all of them."""
+    lock = _lock(path, wait=True)
+    try:
+        yield
+    finally:
+        if lock is not None:
+            os.close(lock)
 
 
 def _prefix(place: Path) -> str:

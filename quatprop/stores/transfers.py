@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from concurrent.futures import Future, wait
+from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from quatprop.errors import OutputError
@@ -22,7 +23,6 @@ from quatprop.stores.objects import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from quatprop.stores.compression import Buffer
 
@@ -53,6 +53,19 @@ def upload(source: Path, address: str) -> None:
         put(target, pa.memory_map(str(file)).read_buffer() if file.stat().st_size else b"")
 
 
+def remove(place: str) -> None:
+    """Remove a file or an object, if it is there."""
+    if is_address(place):
+        with reading(place):
+            store, path = locate(place)
+            store.delete_file(path)
+        return
+    try:
+        Path(place).unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(place, f"cannot be removed: {error.strerror}") from error
+
+
 def move(source: str, target: str) -> None:
     """Move a file, a folder or an object, in place of what is there; nothing if there is none."""
     import shutil
@@ -62,9 +75,7 @@ def move(source: str, target: str) -> None:
         for name in names if names is not None else list_objects(source, missing_ok=True):
             one, other = (below(place, name) if name else place for place in (source, target))
             put(other, get(one))
-            with reading(one):
-                store, place = locate(one)
-                store.delete_file(place)
+            remove(one)
         return
     try:
         if os.path.isdir(target):  # noqa: PTH112

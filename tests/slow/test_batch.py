@@ -45,12 +45,10 @@ def test_each_log_gives_what_propagate_gives(tmp_path, processes):
     assert done.stdout == ""
 
 
-def shards(folder, out):
+def shards(folder, out, *options):
     """Run the two halves of a batch at once, as the machines of an array job do."""
-    parts = [
-        subprocess.Popen([INSTALLED, "batch", folder, "-o", out, "-q", "-j", "1", "--shard", part])
-        for part in ("1/2", "2/2")
-    ]
+    command = [INSTALLED, "batch", folder, "-o", out, "-q", "-j", "1", *options, "--shard"]
+    parts = [subprocess.Popen([*command, part]) for part in ("1/2", "2/2")]
     assert [part.wait(60) for part in parts] == [0, 0]
 
 
@@ -60,6 +58,17 @@ def test_several_batches_write_to_one_folder(tmp_path):
     shards(logs_in(tmp_path / "in", 8), out)
     assert len(outputs_in(out)) == len(entries(out)) == 8
     assert len(Manifest(str(out)).history()) == 8
+
+
+def test_a_dataset_is_the_same_wherever_it_is_made(tmp_path):
+    """By two processes, and by two batches at once that have a part of its files each."""
+    logs, dataset = logs_in(tmp_path / "in", 8), ("--dataset", "--buckets", "5")
+    shards(logs, tmp_path / "0", *dataset)
+    batch(logs, "-o", tmp_path / "1", "-j", "2", *dataset, "-q", code=0)
+    made = [{path.name: path.read_bytes() for path in (tmp_path / folder).glob("*.parquet")}
+            for folder in "01"]  # fmt: skip
+    assert made[0]
+    assert made[0] == made[1]
 
 
 def test_several_batches_write_to_one_prefix_of_a_store(bucket, tmp_path):

@@ -10,7 +10,7 @@ differences, hence the delta encoding. Only stamps have statistics: time ranges 
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 import pyarrow.parquet
 
@@ -27,6 +27,27 @@ PAGE = 1 << 16
 """Rows of a page: each page costs time of its own, and so do calls that write much at once."""
 
 
+def parquet_writer(
+    stream: BinaryIO, schema: pa.Schema, *, write_page_checksum: bool = False
+) -> pyarrow.parquet.ParquetWriter:
+    """Return a writer of ``t_ns`` and numbers, and in a dataset of the name of their log."""
+    names = [field.name for field in schema if field.name not in {"t_ns", "log"}]
+    return pyarrow.parquet.ParquetWriter(
+        stream,
+        schema,
+        compression="zstd",
+        compression_level=-1,
+        use_dictionary=["log"],
+        write_statistics=["t_ns", "log"],
+        max_rows_per_page=PAGE,
+        column_encoding={
+            "t_ns": "DELTA_BINARY_PACKED",
+            **dict.fromkeys(names, "BYTE_STREAM_SPLIT"),
+        },
+        write_page_checksum=write_page_checksum,
+    )
+
+
 class ParquetTable(ArrowTable):
     """Write columns as Parquet.
 
@@ -36,19 +57,7 @@ class ParquetTable(ArrowTable):
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
         super().__init__(target, names)
         with self._opening():
-            self._parquet = pyarrow.parquet.ParquetWriter(
-                self._output.stream,
-                self._schema,
-                compression="zstd",
-                compression_level=-1,
-                use_dictionary=False,
-                write_statistics=["t_ns"],
-                max_rows_per_page=PAGE,
-                column_encoding={
-                    "t_ns": "DELTA_BINARY_PACKED",
-                    **dict.fromkeys(names, "BYTE_STREAM_SPLIT"),
-                },
-            )
+            self._parquet = parquet_writer(self._output.stream, self._schema)
 
     def _finish(self, provenance: Mapping[str, object]) -> None:
         self._flush()

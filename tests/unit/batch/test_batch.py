@@ -259,7 +259,8 @@ def test_every_option_of_propagate_holds_for_every_log_or_is_about_one():
     own = {name for option in command.params for name in option.opts if name.startswith("--")}
     assert own == EVERY_LOG.keys() | {"--config", "--output", "--to", "--quiet", "--json", "--dask",
                                       "--skip-existing", "--list", "--verify", "--root", "--shard",
-                                      "--retries", "--threads"}  # fmt: skip
+                                      "--retries", "--threads", "--dataset",
+                                      "--buckets"}  # fmt: skip
 
 
 @pytest.mark.parametrize("option", EVERY_LOG)

@@ -1,6 +1,7 @@
 """What the manifest says is proved: outputs that are there, of logs as they are."""
 
 import errno
+import json
 import os
 import re
 import shutil
@@ -8,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pyarrow.dataset
+import pyarrow.parquet
 import pytest
 from make.batches import batch, entries, outputs_in, said, spin
 from make.commands import refused
@@ -16,6 +18,7 @@ from make.places import SAMPLE_LOGS
 import quatprop
 from quatprop import __version__
 from quatprop.batch import execution, listing
+from quatprop.batch.logs import BatchTask
 from quatprop.batch.manifest import Manifest
 from quatprop.stores.transfers import get, upload
 
@@ -194,21 +197,33 @@ def test_a_store_that_does_not_answer_is_asked_again(tmp_path, bucket, store_ser
 
 
 def test_a_skipped_log_of_a_store_costs_no_request(tmp_path, bucket, store_server):
-    """A new one cost six HEADs, and one that was skipped two; what a listing says is enough."""
+    """A new one cost six HEADs, then two, and one that was skipped two."""
+    logs = f"{bucket}/in"
     for number in range(3):
-        spin(f"{bucket}/in/{number}.csv")
-    again = (f"{bucket}/in", "-o", tmp_path / "out", "--skip-existing")
+        spin(f"{logs}/{number}.csv")
+    upload(SAMPLE_LOGS / "coning.mcap", f"{logs}/3.mcap")
+    rows = (f"{10_000_000 * k},0,0,{k % 7}\n" for k in range(90_000))  # more than is read at once
+    (tmp_path / "long.csv").write_text(f"t_ns,wx,wy,wz\n{''.join(rows)}")
+    upload(tmp_path / "long.csv", f"{logs}/4.csv")
 
-    def asked():
+    def heads(*given):
         before = len(store_server.requests)
-        batch(*again, code=0)
-        named = [one for one in store_server.requests[before:] if one[1].endswith(".csv")]
-        return named.count(("HEAD", named[0][1])) if named else 0
+        batch(*given, "--skip-existing", code=0)
+        named = [path for method, path in store_server.requests[before:] if method == "HEAD"]
+        return {number: sum(f"/{number}." in path for path in named) for number in range(5)}
 
-    assert asked() == 2  # to open it, and whether it is the same when it has been read
-    monkey = dict.fromkeys(entries(tmp_path / "out"), 0)
-    assert len(monkey) == 3
-    assert asked() <= 1  # it was written in the minute of its reading, perhaps twice
+    out = ("-o", tmp_path / "out")
+    assert heads(logs, *out) == dict.fromkeys(range(5), 1)  # to open it
+    # It was written in the minute of its reading, perhaps twice.
+    assert max(heads(logs, *out).values()) <= 1
+    store_server.age(bucket)
+    assert heads(logs, *out) == dict.fromkeys(range(5), 1)
+    assert heads(logs, *out) == dict.fromkeys(range(5), 0)
+    # Of a log that is named its store is asked by opening it.
+    assert heads(f"{logs}/3.mcap", f"{logs}/4.csv", "-o", tmp_path / "named")[3] == 1
+    assert {name: entry["origin"] for name, entry in entries(tmp_path / "named").items()} == {
+        name: entries(tmp_path / "out")[name]["origin"] for name in ("3.parquet", "4.parquet")
+    }
 
 
 def test_outputs_are_the_same_wherever_they_are_made(tmp_path, bucket, monkeypatch):
@@ -226,6 +241,36 @@ def test_outputs_are_the_same_wherever_they_are_made(tmp_path, bucket, monkeypat
         made.append({path.name: path.read_bytes() for path in (out / "deep").iterdir()})
     assert len(made[0]) == 3
     assert made[1:] == made[:1] * 3
+
+
+def test_files_beside_the_logs_are_named_as_on_every_machine(tmp_path, bucket):
+    """A calibration, a truth and a first attitude were named by their absolute paths."""
+    made = []
+    for number, place in enumerate(("here", "deep/there", "here")):
+        root = tmp_path / place
+        spin(root / "in" / "a.csv")
+        spin(root / "in" / "times.csv", samples=3)
+        spin(root / "side" / "times.csv", samples=4)
+        if number == 0:
+            batch(root / "in" / "a.csv", "-o", root / "side", code=0)
+        elif number == 1:
+            shutil.copyfile(tmp_path / "here" / "side" / "a.parquet", root / "side" / "a.parquet")
+        logs = root / "in" / "a.csv"
+        if number == 2:
+            logs = f"{bucket}/in/a.csv"
+            upload(root / "in" / "a.csv", logs)
+        for times in ("in", "side"):
+            files = ("--at", root / times / "times.csv", "--q0", root / "side" / "a.parquet")
+            out = root / f"out{number}{times}"
+            batch(logs, "-o", out, *files, code=0)
+            made.append((out / "a.parquet").read_bytes())
+            text = pyarrow.parquet.read_metadata(out / "a.parquet").metadata[b"quatprop"]
+            assert set(json.loads(text)["files"]) == {"a.parquet", "times.csv"}
+            assert str(tmp_path).encode() not in text
+    assert made[2:] == made[:2] * 2
+    task = BatchTask("/r", "a.csv")
+    named = ["/r/a.csv", "/r/x/b.csv", "/s/1/b.csv", "/s/2/b.csv", "/s/c.csv"]
+    assert execution.known_as(task, named) == ["a.csv", "x/b.csv", "1/b.csv", "2/b.csv", "s/c.csv"]
 
 
 def test_the_outputs_are_one_dataset(tmp_path):
@@ -264,7 +309,7 @@ def test_the_queries_of_the_document_answer_what_they_ask(tmp_path, monkeypatch)
         manifest.record(before._replace(quatprop="0.0.9"))
     manifest.collect()
     batch("in", "-o", "attitudes", code=3)
-    lost, new, changed = (duckdb.sql(query).fetchall() for query in SQL)
+    lost, new, changed = (duckdb.sql(query).fetchall() for query in SQL[:3])
     assert lost == [("torn.parquet", ["line 7: it has 2 columns instead of 4"])]
     assert sorted(new) == [("new.parquet",), ("torn.parquet",)]
     assert [(name, sorted(versions)) for name, versions in changed] == [

@@ -1,0 +1,299 @@
+"""One Parquet dataset of all logs: a fixed number of files, a log in the file of its name's hash.
+
+Each log becomes a part, as it becomes a file elsewhere. Parts are merged into their file when a
+batch ends, sorted by log, a row group at a time, and removed when it is in its place; an empty part
+takes out the rows of its log. A file depends on its logs alone, not on when which of them came.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from functools import cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, cast
+
+from quatprop.batch.entries import as_text, hash_of
+from quatprop.batch.logs import place_below
+from quatprop.concurrency.processes import KILLED, map_processes
+from quatprop.errors import OutputError, QuatpropError, StoreError, UsageError
+from quatprop.pipeline.report import convention_of
+from quatprop.provenance import METADATA_KEY, digest_of
+from quatprop.stores.objects import is_address, list_objects, without_secret
+from quatprop.stores.remote import RemoteSource
+from quatprop.stores.temp_files import locked, temp_folder
+from quatprop.stores.transfers import remove
+from quatprop.text import Setting, plain, quoted
+from quatprop.writers.atomic import open_atomic
+from quatprop.writers.targets import refuse_outside
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+
+    import pyarrow as pa
+    from pyarrow.parquet import ParquetFile
+
+    from quatprop.batch.logs import BatchTask
+
+PARTS = "_parts"
+"""Readers of data sets skip what begins with an underscore."""
+
+SUFFIX = ".parquet"
+
+_FILE = re.compile(r"(\d+)-of-(\d+)")
+"""Name of a file and of the folder of its parts: its number, and how many there are."""
+
+LOGS = b"quatprop logs"
+"""Key of the metadata under which a file says whose rows it has."""
+
+
+class LogRows(NamedTuple):
+    """The rows of a log in a file.
+
+    `sha256`: of the part that they are from
+    `groups`: number of row groups, which follow those of the log before
+    """
+
+    log: str
+    sha256: str | None
+    groups: int
+
+
+def number_of(log: BatchTask) -> int:
+    """Return a number that a log has on any machine, whatever other logs there are."""
+    return hash_of(log.stem.lower())
+
+
+def with_parts(tasks: Iterable[BatchTask], files: int) -> list[BatchTask]:
+    """Return the logs of a batch as parts of a dataset of so many files."""
+    width = len(str(files - 1))
+    folders = [f"{PARTS}/{number:0{width}}-of-{files}/" for number in range(files)]
+    return [task._replace(folder=folders[number_of(task) % files]) for task in tasks]
+
+
+def file_of(name: str) -> str:
+    """Return the file of the dataset into which a part goes."""
+    return name.split("/")[1] + SUFFIX
+
+
+def refuse_mixture(outputs: Iterable[str], files: int | None, folder: str) -> None:
+    """Refuse a folder whose outputs are those of another dataset, or of none."""
+    start, end = f"{PARTS}/", len(PARTS) + 1
+    folders = {
+        name[end : name.find("/", end)] if name.startswith(start) else "" for name in outputs
+    }
+    found = map(_FILE.fullmatch, folders)
+    for other in {int(match[2]) if match else None for match in found} - {files}:
+        what = f"a file for each log; leave {Setting('dataset')} out, or choose"
+        if other:
+            options = f"{Setting('dataset')} {Setting('buckets', str(other))}"
+            what = f"a dataset of {other} files; choose {options}, or"
+        raise UsageError(f"{quoted(without_secret(folder))} has {what} another folder")
+
+
+def rows_in(folder: str, *, verify: bool) -> Callable[[str], LogRows | None]:
+    """Return what tells the rows of a part that are in its file; each file is looked at once.
+
+    `verify`: whether a file with damaged rows has none
+    """
+
+    @cache
+    def of_file(name: str) -> Mapping[str, LogRows]:
+        with _opened(place_below(folder, name)) as (file, rows):
+            return {} if verify and _is_damaged(file) else rows
+
+    return lambda part: of_file(file_of(part)).get(part)
+
+
+@contextmanager
+def _opened(place: str) -> Iterator[tuple[ParquetFile | None, dict[str, LogRows]]]:
+    """Open a file of a dataset, with its logs in order; None where there is none."""
+    from pyarrow import ArrowException
+    from pyarrow.parquet import ParquetFile
+
+    file, rows = None, dict[str, LogRows]()
+    with ExitStack() as stack:
+        try:
+            source: object = place
+            if is_address(place):
+                source = stack.enter_context(RemoteSource(place, Path("dataset"))).as_arrow()
+            found = stack.enter_context(ParquetFile(source, page_checksum_verification=True))
+            logs = json.loads((found.metadata.metadata or {}).get(LOGS, b""))
+            file, rows = found, {name: LogRows(*values) for name, values in logs.items()}
+        except StoreError as error:
+            if not isinstance(error.__cause__, FileNotFoundError):
+                raise
+        except (ArrowException, OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None)
+            if reason and not isinstance(error, FileNotFoundError):
+                raise OutputError(place, f"cannot be read: {reason}") from error
+        yield file, rows
+
+
+def _is_damaged(file: ParquetFile | None) -> bool:
+    """Read all, and compare the checksums."""
+    from pyarrow import ArrowException
+
+    try:
+        for group in range(0 if file is None else file.num_row_groups):
+            file.read_row_group(group)  # type: ignore[union-attr]
+    except (ArrowException, OSError):
+        return True
+    return False
+
+
+def merge_parts(folder: str, wanted: Callable[[int], bool], processes: int) -> None:
+    """Merge the parts of a dataset into its files.
+
+    `wanted`: whether the file with a number is one of this batch
+    """
+    place = place_below(folder, PARTS)
+    if is_address(folder):
+        names = {name.split("/")[0] for name in list_objects(place, missing_ok=True)}
+    else:
+        names = {path.name for path in Path(place).glob("*")}
+    found = filter(None, map(_FILE.fullmatch, names))
+    files = sorted(match[0] for match in found if wanted(int(match[1])))
+
+    def on_killed(name: str) -> str:
+        return f"{plain(without_secret(place_below(folder, name + SUFFIX)))}: {KILLED}"
+
+    results = map_processes(partial(_merged, folder), files, processes, on_killed)
+    if errors := [error for _, error in results if error]:
+        raise QuatpropError(errors[0])
+
+
+def _merged(folder: str, name: str) -> str:
+    """Merge the parts of one file; return what went wrong, empty if nothing."""
+    target, top = place_below(folder, name + SUFFIX), place_below(folder, f"{PARTS}/{name}")
+    try:
+        if not is_address(folder):
+            refuse_outside(target, folder)
+        # Two batches may write to one folder; in a store nothing can be locked.
+        with locked(Path(top)), _parts_in(top) as parts:
+            if parts:
+                _merge(target, {f"{PARTS}/{name}/{part}": path for part, path in parts.items()})
+                _remove_parts(top, parts)
+    except QuatpropError as error:
+        return error.text
+    return ""
+
+
+@contextmanager
+def _parts_in(top: str) -> Iterator[dict[str, Path]]:
+    """Yield the parts of a file, by their names below its folder; those of a store as copies."""
+    if not is_address(top):
+        found = Path(top).rglob(f"*{SUFFIX}")
+        yield {path.relative_to(top).as_posix(): path for path in found if path.is_file()}
+        return
+    temp, parts = temp_folder(), dict[str, Path]()
+    try:
+        for number, name in enumerate(list_objects(top, missing_ok=True)):
+            parts[name] = temp.path / f"{number}"
+            with RemoteSource(place_below(top, name), parts[name]) as source:
+                source.copy_to(parts[name])
+        yield parts
+    finally:
+        temp.remove()
+
+
+def _remove_parts(top: str, names: Iterable[str]) -> None:
+    """Remove parts, and the folders below the first that are empty then."""
+    for name in names:
+        remove(place_below(top, name))
+        with suppress(OSError):
+            for above in Path(name).parents[:-1] if not is_address(top) else ():
+                Path(top, above).rmdir()
+
+
+class _Source(NamedTuple):
+    """Where the rows of a log are: in a part, or without a path in the file as it was."""
+
+    rows: LogRows
+    path: Path | None
+    first: int = 0
+
+
+def _merge(target: str, parts: Mapping[str, Path]) -> None:
+    """Write a file again with the rows of parts in place of those that it has of the same logs."""
+    with _opened(target) as (before, known):
+        sources, first = dict[str, _Source](), 0
+        for name, rows in known.items():
+            sources[name] = _Source(rows, None, first)
+            first += rows.groups
+        for name, path in parts.items():
+            sources.pop(name, None)
+            if path.stat().st_size:
+                sources[name] = _Source(_rows_of(path), path)
+        order = sorted(sources, key=lambda name: (sources[name].rows.log, name))
+        if order:
+            _write(target, {name: sources[name] for name in order}, before)
+    if not order:
+        remove(target)
+
+
+def _rows_of(part: Path) -> LogRows:
+    from pyarrow import ArrowException
+    from pyarrow.parquet import ParquetFile
+
+    try:
+        with ParquetFile(part) as file:
+            log = json.loads(file.metadata.metadata[METADATA_KEY])["source"]["path"]
+            return LogRows(log, digest_of(part).sha256, file.num_row_groups)
+    except (ArrowException, OSError) as error:
+        raise _unreadable(part, error) from error
+
+
+def _unreadable(place: str | Path, error: Exception) -> OutputError:
+    return OutputError(
+        without_secret(place),
+        f"its rows cannot be read ({plain(error)}); remove it, and go on with "
+        f"{Setting('skip_existing')}",
+    )
+
+
+def _write(target: str, sources: Mapping[str, _Source], before: ParquetFile | None) -> None:
+    """Write the rows of all logs; the metadata say which logs they are, and how they came about."""
+    from pyarrow.parquet import ParquetFile
+
+    from quatprop.writers.tables.parquet import parquet_writer
+
+    logs = {name: source.rows for name, source in sources.items()}
+    writer, metadata = None, {LOGS: json.dumps(logs).encode()}
+    with open_atomic(target) as stream, ExitStack() as stack:
+        for rows, path, first in sources.values():
+            log = as_text(rows.log)
+            own_key = METADATA_KEY + f" {log}".encode()
+            with ParquetFile(path) if path else nullcontext(cast("ParquetFile", before)) as file:
+                metadata[own_key] = file.metadata.metadata[METADATA_KEY if path else own_key]
+                for group in range(first, first + rows.groups):
+                    table = _group(file, group, log, target)
+                    if writer is None:
+                        writer = parquet_writer(stream, table.schema, write_page_checksum=True)
+                        stack.enter_context(writer)
+                    if writer.schema != table.schema:
+                        raise OutputError(
+                            without_secret(target),
+                            f"{quoted(log)} has other columns than other logs in it; propagate all "
+                            "logs with the same options, or write to another folder",
+                        )
+                    writer.write_table(table)
+        if writer is not None:
+            layout = json.loads(metadata[own_key])["convention"]["layout"]
+            metadata[METADATA_KEY] = json.dumps(convention_of(layout)).encode()
+            writer.add_key_value_metadata(metadata)
+
+
+def _group(file: ParquetFile, number: int, log: str, target: str) -> pa.Table:
+    """Return a row group with its log; in one piece, as others would have other pages."""
+    import pyarrow as pa
+
+    try:
+        table = file.read_row_group(number).combine_chunks()
+    except (pa.ArrowException, OSError) as error:
+        raise _unreadable(target, error) from error
+    if "log" in table.column_names:
+        table = table.drop_columns("log")
+    field = pa.field("log", pa.string(), nullable=False)
+    return table.add_column(0, field, pa.repeat(log, len(table))).replace_schema_metadata(None)
