@@ -22,10 +22,10 @@ from quatprop.writers.formats import WRITERS
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Mapping
 
-    from quatprop.batch.logs import BatchTask, LogSearch
-    from quatprop.batch.manifest import Manifest
-    from quatprop.batch.planning import Shard
-    from quatprop.batch.tasks import BatchResult, BatchSettings
+    from quatprop.batching.logs import BatchTask, LogSearch
+    from quatprop.batching.manifest import Manifest
+    from quatprop.batching.planning import Shard
+    from quatprop.batching.tasks import BatchResult, BatchSettings
 
 ONE_LOG = {"log", "logs", "output", "to", "into", "plot", "report", "quiet", "verbose"}
 """Parameters of ``propagate`` that are about one log."""
@@ -110,10 +110,10 @@ def command(
     DIR/_manifest lists them. A log that cannot be used does not stop the others (exit code
     2; 3: data was lost).
     """
-    from quatprop.batch.dataset import merge_parts, with_parts
-    from quatprop.batch.manifest import Manifest
-    from quatprop.batch.planning import deleted, plan, shard
-    from quatprop.batch.tasks import BatchSettings
+    from quatprop.batching.dataset import merge_parts, with_parts
+    from quatprop.batching.manifest import Manifest
+    from quatprop.batching.planning import deleted, plan, shard
+    from quatprop.batching.tasks import BatchSettings
     from quatprop.cli.batch_results import ShownResults, counted
     from quatprop.cli.progress import bar, on_terminal
     from quatprop.stores.objects import without_file_scheme
@@ -170,7 +170,7 @@ command.params += SHARED
 
 def _files(folder: str, chosen: Mapping[str, Any]) -> int | None:
     """Return the number of files of the dataset, if it is to be one; refuse contradictions."""
-    from quatprop.batch.entries import BUCKETS
+    from quatprop.batching.entries import BUCKETS
 
     if chosen["dask"] and chosen["processes"]:
         raise click.UsageError("-j is for this machine; leave it out with --dask")
@@ -191,7 +191,7 @@ def _search(
     names: Iterable[str], folder: str, chosen: Mapping[str, Any], part: Shard
 ) -> tuple[LogSearch, list[BatchTask]]:
     """Return the search for all names, and one part of its logs."""
-    from quatprop.batch.logs import LogSearch
+    from quatprop.batching.logs import LogSearch
     from quatprop.stores.objects import without_secret
 
     given = list(names)
@@ -224,8 +224,8 @@ def _warn_of_unused(manifest: Manifest) -> None:
 def _results(
     tasks: list[BatchTask], settings: BatchSettings, chosen: Mapping[str, Any], manifest: Manifest
 ) -> Generator[tuple[int, BatchResult]]:
-    from quatprop.batch.cluster import on_a_cluster
-    from quatprop.batch.execution import on_this_machine
+    from quatprop.batching.cluster import on_a_cluster
+    from quatprop.batching.execution import on_this_machine
 
     if chosen["dask"] is not None:
         return on_a_cluster(tasks, settings, chosen["dask"], manifest)

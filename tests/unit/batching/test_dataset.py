@@ -11,10 +11,10 @@ from make.batches import batch, entries, said, spin
 from make.commands import refused, run
 
 import quatprop
-from quatprop.batch import dataset
-from quatprop.batch.dataset import with_parts
-from quatprop.batch.logs import BatchTask
-from quatprop.batch.planning import shard
+from quatprop.batching import dataset
+from quatprop.batching.dataset import with_parts
+from quatprop.batching.logs import BatchTask
+from quatprop.batching.planning import shard
 from quatprop.stores.objects import _s3, list_objects
 from quatprop.stores.transfers import get, upload
 

@@ -9,8 +9,8 @@ import pytest
 from make.batches import batch, entries, outputs_in, said, spin
 from make.commands import refused, run
 
-from quatprop.batch import execution
-from quatprop.batch.tasks import BatchSettings
+from quatprop.batching import execution
+from quatprop.batching.tasks import BatchSettings
 from quatprop.cli.batch import command
 from quatprop.cli.propagate import command as propagate
 from quatprop.errors import LogError

@@ -14,8 +14,8 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, cast
 
-from quatprop.batch.entries import as_text, hash_of
-from quatprop.batch.logs import place_below
+from quatprop.batching.entries import as_text, hash_of
+from quatprop.batching.logs import place_below
 from quatprop.concurrency.processes import KILLED, map_processes
 from quatprop.errors import OutputError, QuatpropError, StoreError, UsageError
 from quatprop.pipeline.report import convention_of
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from pyarrow.parquet import ParquetFile
 
-    from quatprop.batch.logs import BatchTask
+    from quatprop.batching.logs import BatchTask
 
 PARTS = "_parts"
 """Readers of data sets skip what begins with an underscore."""
