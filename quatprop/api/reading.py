@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 from inspect import cleandoc
+from itertools import chain
 from typing import TYPE_CHECKING, TypeAlias, TypeVar, Unpack, cast
 
 import numpy as np
@@ -86,9 +87,10 @@ def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions])
         batches = signal.batches()
         if values.get("regular_time"):
             batches = Timeline(OBSERVE._replace(regular_time=True), path).apply(batches)
-        parts = list(batches)
+        first = next(batches, GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3))))
+        series = GyroSeries.gathered(chain([first], batches))
         warn(path, opened.losses, (*signal.remarks, *opened.remarks))
-    return GyroSeries.joined(parts or [GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))])
+    return series
 
 
 @with_keywords_of(AttitudeOptions, "attitudes")

@@ -196,6 +196,6 @@ def simulate(**options: Unpack[SimulateOptions]) -> Simulation:
     from quatprop.simulation.settings import simulated
 
     motion, shape, gyroscope, q0 = simulated(parse_all(options, SIMULATE))
-    both = AttitudeSeries.joined(list(record(motion_named(motion, shape), gyroscope, q0)))
+    both = AttitudeSeries.gathered(record(motion_named(motion, shape), gyroscope, q0))
     rates = GyroSeries(both.t_ns, np.asarray(both.rate))
     return Simulation(rates, AttitudeSeries(both.t_ns, both.wxyz))
