@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from dataclasses import replace
 from inspect import cleandoc
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from os import PathLike
 
+    from quatprop.errors import QuatpropWarning
     from quatprop.tables.log import Loss
 
     StrPath: TypeAlias = str | PathLike[str]
@@ -152,13 +154,21 @@ def warn(
     *,
     dropped: int = 0,
 ) -> None:
-    """Warn of losses and remarks at the line where the user calls the function that calls this."""
+    """Warn of losses and remarks."""
     lost = [(f"lost: {loss.place}: {spelled(loss.reason)}", loss.messages) for loss in losses]
     for text, messages in [*lost, *[(f"{dropped} rows were dropped", dropped)] * bool(dropped)]:
         loss_warning = DataLossWarning(f"{path}: {text}")
         loss_warning.messages = messages
-        warnings.warn(loss_warning, stacklevel=3)
+        issue(loss_warning)
     for remark in remarks:
         warning = RemarkWarning(f"{path}: {spelled(remark)}")
         warning.code = remark.code
-        warnings.warn(warning, stacklevel=3)
+        issue(warning)
+
+
+def issue(warning: QuatpropWarning) -> None:
+    """Issue a warning at the line where the user calls the library, however deep this is in it."""
+    level, frame = 2, sys._getframe(1)  # noqa: SLF001  # what the stack has no other name for
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("quatprop."):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(warning, stacklevel=level)

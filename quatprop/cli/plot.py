@@ -116,7 +116,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
         part=GyroCorrection(start=chosen["start"], end=chosen["end"]),
     )
     with progress(quiet=quiet):
-        lines, warnings, data_lost = plot(
+        lines, page, data_lost = plot(
             files,
             chosen["output"],
             view,
@@ -126,7 +126,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
             command=command_line(),
         )
     if not quiet:
-        said = [*lines, *(f"warning: {warning}" for warning in warnings)]
+        said = [*lines, *(f"warning: {warning}" for warning in page.warnings)]
         click.echo("\n".join(map(plain, said)), err=True)
     return 3 if data_lost else 0
 
