@@ -61,6 +61,7 @@ from quatprop.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from quatprop.api.attitudes import compare, convert, write
+    from quatprop.api.batch import batch
     from quatprop.api.propagation import PropagatedSeries, propagate
     from quatprop.api.reading import read_attitudes, read_rates
     from quatprop.api.tools import Simulation, info, plot, simulate
@@ -86,6 +87,7 @@ __all__ = [
     "RemarkWarning",
     "RunReport",
     "Simulation",
+    "batch",
     "compare",
     "convert",
     "info",
@@ -111,6 +113,7 @@ _MODULES = {
     "RemarkWarning": "quatprop.errors",
     "RunReport": "quatprop.pipeline.report",
     "Simulation": "quatprop.api.tools",
+    "batch": "quatprop.api.batch",
     "compare": "quatprop.api.attitudes",
     "convert": "quatprop.api.attitudes",
     "info": "quatprop.api.tools",

@@ -26,6 +26,7 @@ class BatchSettings(NamedTuple):
     `options`: digest of all settings but the paths, and of the files that they name
     `reports`: whether results have the reports of the runs
     `retries`: how often a log is tried again whose store did not answer
+    `is_library`: whether sentences name keywords instead of options
     """
 
     job: Job
@@ -33,6 +34,7 @@ class BatchSettings(NamedTuple):
     options: str
     reports: bool = False
     retries: int = 0
+    is_library: bool = False
 
     @classmethod
     def of(cls, job: Job, folder: str, *, reports: bool = False, retries: int = 0) -> BatchSettings:

@@ -13,18 +13,16 @@ from quatprop.cli import propagate
 from quatprop.cli.help import Command, GroupedOption
 from quatprop.cli.options import QUIET, with_options
 from quatprop.cli.types import PATH, content_of
-from quatprop.concurrency.threads import available_cores
 from quatprop.settings.keyword import Keyword
 from quatprop.settings.parsers import Choice, flag
 from quatprop.text import listed, plain
 from quatprop.writers.formats import WRITERS
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Mapping
+    from collections.abc import Iterable, Mapping
 
     from quatprop.batch.logs import BatchTask, LogSearch
     from quatprop.batch.manifest import Manifest
-    from quatprop.batch.tasks import BatchResult, BatchSettings
 
 ONE_LOG = {"log", "logs", "output", "to", "into", "plot", "report", "quiet", "verbose"}
 """Parameters of ``propagate`` that are about one log."""
@@ -104,7 +102,7 @@ def command(
     2; 3: data was lost).
     """
     from quatprop.batch.manifest import Manifest
-    from quatprop.batch.planning import deleted, plan
+    from quatprop.batch.run import Batch
     from quatprop.batch.tasks import BatchSettings
     from quatprop.cli.batch_results import ShownResults, counted
     from quatprop.cli.progress import bar, on_terminal
@@ -123,25 +121,17 @@ def command(
     # Whoever propagates a log may do so in another folder.
     job = propagate.job_of({**chosen, **paths}, Path.cwd())
     settings = BatchSettings.of(job, folder, reports=as_json, retries=chosen["retries"])
-    gone = deleted(manifest, search.logs, search.searched, chosen["shard"])
-    search.logs.clear()
     skip, verify = chosen["skip_existing"], chosen["verify"]
-    planned = plan(logs, settings, manifest, skip=skip, verify=verify)
+    part = chosen["shard"]
+    batch = Batch(search, logs, settings, manifest, part=part, skip=skip, verify=verify)
     _warn_of_unused(manifest)
-    logs.clear()
-    tasks = planned.tasks
-    if tasks or gone:
-        manifest.prepare()
-    for entry in gone:
-        manifest.record(entry)
-    with closing(_results(tasks, settings, chosen, manifest)) as results:
+    planned, tasks = batch.plan, batch.plan.tasks
+    with closing(batch.results(chosen["processes"], chosen["dask"])) as results:
         meter = bar(len(tasks), "log", disable=not on_terminal(quiet=quiet))
         shown = ShownResults(tasks, settings, meter, quiet=quiet, keeps=as_json)
         with meter:
             for index, result in results:
                 shown.add(index, result)
-    if tasks or gone:
-        manifest.collect()
     if as_json:
         click.echo(json.dumps([report for _, report in sorted(shown.reports.items())], indent=2))
     counts = {
@@ -150,9 +140,9 @@ def command(
         "link|to folders": search.links,
     }
     if not quiet:
-        shown.finish(planned, counts, len(gone))
+        shown.finish(planned, counts, len(batch.gone))
     only_tables = tasks and len(tasks) == shown.states["no rates"] and not planned.skipped
-    if only_tables and not chosen["shard"]:
+    if only_tables and not part:
         raise click.UsageError(f"there are no logs: {counted(counts)}; name the logs themselves")
     if shown.states["failed"]:
         return 2
@@ -196,15 +186,3 @@ def _warn_of_unused(manifest: Manifest) -> None:
             "writes; ignored, so that a log may be propagated again",
             err=True,
         )
-
-
-def _results(
-    tasks: list[BatchTask], settings: BatchSettings, chosen: Mapping[str, Any], manifest: Manifest
-) -> Generator[tuple[int, BatchResult]]:
-    from quatprop.batch.cluster import on_a_cluster
-    from quatprop.batch.execution import on_this_machine
-
-    if chosen["dask"] is not None:
-        return on_a_cluster(tasks, settings, chosen["dask"], manifest)
-    processes = chosen["processes"] or available_cores()
-    return on_this_machine(tasks, settings, processes, manifest)
