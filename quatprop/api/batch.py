@@ -90,11 +90,11 @@ def batch(  # noqa: PLR0913  # one keyword for each option
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise UsageError(
             "the processes of batch() import this script; call it below "
-            f"if __name__ == '__main__':, or with {Setting('processes', '1')}"
+            f"if __name__ == '__main__':, or with processes=1"
         )
     folder = without_file_scheme(path_text("output", output))
     if verify and not skip_existing:
-        raise UsageError(f"{Setting('verify')} goes with {Setting('skip_existing', 'True')}")
+        raise UsageError(f"{Setting('verify')} goes with {Setting('skip_existing')}")
     suffixes = WRITERS[kind_of("OUT", to)].suffixes
     top = None if root is None else path_text("root", root)
     of_messages = next((n for n in ("topic", "rate_field", "time_field") if n in options), None)
