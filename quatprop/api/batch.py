@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.api.reading import StrPath
-    from quatprop.batch.entries import ManifestEntry
+    from quatprop.batching.entries import ManifestEntry
     from quatprop.settings.choices import Layout
 
 
@@ -77,11 +77,11 @@ def batch(  # noqa: PLR0913  # one keyword for each option
     QuatpropError
         There are no logs, or the settings cannot be used.
     """
-    from quatprop.batch.logs import LogSearch
-    from quatprop.batch.manifest import Manifest
-    from quatprop.batch.planning import shard as part_of
-    from quatprop.batch.run import Batch
-    from quatprop.batch.tasks import BatchSettings
+    from quatprop.batching.logs import LogSearch
+    from quatprop.batching.manifest import Manifest
+    from quatprop.batching.planning import shard as part_of
+    from quatprop.batching.run import Batch
+    from quatprop.batching.tasks import BatchSettings
     from quatprop.pipeline.job import Job
     from quatprop.pipeline.settings import OutputSettings, propagation_settings
     from quatprop.stores.objects import without_file_scheme
@@ -90,7 +90,7 @@ def batch(  # noqa: PLR0913  # one keyword for each option
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise UsageError(
             "the processes of batch() import this script; call it below "
-            f"if __name__ == '__main__':, or with processes=1"
+            "if __name__ == '__main__':, or with processes=1"
         )
     folder = without_file_scheme(path_text("output", output))
     if verify and not skip_existing:

@@ -21,8 +21,8 @@ from quatprop.writers.formats import WRITERS
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from quatprop.batch.logs import BatchTask, LogSearch
-    from quatprop.batch.manifest import Manifest
+    from quatprop.batching.logs import BatchTask, LogSearch
+    from quatprop.batching.manifest import Manifest
 
 ONE_LOG = {"log", "logs", "output", "to", "into", "plot", "report", "quiet", "verbose"}
 """Parameters of ``propagate`` that are about one log."""
@@ -101,9 +101,9 @@ def command(
     DIR/_manifest lists them. A log that cannot be used does not stop the others (exit code
     2; 3: data was lost).
     """
-    from quatprop.batch.manifest import Manifest
-    from quatprop.batch.run import Batch
-    from quatprop.batch.tasks import BatchSettings
+    from quatprop.batching.manifest import Manifest
+    from quatprop.batching.run import Batch
+    from quatprop.batching.tasks import BatchSettings
     from quatprop.cli.batch_results import ShownResults, counted
     from quatprop.cli.progress import bar, on_terminal
     from quatprop.stores.objects import without_file_scheme
@@ -156,8 +156,8 @@ def _search(
     names: Iterable[str], folder: str, chosen: Mapping[str, Any]
 ) -> tuple[LogSearch, list[BatchTask]]:
     """Return the search for all names, and its logs, or one part of them."""
-    from quatprop.batch.logs import LogSearch
-    from quatprop.batch.planning import shard
+    from quatprop.batching.logs import LogSearch
+    from quatprop.batching.planning import shard
     from quatprop.stores.objects import without_secret
 
     given = list(names)

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
     from tqdm import tqdm
 
-    from quatprop.batch.logs import BatchTask
-    from quatprop.batch.planning import Plan
-    from quatprop.batch.tasks import BatchResult, BatchSettings
+    from quatprop.batching.logs import BatchTask
+    from quatprop.batching.planning import Plan
+    from quatprop.batching.tasks import BatchResult, BatchSettings
 
 
 class ShownResults:

@@ -18,7 +18,7 @@ from pathlib import Path
 from make.batches import entries, spin
 from make.commands import INSTALLED, run
 
-from quatprop.batch.manifest import Manifest
+from quatprop.batching.manifest import Manifest
 
 
 def begun(folder, out, *options):

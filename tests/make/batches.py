@@ -3,7 +3,7 @@
 from make.commands import run
 from make.tables import write_rates
 
-from quatprop.batch.manifest import Manifest
+from quatprop.batching.manifest import Manifest
 from quatprop.stores.transfers import put
 
 

@@ -10,7 +10,7 @@ from functools import cache
 import click
 
 import quatprop
-from quatprop.batch.entries import ManifestEntry
+from quatprop.batching.entries import ManifestEntry
 from quatprop.cli.commands import COMMANDS, cli
 from quatprop.cli.help import GROUPS, OWN, GroupedOption
 from quatprop.comparison.result import Comparison

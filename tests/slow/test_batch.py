@@ -11,10 +11,10 @@ from make.batches import batch, entries, outputs_in, said, spin
 from make.commands import INSTALLED, installed, refused, run
 from make.places import SAMPLE_LOGS
 
-from quatprop.batch.cluster import on_a_cluster
-from quatprop.batch.logs import BatchTask
-from quatprop.batch.manifest import Manifest
-from quatprop.batch.tasks import BatchSettings
+from quatprop.batching.cluster import on_a_cluster
+from quatprop.batching.logs import BatchTask
+from quatprop.batching.manifest import Manifest
+from quatprop.batching.tasks import BatchSettings
 from quatprop.errors import UsageError
 from quatprop.pipeline.job import Job
 from quatprop.pipeline.settings import OutputSettings
@@ -195,7 +195,7 @@ def test_a_cluster_that_is_not_there(tmp_path):
     task = BatchTask(str(tmp_path), "a.csv", ".npy")
     with pytest.raises(UsageError, match="no Dask scheduler answers at 'nonsense'"):
         list(on_a_cluster([task], settings, "nonsense", Manifest(str(tmp_path))))
-    code = "from quatprop.batch.cluster import _client; _client('nonsense')"
+    code = "from quatprop.batching.cluster import _client; _client('nonsense')"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
     )

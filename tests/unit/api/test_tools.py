@@ -128,6 +128,39 @@ def test_what_cannot_be_drawn_is_refused(sources, options, reason):
         quatprop.plot(*sources, **options)
 
 
+def test_a_batch_is_that_of_the_command(tmp_path):
+    """Only a process could run one; here its manifest comes back, and sentences name keywords."""
+    logs, out = [BAG, SAMPLE_LOGS / "coning.mcap", TRUTH], tmp_path / "out"
+    entries = quatprop.batch(logs, out, method="coning", to="csv", processes=1)
+    assert [entry.state for entry in entries] == ["done", "done", "failed"]
+    assert "name the columns with rate_cols and time_col" in entries[2].error
+    assert all(entry.time and entry.run for entry in entries)
+    one = quatprop.propagate(BAG, method="coning")
+    np.testing.assert_array_equal(quatprop.read_attitudes(out / entries[0].output).wxyz, one.wxyz)
+    words = ("--method", "coning", "--to", "csv", "-o", out, "--skip-existing")
+    assert "nothing to do" in run("batch", *logs[:2], *words).stderr
+    assert quatprop.batch(logs[:2], out, method="coning", to="csv", skip_existing=True) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"at": [1, 2]}, "at of batch.. is a file"),
+        ({"verify": True}, "verify goes with skip_existing"),
+        ({"shard": "3/2"}, "'3/2' is not I/N"),
+        ({"to": "doc"}, "no output kind 'doc'"),
+        ({"methods": "end"}, "did you mean 'method'"),
+        ({"logs": []}, "is not a path"),
+    ],
+)
+def test_a_batch_that_makes_no_sense_is_refused(tmp_path, options, reason):
+    """Before anything is done."""
+    out = tmp_path / "out"
+    with pytest.raises(QuatpropError, match=reason):
+        quatprop.batch(**{"logs": BAG, "output": out, **options})
+    assert not out.exists()
+
+
 def test_a_report_is_short_when_shown():
     """It filled pages of a notebook."""
     report = quatprop.propagate(BAG).report

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.batch.entries import COMPLETE, ManifestEntry, as_text, bucket_of, hash_of
-from quatprop.batch.logs import TABLES, BatchTask, absolute, kind_by_suffix, place_below
-from quatprop.batch.origins import changed_ns
-from quatprop.batch.tasks import output_size
+from quatprop.batching.entries import COMPLETE, ManifestEntry, as_text, bucket_of, hash_of
+from quatprop.batching.logs import TABLES, BatchTask, absolute, kind_by_suffix, place_below
+from quatprop.batching.origins import changed_ns
+from quatprop.batching.tasks import output_size
 from quatprop.errors import StoreError, UsageError
 from quatprop.provenance import digest_of
 from quatprop.stores.objects import exists, is_address, list_objects, without_secret
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from datetime import datetime
 
-    from quatprop.batch.manifest import Manifest
-    from quatprop.batch.tasks import BatchSettings
+    from quatprop.batching.manifest import Manifest
+    from quatprop.batching.tasks import BatchSettings
 
 REQUESTS = 32
 """Logs in an object store about which it is asked at a time."""

@@ -9,8 +9,8 @@ import pytest
 from make.batches import batch, entries, outputs_in, said, spin
 from make.commands import refused, run
 
-from quatprop.batch import execution
-from quatprop.batch.tasks import BatchSettings
+from quatprop.batching import execution
+from quatprop.batching.tasks import BatchSettings
 from quatprop.cli.batch import command
 from quatprop.cli.propagate import command as propagate
 from quatprop.errors import LogError
@@ -206,7 +206,7 @@ def test_a_batch_takes_the_cores_that_it_may_use(tmp_path, monkeypatch):
     """As in a job of which the scheduler says on how many cores it runs."""
     counts = []
 
-    def noted(_tasks, _settings, processes, *_options):
+    def noted(_tasks, _settings, processes, *_options, **_isolated):
         counts.append(processes)
         yield from ()
 

@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from quatprop.batch.entries import COMPLETE
-from quatprop.batch.execution import output_size_of, propagate_log, record
-from quatprop.batch.tasks import BatchResult, BatchSettings, failed
+from quatprop.batching.entries import COMPLETE
+from quatprop.batching.execution import output_size_of, propagate_log, record
+from quatprop.batching.tasks import BatchResult, BatchSettings, failed
 from quatprop.errors import QuatpropError, UsageError
 from quatprop.stores.objects import is_address
 from quatprop.text import Setting, plain, quoted
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
     from distributed import Client, Future
 
-    from quatprop.batch.entries import ManifestEntry
-    from quatprop.batch.logs import BatchTask
-    from quatprop.batch.manifest import Manifest
+    from quatprop.batching.entries import ManifestEntry
+    from quatprop.batching.logs import BatchTask
+    from quatprop.batching.manifest import Manifest
 
 AHEAD = 1000
 """Logs that are submitted to a cluster before the first of them is done."""

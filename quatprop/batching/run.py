@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from quatprop.batch.planning import Plan, deleted, plan
+from quatprop.batching.planning import Plan, deleted, plan
 from quatprop.concurrency.threads import available_cores
 
 if TYPE_CHECKING:
     from collections.abc import Generator
 
-    from quatprop.batch.logs import BatchTask, LogSearch
-    from quatprop.batch.manifest import Manifest
-    from quatprop.batch.tasks import BatchResult, BatchSettings
+    from quatprop.batching.logs import BatchTask, LogSearch
+    from quatprop.batching.manifest import Manifest
+    from quatprop.batching.tasks import BatchResult, BatchSettings
 
 
 class Batch:
@@ -47,8 +47,8 @@ class Batch:
 
         `isolated`: whether a single process is another one than this
         """
-        from quatprop.batch.cluster import on_a_cluster
-        from quatprop.batch.execution import on_this_machine
+        from quatprop.batching.cluster import on_a_cluster
+        from quatprop.batching.execution import on_this_machine
 
         tasks, settings, manifest = self.plan.tasks, self._settings, self._manifest
         if not tasks and not self.gone:

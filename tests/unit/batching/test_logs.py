@@ -8,8 +8,8 @@ import pytest
 from make.batches import batch, entries, said, spin
 from make.commands import refused, run
 
-from quatprop.batch.logs import BatchTask, LogSearch
-from quatprop.batch.planning import shard, with_names
+from quatprop.batching.logs import BatchTask, LogSearch
+from quatprop.batching.planning import shard, with_names
 from quatprop.errors import UsageError
 
 

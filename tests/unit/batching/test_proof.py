@@ -15,8 +15,8 @@ from make.places import SAMPLE_LOGS
 
 import quatprop
 from quatprop import __version__
-from quatprop.batch import execution, listing
-from quatprop.batch.manifest import Manifest
+from quatprop.batching import execution, listing
+from quatprop.batching.manifest import Manifest
 from quatprop.stores.transfers import get, upload
 
 FLEETS = Path(quatprop.__file__).parent / "docs" / "fleets.md"

@@ -21,8 +21,8 @@ from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from quatprop.batch.entries import BUCKETS, TYPES, json_line, schema, table_of
-from quatprop.batch.logs import place_below
+from quatprop.batching.entries import BUCKETS, TYPES, json_line, schema, table_of
+from quatprop.batching.logs import place_below
 from quatprop.errors import OutputError, StoreError
 from quatprop.stores.objects import is_address, list_objects, locate, without_secret
 from quatprop.stores.transfers import get, put
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     import pyarrow as pa
 
-    from quatprop.batch.entries import ManifestEntry
+    from quatprop.batching.entries import ManifestEntry
 
 FOLDER = "_manifest"
 """Readers of data sets skip what begins with an underscore."""

@@ -12,8 +12,8 @@ from make.commands import refused
 from make.places import SAMPLE_LOGS
 
 import quatprop
-from quatprop.batch.logs import BatchTask, LogSearch
-from quatprop.batch.planning import shard
+from quatprop.batching.logs import BatchTask, LogSearch
+from quatprop.batching.planning import shard
 from quatprop.stores.objects import list_objects
 from quatprop.stores.transfers import get, upload
 
@@ -165,10 +165,10 @@ def test_the_examples_of_array_jobs_divide_the_logs(scheduler, variables, tmp_pa
 @pytest.mark.parametrize("key", ["s3://b/k.csv", "../../x.csv", "a/./b.csv", "/c.csv"])
 def test_a_key_that_is_no_path_fails_alone(monkeypatch, tmp_path, key):
     """One of them stopped the batch, or could name an output outside of the folder."""
-    monkeypatch.setattr("quatprop.batch.listing.list_objects", lambda _address: {key: None})
-    monkeypatch.setattr("quatprop.batch.logs._is_folder", lambda path: "://" in path)
-    monkeypatch.setattr("quatprop.batch.logs.exists", lambda _path: False)
-    monkeypatch.setattr("quatprop.batch.planning.exists", lambda _path: True)
+    monkeypatch.setattr("quatprop.batching.listing.list_objects", lambda _address: {key: None})
+    monkeypatch.setattr("quatprop.batching.logs._is_folder", lambda path: "://" in path)
+    monkeypatch.setattr("quatprop.batching.logs.exists", lambda _path: False)
+    monkeypatch.setattr("quatprop.batching.planning.exists", lambda _path: True)
     good, out = spin(tmp_path / "good.csv"), tmp_path / "deep" / "out"
     for name in ["s3://bucket/logs"]:
         done = batch(name, good, "-o", out, "--to", "csv", code=2)

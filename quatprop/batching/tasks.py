@@ -7,9 +7,9 @@ import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from quatprop.batch.entries import ManifestEntry
-from quatprop.batch.logs import BatchTask, absolute, place_below
-from quatprop.batch.origins import origin_of
+from quatprop.batching.entries import ManifestEntry
+from quatprop.batching.logs import BatchTask, absolute, place_below
+from quatprop.batching.origins import origin_of
 from quatprop.errors import StoreError
 from quatprop.text import spelled
 

@@ -8,7 +8,7 @@ import re
 from collections import defaultdict
 from typing import NamedTuple, Protocol
 
-from quatprop.batch.origins import origin_of_object
+from quatprop.batching.origins import origin_of_object
 from quatprop.stores.kinds import READERS
 from quatprop.stores.objects import below, has_address, is_address, list_objects
 from quatprop.stores.transfers import get

@@ -10,8 +10,8 @@ import os.path
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.batch.listing import METADATA, Pattern, tree_of
-from quatprop.batch.origins import origin_of, origin_of_parts
+from quatprop.batching.listing import METADATA, Pattern, tree_of
+from quatprop.batching.origins import origin_of, origin_of_parts
 from quatprop.errors import StoreError, UsageError, os_reason
 from quatprop.stores.kinds import COMPRESSION_SUFFIXES, READERS
 from quatprop.stores.objects import below, exists, find, is_address, split_address, without_secret
@@ -20,7 +20,7 @@ from quatprop.text import Setting, quoted
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.batch.listing import Tree
+    from quatprop.batching.listing import Tree
 
 SUFFIXES = {suffix: kind for kind, reader in READERS.items() for suffix in reader.suffixes}
 

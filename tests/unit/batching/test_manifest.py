@@ -11,9 +11,9 @@ import pytest
 from make.batches import batch, entries, outputs_in, said, spin
 from make.commands import refused
 
-from quatprop.batch import execution
-from quatprop.batch.entries import ManifestEntry, json_line
-from quatprop.batch.manifest import Manifest
+from quatprop.batching import execution
+from quatprop.batching.entries import ManifestEntry, json_line
+from quatprop.batching.manifest import Manifest
 
 UP_TO_DATE = "nothing to do: its output is up to date\n"
 
@@ -47,8 +47,8 @@ def test_the_manifest_has_a_line_for_each_log(tmp_path):
 def test_the_manifest_is_written_without_pandas(tmp_path):
     """Importing it takes longer than many logs."""
     code = (
-        "import sys; from quatprop.batch.manifest import Manifest; "
-        "from quatprop.batch.entries import ManifestEntry; manifest = Manifest('out'); "
+        "import sys; from quatprop.batching.manifest import Manifest; "
+        "from quatprop.batching.entries import ManifestEntry; manifest = Manifest('out'); "
         "manifest.prepare(); manifest.record(ManifestEntry('done', '/', 'a', 'a', remarks=('é',)));"
         "manifest.collect(); sys.exit('pandas' in sys.modules)"
     )

@@ -7,9 +7,9 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING
 
-from quatprop.batch.entries import COMPLETE, ManifestEntry
-from quatprop.batch.logs import BatchTask, absolute
-from quatprop.batch.tasks import BatchResult, BatchSettings, failed, output_size
+from quatprop.batching.entries import COMPLETE, ManifestEntry
+from quatprop.batching.logs import BatchTask, absolute
+from quatprop.batching.tasks import BatchResult, BatchSettings, failed, output_size
 from quatprop.concurrency.processes import KILLED, map_processes
 from quatprop.concurrency.threads import available_cores
 from quatprop.errors import (
@@ -34,7 +34,7 @@ from quatprop.writers.targets import refuse_outside
 if TYPE_CHECKING:
     from collections.abc import Generator, Sequence
 
-    from quatprop.batch.manifest import Manifest
+    from quatprop.batching.manifest import Manifest
     from quatprop.pipeline.report import RunReport
 
 STALE = "_stale"

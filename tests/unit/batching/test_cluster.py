@@ -4,11 +4,11 @@ import pytest
 from make.batches import entries, spin
 
 from quatprop import __version__
-from quatprop.batch.cluster import on_a_cluster, propagate_on_worker
-from quatprop.batch.execution import propagate_log
-from quatprop.batch.logs import BatchTask
-from quatprop.batch.manifest import Manifest
-from quatprop.batch.tasks import BatchSettings
+from quatprop.batching.cluster import on_a_cluster, propagate_on_worker
+from quatprop.batching.execution import propagate_log
+from quatprop.batching.logs import BatchTask
+from quatprop.batching.manifest import Manifest
+from quatprop.batching.tasks import BatchSettings
 from quatprop.errors import QuatpropError, UsageError
 from quatprop.pipeline.job import Job
 from quatprop.pipeline.settings import OutputSettings
@@ -62,8 +62,8 @@ def without_the_folder(task, settings, _version):
 def test_what_other_machines_cannot_do_is_an_outcome(tmp_path, monkeypatch, worker, reason):
     """A worker that does not share the folder was believed; one without the package ended all."""
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("quatprop.batch.cluster.propagate_on_worker", worker)
-    monkeypatch.setattr("quatprop.batch.cluster.PATIENCE_S", 0)
+    monkeypatch.setattr("quatprop.batching.cluster.propagate_on_worker", worker)
+    monkeypatch.setattr("quatprop.batching.cluster.PATIENCE_S", 0)
     tasks, manifest, settings = (
         tasks_of(tmp_path, "a", "b"),
         prepared(tmp_path),
@@ -82,7 +82,7 @@ def test_what_other_machines_cannot_do_is_an_outcome(tmp_path, monkeypatch, work
 def test_a_cluster_without_workers_or_scheduler(tmp_path, monkeypatch):
     """One sentence in seconds for a cluster that does nothing, and for one that goes."""
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("quatprop.batch.cluster.WORKERS_S", 0.2)
+    monkeypatch.setattr("quatprop.batching.cluster.WORKERS_S", 0.2)
     tasks, manifest = tasks_of(tmp_path, "a"), prepared(tmp_path)
     with distributed.LocalCluster(n_workers=0, **QUIET) as cluster:
         results = on_a_cluster(tasks, settings_in(tmp_path), cluster.scheduler_address, manifest)
