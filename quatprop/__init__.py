@@ -65,10 +65,12 @@ if TYPE_CHECKING:
     from quatprop.api.propagation import PropagatedSeries, propagate
     from quatprop.api.reading import read_attitudes, read_rates
     from quatprop.api.tools import Simulation, info, plot, simulate
+    from quatprop.batching.entries import ManifestEntry
     from quatprop.comparison.result import Comparison
     from quatprop.comparison.statistics import ErrorStatistics
     from quatprop.conversion.job import ConversionReport
     from quatprop.errors import DataLossWarning, QuatpropError, QuatpropWarning, RemarkWarning
+    from quatprop.pipeline.log_survey import LogSurvey
     from quatprop.pipeline.report import RunReport
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.timeline.counts import Counts
@@ -81,6 +83,8 @@ __all__ = [
     "DataLossWarning",
     "ErrorStatistics",
     "GyroSeries",
+    "LogSurvey",
+    "ManifestEntry",
     "PropagatedSeries",
     "QuatpropError",
     "QuatpropWarning",
@@ -107,6 +111,8 @@ _MODULES = {
     "DataLossWarning": "quatprop.errors",
     "ErrorStatistics": "quatprop.comparison.statistics",
     "GyroSeries": "quatprop.series",
+    "LogSurvey": "quatprop.pipeline.log_survey",
+    "ManifestEntry": "quatprop.batching.entries",
     "PropagatedSeries": "quatprop.api.propagation",
     "QuatpropError": "quatprop.errors",
     "QuatpropWarning": "quatprop.errors",

@@ -54,8 +54,7 @@ def info(log: StrPath, **options: Unpack[RateOptions]) -> LogSurvey:
     Returns
     -------
     LogSurvey
-        `sources` of body rates and `attitudes`, each with its samples, timestamps and remarks, and
-        `missing`, the settings that it needs to be read.
+        `sources` of body rates and `attitudes`, each with its samples, timestamps and remarks.
 
     Raises
     ------
