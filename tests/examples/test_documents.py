@@ -20,6 +20,7 @@ from quatprop.logs.vocabulary import sources
 from quatprop.logs.vocabulary.sources import TYPES
 from quatprop.messages.blocks import Channel
 from quatprop.settings.keyword import keywords_of
+from quatprop.version import __version__
 from quatprop.writers.formats import WRITERS
 
 README = ROOT / "README.md"
@@ -47,6 +48,11 @@ def test_the_readme_teaches_what_is_true(ran):
     assert passed.startswith("True 0.0001")
     (shown,) = re.findall(r"!\[.*?\]\((.*?)\)", document.text)
     assert (ROOT / shown).read_bytes()[:24] == (document.folder / "tumbling.png").read_bytes()[:24]
+
+
+def test_what_is_cited_is_this_version():
+    """The entry for BibTeX in the README."""
+    assert f"version = {{{__version__}}}" in README.read_text()
 
 
 def test_the_library_guide_is_true(ran):
