@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
     from quatprop.api.reading import StrPath
     from quatprop.batching.entries import ManifestEntry
+    from quatprop.batching.logs import LogSearch
+    from quatprop.pipeline.job import Job
+    from quatprop.pipeline.settings import OutputSettings
     from quatprop.settings.choices import Layout
 
 
@@ -50,14 +53,10 @@ def batch(  # noqa: PLR0913  # one keyword for each option
         The folder, or a prefix such as ``s3://bucket/runs``.
     to, layout, extra_columns
         As for :func:`write`.
-    root
-        Outputs keep the path of their log below this folder.
-    shard
-        Only one of N parts of the logs, such as ``"1/8"``.
-    processes
-        Logs at a time; by default the cores.
-    dask
-        Address of a Dask scheduler whose workers are used instead.
+    root, shard
+        A folder below which outputs keep the path of their log; one of N parts, as ``"1/8"``.
+    processes, dask
+        Logs at a time, by default the cores; address of a Dask scheduler whose workers do it.
     skip_existing, verify
         Leave out logs whose output is up to date; compare the digests of outputs, too.
     retries
@@ -77,41 +76,71 @@ def batch(  # noqa: PLR0913  # one keyword for each option
     QuatpropError
         There are no logs, or the settings cannot be used.
     """
-    from quatprop.batching.logs import LogSearch
     from quatprop.batching.manifest import Manifest
     from quatprop.batching.planning import shard as part_of
     from quatprop.batching.run import Batch
     from quatprop.batching.tasks import BatchSettings
-    from quatprop.pipeline.job import Job
-    from quatprop.pipeline.settings import OutputSettings, propagation_settings
+    from quatprop.pipeline.settings import OutputSettings
     from quatprop.stores.objects import without_file_scheme
-    from quatprop.writers.formats import WRITERS, kind_of
 
+    _refuse_here(verify=verify, skip_existing=skip_existing)
+    folder = without_file_scheme(path_text("output", output))
+    written = OutputSettings("OUT", to=to, layout=layout, extra_columns=extra_columns)
+    search = _search(paths_of("logs", logs), folder, written, root, options)
+    found = part_of(search.logs, shard) if shard else list(search.logs)
+    settings = BatchSettings.of(_job(written, options), folder, retries=retries)
+    run = Batch(
+        search,
+        found,
+        settings._replace(is_library=True),
+        Manifest(folder),
+        part=shard,
+        skip=skip_existing,
+        verify=verify,
+    )
+    results = sorted(run.results(processes, dask, isolated=processes != 1))
+    return [result.entry for _, result in results]
+
+
+def _refuse_here(*, verify: bool, skip_existing: bool) -> None:
+    """Refuse a batch in one of its own processes, and settings that do not go together."""
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise UsageError(
             "the processes of batch() import this script; call it below "
             "if __name__ == '__main__':, or with processes=1"
         )
-    folder = without_file_scheme(path_text("output", output))
     if verify and not skip_existing:
         raise UsageError(f"{Setting('verify')} goes with {Setting('skip_existing')}")
-    suffixes = WRITERS[kind_of("OUT", to)].suffixes
+
+
+def _search(
+    names: Sequence[str],
+    folder: str,
+    written: OutputSettings,
+    root: StrPath | None,
+    options: PropagateOptions,
+) -> LogSearch:
+    """Return the search that has found the logs."""
+    from quatprop.batching.logs import LogSearch
+    from quatprop.writers.formats import WRITERS
+
     top = None if root is None else path_text("root", root)
     of_messages = next((n for n in ("topic", "rate_field", "time_field") if n in options), None)
-    search = LogSearch(top, folder, None if options.get("kind") else of_messages, suffixes[0])
-    names = paths_of("logs", logs)
+    of_messages = None if options.get("kind") else of_messages
+    search = LogSearch(top, folder, of_messages, WRITERS[written.kind].suffixes[0])
     for name in names:
         search.add(name)
     if not search.logs:
         raise UsageError(f"there are no logs in {listed(names)}; name files, folders or patterns")
-    found = part_of(search.logs, shard) if shard else list(search.logs)
-    written = OutputSettings("OUT", to=to, layout=layout, extra_columns=extra_columns)
+    return search
+
+
+def _job(written: OutputSettings, options: PropagateOptions) -> Job:
+    """Return how each log is propagated; files lie beside the current folder."""
+    from quatprop.pipeline.job import Job
+    from quatprop.pipeline.settings import propagation_settings
+
     wanted = propagation_settings(files_beside(options, Path.cwd()))
     if held := [name for name, value in wanted.given.items() if value == str(InMemory(None))]:
         raise UsageError(f"{Setting(held[0])} of batch() is a file, for all logs")
-    job = Job("LOG", written, wanted)
-    settings = BatchSettings.of(job, folder, retries=retries)._replace(is_library=True)
-    manifest = Manifest(folder)
-    run = Batch(search, found, settings, manifest, part=shard, skip=skip_existing, verify=verify)
-    results = sorted(run.results(processes, dask, isolated=processes != 1))
-    return [result.entry for _, result in results]
+    return Job("LOG", written, wanted)

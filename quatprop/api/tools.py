@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from quatprop.api.reading import StrPath
     from quatprop.pipeline.log_survey import LogSurvey
     from quatprop.plotting.files import View
+    from quatprop.plotting.picture import Picture
 
 
 class Simulation(NamedTuple):
@@ -119,53 +120,56 @@ def plot(  # noqa: PLR0913  # one keyword for each option
     RemarkWarning
         Something looks wrong, such as gaps.
     """
-    from quatprop.comparison.settings import comparison_settings
-    from quatprop.logs.attitude_input import AttitudeInput
     from quatprop.plotting.axes import draw_together
-    from quatprop.plotting.draw import require_matplotlib
-    from quatprop.plotting.plot import plot as write_picture
-    from quatprop.plotting.plot import read_picture
     from quatprop.settings.reading import PLOT
 
     values, part = parse_all(options, PLOT), (options.get("start"), options.get("end"))
     given = [
-        one.between(*part)
-        if isinstance(one, GyroSeries | AttitudeSeries)
-        else path_text("sources", one, _NO_PATH)
+        one.between(*part) if isinstance(one, GyroSeries | AttitudeSeries) else _path(one)
         for one in sources
     ]
-    against = (
-        reference
-        if reference is None or isinstance(reference, AttitudeSeries)
-        else path_text("reference", reference, _NO_PATH)
-    )
-    _refuse_idle(given, values, output=output is not None, error=against is not None)
-    require_matplotlib()
+    against = reference
+    if not (reference is None or isinstance(reference, AttitudeSeries)):
+        against = _path(reference, "reference")
+    _refuse_idle(given, against, values, output=output is not None)
     view = _view(values, show, components=components, unwrap=unwrap)
-    settings = comparison_settings()
-    if output is None:
-        drawn, remarks, data_lost = read_picture(given, view, against, settings)
-    else:
-        files = [one for one in (*given, against) if isinstance(one, str)]
-        target = path_text("output", output)
-        of_error = None if against is None else AttitudeInput(files.pop(), drop=True)
-        _, page, data_lost = write_picture(files, target, view, of_error, settings)
-        drawn, remarks = page.picture, page.warnings
+    drawn = _picture(given, output, view, against)
     axes = ax or _new_axes(kept=output is None)
     draw_together(axes, drawn)
-    for remark in remarks:
-        issue(RemarkWarning(remark))
-    if data_lost:
-        names = " + ".join(one for one in given if isinstance(one, str))
-        issue(DataLossWarning(f"{names}: a part was not read, or left out"))
     return axes
 
 
-_NO_PATH = "make a series of arrays; several go one after the other"
+def _path(source: StrPath, name: str = "sources") -> str:
+    return path_text(name, source, "make a series of arrays; several go one after the other")
+
+
+def _picture(sources: list[Any], output: StrPath | None, view: View, reference: Any) -> Picture:
+    """Return the picture of paths and series, written where it is wanted, and warn."""
+    from quatprop.comparison.settings import comparison_settings
+    from quatprop.logs.attitude_input import AttitudeInput
+    from quatprop.plotting.draw import require_matplotlib
+    from quatprop.plotting.plot import plot as write_picture
+    from quatprop.plotting.plot import read_picture
+
+    require_matplotlib()
+    settings = comparison_settings()
+    if output is None:
+        drawn, remarks, data_lost = read_picture(sources, view, reference, settings)
+    else:
+        target = path_text("output", output)
+        of_error = reference and AttitudeInput(reference, drop=True)
+        _, page, data_lost = write_picture(sources, target, view, of_error, settings)
+        drawn, remarks = page.picture, page.warnings
+    for remark in remarks:
+        issue(RemarkWarning(remark))
+    if data_lost:
+        names = " + ".join(one for one in sources if isinstance(one, str))
+        issue(DataLossWarning(f"{names}: a part was not read, or left out"))
+    return drawn
 
 
 def _refuse_idle(
-    sources: Sequence[object], options: Mapping[str, object], *, output: bool, error: bool
+    sources: Sequence[object], reference: object, options: Mapping[str, object], *, output: bool
 ) -> None:
     """Refuse settings of a picture that nothing comes of."""
     from quatprop.plotting.target import KINDS
@@ -177,13 +181,13 @@ def _refuse_idle(
     of_files = [name for name in options if name not in {"start", "end"}]
     if of_files and not any(isinstance(one, str) for one in sources):
         raise UsageError(f"{Setting(of_files[0])} is for files, not for series in memory")
-    if output and not all(isinstance(one, str) for one in sources):
+    if output and not all(isinstance(one, str | None) for one in (*sources, reference)):
         raise UsageError(
             f"{Setting('output')} is for files; of series, save what plot() returns with "
             ".figure.savefig(), or write() them first"
         )
     for name in ("start", "end"):
-        if error and name in options:
+        if reference is not None and name in options:
             raise UsageError(f"{Setting(name)} does not go with {Setting('reference')}")
 
 

@@ -104,8 +104,7 @@ class Manifest:
 
     def record(self, entry: ManifestEntry) -> ManifestEntry:
         """Append an entry, and return it; where that fails, the next one begins a new file."""
-        entry = entry.recorded(self.run)
-        line = json_line(entry)
+        line = json_line(entry := entry.recorded(self.run))
         if self._is_remote:
             if not self._journal or len(self._lines) == OBJECT_ENTRIES:
                 self._journal, self._lines = self._new_name(LINES), []

@@ -116,6 +116,7 @@ def test_a_plot_takes_and_returns_axes():
         ([TRUTH, "a.png"], {}, "output='a.png'"),
         ([RATES], {"topic": "/imu"}, "topic is for files"),
         ([RATES], {"output": "a.png"}, "figure.savefig"),
+        ([TRUTH], {"output": "a.png", "reference": quatprop.propagate(RATES)}, "figure.savefig"),
         ([RATES], {"unwrap": True}, "series 1 has no attitude to show"),
         ([RATES[:0]], {}, "series 1 has no rows"),
         ([RATES], {"reference": TRUTH}, "Expected attitudes"),
