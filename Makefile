@@ -84,7 +84,7 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/mypy --strict tests/examples/typed_use.py
+	$(BIN)/mypy --strict tests/examples/typed_use.py tests/examples/first_week.py
 
 format: $(READY)
 	$(BIN)/ruff check --fix .

@@ -61,13 +61,16 @@ from quatprop.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from quatprop.api.attitudes import compare, convert, write
+    from quatprop.api.batch import batch
     from quatprop.api.propagation import PropagatedSeries, propagate
     from quatprop.api.reading import read_attitudes, read_rates
     from quatprop.api.tools import Simulation, info, plot, simulate
+    from quatprop.batching.entries import ManifestEntry
     from quatprop.comparison.result import Comparison
     from quatprop.comparison.statistics import ErrorStatistics
     from quatprop.conversion.job import ConversionReport
     from quatprop.errors import DataLossWarning, QuatpropError, QuatpropWarning, RemarkWarning
+    from quatprop.pipeline.log_survey import LogSurvey
     from quatprop.pipeline.report import RunReport
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.timeline.counts import Counts
@@ -80,12 +83,15 @@ __all__ = [
     "DataLossWarning",
     "ErrorStatistics",
     "GyroSeries",
+    "LogSurvey",
+    "ManifestEntry",
     "PropagatedSeries",
     "QuatpropError",
     "QuatpropWarning",
     "RemarkWarning",
     "RunReport",
     "Simulation",
+    "batch",
     "compare",
     "convert",
     "info",
@@ -105,12 +111,15 @@ _MODULES = {
     "DataLossWarning": "quatprop.errors",
     "ErrorStatistics": "quatprop.comparison.statistics",
     "GyroSeries": "quatprop.series",
+    "LogSurvey": "quatprop.pipeline.log_survey",
+    "ManifestEntry": "quatprop.batching.entries",
     "PropagatedSeries": "quatprop.api.propagation",
     "QuatpropError": "quatprop.errors",
     "QuatpropWarning": "quatprop.errors",
     "RemarkWarning": "quatprop.errors",
     "RunReport": "quatprop.pipeline.report",
     "Simulation": "quatprop.api.tools",
+    "batch": "quatprop.api.batch",
     "compare": "quatprop.api.attitudes",
     "convert": "quatprop.api.attitudes",
     "info": "quatprop.api.tools",

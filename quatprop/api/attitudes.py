@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
 from quatprop.api.propagation import PropagatedSeries
-from quatprop.api.reading import path_text, read_attitudes, warn, with_keywords_of
+from quatprop.api.reading import issue, path_text, read_attitudes, warn, with_keywords_of
 from quatprop.comparison.settings import COMPARE, CompareOptions
 from quatprop.conversion.settings import CONVERT, TERMS, ConvertOptions
 from quatprop.errors import DataLossWarning, SeriesError, UsageError
@@ -193,7 +192,7 @@ def convert(  # noqa: PLR0913  # those of write(), and what to read
     form = str(representation).lower()
     report = convert_file(Conversion(wanted, written, representation=form, **terms_of(terms)))
     if report.data_lost:
-        warnings.warn(f"{wanted.path}: rows were lost or dropped", DataLossWarning, stacklevel=2)
+        issue(DataLossWarning(f"{wanted.path}: rows were lost or dropped"))
     # The command line alone has that setting.
     comment = Setting("header_comment"), "a comment in its header"
     remarks = (Remark(one.code, one.replace(*comment)) for one in report.remarks)

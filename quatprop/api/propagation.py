@@ -164,7 +164,7 @@ def _propagated(
 ) -> PropagatedSeries:
     from quatprop.pipeline.report import digests_of_inputs
 
-    series = AttitudeSeries.joined(list(stream))
+    series = AttitudeSeries.gathered(stream)
     report = replace(stream.report(), files=digests_of_inputs(settings.inputs, log))
     spell = _in_memory if log is None else in_python
     report = replace(report, remarks=tuple(one.spelled(spell) for one in report.remarks))

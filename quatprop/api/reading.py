@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from dataclasses import replace
 from inspect import cleandoc
+from itertools import chain
 from typing import TYPE_CHECKING, TypeAlias, TypeVar, Unpack, cast
 
 import numpy as np
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from os import PathLike
 
+    from quatprop.errors import QuatpropWarning
     from quatprop.tables.log import Loss
 
     StrPath: TypeAlias = str | PathLike[str]
@@ -86,9 +89,10 @@ def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions])
         batches = signal.batches()
         if values.get("regular_time"):
             batches = Timeline(OBSERVE._replace(regular_time=True), path).apply(batches)
-        parts = list(batches)
+        first = next(batches, GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3))))
+        series = GyroSeries.gathered(chain([first], batches))
         warn(path, opened.losses, (*signal.remarks, *opened.remarks))
-    return GyroSeries.joined(parts or [GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))])
+    return series
 
 
 @with_keywords_of(AttitudeOptions, "attitudes")
@@ -150,13 +154,21 @@ def warn(
     *,
     dropped: int = 0,
 ) -> None:
-    """Warn of losses and remarks at the line where the user calls the function that calls this."""
+    """Warn of losses and remarks."""
     lost = [(f"lost: {loss.place}: {spelled(loss.reason)}", loss.messages) for loss in losses]
     for text, messages in [*lost, *[(f"{dropped} rows were dropped", dropped)] * bool(dropped)]:
         loss_warning = DataLossWarning(f"{path}: {text}")
         loss_warning.messages = messages
-        warnings.warn(loss_warning, stacklevel=3)
+        issue(loss_warning)
     for remark in remarks:
         warning = RemarkWarning(f"{path}: {spelled(remark)}")
         warning.code = remark.code
-        warnings.warn(warning, stacklevel=3)
+        issue(warning)
+
+
+def issue(warning: QuatpropWarning) -> None:
+    """Issue a warning at the line where the user calls the library, however deep this is in it."""
+    level, frame = 2, sys._getframe(1)  # noqa: SLF001  # what the stack has no other name for
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("quatprop."):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(warning, stacklevel=level)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack
 
 import numpy as np
 
-from quatprop.api.reading import path_text, paths_of, with_keywords_of
+from quatprop.api.reading import issue, path_text, with_keywords_of
 from quatprop.errors import DataLossWarning, RemarkWarning, UsageError
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.settings.reading import ONE_SERIES, READ_RATES, PlotOptions, RateOptions
@@ -18,9 +18,13 @@ from quatprop.text import Setting
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from matplotlib.axes import Axes
+
     from quatprop.api.reading import StrPath
+    from quatprop.comparison.settings import ComparisonSettings
     from quatprop.pipeline.log_survey import LogSurvey
     from quatprop.plotting.files import View
+    from quatprop.plotting.picture import Picture
 
 
 class Simulation(NamedTuple):
@@ -52,8 +56,7 @@ def info(log: StrPath, **options: Unpack[RateOptions]) -> LogSurvey:
     Returns
     -------
     LogSurvey
-        `sources` of body rates and `attitudes`, each with its samples, timestamps and remarks, and
-        `missing`, the settings that it needs to be read.
+        `sources` of body rates and `attitudes`, each with its samples, timestamps and remarks.
 
     Raises
     ------
@@ -70,23 +73,26 @@ def info(log: StrPath, **options: Unpack[RateOptions]) -> LogSurvey:
 
 @with_keywords_of(PlotOptions, log="each file")
 def plot(  # noqa: PLR0913  # one keyword for each option
-    files: StrPath | Sequence[StrPath],
-    output: StrPath,
-    *,
+    *sources: StrPath | GyroSeries | AttitudeSeries,
+    output: StrPath | None = None,
+    ax: Axes | None = None,
     show: Literal["rates", "attitude"] | None = None,
     components: bool = False,
     unwrap: bool = False,
-    reference: StrPath | None = None,
+    reference: StrPath | AttitudeSeries | None = None,
     **options: Unpack[PlotOptions],
-) -> None:
-    """Draw rates or attitudes of files, or their error against a reference, against time.
+) -> Axes:
+    """Draw rates or attitudes, or their error against a reference, against time.
 
     Parameters
     ----------
-    files
-        One path, or several that are laid over one another.
+    *sources
+        Paths, or series in memory; several are laid over one another.
     output
-        Where the picture goes: ``.png``, ``.svg``, ``.pdf``, or ``.html`` for a report with it.
+        Also write the picture of ``quatprop plot``, with a panel for each quantity: ``.png``,
+        ``.svg``, ``.pdf``, or ``.html`` for a report with it. Of files alone.
+    ax
+        Axes of matplotlib to draw on; by default those of a new figure.
     show
         ``"rates"`` or ``"attitude"``; by default the rates of a file that has some.
     components
@@ -94,13 +100,14 @@ def plot(  # noqa: PLR0913  # one keyword for each option
     unwrap
         Draw yaw and roll beyond half a turn.
     reference
-        Draw the geodesic error of each file against this attitude series instead.
+        Draw the geodesic error of each against these attitudes instead, a path or a series.
     **options
         What to read of each file.
 
     Returns
     -------
-    None
+    Axes
+        Those that were drawn on, in seconds since the first sample; ``.figure`` has ``savefig``.
 
     Raises
     ------
@@ -115,24 +122,88 @@ def plot(  # noqa: PLR0913  # one keyword for each option
         Something looks wrong, such as gaps.
     """
     from quatprop.comparison.settings import ComparisonSettings
-    from quatprop.logs.attitude_input import AttitudeInput
-    from quatprop.plotting.plot import plot as draw
+    from quatprop.plotting.axes import draw_together
     from quatprop.settings.reading import PLOT
 
-    values = parse_all(options, PLOT)
-    paths, target = paths_of("files", files), path_text("output", output)
-    against = (
-        None if reference is None else AttitudeInput(path_text("reference", reference), drop=True)
-    )
-    within = ComparisonSettings(start=values.get("start"), end=values.get("end"))
+    values, part = parse_all(options, PLOT), (options.get("start"), options.get("end"))
+    given = [one if isinstance(one, GyroSeries | AttitudeSeries) else _path(one) for one in sources]
+    if reference is None:
+        given = [one if isinstance(one, str) else one.between(*part) for one in given]
+    against = reference
+    if not (reference is None or isinstance(reference, AttitudeSeries)):
+        against = _path(reference, "reference")
+    _refuse_idle(given, against, values, output=output is not None)
     view = _view(values, show, components=components, unwrap=unwrap)
-    files_as_seen = [(path, view) for path in paths]
-    _, remarks, data_lost = draw(files_as_seen, target, against, within)
+    within = ComparisonSettings(start=values.get("start"), end=values.get("end"))
+    drawn = _picture(given, output, view, against, within)
+    axes = ax or _new_axes(kept=output is None)
+    draw_together(axes, drawn)
+    return axes
+
+
+def _path(source: StrPath, name: str = "sources") -> str:
+    return path_text(name, source, "make a series of arrays; several go one after the other")
+
+
+def _picture(
+    sources: list[Any],
+    output: StrPath | None,
+    view: View,
+    reference: Any,
+    settings: ComparisonSettings,
+) -> Picture:
+    """Return the picture of paths and series, written where it is wanted, and warn."""
+    from quatprop.logs.attitude_input import AttitudeInput
+    from quatprop.plotting.draw import require_matplotlib
+    from quatprop.plotting.plot import plot as write_picture
+    from quatprop.plotting.plot import read_picture
+
+    require_matplotlib()
+    if output is None:
+        drawn, remarks, data_lost = read_picture(sources, view, reference, settings)
+    else:
+        target = path_text("output", output)
+        of_error = reference and AttitudeInput(reference, drop=True)
+        files = [(path, view) for path in sources]
+        _, page, data_lost = write_picture(files, target, of_error, settings)
+        drawn, remarks = page.picture, page.warnings
     for remark in remarks:
-        warnings.warn(remark, RemarkWarning, stacklevel=2)
+        issue(RemarkWarning(remark))
     if data_lost:
-        lost = f"{' + '.join(paths)}: a part was not read, or left out"
-        warnings.warn(lost, DataLossWarning, stacklevel=2)
+        names = " + ".join(one for one in sources if isinstance(one, str))
+        issue(DataLossWarning(f"{names}: a part was not read, or left out"))
+    return drawn
+
+
+def _refuse_idle(
+    sources: Sequence[object], reference: object, options: Mapping[str, object], *, output: bool
+) -> None:
+    """Refuse settings of a picture that nothing comes of."""
+    from quatprop.plotting.target import KINDS
+
+    if not sources:
+        raise UsageError("there is nothing to draw; give paths or series")
+    if not output and isinstance(last := sources[-1], str) and Path(last).suffix.lower() in KINDS:
+        raise UsageError(f"name the picture with {Setting('output', last)}")
+    of_files = [name for name in options if name not in {"start", "end"}]
+    if of_files and not any(isinstance(one, str) for one in sources):
+        raise UsageError(f"{Setting(of_files[0])} is for files, not for series in memory")
+    if output and not all(isinstance(one, str | None) for one in (*sources, reference)):
+        raise UsageError(
+            f"{Setting('output')} is for files; of series, save what plot() returns with "
+            ".figure.savefig(), or write() them first"
+        )
+
+
+def _new_axes(*, kept: bool = True) -> Axes:
+    """Return axes of a new figure: one that notebooks show, or that nothing keeps."""
+    if kept:
+        from matplotlib import pyplot as plt
+
+        return plt.subplots()[1]
+    from matplotlib.figure import Figure
+
+    return Figure().subplots()
 
 
 def _view(
@@ -195,6 +266,6 @@ def simulate(**options: Unpack[SimulateOptions]) -> Simulation:
     from quatprop.simulation.settings import simulated
 
     motion, shape, gyroscope, q0 = simulated(parse_all(options, SIMULATE))
-    both = AttitudeSeries.joined(list(record(motion_named(motion, shape), gyroscope, q0)))
+    both = AttitudeSeries.gathered(record(motion_named(motion, shape), gyroscope, q0))
     rates = GyroSeries(both.t_ns, np.asarray(both.rate))
     return Simulation(rates, AttitudeSeries(both.t_ns, both.wxyz))

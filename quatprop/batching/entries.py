@@ -28,21 +28,37 @@ BUCKETS = 256
 class ManifestEntry(NamedTuple):
     """What a batch records of a log.
 
-    `state`: ``"done"``; ``"data lost"``: done, but some data of the log were lost or left out;
+    Parameters
+    ----------
+    state
+        ``"done"``; ``"data lost"``: done, but some data of the log were lost or left out;
         ``"no rates"``: a table found in a folder, without body rates; ``"failed"``; ``"deleted"``:
-        it was done, and the log is no longer there
-    `root`, `log`: the absolute folder or the address below which the log is, and its path there
-    `output`: path of the output in the folder of the batch, by which entries are told apart
-    `samples`, `rows`: samples propagated, attitudes written
-    `remarks`, `losses`: what should be known of; what could not be read
-    `seconds`: how long it took, s
-    `time`, `run`: when it was recorded, as ISO 8601 in UTC, and by which batch
-    `error`: why there is no output
-    `log_bytes`, `log_sha256`, `log_etag`, `output_bytes`, `output_sha256`: sizes and digests; None
-        where there are none. A log in an object store has the ETag that the store gives it
-    `options`: digest of all settings but the paths, and of the files that they name
-    `origin`: size and time of the log when its reading began
-    `bucket`: hash of the output's name
+        it was done, and the log is no longer there.
+    root, log
+        The absolute folder or the address below which the log is, and its path there.
+    output
+        Path of the output in the folder of the batch, by which entries are told apart.
+    samples, rows
+        Samples propagated, attitudes written.
+    span_s, sample_rate_hz, method, final_wxyz
+        Time span, s, rate, Hz, integration rule and last attitude, body to reference.
+    remarks, losses
+        What should be known of; what could not be read.
+    error
+        Why there is no output.
+    seconds
+        How long it took, s.
+    log_bytes, log_sha256, log_etag, output_bytes, output_sha256
+        Sizes and digests; None where there are none. A log in an object store has the ETag that
+        the store gives it.
+    quatprop, options
+        The version, and a digest of all settings but the paths, and of the files that they name.
+    origin
+        Size and time of the log when its reading began.
+    time, run
+        When it was recorded, as ISO 8601 in UTC, and by which batch.
+    bucket
+        Hash of the output's name.
     """
 
     state: str

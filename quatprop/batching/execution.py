@@ -29,7 +29,7 @@ from quatprop.settings.spelling import in_options
 from quatprop.stores.objects import find, is_address, is_transient, list_objects
 from quatprop.stores.temp_files import temp_folder
 from quatprop.stores.transfers import move, upload
-from quatprop.text import plain, spelled, spelling
+from quatprop.text import in_python, plain, spelled, spelling
 from quatprop.writers.atomic import open_atomic
 from quatprop.writers.targets import refuse_outside
 
@@ -46,9 +46,13 @@ MAX_PAUSE_S = 30.0
 """Longest pause before a log is tried again whose store did not answer, s."""
 
 
-@spelling(in_options)
 def propagate_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
     """Propagate one log; an error becomes its result."""
+    with spelling(in_python if settings.is_library else in_options):
+        return _propagated_log(task, settings)
+
+
+def _propagated_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
     began = time.perf_counter()
     for attempt in range(settings.retries + 1):
         try:
@@ -174,7 +178,7 @@ def record(
         if task.name:
             if result.entry.state not in COMPLETE:
                 _set_aside(task, settings)
-            manifest.record(result.entry)
+            result = result._replace(entry=manifest.record(result.entry))
     except (OutputError, StoreError) as error:  # the store has gone, or the disk is full
         return failed(task, error.text)
     return result
@@ -221,8 +225,13 @@ def on_this_machine(
     settings: BatchSettings,
     processes: int,
     manifest: Manifest,
+    *,
+    isolated: bool = True,
 ) -> Generator[tuple[int, BatchResult]]:
-    """Yield the index and the result of each log as soon as it is done."""
+    """Yield the index and the result of each log as soon as it is done.
+
+    `isolated`: whether a single process is another one than this
+    """
 
     def on_killed(task: BatchTask) -> BatchResult:
         result = failed(task, f"{plain(task.shown)}: {KILLED}")
@@ -231,4 +240,4 @@ def on_this_machine(
     threads = max(1, available_cores() // max(1, min(processes, len(tasks))))
     retries, settings = settings.retries, settings.with_threads(threads)
     work = partial(propagate_and_record, settings=settings, manifest=manifest)
-    return map_processes(work, tasks, processes, on_killed, isolated=True, retries=retries)
+    return map_processes(work, tasks, processes, on_killed, isolated=isolated, retries=retries)

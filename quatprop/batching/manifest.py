@@ -102,15 +102,15 @@ class Manifest:
         with output_errors(self._place):
             Path(self._place).mkdir(parents=True, exist_ok=True)
 
-    def record(self, entry: ManifestEntry) -> None:
-        """Append an entry; where that fails, the next one begins a new file."""
-        line = json_line(entry.recorded(self.run))
+    def record(self, entry: ManifestEntry) -> ManifestEntry:
+        """Append an entry, and return it; where that fails, the next one begins a new file."""
+        line = json_line(entry := entry.recorded(self.run))
         if self._is_remote:
             if not self._journal or len(self._lines) == OBJECT_ENTRIES:
                 self._journal, self._lines = self._new_name(LINES), []
             self._lines.append(line)
             put(self._journal, b"".join(self._lines))
-            return
+            return entry
         journal, self._journal = self._journal or self._new_name(LINES), ""
         with output_errors(self._place):
             file = os.open(journal, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
@@ -120,6 +120,7 @@ class Manifest:
             finally:
                 os.close(file)
         self._journal = journal
+        return entry
 
     def __getstate__(self) -> dict[str, object]:
         """Let a process have a file of its own."""

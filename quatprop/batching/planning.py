@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.batching.dataset import number_of, refuse_mixture, rows_in
-from quatprop.batching.entries import COMPLETE, ManifestEntry, as_text, bucket_of
+from quatprop.batching.entries import BUCKETS, COMPLETE, ManifestEntry, as_text, bucket_of
 from quatprop.batching.logs import TABLES, BatchTask, absolute, kind_by_suffix, place_below
 from quatprop.batching.origins import changed_ns
 from quatprop.batching.tasks import output_size
@@ -98,6 +98,17 @@ class Shard(NamedTuple):
     def has(self, log: BatchTask) -> bool:
         """Return whether a log is."""
         return self.has_file(number_of(log) % self.files if self.files else number_of(log))
+
+
+def dataset_files(kind: str, *, dataset: bool, buckets: int | None) -> int | None:
+    """Return the number of files of the dataset; None for a file a log."""
+    if not dataset:
+        if buckets:
+            raise UsageError(f"{Setting('buckets')} goes with {Setting('dataset')}")
+        return None
+    if kind != "parquet":
+        raise UsageError(f"{Setting('dataset')} is Parquet; leave {Setting('to', kind)} out")
+    return buckets or BUCKETS
 
 
 def shard(text: str | None, files: int | None = None) -> Shard:

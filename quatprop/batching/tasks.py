@@ -28,6 +28,7 @@ class BatchSettings(NamedTuple):
     `reports`: whether results have the reports of the runs
     `retries`: how often a log is tried again whose store did not answer
     `files`: number of files of the dataset; None for a file a log
+    `is_library`: whether sentences name keywords instead of options
     """
 
     job: Job
@@ -36,6 +37,7 @@ class BatchSettings(NamedTuple):
     reports: bool = False
     retries: int = 0
     files: int | None = None
+    is_library: bool = False
 
     @classmethod
     def of(cls, job: Job, folder: str, **others: Any) -> BatchSettings:

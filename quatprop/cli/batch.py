@@ -13,19 +13,16 @@ from quatprop.cli import propagate
 from quatprop.cli.help import Command, GroupedOption
 from quatprop.cli.options import QUIET, with_options
 from quatprop.cli.types import PATH, content_of
-from quatprop.concurrency.threads import available_cores
 from quatprop.settings.keyword import Keyword
 from quatprop.settings.parsers import Choice, flag
 from quatprop.text import listed, plain
 from quatprop.writers.formats import WRITERS
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Mapping
+    from collections.abc import Iterable, Mapping
 
-    from quatprop.batching.logs import BatchTask, LogSearch
+    from quatprop.batching.logs import LogSearch
     from quatprop.batching.manifest import Manifest
-    from quatprop.batching.planning import Shard
-    from quatprop.batching.tasks import BatchResult, BatchSettings
 
 ONE_LOG = {"log", "logs", "output", "to", "into", "plot", "report", "quiet", "verbose"}
 """Parameters of ``propagate`` that are about one log."""
@@ -110,19 +107,19 @@ def command(
     DIR/_manifest lists them. A log that cannot be used does not stop the others (exit code
     2; 3: data was lost).
     """
-    from quatprop.batching.dataset import merge_parts, with_parts
     from quatprop.batching.manifest import Manifest
-    from quatprop.batching.planning import deleted, plan, shard
+    from quatprop.batching.planning import dataset_files, shard
+    from quatprop.batching.run import Batch
     from quatprop.batching.tasks import BatchSettings
     from quatprop.cli.batch_results import ShownResults, counted
     from quatprop.cli.progress import bar, on_terminal
     from quatprop.stores.objects import without_file_scheme
 
     folder = without_file_scheme(folder)
-    files = _files(folder, chosen)
+    _refuse_contradictions(folder, chosen)
+    files = dataset_files(chosen["to"], dataset=chosen["dataset"], buckets=chosen["buckets"])
     part = shard(chosen["shard"], files)
-    search, logs = _search(names, folder, chosen, part)
-    logs = with_parts(logs, files) if files else logs
+    search = _search(names, folder, chosen)
     manifest = Manifest(folder)
     paths = {"report": None, "into": None, "log": "LOG", "output": "OUT"}
     # Whoever propagates a log may do so in another folder.
@@ -130,26 +127,16 @@ def command(
     settings = BatchSettings.of(
         job, folder, reports=as_json, retries=chosen["retries"], files=files
     )
-    gone = deleted(manifest, search.logs, search.searched, part)
-    search.logs.clear()
-    planned = plan(logs, settings, manifest, skip=chosen["skip_existing"], verify=chosen["verify"])
+    skip, verify = chosen["skip_existing"], chosen["verify"]
+    batch = Batch(search, settings, manifest, part, skip=skip, verify=verify)
     _warn_of_unused(manifest)
-    logs.clear()
-    tasks = planned.tasks
-    if tasks or gone:
-        manifest.prepare()
-    for entry in gone:
-        manifest.record(entry)
-    with closing(_results(tasks, settings, chosen, manifest)) as results:
+    planned, tasks = batch.plan, batch.plan.tasks
+    with closing(batch.results(chosen["processes"], chosen["dask"])) as results:
         meter = bar(len(tasks), "log", disable=not on_terminal(quiet=quiet))
         shown = ShownResults(tasks, settings, meter, quiet=quiet, keeps=as_json)
         with meter:
             for index, result in results:
                 shown.add(index, result)
-    if tasks or gone:
-        manifest.collect()
-    if files:
-        merge_parts(folder, part.has_file, chosen["processes"] or available_cores())
     if as_json:
         click.echo(json.dumps([report for _, report in sorted(shown.reports.items())], indent=2))
     counts = {
@@ -158,7 +145,7 @@ def command(
         "link|to folders": search.links,
     }
     if not quiet:
-        shown.finish(planned, counts, len(gone))
+        shown.finish(planned, counts, len(batch.gone))
     only_tables = tasks and len(tasks) == shown.states["no rates"] and not planned.skipped
     if only_tables and not chosen["shard"]:
         raise click.UsageError(f"there are no logs: {counted(counts)}; name the logs themselves")
@@ -168,29 +155,18 @@ def command(
 command.params += SHARED
 
 
-def _files(folder: str, chosen: Mapping[str, Any]) -> int | None:
-    """Return the number of files of the dataset, if it is to be one; refuse contradictions."""
-    from quatprop.batching.entries import BUCKETS
-
+def _refuse_contradictions(folder: str, chosen: Mapping[str, Any]) -> None:
+    """Refuse options that do not go together, and a file in place of a folder."""
     if chosen["dask"] and chosen["processes"]:
         raise click.UsageError("-j is for this machine; leave it out with --dask")
     if chosen["verify"] and not chosen["skip_existing"]:
         raise click.UsageError("--verify goes with --skip-existing")
     if Path(folder).is_file():
         raise click.UsageError(f"-o {folder} is a file; name a folder for the outputs")
-    if not chosen["dataset"]:
-        if chosen["buckets"]:
-            raise click.UsageError("--buckets goes with --dataset")
-        return None
-    if chosen["to"] != "parquet":
-        raise click.UsageError(f"--dataset is Parquet; leave --to {chosen['to']} out")
-    return chosen["buckets"] or BUCKETS
 
 
-def _search(
-    names: Iterable[str], folder: str, chosen: Mapping[str, Any], part: Shard
-) -> tuple[LogSearch, list[BatchTask]]:
-    """Return the search for all names, and one part of its logs."""
+def _search(names: Iterable[str], folder: str, chosen: Mapping[str, Any]) -> LogSearch:
+    """Return the search for all names."""
     from quatprop.batching.logs import LogSearch
     from quatprop.stores.objects import without_secret
 
@@ -208,7 +184,7 @@ def _search(
         raise click.UsageError(
             f"there are no logs{where}; name files, folders or patterns, or use --list"
         )
-    return search, [log for log in search.logs if part.has(log)]
+    return search
 
 
 def _warn_of_unused(manifest: Manifest) -> None:
@@ -219,15 +195,3 @@ def _warn_of_unused(manifest: Manifest) -> None:
             "writes; ignored, so that a log may be propagated again",
             err=True,
         )
-
-
-def _results(
-    tasks: list[BatchTask], settings: BatchSettings, chosen: Mapping[str, Any], manifest: Manifest
-) -> Generator[tuple[int, BatchResult]]:
-    from quatprop.batching.cluster import on_a_cluster
-    from quatprop.batching.execution import on_this_machine
-
-    if chosen["dask"] is not None:
-        return on_a_cluster(tasks, settings, chosen["dask"], manifest)
-    processes = chosen["processes"] or available_cores()
-    return on_this_machine(tasks, settings, processes, manifest)

@@ -122,7 +122,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     )
     with progress(quiet=quiet):
         named = (split_topic(file, chosen["topic"]) for file in files)
-        lines, warnings, data_lost = plot(
+        lines, page, data_lost = plot(
             [(path, view.of(topic)) for path, topic in named],
             chosen["output"],
             against,
@@ -131,7 +131,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
             command=command_line(),
         )
     if not quiet:
-        said = [*lines, *(f"warning: {warning}" for warning in warnings)]
+        said = [*lines, *(f"warning: {warning}" for warning in page.warnings)]
         click.echo("\n".join(map(plain, said)), err=True)
     return 3 if data_lost else 0
 

@@ -15,7 +15,7 @@ from quatprop.cli.types import PATH, TEXTS
 from quatprop.settings import PROPAGATE
 from quatprop.settings.keyword import Keyword
 from quatprop.settings.parsers import flag
-from quatprop.settings.rotations import file_beside
+from quatprop.settings.rotations import files_beside
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -90,9 +90,7 @@ def job_of(chosen: Mapping[str, Any], folder: Path | None = None) -> Job:
         path, values["topic"] = split_topic(name, values["topic"])
         logs.append(path)
     if folder is not None:
-        named = {name: value for name, value in values.items() if isinstance(value, str)}
-        files = {name: file_beside(name, value, folder) for name, value in named.items()}
-        values |= {name: str(file) for name, file in files.items() if file is not None}
+        values = files_beside(values, folder)
     return Job(
         log=logs[0],
         output=output_settings(chosen),

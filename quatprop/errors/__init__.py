@@ -34,7 +34,8 @@ comes from a file goes through :func:`quatprop.text.quoted`, so that it cannot c
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from copyreg import __newobj__  # type: ignore[attr-defined]
+from typing import TYPE_CHECKING, Any
 
 from quatprop.text import Setting, listed, plain, quoted, spelled
 
@@ -101,6 +102,10 @@ class QuatpropError(Exception):
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({str(self)!r})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what a copy in another process has: what is known, however it was given."""
+        return __newobj__, (type(self),), self.__dict__
 
 
 class UsageError(QuatpropError):

@@ -185,7 +185,7 @@ class AttitudeFile:
 
     def load(self, batches: Iterator[AttitudeSeries]) -> LoadedAttitudes:
         """Return the series in memory, from its batches."""
-        series = AttitudeSeries.joined(list(batches))
+        series = AttitudeSeries.gathered(batches)
         facts = self.facts()
         named = {name: getattr(facts, name) for name in ReadAttitudes.__slots__}
         return LoadedAttitudes(**named, series=series)

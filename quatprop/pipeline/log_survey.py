@@ -90,7 +90,16 @@ SignalT = TypeVar("SignalT", bound=SignalSurvey)
 class LogSurvey:
     """What a log holds.
 
-    `sources`: its signals of body rates
+    Parameters
+    ----------
+    path, kind
+        The log, and what it is.
+    sources, attitudes
+        Its signals of body rates and of attitudes. Each has a `source` (topic or columns), `type`,
+        `clock`, `samples`, `rate_hz`, `span_s`, `first_ns`, `last_ns`, `gaps`, `duplicates`,
+        `backwards`, `remarks`, and `missing`: the settings that it needs to be read.
+    losses
+        What could not be read.
     """
 
     path: str

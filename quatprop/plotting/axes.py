@@ -64,6 +64,35 @@ def draw_panel(axes: Axes, panel: Panel, picture: Picture, place: int) -> list[t
     return explained
 
 
+def draw_together(axes: Axes, picture: Picture) -> None:
+    """Draw what a picture is about on one pair of axes: an axis has a colour, a file a stroke."""
+    first, *others = picture.panels
+    alike = [one for one in others if (one.quantity.is_error, one.quantity.shown_above) == _MAIN]
+    for panel in (first, *alike):
+        name, axis = panel.quantity.name, panel.quantity.axis
+        for number, curve in enumerate(panel.curves):
+            file = picture.legend[number] if picture.legend else ""
+            file = file.partition(": ")[0].replace("$", r"\$")
+            drawn = axes.plot(
+                *curve.drawn,
+                color=colour_of(axis or number),
+                linestyle=stroke_of(number),
+                label=f"{name} {file}".rstrip(),
+            )
+            if curve.band:
+                seconds, low, high = curve.band
+                axes.fill_between(
+                    seconds, low, high, color=drawn[0].get_color(), alpha=0.2, linewidth=0
+                )
+    axes.set_xlabel(picture.time)
+    axes.set_ylabel(first.quantity.unit)
+    axes.legend()
+
+
+_MAIN = False, None
+"""Of a quantity that has its panel in every picture: not an error about one axis."""
+
+
 def _draw_curve(axes: Axes, curve: Curve, width: float, name: str) -> None:
     colour, points = colour_of(curve.colour), lone_points(curve.drawn)
     stroke = stroke_of(curve.colour)

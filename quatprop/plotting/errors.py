@@ -61,7 +61,7 @@ def error_page(
     about = "angle, and rotation vector about the body axes"
     if any(file.comparison.sigmas for file in files):
         about += f" ({SIGMA_BAND})"
-    lines = [_errors_over_time(file) for file in files]
+    lines = [errors_over_time(file.name, file.comparison) for file in files]
     if single:
         lines += _expected_and_windows(first)
     lines += [line for file in files for line in _sigma_tolerance(file, single=single)]
@@ -78,13 +78,13 @@ def error_page(
     )
 
 
-def _errors_over_time(file: ComparedFile) -> PlottedFile:
-    comparison = file.comparison
+def errors_over_time(name: str, comparison: Comparison) -> PlottedFile:
+    """Return the errors of a series for a picture."""
     values = np.column_stack([comparison.errors, comparison.error_vectors])
     sigmas = None
     if comparison.sigmas:
         sigmas = np.insert(comparison.sigmas.axes_rad, 0, np.nan, axis=1).T
-    return _plotted_line(file.name, comparison.t_ns, values.T, _max_and_rms(comparison), sigmas)
+    return _plotted_line(name, comparison.t_ns, values.T, _max_and_rms(comparison), sigmas)
 
 
 def _expected_and_windows(comparison: Comparison) -> Iterator[PlottedFile]:

@@ -14,7 +14,9 @@ from quatprop.errors import (
     NoSamplesError,
     NoSuchTopicError,
     NothingToDrawError,
+    SeriesError,
     UndeclaredError,
+    UsageError,
 )
 from quatprop.logs.attitude_part import AttitudePart
 from quatprop.logs.open_log import open_log
@@ -32,7 +34,8 @@ from quatprop.plotting.accumulators import (
 from quatprop.plotting.picture import PlottedFile
 from quatprop.provenance import entry_of
 from quatprop.rendering import Row, count_text, instant_text, samples_text, source_text
-from quatprop.series import AttitudeSeries
+from quatprop.series import AttitudeSeries, GyroSeries
+from quatprop.series.blocks import blocks
 from quatprop.settings.quantities import RATES
 from quatprop.settings.selection import AttitudeSelection, RateSelection
 from quatprop.stores.objects import without_secret
@@ -109,6 +112,34 @@ def view_file(path: str, view: View) -> FileView:
         if isinstance(signal, RateSignal):
             return _view_rates(without_secret(path), log, signal, view)
         return _view_attitudes(without_secret(path), log, signal, view)
+
+
+def view_series(name: str, series: GyroSeries | AttitudeSeries, view: View) -> FileView:
+    """Return what is shown of a series in memory."""
+    if not len(series):
+        raise SeriesError(f"{name} has no rows to draw")
+    holds = "rates" if isinstance(series, GyroSeries) else "attitude"
+    if view.show not in {None, holds}:
+        raise UsageError(f"{name} has no {view.show} to show")
+    drawn: Accumulator
+    shown: Iterator[GyroSeries] | Iterator[AttitudeSeries]
+    if isinstance(series, GyroSeries):
+        drawn = rates = RateAccumulator("rad/s")
+        shown = rates.passing(series[rows] for rows in blocks(len(series)))
+    else:
+        drawn = attitudes = AttitudeAccumulator(
+            components=view.components,
+            unwrap=view.unwrap,
+            has_sigmas=series.covariance is not None,
+        )
+        shown = attitudes.passing(series[rows] for rows in blocks(len(series)))
+    stamps = StampChecks(name)
+    deque(stamps.observe(batch.t_ns for batch in shown), maxlen=0)
+    counts = stamps.counts
+    plotted = PlottedFile(name, (drawn.group(counts.gap_limit_ns),))
+    samples = samples_text(counts.used, counts.span_ns, counts.median_dt_ns)
+    remarks = tuple(_irregularities(counts))
+    return FileView(plotted, "", "in memory", samples, (), remarks, ())
 
 
 def _choose(log: Log, view: View) -> RateSignal | AttitudeSignal:

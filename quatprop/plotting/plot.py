@@ -5,19 +5,22 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from quatprop.comparison.compare import compare
+from quatprop.errors import SeriesError
 from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
-from quatprop.plotting.errors import ComparedFile, error_page
+from quatprop.plotting.errors import ComparedFile, error_page, errors_over_time
 from quatprop.plotting.figure import STYLE, Style
-from quatprop.plotting.files import FileView, View, view_file
-from quatprop.plotting.picture import Page, picture
+from quatprop.plotting.files import FileView, View, view_file, view_series
+from quatprop.plotting.picture import Page, Picture, picture
 from quatprop.plotting.target import PictureFile
 from quatprop.rendering import file_names, loss_lines
+from quatprop.series import AttitudeSeries
 from quatprop.text import spelled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.comparison.settings import ComparisonSettings
+    from quatprop.series import GyroSeries
 
 
 def plot(  # noqa: PLR0913  # what the command line gives
@@ -28,7 +31,7 @@ def plot(  # noqa: PLR0913  # what the command line gives
     *,
     style: Style = STYLE,
     command: str = "",
-) -> tuple[list[str], Sequence[str], bool]:
+) -> tuple[list[str], Page, bool]:
     """Draw files into a picture.
 
     `files`: paths, at least one, and what to draw of each; ``"-"`` is CSV on stdin
@@ -46,7 +49,46 @@ def plot(  # noqa: PLR0913  # what the command line gives
             page, data_lost = _error_page(files, reference, settings)
             lines = list(page.lead)
         target.commit(page)
-    return lines, page.warnings, data_lost
+    return lines, page, data_lost
+
+
+def read_picture(
+    sources: Sequence[str | GyroSeries | AttitudeSeries],
+    view: View,
+    reference: str | AttitudeSeries | None,
+    settings: ComparisonSettings,
+) -> tuple[Picture, Sequence[str], bool]:
+    """Return a picture of files and of series, remarks, and whether data is lost.
+
+    `reference`: draw the error of each against these attitudes instead
+    """
+    labels = [
+        one if isinstance(one, str) else f"series {number}" for number, one in enumerate(sources, 1)
+    ]
+    if reference is None:
+        views = [
+            view_file(one, view) if isinstance(one, str) else view_series(label, one, view)
+            for one, label in zip(sources, labels, strict=True)
+        ]
+        page = _page(views)
+        return page.picture, page.warnings, any(one.losses for one in views)
+    truth, lost = _attitudes(reference, View())
+    errors = []
+    for one, name in zip(sources, file_names((label, "") for label in labels), strict=True):
+        series, loses = _attitudes(one, view)
+        errors.append(errors_over_time(name, compare(series, truth, settings)))
+        lost |= loses
+    return picture(errors), (), lost
+
+
+def _attitudes(source: object, view: View) -> tuple[AttitudeSeries, bool]:
+    """Return attitudes of a file or in memory, and whether some are lost."""
+    if isinstance(source, str):
+        loaded = load_attitudes(AttitudeInput(source, view.kind, view.attitudes, drop=True))
+        return loaded.series, loaded.data_lost
+    if not isinstance(source, AttitudeSeries):
+        raise SeriesError(f"Expected attitudes, got {type(source).__name__}")
+    return source, False
 
 
 def _page(views: list[FileView]) -> Page:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, Self, SupportsIndex
 
 import numpy as np
@@ -140,6 +141,31 @@ class Series:
 
         return cls._of(map(column, cls.__match_args__))
 
+    @classmethod
+    def gathered(cls, parts: Iterable[Self]) -> Self:
+        """Return a stream of series, at least one and all with the same columns, as one.
+
+        Columns grow where they are: there is never room for all parts beside their sum.
+        """
+        stream = iter(parts)
+        first, second = next(stream), next(stream, None)
+        if second is None:
+            return first
+        values = [getattr(first, name) for name in cls.__match_args__]
+        columns = [one.copy() if isinstance(one, np.ndarray) else one for one in values]
+        rows = len(first)
+        for part in chain([second], stream):
+            start, rows = rows, rows + len(part)
+            for name, column in zip(cls.__match_args__, columns, strict=True):
+                if isinstance(column, np.ndarray):
+                    if rows > len(column):
+                        _resize(column, rows + rows // 8)
+                    column[start:rows] = getattr(part, name)
+        for column in columns:
+            if isinstance(column, np.ndarray):
+                _resize(column, rows)
+        return cls._of(columns)
+
     def __repr__(self) -> str:
         name, t_ns = type(self).__name__, self.t_ns
         if not len(t_ns):
@@ -165,6 +191,11 @@ class Series:
                 "to_pandas() needs pandas; install it with pip install pandas"
             ) from error
         return table.to_pandas()
+
+
+def _resize(column: AnyArray, rows: int) -> None:
+    # Systems move large arrays by their pages, without a copy.
+    column.resize((rows, *column.shape[1:]), refcheck=False)
 
 
 def _same(mine: Any, theirs: Any) -> bool:

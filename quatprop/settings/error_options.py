@@ -45,7 +45,7 @@ class ErrorOptions(TypedDict, total=False):
         quantity_of(RAD_PER_UNIT, "an angle", "5mrad"), "Standard deviation of the six small "
         "angles by which each of its axes leans to the two others, such as 5mrad; of 1% of "
         "cross-axis sensitivity, 10mrad.", "0", "X", "Uncertainty")]
-    q0_sigma: Annotated[str | float | Collection[float] | None, Keyword(
+    q0_sigma: Annotated[str | float | Collection[str | float] | None, Keyword(
         angles, f"Standard deviation of {Setting('q0')}: one angle for every axis, or those of "
         "roll, pitch and yaw, such as 0.2deg,0.2deg,1deg.", f"that by the accelerometer's noise "
         f"after {Setting('q0', 'level')}, else 0", "X|ROLL,PITCH,YAW", "Uncertainty")]

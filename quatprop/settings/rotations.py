@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any, Protocol, TypeGuard
@@ -65,6 +65,13 @@ def file_beside(name: str, text: str, folder: Path) -> Path | None:
         return None
     # It may as well be a topic or numbers.
     return path if path.exists() or not (words or name == "at" or "," in text) else None
+
+
+def files_beside(values: Mapping[str, object], folder: Path) -> dict[str, object]:
+    """Return settings in which the files that they name are relative to a folder."""
+    texts = {name: str(one) for name, one in values.items() if isinstance(one, str | PathLike)}
+    files = {name: file_beside(name, text, folder) for name, text in texts.items()}
+    return {**values, **{name: str(file) for name, file in files.items() if file is not None}}
 
 
 def times(value: object) -> str | InMemory:

@@ -20,6 +20,7 @@ from quatprop.logs.vocabulary import sources
 from quatprop.logs.vocabulary.sources import TYPES
 from quatprop.messages.blocks import Channel
 from quatprop.settings.keyword import keywords_of
+from quatprop.version import __version__
 from quatprop.writers.formats import WRITERS
 
 README = ROOT / "README.md"
@@ -49,11 +50,16 @@ def test_the_readme_teaches_what_is_true(ran):
     assert (ROOT / shown).read_bytes()[:24] == (document.folder / "tumbling.png").read_bytes()[:24]
 
 
+def test_what_is_cited_is_this_version():
+    """The entry for BibTeX in the README."""
+    assert f"version = {{{__version__}}}" in README.read_text()
+
+
 def test_the_library_guide_is_true(ran):
     """Every line of Python, one block after the other."""
     document = ran(GUIDES / "library.md")
-    samples, passed, rate, sigma, parts, *recorded = document.printed.splitlines()
-    assert rate == "100.0"
+    samples, passed, rate, done, sigma, parts, *recorded = document.printed.splitlines()
+    assert (rate, done) == ("100.0", "done 1000")
     assert samples.startswith("1000 [-9.99772140e-01 ")
     assert passed.startswith("True 0.0001")
     assert sigma == "[0.00349753 0.00351605 0.01746708]"

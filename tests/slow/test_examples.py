@@ -6,6 +6,7 @@ import shlex
 import shutil
 import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,15 @@ def test_the_examples_of_every_command_run(tmp_path, monkeypatch):
             program, *arguments = shlex.split(line)
             assert program == "quatprop"
             run(*arguments, code=0)
+
+
+def test_a_first_week_of_python(tmp_path):
+    """Sixty calls as users write them, in threads and in processes, where warnings are errors."""
+    script = ROOT / "tests" / "examples" / "first_week.py"
+    command = [sys.executable, "-W", "error", script, tmp_path]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1].startswith("error: missing.csv: no such file")
 
 
 ELSEWHERE = {"development", "fleets", "library"}

@@ -95,7 +95,7 @@ LAYERS = (
     {"log_copy", "simulation"},
     {"comparison", "pipeline"},
     {"conversion", "plotting"},
-    {"api", "batch", "check"},
+    {"api", "batching", "check"},
     {"cli", "pytest_plugin", "__main__"},
 )
 """Packages and modules of quatprop: each imports from its own layer and those above it here."""

@@ -250,7 +250,20 @@ _OF_FILES = (
         stamps=(),
         needs=("imu_gyr[0]", "imu_acc[0]", "opt_quat[3]"),
     ),
-    Row("NGIMU", quat=_PART, stamps=("time",), file="(?i)quaternion"),
+    Row("NGIMU", quat=_PART, stamps=("time|timestamp",), file="(?i)quaternion"),
+    # MT Manager's tables have these rates and stamps in other units, and no such columns.
+    *(
+        Row(
+            "Movella DOT",
+            rate="gyr_" + _AXIS,
+            quat="quat_" + _PART,
+            unit="deg/s",
+            stamps=("sample_time_fine",),
+            time_unit="us",
+            needs=(column,),
+        )
+        for column in ("quat_w", "euler_x")
+    ),
     Row("Xsens", quat="quat_q(?P<part>[0123])", layout="scalar-first", stamps=()),
 )
 

@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 from make.commands import run
 from make.places import SAMPLE_LOGS
+from matplotlib.figure import Figure
 
 import quatprop
-from quatprop.errors import UsageError
+from quatprop.errors import QuatpropError, UsageError
 
 BAG, TRUTH = SAMPLE_LOGS / "tumbling.bag", SAMPLE_LOGS / "tumbling.truth.csv"
+RATES = quatprop.read_rates(BAG)
 
 
 def test_functions_stay_functions_when_what_they_use_is_imported(tmp_path):
     """A package of the same name took their place once it was imported."""
-    quatprop.plot(BAG, tmp_path / "a.svg")
+    quatprop.plot(BAG, output=tmp_path / "a.svg")
     quatprop.simulate(samples=3)
     quatprop.info(BAG)
     assert all(callable(getattr(quatprop, name)) for name in ("plot", "simulate", "info"))
@@ -70,20 +72,93 @@ def test_plot_draws_what_the_command_draws(tmp_path):
         (["--show", "rates"], {"show": "rates"}),
     ):
         ours, theirs = tmp_path / "ours.svg", tmp_path / "theirs.svg"
-        quatprop.plot(BAG, ours, **options)
+        quatprop.plot(BAG, output=ours, **options)
         run("plot", BAG, "-o", theirs, *words)
         drawn = [re.findall(r' d="[^"]*"', path.read_text()) for path in (ours, theirs)]
         assert drawn[0] == drawn[1] != []
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        quatprop.plot([TRUTH, TRUTH], tmp_path / "errors.png", reference=TRUTH)
+        quatprop.plot(TRUTH, TRUTH, output=tmp_path / "errors.png", reference=TRUTH)
     assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_plot_refuses_what_does_not_go_together(tmp_path):
     """As the command does."""
     with pytest.raises(UsageError, match="does not go with"):
-        quatprop.plot(TRUTH, tmp_path / "a.png", components=True, unwrap=True)
+        quatprop.plot(TRUTH, output=tmp_path / "a.png", components=True, unwrap=True)
+
+
+def test_a_plot_takes_and_returns_axes():
+    """Series in memory needed a file of each, and the picture could not be one of several."""
+    ax = Figure().subplots()
+    rates = RATES
+    one, two = quatprop.propagate(rates), quatprop.propagate(rates, method="coning")
+    assert quatprop.plot(one, two, TRUTH, ax=ax) is ax
+    drawn = {line.get_label(): line for line in ax.get_lines()}
+    angles = ("yaw", "pitch", "roll")
+    names = ("series 1", "series 2", "tumbling.truth.csv")
+    assert list(drawn) == [f"{angle} {name}" for angle in angles for name in names]
+    pitch = drawn["pitch series 2"].get_ydata()
+    np.testing.assert_allclose(pitch, two.as_euler("ZYX", degrees=True)[:, 1], atol=1e-9)
+    error = quatprop.plot(two, reference=TRUTH, ax=Figure().subplots()).get_lines()[0].get_ydata()
+    largest = np.degrees(quatprop.compare(two, TRUTH).error_rad.max)
+    np.testing.assert_allclose(max(error), largest, atol=1e-9)
+    part = quatprop.plot(rates, start="+1s", end="+2s", ax=Figure().subplots()).get_lines()
+    np.testing.assert_allclose([line.get_ydata() for line in part], rates.rate[100:201].T)
+    assert ax.get_xlabel() == "time since 2023-11-14 22:13:20 UTC, s"
+
+
+@pytest.mark.parametrize(
+    ("sources", "options", "reason"),
+    [
+        ([], {}, "nothing to draw"),
+        ([TRUTH, "a.png"], {}, "output='a.png'"),
+        ([RATES], {"topic": "/imu"}, "topic is for files"),
+        ([RATES], {"output": "a.png"}, "figure.savefig"),
+        ([TRUTH], {"output": "a.png", "reference": quatprop.propagate(RATES)}, "figure.savefig"),
+        ([RATES], {"unwrap": True}, "series 1 has no attitude to show"),
+        ([RATES[:0]], {}, "series 1 has no rows"),
+        ([RATES], {"reference": TRUTH}, "Expected attitudes"),
+        ([np.eye(3)], {}, "make a series of arrays"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(sources, options, reason):
+    """In a sentence that says what can."""
+    with pytest.raises(QuatpropError, match=reason):
+        quatprop.plot(*sources, **options)
+
+
+def test_a_batch_is_that_of_the_command(tmp_path):
+    """Only a process could run one; here its manifest comes back, and sentences name keywords."""
+    logs, out = [BAG, SAMPLE_LOGS / "coning.mcap", TRUTH], tmp_path / "out"
+    entries = quatprop.batch(logs, out, method="coning", to="csv", processes=1)
+    assert [entry.state for entry in entries] == ["done", "done", "failed"]
+    assert "name the columns with rate_cols and time_col" in entries[2].error
+    assert all(entry.time and entry.run for entry in entries)
+    one = quatprop.propagate(BAG, method="coning")
+    np.testing.assert_array_equal(quatprop.read_attitudes(out / entries[0].output).wxyz, one.wxyz)
+    words = ("--method", "coning", "--to", "csv", "-o", out, "--skip-existing")
+    assert "nothing to do" in run("batch", *logs[:2], *words).stderr
+    assert quatprop.batch(logs[:2], out, method="coning", to="csv", skip_existing=True) == []
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"at": [1, 2]}, "at of batch.. is a file"),
+        ({"verify": True}, "verify goes with skip_existing"),
+        ({"shard": "3/2"}, "'3/2' is not I/N"),
+        ({"to": "doc"}, "no output kind 'doc'"),
+        ({"methods": "end"}, "did you mean 'method'"),
+        ({"logs": []}, "is not a path"),
+    ],
+)
+def test_a_batch_that_makes_no_sense_is_refused(tmp_path, options, reason):
+    """Before anything is done."""
+    out = tmp_path / "out"
+    with pytest.raises(QuatpropError, match=reason):
+        quatprop.batch(**{"logs": BAG, "output": out, **options})
+    assert not out.exists()
 
 
 def test_a_report_is_short_when_shown():
@@ -99,7 +174,7 @@ def test_warnings_point_at_the_line_of_the_user(tmp_path):
     gappy.write_text("t_ns,wx,wy,wz\n" + "".join(f"{k}000000,0,0.5,{k % 9}\n" for k in times))
     for call in (
         lambda: quatprop.propagate(gappy, rate_unit="rad/s"),
-        lambda: quatprop.plot(gappy, tmp_path / "a.png", rate_unit="rad/s"),
+        lambda: quatprop.plot(gappy, output=tmp_path / "a.png", rate_unit="rad/s"),
     ):
         with pytest.warns(quatprop.RemarkWarning) as caught:
             call()

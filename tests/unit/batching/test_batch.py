@@ -206,7 +206,7 @@ def test_a_batch_takes_the_cores_that_it_may_use(tmp_path, monkeypatch):
     """As in a job of which the scheduler says on how many cores it runs."""
     counts = []
 
-    def noted(_tasks, _settings, processes, *_options):
+    def noted(_tasks, _settings, processes, *_options, **_isolated):
         counts.append(processes)
         yield from ()
 

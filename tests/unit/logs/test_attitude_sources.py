@@ -115,6 +115,7 @@ ARDUPILOT = "timestamp,TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYa
 ARIA = "graph_uid,tracking_timestamp_us,utc_timestamp_ns," + ",".join(
     f"q{axis}_world_device" for axis in "xyzw"
 )
+DOT = "PacketCounter,SampleTimeFine"
 ABOUT_X, QUARTER_X, QUARTER_Z = [0.8, 0.6, 0, 0], [HALF, HALF, 0, 0], [HALF, 0, 0, HALF]
 
 
@@ -136,6 +137,10 @@ ABOUT_X, QUARTER_X, QUARTER_Z = [0.8, 0.6, 0, 0], [HALF, HALF, 0, 0], [HALF, 0, 
         ("closed_loop_trajectory.csv", f"{ARIA}\na,10000,-1,0.6,0,0,0.8\n", 10**7, ABOUT_X),
         # The file of quaternions of an NGIMU, whose columns are components alone.
         ("quaternion.csv", "Time (s),W,X,Y,Z\n0.01,.8,.6,0,0\n", 10**7, ABOUT_X),
+        # That of an x-IMU3 counts microseconds: it had no attitudes.
+        ("Quaternion.csv", "Timestamp (us),W,X,Y,Z\n10000,.8,.6,0,0\n", 10**7, ABOUT_X),
+        # The clock of a Movella DOT counts microseconds, by its manual; it had to be declared.
+        ("dot.csv", f"{DOT},Quat_W,Quat_X,Quat_Y,Quat_Z\n0,10000,.8,.6,0,0\n", 10**7, ABOUT_X),
         # q[0] is the scalar in what ulog2csv writes.
         ("a_vehicle_attitude_0.csv", "timestamp,q[0],q[1],q[2],q[3]\n1,.8,.6,0,0\n", 1000, ABOUT_X),
     ],

@@ -41,6 +41,7 @@ header.stamp.nsecs,angular_velocity.{xyz}
 2 3 4 deg/s | 1 ms | | T [\u00b0C],timestamp_ms,g{xyz}_dps
 3 2 1 rad/s | 0 s | | t [s];omega_{zyx} [rad/s]
 3 4 5 rad/s | 1 us | ArduPilot | timestamp,TimeUS,I,Gyr{XYZ},AccX,T
+5 6 7 deg/s | 1 us | Movella DOT | PacketCounter,SampleTimeFine,Euler_{XYZ},Gyr_{XYZ}
 3 4 5 deg/s | 1 us | Betaflight | loopIteration,time (us),axisP[0],gyroADC[{012}]
 3 4 5 rad/s | 2 ns | Android GnssLogger | # UncalGyro,utcTimeMillis,elapsedRealtimeNanos,\
 UncalGyro{XYZ}RadPerSec,Drift{XYZ}RadPerSec

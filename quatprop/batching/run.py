@@ -1,0 +1,69 @@
+"""A whole batch: what is to be done, done, and recorded."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from quatprop.batching.dataset import merge_parts, with_parts
+from quatprop.batching.planning import Plan, Shard, deleted, plan
+from quatprop.concurrency.threads import available_cores
+
+if TYPE_CHECKING:
+    from collections.abc import Generator
+
+    from quatprop.batching.logs import LogSearch
+    from quatprop.batching.manifest import Manifest
+    from quatprop.batching.tasks import BatchResult, BatchSettings
+
+
+class Batch:
+    """Logs that were found, and what of them is to be done.
+
+    `search`: is emptied of its logs
+    `part`: which of them this batch does
+    `skip`, `verify`: whether outputs that are up to date are kept, and their digests compared
+    """
+
+    def __init__(  # noqa: PLR0913  # what the command line gives
+        self,
+        search: LogSearch,
+        settings: BatchSettings,
+        manifest: Manifest,
+        part: Shard,
+        *,
+        skip: bool = False,
+        verify: bool = False,
+    ) -> None:
+        self._settings, self._manifest, self._part = settings, manifest, part
+        logs = [log for log in search.logs if part.has(log)]
+        if settings.files:
+            logs = with_parts(logs, settings.files)
+        self.gone = deleted(manifest, search.logs, search.searched, part)
+        search.logs.clear()
+        self.plan: Plan = plan(logs, settings, manifest, skip=skip, verify=verify)
+
+    def results(
+        self, processes: int | None = None, dask: str | None = None, *, isolated: bool = True
+    ) -> Generator[tuple[int, BatchResult]]:
+        """Yield the index and the result of each log as soon as it is done and recorded.
+
+        `isolated`: whether a single process is another one than this
+        """
+        from quatprop.batching.cluster import on_a_cluster
+        from quatprop.batching.execution import on_this_machine
+
+        settings, manifest = self._settings, self._manifest
+        count = processes or available_cores()
+        if self.plan.tasks or self.gone:
+            manifest.prepare()
+            for entry in self.gone:
+                manifest.record(entry)
+            if dask is not None:
+                yield from on_a_cluster(self.plan.tasks, settings, dask, manifest)
+            else:
+                yield from on_this_machine(
+                    self.plan.tasks, settings, count, manifest, isolated=isolated
+                )
+            manifest.collect()
+        if settings.files:
+            merge_parts(settings.folder, self._part.has_file, count)

@@ -1,0 +1,117 @@
+"""What holds for every function that the library exports."""
+
+import inspect
+import pickle
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from make.places import SAMPLE_LOGS
+
+import quatprop
+from quatprop import AttitudeSeries, GyroSeries, errors
+
+BAG = SAMPLE_LOGS / "tumbling.bag"
+TRUTH = SAMPLE_LOGS / "tumbling.truth.csv"
+ARGUMENTS = {
+    "path": "a.mcap",
+    "suite": "a.toml",
+    "reason": "it is odd; do other",
+    "seen": ("/a", "/b"),
+    "source": "/imu",
+    "unknown": "the unit",
+    "way_out": "it",
+}
+KINDS = [
+    kind for name, kind in vars(errors).items()
+    if isinstance(kind, type) and issubclass(kind, errors.QuatpropError) and name[0] != "_"
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_error_comes_back_from_another_process(kind):
+    """One that was made with keywords, or of a generator, broke the pool instead."""
+    needed = [
+        one.name for one in inspect.signature(kind).parameters.values() if one.default is one.empty
+    ]
+    named = {name: ARGUMENTS[name] for name in needed}
+    if "seen" in named:
+        named["seen"] = (name for name in ARGUMENTS["seen"])
+    error = kind(**named)
+    error.side = "b"
+    again = pickle.loads(pickle.dumps(error))  # noqa: S301  # our own
+    assert (type(again), str(again), again.__dict__) == (kind, str(error), error.__dict__)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Write a log and attitudes that are cut, and attitudes one of which is none."""
+    folder = tmp_path_factory.mktemp("cut")
+    attitudes = quatprop.propagate(BAG)
+    quatprop.write(attitudes, folder / "whole.bag")
+    for path, name in ((BAG, "cut.bag"), (folder / "whole.bag", "cut_attitudes.bag")):
+        content = path.read_bytes()
+        (folder / name).write_bytes(content[: len(content) * 2 // 3])
+    return folder
+
+
+LOSING = {
+    "read_rates": lambda folder: quatprop.read_rates(folder / "cut.bag"),
+    "propagate": lambda folder: quatprop.propagate(folder / "cut.bag"),
+    "read_attitudes": lambda folder: quatprop.read_attitudes(folder / "cut_attitudes.bag"),
+    "compare": lambda folder: quatprop.compare(folder / "cut_attitudes.bag", TRUTH),
+    "convert": lambda folder: quatprop.convert(folder / "cut_attitudes.bag", folder / "a.csv"),
+    "write": lambda folder: quatprop.write(
+        AttitudeSeries([0], [[1, 0, 0, 0]], [[1, 2, 3]]), folder / "a.npy"
+    ),
+    "plot": lambda folder: quatprop.plot(folder / "cut.bag", output=folder / "a.svg"),
+}
+"""Function -> a call that warns; the others return what there is to say."""
+
+
+@pytest.mark.parametrize("name", LOSING)
+def test_a_warning_is_about_the_line_that_calls(files, name):
+    """Those of compare() pointed into the library; in a thread there is no line above."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        LOSING[name](files)
+        direct = {one.filename for one in caught}
+        with ThreadPoolExecutor(1) as pool:
+            pool.submit(LOSING[name], files).result()
+    assert direct == {__file__}
+    assert {one.filename for one in caught} == {__file__}
+
+
+STILL = AttitudeSeries([0, 10**9], [[1, 0, 0, 0]] * 2)
+SPIN = GyroSeries(np.arange(9) * 10**8, [[0, 0, 1]] * 9)
+FAILING = {
+    "read_rates": lambda: quatprop.read_rates(SAMPLE_LOGS / "spin.truth.csv"),
+    "read_attitudes": lambda: quatprop.read_attitudes(SAMPLE_LOGS / "spin.csv"),
+    "propagate": lambda: quatprop.propagate(SPIN, max_gap="1ms", on_gap="error"),
+    "compare": lambda: quatprop.compare(STILL, AttitudeSeries([5, 6], STILL.wxyz)),
+    "convert": lambda: quatprop.convert(SAMPLE_LOGS / "spin.csv", "a.csv"),
+    "write": lambda: quatprop.write(STILL, "a.unknown"),
+    "info": lambda: quatprop.info(SAMPLE_LOGS / "spin.csv", time_col="t", sample_rate=3),
+    "plot": lambda: quatprop.plot(STILL, SPIN),
+    "simulate": lambda: quatprop.simulate(motion="rest", frequency=3),
+    "batch": lambda: quatprop.batch(SAMPLE_LOGS, "a", verify=True),
+}
+"""Function -> a call that fails."""
+
+
+@pytest.mark.parametrize("name", FAILING)
+def test_a_way_out_is_a_keyword(name):
+    """In Python there are no options."""
+    with pytest.raises(quatprop.QuatpropError) as caught:
+        FAILING[name]()
+    assert " --" not in str(caught.value)
+    assert "quatprop " not in str(caught.value)
+    assert ";" in str(caught.value) or "goes with" in str(caught.value)
+
+
+def test_no_function_is_left_out():
+    """Of what is exported."""
+    functions = {name for name in quatprop.__all__ if inspect.isfunction(getattr(quatprop, name))}
+    assert functions == FAILING.keys()
+    assert functions - LOSING.keys() == {"info", "simulate", "batch"}
