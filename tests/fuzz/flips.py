@@ -43,7 +43,7 @@ FORMATS = {
 }
 """Modules and suffixes."""
 
-TABLE = r"(?m)^\| format \| damaged \| and read as \|\n(?:\|.*\n)+"
+TABLE = r"(?m)^\| format \| damaged \| read as \|\n(?:\|.*\n)+"
 """Of what formats cannot notice, in formats.md."""
 
 HARMLESS, DETECTED, REFUSED = "harmless", "detected", "refused"
@@ -165,7 +165,7 @@ class Format(NamedTuple):
             ends = self.module.ends(data) if hasattr(self.module, "ends") else ()
             for position in sorted({end + k for end in ends for k in range(-CUTS, CUTS + 1)}):
                 if position < len(data):
-                    name = "cut behind a chunk" if position in ends else "cut"
+                    name = "cut after a chunk" if position in ends else "cut"
                     yield Flip(layout, position, None, name)
 
     def unnoticed(self):
@@ -221,7 +221,7 @@ def unnoticed_table():
         for name in FORMATS
         for name_of_part, reason in Format.named(name).unnoticed().items()
     ]
-    return "".join(["| format | damaged | and read as |\n|---|---|---|\n", *rows])
+    return "".join(["| format | damaged | read as |\n|---|---|---|\n", *rows])
 
 
 def problems(flips, unnoticed):

@@ -38,7 +38,7 @@ class Record(NamedTuple):
 
 
 TITLE = "ROS 1 bag"
-UNNOTICED = {"cut behind a chunk": "a bag that was not closed and ends there"}
+UNNOTICED = {"cut after a chunk": "a bag that was not closed and ends there"}
 COUNTED = ("none", "lz4", "bz2", "one topic")
 
 
