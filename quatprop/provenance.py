@@ -1,7 +1,7 @@
 """How a file came about, kept inside it: the key under which it stands, and how it is read.
 
 The content is JSON: convention, layout, method, q0, source, policies, counts, versions. Files of
-Arrow keep it in their metadata, text in a comment if that was asked for.
+Arrow keep it in their metadata, text in a comment if that was requested.
 """
 
 from __future__ import annotations

@@ -49,8 +49,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         STRICT,
         action="store_true",
-        help="Fail, too, if a case is pinned and no longer in its suite, if one passes that is "
-        "known to fail, or if a remark on a log is not pinned.",
+        help="Also fail if a pinned case is no longer in its suite, if a case passes that is known "
+        "to fail, or if a remark on a log is not pinned.",
     )
     group.addoption(
         ARTIFACTS,
@@ -101,7 +101,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> SuiteFile 
 def pytest_collection_modifyitems(
     config: pytest.Config, items: list[pytest.Item]
 ) -> Iterable[None]:
-    """Refuse a suite that was asked for and of which no case was found; count what is chosen."""
+    """Refuse a suite that was requested and of which no case was found; count what is chosen."""
     found = {item.path.resolve() for item in items if isinstance(item, CaseItem)}
     yield
     left = {item.path.resolve() for item in items if isinstance(item, CaseItem)}

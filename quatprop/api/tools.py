@@ -171,7 +171,7 @@ def _picture(
         issue(RemarkWarning(remark))
     if data_lost:
         names = " + ".join(one for one in sources if isinstance(one, str))
-        issue(DataLossWarning(f"{names}: a part was not read, or left out"))
+        issue(DataLossWarning(f"{names}: a part was not read or was omitted"))
     return drawn
 
 

@@ -185,7 +185,7 @@ def _parsed(lines: bytes) -> pa.Table:
         arrow_json.ParseOptions(schema(), unexpected_field_behavior="ignore"),
     )
     if any(table[name].null_count for name in _REQUIRED):
-        raise ValueError("a line is no entry")
+        raise ValueError("a line is not an entry")
     return table
 
 

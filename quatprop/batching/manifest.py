@@ -92,7 +92,7 @@ class Manifest:
         if not self._is_remote:
             refuse_outside(self._place, folder)
             if Path(self._place).exists() and not Path(self._place).is_dir():
-                raise OutputError(self._place, "is no folder; remove it")
+                raise OutputError(self._place, "is not a folder; remove it")
 
     def prepare(self) -> None:
         """Find out whether it can be written, before anything is computed."""

@@ -177,8 +177,9 @@ def _no_overlap(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> str:
     if case.external is not None:
         ways += [Setting("clock", side="b"), Setting("time_offset", "auto")]
     return spelled(
-        f"the log's attitudes ({spans[0]}) and the reference ({spans[1]}) have no time in common: "
-        f"their stamps are of different clocks, or of different recordings; see {', '.join(ways)}"
+        f"the log's attitudes ({spans[0]}) and the reference ({spans[1]}) have no time in "
+        "common: their timestamps are from different clocks or different recordings; see "
+        f"{', '.join(ways)}"
     )
 
 

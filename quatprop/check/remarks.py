@@ -31,7 +31,7 @@ def remarks_of(
 
 def loss_notes(case: Case, run: CaseRun, reference: LoadedAttitudes | None) -> Iterator[Remark]:
     """Yield a note where data of the log or of the reference were lost."""
-    lost = "data of {} were lost or left out, see {}"
+    lost = "data of {} were lost or omitted, see {}"
     if run.report.data_lost:
         yield Remark("data-lost", lost.format(plain(case.log), "propagate"))
     if case.external is not None and reference is not None and reference.data_lost:

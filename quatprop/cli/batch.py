@@ -48,7 +48,7 @@ OPTIONS = {
         "With --dataset: the number of its files; in which a log is depends on its name alone.",
         "256", "N", group="Output"),
     "--list list_file": Keyword(
-        PATH, "Also take names from FILE or stdin, one a line, relative to the current folder.",
+        PATH, "Also read names from FILE or stdin, one per line, relative to the current folder.",
         takes="FILE|-", group="Execution"),
     "--root": Keyword(
         PATH, "Outputs keep the path of their log below DIR.",
@@ -158,7 +158,7 @@ command.params += SHARED
 def _refuse_contradictions(folder: str, chosen: Mapping[str, Any]) -> None:
     """Refuse options that do not go together, and a file in place of a folder."""
     if chosen["dask"] and chosen["processes"]:
-        raise click.UsageError("-j is for this machine; leave it out with --dask")
+        raise click.UsageError("-j is for this machine; omit it with --dask")
     if chosen["verify"] and not chosen["skip_existing"]:
         raise click.UsageError("--verify goes with --skip-existing")
     if Path(folder).is_file():

@@ -46,8 +46,9 @@ OPTIONS = {
         "and where cases are removed from the lock."),
     "--init": Keyword(flag, "Write SUITE.toml, with a case for each LOG, and the references."),
     "--reference-log": Keyword(
-        PATH, "With --init: compare each LOG with these attitudes, too; limits are proposed from "
-        "what is measured.", takes="FILE"),
+        PATH,
+        "With --init: also compare each LOG with these attitudes; limits are proposed from the "
+        "measured errors.", takes="FILE"),
     "--explain": Keyword(
         flag, "Show what the cases depend on, what is pinned, and how they are judged; run "
         "nothing. Exit code 2 if a file is missing."),
@@ -55,8 +56,9 @@ OPTIONS = {
         PATH, "Keep the attitudes, a page with the error, and the commands of each case that "
         "fails in DIR/CASE, and an overview of all cases in DIR/index.html.", takes="DIR"),
     "--strict": Keyword(
-        flag, "Fail, too, if a case that is pinned is no longer in the suite, if one passes that "
-        "is known to fail, or if a remark on a log is not pinned."),
+        flag,
+        "Also fail if a pinned case is no longer in the suite, if a case passes that is known "
+        "to fail, or if a remark on a log is not pinned."),
     "--junit": Keyword(PATH, "Also write the results as JUnit XML.", takes="FILE"),
     **JSON,
     "-q --quiet": Keyword(flag, "Only failures and the totals."),
@@ -162,7 +164,7 @@ def _refuse_contradictions(logs: Sequence[str], options: Mapping[str, Any]) -> N
         if options[name] and not (options["update"] or (updating and name == "force")):
             raise click.UsageError(f"--{name.replace('_', '-')} goes with --update")
     if options["interactive"] and options["processes"] > 1:
-        raise click.UsageError("--interactive asks about one case at a time; leave -j out")
+        raise click.UsageError("--interactive asks about one case at a time; omit -j")
     on_ci = os.environ.get("CI", "").lower() not in {"", "0", "false"}
     if updating and on_ci and not options["force"] and not options["dry_run"]:
         raise click.UsageError(

@@ -22,7 +22,7 @@ COMMANDS = {
     "batch": "Turn the body rates of many logs into attitude series.",
     "convert": "Write an attitude series in another layout, convention, form or format.",
     "compare": "Measure the error between two attitude series.",
-    "plot": "Draw rates, attitudes, or the error against a reference.",
+    "plot": "Plot rates, attitudes, or the error relative to a reference series.",
     "check": "Compare recorded logs with references, as a regression test.",
     "simulate": "Write a log whose true attitude is known.",
     "completion": "Print the script that completes names in bash, zsh or fish.",

@@ -118,7 +118,7 @@ config_option = click.option(
     is_eager=True,
     expose_value=False,
     callback=_read,
-    help="Take options from a TOML file: its keys are their names, as in a suite, and paths are "
-    "relative to it. What is on the command line comes first; none takes an option back.  "
+    help="Read options from a TOML file, with the same keys as a suite; paths are relative to it. "
+    "The command line takes precedence; none unsets an option.  "
     "[default: none]",
 )

@@ -63,8 +63,9 @@ OPTIONS = {
 }  # fmt: skip
 REFERENCE = {
     "--reference": Keyword(
-        PATH, "Draw the geodesic error of each FILE against this attitude series; holds both "
-        "in memory.", "what is in FILE", "REF", group="Options"),
+        PATH,
+        "Plot the geodesic error of each FILE relative to this attitude series; holds both in "
+        "memory.", "what is in FILE", "REF", group="Options"),
 }  # fmt: skip
 
 

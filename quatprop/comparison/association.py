@@ -37,7 +37,7 @@ class Pairs:
     `index`: which samples of the series at whose stamps the pairs are, shape ``(N,)``, int64
     `at`: that series: ``"A"`` or ``"B"``
     `match`: one of :data:`quatprop.comparison.settings.MATCHES`
-    `max_dt_ns`: how far a sample was allowed to be from its partner, ns; 0 for equal stamps
+    `max_dt_ns`: how far a sample was allowed to be from its partner, ns; 0 for equal timestamps
     `candidates`: how many could have been matched at best: samples in the time that both series
         cover, of the one that has fewer
     `floor_rad`: how much of the error may come from interpolation between samples, rad
@@ -99,7 +99,7 @@ def associate(a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings
 
 
 def is_mostly_exact(matched: int, candidates: int) -> bool:
-    """Return whether at least half of the candidates have equal stamps."""
+    """Return whether at least half of the candidates have equal timestamps."""
     return 2 * matched >= max(candidates, 1)
 
 

@@ -63,7 +63,7 @@ class ClockError(NamedTuple):
     span: float
 
     def at(self, seconds: Float64) -> Float64:
-        """Return what is to be added to B's stamps at some times, s."""
+        """Return what is to be added to B's timestamps at some times, s."""
         return self.seconds + self.ratio * (seconds - self.middle)
 
 

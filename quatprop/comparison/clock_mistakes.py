@@ -22,7 +22,7 @@ def clocks(
     """Return the offset of B's clock, and how much faster or slower it is, where motion shows it.
 
     `coarse_ns`: about the offset, ns
-    `given_ns`: what was added to B's stamps already, ns
+    `given_ns`: what was added to B's timestamps already, ns
     `turned`: whether the bodies may be turned against each other
     """
     found = clock_errors(*sides, coarse_ns, turned=turned)
@@ -56,7 +56,7 @@ def _offset(clock: ClockError, coarse_ns: int, given_ns: int, interval_ns: int) 
         "time offset",
         f"a time offset of {duration_text(abs(offset_ns))}",
         sentence,
-        f"{setting} takes it out",
+        f"{setting} removes it",
         lambda sides: sides._replace(b=shifted(sides.b, offset_ns)),
     )
 
@@ -83,7 +83,8 @@ def _clock_drift(clock: ClockError, coarse_ns: int, begin_ns: int) -> Undoing:
         f"clocks that differ by {ppm:.3g} ppm",
         f"B's clock is {pace} by {ppm:.{digits}f} +- {std:.{digits}f} ppm against A's: the offset "
         f"between their timestamps changes by {moved} in {span}",
-        f"add {first_ms:.6g} ms to B's stamps, and {clock.ratio * 1e6:.6g} ppm of the time since "
+        f"add {first_ms:.6g} ms to B's timestamps, and {clock.ratio * 1e6:.6g} ppm of the time "
+        "since "
         "its first",
         apply,
     )

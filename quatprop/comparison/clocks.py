@@ -53,7 +53,7 @@ GIVE_OFFSET = f"give the offset with {Setting('time_offset', 'DUR')}"
 class ClockOffset(NamedTuple):
     """The estimated offset between two clocks.
 
-    `ns`: what must be added to B's stamps, ns
+    `ns`: what must be added to B's timestamps, ns
     `correlation`: of the angular speeds at that offset, 1 at best
     `runner_up`: the next best correlation outside the peak: how easily it could be another offset
     `std_ns`: standard deviation of the offset, ns, whatever the noise: from the spread over time

@@ -176,15 +176,15 @@ def _remarks(
     if parts and parts.inclination.max > OPPOSED:
         yield Remark(
             "opposed-verticals",
-            "the z axes of A and B point in opposite directions, where there is no error in "
-            "heading to speak of: is one of them north-east-down, and the other one up?",
+            "the z axes of A and B point in opposite directions, so a heading error is not "
+            "meaningful: is one of them north-east-down and the other east-north-up?",
         )
     exact = comparison.association.match == "exact"
     if exact and opposite and comparison.worst.error_rad <= SMALL_ERROR:
         yield Remark(
             "opposite-signs",
             f"B has the opposite sign in {opposite} of {count} samples: q and -q are the same "
-            "attitude, so this is no error",
+            "attitude, so this is not an error",
         )
     if sigmas and math.isinf(sigmas.max):
         yield Remark(
@@ -220,8 +220,8 @@ def _sorted(series: AttitudeSeries, name: str, remarks: list[Remark]) -> tuple[A
         deviation = max(deviation, float(np.max(np.abs(length - 1), initial=0.0, where=valid)))
     if invalid:
         raise ComparisonError(
-            f"{name} has {invalid} of {len(series)} rows that are no attitude (zero or not a "
-            f"number), the first at index {first_invalid}; leave them out"
+            f"{name} has {invalid} of {len(series)} rows that are not attitudes (zero or not a "
+            f"number), the first at index {first_invalid}; omit them"
         )
     if deviation > UNIT_TOLERANCE:
         text = f"{name} is not of unit length, by up to {deviation:.2g}; normalised"
@@ -237,7 +237,7 @@ def _sorted(series: AttitudeSeries, name: str, remarks: list[Remark]) -> tuple[A
         Remark(
             "sorted",
             f"{name} was sorted by time: its timestamps step back {backwards} times, and "
-            f"{repeated} repeated ones were left out, {others} of them with another attitude",
+            f"{repeated} repeated ones were omitted, {others} of them with a different attitude",
         )
     )
     return replace(series, wxyz=wxyz)[first], others

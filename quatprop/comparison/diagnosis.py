@@ -50,7 +50,7 @@ def likely_cause(
     """Return what explains an error, if something does.
 
     `error`: the errors, rad, shape ``(N,)``, in rising order
-    `added_ns`: what was added to B's stamps, ns
+    `added_ns`: what was added to B's timestamps, ns
     """
     if len(error) < MIN_PAIRS or rms(error) <= NO_ERROR:
         return None
@@ -117,7 +117,7 @@ def _described(
     if others:
         sentence += f"; this motion does not distinguish it from {' or '.join(others)}"
     from_to = " to ".join(degrees_text(error, 4) for error in (before, after))
-    sentence += f"; undoing it takes the RMS error from {from_to}"
+    sentence += f"; undoing it reduces the RMS error from {from_to}"
     remedy = "; and also, ".join(undoing.remedy for undoing in undone)
     name = " and ".join(undoing.name for undoing in undone)
     return Cause(name, sentence, before, after, remedy)

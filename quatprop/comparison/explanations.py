@@ -73,7 +73,7 @@ ROUNDS = 2
 class Search:
     """The search for what explains the errors of two series.
 
-    `added_ns`: what was added to B's stamps already, ns
+    `added_ns`: what was added to B's timestamps already, ns
     `known`: mistakes that are undone first
     `best`, `others`: the best explanation, and what explains as much; once it has run
     `is_open`: whether kinds of mistakes were left out, since little of the error remains

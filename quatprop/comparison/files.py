@@ -1,4 +1,4 @@
-"""Compare attitude series of files: long ones with equal stamps while they are read.
+"""Compare attitude series of files: long ones with equal timestamps while they are read.
 
 Of each pair only the error is kept. What needs more than that (interpolation, windows, a mounting,
 stamps out of order) is done in memory.
@@ -134,7 +134,7 @@ class _Ordered:
 
 
 def _equal_stamps(a: _Ordered, b: _Ordered) -> Iterator[tuple[Int64, Int64, Float64, Float64]]:
-    """Yield the pairs of samples of two series that have equal stamps."""
+    """Yield the pairs of samples of two series that have equal timestamps."""
     a.start_ns = b.start_ns = max(a.covered.first_ns, b.covered.first_ns)
     first = 0
     while len(a.held) and len(b.held):

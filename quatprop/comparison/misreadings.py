@@ -58,9 +58,8 @@ def misreadings() -> Iterator[Undoing]:
     for own, wanted in (("inertial", "body"), ("body", "inertial")):
         yield Undoing(
             "side",
-            "body rates taken for inertial rates",
-            "what multiplies on the left in one of A and B multiplies on the right in the other: "
-            "body rates against inertial rates",
+            "body rates treated as inertial rates",
+            "one of A and B treats the rates as body-frame, the other as reference-frame",
             if_propagated("rates", wanted, own),
             _on_other_side(own, wanted),
         )
@@ -116,7 +115,7 @@ def axes(sides: Sides) -> Iterator[Undoing]:
         else:
             sentence += ", which is left-handed: an axis is reversed, or two are swapped"
             remedy = (
-                f"if A was propagated, take its rates as {mounts[0]}; if B was, take its rates as "
+                f"if A was propagated, read its rates as {mounts[0]}; if B was, read its rates as "
                 f"{mounts[1]}"
             )
         undone, mount = with_rates(matrix.T), matrix.T if handed > 0 else None

@@ -111,7 +111,7 @@ def rate_bias(sides: Sides, mount: Float64, sensor: Float64 | None) -> Undoing |
         "rate bias",
         "a constant rate between them",
         f"B's body rates are larger than A's by a constant {', '.join(_deg_h(-bias, 4))} deg/h",
-        f"{if_propagated('bias', *biases)}, in rad/s, beside any other",
+        f"{if_propagated('bias', *biases)}, in rad/s, in addition to any other",
         with_rates(1.0, bias),
     )
 

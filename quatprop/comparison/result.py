@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 class AppliedOffset(NamedTuple):
     """The time offset of a comparison.
 
-    `added_to_b_ns`: what was added to B's stamps, ns
+    `added_to_b_ns`: what was added to B's timestamps, ns
     `found`: how it was estimated; None where it was given
     """
 
@@ -148,7 +148,7 @@ class Comparison:
     judged
         Which pairs the errors are of; None: all.
     time_offset
-        What was added to B's stamps.
+        What was added to B's timestamps.
     alignment
         How B was rotated.
     error_rad

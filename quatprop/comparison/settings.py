@@ -30,7 +30,7 @@ ERROR_LIMITS = (
 
 Matching: TypeAlias = Literal["exact", "nearest", "interpolate"]
 MATCHES: tuple[str, ...] = get_args(Matching)
-"""How attitudes are matched in time: equal stamps, the nearest sample, interpolation."""
+"""How attitudes are matched in time: equal timestamps, the nearest sample, interpolation."""
 
 DEG_H_PER_UNIT = {"deg/h": 1.0, "deg/s": 3600.0, "rad/s": 3600 * 180 / math.pi}
 """deg/h in each unit of a drift."""
@@ -72,7 +72,7 @@ class ComparisonSettings:
         samples
     `max_sigma`: largest error that passes, in standard deviations, where `tol` is in rad
     `align`: one of :data:`ALIGNMENTS`
-    `time_offset`: added to B's stamps, ns, or ``"auto"``: estimated from the angular speeds
+    `time_offset`: added to B's timestamps, ns, or ``"auto"``: estimated from the angular speeds
     `match`: one of :data:`MATCHES`; None: chosen as
         :func:`quatprop.comparison.association.associate` describes
     `max_dt`: how far a sample may be from its partner, ns; None: depends on the median interval
@@ -116,7 +116,7 @@ class ComparisonSettings:
         if self.drift_tol is not None and self.align in BY_ALL:
             raise UsageError(
                 f"{Setting('drift_tol')} needs {Setting('align', 'none|first')}: an alignment by "
-                f"all pairs ({Setting('align', self.align)}) takes out part of the drift"
+                f"all pairs ({Setting('align', self.align)}) removes part of the drift"
             )
 
     @property
@@ -176,7 +176,7 @@ def time_ranges(value: object) -> tuple[InstantRange, ...]:
     for part in value.split(",") if isinstance(value, str) else _items(value):
         ends = part.split("..") if isinstance(part, str) else _items(part)
         if len(ends) != 2:  # noqa: PLR2004  # start and end
-            raise UsageError(f"{shown(part)} is no time range; write START..END, as +10s..+20s")
+            raise UsageError(f"{shown(part)} is not a time range; write START..END, as +10s..+20s")
         first, last = (end.strip() if isinstance(end, str) else end for end in ends)
         ranges.append(InstantRange(moment(first), moment(last)))
     return tuple(ranges)
@@ -203,53 +203,58 @@ class CompareOptions(TypedDict, total=False):
 
     # fmt: off
     tol: Annotated[float | str | None, Keyword(
-        error_limit, "Largest error that passes, such as 1e-9rad or 0.1deg (in Python, a number is "
-        "in rad), or 3sigma where a series has standard deviations. "
+        error_limit, "Maximum error allowed, such as 1e-9rad or 0.1deg (in Python, a number is "
+        "in rad), or 3sigma if a series has standard deviations. "
         f"{Setting('rms_tol')}, {Setting('final_tol')} and {Setting('p95_tol')} take the same.",
         "none, all pass", "ANGLE", "Limits", common=True)]
     rms_tol: Annotated[float | str | None, Keyword(
-        error_limit, "Largest RMS error that passes.", takes="ANGLE", group="Limits")]
+        error_limit, "Maximum RMS error allowed.", takes="ANGLE", group="Limits")]
     final_tol: Annotated[float | str | None, Keyword(
-        error_limit, "Largest final error that passes.", takes="ANGLE", group="Limits")]
+        error_limit, "Maximum final error allowed.", takes="ANGLE", group="Limits")]
     p95_tol: Annotated[float | str | None, Keyword(
-        error_limit, "Largest 95th percentile of the error that passes.", takes="ANGLE",
+        error_limit, "Maximum 95th percentile of the error allowed.", takes="ANGLE",
         group="Limits")]
     window_tol: Annotated[float | str | None, Keyword(
-        angle_rad, f"Largest error over windows that passes; with {Setting('window')}.",
+        angle_rad, f"Maximum error over windows allowed; with {Setting('window')}.",
         takes="ANGLE", group="Limits")]
     window_rms_tol: Annotated[float | str | None, Keyword(
-        angle_rad, f"Largest RMS error over windows that passes; with {Setting('window')}.",
+        angle_rad, f"Maximum RMS error over windows allowed; with {Setting('window')}.",
         takes="ANGLE", group="Limits")]
     tol_heading: Annotated[float | str | None, Keyword(
-        angle_rad, "Largest error in heading that passes: about the reference's z axis.",
+        angle_rad, "Maximum heading error allowed: about the z axis of the reference frame.",
         takes="ANGLE", group="Limits")]
     tol_inclination: Annotated[float | str | None, Keyword(
-        angle_rad, "Largest error in inclination that passes: the angle between the z axes.",
+        angle_rad, "Maximum inclination error allowed: the angle between the z axes.",
         takes="ANGLE", group="Limits")]
     drift_tol: Annotated[float | str | None, Keyword(
-        drift_deg_h, f"Largest drift that passes, in either direction, such as 10deg/h; with "
+        drift_deg_h, f"Maximum drift allowed, in either direction, such as 10deg/h; with "
         f"{Setting('align', 'none|first')}.", takes="DRIFT", group="Limits")]
     min_coverage: Annotated[float | None, Keyword(
-        _percentage, "Least part of {log}, of its time and of its samples, that must be compared.",
-        "25 of the time of either series where an error is limited", "PERCENT", "Limits")]
+        _percentage, "Least part of {log}, by time and by samples, that must be compared.",
+        "25 of the time of either series if an error is limited", "PERCENT", "Limits")]
     max_sigma: Annotated[float | None, Keyword(
-        _sigmas, "Largest error that passes, in standard deviations (Mahalanobis distance), beside "
+        _sigmas,
+        "Maximum error allowed, in standard deviations (Mahalanobis distance), in addition to "
         "one in rad or deg.", takes="N", group="Limits")]
     align: Annotated[Alignment, Keyword(
-        Choice(*ALIGNMENTS), "How {log} is rotated first: not at all; its reference frame, by the "
-        "first pair, by the mean of all, or by that in heading alone (yaw); or its reference and "
-        "body frame (mount), from the motion.", group="Alignment", common=True)]
+        Choice(*ALIGNMENTS),
+        "How {log} is aligned first: not at all; its reference frame by the first pair, by the "
+        "mean of all pairs, or in heading only (yaw); or its reference and body frames (mount), "
+        "estimated from the motion.", group="Alignment", common=True)]
     time_offset: Annotated[int | str, Keyword(
-        time_offset_ns, "Added to the stamps of {log}, such as -12ms; auto estimates it from the "
+        time_offset_ns,
+        "Added to the timestamps of {log}, such as -12ms; auto estimates it from the "
         "angular speeds.", takes="DUR|auto", group="Alignment", common=True)]
     match: Annotated[Matching | None, Keyword(
-        Choice(*MATCHES), "How attitudes are matched: equal stamps, the nearest, or interpolated "
-        "ones, at the stamps of the series with the longer intervals.", f"exact where at "
-        f"least half have equal stamps, else nearest if there is {Setting('max_dt')}, else "
+        Choice(*MATCHES),
+        "How attitudes are matched: equal timestamps, nearest, or interpolated at the "
+        "timestamps of the series with the longer intervals.",
+        f"exact if at least half have equal timestamps, else nearest with {Setting('max_dt')}, "
+        "else "
         f"interpolate", group="Alignment")]
     max_dt: Annotated[int | str | None, Keyword(
-        length, f"Largest distance in time of samples that are matched or interpolated between. "
-        f"Without {Setting('match')}, it also means nearest instead of interpolate.",
+        length, f"Maximum time between samples that are matched or interpolated between. "
+        f"Without {Setting('match')}, it also selects nearest instead of interpolate.",
         "half the median interval to the nearest, 10 to interpolate", "DUR", "Alignment")]
     min_matched: Annotated[float | None, Keyword(
         _percentage, "Percentage of the shorter series that must be matched.", "50", "PERCENT",
@@ -258,9 +263,9 @@ class CompareOptions(TypedDict, total=False):
         length, "Also compare the rotations over windows of this length.", takes="DUR",
         group="Alignment", common=True)]
     judge: Annotated[str | Collection[Any] | None, Keyword(
-        time_ranges, "Judge these times alone, such as +10s..+20s,+45s..-5s: of all pairs, those "
-        "from the first to the last of each range; +10s is after the first pair, -5s before the "
-        "last.", "all", "START..END,...", "Alignment")]
+        time_ranges,
+        "Judge only these times, such as +10s..+20s,+45s..-5s; +10s counts from the first pair, "
+        "-5s from the last.", "all", "START..END,...", "Alignment")]
     start: Annotated[str | int | datetime | None, Keyword(
         moment, "Compare from here on: RFC 3339 or ns of A's clock, +10s from A's first or -30s "
         "from its last attitude. A and B are cut before they are aligned and matched; "

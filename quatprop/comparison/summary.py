@@ -108,7 +108,7 @@ def _method(comparison: Comparison) -> Iterator[Row]:
     if part := comparison.judged:
         ranges = count_text(len(part.ranges_ns), "time range")
         yield "judged", f"{part.pairs} of them, in {ranges}"
-    shifted = f"{duration_text(offset.added_to_b_ns)} added to B's stamps"
+    shifted = f"{duration_text(offset.added_to_b_ns)} added to B's timestamps"
     if found := offset.found:
         shifted += (
             f" +- {duration_text(round(found.std_ns))}, estimated from angular speeds: correlation "
@@ -132,9 +132,11 @@ def _matching(matching: Matching) -> str:
     reach = duration_text(matching.max_dt_ns)
     other = "A" if matching.at == "B" else "B"
     method = {
-        "exact": "equal stamps",
+        "exact": "equal timestamps",
         "nearest": f"{other} nearest to {matching.at} within {reach}, not interpolated",
-        "interpolate": f"{other} interpolated at the stamps of {matching.at}, over at most {reach}",
+        "interpolate": (
+            f"{other} interpolated at the timestamps of {matching.at}, over at most {reach}"
+        ),
     }
     if matching.rate_hz is not None:
         method["interpolate"] = f"interpolated at {matching.rate_hz:.9g} Hz, B over at most {reach}"

@@ -109,7 +109,7 @@ def frames(asked: Alignment, alignment: Alignment) -> Undoing:
         f"{'body' if name == 'mount' else 'reference'} frames that differ by "
         f"{body if name == 'mount' else reference}",
         sentence,
-        f"{Setting('align', wanted)} takes it out",
+        f"{Setting('align', wanted)} removes it",
         lambda sides: sides,
         wanted,
     )

@@ -51,7 +51,7 @@ class GyroCorrection(NamedTuple):
         takes the place of its own
     `mount`: sensor axes to body axes, as :func:`mounting` reads it, or ``"tf:FRAME"``
     `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved. Those in the
-        reference frame are not turned by the mounting
+        reference frame are not rotated by the mounting
     `start`, `end`: the part of the log to use, ends included
     """
 
@@ -197,7 +197,7 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
     if clips:
         inside = clipped(numbered, settings, start_ns, end_ns, outside)
         numbered = timeline.without(inside, outside)
-    # Rates in the reference frame are not turned by the mounting.
+    # Rates in the reference frame are not rotated by the mounting.
     if mount is not None and settings.rates == "body":
         matrix = mount if matrix is None else mount @ matrix
     used = timeline.finite(numbered)

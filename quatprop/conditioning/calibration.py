@@ -105,7 +105,8 @@ def _checked(path: Path | str, name: str, matrix: Float64) -> Float64:
     condition = float(np.linalg.cond(matrix)) if matrix.any() else np.inf
     if not condition <= LARGEST_CONDITION:
         raise _unusable(
-            path, f"{name} is singular (condition number {condition:.3g}), so it is no calibration"
+            path,
+            f"{name} is singular (condition number {condition:.3g}), so it is not a calibration",
         )
     if np.linalg.det(matrix) < 0:
         raise _unusable(path, f"{name} mirrors the axes (its determinant is negative)")

@@ -82,7 +82,7 @@ def mounting(text: str, what: str = "mounting") -> Float64:
             return _matrix(numbers, text, what)
     raise UsageError(
         f"{quoted(text)} is not a {what}; write three signed axes such as x,-y,-z, a quaternion "
-        f"W,X,Y,Z that takes {old_to_new}, angles about axes that stay in deg as rpy:0,30,0, "
+        f"W,X,Y,Z that takes {old_to_new}, fixed-axis angles in deg such as rpy:0,30,0, "
         f"{', '.join(NAMED)}{', or tf:FRAME' if what == 'mounting' else ''}"
     )
 

@@ -95,7 +95,7 @@ def static_period_between(
     """
     if not len(rest) or rest["count"][0] < MIN_SAMPLES:
         raise UsageError(
-            f"{Setting('bias', str(static))} holds fewer than {MIN_SAMPLES} samples; info tells "
+            f"{Setting('bias', str(static))} holds fewer than {MIN_SAMPLES} samples; info shows "
             "where the log begins and ends"
         )
     try:
@@ -191,7 +191,7 @@ def _quiet_rates(rates: WindowSums) -> Intp:
     if not slow.any():
         raise UsageError(
             f"the steadiest period of the log has a mean rate of {speed[steady].min():.3g} rad/s, "
-            f"more than the bias of a gyroscope: the body turns; give {Setting('bias', 'X,Y,Z')}"
+            f"more than the bias of a gyroscope: the body rotates; give {Setting('bias', 'X,Y,Z')}"
         )
     # Nor is one of a sensor that has not begun to measure, unless it is at rest nowhere else.
     measured = slow & (rates["squares"][windows] > 0)
@@ -296,7 +296,7 @@ def _not_turning(
 
 def _no_rest(why: str) -> UsageError:
     return UsageError(
-        f"the log has no period of rest to take the bias from{why}; give "
-        f"{Setting('bias', 'X,Y,Z')}, or look for a shorter rest with "
+        f"the log has no stationary period to estimate the bias from{why}; give "
+        f"{Setting('bias', 'X,Y,Z')}, or look for a shorter one with "
         f"{Setting('bias', 'static:DUR')}"
     )

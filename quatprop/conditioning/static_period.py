@@ -114,8 +114,8 @@ class StaticPeriod(NamedTuple):
         if self.scatter_rad_s <= AT_REST:
             return ""
         return (
-            f"the rates from {self.first_ns} to {self.last_ns} ns, from which the bias is taken, "
-            f"scatter by {self.scatter_rad_s:.3g} rad/s: the body moves there"
+            f"the rates from {self.first_ns} to {self.last_ns} ns, from which the bias is "
+            f"estimated, scatter by {self.scatter_rad_s:.3g} rad/s: the body moves there"
         )
 
     def _unconfirmed(self) -> str:
@@ -123,8 +123,8 @@ class StaticPeriod(NamedTuple):
         if self.steady != ("rate",) or not degrees:
             return ""
         return (
-            "no accelerometer and no orientation confirms the rest from which the bias is taken: "
-            f"a steady rotation at {degrees:.3g} deg/s would look the same"
+            "no accelerometer and no orientation confirms the stationary period that the bias "
+            "is estimated from: a steady rotation at {degrees:.3g} deg/s would look the same"
         )
 
     def _differs(self) -> str:
@@ -144,8 +144,9 @@ class StaticPeriod(NamedTuple):
             return ""
         step = math.degrees(max(each.step for each in self.levels))
         return (
-            f"the rates are in steps of up to {step:.3g} deg/s, and the rest shows hardly more "
-            f"than one: the bias is known to {math.degrees(sigma):.2g} deg/s only (1 sigma)"
+            f"the rates are in steps of up to {step:.3g} deg/s, and the stationary period shows "
+            f"hardly more than one: the bias is known only to {math.degrees(sigma):.2g} deg/s "
+            "only (1 sigma)"
         )
 
     def _one_value(self) -> str:

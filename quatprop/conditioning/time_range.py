@@ -186,8 +186,8 @@ def idle_remarks(settings: GyroCorrection, before: int, after: int) -> Iterator[
         if instant is not None and instant.origin == "clock" and not left_out:
             yield Remark(
                 "range-beyond-log",
-                f"{Setting(name)} is {side} sample and leaves nothing out; a number without a unit "
-                "is in ns",
+                f"{Setting(name)} is {side} sample and excludes nothing; a number without a "
+                "unit is in ns",
             )
 
 

@@ -259,9 +259,9 @@ class TopicTable(Table):
         if np.diff(log_ns).min() < -CLOCK_STEP_NS:
             self.remark(
                 "log-times-back",
-                f"the log times of topic {quoted(self.name)} step back on the way by more than "
+                f"the log times of topic {quoted(self.name)} step back in between by more than "
                 f"{duration_text(CLOCK_STEP_NS)}, as where the recorder's clock was set back; "
-                "samples are taken in the order of their log times",
+                "samples are used in the order of their log times",
             )
 
     def provenance(self) -> JsonObject:

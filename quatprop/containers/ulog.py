@@ -129,7 +129,7 @@ class UlogLog(TopicLog):
                 (timestamp,) = stamps.columns(block)
             except MessageError as error:
                 lost = list(error.positions)
-                reason = "it ends before its time stamp; the log is damaged"
+                reason = "it ends before its timestamp; the log is damaged"
                 self.losses.note(f"topic {channel.topic}", reason, len(lost), int(places[0]))
                 block = block.at(np.delete(np.arange(len(block)), lost))
                 (timestamp,) = stamps.columns(block)

@@ -188,5 +188,5 @@ def _refuse_contradictions(job: Conversion) -> None:
         if given:
             raise UsageError(
                 f"{Setting(setting)} is about quaternions and {job.representation} has none; "
-                "leave it out"
+                "omit it"
             )

@@ -98,7 +98,7 @@ class ConversionReport:
     Parameters
     ----------
     job
-        What was asked for.
+        What was requested.
     path, kind, digest
         The file that was read, its format, and its size and SHA-256.
     signal

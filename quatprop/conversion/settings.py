@@ -27,12 +27,14 @@ class ConvertOptions(AttitudeOptions, total=False):
         "nearer to the row before, or the one with w >= 0 (of half turns, w = 0, the one whose "
         "first component that is not zero is positive).", "keep", group="Output", common=True)]
     left: Annotated[str | Collection[float] | Rotated | None, Keyword(
-        mounting, "Axes of the reference of {log} to those of OUT's: a quaternion with v_new = r "
-        "v_old r*, the old axes that become x, y and z, angles about axes that stay (deg), or a "
-        "name. Positions are turned, too.", "the same", ROTATION, group="Output")]
+        mounting, "From the reference axes of {log} to those of OUT's: a quaternion with v_new = r "
+
+        "v_old r*, the old axes that become x, y and z, fixed-axis angles (deg), or a name. "
+        "Positions are rotated as well.", "the same", ROTATION, group="Output")]
     right: Annotated[str | Collection[float] | Rotated | None, Keyword(
-        mounting, "Axes of the body of {log} to those of OUT's, in the same way: q_out = LEFT q_in "
-        "RIGHT*. Covariances are turned, too.", "the same", ROTATION, group="Output")]
+        mounting,
+        "From the body axes of {log} to those of OUT's, in the same way: q_out = LEFT q_in "
+        "RIGHT*. Covariances are rotated as well.", "the same", ROTATION, group="Output")]
     rate: Annotated[float | Fraction | str | None, Keyword(
         frequency, "Rate of the attitudes, interpolated between those of {log} by polynomials "
         "through six of them, not across gaps; holds them in memory.", "as they are", "HZ",

@@ -25,7 +25,7 @@
     ├── StoreError                     an object store does not give what is asked of it
     │   └── ReplacedError              a log that is another one after it was read
     ├── ComparisonError                two attitude series that cannot be compared as asked
-    └── OutputError                    the result cannot be written where it was asked for
+    └── OutputError                    the result cannot be written where it was requested
 
 Each is a sentence: where, what, and the way out. A choice of the user's that settles the matter is
 a mark in it (:func:`quatprop.text.Setting`), which each interface spells in its own way. Text that
@@ -292,7 +292,7 @@ class ComparisonError(QuatpropError):
 
 
 class OutputError(QuatpropError):
-    """The result cannot be written where it was asked for; `reason` as for :class:`LogError`."""
+    """The result cannot be written where it was requested; `reason` as for :class:`LogError`."""
 
     def __init__(self, path: Path | str, reason: str) -> None:
         super().__init__(f"{plain(path)}: {reason}")

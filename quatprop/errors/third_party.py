@@ -43,7 +43,7 @@ READING = {
     "_csv.Error": "its rows cannot be used",
     "_lzma.LZMAError": "its compressed data cannot be used",
     "builtins.EOFError": "it ends early",
-    "builtins.RecursionError": "something in it is nested too deeply",
+    "builtins.RecursionError": "it is nested too deeply",
     "builtins.UnicodeError": "it contains text in another encoding",
     "struct.error": "its records cannot be used",
     "zipfile.BadZipFile": "its archive cannot be used",

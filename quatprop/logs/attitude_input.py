@@ -197,7 +197,7 @@ class AttitudeFile:
         signal = replace(signal, remarks=(*signal.remarks, *found))
         # A series may begin at 0.
         if signal.clock == "header" and self._zeros > 1:
-            text = f"{self._zeros} of {counts.used} header stamps are zero"
+            text = f"{self._zeros} of {counts.used} header timestamps are zero"
             remark = Remark("zero-stamps", text)
             signal = replace(signal, remarks=(*signal.remarks, remark))
         return ReadAttitudes(

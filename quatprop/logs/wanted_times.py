@@ -109,7 +109,7 @@ def _alone(path: str) -> Int64 | None:
         return None
     stamps = [_stamp(path, number, cells[0].strip(), unit) for number, cells in rows[has_header:]]
     if not stamps:
-        raise LogError(path, "it holds no stamps")
+        raise LogError(path, "it holds no timestamps")
     return np.array(stamps, np.int64)
 
 
@@ -124,6 +124,7 @@ def _stamp(path: str, number: int, cell: str, unit: str) -> int:
         pass
     raise LogError(
         path,
-        f"line {number}: {quoted(cell)} is no stamp; write RFC 3339 or whole ns, or name the "
+        f"line {number}: {quoted(cell)} is not a timestamp; write RFC 3339 or whole ns, or name "
+        "the "
         "column with its unit, as t_s",
     )

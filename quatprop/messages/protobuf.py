@@ -98,7 +98,7 @@ def _add(pool: Any, files: Mapping[str, Any]) -> None:
     """Add files to a pool, those that others import first, in whatever order the log has them."""
     from google.protobuf import descriptor_pb2, duration_pb2, timestamp_pb2, wrappers_pb2
 
-    # Every program that reads protobuf has these, so some recorders leave them out.
+    # Every program that reads protobuf has these, so some recorders omit them.
     known = (module.DESCRIPTOR for module in (duration_pb2, timestamp_pb2, wrappers_pb2))
     read = descriptor_pb2.FileDescriptorProto.FromString
     waiting = {file.name: read(file.serialized_pb) for file in known} | dict(files)

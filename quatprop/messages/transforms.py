@@ -42,7 +42,7 @@ class Transforms(NamedTuple):
     """The transforms of a block, in the order of its messages and of the list in each.
 
     `message`: which message of the block each is in, shape ``(N,)``, int64
-    `t_ns`: header stamps, shape ``(N,)``, int64 ns
+    `t_ns`: header timestamps, shape ``(N,)``, int64 ns
     `frames`: number of the pair of frames in :attr:`TransformDecoder.frames`, shape ``(N,)``, int64
     `wxyz`: rotations child -> parent, shape ``(N, 4)``, float64
     `position`: positions of the child in the parent, shape ``(N, 3)``, float64, m

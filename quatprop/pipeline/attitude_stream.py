@@ -172,7 +172,7 @@ class AttitudeStream:
             return None
         errors, _, rests = self._errors
         if settings.rates == "inertial":
-            # Rates in the reference frame are not turned by the mounting.
+            # Rates in the reference frame are not rotated by the mounting.
             return ErrorGrowth(errors, settings.rates, self._method, q0=q0, rests=rests)
         turn = rotation_matrix(self._q0)
         return ErrorGrowth(

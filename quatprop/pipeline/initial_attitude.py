@@ -203,7 +203,7 @@ def _refuse_motion(first: GyroSeries, log: Log) -> None:
     scatter = float(np.sqrt(((rate - rate.mean(axis=0)) ** 2).sum(axis=1).mean()))
     if not scatter <= AT_REST:
         raise UsageError(
-            f"{quoted(log.path)} does not begin at rest (its rates scatter by {scatter:.3g} rad/s "
+            f"{quoted(log.path)} does not start at rest (its rates scatter by {scatter:.3g} rad/s "
             "in the first second), so gravity does not show the attitude; choose "
             f"{Setting('start')} at rest, or give {Setting('q0')}",
         )

@@ -86,7 +86,7 @@ def frame_remarks(source: RateSignal) -> list[Remark]:
 
 
 def stamp_remarks(source: RateSignal) -> list[Remark]:
-    """Return remarks on header stamps, compared with the times of recording."""
+    """Return remarks on header timestamps, compared with the times of recording."""
     if source.clock != "header":
         return []
     first = next(source.rows(at_first=True), None)
@@ -96,13 +96,13 @@ def stamp_remarks(source: RateSignal) -> list[Remark]:
     zeros = int(np.count_nonzero(stamped == 0))
     way_out = f"for the time of recording choose {Setting('clock', 'log')}"
     if zeros:
-        text = f"{zeros} of the first {len(stamped)} header stamps are zero; {way_out}"
+        text = f"{zeros} of the first {len(stamped)} header timestamps are zero; {way_out}"
         return [Remark("zero-stamps", text)]
     if not logged.any() or abs(int(stamped[0]) - int(logged[0])) <= OTHER_CLOCK_NS:
         return []
     begin, recorded = utc_text(int(stamped[0])), utc_text(int(logged[0]))
     how = "another clock, or recorded again later" if stamped[0] < logged[0] else "another clock"
-    text = f"header stamps begin at {begin} and the recording at {recorded}: {how}; {way_out}"
+    text = f"header timestamps begin at {begin} and the recording at {recorded}: {how}; {way_out}"
     return [Remark("other-clock", text)]
 
 

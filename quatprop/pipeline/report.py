@@ -148,7 +148,7 @@ class RunReport:
         The parts; of the uncertainty None where nothing is known of the gyroscope's errors, or the
         report is kept nowhere.
     settings
-        What was asked for, by the names of settings, as text.
+        What was requested, by the names of settings, as text.
     files
         Size and SHA-256 of the files that were read beside the log, by path; empty where the
         report is kept nowhere.

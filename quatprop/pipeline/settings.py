@@ -37,8 +37,7 @@ if TYPE_CHECKING:
 class PropagationSettings:
     """Everything that determines the attitudes of a log.
 
-    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: told by its content,
-        then by its suffix
+    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: detected from content, then suffix
     `policy`: how irregular timestamps are handled
     `method`: integration rule: one of :data:`quatprop.settings.METHODS`; None: what
         the log says of its samples, or else ``"start"``
@@ -86,8 +85,8 @@ class PropagationSettings:
             and self.q0.source not in FROM_THE_LOG
         ):
             raise UsageError(
-                f"rates resolved in the reference frame are not turned by {Setting('mount')}; it "
-                f"turns what {Setting('q0', 'level|log')} take from the log, or leave it out",
+                f"rates resolved in the reference frame are not rotated by {Setting('mount')}; "
+                f"it rotates what {Setting('q0', 'level|log')} take from the log; or omit it",
             )
 
     def _refuse_with_earth_rate(self) -> None:
@@ -95,17 +94,17 @@ class PropagationSettings:
         if self.rates == "inertial":
             rate = ",".join(f"{x:.9g}" for x in self.earth_rate.rate) if self.earth_rate else ""
             raise UsageError(
-                f"{earth_rate} is for body rates; of rates resolved in the reference subtract the "
-                f"Earth's, {rate} rad/s, with {Setting('bias')}"
+                f"{earth_rate} is for body rates; from rates resolved in the reference frame "
+                f"subtract Earth rate, {rate} rad/s, with {Setting('bias')}"
             )
         if self.conditioning.static is not None:
             raise UsageError(
-                f"{Setting('bias', 'static')} takes the mean rate at rest, which contains the "
-                f"Earth's rate that {earth_rate} takes off; give {Setting('bias')} as numbers"
+                f"{Setting('bias', 'static')} subtracts the mean rate at rest, which includes "
+                f"the Earth rate that {earth_rate} removes; give {Setting('bias')} as numbers"
             )
         if self.policy.on_gap in {"zero", "split"}:
             raise UsageError(
-                f"{earth_rate} counts the time since the first sample, across gaps, too; choose "
+                f"{earth_rate} counts the time since the first sample, including gaps; choose "
                 f"{Setting('on_gap', 'hold')} or {Setting('on_gap', 'error')}"
             )
 

@@ -41,7 +41,7 @@ def facts(report: RunReport) -> Iterator[Row]:
         yield "clock", _clock(counts.steady_clock)
     why = ""
     if convention.method_from == "log":
-        why = f" (the samples are {convention.samples} over the intervals before their stamps)"
+        why = f" (the samples are {convention.samples} over the intervals before their timestamps)"
     yield "method", f"{convention.method}{why}, {convention.rates} rates: {convention.side}"
     if (bias := report.conditioning.bias_rad_s) is not None:
         yield "bias", _bias(bias, report.conditioning.rest)
@@ -78,9 +78,9 @@ def facts(report: RunReport) -> Iterator[Row]:
 def _clock(clock: SteadyClock | None) -> str:
     """Return which steady clock took the place of the timestamps."""
     if clock is None:
-        return "the timestamps are those of a steady clock already: used as they are"
+        return "the timestamps already follow a steady clock: used unchanged"
     text = (
-        f"steady at {clock.rate_hz:.9g} Hz from t = {clock.offset_ns} ns, in place of timestamps "
+        f"steady at {clock.rate_hz:.9g} Hz from t = {clock.offset_ns} ns, instead of timestamps "
         f"that scatter about it by {duration_text(round(clock.residual_rms_ns))} RMS and are at "
         f"most {duration_text(clock.residual_max_ns)} away"
     )

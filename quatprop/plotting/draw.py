@@ -59,7 +59,7 @@ def require_matplotlib() -> None:
         import matplotlib as mpl  # noqa: F401  # checked before anything is read
     except ImportError as error:
         raise UsageError(
-            "pictures need matplotlib, which is not installed; pip install matplotlib"
+            "plots need matplotlib, which is not installed; pip install matplotlib"
         ) from error
 
 

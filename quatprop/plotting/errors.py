@@ -28,7 +28,7 @@ DIGITS = 4
 """Of the angles in a picture."""
 
 MATCHES = {
-    "exact": "pairs of equal stamps",
+    "exact": "pairs of equal timestamps",
     "nearest": "pairs nearest in time",
     "interpolate": "pairs, interpolated in time",
 }
@@ -172,5 +172,5 @@ def _operand_warnings(operand: ReadAttitudes) -> Iterator[str]:
     path = operand.input.path
     yield from (f"{path}: {spelled(remark)}" for remark in operand.signal.remarks)
     if operand.counts.invalid:
-        yield f"{path}: {operand.counts.invalid} invalid quaternions were left out"
+        yield f"{path}: {operand.counts.invalid} invalid quaternions were omitted"
     yield from (f"{path}: {line}" for line in loss_lines(operand.losses))

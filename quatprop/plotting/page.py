@@ -25,7 +25,9 @@ HINT = (
 )
 """How to use the picture of a page."""
 
-REDUCED = " Only extremes of short times are drawn of it: draw a part of it to zoom further."
+REDUCED = (
+    " Only the extremes of each short interval are drawn: plot a part of it to zoom in further."
+)
 """What else to know of a long series."""
 
 

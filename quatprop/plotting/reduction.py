@@ -127,7 +127,7 @@ class Reduction:
 
 
 def _merge(index: Int64, parts: Reduced) -> tuple[Int64, Reduced]:
-    """Merge the parts of each bin; equal stamps keep their order of arrival.
+    """Merge the parts of each bin; equal timestamps keep their order of arrival.
 
     `index`: the bin of each part, shape ``(N,)``, N at least 1
     """

@@ -79,11 +79,11 @@ def _contents(path: str) -> Row:
 def kind_of(target: str) -> str:
     """Return the kind of a picture by the suffix of its name."""
     if is_stdout(target) or is_stream(target):
-        raise OutputError(target, "a picture goes to a file; name one that ends in .png")
+        raise OutputError(target, "a plot is written to a file; name one that ends in .png")
     kind = KINDS.get(Path(target).suffix.lower())
     if kind is None:
         raise OutputError(
             target,
-            "the suffix is not one of a picture; use .png, .svg or .pdf, or .html for a report",
+            "the suffix is not that of an image; use .png, .svg or .pdf, or .html for a report",
         )
     return kind

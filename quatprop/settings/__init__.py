@@ -37,38 +37,45 @@ class RunOptions(RateOptions, total=False):
         "start (averages: end)",
         group="Integration", common=True)]
     rates: Annotated[Frame | None, Keyword(
-        Choice(*FRAMES), "Frame the rates are resolved in: body multiplies right, inertial (or "
-        "reference: in the axes of the reference) left.", "body", group="Integration")]
+        Choice(*FRAMES),
+        "Frame that the rates are resolved in: body multiplies on the right; inertial (or "
+        "reference: the axes of the reference frame) on the left.", "body", group="Integration")]
     earth_rate: Annotated[float | Collection[float] | None, Keyword(
-        place, "Take off the rotation of the Earth at this latitude, deg: attitudes against the "
-        "ground. The reference is east-north-up, or north-east-down if its z axis points down; "
-        "AZIMUTH is that of another x axis, deg clockwise from north.", "attitudes against a "
-        "reference that does not turn", "LAT[,AZIMUTH]", "Integration")]
+        place,
+        "Remove the rotation of the Earth at this latitude, deg, so that attitudes are relative "
+        "to the ground. The reference frame is east-north-up, or north-east-down if its z axis "
+        "points down; AZIMUTH is that of a different x axis, deg clockwise from north.",
+        "attitudes relative to an inertial reference frame", "LAT[,AZIMUTH]", "Integration")]
     q0: Annotated[
         str | PathLike[str] | Collection[float] | Rotated | Timed | None, Keyword(
-        initial_attitude, "First attitude, body-to-ref: four numbers; level, roll and pitch from "
-        "gravity at rest; log, the orientation beside the rates; or FILE, an attitude series, or "
-        "TOPIC of the log, at that time.", "identity", "W,X,Y,Z|level|log|FILE|TOPIC", "Initial "
+        initial_attitude,
+        "Initial attitude, body-to-ref: four numbers; level, roll and pitch from gravity at "
+        "rest; log, the orientation recorded with the rates; or an attitude series, FILE or "
+        "TOPIC of the log, at that time.", "identity",
+        "W,X,Y,Z|level|log|FILE|TOPIC", "Initial "
         "attitude", common=True)]
     heading: Annotated[float | None, Keyword(
         number, f"For {Setting('q0', 'level')}: rotation about the reference's z axis, deg, right-"
         f"handed: 90 points body x along the reference's y.", "0", "DEG", "Initial attitude")]
     reference_z: Annotated[Literal["up", "down"] | None, Keyword(
-        Choice("up", "down"), f"For {Setting('q0', 'level')} and {Setting('earth_rate')}: where "
-        f"the reference's z axis points (down for north-east-down).", "up", group="Initial "
+        Choice("up", "down"),
+        f"For {Setting('q0', 'level')} and {Setting('earth_rate')}: where the z axis of the "
+        "reference frame points (down for north-east-down).", "up", group="Initial "
         "attitude")]
     accel_cols: Annotated[str | Sequence[str | int] | None, Keyword(
-        column_list("X,Y,Z"), f"Columns of the accelerometer beside the rates, in any unit, for "
+        column_list("X,Y,Z"), f"Accelerometer columns, in any unit, for "
         f"{Setting('q0', 'level')} and {Setting('bias', 'static')}; by name or number from 0.",
         "by their names", "X,Y,Z", "Initial attitude")]
     q0_layout: Annotated[Layout | None, Keyword(
         Choice(*LAYOUTS), f"Order of the four numbers of {Setting('q0')}.", "scalar-first",
         group="Initial attitude")]
     bias: Annotated[str | PathLike[str] | Collection[float] | Timed | None, Keyword(
-        bias, f"Subtracted from the rates; in {Setting('rate_unit')}. static takes the mean rate "
-        f"over a rest of at least DUR (1s), found in the whole log by rate, accelerometer and "
-        f"orientation, or over that from START to END; static:nearest that of the nearest in time, "
-        f"static:interpolate what is between them; FILE or TOPIC is a series, interpolated.",
+        bias,
+        f"Subtracted from the rates; in {Setting('rate_unit')}. static is the mean rate over a "
+        "stationary period of at least DUR (1s), found in the whole log by rate, accelerometer "
+        "and orientation, or over the time from START to END; static:nearest uses the period "
+        "nearest in time, static:interpolate interpolates between periods; FILE or TOPIC is a "
+        "series, interpolated.",
         takes="X,Y,Z|static[:nearest|:interpolate][:DUR]|static@START..END|FILE|TOPIC",
         group="Rates", common=True)]
     calibration: Annotated[str | PathLike[str] | None, Keyword(
@@ -76,14 +83,16 @@ class RunOptions(RateOptions, total=False):
         "bias (rad/s), applied as matrix (w - bias), or kalibr's file of an IMU.", takes="FILE",
         group="Rates")]
     mount: Annotated[str | Collection[float] | Rotated | None, Keyword(
-        mounting, "Sensor axes to body axes: a quaternion with v_body = m v_sensor m*, the sensor "
-        "axes that become x, y and z, roll, pitch and yaw of the sensor in the body (deg, as in "
-        "URDF), a name such as frd-to-flu, or those of a frame by the log's own /tf_static.", "the "
+        mounting,
+        "Rotation from sensor to body axes: a quaternion with v_body = m v_sensor m*; the "
+        "sensor axes that become x, y and z; roll, pitch and yaw of the sensor in the body "
+        "(deg, as in URDF); a name such as frd-to-flu; or a frame in the log's own /tf_static.",
+        "the "
         "same", "W,X,Y,Z|x,-y,-z|rpy:R,P,Y|ned-to-enu|frd-to-flu|tf:FRAME", "Rates", common=True)]
     on_backwards: Annotated[Literal["error", "drop", "sort"] | None, Keyword(
         Choice("error", "drop", "sort"), "Timestamps that go backwards: refuse, drop until the "
-        "clock has caught up, or sort (holds the log in memory); drop and sort leave out "
-        "timestamps that are far ahead of those after them.", "error", group="Timestamps",
+        "clock has caught up, or sort (holds the log in memory); drop and sort discard "
+        "timestamps that are far ahead of later ones.", "error", group="Timestamps",
         common=True)]
     on_nonfinite: Annotated[Literal["error", "drop", "hold"] | None, Keyword(
         Choice("error", "drop", "hold"), "Rates that are NaN or infinite: refuse, drop, or hold "
@@ -93,21 +102,24 @@ class RunOptions(RateOptions, total=False):
         length, "Intervals longer than this count as gaps.", "10 median intervals", "DUR",
         "Timestamps")]
     on_gap: Annotated[Literal["hold", "zero", "split", "error"] | None, Keyword(
-        Choice("hold", "zero", "split", "error"), f"What to do about gaps: hold propagates across "
-        f"like over any interval, by {Setting('method')}, and warns; zero takes the rate across as "
-        f"zero; split begins again at {Setting('q0')}; error refuses.", "hold", group="Timestamps",
+        Choice("hold", "zero", "split", "error"),
+        "How gaps are handled: hold integrates across the gap like any other interval, by "
+        f"{Setting('method')}, and warns; zero assumes a rate of zero; split starts again at "
+        f"{Setting('q0')}; error refuses.", "hold", group="Timestamps",
         common=True)]
     every: Annotated[int | None, Keyword(
-        count, "Write every N-th attitude only.", "all", "N", "Output")]
+        count, "Write only every N-th attitude.", "all", "N", "Output")]
     rate: Annotated[float | Fraction | str | None, Keyword(
-        frequency, "Rate of the attitudes: exact at its times under the method.", "at the samples",
+        frequency,
+        "Output rate; the attitudes at these times are exact under the method.", "at the samples",
         "HZ", "Output", common=True)]
     at: Annotated[str | PathLike[str] | Timed | Collection[Any] | None, Keyword(
-        times, "Write attitudes at the stamps of this file (attitudes, rates, or stamps alone) or "
-        "TOPIC of the log, exact under the method; times outside the log are left out.", "at the "
+        times,
+        "Write attitudes at the timestamps of this file (attitudes, rates, or only timestamps) "
+        "or TOPIC of the log, exact under the method; times outside the log are omitted.", "at the "
         "samples", "FILE|TOPIC", "Output")]
     threads: Annotated[int | None, Keyword(
-        count, "Threads that compute at a time; the output is the same for any number.", "the "
+        count, "Number of threads; the output does not depend on it.", "the "
         "cores of this machine", "N", "Execution")]
     # fmt: on
 

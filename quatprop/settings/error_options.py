@@ -31,27 +31,34 @@ class ErrorOptions(TypedDict, total=False):
         "of the result.", f"by {Setting('imu')} or {Setting('bias', 'static')}", "X",
         "Uncertainty")]
     bias_sigma: Annotated[str | float | None, Keyword(
-        quantity_of(RATES, "a rate", "20deg/h"), "Standard deviation of its constant bias, such as "
-        "20deg/h: how well the bias is known, as turn-on repeatability says; bias instability says "
-        "less.", f"by {Setting('bias', 'static')}, else 0", "X", "Uncertainty")]
+        quantity_of(RATES, "a rate", "20deg/h"), "Standard deviation of the constant bias, such as "
+        "20deg/h: how well the bias is known: the turn-on repeatability, not the bias "
+        "instability.",
+        f"by {Setting('bias', 'static')}, else 0", "X", "Uncertainty")]
     random_walk: Annotated[str | float | None, Keyword(
-        quantity_of(RATE_WALKS, "a rate random walk", "1e-5rad/s^2/sqrt(Hz)"), "Rate random walk "
-        "of its bias, such as 1e-5rad/s^2/sqrt(Hz) or 3deg/h/sqrt(h).", f"by {Setting('imu')}, "
+        quantity_of(RATE_WALKS, "a rate random walk", "1e-5rad/s^2/sqrt(Hz)"),
+        "Rate random walk of the bias, such as 1e-5rad/s^2/sqrt(Hz) or 3deg/h/sqrt(h).",
+        f"by {Setting('imu')}, "
         f"else 0", "X", "Uncertainty")]
     scale_sigma: Annotated[str | float | None, Keyword(
-        quantity_of(RATIOS, "a ratio", "1000ppm or 0.1%"), "Standard deviation of its scale "
-        "factors, such as 1000ppm or 0.1%.", "0", "X", "Uncertainty")]
+        quantity_of(RATIOS, "a ratio", "1000ppm or 0.1%"),
+        "Standard deviation of the scale factors, such as 1000ppm or 0.1%.", "0", "X",
+        "Uncertainty")]
     misalignment_sigma: Annotated[str | float | None, Keyword(
-        quantity_of(RAD_PER_UNIT, "an angle", "5mrad"), "Standard deviation of the six small "
-        "angles by which each of its axes leans to the two others, such as 5mrad; of 1% of "
-        "cross-axis sensitivity, 10mrad.", "0", "X", "Uncertainty")]
+        quantity_of(RAD_PER_UNIT, "an angle", "5mrad"),
+        "Standard deviation of the six small angles by which each sensor axis leans towards the "
+        "two others, such as 5mrad; 1% of cross-axis sensitivity is 10mrad.", "0", "X",
+        "Uncertainty")]
     q0_sigma: Annotated[str | float | Collection[str | float] | None, Keyword(
-        angles, f"Standard deviation of {Setting('q0')}: one angle for every axis, or those of "
-        "roll, pitch and yaw, such as 0.2deg,0.2deg,1deg.", f"that by the accelerometer's noise "
-        f"after {Setting('q0', 'level')}, else 0", "X|ROLL,PITCH,YAW", "Uncertainty")]
+        angles,
+        f"Standard deviation of {Setting('q0')}: one angle for every axis, or roll, pitch and "
+        "yaw, such as 0.2deg,0.2deg,1deg.",
+        f"by accelerometer noise after {Setting('q0', 'level')}, else 0", "X|ROLL,PITCH,YAW",
+        "Uncertainty")]
     imu: Annotated[str | PathLike[str] | None, Keyword(
-        path, "Noise density and random walk from a file: Kalibr's, or that of an Allan variance "
-        "tool.", takes="FILE.yaml", group="Uncertainty")]
+        path,
+        "Noise density and random walk from a file in the format of kalibr or of an Allan "
+        "variance tool.", takes="FILE.yaml", group="Uncertainty")]
     sigma: Annotated[bool | None, Keyword(
         flag, "Write the standard deviations of every attitude: columns sigma_x, sigma_y, sigma_z "
         "in rad, covariances in messages that have them.", group="Output", common=True)]

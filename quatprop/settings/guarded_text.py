@@ -181,7 +181,7 @@ def _distinct(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _refuse_constant(name: str) -> NoReturn:
-    raise ContentError(f"{name} is no number of JSON")
+    raise ContentError(f"{name} is not a JSON number")
 
 
 def _whole(digits: str) -> int:
@@ -204,7 +204,7 @@ def _check(content: object) -> None:
             raise ContentError(_too_deep())
         if isinstance(value, str):
             if "\0" in value or not _is_unicode(value):
-                raise ContentError(f"{_named(place)}: text that is no Unicode, or has a zero byte")
+                raise ContentError(f"{_named(place)}: text that is not Unicode, or has a zero byte")
         elif isinstance(value, int):
             if value.bit_length() > MAX_DIGITS * 3:
                 raise ContentError(f"{_named(place)}: a number of more than {MAX_DIGITS} digits")

@@ -52,25 +52,27 @@ class SelectOptions(TypedDict, total=False):
 
     # fmt: off
     kind: Annotated[str | None, Keyword(
-        Choice(*READERS), "Kind of {log}.", "told by its content, then by its suffix", "KIND")]
+        Choice(*READERS), "Kind of {log}.", "detected from content, then suffix", "KIND")]
     topic: Annotated[str | None, Keyword(
         text, "Topic of {log}.", "the only one with {signal}", "NAME", common=True)]
     msg_path: Annotated[str | PathLike[str] | None, Keyword(
-        path, "Message definitions for {log}: a .msg file, or a folder of them.", "those in the "
-        "log or beside it", "PATH")]
+        path,
+        "Message definitions for {log}: a .msg file, or a folder of them.",
+        "those in or next to the log", "PATH")]
     clock: Annotated[ClockName | None, Keyword(
         Choice(*CLOCKS), "Timestamp source.", "header where the message has one, else log")]
     time_field: Annotated[str | None, Keyword(
         text, "Message field of {log} that is the time.", "the header stamp", "A.B")]
     time_col: Annotated[str | int | None, Keyword(
         lambda value: text(str(value)), f"Time column of {{log}}, by name or number from 0; two "
-        "(SEC,NANOSEC, SEC,USEC or SEC,MSEC) of one stamp; none counts rows at "
+        "(SEC,NANOSEC, SEC,USEC or SEC,MSEC) of one timestamp; none counts rows at "
         f"{Setting('sample_rate')}.", "by the header", "C|none")]
     time_unit: Annotated[TimeUnit | None, Keyword(
         Choice(*TIME_UNITS), "Unit of the time in {log}.", "as the log says")]
     sample_rate: Annotated[float | Fraction | str | None, Keyword(
-        frequency, "Rows a second of {log}, a table without a time, or what its counter of samples "
-        "counts a second, Hz.", takes="HZ")]
+        frequency,
+        "Sample rate of {log}, a table without timestamps, or counts per second of its sample "
+        "counter, Hz.", takes="HZ")]
     series: Annotated[str | int | None, Keyword(
         lambda value: text(str(value)), "Which of the interleaved series in the rows of {log}, "
         "such as those of two sensors; all reads them as one.", "the only one there is",
@@ -143,8 +145,9 @@ class AttitudeOptions(SeriesOptions, total=False):
     normalize: Annotated[bool | None, Keyword(
         flag, "Scale quaternions to unit length.", "refuse those off by more than 0.001")]
     on_invalid: Annotated[Literal["error", "drop"] | None, Keyword(
-        Choice("error", "drop"), "Invalid quaternions (zero, NaN, marked absent, not of unit "
-        "length): refuse or leave out.", "error")]
+        Choice("error", "drop"),
+        "Invalid quaternions (zero, NaN, marked absent, not of unit length): refuse or drop.",
+        "error")]
     start: Start
     end: End
     # fmt: on

@@ -53,7 +53,7 @@ def place(value: object) -> tuple[float, ...]:
     names = "LAT,AZIMUTH" if len(parts_of(value)) > 1 else "LAT"
     numbers = number_list(names)(value)
     if abs(numbers[0]) > 90:  # noqa: PLR2004  # the poles
-        raise UsageError(f"{shown(value)} is no latitude: it is from -90 to 90 deg, north positive")
+        raise UsageError(f"{shown(value)} is not a latitude: give -90 to 90 deg, north positive")
     return numbers
 
 

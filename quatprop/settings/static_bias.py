@@ -56,7 +56,7 @@ def bias(value: object) -> tuple[float, ...] | StaticBias | InMemory | str:
     if isinstance(value, str) and value.partition("@")[0].strip() == STATIC:
         start, dots, end = value.partition("@")[2].partition("..")
         if not (start.strip() and dots and end.strip()):
-            raise UsageError(f"{shown(value)} is no time range; write static@+10s..+20s")
+            raise UsageError(f"{shown(value)} is not a time range; write static@+10s..+20s")
         return StaticBias(start=moment(start.strip()), end=moment(end.strip()))
     # With commas, it may be an attempt at numbers.
     if is_name(value) and ("," not in str(value) or Path(value).exists()):

@@ -56,7 +56,7 @@ class Gyroscope:
         if BATCH * NS_PER_S * self.sample_rate.denominator > np.iinfo(np.int64).max:
             raise UsageError(
                 f"a sample rate of {float(self.sample_rate)} Hz has too many digits to keep its "
-                "stamps exact; give it to three decimals"
+                "timestamps exact; give it to three decimals"
             )
         if not np.isfinite([self.noise, *self.bias]).all() or self.noise < 0:
             raise UsageError("noise and bias must be finite, and the noise not negative")

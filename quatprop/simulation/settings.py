@@ -89,14 +89,15 @@ class SimulateOptions(TypedDict, total=False):
         number_list("W,X,Y,Z"), "True attitude at the first sample, body to reference, scalar "
         "first.", "1,0,0,0", "W,X,Y,Z", preset=True)]
     frequency: Annotated[float | Fraction | str | None, Keyword(
-        _exact, "Turns a second: of a spin, of coning, of the precession of tumbling.", "0.5",
+        _exact,
+        "Revolutions per second: of a spin, of coning, of the precession of tumbling.", "0.5",
         "HZ")]
     axis: Annotated[Collection[float] | str | None, Keyword(
         number_list("X,Y,Z"), "Axis of a spin in the body.", "0,0,1", "X,Y,Z")]
     angle: Annotated[float | Fraction | str | None, Keyword(
         _exact, "Half-angle of the cone, or nutation angle of tumbling.", "10", "DEG")]
     spin_frequency: Annotated[float | Fraction | str | None, Keyword(
-        _exact, "Turns a second of a tumbling body about its own axis.", "0.2", "HZ")]
+        _exact, "Revolutions per second of a tumbling body about its own axis.", "0.2", "HZ")]
     walk: Annotated[float | None, Keyword(
         _size, "Random walk of the rate, rad/s/sqrt(s).", "0.1", "X")]
     # fmt: on

@@ -76,7 +76,8 @@ OTHER_FORMATS = {
     rb"(?s).{257}ustar": "it is a tar archive; unpack it, and name a log in it",
     rb"\xa3\x95\x80": "it is an ArduPilot log; convert it to CSV with mavlogdump.py",
     rb"H Product:Blackbox": "it is a Betaflight log; convert it with blackbox_decode",
-    rb"\s*\[\s*[\[{]": "it is a JSON array; write an element a line, such as with jq -c '.[]'",
+    rb"\s*\[\s*[\[{]":
+    "it is a JSON array; write one element per line, for example with jq -c '.[]'",
 }  # fmt: skip
 """What the content of formats that are not read begins with, and the way out."""
 

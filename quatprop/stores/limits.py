@@ -61,7 +61,9 @@ def decompressed_limit(size: int) -> int:
         return max(_LEAST, _TIMES * size)
     number = re.fullmatch(_BYTES, value)
     if number is None:
-        raise UsageError(f"{MAX_UNPACKED} is {quoted(value)}, which is no number of bytes like 64G")
+        raise UsageError(
+            f"{MAX_UNPACKED} is {quoted(value)}, which is not a number of bytes like 64G"
+        )
     return int(number[1]) << _POWERS[number[2].upper()]
 
 

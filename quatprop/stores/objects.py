@@ -51,7 +51,7 @@ _TRANSIENT = (
 _REASONS = (
     (
         r"Unrecognized filesystem type",
-        "there is no store of this kind; addresses begin with s3://, gs://, abfs:// or hdfs://",
+        "unknown kind of store; addresses begin with s3://, gs://, abfs:// or hdfs://",
     ),
     (
         r"OAuth2 access token|AuthenticationException",
@@ -59,9 +59,9 @@ _REASONS = (
     ),
     (
         r"SLOW_DOWN|SERVICE_UNAVAILABLE|HTTP status (?:429|5\d\d)\b",
-        "its store has too much to do; try again later, or with fewer processes",
+        "the store is overloaded; try again later, or with fewer processes",
     ),
-    (r"NO_SUCH_BUCKET|Bucket '.*' not found", "there is no such bucket; check the address"),
+    (r"NO_SUCH_BUCKET|Bucket '.*' not found", "no such bucket; check the address"),
     (
         r"ACCESS_DENIED|INVALID_ACCESS_KEY|SIGNATURE_DOES_NOT_MATCH|\b40[13]\b|[Pp]ermission",
         "its store does not permit that; check the credentials and their rights",
@@ -188,7 +188,7 @@ def is_transient(error: BaseException) -> bool:
 def store_reason(error: Exception, address: str) -> str:
     """Return why a store does not do what is asked, and the way out."""
     if isinstance(error, FileNotFoundError):
-        return "there is no such object; check the address"
+        return "no such object; check the address"
     said = str(error)
     detail = shorten(
         plain(said.replace(address, without_secret(address))), MAX_REASON, placeholder="..."

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class StoredObject(NamedTuple):
     """By what an object is recognised.
 
-    `name`: its path below the prefix that was asked for; empty for the object itself
+    `name`: its path below the prefix that was requested; empty for the object itself
     `size`: bytes
     `etag`: by what its store recognises its content; None if it does not say
     `changed`: when it was written, as its store says it

@@ -59,12 +59,12 @@ class JsonLinesLog(TypedTable):
             name = rows[1].decode()
             raise UnsupportedLogError(
                 path,
-                f"it is one JSON object with its rows in the list {quoted(name)}; write a row a "
-                f"line, such as with jq -c '.{name}[]'",
+                f"it is one JSON object with its rows in the list {quoted(name)}; write one row "
+                f"per line, for example with jq -c '.{name}[]'",
             )
         if not self._leaves:
             raise UnsupportedLogError(
-                path, "its first lines are no JSON objects; write each row as one, on one line"
+                path, "its first lines are not JSON objects; write each row as one, on one line"
             )
 
     @property

@@ -136,7 +136,7 @@ class Table(ABC):
     `is_decodable`: whether its rows can be read
     `is_typed`: whether its columns are of message types; else their names are all that there is
     `is_secondary`: whether it has the rows of another, main table
-    `matches`: the columns whose names fit a pattern, once somebody has asked for them
+    `matches`: the columns whose names fit a pattern, once somebody has requested them
     `first`: the first rows, held until rows are read for good
     """
 

@@ -121,8 +121,8 @@ def columns_of(header: ArrayHeader) -> list[ArrayColumn]:
         fields = ((name, dtype, k * dtype.itemsize) for k, name in enumerate(names))
     else:
         raise HeaderError(
-            f"its array of shape {shape} is no table; save one row a sample, in two dimensions or "
-            "as records"
+            f"its array of shape {shape} is not a table; save one row per sample, in two "
+            "dimensions or as records"
         )
     placed = list(islice(fields, _MOST_COLUMNS + 1))
     if not 0 < len(placed) <= _MOST_COLUMNS or step > _WIDEST_ROW:

@@ -237,9 +237,9 @@ def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterato
             "jitter",
             f"the timestamps jitter about a steady clock of {clock.rate_hz:.6g} Hz, by "
             f"{duration_text(round(clock.residual_rms_ns))} RMS and at most "
-            f"{duration_text(clock.residual_max_ns)}: if they are times of arrival or rounded, "
-            f"that puts the attitudes off by {math.degrees(clock.error_rad):.2g} deg RMS; "
-            f"{Setting('regular_time')} takes the times of that clock",
+            f"{duration_text(clock.residual_max_ns)}: if they are arrival times or rounded, the "
+            f"attitude error is {math.degrees(clock.error_rad):.2g} deg RMS; "
+            f"{Setting('regular_time')} uses the times of that clock",
         )
 
 
@@ -262,8 +262,8 @@ def _time_remarks(counts: Counts, chosen_by: str) -> Iterator[Remark]:
     ):
         yield Remark(
             "whole-seconds",
-            "the timestamps are whole seconds, each of several samples: they do not tell when a "
-            f"sample was taken; choose another with {Setting(chosen_by)}",
+            "the timestamps are whole seconds, each of several samples: they do not show when a "
+            "sample was taken; choose other timestamps with {Setting(chosen_by)}",
         )
     if counts.integrated_ns is not None:
         missed = counts.span_ns - counts.integrated_ns

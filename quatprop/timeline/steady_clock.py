@@ -69,15 +69,17 @@ _FOLLOWED = 0.9
 were taken at their stamps."""
 
 DRIFTS: Final = (
-    "the deviations from the best one change slowly, as where a clock drifts or its rate changes"
+    "the deviations from the best one change slowly, as if a clock drifts or its rate changes"
 )
 REPEATS: Final = "the deviations repeat"
-UNCLEAR: Final = "they are too far from one to tell late samples from missing ones"
+UNCLEAR: Final = "they are too irregular to distinguish late samples from missing ones"
 MISSING: Final = f"more than {MOST_MISSING:.0%} of the samples would be missing"
 REASONS: Final = ("", REPEATS, DRIFTS, MISSING, UNCLEAR)
 """Why there is no clock, the better estimates of the interval first."""
 
-FOLLOWED: Final = "the rates change as the timestamps say: the samples were taken at those times"
+FOLLOWED: Final = (
+    "the rates change in step with the timestamps: the samples were taken at those times"
+)
 
 
 class FittedClock(NamedTuple):

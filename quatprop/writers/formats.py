@@ -142,8 +142,9 @@ def kind_of(target: Path | str, kind: str | None = None, choices: Collection[str
     suffixes = ", ".join(s for name in choices for s in WRITERS[name].suffixes if s)
     raise OutputError(
         without_secret(target),
-        f"the suffix does not tell the output format; use one of {suffixes}, none for a ROS 2 bag "
-        f"folder, or say {Setting('to', '|'.join(choices))}",
+        f"the suffix does not determine the output format; use one of {suffixes}, none for a "
+        "ROS 2 bag "
+        f"folder, or specify {Setting('to', '|'.join(choices))}",
     )
 
 

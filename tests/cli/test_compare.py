@@ -51,7 +51,7 @@ def test_a_file_has_no_error_against_itself(spin):
         f"A         {spin} (csv): qw,qx,qy,qz quatprop, 100 samples over 990 ms; "
         "hamilton body-to-ref, scalar-first"
     )
-    assert lines[2] == "matched   100 of 100 samples over 990 ms: equal stamps"
+    assert lines[2] == "matched   100 of 100 samples over 990 ms: equal timestamps"
     names = ["max", "RMS", "mean", "median", "95", "final"]
     assert [line.split()[0] for line in lines[4:10]] == names
     assert lines[-1] == "passed    no error above the tolerance 1e-09 rad (5.72958e-08 deg)"

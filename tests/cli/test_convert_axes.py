@@ -108,7 +108,7 @@ def test_the_metadata_say_what_was_changed(source, tmp_path):
 
 WAYS = (
     "'ned' is not a rotation; write three signed axes such as x,-y,-z, a quaternion W,X,Y,Z that "
-    "takes old axes to new ones, angles about axes that stay in deg as rpy:0,30,0, ned-to-enu, "
+    "takes old axes to new ones, fixed-axis angles in deg such as rpy:0,30,0, ned-to-enu, "
     "enu-to-ned, frd-to-flu, flu-to-frd"
 )
 

@@ -154,7 +154,7 @@ def test_without_matplotlib_the_way_to_it_is_told(tmp_path, command, monkeypatch
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.chdir(tmp_path)
     assert refused(*command.split()) == (
-        "Error: pictures need matplotlib, which is not installed; pip install matplotlib"
+        "Error: plots need matplotlib, which is not installed; pip install matplotlib"
     )
     assert {path.name for path in tmp_path.iterdir()} == {"rates.csv", "spin.csv"}
 

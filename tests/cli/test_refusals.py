@@ -30,7 +30,8 @@ PROPAGATE = {
     "odd.xyz": f"{ODD}, use --from mcap|bag|db3|rosbag2|ulog|parquet|feather|npy|npz|hdf5|matlab|",
     "weather.csv": "no body rates found; its columns are 'time', 'temperature', 'pressure'; name "
     "the columns with --rate-cols and --time-col",
-    "log.csv -o out.xls": "Error: out.xls: the suffix does not tell the output format; use one of",
+    "log.csv -o out.xls": "Error: out.xls: the suffix does not determine the output format; use "
+    "one of",
     "log.csv -o folder.csv": "Error: folder.csv: is a folder; name a file in it",
     "log.csv -o log.csv": f"Error: log.csv: {INPUT}",
     "log.csv --report log.csv": f"Error: log.csv: {INPUT}",
@@ -135,8 +136,8 @@ COMPARE = {
     "- -": ONCE,
 }
 
-JPL = "--from-convention says hamilton, but the metadata of the file says jpl; leave it out"
-OF_MATRIX = "is about quaternions and matrix has none; leave it out"
+JPL = "--from-convention says hamilton, but the metadata of the file says jpl; omit it"
+OF_MATRIX = "is about quaternions and matrix has none; omit it"
 NO_MESSAGES = "csv holds no messages; leave --message, --out-topic and --frames out"
 CONVERT = {
     "q0.csv out.csv --report q0.csv": f"Error: q0.csv: {INPUT}",
@@ -170,9 +171,9 @@ CONVERT = {
 SMALL = "the panels and their letters do not fit into this picture; give at least --size "
 SIZE = "is not a size from 1in to 100in; write 90mm or 16x9cm"
 PLOT = {
-    "q.csv -o a.jpg": "Error: a.jpg: the suffix is not one of a picture; use .png, .svg or .pdf, "
+    "q.csv -o a.jpg": "Error: a.jpg: the suffix is not that of an image; use .png, .svg or .pdf, "
     "or .html for a report",
-    "q.csv -o -": "Error: -: a picture goes to a file; name one that ends in .png",
+    "q.csv -o -": "Error: -: a plot is written to a file; name one that ends in .png",
     "q.svg --from csv -o q.svg": f"Error: q.svg: {INPUT}",
     "q.csv --reference q.svg -o q.svg": f"Error: q.svg: {INPUT}",
     "q.csv none.csv -o old.png": "none.csv: no such file",

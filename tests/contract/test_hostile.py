@@ -262,7 +262,7 @@ def test_the_limit_is_that_of_the_environment(monkeypatch):
         assert decompressed_limit(1 << 40) == limit
     for said in ("much", "-1", "1e9", "9" * 30):
         monkeypatch.setenv(MAX_UNPACKED, said)
-        with pytest.raises(UsageError, match="which is no number of bytes like 64G"):
+        with pytest.raises(UsageError, match="which is not a number of bytes like 64G"):
             decompressed_limit(1)
 
 

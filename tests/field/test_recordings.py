@@ -100,7 +100,7 @@ def test_info_agrees_with_the_oracle(shared_logs, name):
 
 @pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 def test_times_of_arrival_become_those_of_the_sensor(shared_logs):
-    """Log times that scatter by 1 ms follow the header stamps to 0.1 ms: 0.49 deg become 0.02."""
+    """Log times that scatter by 1 ms follow header timestamps to 0.1 ms: 0.49 deg become 0.02."""
     log = shared_logs / "auk" / "auk.bag"
     stamped, arrived = read_rates(log), read_rates(log, clock="log")
     repaired = read_rates(log, clock="log", regular_time=True)

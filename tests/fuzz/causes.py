@@ -26,7 +26,7 @@ PAIRS = 600
 ALTERNATIVES = {
     "a wrong direction or JPL convention": {"conjugate"},
     "a wrong layout": {"layout", "layout-first"},
-    "body rates taken for inertial rates": {"side"},
+    "body rates treated as inertial rates": {"side"},
     "rates of the opposite sign": {"rate sign"},
     "swapped or reversed axes": {"axes"},
     "a time offset": {"time offset"},

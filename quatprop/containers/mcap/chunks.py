@@ -185,7 +185,7 @@ def _load(source: FileSource, chunk: Chunk, budget: DecompressionBudget, *, chec
     if check and head.crc and crc32(data) != head.crc and checksums_matter():
         raise UnreadableDataError(
             f"its checksum is wrong, so it is not what was recorded; with {CHECKSUMS}=ignore "
-            "it is read all the same"
+            "it is read anyway"
         )
     return Loaded(data, has_checksum=head.crc != 0)
 

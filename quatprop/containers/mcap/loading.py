@@ -222,7 +222,7 @@ def _check_times(loaded: Loaded, chunk: Chunk, messages: LocatedMessages) -> Non
     if checksums_matter():
         raise UnreadableDataError(
             "its log times are outside the range that it states, so it is not what was recorded; "
-            f"with {CHECKSUMS}=ignore it is read all the same"
+            f"with {CHECKSUMS}=ignore it is read anyway"
         )
 
 

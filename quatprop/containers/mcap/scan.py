@@ -230,9 +230,7 @@ class Scan:
         for start in range(0, end, _LOOSE_SIZE):
             actual = crc32(self.source.read(start, min(_LOOSE_SIZE, end - start)), actual)
         if actual != crc:
-            reason = (
-                "its checksum is wrong: it is not what was recorded, and there is no telling where"
-            )
+            reason = "its checksum is wrong: it is not what was recorded, and the place is unknown"
             self.losses.note("data section", reason)
 
     def _chunk(self, position: int, length: int, head: bytes) -> bool:

@@ -233,4 +233,4 @@ class SeriesChoice:
         for k, labels in turning.items():
             name = self._table.names((k,))
             sentence = f"the rows of {listed(labels)} in column {name} take turns, and are read as "
-            self._table.remark("series-merged", f"{sentence}those of one series, as asked for")
+            self._table.remark("series-merged", f"{sentence}those of one series, as requested")

@@ -83,8 +83,9 @@ def message_stamp(matcher: ColumnMatcher, found: Found) -> Stamp:
     if selection.clock == "header" and not has_stamp:
         others = Setting("clock", "|".join(table.log_clocks))
         raise UsageError(
-            f"{quoted(table.path)}: messages of topic {quoted(table.name)} have no header stamp; "
-            f"choose {others} or name the stamp with {Setting('time_field')}"
+            f"{quoted(table.path)}: messages of topic {quoted(table.name)} have no header "
+            "timestamp; "
+            f"choose {others} or name the timestamp with {Setting('time_field')}"
         )
     if selection.clock == "publish" and "publish" not in table.log_clocks:
         raise UsageError(
@@ -101,12 +102,12 @@ def message_stamp(matcher: ColumnMatcher, found: Found) -> Stamp:
         if not are_all((row.values[0] for row in first.read([stamp], ())), 0):
             if stamp is not stamps[0]:
                 zero, used = (quoted(place_of(table, one)) for one in (stamps[0], stamp))
-                remark = f"the stamps in {zero} are all zero; those in {used} are used"
+                remark = f"the timestamps in {zero} are all zero; those in {used} are used"
                 matcher.remark("stamp-unset", remark)
             return stamp
     raise TimelineError(
         table.path,
-        f"all header stamps of topic {quoted(table.name)} are zero; for the time of recording "
+        f"all header timestamps of topic {quoted(table.name)} are zero; for the time of recording "
         f"choose {Setting('clock', 'log')}",
     )
 

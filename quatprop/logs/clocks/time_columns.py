@@ -175,7 +175,7 @@ def _counted(
             names = matcher.names(min(unused, key=lambda clock: clock.goodness).columns)
             what = "the samples" if counter else "the rows"
             matcher.remark(
-                "stamps-unused", f"{given} counts {what}; the stamps in {names} are not used"
+                "stamps-unused", f"{given} counts {what}; the timestamps in {names} are not used"
             )
         return stamp
     if name == _NO_COLUMN and not matcher.has(name):

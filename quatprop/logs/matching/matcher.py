@@ -118,7 +118,7 @@ class ColumnMatcher:
             # Who gives a unit knows better than the header.
             if {*found} - {chosen}:
                 given = f"{Setting(f'{quantity}_unit')} says {chosen}"
-                text = f"{given}, but {by_header}; read in {chosen}, as asked for"
+                text = f"{given}, but {by_header}; read in {chosen}, as requested"
                 self.remark("unit-overruled", text)
             return chosen
         if facts[1:]:

@@ -76,7 +76,7 @@ def _in_file(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str,
     if selection.from_angle_unit is not None:
         raise UsageError(
             f"{plain(matcher.path)}: {Setting('from_angle_unit')} is about angles, and this table "
-            "has a quaternion; leave it out"
+            "has a quaternion; omit it"
         )
     if named is None:
         wxyz = matcher.only_set(sets, "quaternion", "scalar")
@@ -179,7 +179,7 @@ def _rotation(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str
         if getattr(selection, name) is not None:
             raise UsageError(
                 f"{plain(matcher.path)}: {Setting(name)} is about quaternions, and this table has "
-                f"{form}; leave it out"
+                f"{form}; omit it"
             )
     if rotations[1:]:
         names = listed(matcher.columns[first].text for _, (first, *_) in rotations)
@@ -231,7 +231,7 @@ def _angle_unit(
         if chosen is not None:
             raise UsageError(
                 f"{plain(matcher.path)}: {Setting('from_angle_unit')} is about angles, and "
-                f"{names} are a matrix; leave it out",
+                f"{names} are a matrix; omit it",
             )
         return ""
     declared = matcher.declared(columns) or by_row
@@ -239,7 +239,7 @@ def _angle_unit(
     if chosen is not None and declared not in {"", chosen}:
         raise UsageError(
             f"{plain(matcher.path)}: {Setting('from_angle_unit')} says {chosen}, but by their "
-            f"names {names} are in {declared}; leave the option out",
+            f"names {names} are in {declared}; omit the option",
         )
     if not (chosen or declared):
         setting = Setting("from_angle_unit", "|".join(ANGLE_UNITS))

@@ -103,8 +103,8 @@ def _known(
     if not varies and first and first[0][-1][:1].any():
         table.remark(
             "constant-covariance",
-            f"the covariance of the orientation does not change in {count} messages, so it "
-            "is taken as a constant of the driver, not as what is known of each attitude",
+            f"the covariance of the orientation does not change in {count} messages, so it is "
+            "treated as a constant of the driver, not as the uncertainty of each attitude",
         )
     in_part = 0
     for *row, numbers in chain(first, rows):
@@ -122,7 +122,7 @@ def _known(
         table.remark(
             "partial-covariance",
             f"the covariances of {in_part} messages are known in part, which is not kept: they "
-            "are taken as unknown",
+            "are treated as unknown",
         )
 
 

@@ -159,6 +159,6 @@ def _agreed(
     if given is not None and stored is not None and given != stored:
         raise UsageError(
             f"{plain(path)}: {Setting(f'from_{what}')} says {given}, but the metadata of the file "
-            f"says {plain(stored)}; leave it out"
+            f"says {plain(stored)}; omit it"
         )
     return given or stored

@@ -144,7 +144,7 @@ def _joined(log: Log, signals: list[SignalT]) -> SignalT:
     if len({s.clock for s in signals}) > 1:
         raise UnsupportedLogError(
             log.path,
-            f"{what}, and some have no header stamp; choose {Setting('clock', 'log')}",
+            f"{what}, and some have no header timestamp; choose {Setting('clock', 'log')}",
         )
     return replace(
         first,

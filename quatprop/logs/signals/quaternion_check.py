@@ -106,7 +106,7 @@ class QuaternionCheck:
             raise NotRotationsError(self._path, self._reason())
 
     def _valid(self, t_ns: Int64, wxyz: Float64) -> tuple[Bool, Float64]:
-        """Return which rows are valid, and the rows, scaled if that was asked for."""
+        """Return which rows are valid, and the rows, scaled if that was requested."""
         counts = self.counts
         # Components of absurd size must be reported as such, not overflow.
         with np.errstate(over="ignore", invalid="ignore"):

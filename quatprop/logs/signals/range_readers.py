@@ -42,7 +42,7 @@ what is not read no damage is reported."""
 
 @dataclass(frozen=True, slots=True)
 class _Zone:
-    """Extremes of the stamps in a part of the log, and of their delays, ns."""
+    """Extremes of the timestamps in a part of the log, and of their delays, ns."""
 
     first_ns: int
     last_ns: int

@@ -124,5 +124,5 @@ def _mount_remark(mount: str) -> str:
         way_out = f"to turn them into the camera's axes use {Setting('mount', mount)}"
     except UsageError:
         way_out = f"as the mounting {mount} is left-handed, it cannot be right"
-    taken = "the file says how its sensor is mounted, and rates are taken as they are"
+    taken = "the file says how its sensor is mounted, and rates are used as they are"
     return f"{taken}; {way_out}"

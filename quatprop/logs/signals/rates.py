@@ -71,6 +71,6 @@ def _sample_remarks(row: Row) -> tuple[Remark, ...]:
         text = "the samples are angle increments: the sensor itself has summed up its rate"
         return (Remark("increments", text),)
     if row.burst is not None:
-        text = "several samples a message: the time of each is counted back from the stamp"
+        text = "several samples per message: the time of each is counted back from the timestamp"
         return (Remark("bursts", text),)
     return ()

@@ -141,7 +141,7 @@ def refuse_marked(match: Match) -> None:
         raise TimelineError(
             table.path,
             f"all rates are marked as absent, by a covariance of -1 in {_place_of_marks(match)}; "
-            f"if they are measured all the same, read them with {setting}",
+            f"if they were measured anyway, read them with {setting}",
         )
 
 
@@ -150,8 +150,8 @@ def _note_marked(match: Match, rates: Float64, mark: AnyArray) -> None:
     if np.isfinite(rates[mark == ABSENT]).all(axis=1).any():
         match.table.remark(
             "marked-rates",
-            f"rates that a covariance of -1 in {_place_of_marks(match)} marks as absent are read "
-            "all the same, as asked for",
+            f"rates that a covariance of -1 in {_place_of_marks(match)} marks as absent are "
+            "read anyway, as requested",
         )
 
 

@@ -140,7 +140,7 @@ class RateSignal(Signal):
             remark = f"samples are increments, to which method {wanted} does not apply; end is used"
             return [Remark("method-unused", remark)]
         remark = (
-            "each rate is the average over the interval before its stamp, which is what method "
+            "each rate is the average over the interval before its timestamp, which is what method "
             f"{self.method} assumes; method {wanted} was used"
         )
         return [Remark("method-differs", remark)]

@@ -98,7 +98,7 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
         raise UnsupportedLogError(
             path,
             f"none of its first {len(rows)} lines is a row of {RATES} numbers or more; is it a "
-            "table with a row a sample?",
+            "table with one row per sample?",
         )
     _refuse_turns(rows, places, path)
     _refuse_checksums(data, path)
@@ -226,8 +226,8 @@ def _refuse_checksums(data: list[list[str]], path: Path) -> None:
     if last and all(_CHECKSUM.fullmatch(cell) for cell in last):
         raise UnsupportedLogError(
             path,
-            f"its rows end in NMEA checksums, such as {quoted(last[0][-3:])}; take them off, such "
-            "as with sed -E 's/\\*[0-9A-Fa-f]{2}//'",
+            f"its rows end in NMEA checksums, such as {quoted(last[0][-3:])}; remove them, for "
+            f"example with sed -E 's/\\*[0-9A-Fa-f]{2}//'",
         )
 
 

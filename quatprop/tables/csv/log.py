@@ -60,7 +60,8 @@ class CsvLog(TableLog):
         if self._layout.header and self._layout.body == HEAD_BYTES == len(self._head):
             raise UnsupportedLogError(
                 self.path,
-                f"its header is longer than {HEAD_BYTES} bytes; is it a table with a row a sample?",
+                f"its header is longer than {HEAD_BYTES} bytes; is it a table with one row per "
+                "sample?",
             )
 
     @property

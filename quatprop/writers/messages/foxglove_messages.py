@@ -174,7 +174,8 @@ class FoxgloveEncoder:
         if len(series) and series.t_ns.min() < 0:
             raise OutputError(
                 target,
-                f"MCAP has no time for the stamp {series.t_ns[(series.t_ns < 0).argmax()]} ns; "
+                f"MCAP cannot represent the timestamp {series.t_ns[(series.t_ns < 0).argmax()]} "
+                "ns; "
                 "write a table, or a trajectory",
             )
         rows = np.repeat(self._template, len(series)).view(self._dtype)

@@ -109,7 +109,7 @@ class RosEncoder:
         if outside.any():
             raise OutputError(
                 target,
-                f"ROS has no time for the stamp {t_ns[outside.argmax()]} ns; "
+                f"ROS cannot represent the timestamp {t_ns[outside.argmax()]} ns; "
                 "write a table, or a trajectory",
             )
         rows = np.repeat(self._template, len(t_ns)).view(self._dtype)

@@ -208,7 +208,7 @@ def test_wrong_usage_is_one_sentence(tmp_path, monkeypatch):
     (tmp_path / "empty").mkdir()
     for arguments, sentence in (
         ("- -o out", "stdin is one log; give it to quatprop propagate"),
-        ("a.csv -o out -j 2 --dask tcp://x:1", "-j is for this machine; leave it out with"),
+        ("a.csv -o out -j 2 --dask tcp://x:1", "-j is for this machine; omit it with"),
         ("a.csv -o out --verify", "--verify goes with --skip-existing"),
         ("a.csv -o out --heading 5", "--heading goes with --q0 level"),
         ("a.csv -o a.csv", "-o a.csv is a file; name a folder for the outputs"),

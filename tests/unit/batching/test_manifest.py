@@ -110,7 +110,7 @@ def test_a_manifest_that_is_a_pipe_is_not_waited_for(tmp_path):
     pipe = tmp_path / "out" / "_manifest"
     os.mkfifo(pipe)
     words = refused("batch", spin(tmp_path / "a.csv"), "-o", tmp_path / "out")
-    assert words == f"Error: {pipe}: is no folder; remove it"
+    assert words == f"Error: {pipe}: is not a folder; remove it"
 
 
 def test_a_log_whose_name_is_no_unicode_is_in_the_manifest(tmp_path):

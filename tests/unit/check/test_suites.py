@@ -214,8 +214,8 @@ def test_what_is_not_compared_is_noted(folder):
         result = check(suite, *options)
         assert result.exit_code == 0
         assert [line.strip() for line in result.stdout.splitlines() if "note on" in line] == [
-            f"note on cut: data of {log} were lost or left out, see propagate",
-            f"note on spin: data of {truth} were lost or left out, see compare",
+            f"note on cut: data of {log} were lost or omitted, see propagate",
+            f"note on spin: data of {truth} were lost or omitted, see compare",
         ]
 
 

@@ -49,7 +49,7 @@ def test_the_cause_of_an_update_names_the_log_and_the_reference(folder):
     write_suite(folder, stored("coning", "coning.mcap", 'method = "coning"'))
     assert (
         "likely cause: the same rates lead to the log's attitudes with method coning, and to the "
-        "reference with method start; undoing it takes the RMS error from "
+        "reference with method start; undoing it reduces the RMS error from "
     ) in check(suite, "--update").stdout
 
 

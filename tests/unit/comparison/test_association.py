@@ -79,7 +79,7 @@ def test_series_of_the_same_stamps_are_not_copied():
 
 
 def test_other_stamps_are_interpolated_where_there_are_fewer():
-    """The series with the shorter intervals is interpolated at the stamps of the other one."""
+    """The series with the shorter intervals is interpolated at the timestamps of the other one."""
     a = spin(EPOCH_NS + 10_000_000 * np.arange(100))
     b = spin(EPOCH_NS + 3_141_592 + 50_000_000 * np.arange(20))
     pairs = associate(a, b)

@@ -102,11 +102,11 @@ NAMED = {
         "with method end, or their timestamps are one interval, 10 ms, apart;",
         "",
     ),
-    "an offset is named with the value that takes it out": (
+    "an offset is named with the value that removes it": (
         lambda: (attitudes("cubic"), delayed(attitudes("cubic"), 30)),
         "time offset",
         "^B is 30 ms late;",
-        "--time-offset -30ms takes it out",
+        "--time-offset -30ms removes it",
     ),
     "motion about one axis leaves alternatives": (
         about_z,
@@ -141,7 +141,7 @@ def test_the_evidence_is_the_error_before_and_after():
     assert cause.rms_before == found.error_rad.rms
     assert cause.rms_after == pytest.approx(compare(a, b).error_rad.rms, rel=1e-9)
     before, after = (f"{np.degrees(rms):.4g} deg" for rms in (cause.rms_before, cause.rms_after))
-    assert cause.sentence.endswith(f"undoing it takes the RMS error from {before} to {after}")
+    assert cause.sentence.endswith(f"undoing it reduces the RMS error from {before} to {after}")
     words = "read it with from_direction='ref-to-body' or from_convention='jpl'"
     assert in_python(cause.advice).endswith(words)
 
@@ -184,7 +184,7 @@ def test_steady_precession_does_not_distinguish_a_clock_from_a_mounting(ms):
     )
     assert found.groups()[:2] == (str(abs(ms)), "late" if ms > 0 else "early")
     assert float(found[3]) == pytest.approx(np.degrees(0.5e-3 * abs(ms)), rel=1e-5)
-    assert in_options(cause.remedy) == f"--time-offset {-ms}ms takes it out"
+    assert in_options(cause.remedy) == f"--time-offset {-ms}ms removes it"
     for remedy in ({"time_offset": f"{-ms}ms"}, {"align": "mount"}):
         assert compare(a, b, **remedy).error_rad.rms < 1e-5
 

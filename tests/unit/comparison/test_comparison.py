@@ -170,7 +170,7 @@ def test_an_unknown_time_shift_is_named():
     cause = compare(A, AttitudeSeries(T_NS + 50_000_000, A.wxyz)).likely_cause
     assert cause.name == "time offset"
     assert cause.sentence.startswith("B is 50 ms late;")
-    assert in_python(cause.remedy) == "time_offset='-50ms' takes it out"
+    assert in_python(cause.remedy) == "time_offset='-50ms' removes it"
 
 
 def test_the_offset_of_two_frames_and_rates_is_found():
@@ -264,7 +264,7 @@ def test_what_cannot_be_compared_is_refused():
         wxyz[5] = wxyz[9] = bad
         sentence = (
             r"^B has 2 of 2000 rows that are no attitude \(zero or not a number\), the first at "
-            r"index 5; leave them out$"
+            r"index 5; omit them$"
         )
         with pytest.raises(ComparisonError, match=sentence):
             compare(A, AttitudeSeries(T_NS, wxyz))

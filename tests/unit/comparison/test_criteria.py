@@ -139,7 +139,7 @@ def test_a_drift_is_not_judged_after_an_alignment_by_all_pairs(files, align):
     """The error of RAMP falls to its middle and then rises, so its slope says nothing."""
     sentence = (
         f"drift_tol needs align='none' or 'first': an alignment by all pairs (align={align!r}) "
-        "takes out part of the drift"
+        "removes part of the drift"
     )
     with pytest.raises(UsageError) as error:
         comparison_settings(drift_tol="10deg/h", align=align)

@@ -74,7 +74,7 @@ def both(a, b, **options):
 STAMPS = np.arange(0, 2_500_000_000, 10_000_000)
 
 CASES = {
-    "equal stamps": (STAMPS, STAMPS, {}),
+    "equal timestamps": (STAMPS, STAMPS, {}),
     "another seed's motion, aligned": (STAMPS, STAMPS, {"align": "first"}),
     "every other stamp": (STAMPS, STAMPS[::2], {}),
     "a later beginning": (STAMPS, STAMPS[101:], {"min_coverage": 90}),

@@ -43,17 +43,17 @@ def test_a_tilt_fails_by_its_inclination():
     assert np.degrees(inclination.value) == pytest.approx(1, abs=1e-12)
     assert not found.passed
     assert found.likely_cause.sentence.startswith("the reference frames differ by 1 deg;")
-    assert found.likely_cause.remedy == "align='mean' takes it out"
+    assert found.likely_cause.remedy == "align='mean' removes it"
     assert np.degrees(found.alignment.reference_rad) == pytest.approx(40, abs=1e-9)
 
 
 def test_a_difference_in_heading_alone_is_advised_to_be_taken_out_alone():
     """The advice was --align mean, which takes out a tilt as well. The remedy, applied, passes."""
     found = compare(turned(0, 0, 35), TRUTH, tol="0.1deg")
-    assert found.likely_cause.remedy == "align='yaw' takes it out"
+    assert found.likely_cause.remedy == "align='yaw' removes it"
     assert compare(turned(0, 0, 35), TRUTH, tol="0.1deg", align="yaw").passed
     tilted = compare(turned(1, 0, 35), TRUTH, tol="0.1deg")
-    assert tilted.likely_cause.remedy == "align='mean' takes it out"
+    assert tilted.likely_cause.remedy == "align='mean' removes it"
 
 
 def test_heading_alone_passes():

@@ -92,7 +92,7 @@ def test_command_and_suite(tmp_path):
         (
             "+1s",
             UsageError,
-            r"judge: '\+1s' is no time range; write START\.\.END, as \+10",
+            r"judge: '\+1s' is not a time range; write START\.\.END, as \+10",
         ),
         ("+1s..", UsageError, "judge: '' is "),
         (["+1s", "+2s"], UsageError, r"judge: '\+1s' is no time range"),

@@ -232,12 +232,12 @@ def test_a_rest_holds_the_same_for_every_part_that_is_propagated():
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
-        ("static@+1s", "'static@+1s' is no time range; write static@+10s..+20s"),
-        ("static@+1s..", "'static@+1s..' is no time range; write static@+10s..+20s"),
+        ("static@+1s", "'static@+1s' is not a time range; write static@+10s..+20s"),
+        ("static@+1s..", "'static@+1s..' is not a time range; write static@+10s..+20s"),
         ("static@+1s..soon", "'soon'"),
         (
             "static@+9s..+1s",
-            "holds fewer than 2 samples; info tells where the log begins and ends",
+            "holds fewer than 2 samples; info shows where the log begins and ends",
         ),
     ],
 )

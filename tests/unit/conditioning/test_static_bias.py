@@ -103,8 +103,9 @@ def test_rest_that_only_the_rates_show_is_remarked_on(sensors, tmp_path):
     motion = Motion((10, REST))
     said, told = static(motion.write(tmp_path, **motion.known(sensors)))
     remark = (
-        "no accelerometer and no orientation confirms the rest from which the bias is taken: a "
-        f"steady rotation at {np.degrees(np.linalg.norm(BIAS)):.2f} deg/s would look the same"
+        "no accelerometer and no orientation confirms the stationary period that the bias is "
+        "estimated from: a steady rotation at {np.degrees(np.linalg.norm(BIAS)):.2f} deg/s "
+        "would look the same"
     )
     assert told["rest"]["steady"] == ["rate", *sensors]
     assert (f"warning: {remark}\n" in said) == (not sensors)
@@ -123,10 +124,12 @@ def test_a_steady_turn_is_not_rest(turn, rest_first, sensors, tmp_path):
     assert told["rest"]["steady"] == ["rate", *sensors]
 
 
-TURNS = "has a mean rate of 0.246 rad/s, more than the bias of a gyroscope: the body turns; give -"
+TURNS = (
+    "has a mean rate of 0.246 rad/s, more than the bias of a gyroscope: the body rotates; give -"
+)
 TUMBLES = (
     "no period of rest to take the bias from that lasts 1 s (by rate and accelerometer); give "
-    "--bias X,Y,Z, or look for a shorter rest with --bias static:DUR"
+    "--bias X,Y,Z, or look for a shorter one with --bias static:DUR"
 )
 SHAKES = "(where the rates are quiet, the specific force scatters by at least 3"
 HEADS = "(where the rates are steady, the log's own orientation turns by 4.58 deg/s)"
@@ -160,7 +163,7 @@ def test_motion_is_not_taken_for_rest(tmp_path):
     """A log that moves throughout has no bias to give, and says how far it is from rest."""
     log = write_rates(tmp_path / "log.csv", [(k * 10**7, np.sin(k), 0, 0) for k in range(500)])
     assert (
-        "the log has no period of rest to take the bias from (the quietest scatters by 0.7"
+        "the log has no stationary period to estimate the bias from (the quietest scatters by 0.7"
     ) in refused(*options(log))
 
 

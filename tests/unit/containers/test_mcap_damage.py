@@ -48,7 +48,7 @@ def is_left_out(tmp_path, monkeypatch):
         numbers, losses = read_numbers(tmp_path, content)
         monkeypatch.setenv("QUATPROP_CHECKSUMS", "ignore")
         everything, _ = read_numbers(tmp_path, content)
-        way = "with QUATPROP_CHECKSUMS=ignore it is read all the same"
+        way = "with QUATPROP_CHECKSUMS=ignore it is read anyway"
         reason = f"{why}, so it is not what was recorded; {way}"
         is_told = Loss(f"chunk at byte {begin}", reason, len(lost)) in losses
         return is_told and (numbers, everything) == (without(lost), ALL)
@@ -79,7 +79,7 @@ def test_a_wrong_checksum_of_the_data_section_is_told(tmp_path):
     assert losses == [
         Loss(
             "data section",
-            "its checksum is wrong: it is not what was recorded, and there is no telling where",
+            "its checksum is wrong: it is not what was recorded, and the place is unknown",
         )
     ]
 

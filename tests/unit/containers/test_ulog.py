@@ -267,7 +267,7 @@ def test_a_message_that_is_too_short_is_lost_alone(tmp_path):
     short = record(b"D", struct.pack("<H", 1) + b"four")
     series, losses = read(sensor(tmp_path / "a.ulg", *gyro(1, STAMPS), short, *gyro(1, STAMPS)))
     assert len(series) == 20
-    reason = "it ends before its time stamp; the log is damaged"
+    reason = "it ends before its timestamp; the log is damaged"
     assert losses == [Loss("topic sensor_gyro/0", reason, 1)]
 
 

@@ -165,12 +165,12 @@ REFUSED = {
     "yaw,pitch,roll": "the unit of the angles 'yaw', 'pitch', 'roll' is not declared; say it with "
     "--from-angle-unit rad|deg",
     f"{DEGREES} --from-angle-unit rad": "--from-angle-unit says rad, but by their names 'yaw_deg', "
-    "'pitch_deg', 'roll_deg' are in deg; leave the option out",
+    "'pitch_deg', 'roll_deg' are in deg; omit the option",
     "yaw[turn],pitch[turn],roll[turn]": "are declared in 'turn'; convert them to rad or deg",
     f"{MATRIX} --from-angle-unit rad": "about angles, and",
     f"{RADIANS} --from-layout wxyz": "--from-layout is about quatern",
     f"{RADIANS} --from-convention jpl": "--from-convention is about",
-    f"{QUATERNION} --from-angle-unit rad": "this table has a quaternion; leave it out",
+    f"{QUATERNION} --from-angle-unit rad": "this table has a quaternion; omit it",
     "a.yaw_rad,a.pitch_rad,a.roll_rad,b.yaw_rad,b.pitch_rad,b.roll_rad": "which rotation",
     "yaw_rate,pitch_rate,roll_rate": "no attitudes found; its columns are 't_ns', 'yaw_r",
     "omega_yaw,omega_pitch,omega_roll": "no attitudes found",

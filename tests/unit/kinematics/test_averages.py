@@ -1,4 +1,4 @@
-"""Samples that are averages or increments over the intervals before their stamps."""
+"""Samples that are averages or increments over the intervals before their timestamps."""
 
 from fractions import Fraction
 

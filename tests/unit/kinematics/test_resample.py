@@ -70,7 +70,7 @@ def test_what_is_between_samples_is_linear_in_the_axes_in_which_it_grows(rates):
 
 
 def test_times_at_samples_are_the_samples():
-    """To the bit; of equal stamps the later one; outside of them nothing is known."""
+    """To the bit; of equal timestamps the later one; outside of them nothing is known."""
     times = Listed(np.concatenate([[GYRO.t_ns[0] - 1], GYRO.t_ns, [GYRO.t_ns[-1] + 1]]))
     stamps, found = resampled(GYRO, times, "end")
     assert (stamps == GYRO.t_ns).all()

@@ -37,7 +37,7 @@ RUNS = {
     "gap splits": {"on_gap": "split"},
     "gap splits, dense": {"on_gap": "split", "rate": 333},
 }
-# Rates in the reference frame are not turned by the mounting.
+# Rates in the reference frame are not rotated by the mounting.
 CASES = [case for case in product(RUNS, FRAMES) if case != ("mounted", "inertial")]
 
 

@@ -218,7 +218,7 @@ def test_an_option_that_contradicts_the_names_is_refused(table):
     path = table("t_ns,qw,qx,qy,qz\n1,1,0,0,0\n2,1,0,0,0\n")
     sentence = (
         "from_layout says scalar-last, but the columns 'qw', 'qx', 'qy', 'qz' are "
-        "scalar-first by name; leave it out"
+        "scalar-first by name; omit it"
     )
     for named in ({}, {"quat_cols": ("qw", "qx", "qy", "qz")}):
         refused(UsageError, path, sentence, from_layout="xyzw", **named)
@@ -343,7 +343,7 @@ def test_px4_attitudes_are_scalar_first(tmp_path):
     assert source.remarks == ("by its type FRD body to NED reference",)
     sentence = (
         "from_layout says scalar-last, but 'q' of 'px4_msgs/msg/VehicleAttitude' is "
-        "scalar-first by definition; leave it out"
+        "scalar-first by definition; omit it"
     )
     refused(UsageError, log, sentence, from_layout="scalar-last")
 

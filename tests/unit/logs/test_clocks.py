@@ -242,7 +242,7 @@ def test_dates_and_times_of_day_in_two_columns_are_refused_or_passed_over(tmp_pa
 )
 @pytest.mark.parametrize("name", ["when", "timestamp"])
 def test_dates_that_may_be_read_in_several_ways_are_refused(tmp_path, cell, named, name):
-    """Text that is named as the time was asked for its unit."""
+    """Text that is named as the time was requested its unit."""
     path = table(tmp_path / "log.csv", {name: [cell.format(t) for t in TIMES]})
     options = {"time_col": name} if named or name == "when" else {}
     assert refusal(path, **options) == f"'{name}' " + NO_DATES.format("s", "")
@@ -518,5 +518,5 @@ def test_counts_beyond_the_clock_are_refused_with_a_way_out_that_works(tmp_path,
 def test_stamps_beside_a_counter_that_is_used_are_named(tmp_path):
     """Samples are counted, and not the rows."""
     path = table(tmp_path / "log.csv", {"counter": range(300), "server_time (s)": TIMES})
-    said = "sample_rate='100' counts the samples; the stamps in 'server_time (s)' are not used"
+    said = "sample_rate='100' counts the samples; the timestamps in 'server_time (s)' are not used"
     assert told(path, sample_rate=100)[1][1] == said

@@ -53,7 +53,7 @@ def sources(log, name):
 
 
 def by_library(reader, topic, field, frames):
-    """Return the header stamps and the numbers of the first messages of a topic."""
+    """Return the header timestamps and the numbers of the first messages of a topic."""
     connections = [one for one in reader.connections if one.topic == topic]
     outer, _, _last = field.rpartition(".")
     found = []

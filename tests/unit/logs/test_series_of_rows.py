@@ -103,7 +103,7 @@ def test_the_message_says_the_choices_and_each_of_them_works(tmp_path):
 
 
 def test_rows_of_other_series_are_said_and_not_lost(log, tmp_path):
-    """The exit code is 0; summary and report say how many, and the output what was asked for."""
+    """The exit code is 0; summary and report say how many, and the output what was requested."""
     out, report = tmp_path / "a.parquet", tmp_path / "r.json"
     result = run("propagate", log, "-o", out, "--series", "gyro", "--report", report, code=0)
     remark = f"{ROWS} rows of other series than 'gyro' in column 'sensor' were not read"

@@ -303,7 +303,7 @@ def test_a_unit_that_the_user_gives_overrules_the_header(header, options, facts)
     found = table_rates(f"{header}\n1,2,3,4\n", **options)
     name, unit = next(iter(options.items()))
     assert found.remarks == [
-        f"{name} says {unit}, but by header or convention {facts}; read in {unit}, as asked for"
+        f"{name} says {unit}, but by header or convention {facts}; read in {unit}, as requested"
     ]
     factor = RATES[options.get("rate_unit", "deg/s")]
     assert found.rate.tolist() == [[2 * factor, 3 * factor, 4 * factor]]
@@ -326,7 +326,7 @@ def test_other_units_of_rates_are_multiplied_and_remarked_on(unit, read_as, scal
     np.testing.assert_allclose(found.rate, [np.arange(1, 4) * scale * RATES[read_as]], rtol=1e-15)
     assert found.remarks == [f"the rates are in {unit}, which is read as {scale:.4g} {read_as}"]
     (remark,) = table_rates(text, rate_unit="rad/s").remarks
-    assert f"are in {unit}; read in rad/s, as asked for" in remark
+    assert f"are in {unit}; read in rad/s, as requested" in remark
 
 
 def test_a_sample_rate_stands_in_for_a_time_column():
@@ -335,7 +335,7 @@ def test_a_sample_rate_stands_in_for_a_time_column():
     options = {"sample_rate": 200.0, "rate_unit": "rad/s"}
     found = table_rates(f"time,wx,wy,wz\n{rows}", **options)
     assert found.t_ns == [0, 5_000_000]
-    said = "sample_rate='200' counts the rows; the stamps in 'time' are not used"
+    said = "sample_rate='200' counts the rows; the timestamps in 'time' are not used"
     assert found.remarks == [said]
     assert table_rates(f"note,wx,wy,wz\n{rows}", **options).remarks == []
 

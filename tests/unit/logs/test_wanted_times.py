@@ -35,9 +35,12 @@ def test_a_file_of_stamps_alone(tmp_path, text):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("1700000001.5\n", "line 1: '1700000001.5' is no stamp; write RFC 3339 or whole ns, or"),
+        (
+            "1700000001.5\n",
+            "line 1: '1700000001.5' is not a timestamp; write RFC 3339 or whole ns, or",
+        ),
         ("t_ns\n1\nx\n", "line 3: 'x' is no stamp"),
-        ("t_ns\n", "it holds no stamps"),
+        ("t_ns\n", "it holds no timestamps"),
     ],
 )
 def test_what_is_no_stamp_is_refused(tmp_path, text, reason):
@@ -53,7 +56,7 @@ IMAGE, STRING = "sensor_msgs/msg/CompressedImage", "std_msgs/msg/String"
 @pytest.mark.parametrize("suffix", [".bag", ".mcap"])
 @pytest.mark.parametrize(("kind", "late"), [(IMAGE, 3_000_000), (STRING, 0)])
 def test_a_topic_of_the_log_gives_the_times(tmp_path, suffix, kind, late):
-    """Of any type: by its header stamps, or the time of recording where it has none."""
+    """Of any type: by its header timestamps, or the time of recording where it has none."""
     stamps, frames = range(0, 10**9, 10_000_000), [1_015_000_000, 1_337_000_001]
     imu = imu_messages([10**9 + t for t in stamps], rate=[(0.0, k / 100, 1.0) for k in range(100)])
     values = [{"header": {"stamp": t}} if kind == IMAGE else {} for t in frames]

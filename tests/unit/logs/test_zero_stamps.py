@@ -20,7 +20,7 @@ T0 = 1_700_000_000_000_000_000
 GOOD = [T0 + k * 10_000_000 for k in range(40)]
 ZERO = [0] * 40
 RECORDED = [t_ns + 77 for t_ns in GOOD]
-REFUSED = "all header stamps of topic '/imu' are zero; for the time of recording choose "
+REFUSED = "all header timestamps of topic '/imu' are zero; for the time of recording choose "
 
 
 def header(stamp_ns):
@@ -61,7 +61,7 @@ def stamps_of(path, **options):
 
 def test_the_stamp_of_the_message_around_stands_in_for_one_that_is_zero(path):
     """It is used for rates and attitudes, and said; where only some are zero, it is not."""
-    remark = "the stamps in 'imu.header.stamp' are all zero; those in 'header.stamp' are used"
+    remark = "the timestamps in 'imu.header.stamp' are all zero; those in 'header.stamp' are used"
     assert stamps_of(write(path, ZERO, GOOD)) == (GOOD, (remark,))
     later = [0, 0, *(t_ns + 5 for t_ns in GOOD[2:])]
     assert stamps_of(write(path, later, GOOD)) == (later, ())
@@ -102,4 +102,4 @@ def test_a_comparison_counts_stamps_of_zero(path, tmp_path):
     good = write(tmp_path / "good.mcap", GOOD)
     report = json.loads(run("compare", good, path, "--json").stdout)
     assert report["a"]["remarks"] == []
-    assert report["b"]["remarks"] == ["3 of 40 header stamps are zero"]
+    assert report["b"]["remarks"] == ["3 of 40 header timestamps are zero"]

@@ -146,7 +146,7 @@ def test_a_field_whose_name_ends_in_a_unit_declares_it(tmp_path, field, name, un
     source, _, _ = rates(path, rate_field=field, clock="log", rate_unit=other)
     assert source.unit == other
     (remark,) = source.remarks
-    assert f"read in {other}, as asked for" in remark
+    assert f"read in {other}, as requested" in remark
     table = tmp_path / "rates.jsonl"
     table.write_text("".join(json.dumps({"t_ns": t, **sample}) + "\n" for t in (1, 2)))
     assert rates(table)[0].unit == unit
@@ -310,7 +310,7 @@ def test_stamps_are_looked_at_where_an_orientation_is_missing(tmp_path):
     messages = [imu(k, 1, 2, {"sec": 0, "nanosec": 0}) for k in range(8)]
     for message in messages[1:]:
         del message["orientation"]
-    with pytest.raises(TimelineError, match="all header stamps of topic '/imu' are zero"):
+    with pytest.raises(TimelineError, match="all header timestamps of topic '/imu' are zero"):
         read(write(tmp_path, messages))
 
 
@@ -360,7 +360,7 @@ def test_definitions_with_and_without_a_stamp_are_not_mixed(tmp_path):
         read(path)
     assert str(raised.value) == (
         f"{path}: topic '/imu' was recorded with 2 different message definitions, and some have no "
-        "header stamp; choose clock='log'"
+        "header timestamp; choose clock='log'"
     )
     series, _ = read(path, clock="log")
     assert series.t_ns.tolist() == list(range(0, 20_000, 1000))

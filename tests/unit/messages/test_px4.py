@@ -46,7 +46,7 @@ def test_an_average_over_the_interval_before_its_stamp_wants_the_method_end(tmp_
     assert source.method_used("start") == ("start", "given")
     assert source.method_remarks("end") == []
     (remark,) = source.method_remarks("start")
-    assert remark.startswith("each rate is the average over the interval before its stamp, ")
+    assert remark.startswith("each rate is the average over the interval before its timestamp, ")
     assert remark.endswith("which is what method end assumes; method start was used")
     assert convention(tmp_path, "SensorCombined") == ("end", "log", "averages")
     final = attitudes(series.t_ns, series.rate, method="end")[-1]
@@ -89,7 +89,7 @@ def test_a_burst_is_as_many_samples_as_it_counts(tmp_path):
         tmp_path, "SensorGyroFifo", [fifo(1000, 3), fifo(2000, 0), fifo(9000, 32)]
     )
     assert source.remarks == (
-        "several samples a message: the time of each is counted back from the stamp",
+        "several samples per message: the time of each is counted back from the timestamp",
     )
     assert series.t_ns[:3].tolist() == [749_000, 874_500, 1_000_000]
     assert series.t_ns[3:].tolist() == [9_000_000 - 125_500 * k for k in range(31, -1, -1)]

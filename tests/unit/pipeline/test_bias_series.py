@@ -66,7 +66,7 @@ def messages(tmp_path_factory):
 
 @pytest.mark.filterwarnings("ignore")
 def test_biases_on_a_topic(messages):
-    """A topic of the log itself, on its header stamps; a file with one such topic."""
+    """A topic of the log itself, on its header timestamps; a file with one such topic."""
     assert differs(propagate(messages, bias="/imu/bias")) < 1e-12
     assert differs(propagate(SERIES, bias=messages)) < 1e-12
     # By the clock of the log the biases come a second later.

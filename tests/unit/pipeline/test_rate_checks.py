@@ -221,7 +221,7 @@ UNKNOWN = {"orientation_covariance": np.array([-1.0] + [0.0] * 8)}
         ("held", "67 % of the rows repeat the row before while the body turns: the log re"),
         ("slow", SLOW),
         ("whole seconds", "the timestamps are whole seconds"),
-        ("zero stamps", "all header stamps of topic '/imu' are zero"),
+        ("zero stamps", "all header timestamps of topic '/imu' are zero"),
         ("identity", "it is the identity in every message: a placeholder, not an attitude"),
     ],
 )

@@ -23,7 +23,7 @@ RATE = np.array([0.1, 0.2, 0.3]) + np.arange(50)[:, None] % 7 * [0, 0, 0.01]
 
 
 def bag(path, stamps=STAMPS, frames=("imu",), recorded=STAMPS, marks=(0.0,)):
-    """Write Imu messages with these header stamps; their frames and covariances take turns."""
+    """Write Imu messages with these header timestamps; their frames and covariances take turns."""
     messages = list(imu_messages(stamps, RATE, recorded=recorded))
     for k, (_, _, _, values) in enumerate(messages):
         values["header"]["frame_id"] = frames[k % len(frames)]
@@ -46,7 +46,7 @@ def surveyed(path, **options):
 
 SINCE_START = {"stamps": STAMPS - T0 + 60_000_000_000}
 OTHER_CLOCK = (
-    "header stamps begin at 1970-01-01T00:01:00Z and the recording at 2023-11-14T22:13:20Z: "
+    "header timestamps begin at 1970-01-01T00:01:00Z and the recording at 2023-11-14T22:13:20Z: "
     "another clock, or recorded again later; for the time of recording choose clock='log'"
 )
 SEVERAL_FRAMES = (
@@ -55,7 +55,7 @@ SEVERAL_FRAMES = (
 )
 OTHER_UNIT = (
     "rate_unit says deg/s, but by definition 'angular_velocity.x', 'angular_velocity.y', "
-    "'angular_velocity.z' are in rad/s; read in deg/s, as asked for"
+    "'angular_velocity.z' are in rad/s; read in deg/s, as requested"
 )
 
 
@@ -86,8 +86,8 @@ def test_a_clock_of_the_recorder_that_is_set_back_is_remarked_on(tmp_path, back_
     stamps = STAMPS - np.where(np.arange(50) > 25, back_ms * 1_000_000, 0)
     path = bag(tmp_path / "log.bag", stamps, recorded=stamps)
     remark = (
-        "the log times of topic '/imu' step back on the way by more than 100 ms, as where the "
-        "recorder's clock was set back; samples are taken in the order of their log times"
+        "the log times of topic '/imu' step back in between by more than 100 ms, as where the "
+        "recorder's clock was set back; samples are used in the order of their log times"
     )
     assert (remark in remarks(path, tmp_path)) == is_said
     assert (remark in surveyed(path).remarks) == is_said
@@ -96,7 +96,9 @@ def test_a_clock_of_the_recorder_that_is_set_back_is_remarked_on(tmp_path, back_
 def test_stamps_of_zero_are_counted(tmp_path):
     """A driver that does not know the time yet writes zero."""
     said = remarks(bag(tmp_path / "log.bag", np.where(np.arange(50) < 3, 0, STAMPS)), tmp_path)
-    zeros = "3 of the first 50 header stamps are zero; for the time of recording choose clock='log'"
+    zeros = (
+        "3 of the first 50 header timestamps are zero; for the time of recording choose clock='log'"
+    )
     assert said[-1] == zeros
 
 
@@ -179,8 +181,8 @@ def test_measured_rates_that_are_all_marked_as_absent_are_named(tmp_path):
     """Every /gps/imu of NovAtel's driver has -1 beside finite rates; nothing read them."""
     path = bag(tmp_path / "log.bag", marks=(-1.0,))
     sentence = (
-        "all rates are marked as absent, by a covariance of -1 in topic '/imu'; if they are "
-        "measured all the same, read them with rate_field='angular_velocity'"
+        "all rates are marked as absent, by a covariance of -1 in topic '/imu'; if they were "
+        "measured anyway, read them with rate_field='angular_velocity'"
     )
     with pytest.raises(TimelineError) as caught:
         remarks(path, tmp_path)
@@ -188,8 +190,8 @@ def test_measured_rates_that_are_all_marked_as_absent_are_named(tmp_path):
     assert in_python(surveyed(path).missing) == sentence
     (said,) = remarks(path, tmp_path, rate_field="angular_velocity")
     assert said == (
-        "rates that a covariance of -1 in topic '/imu' marks as absent are read all the same, as "
-        "asked for"
+        "rates that a covariance of -1 in topic '/imu' marks as absent are read anyway, as "
+        "requested"
     )
     source = surveyed(path, rate_field="angular_velocity")
     assert (source.samples, source.nonfinite) == (50, 0)
@@ -219,9 +221,9 @@ def test_rates_of_a_table_that_are_all_marked_as_absent_are_named(tmp_path, suff
         read_rates(path)
     assert str(caught.value) == (
         f"{path}: all rates are marked as absent, by a covariance of -1 in column "
-        "'angular_velocity_covariance[0]'; if they are measured all the same, read them with "
+        "'angular_velocity_covariance[0]'; if they were measured anyway, read them with "
         "rate_cols='angular_velocity.x,angular_velocity.y,angular_velocity.z'"
     )
-    with pytest.warns(RemarkWarning, match="marks as absent are read all the same, as asked for"):
+    with pytest.warns(RemarkWarning, match="marks as absent are read anyway, as requested"):
         rates = read_rates(path, rate_cols=",".join(names))
     assert np.isfinite(rates.rate).all()

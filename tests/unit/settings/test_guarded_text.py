@@ -31,7 +31,7 @@ LAUGHS = "a0: &a0 [1]\n" + "".join(
 DEEP = f"it is nested more than {MAX_DEPTH} levels deep"
 LONG = f"a number of more than {MAX_DIGITS} digits"
 
-NO_TEXT = "text that is no Unicode, or has a zero byte"
+NO_TEXT = "text that is not Unicode, or has a zero byte"
 AGAIN = "it is not TOML: Cannot overwrite a value "
 TWICE = "it is neither YAML nor JSON: line 3: found duplicate key "
 
@@ -63,7 +63,7 @@ REFUSED = [
     (read_json, "[" * (MAX_DEPTH + 2) + "]" * (MAX_DEPTH + 2), DEEP),
     (read_json, '{"a": ' + "9" * 5000 + "}", LONG),
     (read_json, '{"b": 2, "a": 1, "a": 3}', "'a' is there twice"),
-    (read_json, '{"a": NaN}', "NaN is no number of JSON"),
+    (read_json, '{"a": NaN}', "NaN is not a JSON number"),
     (read_json, '{"a": ["\\ud800"]}', f"'a.0': {NO_TEXT}"),
     (read_json, '{"a": "\\u0000"}', f"'a': {NO_TEXT}"),
     (read_json, '{"a":\n}', "it is not JSON: line 2: Expecting value"),

@@ -146,7 +146,11 @@ def test_a_failed_log_leaves_nothing(tmp_path, kind):
             {"compression": "zstd"},
             "^a bag log cannot be compressed with 'zstd'; choose 'none', 'lz4', 'bz2'$",
         ),
-        ("a.db3", {}, r": the suffix does not tell the output format; use one of \.csv, .*\.bag, "),
+        (
+            "a.db3",
+            {},
+            r": the suffix does not determine the output format; use one of \.csv, .*\.bag, ",
+        ),
         ("a.tum", {}, "kind 'tum' holds attitudes only; choose 'csv', 'tsv',"),
         (".", {}, "exists already; choose another name, with a suffix"),
     ],

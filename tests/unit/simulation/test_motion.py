@@ -193,7 +193,10 @@ def told(**values):
         (lambda: told(samples=0), "a log needs at least one sample, at a rate above zero"),
         (lambda: told(noise=-1.0), "noise and bias must be finite, and the noise not negative"),
         (lambda: told(bias=(np.nan, 0.0, 0.0)), "noise and bias must be finite"),
-        (lambda: told(sample_rate=Fraction(1, 10**6)), "too many digits to keep its stamps exact"),
+        (
+            lambda: told(sample_rate=Fraction(1, 10**6)),
+            "too many digits to keep its timestamps exact",
+        ),
         (
             lambda: next(record(motion_named("rest", SHAPE), told(), (0, 0, 0, 0))),
             "^q0 must be four finite numbers W,X,Y,Z, not all zero$",

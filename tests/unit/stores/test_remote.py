@@ -139,7 +139,7 @@ def test_chunks_without_the_topic_are_not_read(tmp_path, bucket, store_server):
 
 
 def test_ranges_are_put_together_in_requests_of_bounded_size(tmp_path, monkeypatch):
-    """Close ranges are one request, far ones are not, and only what was asked for is returned."""
+    """Close ranges are one request, far ones are not, and only what was requested is returned."""
     path = tmp_path / "bytes"
     data = np.random.default_rng(1).bytes(6 << 20)
     path.write_bytes(data)
@@ -193,7 +193,7 @@ def test_a_folder_inside_a_bag_is_no_file_of_it(tmp_path):
 @pytest.mark.parametrize(
     ("address", "reason"),
     [
-        ("file:///nowhere/none.bag", "there is no such object; check the address"),
+        ("file:///nowhere/none.bag", "no such object; check the address"),
         ("nowhere://log.bag", "there is no store of this kind"),
     ],
 )

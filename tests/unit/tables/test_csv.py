@@ -252,7 +252,7 @@ def test_cells_of_trailing_commas_have_no_names(names, rest, commas):
 GCSV = (
     "GYROFLOW IMU LOG\nversion,1.3\norientation,{}\ntscale,{}\ngscale,0.25\nt,gx,gy,gz,ax,ay,az\n"
 )
-MOUNTED = "the file says how its sensor is mounted, and rates are taken as they are; "
+MOUNTED = "the file says how its sensor is mounted, and rates are used as they are; "
 
 
 @pytest.mark.parametrize(
@@ -417,7 +417,7 @@ def test_checksums_at_the_end_of_rows_are_no_numbers():
     """VectorNav's sentences of NMEA; what takes them off is said, and works."""
     rows = "".join(f"$VNIMU,{k / 100},+00.1,-00.2,+00.3*{k + 16:02X}\n" for k in range(30))
     assert refusal(rows) == (
-        "its rows end in NMEA checksums, such as '*10'; take them off, such as with sed -E "
+        "its rows end in NMEA checksums, such as '*10'; remove them, for example with sed -E "
         r"'s/\*[0-9A-Fa-f]{2}//'"
     )
     bare = re.sub(r"\*[0-9A-Fa-f]{2}", "", rows)

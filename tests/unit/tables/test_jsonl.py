@@ -178,7 +178,8 @@ def test_one_object_with_all_rows_is_named_as_such(written, indent, count):
     """Movesense writes one, and its rows were said to be no JSON objects."""
     row = {"gyro": {"Timestamp": 10, "ArrayGyro": [{"x": 1.5, "y": 2, "z": 3}]}}
     assert refusal(written(json.dumps({"data": [row] * count}, indent=indent))) == (
-        "it is one JSON object with its rows in the list 'data'; write a row a line, such as with "
+        "it is one JSON object with its rows in the list 'data'; write one row per line, for "
+        "example with "
         "jq -c '.data[]'"
     )
     line = '{"list":[{"a":1}],"t_ns":1,"wx":1,"wy":2,"wz":3}'

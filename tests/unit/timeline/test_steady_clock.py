@@ -78,7 +78,7 @@ def test_late_arrivals_are_found_and_repaired(seed):
     assert np.abs(by_clock - TRUE).max() < 5000
     assert rms_deg(series) > 0.005
     assert rms_deg(series, regular_time=True) < 0.0005
-    with pytest.warns(RemarkWarning, match="regular_time takes the times of that clock"):
+    with pytest.warns(RemarkWarning, match="regular_time uses the times of that clock"):
         propagate(series)
 
 
@@ -288,7 +288,7 @@ def test_the_first_attitude_is_that_beside_the_first_sample(tmp_path):
 
 @pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 def test_messages_are_repaired_as_tables_are():
-    """Log times that arrive late become the header stamps again, but for a constant."""
+    """Log times that arrive late become the header timestamps again, but for a constant."""
     stamped, arrived = (
         read_rates(SAMPLE_LOGS / "tumbling.bag", clock=clock) for clock in ("header", "log")
     )

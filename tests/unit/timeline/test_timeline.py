@@ -132,7 +132,7 @@ def test_what_is_irregular_is_refused(policy, text, message):
     ],
 )
 def test_samples_are_dropped_sorted_and_held(policy, text, expected, counted):
-    """Across batches; sorting keeps the order of equal stamps, and looking changes nothing."""
+    """Across batches; sorting keeps the order of equal timestamps, and looking changes nothing."""
     stamps, rates, counts = applied(Policy(**policy), *samples(text))
     (wanted,) = samples(expected)
     assert stamps == (wanted.t_ns // MS).tolist()

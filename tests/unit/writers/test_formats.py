@@ -353,8 +353,8 @@ def test_what_cannot_be_written_is_refused_before_there_is_a_file(tmp_path):
     suffixes = [suffix for form in WRITERS.values() for suffix in form.suffixes if suffix]
     target = tmp_path / "a.xyz"
     assert refusal(target) == (
-        f"{target}: the suffix does not tell the output format; "
-        f"use one of {', '.join(suffixes)}, none for a ROS 2 bag folder, or say to="
+        f"{target}: the suffix does not determine the output format; use one of "
+        f"{', '.join(suffixes)}, none for a ROS 2 bag folder, or say to="
         + " or ".join(map(repr, WRITERS))
     )
     assert refusal(target, "xls") == f"{target}: no output kind 'xls'; choose {'|'.join(WRITERS)}"

@@ -143,7 +143,7 @@ def test_an_mcap_file_declares_them(tmp_path, name):
 def test_a_stamp_before_1970_is_refused(tmp_path, name):
     """MCAP has no negative times, and nothing is left behind."""
     series = attitudes([5, -1])
-    words = r"/a\.mcap: MCAP has no time for the stamp -1 ns; write a table, or a trajectory$"
+    words = r"/a\.mcap: MCAP cannot represent the timestamp -1 ns; write a table, or a trajectory$"
     with (
         open_writer(tmp_path / "a.mcap", message=Message(name)) as writer,
         pytest.raises(OutputError, match=words),

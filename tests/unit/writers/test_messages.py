@@ -157,7 +157,9 @@ def test_covariances_are_about_the_axes_of_the_reference(name, ros1):
 def test_a_stamp_beyond_ros_is_refused(tmp_path, kind, stamp):
     """Times before 1970 or after 2038 do not fit, and nothing is left behind."""
     series = AttitudeSeries(np.array([0, stamp]), np.tile([1.0, 0, 0, 0], (2, 1)))
-    words = rf"/a\S*: ROS has no time for the stamp {stamp} ns; write a table, or a trajectory$"
+    words = (
+        rf"/a\S*: ROS cannot represent the timestamp {stamp} ns; write a table, or a trajectory$"
+    )
     with pytest.raises(OutputError, match=words):
         write(tmp_path, kind, series)
     assert list(tmp_path.iterdir()) == []
