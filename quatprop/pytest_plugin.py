@@ -6,16 +6,19 @@ updates references: ``quatprop check SUITE.toml --update``.
 
 from __future__ import annotations
 
+import json
+from contextlib import suppress
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import pytest
 
 from quatprop.text import plain, spelling
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Generator, Iterable
 
     from quatprop.check.case import Case, CaseNotRun, CaseResult
     from quatprop.check.lock import Pin
@@ -26,11 +29,11 @@ ARTIFACTS = "--quatprop-artifacts"
 
 
 class RegressionError(Exception):
-    """A case of which there is no result; its text is the reason."""
+    """A case that does not pass; its text is the reason."""
 
 
-class RegressionFailure(RegressionError):  # noqa: N818  # its name is what pytest shows
-    """A case that is above a limit; its text is the reason."""
+class ExpectedFailure(RegressionError):  # noqa: N818  # its name is what pytest shows
+    """A case that fails as it is known to."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -50,7 +53,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "known to fail, or if a remark on a log is not pinned.",
     )
     group.addoption(
-        ARTIFACTS, metavar="DIR", help="Keep the evidence of each case that fails in DIR/CASE."
+        ARTIFACTS,
+        metavar="DIR",
+        help="Keep the evidence of each case that fails in DIR/CASE, and an overview of all cases "
+        "in DIR/index.html; of several suites, in a folder of DIR for each.",
     )
 
 
@@ -60,6 +66,8 @@ def pytest_configure(config: pytest.Config) -> None:
     pytest 8 leaves out the rest of a folder of which a file is named too.
     """
     config.addinivalue_line("markers", "quatprop: a case of a quatprop check suite.")
+    if config.getoption(ARTIFACTS) and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(Overviews(config), "quatprop-overviews")
     paths = [(config.invocation_params.dir / arg.split("::")[0]).resolve() for arg in config.args]
     skipped = config.getini("norecursedirs")
     for suite in _suites(config):
@@ -114,6 +122,92 @@ def pytest_terminal_summary(
         terminalreporter.write_line(f"quatprop: every case of {plain(suite)} was deselected")
 
 
+def _artifacts(config: pytest.Config, suite: Path) -> Path:
+    """Return the folder for the evidence of a suite: of several, names of cases may be the same."""
+    folder, root = Path(config.getoption(ARTIFACTS)), config.rootpath.resolve()
+    suite = suite.resolve()
+    if {path.resolve() for path in _suites(config)} == {suite}:
+        return folder
+    name = suite.relative_to(root) if suite.is_relative_to(root) else suite
+    return folder / quote(name.with_suffix("").as_posix(), safe="")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
+    """Let the report of a case have its result, as text: it may come from another process."""
+    report = yield
+    if isinstance(item, CaseItem) and (report.when == "call" or not report.passed):
+        from quatprop.provenance import as_json
+
+        result = item.result
+        if result is None:
+            fields = {"reason": getattr(item.case, "reason", "")}
+            fields["verdict"] = getattr(item.case, "verdict", "error")
+        else:
+            fields = {name: getattr(result, name) for name in SHOWN}
+        report.quatprop = json.dumps(as_json({"name": item.name, "suite": item.path, **fields}))
+    return report
+
+
+SHOWN = ("verdict", "reason", "summary", "error_rad", "notes", "trace", "evidence")
+"""Fields of a result that an overview shows."""
+
+
+class Overviews:
+    """Writes an overview of the cases of each suite, where the reports of all processes come."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self.config = config
+        self.results: dict[Path, dict[str, CaseResult]] = {}
+        for suite in _suites(config):
+            self.results[suite.resolve()] = {}
+            with suppress(OSError):  # That of the last run must not stand for this one.
+                (_artifacts(config, suite) / "index.html").unlink(missing_ok=True)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Take the result of a case, with the verdict that pytest has made of it."""
+        from quatprop.settings.guarded_text import read_json
+
+        told = getattr(report, "quatprop", None)
+        if told is None and not report.failed:
+            return
+        name = report.nodeid.partition("::")[2]
+        fields = read_json(told) if told else {"name": name, "verdict": "error"}
+        verdict = fields["verdict"]
+        if report.failed and verdict not in {"fail", "error"}:
+            verdict = "fail"
+        elif report.skipped and verdict not in {"skip", "deleted", "xfail"}:
+            verdict = "xfail" if hasattr(report, "wasxfail") else "skip"
+        fields["reason"] = fields.get("reason") or report.longreprtext
+        self._add(report.nodeid, {**fields, "verdict": verdict})
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        """Take the error of a suite that cannot be read."""
+        if report.failed:
+            name = Path(report.nodeid).name
+            fields = {"name": name, "verdict": "error", "reason": report.longreprtext}
+            self._add(report.nodeid, fields)
+
+    def _add(self, nodeid: str, fields: Any) -> None:
+        from quatprop.check.case import CaseResult
+
+        suite = fields.pop("suite", nodeid.partition("::")[0])
+        results = self.results.get((self.config.rootpath / suite).resolve())
+        if results is not None:
+            results[fields["name"]] = CaseResult(**fields)
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        """Write the overviews."""
+        from quatprop.check.overview import write_overview
+        from quatprop.errors import QuatpropError
+
+        for suite, results in self.results.items():
+            try:
+                write_overview(_artifacts(self.config, suite), suite, [*results.values()])
+            except (OSError, QuatpropError) as error:
+                terminalreporter.write_line(f"quatprop: the overview cannot be written: {error}")
+
+
 DESELECTED = pytest.StashKey[list[str]]()
 BROKEN = pytest.StashKey[set[Path]]()
 
@@ -146,25 +240,25 @@ class CaseItem(pytest.Item):
     def __init__(self, *, case: Case | CaseNotRun, pin: Pin | None, **options: Any) -> None:
         super().__init__(**options)
         self.case, self.pin = case, pin
+        self.strict: bool = self.config.getoption(STRICT)
+        self.result: CaseResult | None = None
         self.add_marker("quatprop")
         if reason := getattr(case, "xfail", ""):
-            strict = {"strict": True} if self.config.getoption(STRICT) else {}
-            self.add_marker(pytest.mark.xfail(reason=reason, raises=RegressionFailure, **strict))
+            self.add_marker(pytest.mark.xfail(reason=reason, raises=ExpectedFailure))
+        verdict = getattr(case, "verdict", "")
+        if verdict == "skip" or (verdict == "deleted" and not self.strict):
+            # A mark is shown with the line of the suite.
+            self.add_marker(pytest.mark.skip(reason=getattr(case, "reason", "")))
 
     def runtest(self) -> None:
-        """Judge the case; whether it may fail is left to pytest."""
-        from quatprop.check.case import Case
+        """Judge the case; what is said of one that passes though it may fail is left to pytest."""
         from quatprop.check.runner import CheckOptions, run_case
 
-        case = self.case._replace(xfail="") if isinstance(self.case, Case) else self.case
-        artifacts = self.config.getoption(ARTIFACTS)
-        strict = self.config.getoption(STRICT)
-        options = CheckOptions(artifacts=artifacts and Path(artifacts), strict=strict)
-        result = run_case((case, self.pin), options)
-        if result.verdict in {"skip", "deleted"}:
-            pytest.skip(result.reason)
-        if result.verdict in {"fail", "error"}:
-            failure = RegressionFailure if result.verdict == "fail" else RegressionError
+        place = self.config.getoption(ARTIFACTS) and _artifacts(self.config, self.path)
+        options = CheckOptions(artifacts=place, strict=self.strict)
+        self.result = result = run_case((self.case, self.pin), options)
+        if result.verdict in {"fail", "error", "xfail"}:
+            failure = ExpectedFailure if result.verdict == "xfail" else RegressionError
             raise failure("\n".join([result.reason, *_table(result)]))
         notes = [text for text in (result.summary, *result.notes) if text]
         self.add_report_section("call", "quatprop", "\n".join(notes))

@@ -10,7 +10,7 @@ import numpy as np
 
 from quatprop.api.propagation import PropagatedSeries
 from quatprop.api.reading import path_text, read_attitudes, warn, with_keywords_of
-from quatprop.comparison.settings import CompareOptions
+from quatprop.comparison.settings import COMPARE, CompareOptions
 from quatprop.conversion.settings import CONVERT, TERMS, ConvertOptions
 from quatprop.errors import DataLossWarning, SeriesError, UsageError
 from quatprop.series import AttitudeSeries
@@ -215,7 +215,7 @@ def _refuse_settings_of_a_side(options: Collection[str]) -> None:
     """Refuse what the command has as options of A and B: here it belongs to reading them."""
     for name in options:
         setting = name.removesuffix("_a").removesuffix("_b")
-        if setting in READ_ATTITUDES:
+        if setting in READ_ATTITUDES and name not in COMPARE:
             raise UsageError(
                 f"there is no setting {quoted(name)}; give compare() what read_attitudes() "
                 f"returns with {setting}=..."

@@ -114,7 +114,7 @@ def plot(  # noqa: PLR0913  # one keyword for each option
     RemarkWarning
         Something looks wrong, such as gaps.
     """
-    from quatprop.comparison.settings import comparison_settings
+    from quatprop.comparison.settings import ComparisonSettings
     from quatprop.logs.attitude_input import AttitudeInput
     from quatprop.plotting.plot import plot as draw
     from quatprop.settings.reading import PLOT
@@ -124,11 +124,9 @@ def plot(  # noqa: PLR0913  # one keyword for each option
     against = (
         None if reference is None else AttitudeInput(path_text("reference", reference), drop=True)
     )
-    for name in ("start", "end"):
-        if reference is not None and name in values:
-            raise UsageError(f"{Setting(name)} does not go with {Setting('reference')}")
+    within = ComparisonSettings(start=values.get("start"), end=values.get("end"))
     view = _view(values, show, components=components, unwrap=unwrap)
-    _, remarks, data_lost = draw(paths, target, view, against, comparison_settings())
+    _, remarks, data_lost = draw(paths, target, view, against, within)
     for remark in remarks:
         warnings.warn(remark, RemarkWarning, stacklevel=2)
     if data_lost:

@@ -19,7 +19,7 @@ from quatprop.pipeline.job import Job, run
 from quatprop.pipeline.settings import OutputSettings
 from quatprop.rendering import degrees_text
 from quatprop.settings.spelling import suite_key
-from quatprop.text import Setting, spelled
+from quatprop.text import Setting, plain, spelled
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def propagate_case(case: Case, every: int | None, folder: Path) -> CaseRun:
 def propagate_all(case: Case, folder: Path) -> CaseRun:
     """Propagate the log of a case with all of its attitudes, whatever rows the case chooses."""
     settings = replace(case.propagation, every=None, rate=None, at=None)
-    (place := folder / "all").mkdir()
+    (place := folder / "all").mkdir(exist_ok=True)
     return propagate_case(case._replace(propagation=settings), None, place)
 
 
@@ -136,8 +136,10 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
         others.append(str(limit))
         if not one.passed:
             failures.append(named(criterion_text(one, result)))
+    if judged := case.comparison_options.get("judge"):
+        others.append(f"judged at {plain(judged)} alone")
     cause = result.likely_cause
-    causes = filter(None, (cause, cause and cause.also))
+    causes = cause.chain if cause else []
     return CaseComparison(
         result,
         summary="; ".join([f"{' of '.join(worst)} at {since(result.worst.t_ns)}{left}", *others]),

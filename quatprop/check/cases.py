@@ -42,7 +42,8 @@ DEFAULT_COVERAGE = "99"
 """Percentage of a reference that a log must cover which need not have the same bytes."""
 
 PROPAGATION_KEYS = {suite_key(name): name for name in PROPAGATE}
-COMPARISON_KEYS = {suite_key(name): name for name in COMPARE}
+# The time range and the rate of a case are those of the attitudes that are propagated.
+COMPARISON_KEYS = {suite_key(name): name for name in COMPARE if name not in PROPAGATE}
 REFERENCE_KEYS = {suite_key(name, "b"): name for name in (*ONE_SERIES, *CHECKS)}
 
 PARSERS: Mapping[str, Callable[[object], Any]] = {
@@ -168,7 +169,9 @@ class _CaseParser:
             strict=strict,
             pins_log=pins_log,
             xfail=self.reason("xfail"),
-            in_degrees=any(comparison_texts.get(key, "").strip().endswith("deg") for key in LIMITS),
+            # A drift is in deg/h: no other angle of the case is in radians beside it.
+            in_degrees="drift-tol" in comparison_texts
+            or any(comparison_texts.get(key, "").strip().endswith("deg") for key in LIMITS),
             suite=str(self._suite.path),
             line=self._table.line,
         )

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from quatprop.check.case_run import largest_errors
 from quatprop.check.cases import same_option
-from quatprop.check.lock import DIGITS, Pin, describe_change, digests_of, renamed_to, sha256_of
-from quatprop.check.reference import DEFAULT, describe_provenance
+from quatprop.check.lock import (
+    DIGITS,
+    Pin,
+    describe_change,
+    digests_of,
+    pin_of,
+    renamed_to,
+    sha256_of,
+)
+from quatprop.check.reference import DEFAULT, PROVENANCE_KEY, describe_provenance, provenance_of
 from quatprop.conventions.representations import euler_angles, from_euler
-from quatprop.errors import UnreadableLogError
+from quatprop.errors import QuatpropError, UnreadableLogError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.rendering import degrees_text
 from quatprop.text import Setting, plain, quoted, spelled
@@ -138,9 +147,6 @@ def make_pin(
 ) -> Pin:
     """Return what to pin of a case, but for its stored reference."""
     result = run.report.result
-    angles = np.degrees(euler_angles("zyx", result.final_wxyz[None])[0])
-    rounded = (round(float(angle), PLACES) + 0.0 for angle in angles)  # no -0.0
-    final = dict(zip(("yaw", "pitch", "roll"), rounded, strict=True))
     measured = {}
     if case.external is not None and comparison is not None and comparison.result is not None:
         sizes = zip(("max", "rms", "final"), largest_errors(comparison.result), strict=True)
@@ -154,13 +160,37 @@ def make_pin(
         options=case.options,
         samples=run.samples,
         span_s=result.span_s,
-        final_deg={name: final[name] for name in ("roll", "pitch", "yaw")},
-        total_angle_deg=round(math.degrees(result.path_angle_rad), PLACES),
+        **_angles(result.final_wxyz, result.path_angle_rad),
         remarks=tuple(sorted(remarks)),
         every=None,
         reference=None,
         measured=measured,
     )
+
+
+def _angles(final_wxyz: Float64, path_angle_rad: float) -> Any:
+    """Return the angles that a lock has, deg, by their fields."""
+    angles = np.degrees(euler_angles("zyx", final_wxyz[None])[0])
+    rounded = (round(float(angle), PLACES) + 0.0 for angle in angles)  # no -0.0
+    final = dict(zip(("yaw", "pitch", "roll"), rounded, strict=True))
+    return {
+        "final_deg": {name: final[name] for name in ("roll", "pitch", "yaw")},
+        "total_angle_deg": round(math.degrees(path_angle_rad), PLACES),
+    }
+
+
+def pin_of_reference(path: Path) -> tuple[Pin | None, tuple[str, ...]]:
+    """Return what a stored reference says of its case, and the names of the case and its log."""
+    with suppress(QuatpropError, LookupError, TypeError, ValueError, AttributeError):
+        provenance = provenance_of(str(path))
+        told, result = provenance[PROVENANCE_KEY], provenance["result"]
+        entry = {key: told[key] for key in ("inputs", "options", "every")}
+        entry |= {"quatprop": provenance["quatprop"], "reference": sha256_of(str(path))}
+        entry |= {"samples": result["samples"], "span_s": result["span_s"]}
+        entry |= _angles(np.array(result["final_wxyz"], float), result["path_angle_rad"])
+        pin = pin_of({**entry, "remarks": [], "measured": {}})
+        return pin, (str(told["case"]), str(provenance["source"]["path"]))
+    return None, ()
 
 
 def _significant(value: float) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.check.case import Case, CaseNotRun
@@ -29,6 +30,14 @@ def explain(case: Case | CaseNotRun, pin: Pin | None) -> str:
     facts = [("", plain(case.reason))] if isinstance(case, CaseNotRun) else [*_facts(case, pin)]
     width = max(10, *(len(name) for name, _ in facts))
     return "\n".join([*lines, *(f"  {name:<{width}} {text}".rstrip() for name, text in facts)])
+
+
+def is_usable(case: Case | CaseNotRun) -> bool:
+    """Return whether a case can be run: it is as it should be written, and its files are there."""
+    if isinstance(case, CaseNotRun):
+        return case.verdict != "error"
+    files = [*case.inputs.values(), *filter(None, [case.reference])]
+    return all(Path(file).exists() for file in files)
 
 
 def _facts(case: Case, pin: Pin | None) -> Iterator[tuple[str, str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,8 +16,8 @@ from quatprop.check.case_run import (
     compare_timestamps,
     propagate_case,
 )
-from quatprop.check.changes import hash_inputs, make_pin, obstacles
-from quatprop.check.reference import MAX_ROWS, final_of, read_reference
+from quatprop.check.changes import final_distance, hash_inputs, make_pin, obstacles
+from quatprop.check.reference import MAX_ROWS, final_of, read_reference, thin
 from quatprop.check.remarks import loss_notes, remarks_of
 from quatprop.errors import QuatpropError
 from quatprop.kinematics.quaternion import geodesic_angle
@@ -29,6 +30,10 @@ if TYPE_CHECKING:
     from quatprop.check.lock import Pin
     from quatprop.logs.attitude_input import LoadedAttitudes
     from quatprop.text import Remark
+
+
+SAME_DEG = 1e-5
+"""Angle, deg, which the rounding of the angles in a lock stays below."""
 
 
 class Judgement(NamedTuple):
@@ -66,6 +71,9 @@ def judge(case: Case, pin: Pin | None, folder: Path) -> Judgement:
             raise QuatpropError(f"{error}; {used}") from error
         raise
     comparison = None
+    if reference is not None and case.external is None and pin is not None:
+        # An earlier version has pinned such references.
+        changed = changed or thin(case, reference.series, pin.samples, pin.span_s)
     if reference is not None:
         comparison = compare_case(case, run.series, reference.series)
     remarks = remarks_of(case, run, reference, comparison)
@@ -151,8 +159,13 @@ def _failures(
         yield f"{run.samples} samples were propagated, and {pin.samples} when pinned"
     if comparison is None or reference is None:
         return
-    if case.external is None and case.strict and pin is not None:
-        yield compare_timestamps(run.series, reference.series)
+    if case.external is None and pin is not None:
+        final = final_of(reference)
+        apart = 0.0 if final is None else math.degrees(final_distance(pin, np.array(final)))
+        if apart > SAME_DEG:
+            yield f"the lock and the reference have last attitudes that are {apart:.6g} deg apart"
+        if case.strict:
+            yield compare_timestamps(run.series, reference.series)
     yield comparison.failure
     if case.external is None and not comparison.failure and comparison.result:
         yield _compare_last(case, reference, run)

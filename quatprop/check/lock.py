@@ -118,7 +118,7 @@ def read_lock(path: Path, *, anew: bool = False) -> dict[str, Pin]:
                 return {}
             reason = "the lock was written by an older format; run check with "
             raise SuiteError(path, f"{reason}{Setting('update')}, which lists what it replaces")
-        return {name: _pin(entry) for name, entry in lock["cases"].items()}
+        return {name: pin_of(entry) for name, entry in lock["cases"].items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         why = f" ({error})" if isinstance(error, ContentError) else ""
         reason = f"it is not the lock that {Setting('update')} writes{why}; restore it"
@@ -133,7 +133,8 @@ def conflict_line(content: bytes) -> int | None:
     )
 
 
-def _pin(entry: JsonObject) -> Pin:
+def pin_of(entry: JsonObject) -> Pin:
+    """Return the pin that an entry of a lock is."""
     if entry.keys() != IS_VALID.keys() or not all(IS_VALID[key](entry[key]) for key in IS_VALID):
         raise ValueError(entry)
     return Pin(**{**entry, "remarks": tuple(entry["remarks"])})
@@ -249,9 +250,9 @@ def with_content(folder: Path, pattern: str, digest: str | None) -> Path | None:
     """Return the first file of a folder that has some content; None where there is none."""
     left = MAX_SEARCHED
     with suppress(OSError):
-        for other in sorted(folder.glob(pattern)):
+        for other in filter(Path.is_file, sorted(folder.glob(pattern))):
             left -= other.stat().st_size
-            if left > 0 and other.is_file() and digest_of(other).sha256 == digest:
+            if left > 0 and digest_of(other).sha256 == digest:
                 return other
     return None
 

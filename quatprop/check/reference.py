@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
 from dataclasses import replace
 from itertools import count
@@ -14,13 +15,20 @@ from quatprop.errors import OutputError, QuatpropError
 from quatprop.logs.attitude_input import AttitudeInput, LoadedAttitudes, load_attitudes
 from quatprop.pipeline.report import CONVENTION
 from quatprop.provenance import digest_of
-from quatprop.text import Setting, plain, quoted
+from quatprop.text import Setting, plain, quoted, spelled
 from quatprop.writers import open_writer
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from quatprop.check.case_run import CaseRun
+    from quatprop.series import AttitudeSeries
+
+REFERENCES = "**/*.[pP][aAqQ]*"
+"""Names of references in and below the folder of a suite."""
+
+MAX_FOOTER = 1 << 20
+"""Bytes at the end of a Parquet file among which its provenance is."""
 
 PROVENANCE_KEY = "check"
 """Key of the provenance that only stored references have."""
@@ -84,18 +92,21 @@ def _with_names(value: Any, names: Mapping[str, str]) -> Any:
     return names.get(value, value) if isinstance(value, str) else value
 
 
-def refuse_thin(case: Case, run: CaseRun) -> None:
-    """Refuse a reference of so few attitudes of a log that a change would not be seen."""
-    count, t_ns = len(run.series), run.series.t_ns
+def thin(case: Case, series: AttitudeSeries, samples: int, span_s: float) -> str:
+    """Return why a reference has so few attitudes of a log that a change would not be seen.
+
+    `samples`, `span_s`: of the log; empty where there are enough
+    """
+    count, t_ns = len(series), series.t_ns
     covered = float(t_ns.max() - t_ns.min()) * 1e-9 if count else 0.0
-    if count >= min(LEAST_ROWS, run.samples) and 2 * covered >= run.report.result.span_s:
-        return
+    if count >= min(LEAST_ROWS, samples) and 2 * covered >= span_s:
+        return ""
     keys = " or ".join(key for key in ("every", "rate", "at") if key in case.options)
-    raise OutputError(
-        str(case.reference),
-        f"a reference of {count} of {run.samples} attitudes, over {covered:.6g} s of "
-        f"{run.report.result.span_s:.6g} s, would pass nearly any change; choose at least "
-        f"{LEAST_ROWS} over half of the log with {keys or 'another log'}",
+    return spelled(
+        f"{plain(case.reference)}: a reference of {count} of {samples} attitudes, over "
+        f"{covered:.6g} s of {span_s:.6g} s, would pass nearly any change; choose at least "
+        f"{LEAST_ROWS} over half of the log with {keys or 'another log'}, and write it with "
+        f"{Setting('update')}"
     )
 
 
@@ -106,7 +117,7 @@ def refuse_replacing(target: Path) -> None:
     copy.
     """
     with suppress(QuatpropError):
-        if not target.exists() or PROVENANCE_KEY in _provenance(str(target)):
+        if not target.exists() or PROVENANCE_KEY in provenance_of(str(target)):
             return
     raise OutputError(
         target,
@@ -118,7 +129,7 @@ def refuse_replacing(target: Path) -> None:
 def describe_provenance(case: Case, pin: Pin) -> str:
     """Return how the provenance of a file that is not the pinned reference differs."""
     try:
-        provenance = _provenance(str(case.reference))
+        provenance = provenance_of(str(case.reference))
     except QuatpropError:
         return ", and cannot be read"
     if PROVENANCE_KEY not in provenance:
@@ -148,17 +159,26 @@ def describe_provenance(case: Case, pin: Pin) -> str:
     return f"; its metadata have {differences}" if differences else ""
 
 
-def _provenance(path: str) -> Mapping[str, Any]:
+def provenance_of(path: str) -> Mapping[str, Any]:
+    """Return what a stored reference says of itself."""
     return read_reference(path).signal.provenance
 
 
-def orphaned_references(cases: Iterable[Case | CaseNotRun], deleted: Iterable[Pin]) -> list[Path]:
-    """Return the stored references of deleted cases, in the folders of the other references."""
+def stray_references(folder: Path, cases: Iterable[Case | CaseNotRun]) -> Iterator[Path]:
+    """Yield the stored references below a folder that no case has."""
+    valid = [case for case in cases if isinstance(case, Case)]
+    used = {os.path.realpath(path) for case in valid for path in (case.reference, case.log) if path}
+    for path in sorted(folder.glob(REFERENCES)):
+        with suppress(OSError), path.open("rb") as stream:
+            stream.seek(max(0, stream.seek(0, os.SEEK_END) - MAX_FOOTER))
+            if os.path.realpath(path) not in used and PROVENANCE_KEY.encode() in stream.read():
+                yield path
+
+
+def orphaned_references(
+    folder: Path, cases: Iterable[Case | CaseNotRun], deleted: Iterable[Pin]
+) -> list[Path]:
+    """Return the stored references of deleted cases."""
     digests = {pin.reference for pin in deleted}
-    used = {Path(case.reference) for case in cases if isinstance(case, Case) and case.reference}
-    return [
-        path
-        for folder in sorted({path.parent for path in used})
-        for path in sorted(folder.glob("*.parquet"))
-        if path not in used and digest_of(path).sha256 in digests
-    ]
+    strays = stray_references(folder, cases) if digests else ()
+    return [path for path in strays if digest_of(path).sha256 in digests]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from quatprop.check.case import Case, CaseNotRun, CaseResult
 from quatprop.check.judge import Judgement, judge
 from quatprop.check.lock import Pin, merge_into_lock
-from quatprop.check.update import propose, put_in_place, refuse_target
+from quatprop.check.update import Former, propose, put_in_place, refuse_target
 from quatprop.concurrency.processes import KILLED, in_order, map_processes
 from quatprop.errors import QuatpropError
 from quatprop.errors.third_party import as_user_error
@@ -32,8 +32,8 @@ class CheckOptions(NamedTuple):
     """How cases are run.
 
     `suite`: update: the suite whose references and lock are written; None judges
-    `deleted`: pins of cases that the suite has no more
-    `removed`: those of them that the update removes from the lock
+    `former`: what was pinned, or is told by references, and the suite has no more
+    `removed`: cases that the update removes from the lock
     `dry_run`: show what an update would do, and write nothing
     `force`: accept a change that cannot be measured, too
     `confirm`: asks whether a change is accepted; None: all are
@@ -42,7 +42,7 @@ class CheckOptions(NamedTuple):
     """
 
     suite: Suite | None = None
-    deleted: dict[str, Pin] = {}  # noqa: RUF012  # never changed
+    former: Sequence[Former] = ()
     removed: Collection[str] = ()
     dry_run: bool = False
     force: bool = False
@@ -98,7 +98,7 @@ def _updated(
     case: Case, pin: Pin | None, judged: Judgement, options: CheckOptions, scratch: Path
 ) -> CaseResult:
     """Update a case, unless the change is not accepted."""
-    proposal = propose(case, pin, judged, scratch, options.deleted)
+    proposal = propose(case, pin, judged, scratch, options.former)
     if proposal.unknown and not options.force:
         return CaseResult(case.name, "error", proposal.unknown, changes=proposal.result.changes)
     if options.dry_run:

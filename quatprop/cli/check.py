@@ -41,16 +41,16 @@ OPTIONS = {
         "what changes, in degrees. Cases that pass are left as they are."),
     "--dry-run": Keyword(flag, "With --update: list what would change, and write nothing."),
     "--interactive": Keyword(flag, "With --update: ask before each change."),
-    "--force": Keyword(flag, "With --update or --init: also where CI is set, where nobody "
-        "reviews it; where the change of the attitudes cannot be measured; and where cases "
-        "are removed from the lock."),
+    "--force": Keyword(flag, "With --update or --init: also where CI is set (and not to 0 or "
+        "false), where nobody reviews it; where the change of the attitudes cannot be measured; "
+        "and where cases are removed from the lock."),
     "--init": Keyword(flag, "Write SUITE.toml, with a case for each LOG, and the references."),
     "--reference-log": Keyword(
         PATH, "With --init: compare each LOG with these attitudes, too; limits are proposed from "
         "what is measured.", takes="FILE"),
     "--explain": Keyword(
         flag, "Show what the cases depend on, what is pinned, and how they are judged; run "
-        "nothing."),
+        "nothing. Exit code 2 if a file is missing."),
     "--artifacts": Keyword(
         PATH, "Keep the attitudes, a page with the error, and the commands of each case that "
         "fails in DIR/CASE, and an overview of all cases in DIR/index.html.", takes="DIR"),
@@ -107,8 +107,9 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
     """
     from quatprop.check.case import exit_code
     from quatprop.check.cases import deleted_cases, load_cases
-    from quatprop.check.explain import explain
+    from quatprop.check.explain import explain, is_usable
     from quatprop.check.lock import read_lock
+    from quatprop.check.update import former_cases
     from quatprop.cli.check_results import (
         json_report,
         report_deleted,
@@ -127,25 +128,26 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
         loaded, all_cases = load_cases(suite)
         pins = read_lock(loaded.lock, anew=updating)
         gone = deleted_cases(all_cases, pins)
-        deleted = {case.name: pins[case.name] for case in gone}
         cases = _selected([*all_cases, *gone], options, suite)
-        removed = _removed(cases, pins, options) if updating else {}
+        removed, former = {}, []
         if updating:
-            cases = [case for case in cases if case.name not in deleted]
+            removed = _removed(cases, pins, options)
+            former = [*former_cases(loaded.path, all_cases, pins)]
+            cases = [case for case in cases if getattr(case, "verdict", "") != "deleted"]
         if options["explain"]:
             click.echo("\n\n".join(explain(case, pins.get(case.name)) for case in cases))
-            return 0
+            return 0 if all(map(is_usable, cases)) else 2
         _refuse_overlap(loaded, all_cases, options["junit"])
         if updating:
             refuse_outside(loaded.lock, loaded.lock.parent)
-        results = run_and_show(loaded, cases, pins, (deleted, removed), options)
+        results = run_and_show(loaded, cases, pins, (former, removed), options)
     code = exit_code(results)
     if options["as_json"]:
         click.echo(json.dumps(json_report(loaded, results, passed=not code), indent=2))
     elif options["init"]:
         report_new(loaded, results)
     if updating:
-        report_deleted(all_cases, removed, written=not options["dry_run"])
+        report_deleted(loaded, all_cases, removed, written=not options["dry_run"])
     return code
 
 

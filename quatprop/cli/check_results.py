@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from quatprop.check.case import Case, CaseNotRun, CaseResult
     from quatprop.check.lock import Pin
     from quatprop.check.suite import Suite
+    from quatprop.check.update import Former
 
 
 MAX_LISTED = 8
@@ -30,12 +31,12 @@ def run_and_show(
     suite: Suite,
     cases: Sequence[Case | CaseNotRun],
     pins: Mapping[str, Pin],
-    gone: tuple[dict[str, Pin], dict[str, Pin]],
+    gone: tuple[Sequence[Former], Mapping[str, Pin]],
     options: Any,
 ) -> list[CaseResult]:
     """Run cases, show their results, failures last, and return them.
 
-    `gone`: pins of cases that the suite has no more, and those of them that an update removes
+    `gone`: what the suite has no more, and the pins of that which an update removes
     """
     from quatprop.check.case import CaseResult
     from quatprop.check.reports import note_lines, totals
@@ -45,7 +46,7 @@ def run_and_show(
     width = max((len(plain(case.name)) for case in cases), default=0)
     run_options = CheckOptions(
         suite=suite if updating else None,
-        deleted=gone[0],
+        former=gone[0],
         removed=gone[1],
         dry_run=options["dry_run"],
         force=options["force"],
@@ -112,7 +113,11 @@ def _confirmed(width: int, result: CaseResult) -> bool:
 
 
 def report_deleted(
-    cases: Sequence[Case | CaseNotRun], deleted: Mapping[str, Pin], *, written: bool
+    suite: Suite,
+    cases: Sequence[Case | CaseNotRun],
+    deleted: Mapping[str, Pin],
+    *,
+    written: bool,
 ) -> None:
     """Name the cases that an update removes from the lock, and their references."""
     from quatprop.check.reference import orphaned_references
@@ -128,7 +133,7 @@ def report_deleted(
     if not written:
         click.echo("nothing was written, because of --dry-run", err=True)
         return
-    for path in orphaned_references(cases, deleted.values()):
+    for path in orphaned_references(suite.path.parent, cases, deleted.values()):
         click.echo(f"no longer used, to be removed: {plain(path)}", err=True)
 
 

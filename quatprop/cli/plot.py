@@ -28,7 +28,8 @@ ATTITUDES = {name: parser for name, parser in ONE_SERIES.items() if name not in 
 """Settings about attitudes alone."""
 
 PART = ("start", "end")
-NOT_OF_ERROR = {"--show", "--components", "--unwrap", "--start", "--end"}
+NOT_OF_ERROR = {"--show", "--components", "--unwrap"}
+OF_ERROR = {name: row for name, row in COMPARE.items() if name not in PART}
 
 
 EXAMPLES = (
@@ -81,7 +82,7 @@ REFERENCE = {
     OPTIONS,
     options_of({name: PROPAGATE[name] for name in PART}, log="FILE"),
     REFERENCE,
-    options_of(COMPARE, log="REF", prefix="(with --reference) "),
+    options_of(OF_ERROR, log="REF", prefix="(with --reference) "),
     QUIET,
     options_of(READ_RATES, log="FILE"),
     options_of(ATTITUDES, log="FILE", signal="attitudes"),
@@ -153,7 +154,7 @@ def _show(chosen: Mapping[str, Any]) -> Literal["rates", "attitude"] | None:
 
 def _refuse_idle(chosen: Mapping[str, Any]) -> None:
     """Refuse options that go with others than those that are given."""
-    of_error = {option(name) for name in COMPARE}
+    of_error = {option(name) for name in OF_ERROR}
     for parameter in click.get_current_context().command.params:
         name, value = parameter.opts[-1], chosen.get(str(parameter.name))
         if value is None or value is False:

@@ -61,6 +61,7 @@ class Matching(NamedTuple):
     """How the attitudes were matched in time.
 
     `first_ns`, `last_ns`: times of the first and the last pair, ns; 0 where there is none
+    `rate_hz`: the rate at which A was interpolated, Hz; None: it is as it was
     """
 
     match: str
@@ -70,6 +71,7 @@ class Matching(NamedTuple):
     candidates: int
     first_ns: int = 0
     last_ns: int = 0
+    rate_hz: float | None = None
 
     @classmethod
     def from_pairs(cls, pairs: Pairs) -> Self:
@@ -84,13 +86,13 @@ def associate(a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings
     The pairs are at the stamps of the series with the longer intervals; the other one is looked
     up or interpolated there.
     """
-    match = settings.match
+    match = settings.match if settings.rate is None else "interpolate"
     if match in {None, "exact"}:
         pairs = _exact(a, b)
         if match is None and not is_mostly_exact(len(pairs), pairs.candidates):
             match = "interpolate" if settings.max_dt is None else "nearest"
     if match not in {None, "exact"}:
-        pairs = _near(a, b, str(match), settings.max_dt)
+        pairs = _near(a, b, str(match), settings)
     spans = [(int(series.t_ns[0]), int(series.t_ns[-1])) for series in (a, b)]
     require_enough(Matching.from_pairs(pairs), spans, settings)
     return pairs
@@ -101,8 +103,10 @@ def is_mostly_exact(matched: int, candidates: int) -> bool:
     return 2 * matched >= max(candidates, 1)
 
 
-def _near(a: AttitudeSeries, b: AttitudeSeries, match: str, max_dt_ns: int | None) -> Pairs:
-    at = "B" if interval_ns(b) > interval_ns(a) else "A"
+def _near(a: AttitudeSeries, b: AttitudeSeries, match: str, settings: ComparisonSettings) -> Pairs:
+    # With a rate, A is at that rate.
+    at = "B" if settings.rate is None and interval_ns(b) > interval_ns(a) else "A"
+    max_dt_ns = settings.max_dt
     sparse, dense = (b, a) if at == "B" else (a, b)
     if max_dt_ns is None:
         interval = interval_ns(dense)

@@ -27,7 +27,7 @@ class Cause(NamedTuple):
     `sentence`: what it is, with the RMS error before and after
     `rms_before`, `rms_after`: RMS error as it is, and after the remedy, rad, aligned as was asked
     `remedy`: the settings with which to read, propagate or compare, or what else mends it
-    `also`: a second cause, which explains most of what is left after the remedy of the first
+    `also`: another cause, which explains most of what is left after the remedy of this one
     `part_ns`: length of the part of a recording in which the cause was looked for and the errors
         were measured, ns; None: all of it
     """
@@ -39,6 +39,11 @@ class Cause(NamedTuple):
     remedy: str
     also: Cause | None = None
     part_ns: int | None = None
+
+    @property
+    def chain(self) -> list[Cause]:
+        """The cause, and those of what is left after it."""
+        return [self, *(self.also.chain if self.also else [])]
 
     @property
     def advice(self) -> str:

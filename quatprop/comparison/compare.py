@@ -14,9 +14,9 @@ from quatprop.comparison.association import Matching, Pairs, associate, shifted
 from quatprop.comparison.cause import NO_ERROR
 from quatprop.comparison.clocks import find_offset
 from quatprop.comparison.diagnosis import MIN_PAIRS, likely_cause
-from quatprop.comparison.findings import dead_axes
+from quatprop.comparison.findings import findings
 from quatprop.comparison.heading import error_parts
-from quatprop.comparison.judged import Judged, judged
+from quatprop.comparison.judged import ComparedRange, Judged, judged, steady
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judge
 from quatprop.comparison.settings import ComparisonSettings
 from quatprop.comparison.statistics import sigma_statistics, window_statistics
@@ -52,11 +52,19 @@ def compare(
     settings = settings or ComparisonSettings()
     remarks: list[Remark] = []
     (a, lost_of_a), (b, lost_of_b) = _sorted(a, "A", remarks), _sorted(b, "B", remarks)
+    within, floor_rad = ComparedRange(settings, a), 0.0
+    a = within.of(a, "A")
     found = find_offset(a, b) if settings.time_offset == "auto" else None
     offset = AppliedOffset(found.ns if found else int(settings.time_offset), found)
-    b = shifted(b, offset.added_to_b_ns)
+    b = within.of(shifted(b, offset.added_to_b_ns), "B")
+    remarks += within.remarks()
+    if settings.rate is not None:
+        a, floor_rad = steady(a, settings.rate, remarks)
     pairs = associate(a, b, settings)
+    pairs = replace(pairs, floor_rad=max(floor_rad, pairs.floor_rad))
     matching, part = Matching.from_pairs(pairs), None
+    if settings.rate is not None:
+        matching = matching._replace(rate_hz=float(settings.rate))
     if settings.judge:
         pairs, part = judged(pairs, settings.judge)
     measured = ErrorAccumulator(
@@ -70,7 +78,7 @@ def compare(
         100 * len(pairs) / len(of_b) if counted else None,
         measured.covered.share_of(CoveredTime.of(of_a.t_ns)),
     )
-    return build_comparison(
+    comparison = build_comparison(
         a,
         b,
         settings,
@@ -83,6 +91,7 @@ def compare(
         left_out=lost_of_a + lost_of_b,
         remarks=remarks,
     )
+    return replace(comparison, outside=sum(within.left_out))
 
 
 def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a comparison
@@ -143,9 +152,9 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
     cause = None
     if not passed and len(rising) >= MIN_PAIRS:
         # What has no remedy is no cause, and makes others look like one.
-        findings = tuple(dead_axes(a, b))
-        said += findings
-        if not findings:
+        found = findings(a, b, settings)
+        said += found
+        if not found:
             cause = likely_cause(a, b, settings, rising, time_offset.added_to_b_ns)
     return replace(comparison, criteria=criteria, passed=passed, likely_cause=cause, remarks=said)
 

@@ -18,6 +18,8 @@ from quatprop.rendering import degrees_text
 from quatprop.series.blocks import rms
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from quatprop.arrays import Float64
     from quatprop.comparison.settings import ComparisonSettings
     from quatprop.series import AttitudeSeries
@@ -27,6 +29,12 @@ MIN_PAIRS = 10
 
 LITTLE = 0.1
 """An RMS error below this share of the limit on the worst error needs no second cause."""
+
+MAX_CLAIMS = 3
+"""Causes at most, each of what is left after those before it."""
+
+AXES, RATES = {"axes", "rate sign", "side"}, {"rate bias", "scale"}
+"""Mistakes in the axes of rates, and in the rates about these axes."""
 
 MOST = 0.5
 """Share of an error that may remain without its cause."""
@@ -48,39 +56,58 @@ def likely_cause(
         return None
     if outliers := isolated_samples(error):
         return outliers
-    sides = Sides(a, b)
-    first = Search(sides, settings, added_ns)
-    claim = _claim(first)
-    if claim is None:
-        return None
-    cause, undone = claim
-    # A rule leaves the rates at one end open, which looks like a frame.
     limit = settings.tol if isinstance(settings.tol, float) else 0.0
-    is_whole = cause.name == "method" or cause.rms_after <= LITTLE * limit
-    if not is_whole and (first.is_open or len(undone) < len(first.best.undone)):
-        also = _claim(Search(sides, settings, added_ns, undone))
-        if also and also[0].name != cause.name:
-            cause = cause._replace(also=also[0])
+    part_ns = None
     if len(associate(a, b, settings)) < len(error):
-        part_ns = min(a.t_ns[-1], b.t_ns[-1]) - max(a.t_ns[0], b.t_ns[0])
-        cause = cause._replace(part_ns=int(part_ns))
+        part_ns = int(min(a.t_ns[-1], b.t_ns[-1]) - max(a.t_ns[0], b.t_ns[0]))
+    cause = None
+    for claim in reversed([*_claims(Sides(a, b), settings, added_ns, LITTLE * limit)]):
+        cause = claim._replace(also=cause, part_ns=part_ns)
     return cause
 
 
-def _claim(search: Search) -> tuple[Cause, tuple[Undoing, ...]] | None:
-    """Return the fewest mistakes of the best explanation that take most of the error away."""
-    before = search.judged(())
-    if not NO_ERROR < before < math.inf:
-        return None
-    search.run()
-    for size in range(1, len(search.best.undone) + 1):
-        subsets = list(combinations(search.best.undone, size))
-        left = [search.judged(undone) for undone in subsets]
-        after = min(left)
-        if after <= MOST * before:
-            undone = subsets[left.index(after)]
-            return _described(undone, search.others, before, after), undone
-    return None
+def _claims(
+    sides: Sides, settings: ComparisonSettings, added_ns: int, enough: float
+) -> Iterator[Cause]:
+    """Yield causes, each of which explains most of what those before it leave.
+
+    `enough`: RMS error, rad, that needs no other cause
+    """
+    known: tuple[Undoing, ...] = ()
+    for _ in range(MAX_CLAIMS):
+        search = Search(sides, settings, added_ns, known)
+        before = search.judged(())
+        if not NO_ERROR < before < math.inf:
+            return
+        search.run()
+        undone, after = _fewest(search, before)
+        names = {each.name for each in undone}
+        if not undone or names & {each.name for each in known}:
+            return
+        yield _described(undone, search.others, before, after)
+        is_all = len(undone) == len(search.best.undone) and not search.is_open
+        # A rule leaves the rates at one end open, which looks like a frame.
+        if is_all or "method" in names or after <= enough:
+            return
+        known += undone
+
+
+def _fewest(search: Search, before: float) -> tuple[tuple[Undoing, ...], float]:
+    """Return the fewest mistakes of the best explanation that take most of an error away.
+
+    What is wrong with rates is not undone before what is wrong with their axes.
+    """
+    best = search.best.undone
+    axes = [each for each in best if each.name in AXES]
+    for size in range(1, len(best) + 1):
+        tried = {
+            search.judged(some): some
+            for some in combinations(best, size)
+            if not {each.name for each in some} & RATES or all(each in some for each in axes)
+        }
+        if tried and min(tried) <= MOST * before:
+            return tried[min(tried)], min(tried)
+    return (), before
 
 
 def _described(
@@ -92,4 +119,5 @@ def _described(
     from_to = " to ".join(degrees_text(error, 4) for error in (before, after))
     sentence += f"; undoing it takes the RMS error from {from_to}"
     remedy = "; and also, ".join(undoing.remedy for undoing in undone)
-    return Cause(undone[0].name, sentence, before, after, remedy)
+    name = " and ".join(undoing.name for undoing in undone)
+    return Cause(name, sentence, before, after, remedy)

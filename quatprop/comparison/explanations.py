@@ -150,10 +150,13 @@ class Search:
 
     def _read_and_aligned(self, plan: Undoings) -> Undoings:
         """Return the best plan with another reading, other rates and frames."""
-        readings = [plan._replace(reading=key) for key in ("", *self._readings)]
-        most = PROMISING * min(self._fit(each).score for each in readings)
-        near = [each for each in readings if self._fit(each).score <= most]
-        plan = self._least(self._varied(near, rates=("", plan.rates), frames=self._frames))
+        # Readings are also compared with free frames: those that differ may hide which is right.
+        near: dict[str, Undoings] = {}
+        for frame in self._frames[: 1 + ("mean" in self._frames)]:
+            tried = [plan._replace(reading=key, frames=frame) for key in ("", *self._readings)]
+            most = PROMISING * min(self._fit(each).score for each in tried)
+            near |= {each.reading: each for each in tried if self._fit(each).score <= most}
+        plan = self._least(self._varied(near.values(), rates=("", plan.rates), frames=self._frames))
         return self._least(self._varied([plan], rates=RATES, frames=self._frames))
 
     @staticmethod

@@ -82,7 +82,7 @@ def _is_streamable(
         and settings.align in {"none", "first"}
         and settings.time_offset != "auto"
         and settings.window is None
-        and not settings.judge
+        and not (settings.judge or settings.start or settings.end or settings.rate)
         and not settings.in_parts
         and not any(file.read_once for file in files)
     )

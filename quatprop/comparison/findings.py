@@ -1,19 +1,36 @@
-"""What is wrong with a series and has no remedy: an axis about which it never turns."""
+"""What is wrong with a series and has no remedy: motion that it does not have.
+
+It is proved on the series: by rates that never change, by gaps, by rates that stop at a limit; and,
+of the last two, by the error, which hardly remains if the motion is that of the other series there.
+"""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.comparison.alignment import align
+from quatprop.comparison.association import associate
+from quatprop.comparison.cause import NO_ERROR
+from quatprop.comparison.undoing import recomposed
 from quatprop.comparison.windows import body_angle, common_beginning
+from quatprop.errors import ComparisonError
+from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.kinematics.rates import rotation_vectors_between
+from quatprop.rendering import count_text, degrees_text
+from quatprop.series import AttitudeSeries
+from quatprop.series.blocks import rms
 from quatprop.text import Remark
+from quatprop.timeline.stamps import GAP_FACTOR
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.arrays import Float64
-    from quatprop.series import AttitudeSeries
+    from quatprop.arrays import Bool, Float64, Int64
+    from quatprop.comparison.settings import ComparisonSettings
 
 WINDOWS = 100
 """Windows over which rotations are compared, about: noise of attitudes hardly counts in them."""
@@ -26,6 +43,74 @@ MIN_SHARE = 0.05
 
 DEAD = 1e-6
 """Share of its largest spread below which a rate does not vary but by rounding."""
+
+
+AT_LIMIT = 1e-3
+"""Share of the largest rate about an axis by which rates at a limit differ from it."""
+
+MIN_AT_LIMIT = 0.02
+"""Share of the samples at a limit: of a smooth motion, fewer are that close to its peaks."""
+
+MOST = 0.5
+"""Share of the error, at most, that remains without what is made where motion is lost."""
+
+
+def findings(
+    a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings
+) -> tuple[Remark, ...]:
+    """Return what no setting mends."""
+    with suppress(ComparisonError):
+        dead = tuple(dead_axes(a, b))
+        # Between time ranges to judge, gaps are none of the series.
+        return dead if dead or settings.judge else tuple(_lost_motion(a, b, settings))
+    return ()
+
+
+def _lost_motion(
+    a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings
+) -> Iterator[Remark]:
+    """Yield gaps and limits of rates that make most of the error."""
+    pairs = associate(a, b, settings)
+    name = "mount" if settings.align == "mount" else "mean"
+    ours, theirs = pairs.a, align(name, pairs.a, pairs.b).apply(pairs.b)
+    before = rms(geodesic_angle(ours, theirs))
+    asked = align(settings.align, pairs.a, pairs.b).apply(pairs.b)
+    if before <= max(NO_ERROR, MOST * rms(geodesic_angle(pairs.a, asked))):
+        return  # other frames make most of it
+    seconds = np.diff(pairs.t_ns)[:, None] / NS_PER_S
+    for of, series, own, other in (("A", a, ours, theirs), ("B", b, theirs, ours)):
+        steps, known = rotation_vectors_between(own), rotation_vectors_between(other)
+        for lost, where in (
+            (_in_gaps(series.t_ns, pairs.t_ns), "in gaps of its timestamps"),
+            (_at_limit(steps / seconds), "while its rates are at a limit"),
+        ):
+            mended = recomposed(AttitudeSeries(pairs.t_ns, own), np.where(lost, known, steps)).wxyz
+            left = rms(geodesic_angle(mended, align("mean", mended, other).apply(other)))
+            # So much less than by the share of the time: an error made everywhere is none of these.
+            if left <= MOST * before * (1 - float(lost.any(axis=1).mean())):
+                count = count_text(int(lost.any(axis=1).sum()), "step")
+                yield Remark(
+                    "motion-lost",
+                    f"{of} loses motion {where}, {count} of {len(lost)}: with the motion of the "
+                    f"other there, the RMS error is {degrees_text(left, 4)} in place of "
+                    f"{degrees_text(before, 4)}",
+                )
+
+
+def _in_gaps(t_ns: Int64, pairs_ns: Int64) -> Bool:
+    """Tell which steps between pairs are over gaps between stamps, shape ``(N - 1, 1)``."""
+    intervals = np.diff(t_ns)
+    after = np.flatnonzero(intervals > GAP_FACTOR * np.median(intervals)) + 1
+    begun = t_ns[after - 1].searchsorted(pairs_ns[1:], side="left")
+    ended = t_ns[after].searchsorted(pairs_ns[:-1], side="right")
+    return np.asarray(begun > ended)[:, None]
+
+
+def _at_limit(rate: Float64) -> Bool:
+    """Tell which rates are as large as any about their axis, shape ``(N - 1, 3)``."""
+    sizes = np.abs(rate)
+    at_limit = sizes >= (1 - AT_LIMIT) * sizes.max(axis=0)
+    return np.asarray(at_limit & (at_limit.mean(axis=0) >= MIN_AT_LIMIT))
 
 
 def dead_axes(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Remark]:

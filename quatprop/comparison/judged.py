@@ -1,4 +1,7 @@
-"""The pairs to judge: those in time ranges, such as the phases in which a body moves."""
+"""What is compared: a part of both series, at a rate, and of the pairs those in time ranges.
+
+Such as the phases in which a body moves.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +10,30 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.conditioning.time_range import Ends, absolute_ns
+from quatprop.conditioning import GyroCorrection
+from quatprop.conditioning.time_range import (
+    Ends,
+    EndsFinder,
+    absolute_ns,
+    absolute_range,
+    clipped,
+    idle_remarks,
+    pause_remarks,
+)
 from quatprop.errors import ComparisonError, UsageError
+from quatprop.logs.resampling import Resampling
+from quatprop.series import AttitudeSeries
 from quatprop.text import Setting
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
+    from fractions import Fraction
 
     from quatprop.arrays import Bool, Int64
     from quatprop.comparison.association import Pairs
-    from quatprop.comparison.settings import InstantRange
-    from quatprop.series import AttitudeSeries
+    from quatprop.comparison.settings import ComparisonSettings, InstantRange
+    from quatprop.text import Remark
 
 
 class Judged(NamedTuple):
@@ -57,3 +72,43 @@ def judged(pairs: Pairs, ranges: Sequence[InstantRange]) -> tuple[Pairs, Judged]
         )
     columns = {name: getattr(pairs, name)[inside] for name in ("t_ns", "a", "b", "index")}
     return replace(pairs, **columns), Judged(int(inside.sum()), ranges_ns)
+
+
+class ComparedRange:
+    """The part of both series that is compared; relative times count from A's ends.
+
+    `left_out`: attitudes before and after it, so far
+    """
+
+    def __init__(self, settings: ComparisonSettings, a: AttitudeSeries) -> None:
+        self._part = GyroCorrection(start=settings.start, end=settings.end)
+        finder = EndsFinder()
+        finder.add(a.t_ns)
+        self._ends = finder.ends()
+        self._range_ns = absolute_range(self._part, self._ends)
+        self.left_out = [0, 0]
+
+    def of(self, series: AttitudeSeries, name: str) -> AttitudeSeries:
+        """Return the part of a series on A's clock; `name` is what errors call it."""
+        numbered = [(series, series.t_ns)]
+        for part, _ in clipped(numbered, self._part, *self._range_ns, self.left_out):
+            return part
+        raise ComparisonError(
+            f"{name} has no attitude in the time range; it is from {series.t_ns[0]} to "
+            f"{series.t_ns[-1]} ns in A's clock"
+        )
+
+    def remarks(self) -> Iterator[Remark]:
+        """Yield what a reader should know, once both were cut."""
+        yield from pause_remarks(self._part, self._ends)
+        yield from idle_remarks(self._part, *self.left_out)
+
+
+def steady(
+    a: AttitudeSeries, rate: Fraction, remarks: list[Remark]
+) -> tuple[AttitudeSeries, float]:
+    """Return A at another rate, Hz, and what that may be off by, rad, and add remarks."""
+    resampling = Resampling("A", rate)
+    interpolated = AttitudeSeries.joined(list(resampling.applied([a])))
+    remarks += resampling.remarks()
+    return interpolated, resampling.floor_rad

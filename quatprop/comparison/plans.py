@@ -12,10 +12,10 @@ PRICES = {
     "axes": 0.4,
     "scale": 0.3,
     "clock drift": 0.4,
-    "reference frame": 0.35,
-    "body frame": 0.35,
-    "rate bias": 0.2,
-    "drift": 0.2,
+    "reference frame": 0.45,
+    "body frame": 0.45,
+    "rate bias": 0.27,
+    "drift": 0.25,
 }
 """Mistake -> share of the error that may remain when it is undone: less of it, the more is
 fitted."""

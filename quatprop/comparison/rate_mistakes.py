@@ -56,20 +56,34 @@ MIN_WINDOWS = 100
 """Windows of which rates are compared, about."""
 
 
+MIN_CORRELATION = 0.5
+"""Correlation of rates, less their means, below which they do not show a ratio."""
+
+MAX_UNSHOWN = 1.5
+"""Ratio, at most, of rates that hardly vary."""
+
+
 def scale(sides: Sides, mount: Float64, *, biased: bool) -> Undoing | None:
     """Return the ratio of rates; `biased`: whatever constant rate there is besides."""
     of_a, of_b, seconds = _steps(sides, mount)
     stride = max(len(of_a) // MIN_WINDOWS, 1)
     first = np.arange(0, len(of_a), stride)
     y, x, time = (np.add.reduceat(each, first) for each in (of_a, of_b, seconds))
+    varying = [each - time * each.sum(axis=0) / time.sum() for each in (y, x)]
+    sizes = [float((each * each).sum()) for each in varying]
+    common = float((varying[0] * varying[1]).sum())
+    shows = common > MIN_CORRELATION * math.sqrt(math.prod(sizes))
     if biased:
-        y, x = (each - time * each.sum(axis=0) / time.sum() for each in (y, x))
+        y, x = varying
     # A's rates have the noise of a gyroscope, and B's attitudes any: it is in no square.
     power, shared = float((y * y).sum()), float((x * y).sum())
     if not power > 0 or not shared > 0:
         return None
     factor = float(f"{shared / power:.6g}")
     ratio = max(factor, 1 / factor)
+    # Of a gyroscope at rest, the bias is not the motion on another scale.
+    if not shows and ratio > MAX_UNSHOWN:
+        return None
     near = (SCALES[named] for named in SCALES if abs(ratio / named - 1) < SCALE_TOLERANCE)
     meaning, where = next(near, ("", ""))
     return Undoing(

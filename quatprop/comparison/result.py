@@ -169,6 +169,8 @@ class Comparison:
         How much of B was compared, and of the time of A.
     left_out
         Attitudes of A and B that were left out, since another one has the same stamp.
+    outside
+        Attitudes of A and B outside the time range.
     tolerance_rad
         The largest error that passes, rad; None: every error does.
     criteria
@@ -198,6 +200,7 @@ class Comparison:
     sigmas: SigmaStatistics | None
     coverage: Coverage
     left_out: int
+    outside: int = 0
     tolerance_rad: float | None
     criteria: tuple[Criterion, ...] = ()
     passed: bool | None = None

@@ -3,11 +3,13 @@
 import math
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
+from datetime import datetime
+from fractions import Fraction
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypedDict, Unpack, get_args
 
 from quatprop.errors import UsageError
 from quatprop.settings.keyword import Keyword, keywords_of
-from quatprop.settings.parsers import Choice, duration, length, moment, number
+from quatprop.settings.parsers import Choice, duration, frequency, length, moment, number
 from quatprop.settings.quantities import RAD_PER_UNIT, quantity, quantity_of
 from quatprop.settings.values import parse_all
 from quatprop.text import Setting, quoted, shown
@@ -77,6 +79,8 @@ class ComparisonSettings:
     `min_matched`: percentage of the samples in the common time that must be matched, 0 to 100
     `window`: also compare the rotations over windows of this length, ns; None: no windows
     `judge`: only pairs in these time ranges count; none: all do
+    `start`, `end`: the part of both series that is compared, ends included
+    `rate`: A is interpolated at this rate, Hz, and B at the same times; None: see `match`
     """
 
     tol: float | Sigmas | None = None
@@ -97,6 +101,9 @@ class ComparisonSettings:
     min_matched: float = 50.0
     window: int | None = None
     judge: tuple[InstantRange, ...] = ()
+    start: Instant | None = None
+    end: Instant | None = None
+    rate: Fraction | None = None
 
     def __post_init__(self) -> None:
         for name in ("window_tol", "window_rms_tol"):
@@ -104,6 +111,8 @@ class ComparisonSettings:
                 raise UsageError(
                     f"{Setting(name)} needs windows; give their length with {Setting('window')}"
                 )
+        if self.rate is not None and self.match not in {None, "interpolate"}:
+            raise UsageError(f"{Setting('rate')} goes with {Setting('match', 'interpolate')}")
         if self.drift_tol is not None and self.align in BY_ALL:
             raise UsageError(
                 f"{Setting('drift_tol')} needs {Setting('align', 'none|first')}: an alignment by "
@@ -252,6 +261,17 @@ class CompareOptions(TypedDict, total=False):
         time_ranges, "Judge these times alone, such as +10s..+20s,+45s..-5s: of all pairs, those "
         "from the first to the last of each range; +10s is after the first pair, -5s before the "
         "last.", "all", "START..END,...", "Alignment")]
+    start: Annotated[str | int | datetime | None, Keyword(
+        moment, "Compare from here on: RFC 3339 or ns of A's clock, +10s from A's first or -30s "
+        "from its last attitude. A and B are cut before they are aligned and matched; "
+        f"{Setting('judge')} cuts the errors alone.", "all", "TIME", "Time range", common=True)]
+    end: Annotated[str | int | datetime | None, Keyword(
+        moment, f"Compare up to here; as {Setting('start')}.", "all", "TIME", "Time range",
+        common=True)]
+    rate: Annotated[float | Fraction | str | None, Keyword(
+        frequency, "Rate at which the error is judged: both are interpolated to times counted from "
+        "A's first attitude, but not across gaps; holds them in memory.", "that of the series with "
+        "the longer intervals", "HZ", "Alignment")]
     # fmt: on
 
 

@@ -42,7 +42,7 @@ def comparison_rows(a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison) 
     for criterion in comparison.criteria:
         yield "passed" if criterion.passed else "failed", criterion_text(criterion, comparison)
     if cause := comparison.likely_cause:
-        for each in filter(None, (cause, cause.also)):
+        for each in cause.chain:
             yield "cause", f"likely ({each.name}): {spelled(each.advice)}"
     yield from _remarks("A", a)
     yield from _remarks("B", b)
@@ -102,6 +102,8 @@ def _series(operand: ReadAttitudes) -> str:
 
 def _method(comparison: Comparison) -> Iterator[Row]:
     offset, alignment = comparison.time_offset, comparison.alignment
+    if comparison.outside:
+        yield "range", f"{count_text(comparison.outside, 'attitude')} outside it left out"
     yield "matched", _matching(comparison.association)
     if part := comparison.judged:
         ranges = count_text(len(part.ranges_ns), "time range")
@@ -134,6 +136,8 @@ def _matching(matching: Matching) -> str:
         "nearest": f"{other} nearest to {matching.at} within {reach}, not interpolated",
         "interpolate": f"{other} interpolated at the stamps of {matching.at}, over at most {reach}",
     }
+    if matching.rate_hz is not None:
+        method["interpolate"] = f"interpolated at {matching.rate_hz:.9g} Hz, B over at most {reach}"
     span = duration_text(matching.last_ns - matching.first_ns)
     counts = f"{matching.matched} of {matching.candidates} samples over {span}"
     return f"{counts}: {method[matching.match]}"

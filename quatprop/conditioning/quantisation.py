@@ -24,6 +24,9 @@ HEAD: Final = 4_096
 IN_STEPS: Final = 0.02
 """Values may be off the grid by this share of a step, as rounded numbers are."""
 
+ROUNDING: Final = 1e-12
+"""Numbers that differ by less than this share of the largest were rounded by the processor."""
+
 LARGEST: Final = 1e100
 """rad/s: numbers that are no rates."""
 
@@ -121,6 +124,7 @@ def step_of(values: Float64) -> float:
     if (
         np.sort(steps)[len(steps) // 2] > 1 / IN_STEPS
         or (np.abs(ratios - steps) > IN_STEPS * steps).any()
+        or apart.min() < ROUNDING * np.abs(values[[0, -1]]).max()
     ):
         return 0.0
     return float((values[-1] - values[0]) / steps.sum())

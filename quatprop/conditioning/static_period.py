@@ -23,6 +23,9 @@ ORDINARY_CHANGE = math.radians(0.1)
 """rad/s: between rests, the bias of a MEMS gyroscope changes by hundredths of a deg/s as
 it warms up. The sigma of the bias knows of that; it is no reason to look into the log."""
 
+SAME = 1e-6
+"""A scatter of this share of the mean is that of rounding."""
+
 WIDENS = 3.0
 """Means that differ by so many standard errors widen that of the bias, said to differ or not."""
 
@@ -90,6 +93,12 @@ class StaticPeriod(NamedTuple):
         return max((each.sigma for each in self.levels), default=0.0)
 
     @property
+    def hides_errors(self) -> bool:
+        """Whether it shows one value alone, of rates in steps that are not known."""
+        rounding = SAME * float(np.linalg.norm(self.mean_rad_s))
+        return not self.levels and self.scatter_rad_s <= rounding
+
+    @property
     def remarks(self) -> tuple[Remark, ...]:
         """What a reader should know."""
         found = {
@@ -97,6 +106,7 @@ class StaticPeriod(NamedTuple):
             "rest-unconfirmed": self._unconfirmed(),
             "rests-differ": self._differs(),
             "rest-coarse": self._coarse(),
+            "rest-one-value": self._one_value(),
         }
         return tuple(Remark(code, text) for code, text in found.items() if text)
 
@@ -123,9 +133,9 @@ class StaticPeriod(NamedTuple):
         degrees = math.degrees(self.other.difference_rad_s)
         way = Setting("bias", f"static@{self.other.first_ns}..{self.other.last_ns}")
         return (
-            f"the mean rate at rest from {self.first_ns} to {self.last_ns} ns, which is the bias, "
-            f"differs by {degrees:.3g} deg/s from that of another rest, {way}: the bias changed, "
-            "or the body turned steadily in one of them"
+            f"the mean rate at rest from {self.first_ns} to {self.last_ns} ns differs by "
+            f"{degrees:.3g} deg/s from that of another rest, {way}: the bias changed between the "
+            "two, or the body turned steadily in one of them"
         )
 
     def _coarse(self) -> str:
@@ -136,4 +146,13 @@ class StaticPeriod(NamedTuple):
         return (
             f"the rates are in steps of up to {step:.3g} deg/s, and the rest shows hardly more "
             f"than one: the bias is known to {math.degrees(sigma):.2g} deg/s only (1 sigma)"
+        )
+
+    def _one_value(self) -> str:
+        if not self.hides_errors:
+            return ""
+        return (
+            f"the rates do not change from {self.first_ns} to {self.last_ns} ns, from where the "
+            "bias is taken, and the log shows no step in which they are given: how well the bias "
+            "is known, and with it the attitude, is unknown"
         )

@@ -12,10 +12,10 @@ from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.destination import kept_sigma, open_destination, remarks_on
 from quatprop.conversion.job import Conversion, ConversionReport
 from quatprop.conversion.rates import RATES, rate_batches
-from quatprop.conversion.resampling import Resampling
 from quatprop.errors import NoSamplesError, UsageError
 from quatprop.logs.attitude_part import AttitudePart
 from quatprop.logs.open_log import open_log
+from quatprop.logs.resampling import Resampling
 from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.logs.signals.quaternion_check import QuaternionCheck
 from quatprop.pipeline.job import with_format

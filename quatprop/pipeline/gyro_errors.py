@@ -127,7 +127,8 @@ def known_errors(settings: ErrorSettings, report: GyroCorrectionReport) -> Known
 
     `report`: has the rests from which the bias was taken. The scatter of n rates over the time T is
         the noise density N, and N / sqrt(T) what is left of the bias, with what the step of
-        quantised rates hides; where rests differ, it is what they differ by
+        quantised rates hides; where rests differ, it is what they differ by. A rest of one value
+        tells none of it where that step is not known
     """
     given = {name: getattr(settings, name) for name in SensorErrors._fields}
     found = {name: (value, "given") for name, value in given.items() if value is not None}
@@ -137,7 +138,17 @@ def known_errors(settings: ErrorSettings, report: GyroCorrectionReport) -> Known
     rests = [rest for rest in report.all_rests if rest.span_s > 0]
     if not rests:
         return KnownErrors.of(found) if found or settings.q0_sigma is not None else None
-    density, _ = found.setdefault("noise_density", (noise_density_of(rests), "rest"))
+    hidden = any(rest.hides_errors for rest in rests)
+    if hidden and "bias_sigma" not in found:
+        if settings.sigma:
+            raise UsageError(
+                f"{Setting('sigma')} needs the error of the bias, and the rates at rest do not "
+                f"change and are in no known steps; give {Setting('bias_sigma')}"
+            )
+        return None
+    if not hidden:
+        found.setdefault("noise_density", (noise_density_of(rests), "rest"))
+    density, _ = found.get("noise_density", (0.0, ""))
     sigmas = np.array([rest.bias_sigma(density) for rest in rests])
     neighbours = zip(pairwise(rests), pairwise(sigmas), strict=True)
     walks = np.array([_walk(*two, *their_sigmas) for two, their_sigmas in neighbours])

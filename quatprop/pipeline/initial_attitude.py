@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 LEVEL_NS = 1_000_000_000
 """Gravity is averaged over this time from the first sample on."""
 
+ROUNDING = 1e-12
+"""A scatter of this share of the mean is none."""
+
 STEADY = 0.05
 """Specific force that scatters by more than this share of its mean is not gravity alone."""
 
@@ -137,7 +140,9 @@ def first_attitude(
         force, variance = _force(context.log, context, logged_ns)
         force = force if context.mount is None else context.mount @ force
         wxyz = level(force, wanted.heading, down=wanted.down)
-        return FirstAttitude(wxyz, _level_noise(force, variance))
+        # Accelerations that do not change are those of a coarse sensor, not of an exact one.
+        known = variance > ROUNDING**2 * float(force @ force)
+        return FirstAttitude(wxyz, _level_noise(force, variance) if known else None)
     return FirstAttitude(_given(wanted, context, first_ns, logged_ns))
 
 

@@ -116,8 +116,10 @@ ERRORS = {
 
 def _uncertainty(uncertainty: UncertaintyReport) -> Iterator[Row]:
     sigma = "x {:.3g}  y {:.3g}  z {:.3g} deg".format(*map(math.degrees, uncertainty.sigma_rad))
-    share = f"{uncertainty.largest_share:.0%} of the variance by {ERRORS[uncertainty.largest][0]}"
-    yield "1 sigma", f"{sigma} about the body axes of the final attitude, {share}"
+    sigma += " about the body axes of the final attitude"
+    if share := uncertainty.largest_share:
+        sigma += f", {share:.0%} of the variance by {ERRORS[uncertainty.largest][0]}"
+    yield "1 sigma", sigma
     sizes = uncertainty.errors._asdict()
     if (q0 := uncertainty.q0_sigma_rad) is not None:
         sizes["q0_sigma"] = q0.max()

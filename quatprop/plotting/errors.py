@@ -164,7 +164,7 @@ def _warnings(files: Sequence[ComparedFile], reference: ReadAttitudes) -> Iterat
             if not criterion.passed:
                 yield f"{name}: {named(criterion_text(criterion, comparison))}"
         if cause := comparison.likely_cause:
-            for each in filter(None, (cause, cause.also)):
+            for each in cause.chain:
                 yield f"{name}: likely cause ({each.name}): {named(spelled(each.advice))}"
         yield from (f"{name}: {named(spelled(remark))}" for remark in comparison.remarks)
         yield from _operand_warnings(operand)

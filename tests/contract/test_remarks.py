@@ -73,6 +73,7 @@ STATIC = {"bias": "static"}
 SLOW_TURN = np.tile([0.01, 0.02, 0.03], (1000, 1))
 STILL_FORCE = {"linear_acceleration": [(0.0, 0.0, 9.81)] * 2500}
 WAVES = swinging(count=2000, hz=200)
+STILL = np.concatenate([np.full((1000, 3), 0.02), swinging(count=500)])
 PEAK = integers(swinging(2000, 8000, 5.0, 0.4), 0.01)
 """Its rounded peaks are flat for many samples, and so are all its slow parts."""
 RATES = {
@@ -125,6 +126,7 @@ RATES = {
         in_memory(integers(resting(), DEG), **STATIC),
         in_memory(integers(resting(), DEG / 131), **STATIC),
     ),
+    "rest-one-value": (in_memory(STILL, **STATIC), in_memory(integers(STILL, DEG), **STATIC)),
     "method-differs": (
         in_memory(WAVES, averages=True, method="start"),
         in_memory(WAVES, averages=True, method="end"),
@@ -419,11 +421,11 @@ CONVERSIONS = {
 }
 
 
-def tumbling(x, y, z, bias=0.0):
-    """Return attitudes of rates about the three axes, of these sizes."""
+def tumbling(x, y, z, bias=0.0, most=1.0):
+    """Return attitudes of rates about the three axes, of these sizes, and not above a limit."""
     t_ns = np.arange(2000) * 10 * MS
     rate = np.sin(t_ns[:, None] / 1e9 * [1.3, 2.1, 0.7]) * [x, y, z] + bias
-    made = quatprop.propagate(quatprop.GyroSeries(t_ns, rate))
+    made = quatprop.propagate(quatprop.GyroSeries(t_ns, np.clip(rate, -most, most)))
     return AttitudeSeries(t_ns, made.wxyz)
 
 
@@ -456,6 +458,10 @@ COMPARISONS = {
     "dead-axis": (
         compared(tumbling(1, 0, 1), tumbling(1, 1, 1)),
         compared(tumbling(1, 0, 1), tumbling(1, 0, 1, 0.1)),
+    ),
+    "motion-lost": (
+        compared(tumbling(1, 1, 1, most=0.6), tumbling(1, 1, 1)),
+        compared(tumbling(1, 1, 1, most=0.6), tumbling(1, 1, 1, 0.01, most=0.6)),
     ),
     "normalised": (
         lambda _: compare_series(TRUTH, AttitudeSeries(T_NS, 2 * TURNED)).remarks,

@@ -185,8 +185,11 @@ def pair(number: int, folder: Path | None) -> Pair:
     if planted & READINGS.keys() and is_true & {"body frame", "reference frame"}:
         # The conjugate of q m is m* q*: the one frame takes the place of the other.
         is_true |= {"body frame", "reference frame"}
-    if kind in {"dead axis", "dead gyro"}:
-        is_true -= {"rate bias", "drift"}
+    if (
+        kind == "dead gyro"
+    ):  # at a constant rate or at none; the other axes of a dead one have theirs
+        of_rates = {"rate bias", "drift"}
+        is_true = is_true | of_rates if a.rates.rate.any() else is_true - of_rates
     title = f"{number} {kind} in {name}, align {align}, {sorted(is_true)}"
     return Pair(title, frozenset(planted), frozenset(is_true | planted), a, b, {"align": align})
 

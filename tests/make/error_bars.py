@@ -5,6 +5,7 @@ The truth is integrated by the oracle, all runs at once: nothing is shared with 
 
 import math
 import warnings
+from contextlib import suppress
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from make.motion import simulated
 from scipy.stats import chi2
 
 from quatprop import GyroSeries, propagate
+from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate, log, multiply
 
 HZ = 20
@@ -138,6 +140,8 @@ def ensemble(motion, way, *, runs, jump=0.0, rotated=False, **sigmas):
 def quantised(motion, spread, *, runs):
     """Return errors ``(runs, 3)`` and stated standard deviations of logs with quantised rates.
 
+    Those whose rest shows one value, and whose rates no step, are left out: their sigma is unknown.
+
     `spread`: of the noise, in steps of 1 deg/s
     """
     step = math.radians(1)
@@ -147,9 +151,10 @@ def quantised(motion, spread, *, runs):
     errors, sigmas = [], []
     for bias in random.uniform(-2, 2, (runs, 3)):
         rate = np.rint(true / step + bias + spread * random.normal(size=true.shape)) * step
-        result = stated(rate, WAYS[0])
-        errors.append(log(multiply(conjugate(truth), result.wxyz[-1])))
-        sigmas.append(result.sigma[-1])
+        with suppress(UsageError):
+            result = stated(rate, WAYS[0])
+            errors.append(log(multiply(conjugate(truth), result.wxyz[-1])))
+            sigmas.append(result.sigma[-1])
     return np.array(errors), np.array(sigmas)
 
 

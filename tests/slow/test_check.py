@@ -2,6 +2,7 @@
 
 import io
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -202,7 +203,7 @@ def test_pytest_knows_cases_that_fail_as_expected(folder):
     write_suite(folder, TRUTH + known + stored().replace("spin]", "spun]"))
     strictly = (*pinned_too, "--quatprop-strict", "--quatprop-artifacts=evidence")
     told = run_pytest(folder, *strictly, code=1)
-    assert "[XPASS(strict)] the filter drifts" in told
+    assert "it is known to fail: the filter drifts; with --strict this is a failure" in told
     assert "with --strict this is a failure" in told
 
 
@@ -238,3 +239,77 @@ def test_pytest_reports_a_broken_suite(folder):
     assert "it is not TOML: Expected ']'" in run_pytest(
         folder, "--quatprop-suite=suite.toml", code=2
     )
+
+
+def overview(page):
+    """Return the verdict of each case in an overview, and what its heading counts."""
+    text = page.read_text()
+    rows = re.findall(r'<tr><td data-key="([^"]*)">.*?<span class="(\w+)">', text)
+    return dict(rows), re.search(r"</h1><p>(.*?)</p>", text)[1]
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_pytest_writes_the_overview_of_all_cases(folder, workers):
+    """Pages of failures stood alone; workers know a part of the cases only."""
+    pinned(folder, TRUTH + stored() + stored("gone") + stored("b"))
+    known = TRUTH.replace("coning]", "known]") + 'xfail = "drifts"\n'
+    left = stored("left") + 'skip = "no log"\n'
+    changed = stored("b") + 'mount = "x,-y,-z"\n'
+    write_suite(folder, STRICT + stored() + known + left + changed)
+    options = ["--quatprop-suite=suite.toml", "--quatprop-artifacts=kept", "-p", "xdist"]
+    told = run_pytest(folder, *options, f"-n{workers}", code=1)
+    rows, heads = overview(folder / "kept" / "index.html")
+    assert rows == {
+        "b": "error", "coning": "fail", "gone": "deleted", "known": "error", "left": "skip",
+        "spin": "pass",
+    }  # fmt: skip
+    shown = check(folder / "suite.toml", "--artifacts", folder / "by-command").stdout
+    assert heads == shown.splitlines()[-1]
+    assert overview(folder / "by-command" / "index.html") == (rows, heads)
+    assert 'href="coning/error.html"' in (folder / "kept" / "index.html").read_text()
+    # It is the suite that says why a case is skipped, not a line of the plugin.
+    assert "SKIPPED [1] suite.toml: no log" in told
+
+
+def test_pytest_leaves_no_older_overview(folder):
+    """One that was green would stand for a run without results."""
+    pinned(folder, stored())
+    options = ["--quatprop-suite=suite.toml", "--quatprop-artifacts=kept"]
+    run_pytest(folder, *options)
+    page = folder / "kept" / "index.html"
+    assert overview(page)[0] == {"spin": "pass"}
+    write_suite(folder, "[case.a\n")
+    run_pytest(folder, *options, code=pytest.ExitCode.INTERRUPTED)
+    assert overview(page)[0] == {"suite.toml": "error"}
+    (folder / "suite.toml").unlink()
+    run_pytest(folder, *options, code=pytest.ExitCode.USAGE_ERROR)
+    assert not page.exists()
+    write_suite(folder, stored())
+    (folder / "elsewhere").mkdir()
+    run_pytest(folder, *options, "--rootdir=elsewhere")
+    assert overview(page)[0] == {"spin": "pass"}
+
+
+def test_pytest_keeps_the_evidence_of_suites_apart(folder):
+    """Cases of one name in two suites replaced each other's evidence."""
+    pinned(folder, TRUTH)
+    suite = write_suite(folder, STRICT)
+    shutil.copy(suite, folder / "b.toml")
+    shutil.copy(suite.with_suffix(".lock.json"), folder / "b.lock.json")
+    options = ["--quatprop-suite=suite.toml", "--quatprop-suite=b.toml"]
+    run_pytest(folder, *options, "--quatprop-artifacts=kept", code=1)
+    pages = sorted(page.parent.name for page in folder.glob("kept/*/index.html"))
+    assert pages == ["b", "suite"]
+    for name in pages:
+        assert (folder / "kept" / name / "coning" / "error.html").is_file()
+        assert overview(folder / "kept" / name / "index.html")[0] == {"coning": "fail"}
+
+
+def test_pytest_fails_strictly_where_the_command_does(folder):
+    """A case with xfail that passed with a remark that is not pinned failed as expected."""
+    pinned(folder, stored())
+    suite = write_suite(folder, stored("spin", "spin.csv", 'xfail = "drifts"'))
+    lock = suite.with_suffix(".lock.json")
+    lock.write_text(lock.read_text().replace('"frozen"', '"other"'))
+    assert check(suite, "--strict").exit_code == 1
+    run_pytest(folder, "--quatprop-suite=suite.toml", "--quatprop-strict", code=1)

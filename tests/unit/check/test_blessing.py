@@ -86,7 +86,7 @@ def rename_all(folder, suite):
 def align(folder, suite):
     """Let an alignment take out how the sensor is mounted."""
     mount(folder, suite)
-    write_suite(folder, suite.read_text() + 'align = "mount"\n')
+    write_suite(folder, suite.read_text() + 'align = "mean"\n')
 
 
 def shift(folder, suite):

@@ -1,5 +1,6 @@
 """What would let a change of the attitudes through the gate unseen."""
 
+import json
 import re
 from xml.etree import ElementTree as ET
 
@@ -193,3 +194,127 @@ def test_conflict_markers_in_a_lock_are_named(folder):
     result = check(suite)
     assert result.exit_code == 2
     assert f"{lock}: line 2 is a conflict marker of a merge" in result.stderr
+
+
+def shorten(folder):
+    """Take the last row of the log away."""
+    log = folder / "logs" / "spin.csv"
+    log.write_text("\n".join(log.read_text().splitlines()[:-1]) + "\n")
+
+
+@pytest.mark.parametrize("key", ["pin-log = true", "pin-log = false"])
+def test_a_case_that_is_renamed_with_its_log_is_compared_with_the_old_one(folder, key):
+    """-k with the new name accepted another log, mount, name and reference without any angle."""
+    suite = pinned(folder, stored("spin", "spin.csv", key) + stored("other", "rest.parquet"))
+    shorten(folder)
+    write_suite(folder, stored("turn", "spin.csv", key, TURNED))
+    result = check(suite, "--update", "-k", "turn")
+    assert result.exit_code == 0
+    words = "       compared with 'spin', which is pinned, but not in the suite\n"
+    assert words in result.stdout
+    assert largest(result) > 100
+
+
+def test_a_new_case_that_cannot_be_compared_with_one_that_is_gone_is_refused(folder):
+    """Of a case renamed when its old reference was gone, nothing was said."""
+    suite = pinned(folder, stored())
+    (folder / "refs" / "spin.parquet").unlink()
+    shorten(folder)
+    write_suite(folder, stored("turn", "spin.csv", TURNED))
+    result = check(suite, "--update", "-k", "turn")
+    assert result.exit_code == 2
+    assert f"{GONE} gone; restore the old one, or accept it unseen" in result.stdout
+    words = "if this is another case, remove that from the lock first, with --update -k spin"
+    assert words in result.stdout
+    assert check(suite, "--update", "-k", "spin").exit_code == 0
+    assert "pass   turn  new  " in check(suite, "--update", "-k", "turn").stdout
+
+
+@pytest.mark.parametrize("name", ["spin", "turn"])
+@pytest.mark.parametrize("place", ["refs", "elsewhere"])
+def test_without_a_lock_what_changes_is_shown_against_the_references_that_are_there(
+    folder, name, place
+):
+    """A lock that was deleted made all cases new; a reference of another name was not looked at."""
+    suite = pinned(folder, stored())
+    suite.with_suffix(".lock.json").unlink()
+    # What cannot be read does not end the search.
+    (folder / "logs" / "link.parquet").symlink_to("nowhere")
+    (folder / "logs" / "other.parquet").write_bytes(b'PAR1 "check"')
+    write_suite(folder, stored(name, "spin.csv", TURNED).replace("refs/", f"{place}/"))
+    result = check(suite, "--update")
+    assert result.exit_code == 0
+    assert " updated  301 of 301 " in result.stdout
+    assert "       mount: the default -> 'x,-y,-z'\n       final attitude: " in result.stdout
+    assert largest(result) > 100
+
+
+def test_without_a_lock_the_same_references_are_not_new(folder):
+    """They were listed as new, like one that nobody has seen before."""
+    suite = pinned(folder, stored())
+    lock, reference = suite.with_suffix(".lock.json"), folder / "refs" / "spin.parquet"
+    before = [lock.read_bytes(), reference.read_bytes()]
+    lock.unlink()
+    result = check(suite, "--update")
+    assert (result.exit_code, largest(result)) == (0, 0)
+    assert [lock.read_bytes(), reference.read_bytes()] == before
+
+
+def test_a_thin_reference_of_an_earlier_version_is_an_error_of_every_run(folder, monkeypatch):
+    """It passed whatever came after its few attitudes, until the next update refused it."""
+    monkeypatch.setattr("quatprop.check.update.thin", lambda *_: "")
+    suite = pinned(folder, stored("spin", "spin.csv", "every = 150"))
+    monkeypatch.undo()
+    words = (
+        "a reference of 3 of 301 attitudes, over 3 s of 3 s, would pass nearly any change; choose "
+        "at least 10 over half of the log with every, and write it with --update"
+    )
+    for options in ([], ["--update"]):
+        result = check(suite, *options)
+        assert (result.exit_code, words in result.stdout) == (2, True)
+    write_suite(folder, stored("spin", "spin.csv", "every = 15"))
+    result = check(suite, "--update")
+    assert (result.exit_code, largest(result)) == (0, 0)
+    assert check(suite).exit_code == 0
+
+
+def test_what_can_never_be_judged_is_not_pinned(folder):
+    """An update passed with a mounting that one axis does not show; every check was an error."""
+    suite = pinned(folder, stored())
+    write_suite(folder, stored("spin", "spin.csv", 'align = "mount"'))
+    result = check(suite, "--update")
+    assert result.exit_code == 2
+    assert "the body turns about one axis only" in result.stdout
+
+
+def test_a_lock_that_was_edited_does_not_hide_another_reference(folder):
+    """With its option and SHA-256 edited, and not its angles, a turn of 167 deg passed."""
+    suite = pinned(folder, stored())
+    angles = lock_of(suite)["spin"]["final_deg"]
+    pinned(folder, stored("spin", "spin.csv", TURNED))
+    lock = suite.with_suffix(".lock.json")
+    told = json.loads(lock.read_text())
+    told["cases"]["spin"]["final_deg"] = angles
+    lock.write_text(json.dumps(told))
+    result = check(suite)
+    assert result.exit_code == 1
+    assert "the lock and the reference have last attitudes that are 167.241 deg " in result.stdout
+    assert "final attitude: 167.241 deg from the one pinned" in check(suite, "--update").stdout
+    assert check(suite).exit_code == 0
+
+
+def test_a_reference_in_place_of_a_series_is_not_said_to_be_unreadable(folder):
+    """There was none: nobody knows by how much the attitudes have changed."""
+    truth = stored().replace(
+        'reference = "refs/spin.parquet"', 'reference-log = "logs/spin.truth.csv"'
+    )
+    pinned(folder, truth + 'tol = "1deg"\n')
+    result = check(write_suite(folder, stored("spin", "spin.csv", TURNED)), "--update")
+    assert result.exit_code == 2
+    assert "not comparable: no reference was stored before; restore" in result.stdout
+
+
+def test_what_is_judged_alone_is_said(folder):
+    """A pass of three samples read as one of the whole log."""
+    suite = pinned(folder, stored("spin", "spin.csv", 'judge = "+0s..+20ms"'))
+    assert "; judged at +0s..+20ms alone\n" in check(suite).stdout

@@ -11,6 +11,7 @@ from make.tables import write_rates
 
 from quatprop import GyroSeries, propagate
 from quatprop.conditioning.quantisation import Levels, shared_step, step_of
+from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate, log, multiply
 
 HZ = 100
@@ -56,7 +57,9 @@ def test_the_bias_sigma_is_at_least_what_rests_differ_by():
     assert report.uncertainty.errors.bias_sigma == pytest.approx(2e-3, rel=0.05)
     (remark,) = (text for text in remarks if "differs" in text)
     assert "differs by 0.11" in remark
-    assert remark.endswith("the bias changed, or the body turned steadily in one of them")
+    assert remark.endswith(
+        "the bias changed between the two, or the body turned steadily in one of them"
+    )
 
 
 def test_the_rest_that_the_remark_names_can_be_taken():
@@ -91,7 +94,7 @@ def test_a_rest_of_zeros_is_a_rest():
     Zeros before a sensor begins to measure are none where it rests later.
     """
     zeros, moving = np.zeros((10 * HZ, 3)), turning(2)
-    report, remarks = found(series(zeros, moving))
+    report, remarks = found(series(zeros, moving), sigma=False)
     assert report.conditioning.rest.samples == 10 * HZ
     assert not report.conditioning.bias_rad_s.any()
     assert not [text for text in remarks if "would look the same" in text]
@@ -129,7 +132,8 @@ def test_the_bias_of_several_rests(way):
     assert conditioning.interpolated == (way == "interpolate")
     means = [rest.mean_rad_s for rest in conditioning.rests]
     np.testing.assert_allclose(means, changes, atol=2e-4)
-    assert sum("differs by 0.17" in remark for remark in remarks) == 1
+    (remark,) = (each for each in remarks if "differs by 0.17" in each)
+    assert "which is the bias" not in remark, "it is one of three"
     # The rates that are propagated, from attitudes that are.
     wxyz = found_attitudes(samples, f"static:{way}")
     rate = log(multiply(conjugate(wxyz[:-1]), wxyz[1:])) * HZ
@@ -274,7 +278,8 @@ def test_damaged_numbers_hide_no_step(damaged):
 
 
 def test_rates_that_are_not_quantised_have_no_step():
-    """Whatever their number; nor have two values."""
+    """Whatever their number; nor have two values, nor those that differ by rounding alone."""
+    assert step_of(0.1 + np.spacing(0.1) * np.array([0, 1, 2, 3, 5])) == 0
     random = np.random.default_rng(2)
     for count in (2, 10, 1000):
         assert step_of(np.unique(random.normal(size=count))) == 0
@@ -301,6 +306,20 @@ def test_the_mean_of_a_quantised_rest_is_as_good_as_stated(spread):
         assert rms > math.sqrt(0.866)
     if spread <= 0.2:
         assert math.sqrt(np.square(by_noise).mean()) > 5
+
+
+@pytest.mark.parametrize("value", [0.0, 0.1])
+def test_a_rest_of_one_value_in_unknown_steps_tells_no_sigma(value):
+    """The bias was stated to be exact, with sigma 0, and noise as well."""
+    samples = series(np.full((5 * HZ, 3), value), turning(2))
+    report, remarks = found(samples, sigma=False)
+    assert report.uncertainty is None
+    assert sum("how well the bias is known" in remark for remark in remarks) == 1
+    with pytest.raises(UsageError, match=r"in no known steps; give bias_sigma$"):
+        found(samples)
+    given = found(samples, bias_sigma=1e-3)[0].uncertainty
+    assert given.origins == {"bias_sigma": "given"}
+    assert given.sigma_rad == pytest.approx(5e-3, rel=0.1)
 
 
 @pytest.mark.parametrize("spread", [0.0, 0.05, 0.2, 0.5])

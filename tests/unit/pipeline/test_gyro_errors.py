@@ -261,6 +261,14 @@ def test_the_summary_and_the_report_say_it(tmp_path):
     assert uncertainty["sigma_rad"] == pytest.approx([math.radians(0.105)] * 3, rel=0.002)
 
 
+def test_errors_that_are_all_given_as_0_have_no_largest(tmp_path):
+    """The summary said "0% of the variance by noise"."""
+    log = write_rates(tmp_path / "log.csv", [(k * 10**8, 0, 0, 0.1 * k) for k in range(9)])
+    options = ("--rate-unit", "rad/s", "--noise-density", "0deg/sqrt(h)")
+    said = run("propagate", log, "-o", tmp_path / "out.csv", *options).stderr
+    assert "z 0 deg about the body axes of the final attitude\n" in said
+
+
 # --- outputs
 
 

@@ -102,6 +102,13 @@ def test_a_levelled_attitude_is_off_by_the_noise_of_the_accelerometer(tmp_path, 
     assert given.report.uncertainty.origins["q0_sigma"] == "given"
 
 
+@pytest.mark.filterwarnings("ignore:.*every rate is zero")
+def test_accelerations_that_do_not_change_tell_no_sigma(log):
+    """The attitude was stated to be exact, "q0 0 deg"."""
+    result = propagate(log, q0="level", noise_density=1e-9, rate_unit="rad/s")
+    assert "q0_sigma" not in result.report.uncertainty.origins
+
+
 @pytest.fixture
 def log(tmp_path):
     """Return a table of 2 s at rest, rolled by 30 degrees."""

@@ -24,12 +24,14 @@ class Resampling:
     """Interpolates the attitudes of a series, which it holds in memory, at a steady rate.
 
     `rate`: attitudes a second, Hz, counted from the first
+    `floor_rad`: about the largest error that interpolation has left so far
     """
 
     def __init__(self, path: str, rate: Fraction) -> None:
         self._path = path
         self._times = Steady(rate)
         self._gaps = self._gap_ns = 0
+        self.floor_rad = 0.0
 
     def applied(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
         """Yield the attitudes, and what is beside them; none within gaps."""
@@ -59,7 +61,10 @@ class Resampling:
             return
         t_ns = np.concatenate(wanted)
         # The only time within a single sample is its own.
-        wxyz = series.wxyz.copy() if len(series) == 1 else interpolate(series, t_ns).wxyz
+        wxyz = series.wxyz.copy()
+        if len(series) > 1:
+            wxyz, floor_rad = interpolate(series, t_ns)
+            self.floor_rad = max(self.floor_rad, floor_rad)
         # To the bit: interpolation normalises.
         at = np.searchsorted(series.t_ns, t_ns)
         known = series.t_ns[at] == t_ns
