@@ -52,15 +52,16 @@ $(READY_SITE): pyproject.toml .ci/constraints.txt | $(BIN)/python
 demo: $(READY_DEMO)
 	@PATH="$(CURDIR)/$(BIN):$$PATH" sh sample_logs/demo.sh
 
+# Each worker has its part in a row, so that what a module makes for its tests is made once.
 test: $(READY)
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
 lowest:
 	$(PYTHON) -m venv --clear .venv-lowest
 	.venv-lowest/bin/python -m pip install --quiet --disable-pip-version-check uv
 	.venv-lowest/bin/uv pip install --quiet --python .venv-lowest/bin/python --resolution lowest-direct \
 		--editable '.[dev]'
-	.venv-lowest/bin/python -m pytest -n auto
+	.venv-lowest/bin/python -m pytest -n auto --dist worksteal
 
 dist:
 	rm -rf dist build *.egg-info

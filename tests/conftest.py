@@ -11,6 +11,8 @@ import hypothesis
 import pytest
 from make.places import ROOT, SHARED_LOGS
 
+from quatprop.cli import NEW_OBJECTS
+
 BYTES = json.loads((ROOT / "tests" / "field" / "recordings.json").read_text())
 """The recordings that the tests were written against, with their sizes."""
 
@@ -33,8 +35,9 @@ hypothesis.settings.load_profile("tests")
 
 
 def pytest_collection_finish():
-    """Let garbage collections pass over what stays: modules, and thousands of tests."""
+    """Let garbage collections pass over what stays, and come as rarely as in a command."""
     gc.freeze()
+    gc.set_threshold(NEW_OBJECTS)
 
 
 class SpelledRunner(click.testing.CliRunner):

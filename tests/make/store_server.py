@@ -46,7 +46,11 @@ class StoreServer:
         from pyarrow.fs import S3FileSystem
 
         place = self.address.removeprefix("http://")
-        store = S3FileSystem(endpoint_override=place, scheme="http", allow_bucket_creation=True)
+        # By default it waits for 3 s, in which a busy machine may not even import what answers.
+        store = S3FileSystem(
+            endpoint_override=place, scheme="http", allow_bucket_creation=True,
+            connect_timeout=60, request_timeout=60,
+        )  # fmt: skip
         store.create_dir(name)
         return f"s3://{name}"
 

@@ -170,7 +170,7 @@ def test_a_clock_that_drifts_is_named_with_its_uncertainty(ppm):
     assert np.abs(stamps - T_NS).max() < 3e6
 
 
-@pytest.mark.parametrize("ms", [-55, -45, 37, 50])
+@pytest.mark.parametrize("ms", [-45, 50])
 def test_steady_precession_does_not_distinguish_a_clock_from_a_mounting(ms):
     """Rates that go round z at 0.5 rad/s: 50 ms later is 0.025 rad about z, between samples too."""
     rate = np.stack([np.cos(0.5 * SECONDS), np.sin(0.5 * SECONDS), 0 * SECONDS + 2], axis=1)

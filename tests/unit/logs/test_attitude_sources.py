@@ -240,24 +240,6 @@ def test_several_quaternions_are_refused(table, names, sentence):
     assert attitudes(path, quat_cols=("5", "6", "7", "8"))[2][0].tolist() == [0, 1, 0, 0]
 
 
-def test_rows_that_are_no_rotations_are_located_and_counted(table):
-    """All of them are counted before the series is refused, the first is named."""
-    path = table(
-        "t_ns,qw,qx,qy,qz\n1,1,0,0,0\n2,0,0,0,0\n3,2,0,0,0\n4,nan,0,0,0\n5,0,0,0,0\n6,1,0,0,0\n"
-    )
-    with pytest.raises(
-        NotRotationsError,
-        match=r"4 of 6 rows are invalid quaternions \(2 all zero, 1 off unit length by up to "
-        r"1, 1 absent or not finite\), the first is row 1 at 2 ns; normalize scales those of "
-        r"another length, on_invalid='drop' leaves them out",
-    ):
-        checked(path)
-    t_ns, _, counts = checked(path, drop=True)
-    assert (t_ns, counts.zero, counts.not_unit, counts.not_finite) == ([1, 6], 2, 1, 1)
-    t_ns, wxyz, counts = checked(path, drop=True, normalize=True)
-    assert (t_ns, counts.normalized, wxyz[1]) == ([1, 3, 6], 1, [1, 0, 0, 0])
-
-
 # Messages made up
 
 
