@@ -60,6 +60,12 @@ class Pairs:
 class Matching(NamedTuple):
     """How the attitudes were matched in time.
 
+    `match`: ``"exact"`` for equal timestamps, ``"nearest"`` or ``"interpolate"``
+    `at`: the series at whose timestamps the pairs are: ``"A"`` or ``"B"``
+    `max_dt_ns`: how far a sample was allowed to be from its partner, ns; 0 for equal timestamps
+    `matched`: number of pairs
+    `candidates`: how many could have been matched at best: samples in the time that both series
+        cover, of the one that has fewer
     `first_ns`, `last_ns`: times of the first and the last pair, ns; 0 where there is none
     `rate_hz`: the rate at which A was interpolated, Hz; None: it is as it was
     """

@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 
 
 class Extent(NamedTuple):
-    """The largest size of an error and its root mean square, rad."""
+    """The largest size of an error and its root mean square, rad.
+
+    `max`: largest size, rad
+    `rms`: root mean square, rad
+    """
 
     max: float
     rms: float

@@ -46,6 +46,7 @@ class Criterion(NamedTuple):
     """A limit and whether it was kept.
 
     `setting`: the setting that gives the limit, such as ``"rms_tol"``
+    `label`: what is limited, in words
     `value`, `limit`: what was measured and what is allowed, in `unit`
     `unit`: ``"rad"``, ``"deg/h"``, ``"%"`` or ``"sigma"``
     `passed`: whether the value is within the limit: not above it, or for a coverage not below it

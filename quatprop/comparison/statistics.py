@@ -58,6 +58,7 @@ class WindowStatistics:
     """Errors of the rotations over windows of one length, which frames and drift do not affect.
 
     `window_ns`: the length asked for, ns
+    `count`: number of windows
     `max_rad`, `rms_rad`: size of their errors, rad
     `worst_ns`: where the worst begins, ns
     `begins_ns`, `errors`: where each window begins, ns, and its error, rad, shape ``(count,)``
@@ -117,6 +118,7 @@ class SigmaStatistics:
     `max`, `rms`, `p95`: over the pairs whose standard deviations are not 0; p95 is the least that
         95 % of the errors do not exceed. Infinite where an error is beyond rounding and its
         standard deviation is 0
+    `final`: error of the last pair
     `max_ns`: time of the largest, ns
     `one_sigma_rad`: the angle of an error of one standard deviation in the direction of each error,
         shape ``(N,)``, rad

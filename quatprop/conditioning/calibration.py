@@ -131,7 +131,8 @@ class BiasSeriesReport:
 
     `source`: the file, or the topic of the log
     `field`: the message field or the columns
-    `first_ns`, `last_ns`: their first and last stamps, ns
+    `values`: number of biases
+    `first_ns`, `last_ns`: timestamps of the first and the last, ns
     `outside`: samples before the first and after the last, so far: they take the nearest
     """
 

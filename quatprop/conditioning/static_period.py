@@ -33,7 +33,8 @@ WIDENS = 3.0
 class OtherRest(NamedTuple):
     """Another period in which the sensor may have been at rest, whose mean rate differs most.
 
-    `difference_rad_s`: on the axis where it differs most
+    `first_ns`, `last_ns`: its first and last timestamp, ns
+    `difference_rad_s`: how much its mean rate differs, on the axis where it differs most
     """
 
     first_ns: int
@@ -44,7 +45,8 @@ class OtherRest(NamedTuple):
 class StaticPeriod(NamedTuple):
     """The period of a log in which the sensor was at rest.
 
-    `first_ns`, `last_ns`: its first and last stamps, ns
+    `first_ns`, `last_ns`: its first and last timestamp, ns
+    `samples`: how many it has
     `mean_rad_s`: the mean rate, shape ``(3,)``: the bias
     `scatter_rad_s`: root mean square deviation of the rates from the mean, over all three axes
     `steady`: which signals were found steady: ``"rate"``, ``"accelerometer"``, ``"orientation"``

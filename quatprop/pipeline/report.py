@@ -77,13 +77,18 @@ class ConventionReport(NamedTuple):
     `method`: the integration rule that was used
     `method_from`: ``"given"``, ``"log"`` where it follows from what the samples are, or
         ``"default"``
-    `samples`: what the samples are: ``"rates"`` at their stamps, ``"averages"`` or ``"increments"``
-        over the intervals that end at them
+    `samples`: what the samples are: ``"rates"`` at their timestamps, ``"averages"`` or
+        ``"increments"`` over the intervals that end at them
     `layout`: order of the columns written; None where nothing was written
-    `q0_wxyz`: attitude at the first sample, scalar first
+    `q0_wxyz`: initial attitude, at the first sample, scalar first
     `q0_from`: ``"given"``, ``"level"``, ``"log"`` or a file
-    `earth_rate_rad_s`: the rotation of the reference that was taken off, in its axes, rad/s; None
-        where attitudes are against a reference that does not turn
+    `earth_rate_rad_s`: the rotation of the reference frame that was removed, in its axes, rad/s;
+        None if the reference frame is inertial
+    `quaternion`: how the components form the quaternion
+    `product`: the quaternion product, by its rule for i and j
+    `attitude`: how the quaternion rotates a vector
+    `step`: the rotation over one interval
+    `time`: type and unit of the timestamps
     """
 
     rates: str
@@ -110,7 +115,7 @@ class ResultReport(NamedTuple):
     """What came out.
 
     `samples`, `rows`: samples propagated, and attitudes written
-    `first_ns`, `last_ns`: their first and last stamp, ns
+    `first_ns`, `last_ns`: their first and last timestamp, ns
     `span_s`: time between them, s
     `sample_rate_hz`: mean rate of the samples, Hz; None where they span no time
     `final_wxyz`: attitude at the last sample, scalar first

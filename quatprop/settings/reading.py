@@ -62,7 +62,7 @@ class SelectOptions(TypedDict, total=False):
     clock: Annotated[ClockName | None, Keyword(
         Choice(*CLOCKS), "Timestamp source.", "header where the message has one, else log")]
     time_field: Annotated[str | None, Keyword(
-        text, "Message field of {log} that is the time.", "the header stamp", "A.B")]
+        text, "Message field of {log} that is the time.", "the header timestamp", "A.B")]
     time_col: Annotated[str | int | None, Keyword(
         lambda value: text(str(value)), f"Time column of {{log}}, by name or number from 0; two "
         "(SEC,NANOSEC, SEC,USEC or SEC,MSEC) of one timestamp; none counts rows at "

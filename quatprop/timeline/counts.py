@@ -74,11 +74,12 @@ OBSERVE = Policy(on_backwards="keep", on_nonfinite="keep")
 class Event:
     """How often something happened, and where first.
 
-    `first_index`: index of the first sample concerned, counted from 0: of rates that are not
-        finite, outliers and stamps that go backwards as read, of repeated stamps and gaps among the
-        samples used
-    `first_ns`: its time stamp, ns
-    `cause`: what the stamps around it show of why it happened; ``""`` where they do not
+    `count`: how often it happened
+    `first_index`: index of the first sample concerned, from 0: among the samples read for rates
+        that are not finite, outliers and backwards timestamps; among those used for repeated
+        timestamps and gaps
+    `first_ns`: its timestamp, ns
+    `cause`: why it happened, if the timestamps around it show that; else ``""``
     """
 
     count: int = 0
@@ -101,14 +102,14 @@ class Event:
 class SteadyClock(NamedTuple):
     """The steady clock that time stamps jitter about.
 
-    `rate_hz`: times by it a second; the mean over a log
-    `offset_ns`: the first of them, ns
-    `residual_rms_ns`, `residual_max_ns`: how far the stamps scatter about it, and are at most from
-        it, ns
-    `missing`: times by it without a sample, but for pauses
-    `kept`: samples whose stamps do not jitter, or that are too few between pauses to tell
-    `error_rad`: RMS over all samples of the angle between the attitudes at their stamps that the
-        stamps and the clock lead to, rad
+    `rate_hz`: its rate, Hz; the mean over a log
+    `offset_ns`: its first time, ns
+    `residual_rms_ns`, `residual_max_ns`: RMS and largest difference between it and the timestamps,
+        ns
+    `missing`: how many of its times have no sample, not counting pauses
+    `kept`: samples whose timestamps do not jitter, or that are too few between pauses to tell
+    `error_rad`: RMS over all samples of the angle between the attitudes that the timestamps and
+        the clock lead to, rad
     """
 
     rate_hz: float
