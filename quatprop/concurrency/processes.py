@@ -42,6 +42,9 @@ MAX_ON_WINDOWS = 61
 GRACE_S = 10.0
 """Time in which an interrupted process removes what is half-written before it is killed, s."""
 
+AGAIN_S = 1.0
+"""After which it is interrupted again, s."""
+
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 _CONTEXT = multiprocessing.get_context("spawn")
@@ -161,8 +164,13 @@ class _Worker(Generic[Item, Result]):
 
     def result(self) -> Result:
         """Return the result of the item."""
-        if not self.connection.poll(None if self._running else GRACE_S):
-            raise EOFError
+        waited = 0.0
+        while not self.connection.poll(None if self._running else AGAIN_S):
+            waited += AGAIN_S
+            if waited >= GRACE_S:
+                raise EOFError
+            # A signal that comes just before a system call does not end its waiting.
+            self.interrupt()
         result, error = self.connection.recv()
         if error is not None:
             raise RuntimeError(error)

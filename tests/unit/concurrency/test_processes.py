@@ -46,6 +46,22 @@ def work_on_after_destructor(item):
     return item
 
 
+def work_on_after_lost_signal(item):
+    """Miss the first signal, then work for a minute and tidy up; fail once another has begun."""
+    begun, tidied = item
+    if tidied:
+        missed = signal.signal(signal.SIGTERM, lambda *_: signal.signal(signal.SIGTERM, missed))
+        begun.touch()
+        try:
+            for _ in range(6000):
+                time.sleep(0.01)
+        finally:
+            tidied.touch()
+    while not begun.exists():
+        time.sleep(0.01)
+    raise ValueError("bug")
+
+
 def killed(item):
     """Return the result of an item whose process was killed."""
     return f"{item}: no result"
@@ -69,6 +85,15 @@ def test_an_interruption_inside_a_destructor_ends_the_process():
     """Python drops it there: the process went on until it was killed, and left its files."""
     found = dict(map_processes(work_on_after_destructor, ["interrupted", 1], 2, killed))
     assert found == {0: "interrupted: no result", 1: 1}
+
+
+@on_posix
+def test_an_interruption_that_was_missed_comes_again(tmp_path):
+    """One that came just before a system call did not end it, and the process was killed."""
+    items = [(tmp_path / "begun", tmp_path / "tidied"), (tmp_path / "begun", None)]
+    with pytest.raises(RuntimeError, match="ValueError: bug"):
+        list(map_processes(work_on_after_lost_signal, items, 2, killed))
+    assert (tmp_path / "tidied").exists()
 
 
 @on_posix
