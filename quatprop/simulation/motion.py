@@ -137,7 +137,8 @@ def random_walk(walk: float, seed: int) -> Motion:
 
     `walk`: strength, rad/s/sqrt(s): the rate's standard deviation after one second, on each axis
     """
-    random = np.random.default_rng(seed)
+    # Not the numbers that the noise of the gyroscope is drawn from with the same seed.
+    random = np.random.default_rng((seed, 1))
     last = np.int64(0), np.zeros(3), np.array([1, 0, 0, 0], np.longdouble)
 
     def motion(elapsed_ns: Int64) -> tuple[Float64, Float64]:

@@ -159,6 +159,12 @@ class StampChecks:
                     "log a wider counter, or add 2^32 to the column after each such step, or "
                     f"choose {another}"
                 )
+            elif self.chosen_by == "time_col":
+                sorts, series = Setting("on_backwards", "drop|sort"), Setting("series", "C=VALUE")
+                ways_out = (
+                    f"choose {sorts}, {series} if rows of several sensors follow one another, or "
+                    f"{another}"
+                )
             raise TimelineError(
                 self.path,
                 f"time steps back by {duration_text(self._step_ns)} at sample {back.first_index} "

@@ -155,6 +155,16 @@ def test_noise_and_bias_are_as_told():
     np.testing.assert_allclose(steps.std(axis=0), 0.04 * 2**0.5, rtol=0.01)
 
 
+def test_the_noise_is_independent_of_a_random_walk():
+    """Noise and walk were drawn from the same numbers, so noise looked like a shift in time."""
+    true, noisy = (
+        np.concatenate([series.rate for series in record(motion_named("random-walk", SHAPE), told)])
+        for told in (Gyroscope(Fraction(100), 10_000, noise=noise, seed=3) for noise in (0, 1e-3))
+    )
+    noise, increments = (noisy - true)[1:].ravel(), np.diff(true, axis=0).ravel()
+    assert abs(np.corrcoef(noise, increments)[0, 1]) < 5 / noise.size**0.5
+
+
 @pytest.mark.parametrize("name", MOTIONS)
 def test_batches_cannot_be_seen(name, monkeypatch):
     """However many samples are made at a time, they are the same, from the identity on."""
