@@ -20,6 +20,7 @@ from quatprop.concurrency.processes import KILLED, map_processes
 from quatprop.errors import OutputError, QuatpropError, StoreError, UsageError
 from quatprop.pipeline.report import convention_of
 from quatprop.provenance import METADATA_KEY, digest_of
+from quatprop.settings.guarded_text import read_json
 from quatprop.stores.objects import is_address, list_objects, without_secret
 from quatprop.stores.remote import RemoteSource
 from quatprop.stores.temp_files import locked, temp_folder
@@ -119,7 +120,7 @@ def _opened(place: str) -> Iterator[tuple[ParquetFile | None, dict[str, LogRows]
             if is_address(place):
                 source = stack.enter_context(RemoteSource(place, Path("dataset"))).as_arrow()
             found = stack.enter_context(ParquetFile(source, page_checksum_verification=True))
-            logs = json.loads((found.metadata.metadata or {}).get(LOGS, b""))
+            logs = read_json((found.metadata.metadata or {}).get(LOGS, b""))
             file, rows = found, {name: LogRows(*values) for name, values in logs.items()}
         except StoreError as error:
             if not isinstance(error.__cause__, FileNotFoundError):
@@ -239,7 +240,7 @@ def _rows_of(part: Path) -> LogRows:
 
     try:
         with ParquetFile(part) as file:
-            log = json.loads(file.metadata.metadata[METADATA_KEY])["source"]["path"]
+            log = read_json(file.metadata.metadata[METADATA_KEY])["source"]["path"]
             return LogRows(log, digest_of(part).sha256, file.num_row_groups)
     except (ArrowException, OSError) as error:
         raise _unreadable(part, error) from error
@@ -280,7 +281,7 @@ def _write(target: str, sources: Mapping[str, _Source], before: ParquetFile | No
                         )
                     writer.write_table(table)
         if writer is not None:
-            layout = json.loads(metadata[own_key])["convention"]["layout"]
+            layout = read_json(metadata[own_key])["convention"]["layout"]
             metadata[METADATA_KEY] = json.dumps(convention_of(layout)).encode()
             writer.add_key_value_metadata(metadata)
 

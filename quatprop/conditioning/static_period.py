@@ -124,7 +124,7 @@ class StaticPeriod(NamedTuple):
             return ""
         return (
             "no accelerometer and no orientation confirms the stationary period that the bias "
-            "is estimated from: a steady rotation at {degrees:.3g} deg/s would look the same"
+            f"is estimated from: a steady rotation at {degrees:.3g} deg/s would look the same"
         )
 
     def _differs(self) -> str:

@@ -84,7 +84,7 @@ class RunOptions(RateOptions, total=False):
         group="Rates")]
     mount: Annotated[str | Collection[float] | Rotated | None, Keyword(
         mounting,
-        "Rotation from sensor to body axes: a quaternion with v_body = m v_sensor m*; the "
+        "Sensor-to-body rotation: a quaternion with v_body = m v_sensor m*; the "
         "sensor axes that become x, y and z; roll, pitch and yaw of the sensor in the body "
         "(deg, as in URDF); a name such as frd-to-flu; or a frame in the log's own /tf_static.",
         "the "

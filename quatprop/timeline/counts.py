@@ -263,7 +263,7 @@ def _time_remarks(counts: Counts, chosen_by: str) -> Iterator[Remark]:
         yield Remark(
             "whole-seconds",
             "the timestamps are whole seconds, each of several samples: they do not show when a "
-            "sample was taken; choose other timestamps with {Setting(chosen_by)}",
+            f"sample was taken; choose other timestamps with {Setting(chosen_by)}",
         )
     if counts.integrated_ns is not None:
         missed = counts.span_ns - counts.integrated_ns

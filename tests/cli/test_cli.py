@@ -131,7 +131,7 @@ def test_a_failed_run_leaves_the_old_file(log, tmp_path):
         ("--start 800000000 --end +900ms", "samples     2 over 100 ms", [800, 900]),
         (
             "--start 0 --end 1700000000 --every 9",
-            "warning: --end is after the last sample and leaves nothing out; a number",
+            "warning: --end is after the last sample and excludes nothing; a number",
             [0, 900],
         ),
         # A relative end cannot be a slip of the unit.
@@ -149,7 +149,7 @@ def test_a_part_of_a_log_is_said(log, tmp_path, options, said, milliseconds):
     out = tmp_path / "out.csv"
     result = run("propagate", log, "-o", out, *options.replace("AT", str(at)).split(), code=0)
     assert said in result.stderr
-    assert ("leaves nothing out" in result.stderr) == ("nothing" in said)
+    assert ("excludes nothing" in result.stderr) == ("nothing" in said)
     assert stamps(out) == [t * 1_000_000 for t in milliseconds]
 
 

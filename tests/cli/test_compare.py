@@ -125,7 +125,7 @@ def test_an_attitude_at_the_stamp_of_another_is_lost(spin, tmp_path, rows, back,
     code = 3 if lost else 0
     assert run("compare", repeated, spin, *EXACT, code=code).stdout.splitlines()[-1] == (
         f"remark    A was sorted by time: its timestamps step back {back} times, and 1 repeated "
-        f"ones were left out, {lost} of them with another attitude"
+        f"ones were omitted, {lost} of them with a different attitude"
     )
     run("compare", repeated, spin, "-q", code=code)
     run("plot", repeated, "--reference", spin, "-o", tmp_path / "error.svg", code=code)

@@ -241,7 +241,9 @@ def test_covariances_that_are_known_in_part_are_said_to_be_unknown(tmp_path):
     messages = [imu(second, diagonal) for second, diagonal in enumerate(diagonals, 1)]
     topic = Topic("sensor_msgs/msg/Imu", messages, b"", "ros2msg", "cdr")
     write_topics(log, {"/imu": topic}, profile="ros2")
-    sentence = "the covariances of 2 messages are known in part, which is not kept: they are taken"
+    sentence = (
+        "the covariances of 2 messages are known in part, which is not kept: they are treated"
+    )
     with pytest.warns((quatprop.RemarkWarning, quatprop.DataLossWarning)) as caught:
         series = quatprop.read_attitudes(log, on_invalid="drop")
     assert sum(sentence in str(one.message) for one in caught) == 1

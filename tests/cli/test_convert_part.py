@@ -53,7 +53,7 @@ def test_a_time_range_without_attitudes_is_refused(tmp_path):
 def test_a_time_range_that_leaves_nothing_out_is_remarked_on(tmp_path):
     """An absolute time may be in other units than was meant."""
     told = run("convert", TRUTH, tmp_path / "out.csv", "--end", "1800000000000000000").stderr
-    assert "note: --end is after the last sample and leaves nothing out" in told
+    assert "note: --end is after the last sample and excludes nothing" in told
 
 
 def test_a_steady_rate_is_interpolated(tmp_path, truth):

@@ -75,7 +75,7 @@ def test_help_names_what_it_refers_to_and_the_terms_of_the_field():
     assert "--rms-tol, --final-tol and --p95-tol take the same" in text
     assert "Angle random walk" in shown("simulate", "--help", NO_COLOR="1")
     text = " ".join(shown("propagate", "--help-all", NO_COLOR="1").split())
-    assert "turn-on repeatability says; bias instability says less" in text
+    assert "the turn-on repeatability, not the bias instability" in text
 
 
 def test_long_examples_go_on_in_a_second_line():

@@ -115,7 +115,7 @@ SIMULATE = {
     "a.csv --motion coning --axis 1,0,0": "--axis goes with --motion spin",
     "a.csv --angle 5": "--angle goes with --motion coning or tumbling",
     "a.csv --motion rest --walk 1": "--walk goes with --motion random-walk",
-    "a.ulg": f".npz, .mcap, .bag, none for a ROS 2 bag folder, or say --to {SIMULATED}",
+    "a.ulg": f".npz, .mcap, .bag, none for a ROS 2 bag folder, or specify --to {SIMULATED}",
 }
 
 COMPARE = {

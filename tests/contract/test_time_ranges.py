@@ -188,7 +188,7 @@ def test_a_start_before_the_log_is_remarked_on(logs, tmp_path):
     report, table = attitudes(logs / "log.mcap", tmp_path, start, end)
     assert np.array_equal(table["t_ns"], T0_NS + np.arange(5 * RATE + 1) * NS_PER_S // RATE)
     assert report.conditioning.part is not None
-    assert any("leaves nothing out" in str(remark) for remark in report.remarks)
+    assert any("excludes nothing" in str(remark) for remark in report.remarks)
 
 
 def table(tmp_path, t, **options):

@@ -134,7 +134,7 @@ def _mended(source, clause, one):  # noqa: PLR0911, PLR0912  # one kind of remed
     rate, options = source.rates.rate, dict(source.propagate)
     if found := re.search(f"multiply its rates by {number}", clause):
         rate = rate * float(found[1])
-    elif found := re.search(r"take its rates as ([-xyz]+), ([-xyz]+), ([-xyz]+)", clause):
+    elif found := re.search(r"read its rates as ([-xyz]+), ([-xyz]+), ([-xyz]+)", clause):
         rate = np.stack(
             [rate[:, "xyz".index(n[-1])] * (-1) ** ("-" in n) for n in found.groups()], 1
         )

@@ -227,7 +227,7 @@ def _refuse_checksums(data: list[list[str]], path: Path) -> None:
         raise UnsupportedLogError(
             path,
             f"its rows end in NMEA checksums, such as {quoted(last[0][-3:])}; remove them, for "
-            f"example with sed -E 's/\\*[0-9A-Fa-f]{2}//'",
+            "example with sed -E 's/\\*[0-9A-Fa-f]{2}//'",
         )
 
 

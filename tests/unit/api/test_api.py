@@ -260,7 +260,7 @@ IN_MEMORY = {
     "is there another t_ns, or are they in another unit?": [0] * 30,
     "in another unit, use t_ns in ns": list(range(0, 30 * 10**13, 10**13)),
     "check unit, the time column or t_ns": [-(2**63), 2**63 - 1],
-    "choose another with t_ns": [10**9] * 5 + [2 * 10**9] * 5,
+    "choose other timestamps with t_ns": [10**9] * 5 + [2 * 10**9] * 5,
 }
 """How advice ends on rates in memory, and stamps that it is given for, in ns."""
 

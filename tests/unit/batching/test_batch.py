@@ -95,7 +95,7 @@ def test_keys_in_addresses_are_not_shown(tmp_path):
     """Neither with the name of the log, nor in its error, nor in the report."""
     done = batch("nowhere://key:secret@logs/a.mcap", "-o", tmp_path, "--json", code=2)
     assert "secret" not in done.stdout + done.stderr
-    assert "nowhere://logs/a.mcap: there is no store of this kind (" in done.stderr
+    assert "nowhere://logs/a.mcap: unknown kind of store (" in done.stderr
     assert json.loads(done.stdout)[0]["log"] == "nowhere://logs/a.mcap"
 
 

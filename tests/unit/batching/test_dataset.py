@@ -294,7 +294,7 @@ def test_a_store_that_does_not_answer_loses_no_rows(tmp_path, bucket, store_serv
             "503 Slow Down" if method == which and path.endswith("0-of-1.parquet") else None
         )
         done = batch(tmp_path / "in" / "a.csv", *arguments, code=2)
-        assert f"Error: {bucket}/out/0-of-1.parquet: its store has too much to do (" in done.stderr
+        assert f"Error: {bucket}/out/0-of-1.parquet: the store is overloaded (" in done.stderr
     store_server.before = lambda *_: None
     _s3.cache_clear()
     assert get(f"{bucket}/out/0-of-1.parquet") == before

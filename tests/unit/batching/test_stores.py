@@ -116,9 +116,9 @@ def test_outputs_among_the_logs_are_refused(bucket):
 @pytest.mark.parametrize(
     ("log", "out", "sentence"),
     [
-        ("{bucket}/none", "out", "{bucket}/none: there is no such object; check"),
-        ("s3://nobody-has-this", "out", "s3://nobody-has-this: there is no such object"),
-        ("a.csv", "s3://nobody-has-this/out", "there is no such bucket ("),
+        ("{bucket}/none", "out", "{bucket}/none: no such object; check"),
+        ("s3://nobody-has-this", "out", "s3://nobody-has-this: no such object"),
+        ("a.csv", "s3://nobody-has-this/out", "no such bucket ("),
         ("a.csv", "s3://denied/out", "its store does not permit that ("),
         ("s3://denied/logs", "out", "its store does not permit that ("),
         ("s3://denied/a.csv", "out", "its store does not permit that ("),

@@ -247,7 +247,7 @@ def test_no_update_where_nobody_reviews_it(folder, value):
         (["--dry-run"], "--dry-run goes with --update"),
         (["--interactive"], "--interactive goes with --update"),
         (["--force"], "--force goes with --update"),
-        (["--update", "--interactive", "-j", "2"], "leave -j out"),
+        (["--update", "--interactive", "-j", "2"], "omit -j"),
     ],
 )
 def test_options_of_an_update_go_with_it(folder, options, words):

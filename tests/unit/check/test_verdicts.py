@@ -91,7 +91,7 @@ def test_no_overlap_is_the_same_for_both_kinds_of_reference(outcomes):
     """One was a failure, the other an error, and both advised an offset for this run alone."""
     said = [check(outcomes, "-k", name).stdout for name in ("moved", "apart")]
     for text in said:
-        assert "have no time in common: their stamps are of different clocks, or of" in text
+        assert "have no time in common: their timestamps are from different clocks or" in text
         assert 'time-offset = "-' not in text
         assert "; see clock, start" in text
     assert 'time-offset = "auto"' in said[1]

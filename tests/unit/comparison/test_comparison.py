@@ -198,7 +198,7 @@ MISREAD = {
         "layout-first and conjugate",
         "",
     ),
-    "wrong side": (multiplied(STEPS, left=True), "side", "body rates against inertial rates"),
+    "wrong side": (multiplied(STEPS, left=True), "side", "treats the rates as body-frame"),
     "factor": (multiplied(2 * STEPS), "scale", "2 times as fast as A: a factor 1/2 is missing"),
     "degrees": (
         multiplied(np.radians(STEPS)),
@@ -263,7 +263,7 @@ def test_what_cannot_be_compared_is_refused():
         wxyz = A.wxyz.copy()
         wxyz[5] = wxyz[9] = bad
         sentence = (
-            r"^B has 2 of 2000 rows that are no attitude \(zero or not a number\), the first at "
+            r"^B has 2 of 2000 rows that are not attitudes \(zero or not a number\), the first at "
             r"index 5; omit them$"
         )
         with pytest.raises(ComparisonError, match=sentence):

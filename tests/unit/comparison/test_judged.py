@@ -95,8 +95,8 @@ def test_command_and_suite(tmp_path):
             r"judge: '\+1s' is not a time range; write START\.\.END, as \+10",
         ),
         ("+1s..", UsageError, "judge: '' is "),
-        (["+1s", "+2s"], UsageError, r"judge: '\+1s' is no time range"),
-        (5, UsageError, "judge: '5' is no time range"),
+        (["+1s", "+2s"], UsageError, r"judge: '\+1s' is not a time range"),
+        (5, UsageError, "judge: '5' is not a time range"),
         (
             "+2s..+1s",
             UsageError,

@@ -117,5 +117,5 @@ def test_a_picture_of_errors_is_of_the_time_range(tmp_path, files):
     out = tmp_path / "e.html"
     run("plot", files[0], "-o", out, "--reference", files[1], "--start", "+1s", "--rate", "10Hz")
     assert "interpolated at 10 Hz" in out.read_text()
-    plot(files[0], tmp_path / "e.svg", reference=files[1], **RANGE)
+    plot(files[0], output=tmp_path / "e.svg", reference=files[1], **RANGE)
     assert "--rate goes with --reference" in refused("plot", files[0], "-o", out, "--rate", 10)

@@ -104,7 +104,7 @@ def test_rest_that_only_the_rates_show_is_remarked_on(sensors, tmp_path):
     said, told = static(motion.write(tmp_path, **motion.known(sensors)))
     remark = (
         "no accelerometer and no orientation confirms the stationary period that the bias is "
-        "estimated from: a steady rotation at {np.degrees(np.linalg.norm(BIAS)):.2f} deg/s "
+        f"estimated from: a steady rotation at {np.degrees(np.linalg.norm(BIAS)):.2f} deg/s "
         "would look the same"
     )
     assert told["rest"]["steady"] == ["rate", *sensors]
@@ -128,7 +128,8 @@ TURNS = (
     "has a mean rate of 0.246 rad/s, more than the bias of a gyroscope: the body rotates; give -"
 )
 TUMBLES = (
-    "no period of rest to take the bias from that lasts 1 s (by rate and accelerometer); give "
+    "no stationary period to estimate the bias from that lasts 1 s (by rate and accelerometer); "
+    "give "
     "--bias X,Y,Z, or look for a shorter one with --bias static:DUR"
 )
 SHAKES = "(where the rates are quiet, the specific force scatters by at least 3"
@@ -233,7 +234,7 @@ def test_a_car_that_circles_is_not_at_rest(window, shared_logs, tmp_path):
     log.symlink_to(shared_logs / "nested_imu" / "kiran_car_circle_data_0_imu.csv")
     more = ("--rate-unit", "rad/s", "--time-unit", "s")
     said = refused(*options(log, *more, window=window))
-    assert "the body turns; give --bias X,Y,Z" in said
+    assert "the body rotates; give --bias X,Y,Z" in said
 
 
 RESTS = {

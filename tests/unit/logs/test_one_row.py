@@ -125,7 +125,7 @@ def test_bursts_of_PX4_are_read_from_its_tables(tmp_path):
     frame = frame.assign(dt=250.0, scale=0.001, samples=[4, 4, 4, 9, 4, 4])
     frame.to_csv(path, index=False)
     with (
-        pytest.warns(RemarkWarning, match="several samples a message"),
+        pytest.warns(RemarkWarning, match="several samples per message"),
         pytest.warns(DataLossWarning, match="counts 9 samples"),
     ):
         rates = read_rates(path)

@@ -39,7 +39,7 @@ def test_a_file_of_stamps_alone(tmp_path, text):
             "1700000001.5\n",
             "line 1: '1700000001.5' is not a timestamp; write RFC 3339 or whole ns, or",
         ),
-        ("t_ns\n1\nx\n", "line 3: 'x' is no stamp"),
+        ("t_ns\n1\nx\n", "line 3: 'x' is not a timestamp"),
         ("t_ns\n", "it holds no timestamps"),
     ],
 )

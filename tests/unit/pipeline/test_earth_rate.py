@@ -70,7 +70,7 @@ def test_a_turning_body_is_followed_against_the_ground():
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"earth_rate": 91}, "earth_rate: '91' is no latitude: it is from -90 to 90 deg"),
+        ({"earth_rate": 91}, "earth_rate: '91' is not a latitude: give -90 to 90 deg"),
         ({"earth_rate": (1, 2, 3)}, "is not LAT,AZIMUTH, 2 finite numbers"),
         ({"reference_z": "down"}, "reference_z goes with q0='level' or earth_rate"),
         ({"earth_rate": 90, "rates": "reference"}, "0,0,7.292115e-05 rad/s, with bias"),
@@ -94,4 +94,4 @@ def test_output_and_summary_state_it(tmp_path):
     told = json.loads(pq.read_metadata(tmp_path / "a.parquet").metadata[b"quatprop"])
     expected = earth(45, *AXES["up", None][::2])
     assert told["convention"]["earth_rate_rad_s"] == pytest.approx(expected.tolist())
-    assert "no latitude" in refused(*line, "100")
+    assert "not a latitude" in refused(*line, "100")

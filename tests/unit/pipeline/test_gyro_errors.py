@@ -392,5 +392,5 @@ def test_outputs_without_a_place_for_them_are_refused(tmp_path, arguments, name,
 def test_a_constant_of_the_driver_is_no_covariance(shared_logs):
     """What is the same in every message says nothing of the attitude."""
     log = shared_logs / "two_imus/test1_2014_xsens.bag"
-    with pytest.warns(RemarkWarning, match="it is taken as a constant of the driver"):
+    with pytest.warns(RemarkWarning, match="it is treated as a constant of the driver"):
         assert read_attitudes(log, topic="/xsens/imu_data").covariance is None

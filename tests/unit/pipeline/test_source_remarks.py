@@ -202,7 +202,7 @@ def test_rates_of_which_some_are_marked_as_absent_are_a_matter_of_policy(tmp_pat
     path = bag(tmp_path / "log.bag", marks=(0.5, -1.0))
     with pytest.raises(TimelineError, match=r"sample 1 .* is absent or not finite; choose"):
         remarks(path, tmp_path)
-    with pytest.warns(RemarkWarning, match="read all the same"):
+    with pytest.warns(RemarkWarning, match="are read anyway"):
         assert len(read_rates(path, rate_field="angular_velocity").t_ns) == 50
     with pytest.warns(RemarkWarning), pytest.warns(DataLossWarning, match="25 rows were dropped"):
         propagate(path, on_nonfinite="drop")

@@ -221,7 +221,7 @@ def test_a_long_series_zooms_no_further_than_it_was_drawn(tmp_path, samples, bin
     (figure,) = (attributes for tag, attributes in page.elements if tag == "figure")
     # A bin is 2^23 ns long, and holds 8 or 9 samples.
     assert json.loads(figure["data-limits"])["least"] == pytest.approx(150 * bin_s, rel=0.2)
-    assert ("Only extremes" in "".join(page.words)) == (bin_s > 0)
+    assert ("Only the extremes" in "".join(page.words)) == (bin_s > 0)
 
 
 CHROMIUM = next(

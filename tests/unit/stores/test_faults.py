@@ -82,7 +82,7 @@ def test_a_burst_of_refusals_is_waited_for(tmp_path, bucket, store_server):
     run("propagate", address, "-o", tmp_path / "a.csv", code=0)
     store_server.before = lambda *_: "503 Slow Down"
     words = refused("info", address)
-    assert words.startswith(f"Error: {address}: its store has too much to do (")
+    assert words.startswith(f"Error: {address}: the store is overloaded (")
     assert words.endswith("; try again later, or with fewer processes")
 
 

@@ -194,7 +194,7 @@ def test_a_folder_inside_a_bag_is_no_file_of_it(tmp_path):
     ("address", "reason"),
     [
         ("file:///nowhere/none.bag", "no such object; check the address"),
-        ("nowhere://log.bag", "there is no store of this kind"),
+        ("nowhere://log.bag", "unknown kind of store"),
     ],
 )
 def test_what_is_not_there_is_said(address, reason):

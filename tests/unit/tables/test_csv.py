@@ -348,7 +348,7 @@ def test_a_file_that_vanishes_is_told(tmp_path, kind):
         (b"log.csv".ljust(257, b"\0") + b"ustar\0", "it is a tar archive; unpack it"),
         (b"\xa3\x95\x80\x80\x59FMT", "convert it to CSV with mavlogdump.py"),
         (b"H Product:Blackbox flight data recorder\n", "convert it with blackbox_decode"),
-        (b'[\n {"t_ns": 0, "wx": 1}]\n', "such as with jq -c '.[]'"),
+        (b'[\n {"t_ns": 0, "wx": 1}]\n', "for example with jq -c '.[]'"),
     ],
 )
 @pytest.mark.parametrize("name", ["log.csv", "log.mcap", "log"])

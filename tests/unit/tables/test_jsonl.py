@@ -115,7 +115,7 @@ def test_text_beside_the_numbers_is_passed_over(written, block):
         (
             '{\n\n {\n  "t_ns": 1\n }\n]',
             UnsupportedLogError,
-            "its first lines are no JSON objects;",
+            "its first lines are not JSON objects;",
         ),
         (
             '{"t_ns":1,"wx":"0.5","wy":"1","wz":"2"}\n',

@@ -354,7 +354,7 @@ def test_what_cannot_be_written_is_refused_before_there_is_a_file(tmp_path):
     target = tmp_path / "a.xyz"
     assert refusal(target) == (
         f"{target}: the suffix does not determine the output format; use one of "
-        f"{', '.join(suffixes)}, none for a ROS 2 bag folder, or say to="
+        f"{', '.join(suffixes)}, none for a ROS 2 bag folder, or specify to="
         + " or ".join(map(repr, WRITERS))
     )
     assert refusal(target, "xls") == f"{target}: no output kind 'xls'; choose {'|'.join(WRITERS)}"
