@@ -23,6 +23,7 @@ from quatprop.text import Setting, plain, spelled
 from quatprop.times import duration_text
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from quatprop.comparison.result import Comparison, Criterion
@@ -34,6 +35,9 @@ MEASURE = ComparisonSettings(tol=math.inf, min_coverage=0.0)
 
 ALL = 99.9999
 """Percentage of a reference that is all of it, but for rounding."""
+
+SHOWN_DEG = 1e-6
+"""Angle, deg, up to which an alignment takes out nothing but rounding."""
 
 TRACE_PARTS = 64
 """Parts of a small plot of the error over time."""
@@ -138,6 +142,7 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
             failures.append(named(criterion_text(one, result)))
     if judged := case.comparison_options.get("judge"):
         others.append(f"judged at {plain(judged)} alone")
+    others += _taken_out(result)
     cause = result.likely_cause
     causes = cause.chain if cause else []
     return CaseComparison(
@@ -147,6 +152,18 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
         failure="; ".join(failures),
         cause="; ".join(f"{named(one.sentence)} ({one.name})" for one in causes),
     )
+
+
+def _taken_out(result: Comparison) -> Iterator[str]:
+    """Yield what is not in the errors, since the reference was moved to the log's attitudes."""
+    if offset := result.time_offset.added_to_b_ns:
+        yield f"with the reference moved by {duration_text(offset)}"
+    for what, angle in (
+        ("reference frame", result.alignment.reference_rad),
+        ("body frame", result.alignment.mount_rad),
+    ):
+        if math.degrees(angle) > SHOWN_DEG:
+            yield f"with the {what} of the reference turned by {degrees_text(angle)}"
 
 
 def _limit(case: Case, one: Criterion) -> Limit:

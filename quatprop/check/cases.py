@@ -63,6 +63,9 @@ def load_cases(path: Path | str) -> tuple[Suite, list[Case | CaseNotRun]]:
     suite = read_suite(path)
     for name, value in suite.defaults.items():
         _refuse_unknown(suite, name, value, None)
+        if name in {"skip", "xfail"}:
+            reason = "the reason is that of one case, not of all; write it there"
+            raise SuiteError(suite.path, reason, None, f"defaults.{name}")
     cases: list[Case | CaseNotRun] = []
     owners: dict[str, str] = {}
     for table in suite.tables:

@@ -161,8 +161,9 @@ def _failures(
         return
     if case.external is None and pin is not None:
         final = final_of(reference)
-        apart = 0.0 if final is None else math.degrees(final_distance(pin, np.array(final)))
-        if apart > SAME_DEG:
+        if final is None:
+            yield "the reference does not say what it was made of: check did not write it"
+        elif (apart := math.degrees(final_distance(pin, np.array(final)))) > SAME_DEG:
             yield f"the lock and the reference have last attitudes that are {apart:.6g} deg apart"
         if case.strict:
             yield compare_timestamps(run.series, reference.series)

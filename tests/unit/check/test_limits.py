@@ -1,8 +1,14 @@
 """Limits: what is left of each, those that are proposed, and what a limit hides."""
 
+import json
+import re
+
+import pyarrow.parquet as pq
 import pytest
 from make.commands import run
-from make.suites import TRUTH, check, pinned, write_suite
+from make.suites import TRUTH, check, pinned, stored, write_suite
+
+from quatprop.check.lock import sha256_of
 
 LIMITS = """\
 align = "first"
@@ -86,3 +92,42 @@ def test_a_limit_holds_for_what_was_compared(folder, rows, code, swapped):
         share = "100 % of the time and 100 % of the samples of B and 9.91 % of that of A"
         assert (share if swapped else "coverage 9.91 % of the time") in result.output
     assert run("compare", *pair, "--tol", "1deg", "--min-coverage", "0").exit_code == 0
+
+
+def test_what_an_alignment_takes_out_is_said(drifting, folder):
+    """A delay of 20 ms and swapped axes passed as `0 deg of 0.01 deg`, without a word."""
+    keys = ("pin-log = false", 'tol = "0.01deg"', 'time-offset = "auto"', 'align = "mount"')
+    suite = pinned(folder, stored("drift", "drift.csv", *keys))
+    log, _ = drifting
+    delayed(log, 20_000_000)
+    head, *rows = log.read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    turned = [f"{t},{x},{-float(y)!r},{-float(z)!r}" for t, x, y, z, *_ in cells]
+    log.write_text("\n".join([",".join(head.split(",")[:4]), *turned]) + "\n")
+    passed = check(suite)
+    assert passed.exit_code == 0
+    (moved,) = re.findall("; with the reference moved by (.*?) ms; ", passed.stdout)
+    (turned_by,) = re.findall("body frame of the reference turned by (.*?) deg\n", passed.stdout)
+    assert float(moved) == pytest.approx(20, abs=0.1)
+    assert float(turned_by) == pytest.approx(180, abs=0.01)
+
+
+@pytest.mark.parametrize("key", ["skip", "xfail"])
+def test_no_default_leaves_out_all_cases(folder, key):
+    """One line in the defaults made every case green, also with `--strict`."""
+    result = check(write_suite(folder, f'[defaults]\n{key} = "later"\n{TRUTH}'), "--strict")
+    assert result.exit_code == 2
+    assert f"'defaults.{key}': the reason is that of one case" in result.stderr
+
+
+def test_a_reference_of_another_origin_fails(folder):
+    """With the lock's SHA-256 edited, one without metadata passed; the lock's angles were old."""
+    suite = pinned(folder, stored())
+    path, lock = folder / "refs/spin.parquet", suite.with_suffix(".lock.json")
+    pq.write_table(pq.read_table(path).replace_schema_metadata(None), path)
+    told = json.loads(lock.read_text())
+    told["cases"]["spin"]["reference"] = sha256_of(str(path))
+    lock.write_text(json.dumps(told))
+    result = check(suite)
+    assert result.exit_code == 1
+    assert "the reference does not say what it was made of" in result.stdout
