@@ -42,7 +42,9 @@ OPTIONS = {
         Choice(*WRITERS), f"{', '.join(WRITERS)}.", "parquet", "FORMAT", group="Output",
         common=True, preset=True),
     "--dataset": Keyword(
-        flag, "One Parquet dataset with a column log, instead of a file a log.", group="Output"),
+        flag,
+        "Write one Parquet dataset with a column log, instead of one file per log.",
+        group="Output"),
     "--buckets": Keyword(
         click.IntRange(1, 1 << 16),
         "With --dataset: the number of its files; in which a log is depends on its name alone.",

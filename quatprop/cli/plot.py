@@ -52,7 +52,7 @@ OPTIONS = {
         picture_size, "Size of the picture, such as 90mm, 16x9cm or 3.5in.", "7.5in wide",
         "W[xH]UNIT", group="Options"),
     "--dpi": Keyword(
-        click.IntRange(min=10, max=2400), "Dots an inch of a PNG.", "200", "N", group="Output"),
+        click.IntRange(min=10, max=2400), "Dots per inch of a PNG.", "200", "N", group="Output"),
     "--font-size": Keyword(
         click.FloatRange(min=2, max=72), "Size of the letters in points.", "8.5", "PT",
         group="Output"),

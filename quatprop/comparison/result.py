@@ -155,7 +155,7 @@ class Comparison:
     error_rad
         Statistics of the errors, rad.
     drift_deg_h
-        Slope of the errors in time, deg/h; None where all stamps are equal, or B was aligned by
+        Slope of the errors in time, deg/h; None if all timestamps are equal, or B was aligned by
         all pairs.
     worst
         The pair with the largest error.
@@ -169,7 +169,7 @@ class Comparison:
     coverage
         How much of B was compared, and of the time of A.
     left_out
-        Attitudes of A and B that were left out, since another one has the same stamp.
+        Attitudes of A and B that were omitted, since another one has the same timestamp.
     outside
         Attitudes of A and B outside the time range.
     tolerance_rad

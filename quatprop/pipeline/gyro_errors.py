@@ -83,10 +83,10 @@ class UncertaintyReport(NamedTuple):
     """How far the final attitude can be trusted, as far as the gyroscope's errors are known.
 
     `errors`: standard deviations of the gyroscope's errors
-    `origins`: where each of them comes from: ``"given"``, a file, ``"rest"``, or for the first
+    `origins`: where each of them comes from: ``"given"``, a file, ``"rest"``, or for the initial
         attitude :data:`BY_ACCELEROMETER`
-    `q0_sigma_rad`: standard deviations of the first attitude about body axes, shape ``(3,)``, rad;
-        None where it is taken as exact
+    `q0_sigma_rad`: standard deviations of the initial attitude about body axes, shape ``(3,)``,
+        rad; None if it is taken to be exact
     `columns_axes`: the axes of the columns of standard deviations; None where there are none
     `sigma_rad`: standard deviations of the final attitude about body axes, shape ``(3,)``, rad
     `largest`: the error that contributes most
@@ -190,7 +190,7 @@ def uncertainty_report(
 ) -> UncertaintyReport:
     """Return what known errors have led to at the last sample.
 
-    `q0`: covariance of the first attitude about body axes, shape ``(3, 3)``, rad^2, where it is
+    `q0`: covariance of the initial attitude about body axes, shape ``(3, 3)``, rad^2, where it is
         known
     """
     errors, origins = known.errors, dict(known.origins)

@@ -39,7 +39,7 @@ MARGIN = 0.012
 """Share of the width left of text."""
 
 DOTS = 200
-"""Dots an inch of a PNG."""
+"""Dots per inch of a PNG."""
 
 FONT, FONT_TITLE, FONT_SMALL = 8.5, 10.0, 7.5
 """Points."""
@@ -71,7 +71,7 @@ class Style(NamedTuple):
     """How large a picture and its letters are.
 
     `width`, `height`: inches; no height is that which the panels need
-    `dpi`: dots an inch of a PNG
+    `dpi`: dots per inch of a PNG
     `font`: size of the letters, points
     `title`: whether title, facts and notes stand around the panels
     `sheet`: settings of matplotlib that replace those of quatprop

@@ -83,7 +83,7 @@ class AttitudeSeries(Series):
 
     @classmethod
     def from_seconds(cls, t_s: ArrayLike, wxyz: ArrayLike) -> Self:
-        """Return a series whose stamps are seconds as floats; see :class:`GyroSeries`."""
+        """Return a series whose timestamps are seconds as floats; see :class:`GyroSeries`."""
         return cls(seconds_in_ns(t_s), wxyz)
 
     @property
@@ -224,7 +224,7 @@ class AttitudeSeries(Series):
         return AttitudeSeries(inside.t_ns, multiply(conjugate(at), inside.wxyz))
 
     def to_arrow(self, *, scalar_first: bool = True) -> pa.Table:
-        """Return a table of the stamps and the quaternions.
+        """Return a table of the timestamps and the quaternions.
 
         Parameters
         ----------

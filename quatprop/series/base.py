@@ -101,7 +101,7 @@ class Series:
         return self.to_arrow().__arrow_c_stream__(requested_schema)
 
     def to_arrow(self) -> pa.Table:
-        """Return a table of the stamps and the columns."""
+        """Return a table of the timestamps and the columns."""
         raise NotImplementedError
 
     def _repr_html_(self) -> str:
@@ -174,7 +174,7 @@ class Series:
         return f"<{name}: {len(t_ns):,} {self._rows} over {span} from t = {t_ns[0]} ns>"
 
     def _table(self, columns: Mapping[str, Float64]) -> pa.Table:
-        """Return a table of the stamps and of columns."""
+        """Return a table of the timestamps and of columns."""
         import pyarrow as pa
 
         from quatprop.series.arrow_arrays import series_schema, to_arrow

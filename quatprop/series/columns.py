@@ -21,7 +21,7 @@ INT64 = np.iinfo(np.int64)
 
 
 def stamps_of(name: str, values: object) -> NDArray[np.int64]:
-    """Return time stamps in ns.
+    """Return timestamps in ns.
 
     `values`: integers in ns, or dates of any resolution, shape ``(N,)``; dates without a zone are
         UTC
@@ -66,7 +66,7 @@ def times_beside(t_ns: NDArray[np.int64], name: str, values: object) -> NDArray[
 
 
 def seconds_in_ns(t_s: object) -> NDArray[np.int64]:
-    """Return time stamps in ns from seconds as floats, rounded to the nearest ns.
+    """Return timestamps in ns from seconds as floats, rounded to the nearest ns.
 
     `t_s`: seconds, shape ``(N,)``. At an epoch of 1.7e9 s, floats are 238 ns apart
     """

@@ -95,7 +95,7 @@ class GyroSeries(Series):
 
     @classmethod
     def from_seconds(cls, t_s: ArrayLike, rate: ArrayLike) -> Self:
-        """Return a series whose stamps are seconds as floats.
+        """Return a series whose timestamps are seconds as floats.
 
         Parameters
         ----------

@@ -72,7 +72,7 @@ class SimulateOptions(TypedDict, total=False):
     motion: Annotated[MotionName, Keyword(
         Choice(*get_args(MotionName)), "What the body does.", "spin", preset=True)]
     rate: Annotated[float | Fraction | str, Keyword(
-        frequency, "Samples a second.", "100", "HZ", preset=True)]
+        frequency, "Samples per second.", "100", "HZ", preset=True)]
     duration: Annotated[str | int | timedelta | None, Keyword(
         length, "How long, such as 20s or 1h; the last sample is just before it.", "20s", "DUR")]
     samples: Annotated[int | None, Keyword(

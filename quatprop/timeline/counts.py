@@ -42,8 +42,8 @@ MIN_SAMPLES = 20
 class Policy(NamedTuple):
     """How each kind of irregularity is handled.
 
-    `on_backwards`: time stamps earlier than one before, and outliers: ``"error"``; ``"drop"`` the
-        samples; ``"sort"`` all samples by stamp (keeps the whole log in memory) and drop outliers;
+    `on_backwards`: timestamps earlier than one before, and outliers: ``"error"``; ``"drop"`` the
+        samples; ``"sort"`` all samples by time (keeps the whole log in memory) and drop outliers;
         ``"keep"`` them, for inspection only
     `on_nonfinite`: rates that are NaN or infinite: ``"error"``; ``"drop"`` the samples; ``"hold"``
         the last finite rate; ``"keep"`` them, for inspection only
@@ -51,7 +51,7 @@ class Policy(NamedTuple):
         ``"error"``; ``"zero"`` assumes no rotation; ``"split"`` restarts from q0
     `max_gap_ns`: intervals longer than this count as gaps, ns; None means
         :data:`quatprop.timeline.stamps.GAP_FACTOR` median intervals
-    `regular_time`: whether time stamps that jitter about a steady clock are replaced by its times
+    `regular_time`: whether timestamps that jitter about a steady clock are replaced by its times
     """
 
     on_backwards: Literal["error", "drop", "sort", "keep"] = "error"
@@ -100,7 +100,7 @@ class Event:
 
 
 class SteadyClock(NamedTuple):
-    """The steady clock that time stamps jitter about.
+    """The steady clock that timestamps jitter about.
 
     `rate_hz`: its rate, Hz; the mean over a log
     `offset_ns`: its first time, ns

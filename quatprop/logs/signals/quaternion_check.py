@@ -38,7 +38,7 @@ class QuaternionCounts:
     `normalized`: rows that were scaled to unit length
     `worst`: largest difference of a length from 1 among the rows that are neither zero nor NaN
     `first`: number of the first invalid row, from 0; None while there is none
-    `first_ns`: its stamp, ns
+    `first_ns`: its timestamp, ns
     """
 
     read: int = 0
