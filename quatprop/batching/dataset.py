@@ -20,7 +20,7 @@ from quatprop.concurrency.processes import KILLED, map_processes
 from quatprop.errors import OutputError, QuatpropError, StoreError, UsageError
 from quatprop.pipeline.report import convention_of
 from quatprop.provenance import METADATA_KEY, digest_of
-from quatprop.settings.guarded_text import read_json
+from quatprop.settings.guarded_text import ContentError, read_json
 from quatprop.stores.objects import is_address, list_objects, without_secret
 from quatprop.stores.remote import RemoteSource
 from quatprop.stores.temp_files import locked, temp_folder
@@ -244,6 +244,8 @@ def _rows_of(part: Path) -> LogRows:
             return LogRows(log, digest_of(part).sha256, file.num_row_groups)
     except (ArrowException, OSError) as error:
         raise _unreadable(part, error) from error
+    except (ContentError, KeyError, TypeError) as error:
+        raise OutputError(part, "no batch has written this; remove it") from error
 
 
 def _unreadable(place: str | Path, error: Exception) -> OutputError:

@@ -188,6 +188,16 @@ def test_a_file_that_was_damaged_is_made_again(made, logs, tmp_path, damage):
     assert place.read_bytes() == before
 
 
+def test_a_part_of_others_is_named(made, logs, tmp_path):
+    """A table that somebody put among the parts was called a bug of this program."""
+    shutil.copytree(made, tmp_path / "out")
+    part = tmp_path / "out" / "_parts" / "0-of-3" / "x.parquet"
+    part.parent.mkdir(parents=True, exist_ok=True)
+    pyarrow.parquet.write_table(pyarrow.table({"a": [1]}), part)
+    words = refused("batch", logs, "-o", tmp_path / "out", *DATASET, "-q")
+    assert words == f"Error: {part}: no batch has written this; remove it"
+
+
 def test_rows_that_cannot_be_read_are_not_lost_unsaid(made, logs, tmp_path):
     """Where one log of a damaged file comes again, the rows of the others cannot be kept."""
     shutil.copytree(made, tmp_path / "out")
