@@ -61,8 +61,8 @@ def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions])
     Returns
     -------
     GyroSeries
-        All samples in the order of the log: stamps in ns, rates in rad/s. Irregular timestamps are
-        left as they are, unless `regular_time` is asked for; :func:`propagate` handles them.
+        All samples in the order of the log: timestamps in ns, rates in rad/s. Irregular timestamps
+        are left as they are, unless `regular_time` is asked for; :func:`propagate` handles them.
 
     Raises
     ------

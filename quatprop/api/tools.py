@@ -35,7 +35,7 @@ class Simulation(NamedTuple):
     rates
         What the gyroscope measured.
     truth
-        The true attitudes at its stamps.
+        The true attitudes at its timestamps.
     """
 
     rates: GyroSeries

@@ -31,7 +31,7 @@ class AttitudeSeries(Series):
     Parameters
     ----------
     t_ns
-        Time stamps, shape ``(N,)``: int64 nanoseconds, or dates.
+        Timestamps, shape ``(N,)``: int64 nanoseconds, or dates.
     wxyz
         Unit quaternions body -> reference (Hamilton, scalar first), shape ``(N, 4)``, kept as
         float64.
@@ -187,7 +187,7 @@ class AttitudeSeries(Series):
         Raises
         ------
         SeriesError
-            The stamps differ.
+            The timestamps differ.
         """
         from quatprop.kinematics.quaternion import multiply
 
@@ -205,13 +205,13 @@ class AttitudeSeries(Series):
         Parameters
         ----------
         other
-            Attitudes of the other body against the same reference, at stamps that do not step
+            Attitudes of the other body against the same reference, at timestamps that do not step
             back. Between two of them it is taken to turn about a fixed axis, on the shorter way.
 
         Returns
         -------
         AttitudeSeries
-            q_other* q_self, at those stamps of this series that are within the other.
+            q_other* q_self, at those timestamps of this series that are within the other.
         """
         from quatprop.kinematics.quaternion import conjugate, multiply, slerp
 

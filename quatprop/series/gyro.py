@@ -25,18 +25,18 @@ class GyroSeries(Series):
     Parameters
     ----------
     t_ns
-        Time stamps, shape ``(N,)``: int64 nanoseconds, or dates. For seconds as floats see
+        Timestamps, shape ``(N,)``: int64 nanoseconds, or dates. For seconds as floats see
         :meth:`from_seconds`.
     rate
         Angular rate, shape ``(N, 3)``, rad/s, kept as float64. Resolved in the body frame unless
         the propagation is told ``rates="inertial"``.
     integration_time_ns
         For samples that are increments, integrated by the sensor: the time over which each was,
-        shape ``(N,)``, int64, ns, ending at its stamp. The increment is the rate times this, and
-        is taken as it is, whatever lies between the stamps. None for rates.
+        shape ``(N,)``, int64, ns, ending at its timestamp. The increment is the rate times this,
+        and is used as it is, whatever lies between the timestamps. None for rates.
     is_interval_average
-        Whether each rate is the average over the interval that ends at its stamp, instead of the
-        rate at that moment. Then method ``"end"`` is the default, and exact about a fixed axis.
+        Whether each rate is the average over the interval that ends at its timestamp, instead of
+        the rate at that moment. Then method ``"end"`` is the default, and exact about a fixed axis.
     log_ns
         When the message of each sample was recorded, shape ``(N,)``, int64, ns; None where it is
         not known or not needed.
@@ -100,7 +100,7 @@ class GyroSeries(Series):
         Parameters
         ----------
         t_s
-            Time stamps, shape ``(N,)``, s; rounded to the nearest ns. Floats near 1.7e9 s, today's
+            Timestamps, shape ``(N,)``, s; rounded to the nearest ns. Floats near 1.7e9 s, today's
             Unix time, are 238 ns apart.
         rate
             As for the class.
