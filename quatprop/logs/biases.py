@@ -17,6 +17,7 @@ from quatprop.logs.vocabulary.sources import TYPES
 from quatprop.series import GyroSeries
 from quatprop.settings.rotations import InMemory
 from quatprop.settings.selection import RateSelection, SignalSelection
+from quatprop.stores.log_names import split_topic
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -38,12 +39,15 @@ def read_biases(source: str | InMemory, log: Log | None, selection: SignalSelect
         if not isinstance(series, GyroSeries) or not len(series):
             raise UsageError(f"{Setting('bias')}: a series of biases is a GyroSeries with rows")
         return BiasSeries(str(source), "rate", series.t_ns, series.rate)
-    if Path(source).exists():
-        with open_log(source) as opened:
-            known = [one for table in opened.tables() for one in find(table, "bias")]
+    path, topic = split_topic(source)
+    if Path(path).exists():
+        with open_log(path) as opened:
+            tables = opened.tables(topic)
+            known = [one for table in tables for one in find(table, "bias")]
             if len(known) != 1:
                 names = listed(one.table.name for one in known)
-                there = f"several topics with biases: {names}" if known else "no topic with biases"
+                none = "no topic with biases" if tables else f"no topic {quoted(topic)}"
+                there = f"several topics with biases: {names}" if known else none
                 raise UsageError(f"{Setting('bias')} {plain(source)}: it has {there}")
             return _of_match(source, match_bias(known[0], RateSelection()))
     if log is None or not (tables := log.tables(source)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.logs.signals.rates import choose_rates
 from quatprop.logs.vocabulary.sources import GENERIC
 from quatprop.settings.selection import AttitudeSelection, RateSelection, SignalSelection
+from quatprop.stores.log_names import split_topic
 from quatprop.stores.objects import is_address
 from quatprop.tables.column_names import TIME_UNITS, parse_name
 from quatprop.tables.timestamps import from_text
@@ -43,18 +45,25 @@ def stamps_in(
     `log`, `selection`: an open log that can be read again, and how its rates were chosen; None for
         rates in memory
     """
-    is_file = Path(source).exists() or is_address(source)
-    tables = log.tables(source) if log is not None and not is_file else ()
-    if not is_file and not tables:
-        raise UsageError(
-            f"{Setting('at')} {plain(source)}: no such file is there"
-            + (", and the log has no such topic" if log is not None else "")
-        )
-    with errors_of("at"):
-        if is_file:
-            stamps = [*_of_file(source)]
+    path, topic = split_topic(source)
+    is_file = Path(path).exists() or is_address(path)
+    with errors_of("at"), ExitStack() as stack:
+        if is_file and topic is None:
+            stamps = [*_of_file(path)]
         else:
-            clock = None if selection is None else selection.clock
+            clock = None if is_file or selection is None else selection.clock
+            if is_file:
+                log = stack.enter_context(open_log(path))
+            tables = () if log is None else log.tables(topic or source)
+            if not tables:
+                absent = "no such file is there"
+                if log is not None:
+                    absent = (
+                        f"there is no topic {quoted(topic)}"
+                        if is_file
+                        else (f"{absent}, and the log has no such topic")
+                    )
+                raise UsageError(f"{Setting('at')} {plain(source)}: {absent}")
             stamps = [*_of_table(tables[0], SignalSelection(clock=clock))]
     return np.sort(np.concatenate([np.zeros(0, np.int64), *stamps]))
 

@@ -141,7 +141,7 @@ ABOUT_X, QUARTER_X, QUARTER_Z = [0.8, 0.6, 0, 0], [HALF, HALF, 0, 0], [HALF, 0, 
         ("Quaternion.csv", "Timestamp (us),W,X,Y,Z\n10000,.8,.6,0,0\n", 10**7, ABOUT_X),
         # The clock of a Movella DOT counts microseconds, by its manual; it had to be declared.
         ("dot.csv", f"{DOT},Quat_W,Quat_X,Quat_Y,Quat_Z\n0,10000,.8,.6,0,0\n", 10**7, ABOUT_X),
-        # Nor were its angles known: about z, the new y and the newest x, in deg, by the same manual.
+        # Nor were its angles known: of z, the new y, the newest x, in deg, by the manual.
         ("dot.csv", f"{DOT},Euler_X,Euler_Y,Euler_Z\n0,10000,0,0,90\n", 10**7, QUARTER_Z),
         # q[0] is the scalar in what ulog2csv writes.
         ("a_vehicle_attitude_0.csv", "timestamp,q[0],q[1],q[2],q[3]\n1,.8,.6,0,0\n", 1000, ABOUT_X),
