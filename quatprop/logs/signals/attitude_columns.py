@@ -176,7 +176,7 @@ def _rotation(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str
     if not rotations:
         if sequence is not None:
             _refuse_other_sequence(matcher, sequence)
-        raise NoAttitudesError(matcher.path, [column.text for column in matcher.columns], "columns")
+        raise NoAttitudesError(matcher.path, matcher.seen(), "columns")
     form, columns = rotations[0]
     for name in ("from_layout", "from_convention"):
         if getattr(selection, name) is not None:

@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from quatprop.settings.selection import RateSelection, SignalSelection
 
 
+IMU_COLUMNS = [str(k) for k in range(40)]
+"""Of the numbers of a sensor_msgs/Imu without names."""
+
+
 def match_rates(found: Found, selection: RateSelection) -> Match:
     """Return rates with their unit and their time."""
     matcher = ColumnMatcher(found, selection, "rate_cols")
@@ -89,7 +93,14 @@ def _no_rates(matcher: ColumnMatcher) -> LogError:
             "OpenRocket)",
             f"{Setting('rate_cols', 'X,Y,Z')} if they are those of the body",
         )
-    return NoRatesError(matcher.path, [column.text for column in matcher.columns], "columns")
+    if [column.text for column in matcher.columns] == IMU_COLUMNS:
+        cols = f"{Setting('rate_cols', '16,17,18')} {Setting('rate_unit', 'rad/s')}"
+        return UndeclaredError(
+            matcher.path,
+            f"what its {len(IMU_COLUMNS)} columns without names are",
+            f"{cols} {Setting('time_col', '0,1')} if ros2 topic echo --csv wrote a sensor_msgs/Imu",
+        )
+    return NoRatesError(matcher.path, matcher.seen(), "columns")
 
 
 def match_bias(found: Found, selection: SignalSelection) -> Match:

@@ -200,7 +200,7 @@ def test_a_tum_trajectory_of_another_name_is_read_as_one_where_the_user_says_so(
 def test_numbered_columns_need_columns_and_a_layout(table):
     """Without a header nothing is guessed, one question after the other."""
     path = table("10,0.6,0,0,0.8\n20,0.6,0,0,0.8\n")
-    refused(NoAttitudesError, path, "no attitudes found; its columns are '0', '1', '2'")
+    refused(NoAttitudesError, path, "no attitudes found; its columns are '0: 10', '1: 0.6', '2: 0'")
     named = {"quat_cols": ("1", "2", "3", "4"), "time_col": "0", "time_unit": "us"}
     sentence = (
         "which of the columns '1', '2', '3', '4' is the scalar is not declared; say it "
