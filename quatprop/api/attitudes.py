@@ -227,7 +227,7 @@ def _side(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:
 
     if isinstance(source, AttitudeSeries):
         return _valid(name, source)
-    path = path_text(name, source, "make an AttitudeSeries of arrays")
+    path = path_text(name, source, "make an AttitudeSeries from arrays")
     with errors_of(name):
         return read_attitudes(path)
 

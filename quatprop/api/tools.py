@@ -98,7 +98,7 @@ def plot(  # noqa: PLR0913  # one keyword for each option
     components
         Draw the components of quaternions instead of yaw, pitch and roll.
     unwrap
-        Draw yaw and roll beyond half a turn.
+        Draw yaw and roll without jumps at half a turn.
     reference
         Draw the geodesic error of each against these attitudes instead, a path or a series.
     **options

@@ -86,7 +86,7 @@ def refuse_mixture(outputs: Iterable[str], files: int | None, folder: str) -> No
     }
     found = map(_FILE.fullmatch, folders)
     for other in {int(match[2]) if match else None for match in found} - {files}:
-        what = f"a file for each log; leave {Setting('dataset')} out, or choose"
+        what = f"one file per log; omit {Setting('dataset')}, or choose"
         if other:
             options = f"{Setting('dataset')} {Setting('buckets', str(other))}"
             what = f"a dataset of {other} files; choose {options}, or"

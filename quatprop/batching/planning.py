@@ -107,7 +107,7 @@ def dataset_files(kind: str, *, dataset: bool, buckets: int | None) -> int | Non
             raise UsageError(f"{Setting('buckets')} goes with {Setting('dataset')}")
         return None
     if kind != "parquet":
-        raise UsageError(f"{Setting('dataset')} is Parquet; leave {Setting('to', kind)} out")
+        raise UsageError(f"{Setting('dataset')} is Parquet; omit {Setting('to', kind)}")
     return buckets or BUCKETS
 
 

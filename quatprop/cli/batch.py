@@ -47,7 +47,7 @@ OPTIONS = {
         group="Output"),
     "--buckets": Keyword(
         click.IntRange(1, 1 << 16),
-        "With --dataset: the number of its files; in which a log is depends on its name alone.",
+        "With --dataset: the number of its files; a log's file depends only on its name.",
         "256", "N", group="Output"),
     "--list list_file": Keyword(
         PATH, "Also read names from FILE or stdin, one per line, relative to the current folder.",
@@ -61,7 +61,7 @@ OPTIONS = {
         "Only the I-th of N parts of the logs, I from 1, as for array jobs; of which part a log "
         "is depends on its name alone.", "all", "I/N", group="Execution"),
     "-j processes": Keyword(
-        click.IntRange(min=1), "Logs at a time: each in a process of its own.", "the cores", "N",
+        click.IntRange(min=1), "Number of logs at the same time, each in its own process.", "the cores", "N",
         group="Execution", common=True),
     "--dask": Keyword(
         click.STRING,
@@ -76,7 +76,7 @@ OPTIONS = {
         group="Execution"),
     "--retries": Keyword(
         click.IntRange(min=0),
-        "Try a log again, up to N times, whose process was killed or whose store did not answer.",
+        "Retry a log up to N times if its process was killed or its store did not answer.",
         "0", "N", group="Execution", preset=True),
     "--json as_json": Keyword(
         flag, "JSON on stdout: the report of each log.", group="Display", common=True),
@@ -194,6 +194,6 @@ def _warn_of_unused(manifest: Manifest) -> None:
     if count := manifest.unused:
         click.echo(
             f"Warning: {plain(manifest.place)}: {count} line{'s' * (count > 1)} that no batch "
-            "writes; ignored, so that a log may be propagated again",
+            "writes; ignored, so a log may be propagated again",
             err=True,
         )

@@ -34,7 +34,7 @@ EXAMPLES = (
 
 OPTIONS = {
     "-j processes": Keyword(click.IntRange(min=1),
-        "Cases at a time, each in a process of its own; the output is the same for any N.", "1",
+        "Number of cases at the same time, each in its own process; the output is the same for any N.", "1",
         "N", preset=True),
     "--update": Keyword(
         flag, "Write the references of cases that are new, changed or fail, and list each with "
@@ -168,7 +168,7 @@ def _refuse_contradictions(logs: Sequence[str], options: Mapping[str, Any]) -> N
     on_ci = os.environ.get("CI", "").lower() not in {"", "0", "false"}
     if updating and on_ci and not options["force"] and not options["dry_run"]:
         raise click.UsageError(
-            "CI is set, where nobody reviews the references that this would write; run it at home, "
+            "CI is set, so nobody would review the references that this writes; run it on your machine, "
             f"{'' if options['init'] else 'preview it with --dry-run, '}or write them all the same "
             "with --force"
         )
@@ -206,7 +206,7 @@ def _removed(
     names = [name for name in gone if not patterns or name in patterns]
     if names and not (patterns or options["force"] or options["dry_run"]):
         raise click.UsageError(
-            f"the lock pins {listed(names)}, which the suite has no more; restore what was "
+            f"the lock pins {listed(names)}, which the suite no longer has; restore what was "
             f"deleted or renamed, or see with --dry-run what was pinned, and remove it with "
             f"--update -k NAME, or all of them with --update --force"
         )

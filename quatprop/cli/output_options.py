@@ -45,7 +45,7 @@ OUTPUT_OPTIONS = {
         flag, f"Begin {', '.join(_COMMENTED[:-1])} or {_COMMENTED[-1]} with the report in a # "
         "comment.", group="Output"),
     "--message": Keyword(Choice(*MESSAGES),
-        f"What mcap and bags hold: {', '.join(MESSAGES)}. The last two are "
+        f"Message type in mcap and bags: {', '.join(MESSAGES)}. The last two are "
         "Foxglove's own, for mcap only.", "QuaternionStamped", "TYPE", group="Output"),
     "--out-topic": Keyword(
         click.STRING, "Topic of the messages.", "/attitude, or /tf for transforms", "NAME",

@@ -47,7 +47,7 @@ OPTIONS = {
         flag, "Draw the four components of the quaternion.", "yaw, pitch and roll",
         group="Options"),
     "--unwrap": Keyword(
-        flag, "Draw yaw and roll beyond half a turn.", "from -180 to 180 deg", group="Options"),
+        flag, "Draw yaw and roll without jumps at half a turn.", "from -180 to 180 deg", group="Options"),
     "--size": Keyword(
         picture_size, "Size of the picture, such as 90mm, 16x9cm or 3.5in.", "7.5in wide",
         "W[xH]UNIT", group="Options"),
@@ -59,7 +59,7 @@ OPTIONS = {
     "--style": Keyword(
         PATH, "Style sheet of matplotlib, for fonts, axes and grid of a picture.", takes="FILE",
         group="Output"),
-    "--no-title": Keyword(flag, "Leave out the lines above and below the panels.", group="Options"),
+    "--no-title": Keyword(flag, "Omit the lines above and below the panels.", group="Options"),
 }  # fmt: skip
 REFERENCE = {
     "--reference": Keyword(

@@ -124,7 +124,7 @@ def judge(settings: ComparisonSettings, measured: Comparison) -> Iterator[Criter
             continue
         if size is None:
             raise ComparisonError(
-                f"one pair of attitudes shows no drift; leave {Setting('drift_tol')} out"
+                f"one pair of attitudes shows no drift; omit {Setting('drift_tol')}"
             )
         passed = size >= limit if setting == "min_coverage" else abs(size) <= limit
         yield Criterion(setting, label, size, limit, unit, passed)

@@ -35,7 +35,7 @@ def test_a_time_range_is_converted(tmp_path, truth, part, first, last):
     assert quatprop.read_attitudes(out) == truth[first : last + 1]
     recorded = json.loads(report.read_text())["conversions"][0]["time_range"]
     assert (recorded["before"], recorded["after"]) == (first, 999 - last)
-    assert f"left out: {first + 999 - last} rows outside the time range" in said
+    assert f"omitted: {first + 999 - last} rows outside the time range" in said
 
 
 def test_attitudes_of_a_time_range_are_read(truth):

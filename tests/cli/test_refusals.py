@@ -19,7 +19,7 @@ COUNTED = (
     "(2024-01-31T12:00:00Z) or in ns, without a unit"
 )
 IN_NS = "a number without a unit is in ns: write all digits, a date, or a duration from the first"
-KIND = "leave --from out, or name the log itself"
+KIND = "omit --from, or name the log itself"
 ONCE = "Error: stdin can be read only once; name files for the others"
 TWO_TOPICS = "Error: two.mcap: several topics carry attitudes: '/one', '/two'; choose one with"
 SIMULATED = "|".join(kind for kind in WRITERS if kind not in {"tum", "euroc", "kitti"})
@@ -138,7 +138,7 @@ COMPARE = {
 
 JPL = "--from-convention says hamilton, but the metadata of the file says jpl; omit it"
 OF_MATRIX = "is about quaternions and matrix has none; omit it"
-NO_MESSAGES = "csv holds no messages; leave --message, --out-topic and --frames out"
+NO_MESSAGES = "csv holds no messages; omit --message, --out-topic and --frames"
 CONVERT = {
     "q0.csv out.csv --report q0.csv": f"Error: q0.csv: {INPUT}",
     "q.csv q.csv": f"Error: q.csv: {INPUT}",

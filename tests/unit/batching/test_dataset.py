@@ -225,7 +225,7 @@ def test_a_folder_is_one_dataset_or_files(made, logs, tmp_path):
         )
     batch(logs / "a.csv", "-o", tmp_path / "files", code=0)
     words = refused("batch", logs, "-o", tmp_path / "files", "--dataset")
-    assert words.endswith("has a file for each log; leave --dataset out, or choose another folder")
+    assert words.endswith("has one file per log; omit --dataset, or choose another folder")
     log = pyarrow.parquet.read_table(made / "1-of-3.parquet")["log"].to_pylist()[0]
     again = (logs / log, "--root", logs, "-o", out, *DATASET, "--with", "rotvec", "-q")
     assert " has other columns than other logs in it; propagate all" in refused("batch", *again)
@@ -233,7 +233,7 @@ def test_a_folder_is_one_dataset_or_files(made, logs, tmp_path):
     assert "rotvec_x_rad" in pyarrow.dataset.dataset(out).schema.names
     assert refused("batch", logs, "-o", out, "--buckets", "3").startswith("Error: --buckets goes")
     words = refused("batch", logs, "-o", tmp_path / "x", "--dataset", "--to", "csv")
-    assert words == "Error: --dataset is Parquet; leave --to csv out"
+    assert words == "Error: --dataset is Parquet; omit --to csv"
 
 
 def test_a_shard_has_whole_files():

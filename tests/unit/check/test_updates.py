@@ -152,7 +152,7 @@ def test_a_lock_that_is_none_is_refused(folder):
         words = f"it is not the lock that --update writes{why}; restore it, or remove it and update"
         assert result.stderr == f"Error: {lock}: {words}\n", content
     lock.unlink()
-    words = "the reference is there, but not in the lock; restore the lock, or check with --update"
+    words = "the reference file exists, but is not in the lock; restore the lock, or check with --update"
     assert words in check(suite).stdout
 
 

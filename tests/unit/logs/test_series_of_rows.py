@@ -286,7 +286,7 @@ def test_a_bias_of_several_series_is_refused_with_a_way_out(tmp_path):
     bias = write_rates(tmp_path / "bias.csv", rows, f"t_ns,unit,{names}")
     assert run("propagate", rates, "-o", "-", "--bias", bias).stderr == (
         f"Error: {bias}: the rows of several series, 'a', 'b' in column 'unit', take turns; write "
-        "each to a file of its own\n"
+        "each to its own file\n"
     )
 
 
