@@ -89,7 +89,7 @@ def write(
         Format; by default that of the suffix. A name without a suffix is a ROS 2 bag folder.
     layout
         ``"scalar-first"`` or ``"scalar-last"``; by default what the format prescribes, or
-        scalar-first where it leaves the choice.
+        scalar-first if it allows both.
     extra_columns
         What else to write of each attitude into columns of a table, such as ``"euler-zyx-deg"``;
         a representation of :func:`convert`.

@@ -194,7 +194,8 @@ def _no_overlap(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> str:
     if case.external is not None:
         ways += [Setting("clock", side="b"), Setting("time_offset", "auto")]
     return spelled(
-        f"the log's attitudes ({spans[0]}) and the reference attitudes ({spans[1]}) have no time in "
+        f"the log's attitudes ({spans[0]}) and the reference attitudes ({spans[1]}) have no "
+        f"time in "
         "common: their timestamps are from different clocks or different recordings; see "
         f"{', '.join(ways)}"
     )
@@ -232,6 +233,7 @@ def compare_timestamps(a: AttitudeSeries, b: AttitudeSeries) -> str:
         return ""
     first = int(differing[0])
     return (
-        f"{len(differing)} of {len(a)} timestamps differ from those of the reference file, the first at attitude "
+        f"{len(differing)} of {len(a)} timestamps differ from those of the reference file, "
+        f"the first at attitude "
         f"{first}: {a.t_ns[first]} ns, not {b.t_ns[first]} ns"
     )

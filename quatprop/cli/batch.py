@@ -58,18 +58,19 @@ OPTIONS = {
         "DIR", group="Execution"),
     "--shard": Keyword(
         click.STRING,
-        "Only the I-th of N parts of the logs, I from 1, as for array jobs; of which part a log "
-        "is depends on its name alone.", "all", "I/N", group="Execution"),
+        "Only the I-th of N parts of the logs, I from 1, as for array jobs; a log's part "
+        "depends only on its name.", "all", "I/N", group="Execution"),
     "-j processes": Keyword(
-        click.IntRange(min=1), "Number of logs at the same time, each in its own process.", "the cores", "N",
+        click.IntRange(min=1), "Number of logs at the same time, each in its own process.",
+        "the cores", "N",
         group="Execution", common=True),
     "--dask": Keyword(
         click.STRING,
         "Use the workers of the Dask cluster whose scheduler has this address; they must "
         "see the same paths.", "this machine", "ADDRESS", group="Execution"),
     "--skip-existing": Keyword(
-        flag, "Leave out logs whose output is up to date: made by the same version, with the "
-        "same options, from the log as it is (size and time), and of the size that it had.",
+        flag, "Skip logs whose output is up to date: the version, the options, the log's size and "
+        "time, and the size of the output are unchanged.",
         group="Execution", common=True),
     "--verify": Keyword(
         flag, "With --skip-existing, also compare the SHA-256 of each output.",
@@ -162,7 +163,7 @@ def _refuse_contradictions(folder: str, chosen: Mapping[str, Any]) -> None:
     if chosen["dask"] and chosen["processes"]:
         raise click.UsageError("-j is for this machine; omit it with --dask")
     if chosen["verify"] and not chosen["skip_existing"]:
-        raise click.UsageError("--verify goes with --skip-existing")
+        raise click.UsageError("--verify requires --skip-existing")
     if Path(folder).is_file():
         raise click.UsageError(f"-o {folder} is a file; name a folder for the outputs")
 
@@ -194,6 +195,6 @@ def _warn_of_unused(manifest: Manifest) -> None:
     if count := manifest.unused:
         click.echo(
             f"Warning: {plain(manifest.place)}: {count} line{'s' * (count > 1)} that no batch "
-            "writes; ignored, so a log may be propagated again",
+            "writes; ignored, so that a log may be propagated again",
             err=True,
         )

@@ -75,7 +75,7 @@ class SelectOptions(TypedDict, total=False):
         "counter, Hz.", takes="HZ")]
     series: Annotated[str | int | None, Keyword(
         lambda value: text(str(value)), "Which of the interleaved series in the rows of {log}, "
-        "such as those of two sensors; all reads them as one.", "the only one there is",
+        "such as two sensors; all reads them as one.", "the only one there is",
         "VALUE|COLUMN=VALUE|all")]
     # fmt: on
 

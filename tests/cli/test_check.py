@@ -234,7 +234,9 @@ def test_a_log_that_is_made_anew_may_be_longer(ci):
 SHA = "its content changed since the reference file was made (SHA-256 "
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
 NOT_THERE = "it is a Git LFS pointer, not the file itself; download the file with git lfs pull"
-LINE_ENDS = "only its line ends changed since the reference file was made, from {}: Git converts them"
+LINE_ENDS = (
+    "only its line ends changed since the reference file was made, from {}: Git converts them"
+)
 BROKEN_FILES = {
     ("spin", "logs/spin.csv"): {
         "flip": SHA,
@@ -336,7 +338,10 @@ def test_a_reference_that_is_not_the_pinned_one_is_an_error(ci, options, words):
     shutil.copy(other, reference)
     code, case = judged(ci, "spin")
     assert (code, case["verdict"]) == (2, "error")
-    assert "refs/spin.parquet: this is not the reference file that was pinned (SHA-256 " in case["said"]
+    assert (
+        "refs/spin.parquet: this is not the reference file that was pinned (SHA-256 "
+        in case["said"]
+    )
     assert words in case["said"]
 
 

@@ -208,7 +208,7 @@ def test_rows_that_cannot_be_read_are_not_lost_unsaid(made, logs, tmp_path):
     again = (logs / log, "--root", logs, "-o", tmp_path / "out", *DATASET)
     words = refused("batch", *again, "-q")
     assert words.startswith(f"Error: {place}: its rows cannot be read (")
-    assert words.endswith("); remove it, and go on with --skip-existing")
+    assert words.endswith("); remove it, and continue with --skip-existing")
     place.unlink()
     batch(logs, "-o", tmp_path / "out", *DATASET, "--skip-existing", code=0)
     assert files_in(tmp_path / "out") == files_in(made)
@@ -231,7 +231,9 @@ def test_a_folder_is_one_dataset_or_files(made, logs, tmp_path):
     assert " has other columns than other logs in it; propagate all" in refused("batch", *again)
     batch(logs, "-o", out, *DATASET, "--with", "rotvec", code=0)
     assert "rotvec_x_rad" in pyarrow.dataset.dataset(out).schema.names
-    assert refused("batch", logs, "-o", out, "--buckets", "3").startswith("Error: --buckets goes")
+    assert refused("batch", logs, "-o", out, "--buckets", "3").startswith(
+        "Error: --buckets requires"
+    )
     words = refused("batch", logs, "-o", tmp_path / "x", "--dataset", "--to", "csv")
     assert words == "Error: --dataset is Parquet; omit --to csv"
 

@@ -361,9 +361,7 @@ def test_what_cannot_be_written_is_refused_before_there_is_a_file(tmp_path):
     assert refusal(target, "csv", layout="jpl") == (
         "no layout 'jpl'; choose one of 'scalar-first', 'scalar-last', 'wxyz', 'xyzw'"
     )
-    assert refusal(target, "jsonl", comment=True) == (
-        "jsonl has no comments; omit header_comment"
-    )
+    assert refusal(target, "jsonl", comment=True) == ("jsonl has no comments; omit header_comment")
     words = f": kind 'tum' holds quaternions only; choose {', '.join(map(repr, TABLES))}$"
     with pytest.raises(OutputError, match=words):
         open_table(tmp_path / "a.tum", ["x"])
