@@ -60,7 +60,7 @@ def propose_limits(log: str, reference: str) -> Iterator[str]:
     least = covered.least
     yield (
         f"min-coverage = {math.floor(least) - 1}  # {least:.4g} % of the reference "
-        f"attitudes are compared"
+        "series is compared"
     )
 
 

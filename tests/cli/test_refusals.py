@@ -177,7 +177,7 @@ PLOT = {
     "q.svg --from csv -o q.svg": f"Error: q.svg: {INPUT}",
     "q.csv --reference q.svg -o q.svg": f"Error: q.svg: {INPUT}",
     "q.csv none.csv -o old.png": "none.csv: no such file",
-    "q.csv --components --unwrap": "--unwrap cannot be combined with --components, which have no turns",
+    "q.csv --components --unwrap": "--unwrap cannot be combined with --components",
     "q.csv --tol 1deg": "Error: --tol requires --reference",
     "q.csv --topic-ref /a": "Error: --topic-ref requires --reference",
     "q.csv --reference q.csv --components": "--components cannot be combined with --reference",
