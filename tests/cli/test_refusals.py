@@ -164,7 +164,7 @@ CONVERT = {
     "q.csv a.tum --with euler-zyx": "--with: tum has its own columns; choose 'csv', ",
     "q.csv a.mcap --with euler-zyx": "--with: mcap has its own columns; choose 'csv', ",
     "q.csv - --with euler-zyx --as rotvec": "--with is about quaternions and rotvec has none",
-    "q.csv - --with euler-zyx --direction ref-to-body": "--with goes with Hamilton quaternions bo",
+    "q.csv - --with euler-zyx --direction ref-to-body": "--with requires Hamilton quaternions bo",
     "q.csv - --with rotvec --euler-unit deg": "--euler-unit requires euler-zyx or another sequen",
 }
 
