@@ -61,7 +61,7 @@ OPTIONS = {
         "Only the I-th of N parts of the logs, I from 1, as for array jobs; a log's part "
         "depends only on its name.", "all", "I/N", group="Execution"),
     "-j processes": Keyword(
-        click.IntRange(min=1), "Number of logs at the same time, each in its own process.",
+        click.IntRange(min=1), "Logs at a time: each in its own process.",
         "the cores", "N",
         group="Execution", common=True),
     "--dask": Keyword(
@@ -69,8 +69,8 @@ OPTIONS = {
         "Use the workers of the Dask cluster whose scheduler has this address; they must "
         "see the same paths.", "this machine", "ADDRESS", group="Execution"),
     "--skip-existing": Keyword(
-        flag, "Skip logs whose output is up to date: the version, the options, the log's size and "
-        "time, and the size of the output are unchanged.",
+        flag, "Skip logs whose output is up to date: same version, options, log (size and time) "
+        "and output size.",
         group="Execution", common=True),
     "--verify": Keyword(
         flag, "With --skip-existing, also compare the SHA-256 of each output.",

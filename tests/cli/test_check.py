@@ -433,7 +433,7 @@ FAILURES = {
     "stamp": (lambda ci: rewrite(ci, "rest", late), STAMP),
     "tenth": (
         lambda ci: remade(ci, lambda rows: rows[: len(rows) // 10]),
-        "% of the samples of the reference, at least 99 %",
+        "% of the samples of the reference series, at least 99 %",
     ),
     "third": (lambda ci: remade(ci, lambda rows: rows[::3]), ABOVE),
     "bias": (

@@ -97,5 +97,7 @@ def test_stamps_that_do_not_rise_are_not_interpolated(tmp_path):
     """There is no attitude between them."""
     source = tmp_path / "in.csv"
     source.write_text("t_ns,qw,qx,qy,qz\n5,1,0,0,0\n5,1,0,0,0\n")
-    with pytest.raises(TimelineError, match="timestamps do not rise: 5 ns and then 5 ns; leave ra"):
+    with pytest.raises(
+        TimelineError, match="timestamps do not rise: 5 ns and then 5 ns; omit rate"
+    ):
         quatprop.convert(source, tmp_path / "out.csv", rate=10)
