@@ -71,12 +71,9 @@ def _written(
     check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
     order = _Order()
     # A reference that is turned into the body is no place for a position.
+    is_absolute = source.meaning.direction == HAMILTON.direction and job.relative_to is None
+    keeps = target.holds_positions and is_absolute
     relative = None if job.relative_to is None else RelativeTo(job.relative_to)
-    keeps = (
-        relative is None
-        and target.holds_positions
-        and source.meaning.direction == HAMILTON.direction
-    )
     part = AttitudePart(source, wanted.part)
     resampling = None if job.rate is None else Resampling(wanted.path, job.rate)
     rows = part.read(
@@ -101,13 +98,12 @@ def _written(
             raise NoSamplesError(
                 wanted.path, source.name, part.outside, losses=log.losses, length=part.length
             )
-        losses, columns = list(log.losses), job.columns(sigma)
+        losses, columns = [*log.losses], job.columns(sigma)
         found = [*part.remarks(), *log.remarks, *order.remarks()]
         if resampling is not None:
             found += resampling.remarks()
         if relative is not None:
-            found += relative.remarks()
-            losses += relative.losses
+            losses, found = [*losses, *relative.losses], [*found, *relative.remarks()]
         lost = remarks_on(
             job,
             target.locked_rows,

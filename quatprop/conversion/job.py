@@ -158,12 +158,8 @@ class ConversionReport:
             **({"layout": job.layout.name} if is_quaternion else {}),
             **{
                 name: turn
-                for name, turn in (
-                    ("relative_to", job.relative_to),
-                    ("left", job.left),
-                    ("right", job.right),
-                )
-                if turn is not None
+                for name in ("relative_to", "left", "right")
+                if (turn := getattr(job, name)) is not None
             },
             **({} if job.rate is None else {"rate_hz": str(job.rate)}),
             "columns": list(self.columns),

@@ -11,7 +11,7 @@ from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
 from quatprop.rendering import count_text
 from quatprop.settings.selection import AttitudeSelection
 from quatprop.stores.log_names import split_topic
-from quatprop.text import Remark, Setting, plain
+from quatprop.text import Remark, plain
 from quatprop.timeline.stamps import GAP_FACTOR
 
 if TYPE_CHECKING:
@@ -28,40 +28,30 @@ class RelativeTo:
         wanted = AttitudeInput(path, selection=AttitudeSelection(topic=topic), side="relative_to")
         loaded = load_attitudes(wanted)
         self._source, self._other = source, loaded.series
-        self.losses = loaded.losses
-        self._steps = np.diff(self._other.t_ns)
-        if (self._steps <= 0).any():
-            raise TimelineError(
-                path,
-                "the timestamps of its attitudes do not rise, so none can be found between them; "
-                f"give {Setting('relative_to')} a series in order",
-            )
-        self._gap_ns = GAP_FACTOR * int(np.median(self._steps)) if len(self._steps) else 0
-        self._left_out = 0
+        self.losses, steps = loaded.losses, np.diff(self._other.t_ns)
+        if (steps <= 0).any():
+            raise TimelineError(path, "its timestamps do not increase; write them in order")
+        # Of each attitude, whether there is no gap before it; the first has none before it.
+        gap_ns = GAP_FACTOR * np.median(steps) if len(steps) else 0
+        self._near = np.insert(steps <= gap_ns, 0, values=False)
+        self._omitted = 0
 
     def applied(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
         """Yield q_other* q where the other series has attitudes on both sides."""
-        t_ns, kept = self._other.t_ns, 0
+        t_ns, used = self._other.t_ns, 0
         for series in batches:
             after = np.searchsorted(t_ns, series.t_ns).clip(0, len(t_ns) - 1)
-            near = np.insert(self._steps <= self._gap_ns, 0, values=False)[after]
-            is_known = (t_ns[after] == series.t_ns) | (near & (series.t_ns < t_ns[-1]))
-            self._left_out += int(np.count_nonzero(~is_known))
-            if is_known.any():
-                kept += 1
-                yield series[is_known].relative_to(self._other)
-        if self._left_out and not kept:
-            raise TimelineError(
-                self._source,
-                "it has no attitudes at the times of those that are to be relative to it; are both "
-                "on the same clock?",
-            )
+            is_known = (t_ns[after] == series.t_ns) | (self._near[after] & (series.t_ns < t_ns[-1]))
+            used += (count := int(np.count_nonzero(is_known)))
+            self._omitted += len(series) - count
+            yield series[is_known].relative_to(self._other)
+        if self._omitted and not used:
+            reason = "it has no attitudes at these times; are both on the same clock?"
+            raise TimelineError(self._source, reason)
 
     def remarks(self) -> Iterator[Remark]:
-        """Yield what was left out, if anything."""
-        if self._left_out:
-            yield Remark(
-                "not-covered",
-                f"{count_text(self._left_out, 'row')} left out, at times at which "
-                f"{plain(self._source)} has no attitude: before, after or in a gap of it",
-            )
+        """Yield what was omitted, if anything."""
+        if self._omitted:
+            where = "before, after or in a gap of the attitudes of"
+            text = f"omitted {count_text(self._omitted, 'row')} {where} {plain(self._source)}"
+            yield Remark("not-covered", text)

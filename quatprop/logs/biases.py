@@ -42,12 +42,10 @@ def read_biases(source: str | InMemory, log: Log | None, selection: SignalSelect
     path, topic = split_topic(source)
     if Path(path).exists():
         with open_log(path) as opened:
-            tables = opened.tables(topic)
-            known = [one for table in tables for one in find(table, "bias")]
+            known = [one for table in opened.tables(topic) for one in find(table, "bias")]
             if len(known) != 1:
                 names = listed(one.table.name for one in known)
-                none = "no topic with biases" if tables else f"no topic {quoted(topic)}"
-                there = f"several topics with biases: {names}" if known else none
+                there = f"several topics with biases: {names}" if known else "no topic with biases"
                 raise UsageError(f"{Setting('bias')} {plain(source)}: it has {there}")
             return _of_match(source, match_bias(known[0], RateSelection()))
     if log is None or not (tables := log.tables(source)):

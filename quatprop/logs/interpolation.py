@@ -57,12 +57,10 @@ def attitude_at(
         as it is stored, otherwise a unit quaternion on the shortest arc between its neighbours in
         time
     """
-    clock = None if selection is None else selection.clock
     path, topic = split_topic(str(source))
+    wanted, clock = AttitudeSelection(topic=topic), None if selection is None else selection.clock
     is_file = Path(path).exists()
-    if is_file:
-        wanted = AttitudeSelection(topic=topic)
-    else:
+    if not is_file:
         topic = str(source)
         if log is None or not log.tables(topic):
             raise UsageError(

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import re
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.errors import LogError, NoAttitudesError, NoRatesError, UndeclaredError, UsageError
+from quatprop.errors import (
+    LogError,
+    NoAttitudesError,
+    NoRatesError,
+    NoSuchTopicError,
+    UndeclaredError,
+    UsageError,
+)
 from quatprop.logs.attitude_input import errors_of
 from quatprop.logs.clocks.stamps import choose_time
 from quatprop.logs.matching.find import Found
@@ -47,41 +53,36 @@ def stamps_in(
     """
     path, topic = split_topic(source)
     is_file = Path(path).exists() or is_address(path)
-    with errors_of("at"), ExitStack() as stack:
-        if is_file and topic is None:
-            stamps = [*_of_file(path)]
+    tables = log.tables(source) if log is not None and not is_file else ()
+    if not is_file and not tables:
+        raise UsageError(
+            f"{Setting('at')} {plain(source)}: no such file is there"
+            + (", and the log has no such topic" if log is not None else "")
+        )
+    with errors_of("at"):
+        if is_file:
+            stamps = [*_of_file(path, topic)]
         else:
-            clock = None if is_file or selection is None else selection.clock
-            if is_file:
-                log = stack.enter_context(open_log(path))
-            tables = () if log is None else log.tables(topic or source)
-            if not tables:
-                absent = "no such file is there"
-                if log is not None:
-                    absent = (
-                        f"there is no topic {quoted(topic)}"
-                        if is_file
-                        else (f"{absent}, and the log has no such topic")
-                    )
-                raise UsageError(f"{Setting('at')} {plain(source)}: {absent}")
+            clock = None if selection is None else selection.clock
             stamps = [*_of_table(tables[0], SignalSelection(clock=clock))]
     return np.sort(np.concatenate([np.zeros(0, np.int64), *stamps]))
 
 
-def _of_file(path: str) -> Iterator[Int64]:
-    if (alone := _alone(path)) is not None:
+def _of_file(path: str, topic: str | None) -> Iterator[Int64]:
+    if topic is None and (alone := _alone(path)) is not None:
         yield alone
         return
     with open_log(path) as opened:
         try:
-            yield from [t_ns for t_ns, _ in choose_attitudes(opened, AttitudeSelection()).rows()]
-        except (NoAttitudesError, UndeclaredError) as error:
+            attitudes = choose_attitudes(opened, AttitudeSelection(topic=topic))
+            yield from [t_ns for t_ns, _ in attitudes.rows()]
+        except (NoAttitudesError, NoSuchTopicError, UndeclaredError) as error:
             try:
-                rates = choose_rates(opened, RateSelection())
+                rates = choose_rates(opened, RateSelection(topic=topic))
                 yield from [batch.t_ns for batch in rates.batches()]
-            except (NoRatesError, UndeclaredError):
-                tables = opened.tables()
-                if not isinstance(error, NoAttitudesError) or len(tables) != 1:
+            except (NoRatesError, NoSuchTopicError, UndeclaredError):
+                tables = opened.tables(topic)
+                if isinstance(error, UndeclaredError) or len(tables) != 1:
                     raise error from None
                 try:
                     yield from _of_table(tables[0], SignalSelection())

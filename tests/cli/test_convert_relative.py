@@ -55,7 +55,7 @@ def test_what_the_other_body_does_not_cover_is_left_out_and_counted(bodies, tmp_
     quatprop.write(other[rows], part)
     done = run("convert", shank, out, "--relative-to", part, code=0)
     kept = [*range(10, 39), *range(62, 91)]
-    assert f"{101 - len(kept)} rows left out" in done.stderr
+    assert f"omitted {101 - len(kept)} rows before, after or in a gap" in done.stderr
     found = quatprop.read_attitudes(out)
     assert found.t_ns.tolist() == T_NS[kept].tolist()
     bent = Rotation.from_quat(found.wxyz, scalar_first=True).magnitude()
@@ -70,8 +70,8 @@ def test_what_has_no_relation_is_refused(bodies, tmp_path):
     quatprop.write(AttitudeSeries(other.t_ns + 10**12, other.wxyz), later)
     quatprop.write(AttitudeSeries(other.t_ns[::-1], other.wxyz), back)
     for other_body, sentence in (
-        (later, f"{later}: it has no attitudes at the times of those that are to be relative"),
-        (back, f"{back}: the timestamps of its attitudes do not rise"),
+        (later, f"{later}: it has no attitudes at these times; are both"),
+        (back, f"{back}: its timestamps do not increase"),
         (tmp_path / "no.csv", f"{tmp_path / 'no.csv'}: no such file"),
     ):
         assert sentence in refused("convert", shank, out, "--relative-to", other_body)

@@ -55,10 +55,9 @@ class ColumnMatcher:
     def seen(self) -> list[str]:
         """Return the names of columns for an error, with first cells where they are numbers."""
         names = [column.text for column in self.columns]
-        if names != [str(k) for k in range(len(names))]:
-            return names
-        first = next(iter(self.table.head(range(len(names)))), ())
-        return [f"{k}: {cell}" for k, cell in enumerate(first)] or names
+        if names == [*map(str, range(len(names)))] and (rows := self.table.head(range(len(names)))):
+            return [f"{k}: {cell}" for k, cell in enumerate(rows[0])]
+        return names
 
     def has(self, name: str) -> bool:
         """Return whether a column is called that, as spelled."""
@@ -76,7 +75,7 @@ class ColumnMatcher:
         if len(positions) > 1:
             raise UsageError(
                 f"{plain(self.path)}: {len(positions)} columns are called {quoted(name)}; "
-                f"say which with its number from 0, {Setting(setting)} taking {positions[0]}, "
+                f"choose one by its number from 0: {Setting(setting)} takes {positions[0]}, "
                 f"{positions[1]}..."
             )
         if positions:

@@ -27,10 +27,6 @@ if TYPE_CHECKING:
     from quatprop.settings.selection import RateSelection, SignalSelection
 
 
-IMU_COLUMNS = [str(k) for k in range(40)]
-"""Of the numbers of a sensor_msgs/Imu without names."""
-
-
 def match_rates(found: Found, selection: RateSelection) -> Match:
     """Return rates with their unit and their time."""
     matcher = ColumnMatcher(found, selection, "rate_cols")
@@ -93,14 +89,12 @@ def _no_rates(matcher: ColumnMatcher) -> LogError:
             "OpenRocket)",
             f"{Setting('rate_cols', 'X,Y,Z')} if they are those of the body",
         )
-    if [column.text for column in matcher.columns] == IMU_COLUMNS:
-        cols = f"{Setting('rate_cols', '16,17,18')} {Setting('rate_unit', 'rad/s')}"
-        return UndeclaredError(
-            matcher.path,
-            f"what its {len(IMU_COLUMNS)} columns without names are",
-            f"{cols} {Setting('time_col', '0,1')} if ros2 topic echo --csv wrote a sensor_msgs/Imu",
-        )
-    return NoRatesError(matcher.path, matcher.seen(), "columns")
+    seen = matcher.seen()
+    if len(seen) == 40 and seen[-1].startswith("39: "):  # noqa: PLR2004  # of sensor_msgs/Imu
+        names = f"{Setting('rate_cols', '16,17,18')} {Setting('rate_unit', 'rad/s')}"
+        way_out = f"{names} {Setting('time_col', '0,1')} if ros2 topic echo wrote a sensor_msgs/Imu"
+        return UndeclaredError(matcher.path, "what its 40 columns without names are", way_out)
+    return NoRatesError(matcher.path, seen, "columns")
 
 
 def match_bias(found: Found, selection: SignalSelection) -> Match:

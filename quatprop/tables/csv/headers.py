@@ -200,14 +200,14 @@ def _dates(row: list[str]) -> dict[int, str | None]:
 
 def _refuse_opensim(texts: list[str], path: Path) -> None:
     """Refuse the quaternions of OpenSim: w,x,y,z of a sensor are one cell."""
-    if any(text.strip() == "DataType=Quaternion" for text in texts):
-        options = (("quat_cols", "1,2,3,4"), ("from_layout", "wxyz"), ("time_col", "0"))
-        named = " ".join(str(Setting(*one)) for one in (*options, ("time_unit", "s")))
-        raise UnsupportedLogError(
-            path,
-            "it is an OpenSim table, with a quaternion in a cell; write one number a cell with "
-            f"sed '1,/^time/d' FILE | tr , '\\t', and read the first sensor with {named}",
+    if "DataType=Quaternion" in map(str.strip, texts):
+        columns = f"{Setting('quat_cols', '1,2,3,4')} {Setting('from_layout', 'wxyz')}"
+        time = f"{Setting('time_col', '0')} {Setting('time_unit', 's')}"
+        way_out = (
+            f"sed '1,/^time/d' FILE | tr , '\\t', and read the first sensor with {columns} {time}"
         )
+        reason = "it is an OpenSim table, with a quaternion in a cell; write one number a cell with"
+        raise UnsupportedLogError(path, f"{reason} {way_out}")
 
 
 def _refuse_turns(rows: list[list[str]], data: list[int], path: Path) -> None:
@@ -260,7 +260,7 @@ def _refuse_mixture(data: list[list[str]], title: str, width: int, path: Path) -
         return
     raise UnsupportedLogError(
         path,
-        f"{reason}, so it holds several kinds of records; write each kind to a file of its own",
+        f"{reason}, so it holds several kinds of records; write each kind to its own file",
     )
 
 

@@ -97,6 +97,12 @@ def test_a_topic_of_another_log(tmp_path):
     assert found.t_ns.tolist() == [first_ns, first_ns + 9_990_000_000]
     assert found.wxyz[0].tolist() == same.wxyz[0].tolist() == [0, 1, 0, 0]
     assert found.report.as_json()["files"].keys() == {str(log)}
-    for option in ("--at", "--q0", "--bias"):
+    for option, sentence in (
+        ("--at", "no topic '/nothing' that carries attitudes; choose one of '/still', '/turned'"),
+        ("--q0", "no topic '/nothing' that carries attitudes; choose one of '/still', '/turned'"),
+        ("--bias", f"{log}:/nothing: it has no topic with biases"),
+    ):
         done = run("propagate", BAG, "-o", "-", option, f"{log}:/nothing", code=2)
-        assert "no topic '/nothing'" in done.stderr, done.stderr
+        assert sentence in done.stderr, done.stderr
+    found = quatprop.propagate(BAG, at=f"{log}:/other_bias")
+    assert found.t_ns.tolist() == same.t_ns.tolist()

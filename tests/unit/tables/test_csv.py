@@ -428,7 +428,7 @@ def test_a_table_without_names_shows_what_its_columns_hold():
     text = "".join(f"1700000000,{k}0000000,imu,{cells}\n" for k in range(1, 9))
     assert refusal(text, UndeclaredError) == (
         "what its 40 columns without names are is not declared; say it with rate_cols='16,17,18' "
-        "rate_unit='rad/s' time_col='0,1' if ros2 topic echo --csv wrote a sensor_msgs/Imu"
+        "rate_unit='rad/s' time_col='0,1' if ros2 topic echo wrote a sensor_msgs/Imu"
     )
     named = {"rate_cols": ("16", "17", "18"), "time_col": "0,1", "rate_unit": "rad/s"}
     t_ns, rate, *_ = table_rates(text, **named)
@@ -469,7 +469,7 @@ def test_a_row_of_a_date_and_words_is_no_header():
 def test_recordings_ask_for_what_they_do_not_say(shared_logs):
     """Line breaks in cells, a counter at a declared rate, two clocks of which one is named."""
     path = shared_logs / "nested_imu/kiran_car_circle_data_0_imu.csv"
-    assert "say them with rate_unit=" in refusal(path, UndeclaredError)
+    assert "specify them with rate_unit=" in refusal(path, UndeclaredError)
     t_ns, rate, losses, _ = table_rates(path, **UNITS)
     assert (len(t_ns), t_ns[0], losses) == (2530, int(Decimal("1763590172.7504675") * 10**9), [])
     assert rate[0].tolist() == [0.037773, 0.029186, -0.272747]
