@@ -53,16 +53,7 @@ OPTIONS = {
     options_of(ONE_SERIES, log="A", signal="attitudes", side="a"),
     options_of(ONE_SERIES, log="B", signal="attitudes", side="b"),
 )
-def command(  # noqa: PLR0913  # what is asked for of the result
-    a: str,
-    b: str,
-    *,
-    as_json: bool,
-    quiet: bool,
-    plot: str | None,
-    view: str | None,
-    **chosen: Any,
-) -> int:
+def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **chosen: Any) -> int:
     """Measure the geodesic error between two attitude series, A and B.
 
     Each is a table of attitudes, or a log with a topic of them, LOG:TOPIC: the same log twice, too.
@@ -88,10 +79,10 @@ def command(  # noqa: PLR0913  # what is asked for of the result
 
             paths = side_a.path, side_b.path
             picture = stack.enter_context(PictureFile(plot, paths, command=command_line()))
-        if view is not None:
+        if chosen["view"] is not None:
             from quatprop.plotting.viewers import open_viewer
 
-            viewer = stack.enter_context(open_viewer(view))
+            viewer = stack.enter_context(open_viewer(chosen["view"]))
         keep = picture is not None or viewer is not None
         first, second, comparison = compare_files(side_a, side_b, settings_of(chosen), keep=keep)
         if picture is not None:

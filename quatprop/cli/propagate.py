@@ -52,9 +52,7 @@ VERBOSE = {
     [config_option],
     {**REPORT, **PLOT, **VIEW, **QUIET, **VERBOSE},
 )
-def command(
-    *, quiet: bool, verbose: bool, plot: str | None, view: str | None, **chosen: Any
-) -> int:
+def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> int:
     """Turn the body rates of LOG into its attitude series.
 
     LOG is an MCAP file, a ROS 1 or ROS 2 bag, a ULog, a table (CSV, Parquet and others), or - for
@@ -66,6 +64,7 @@ def command(
     from quatprop.cli.summary import INDENT, command_line, show, summary
     from quatprop.pipeline.job import run
 
+    view = chosen["view"]
     if plot is not None and view is not None:
         raise click.UsageError("--view does not go with --plot; draw the picture in another run")
     job = job_of(chosen)

@@ -30,15 +30,16 @@ from quatprop.writers.messages.foxglove_messages import (
     CURVES,
     FoxgloveEncoder,
     curve_messages,
-    curve_topic,
+    schema_of,
 )
 from quatprop.writers.messages.kinds import Message
+from quatprop.writers.messages.topics import Topic
 from quatprop.writers.targets import output_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.arrays import Float64, Int64
+    from quatprop.arrays import Float64, Int64, Records
     from quatprop.comparison.result import Comparison
     from quatprop.logs.attitude_input import ReadAttitudes
     from quatprop.series import AttitudeSeries, GyroSeries
@@ -78,13 +79,15 @@ class Viewer(ABC):
     def rates(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Yield the rates unchanged, having plotted them."""
         for batch in batches:
-            self.plot(RATES, batch.t_ns, batch.rate)
+            if len(batch):
+                self.plot(RATES, batch.t_ns, batch.rate)
             yield batch
 
     def attitudes(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
         """Yield the attitudes unchanged, having shown them."""
         for batch in batches:
-            self.axes("body", batch)
+            if len(batch):
+                self.axes("body", batch)
             yield batch
 
     def draw(self, _report: object) -> None:
@@ -202,27 +205,25 @@ class FoxgloveViewer(Viewer):
         self._path = Path(mkdtemp(prefix="quatprop-")) / "view.mcap"
         self._stream = self._path.open("wb")
         self._file = McapFile(self._stream, "", "zstd")
-        self._bodies: dict[str, FoxgloveEncoder] = {}
-        self._channels: list[str] = []
+        self._topics: list[str] = []
 
     def axes(self, name: str, series: AttitudeSeries) -> None:
         """Show the axes of a body."""
-        if name not in self._bodies:
-            message = Message("FrameTransform", f"/tf/{name}", child=name)
-            self._bodies[name] = FoxgloveEncoder(message)
-            self._file.add_channel(self._bodies[name].topic)
-            self._channels.append(name)
-        messages = self._bodies[name].encode(series, self._path)
-        with output_errors(self._path):
-            self._file.write(series.t_ns, messages, self._channels.index(name))
+        encoder = FoxgloveEncoder(Message("FrameTransform", f"/tf/{name}", child=name))
+        self._write(encoder.topic, series.t_ns, encoder.encode(series, self._path))
 
     def plot(self, type_name: str, t_ns: Int64, values: Float64) -> None:
         """Plot numbers."""
-        if type_name not in self._channels:
-            self._file.add_channel(curve_topic(f"/{_place(type_name)}", type_name))
-            self._channels.append(type_name)
+        schema = schema_of(type_name)
+        topic = Topic(f"/{_place(type_name)}", type_name, "protobuf", "protobuf", schema)
+        self._write(topic, t_ns, curve_messages(values))
+
+    def _write(self, topic: Topic, t_ns: Int64, messages: Records) -> None:
         with output_errors(self._path):
-            self._file.write(t_ns, curve_messages(values), self._channels.index(type_name))
+            if topic.name not in self._topics:
+                self._file.add_channel(topic)
+                self._topics.append(topic.name)
+            self._file.write(t_ns, messages, self._topics.index(topic.name))
 
     def show(self) -> None:
         """Finish the file and open it, without waiting until it is closed."""

@@ -134,11 +134,6 @@ def _field_descriptor(number: int, name: str, kind: str) -> bytes:
     return b"".join(parts)
 
 
-def curve_topic(name: str, type_name: str) -> Topic:
-    """Return a topic of messages of numbers alone."""
-    return Topic(name, type_name, "protobuf", "protobuf", schema_of(type_name))
-
-
 def curve_messages(values: Float64) -> Records:
     """Return messages of numbers alone, shape ``(N,)``, from values of shape ``(N, fields)``."""
     numbers = range(1, values.shape[1] + 1)
