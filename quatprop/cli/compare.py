@@ -39,7 +39,8 @@ OPTIONS = {
     **PLOT,
     **VIEW,
     **JSON,
-    "-q --quiet": Keyword(flag, "Print nothing; the exit code only.", group="Display", common=True),
+    "-q --quiet": Keyword(
+        flag, "Print nothing; only set the exit code.", group="Display", common=True),
 }  # fmt: skip
 
 
