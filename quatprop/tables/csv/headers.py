@@ -175,9 +175,9 @@ def _delimiter(texts: list[str]) -> tuple[str, list[list[str]]]:
         # The last is for a table that is too narrow for rates: the error lists its columns.
         return sum(map(is_data, rows)), max(widths) >= RATES, len(widths) == 1 < min(widths)
 
+    # Tabs and blanks are also between cells where no mark is.
     text = "".join(texts)
-    marks = [mark for mark in _DELIMITERS if mark in text or (mark == " " and "\t" in text)]
-    marks = marks or ["\t"]  # of one column
+    marks = [mark for mark in _DELIMITERS if mark.isspace() or mark in text]
     return max(((mark, [split_cells(line, mark) for line in texts]) for mark in marks), key=fit)
 
 
