@@ -2,11 +2,10 @@
 
 import random
 import struct
-from contextlib import suppress
 
 import numpy as np
 import pytest
-from make.container_messages import messages_of, rosbags_messages
+from make.container_messages import messages_of, rosbags_messages, rows_of
 from make.ros import ROS1
 from rosbags.rosbag1 import Reader, Writer
 
@@ -75,11 +74,16 @@ def index_place(content):
     return struct.unpack_from("<Q", content, content.index(b"index_pos=") + 10)[0]
 
 
+def set_index_place(bag, place):
+    """Let the bag header say that the index begins elsewhere."""
+    struct.pack_into("<Q", bag, bag.index(b"index_pos=") + 10, place)
+
+
 def unindexed(path, cut=None):
     """Take the index from a bag, as if it had not been closed, and cut it off."""
     bag = bytearray(path.read_bytes())
     end = index_place(bag) if cut is None else cut
-    struct.pack_into("<Q", bag, bag.index(b"index_pos=") + 10, 0)
+    set_index_place(bag, 0)
     unclosed = path.with_suffix(".bag.active")
     unclosed.write_bytes(bag[:end])
     return unclosed
@@ -97,16 +101,15 @@ def test_messages_are_those_of_rosbags(tmp_path, compression, disorder):
 
 
 @pytest.mark.parametrize("name", ["indexed", "unindexed"])
-def test_no_later_block_is_earlier_than_promised(tmp_path, name):
-    """No block holds a message earlier than an earlier block promised, in disordered chunks too."""
+def test_promises_of_disordered_chunks_rise(tmp_path, name):
+    """That no later block is earlier than one is asked of every block by `rows_of`."""
     path = write_bag(tmp_path / "a.bag", disorder=50_000_000)
     with Rosbag1Log(path if name == "indexed" else unindexed(path)) as log:
+        assert len(rows_of(log, log.channels()[1])) == 300
         blocks = list(log.blocks(log.channels()[1]))
     assert len(blocks) > 20
     promises = [block.watermark_ns for block in blocks]
     assert promises == sorted(promises)
-    for promise, later in zip(promises, blocks[1:], strict=False):
-        assert later.log_ns.min() >= promise
     assert promises[-2] > blocks[0].log_ns.min()
 
 
@@ -154,16 +157,11 @@ def test_an_index_that_lies_is_found_out(tmp_path, harm):
     entries = record + 14
     (offset,) = struct.unpack_from("<I", bag, entries + 8)
     (second,) = struct.unpack_from("<I", bag, entries + 20)
-    lie = {
-        "shifted": offset + 1,
-        "repeated": second,
-        "foreign": 0,
-        "beyond": 0xFFFFFFFF,
-        "fewer": offset,
-    }[harm]
-    struct.pack_into("<I", bag, entries + 8, lie)
+    lies = {"shifted": offset + 1, "repeated": second, "foreign": 0, "beyond": 0xFFFFFFFF}
     if harm == "fewer":
         struct.pack_into("<I", bag, record + 6, count - 1)
+    else:
+        struct.pack_into("<I", bag, entries + 8, lies[harm])
     path.write_bytes(bag)
     assert messages(path) == (expected, [])
 
@@ -176,8 +174,7 @@ def test_messages_outside_any_chunk_are_read(tmp_path):
         (chunk,) = reader.chunks.values()
     bag = bytearray(path.read_bytes())
     inner = bag[chunk.datapos : chunk.datapos + chunk.datasize]
-    at = bag.index(b"index_pos=") + 10
-    bag[at : at + 8] = bytes(8)
+    set_index_place(bag, 0)
     path.write_bytes(bag[: header_end(bag)] + inner)
     assert messages(path) == (expected, [])
 
@@ -198,25 +195,9 @@ def test_an_index_that_is_not_there_is_done_without(tmp_path, index_pos):
     path = write_bag(tmp_path / "a.bag")
     expected = rosbags_messages(path)
     bag = bytearray(path.read_bytes())
-    struct.pack_into("<Q", bag, bag.index(b"index_pos=") + 10, index_pos)
+    set_index_place(bag, index_pos)
     path.write_bytes(bag)
     assert messages(path) == (expected, [])
-
-
-def test_every_single_damaged_byte_is_survived(tmp_path):
-    """A flipped byte anywhere in a bag never ends in anything but messages, losses or a refusal."""
-    path = write_bag(tmp_path / "a.bag", threshold=2000, count=12)
-    bag = path.read_bytes()
-    rng = np.random.default_rng(3)
-    start = header_end(bag)
-    places = [*range(13, 90), *rng.integers(start, len(bag), 200).tolist()]
-    for place in places:
-        harmed = bytearray(bag)
-        harmed[place] ^= 1 << int(rng.integers(8))
-        path.write_bytes(harmed)
-        with suppress(DamagedLogError, UnsupportedLogError), Rosbag1Log(path) as log:
-            for channel in log.channels():
-                assert sum(map(len, log.blocks(channel))) <= 20
 
 
 def test_bags_of_another_kind_are_refused(tmp_path):
