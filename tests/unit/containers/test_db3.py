@@ -270,39 +270,29 @@ def damaged_copy(tmp_path, cut=0, flip=None):
     return path
 
 
-@pytest.mark.parametrize("damage", [{"cut": 100}, {"flip": -100}])
-def test_a_write_ahead_log_that_ends_in_a_transaction_says_so(tmp_path, damage):
-    """What was committed before is read; the pages that SQLite passes over are a loss."""
+# In the head of the log, in that of a frame, or in its page.
+FLIPS = [1, 5, 9, 17, 25, 31, 33, 40, 44, 50, 4200, 4200 + 8, 4200 + 4120, 9000]
+
+
+@pytest.mark.parametrize(
+    ("damage", "count"),
+    [({}, 4), ({"cut": 100}, 3), ({"flip": -100}, 3), *(({"flip": flip}, 1) for flip in FLIPS)],
+)
+def test_what_is_not_applied_of_a_write_ahead_log_is_a_loss(tmp_path, damage, count):
+    """What was committed before is read, and a folder is left as it is, whatever is damaged."""
     path = damaged_copy(tmp_path, **damage)
-    found, losses = messages(path)
-    assert [k for k, _ in found[IMU]] == [0, 1, 2]
-    (loss,) = losses
-    assert loss.place == "log.db3-wal"
-    assert "pages of a transaction that was not finished are not read" in loss.reason
-
-
-@pytest.mark.parametrize(("flip", "count"), [(None, 4), (9000, 1), (-100, 3), (40, 1), (5, 1)])
-def test_reading_a_write_ahead_log_leaves_the_folder_as_it_is(tmp_path, flip, count):
-    """SQLite's shared memory is not left, and a log that is all damaged is not deleted."""
-    path = damaged_copy(tmp_path, flip=flip)
     before = {file.name: file.read_bytes() for file in path.parent.iterdir()}
-    assert len(before) == 2
+    assert before.keys() == {"log.db3", "log.db3-wal"}
     found, losses = messages(path)
-    assert len(found[IMU]) == count
-    assert bool(losses) == (count < 4)
-    assert {file.name: file.read_bytes() for file in path.parent.iterdir()} == before
-
-
-@pytest.mark.parametrize("flip", [1, 9, 17, 25, 31, 33, 40, 44, 50, 4200, 4200 + 8, 4200 + 4120])
-def test_a_damaged_write_ahead_log_is_reported(tmp_path, flip):
-    """What SQLite does not apply is a loss: the head is damaged, that of a frame, or its page."""
-    path = damaged_copy(tmp_path, flip=flip)
-    found, losses = messages(path)
-    assert len(found[IMU]) < 4
-    assert [loss.place for loss in losses] == ["log.db3-wal"]
-    if 50 <= flip < 4200:  # in the page of the first frame: of all that follow, none is applied
-        frames = path.with_name("log.db3-wal").stat().st_size // (24 + 4096)
+    assert [k for k, _ in found[IMU]] == [*range(count)]
+    assert [loss.place for loss in losses] == ["log.db3-wal"] * (count < 4)
+    if count == 3:
+        said = "pages of a transaction that was not finished are not read"
+        assert said in losses[0].reason
+    if damage == {"flip": 50}:  # in the page of the first frame: none that follow is applied
+        frames = len(before["log.db3-wal"]) // (24 + 4096)
         assert losses[0].reason.startswith(f"{frames} pages of a transaction")
+    assert {file.name: file.read_bytes() for file in path.parent.iterdir()} == before
 
 
 def test_frames_of_an_earlier_use_of_a_write_ahead_log_are_none(tmp_path):

@@ -257,13 +257,6 @@ def test_quotes_in_comments_and_within_cells_are_no_damage():
     assert read(text, QUOTED)[1:] == (2, [], [])
 
 
-def test_a_stray_quote_costs_its_row_alone():
-    """Only a cell whose next lines are no rows can have line breaks."""
-    text = rows_of(*["0.123456"] * 3, '0.12"3456', *["0.123456"] * 120)
-    reason = "'0.12\"3456' in column 'wz' is not a number"
-    assert read(text)[1:3] == (123, [Loss("line 5", reason, 1)])
-
-
 # Compressed texts
 
 
