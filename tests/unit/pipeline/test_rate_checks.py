@@ -252,11 +252,3 @@ def test_whole_seconds_are_not_fast_motion(tmp_path):
         "990 repeated timestamps",
         "the timestamps are whole seconds, each of several samples",
     ]
-
-
-@pytest.mark.filterwarnings("ignore:.*the times in '%time' differ:quatprop.RemarkWarning")
-@pytest.mark.parametrize("name", ["xio3", "xsens-txt", "rostopic", "euroc"])
-def test_recordings_are_plausible(shared_logs, name):
-    """Nothing is said against what real sensors measured."""
-    found = Recording(shared_logs, name)
-    assert remarks(found.rate, step_ns=int(np.median(np.diff(found.t_ns)))) == []
