@@ -100,18 +100,6 @@ def test_ros_types_have_one_spelling(tmp_path, name, encoding, expected):
     assert channel.type_name == expected
 
 
-def test_a_topic_with_two_types_is_two_channels(tmp_path):
-    """Messages of another definition are another channel, though the topic is the same."""
-    topics = [
-        ("/imu", Topic("a/msg/B", [b"%d" % number], definition, "ros2msg", "cdr"))
-        for number, definition in enumerate((b"float64 x", b"float32 x"))
-    ]
-    log = McapLog(write_topics(tmp_path / "log.mcap", topics))
-    blocks = {channel.schema: next(log.blocks(channel)) for channel in log.channels()}
-    found = {kind: one.data[one.starts[0] : one.ends[0]].tobytes() for kind, one in blocks.items()}
-    assert found == {b"float64 x": b"0", b"float32 x": b"1"}
-
-
 def test_blocks_promise_what_does_not_come_any_more(tmp_path):
     """Chunks that overlap in time come by their first time, with promises that are kept."""
     stamps = 100 * np.arange(200) // 7 + np.random.default_rng(5).integers(0, 3000, 200)

@@ -34,7 +34,7 @@ def writer_of(path, threshold, compression=None):
     return writer
 
 
-def write_bag(path, *, compression=None, threshold=2000, count=300, disorder=0):
+def write_bag(path, *, compression=None, threshold=2000, count=300):
     """Write a bag with two topics, one of them over two connections, and messages of all sizes."""
     rng = np.random.default_rng(7)
     with writer_of(path, threshold, compression) as writer:
@@ -45,8 +45,7 @@ def write_bag(path, *, compression=None, threshold=2000, count=300, disorder=0):
         text = writer.add_connection("/text", TEXT, typestore=ROS1)
         empty = writer.add_connection("/empty", "std_msgs/msg/Empty", typestore=ROS1)
         for k in range(count):
-            late = int(rng.integers(disorder)) if disorder else 0
-            log_ns = T0 + 1_000_000 * k - late
+            log_ns = T0 + 1_000_000 * k
             writer.write(imu[k % 3 == 0], log_ns, rng.bytes(324))
             if k % 5 == 0:
                 writer.write(text, log_ns, rng.bytes(int(rng.integers(4, 400))))
@@ -87,17 +86,6 @@ def unindexed(path, cut=None):
     unclosed = path.with_suffix(".bag.active")
     unclosed.write_bytes(bag[:end])
     return unclosed
-
-
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-@pytest.mark.parametrize("disorder", [0, 50_000_000])
-def test_messages_are_those_of_rosbags(tmp_path, compression, disorder):
-    """Bytes and times; two publishers of a topic are one channel, each block is as promised."""
-    path = write_bag(tmp_path / "a.bag", compression=compression, disorder=disorder)
-    assert messages(path) == (rosbags_messages(path), [])
-    with Rosbag1Log(path) as log:
-        counts = [(channel.topic, channel.count) for channel in log.channels()]
-    assert counts == [("/empty", 43), ("/imu", 300), ("/text", 60)]
 
 
 def test_a_cut_bag_says_what_is_lost(tmp_path):

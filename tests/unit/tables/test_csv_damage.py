@@ -3,7 +3,6 @@
 import bz2
 import gzip
 import io
-import json
 import math
 import re
 import zlib
@@ -143,16 +142,6 @@ def test_a_last_row_whose_first_cell_has_line_breaks_is_one_row(rows):
     last, count, losses, remarks = read(text[:-1], header="note,t_ns,wx,wy,wz\n")
     assert (last, count, losses) == ([0.125, -0.25, 0.5], rows, [])
     assert len(remarks) == (rows < 40)
-
-
-def test_the_doubt_is_said_by_the_commands(tmp_path):
-    """The remark is shown, stands in the report, and is no loss: exit code 0."""
-    log, report = tmp_path / "log.csv", tmp_path / "report.json"
-    log.write_text(HEADER + rows_of("0.5", "0.25", "0.75"))
-    result = run("propagate", log, "-o", tmp_path / "out.csv", "--report", report, code=0)
-    assert "warning: " + REMARK.format("'5,-0.25,0.75'") in result.output
-    assert any("no line end" in remark for remark in json.loads(report.read_text())["remarks"])
-    assert "no line end" in run("info", log).output
 
 
 @pytest.mark.parametrize(
