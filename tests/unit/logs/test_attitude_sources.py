@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from make.mcap import Topic, write_topics
 from make.reading import attitudes
-from make.ros import ROS2
+from make.ros import TF, write_messages
 
 from quatprop.errors import (
     AmbiguousTopicError,
@@ -273,38 +273,25 @@ def test_an_absent_orientation_is_no_rotation(table, tmp_path):
         assert (counts.not_finite, counts.zero) == (1, 1)
 
 
-def transform(stamp_ns, parent, child, wxyz):
-    """Return a transform between two frames."""
-    types = {name.rpartition("/")[2]: made for name, made in ROS2.types.items()}
-    w, x, y, z = wxyz
-    return types["TransformStamped"](
-        types["Header"](types["Time"](*divmod(stamp_ns, 10**9)), parent),
-        child,
-        types["Transform"](types["Vector3"](1.0, 2.0, 3.0), types["Quaternion"](x, y, z, w)),
-    )
-
-
 def test_transforms_are_found_wherever_they_stand_in_their_lists(tmp_path):
     """Lists of any length, names of any length, the same pair twice in a message."""
     random = np.random.default_rng(3)
     names = ["", "b", "base", "base_link", "camera_optical_frame"]
-    kind = "tf2_msgs/msg/TFMessage"
     messages, expected = [], []
     stamp = 0
-    for _ in range(200):
+    for k in range(200):
         transforms = []
         for _ in range(random.integers(0, 5)):
             parent, child = map(str, random.choice(names, 2))
             wxyz = random.normal(size=4)
             wxyz = (wxyz / np.linalg.norm(wxyz)).tolist()
             stamp += 10**8
-            transforms.append(transform(stamp, parent, child, wxyz))
+            moved = ([1.0, 2.0, 3.0], np.roll(wxyz, -1).tolist())
+            transforms.append([{"stamp": stamp, "frame_id": parent}, child, moved])
             if (parent, child) == ("base", "b"):
                 expected.append((stamp, wxyz))
-        messages.append(bytes(ROS2.serialize_cdr(ROS2.types[kind](transforms), kind)))
-    definition, _ = ROS2.generate_msgdef(kind, ros_version=2)
-    topic = Topic(kind, messages, definition.encode(), "ros2msg", "cdr")
-    log = write_topics(tmp_path / "log.mcap", {"/tf": topic})
+        messages.append(("/tf", TF, k, [transforms]))
+    log = write_messages(tmp_path / "log.mcap", messages)
     source, t_ns, wxyz, _ = attitudes(log, frame="base:b")
     assert source.field == "base <- b"
     assert len(expected) > 5

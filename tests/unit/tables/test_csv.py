@@ -74,7 +74,7 @@ def test_a_tiny_number_is_refused_wherever_it_is(number):
 NUMBERS = st.from_regex(r"-?[0-9]{1,45}(\.[0-9]{0,45})?(e[+-]?[0-9]{1,2})?", fullmatch=True)
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(st.lists(NUMBERS, min_size=1, max_size=7))
 def test_any_number_is_read_exactly_or_not_at_all(times):
     """Numbers too long for the fast way are read the slow way or told, never misread."""
