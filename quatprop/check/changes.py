@@ -117,13 +117,18 @@ def _obstacles(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> Iterat
             continue
         file = Path(path, name) if name else Path(path)
         yield f"{plain(file)}: {describe_change(file, old, new)}", accept
-    if options := option_differences(pin, case):
-        changed = ", ".join(
-            f"{key} was {option_text(old)} and is now {option_text(new)}"
-            for key, old, new in options
-        )
-        yield f"{about}: the case has changed since it was pinned: {changed}", accept
-    if _keys(pin.inputs) != _keys(hashes) or (pin.reference is None) != (case.reference is None):
+    options = option_differences(pin, case)
+    changed = [
+        f"{key} was {option_text(old)} and is now {option_text(new)}" for key, old, new in options
+    ]
+    before, after = ({key.partition("/")[0] for key in files} for files in (pin.inputs, hashes))
+    others = (before ^ after) - {key for key, *_ in options}
+    if "log" in others:
+        was, is_now = ("false", "true") if case.pins_log else ("true", "false")
+        changed.append(f"pin-log was {was} and is now {is_now}")
+    if changed:
+        yield f"{about}: the case has changed since it was pinned: {', '.join(changed)}", accept
+    if others - {"log"} or (pin.reference is None) != (case.reference is None):
         yield f"{about}: the case was pinned with another kind of reference", accept
     elif case.reference is not None and not there:
         yield f"{about}: the reference is missing", "restore it, or write it with "
@@ -132,10 +137,6 @@ def _obstacles(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> Iterat
         reason = f"this is not the reference that was pinned {digests}"
         reason += describe_provenance(case, pin)
         yield f"{about}: {reason}", "restore it, or write it anew with "
-
-
-def _keys(hashes: Mapping[str, str]) -> set[str]:
-    return {key.partition("/")[0] for key in hashes}
 
 
 def make_pin(

@@ -91,7 +91,7 @@ def _show(
             if result.verdict in NEEDS_ATTENTION:
                 last.append(text)
             elif not options["as_json"] and (
-                every or result.changes or result.updated == "updated"
+                every or result.changes or result.updated in {"new", "updated"}
             ):
                 click.echo(text, nl=False)
     finally:
