@@ -115,15 +115,14 @@ def pytest_collection_modifyitems(
     items += [_uncollected(session, suite) for suite in suites if suite.resolve() not in known]
 
 
-def _uncollected(session: pytest.Session, suite: Path) -> CaseItem:
+def _uncollected(session: pytest.Session, suite: Path) -> Any:
     """Return an item in place of the cases of a suite, which fails."""
     from quatprop.check.case import CaseNotRun
 
     reason = "none of its cases was collected; is it ignored by an option or a conftest.py?"
     case = CaseNotRun(suite.name, f"{OPTION}: {plain(suite)}: {reason}")
-    file: SuiteFile = SuiteFile.from_parent(session, path=suite)
-    item: CaseItem = CaseItem.from_parent(file, name=suite.name, case=case, pin=None)
-    return item
+    file = SuiteFile.from_parent(session, path=suite)
+    return CaseItem.from_parent(file, name=suite.name, case=case, pin=None)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -157,13 +156,10 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
     if isinstance(item, CaseItem) and (report.when == "call" or not report.passed):
         from quatprop.provenance import as_json
 
-        result = item.result
-        if result is None:
-            fields = {"reason": getattr(item.case, "reason", "")}
-            fields["verdict"] = getattr(item.case, "verdict", "error")
-        else:
-            fields = {name: getattr(result, name) for name in SHOWN}
-        report.quatprop = json.dumps(as_json({"name": item.name, "suite": item.path, **fields}))
+        shown = item.result or item.case
+        fields = {name: getattr(shown, name) for name in SHOWN if hasattr(shown, name)}
+        facts = {"name": item.name, "suite": item.path, "verdict": "error", **fields}
+        report.quatprop = json.dumps(as_json(facts))
     return report
 
 

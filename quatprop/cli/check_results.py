@@ -173,9 +173,7 @@ def told_to_ci(suite: Path, options: Mapping[str, Any]) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        reason = str(error)
-        if isinstance(error, click.ClickException):
-            reason = error.format_message()
+        reason = error.format_message() if isinstance(error, click.ClickException) else str(error)
         junit = options["junit"]
         if junit is not None and not _may_be_junit(junit):
             junit = None
