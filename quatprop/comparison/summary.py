@@ -103,7 +103,7 @@ def _series(operand: ReadAttitudes) -> str:
 def _method(comparison: Comparison) -> Iterator[Row]:
     offset, alignment = comparison.time_offset, comparison.alignment
     if comparison.outside:
-        yield "range", f"{count_text(comparison.outside, 'attitude')} outside it left out"
+        yield "range", f"{count_text(comparison.outside, 'attitude')} outside it omitted"
     matching = comparison.association
     span = duration_text(matching.last_ns - matching.first_ns)
     counts = f"{matching.matched} of {matching.candidates} samples over {span}"
