@@ -181,15 +181,6 @@ def test_an_output_without_standard_deviations_says_so(sigmas, tmp_path, name, o
     assert COVARIANCES in convert(sigmas, tmp_path / name, *options)
 
 
-def test_columns_of_other_representations_are_kept_by_writing_them_again(tmp_path):
-    """The note names the columns and the option."""
-    head = f"{QUATERNION},yaw_rad,pitch_rad,roll_rad"
-    path, out = write_rates(tmp_path / "in.csv", ["0,1,0,0,0,0,0,0"], head), tmp_path / "out.csv"
-    note = "note: columns 'yaw_rad', 'pitch_rad', 'roll_rad' are not kept; --with writes such ones"
-    assert note in convert(path, out)
-    assert "not kept" not in convert(path, out, "--with", "euler-zyx")
-
-
 @pytest.mark.parametrize("changes", [True, False])
 @pytest.mark.parametrize("ours", [True, False])
 def test_covariances_that_are_constant_at_first_are_kept(tmp_path, changes, ours):

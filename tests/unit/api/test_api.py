@@ -16,7 +16,6 @@ import pyarrow.parquet
 import pytest
 from make.commands import run
 from make.places import SAMPLE_LOGS
-from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
 import quatprop
@@ -161,16 +160,6 @@ def test_series_as_arrays_and_tables(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(UsageError, match="needs pandas; install it with pip install pandas"):
         rates.to_pandas()
-
-
-@pytest.mark.parametrize("as_path", [str, Path])
-@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
-def test_rates_and_attitudes_of_logs(as_path):
-    """Paths are text or Path; the series are those of the log."""
-    rates = quatprop.read_rates(as_path(SAMPLE_LOGS / "tumbling.bag"))
-    assert (len(rates), rates.rate.shape) == (1000, (1000, 3))
-    truth = quatprop.read_attitudes(as_path(SAMPLE_LOGS / "tumbling.truth.csv"))
-    assert np.abs(np.linalg.norm(truth.wxyz, axis=1) - 1).max() < 1e-15
 
 
 def test_propagation_is_that_of_the_command_line(tmp_path):
@@ -388,14 +377,6 @@ def test_what_is_no_path_is_refused(path):
             function(path)
 
 
-def test_an_error_names_the_parameter_not_the_option(tmp_path):
-    """Settings are spelled as the library has them."""
-    log = write_rates(tmp_path / "log.csv", [(0, 0, 0, 1), (1, 0, 0, 1)], "t,wx,wy,wz")
-    with pytest.raises(LogError, match=r"(time|rate)_unit=") as caught:
-        quatprop.read_rates(log)
-    assert "--" not in str(caught.value)
-
-
 def test_losses_are_warnings(tmp_path):
     """What could not be read is not silent."""
     log = tmp_path / "cut.bag"
@@ -417,18 +398,6 @@ def test_comparison_of_files_and_series():
         series = quatprop.propagate(log, method=method)
         assert quatprop.compare(series, truth, align="first", tol="0.05deg").passed == passed
     assert quatprop.compare(truth, truth, tol=1e-9).passed
-
-
-@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
-def test_conversion_to_another_layout_and_convention(tmp_path):
-    """Layout and convention are those asked for, and read back without a word."""
-    truth, jpl = SAMPLE_LOGS / "tumbling.truth.csv", tmp_path / "jpl.parquet"
-    quatprop.convert(truth, jpl, layout="scalar-last", convention="jpl")
-    table = pyarrow.parquet.read_table(jpl)
-    assert table.column_names == ["t_ns", "qx", "qy", "qz", "qw"]
-    before, after = quatprop.read_attitudes(truth), quatprop.read_attitudes(jpl)
-    assert after.wxyz.tolist() == before.wxyz.tolist()
-    assert np.array_equal(table["qx"].to_numpy(), -before.wxyz[:, 1])
 
 
 def test_only_attitudes_are_written(tmp_path):

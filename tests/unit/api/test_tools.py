@@ -17,14 +17,6 @@ BAG, TRUTH = SAMPLE_LOGS / "tumbling.bag", SAMPLE_LOGS / "tumbling.truth.csv"
 RATES = quatprop.read_rates(BAG)
 
 
-def test_functions_stay_functions_when_what_they_use_is_imported(tmp_path):
-    """A package of the same name took their place once it was imported."""
-    quatprop.plot(BAG, output=tmp_path / "a.svg")
-    quatprop.simulate(samples=3)
-    quatprop.info(BAG)
-    assert all(callable(getattr(quatprop, name)) for name in ("plot", "simulate", "info"))
-
-
 def test_info_has_what_the_command_prints(tmp_path):
     """The same survey, with settings as keywords; short when shown."""
     found = quatprop.info(BAG)
@@ -82,12 +74,6 @@ def test_plot_draws_what_the_command_draws(tmp_path):
     assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_plot_refuses_what_does_not_go_together(tmp_path):
-    """As the command does."""
-    with pytest.raises(UsageError, match="does not go with"):
-        quatprop.plot(TRUTH, output=tmp_path / "a.png", components=True, unwrap=True)
-
-
 def test_a_plot_takes_and_returns_axes():
     """Series in memory needed a file of each, and the picture could not be one of several."""
     ax = Figure().subplots()
@@ -120,6 +106,7 @@ def test_a_plot_takes_and_returns_axes():
         ([RATES[:0]], {}, "series 1 has no rows"),
         ([RATES], {"reference": TRUTH}, "Expected attitudes"),
         ([np.eye(3)], {}, "make a series of arrays"),
+        ([TRUTH], {"output": "a.png", "components": True, "unwrap": True}, "does not go with"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(sources, options, reason):
@@ -165,17 +152,3 @@ def test_a_report_is_short_when_shown():
     """It filled pages of a notebook."""
     report = quatprop.propagate(BAG).report
     assert repr(report) == "<RunReport: 1,000 attitudes of 1,000 samples by method start>"
-
-
-def test_warnings_point_at_the_line_of_the_user(tmp_path):
-    """Of every function: not at a line of the library."""
-    gappy = tmp_path / "gappy.csv"
-    times = [*range(100), *range(500, 600)]
-    gappy.write_text("t_ns,wx,wy,wz\n" + "".join(f"{k}000000,0,0.5,{k % 9}\n" for k in times))
-    for call in (
-        lambda: quatprop.propagate(gappy, rate_unit="rad/s"),
-        lambda: quatprop.plot(gappy, output=tmp_path / "a.png", rate_unit="rad/s"),
-    ):
-        with pytest.warns(quatprop.RemarkWarning) as caught:
-            call()
-        assert {one.filename for one in caught} == {__file__}

@@ -121,14 +121,6 @@ def test_no_term_reaches_across_repeated_stamps_and_lost_messages(kind, method):
         assert (plain == found).all(axis=1).tolist() == expected
 
 
-def test_increments_about_a_fixed_axis_have_no_coning():
-    """There the increment is the rotation vector, to the last bit but one."""
-    theta = np.outer(np.random.default_rng(3).normal(size=50), [2.0, -1.0, 2.0])
-    series = series_of("increments", np.arange(50) * SECOND, theta)
-    for method in ("coning", "cubic"):
-        np.testing.assert_allclose(vectors(series, method), theta[1:], rtol=0, atol=1e-14)
-
-
 # --- at other times, in other batches
 
 
@@ -214,12 +206,6 @@ def test_series_in_memory_have_the_default_that_fits(kind, method, used, method_
     assert (convention.method, convention.method_from) == (used, method_from)
     assert convention.samples == kind
     assert np.array_equal(result.wxyz, propagated(series, method=used))
-
-
-def test_a_mean_rate_over_half_a_turn():
-    """Averages about one axis are exact, however the rate varied: 20 ms at pi rad/s are 3.6 deg."""
-    series = GyroSeries([0, SECOND // 50], [[0, 0, 7.0], [0, 0, np.pi]], is_interval_average=True)
-    assert geodesic_angle(propagate(series).wxyz[-1], exp([0, 0, np.pi / 50])) < 1e-15
 
 
 def test_an_increment_is_turned_in_the_time_between_its_stamps():
