@@ -4,11 +4,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from make.commands import run
-from make.mcap import Topic, write_topics
+from make.ros import imu_messages, write_messages
 from make.small_files import QUATERNION
 from make.tables import write_rates
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 
 import quatprop
 from quatprop.errors import SeriesError
@@ -211,27 +210,13 @@ def test_covariances_that_are_constant_at_first_are_kept(tmp_path, changes, ours
         np.testing.assert_allclose(quatprop.read_attitudes(log).covariance, covariance, rtol=1e-14)
 
 
-def imu(second, diagonal):
-    """Return an Imu message with a covariance of its orientation."""
-    store = get_typestore(Stores.LATEST)
-    make = store.types
-    vector = make["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-    message = make["sensor_msgs/msg/Imu"](
-        make["std_msgs/msg/Header"](make["builtin_interfaces/msg/Time"](second, 0), "imu"),
-        make["geometry_msgs/msg/Quaternion"](0.0, 0.6, 0.0, 0.8),
-        np.diag(np.array(diagonal, float)).ravel(),
-        *(vector, np.zeros(9)) * 2,
-    )
-    return bytes(store.serialize_cdr(message, "sensor_msgs/msg/Imu"))
-
-
 def test_covariances_that_are_known_in_part_are_said_to_be_unknown(tmp_path):
     """A row has three standard deviations or none; two of three would be lost unseen."""
     log = tmp_path / "log.mcap"
     diagonals = [[1.0, 4, 9], [1, 4, -1], [1, np.nan, 9], [-1, -1, -1], [np.nan] * 3]
-    messages = [imu(second, diagonal) for second, diagonal in enumerate(diagonals, 1)]
-    topic = Topic("sensor_msgs/msg/Imu", messages, b"", "ros2msg", "cdr")
-    write_topics(log, {"/imu": topic}, profile="ros2")
+    wxyz, covariances = [(0.8, 0.0, 0.6, 0.0)] * 5, [np.diag(one).ravel() for one in diagonals]
+    t_ns = np.arange(1, 6) * 10**9
+    write_messages(log, imu_messages(t_ns, wxyz=wxyz, orientation_covariance=covariances))
     sentence = (
         "the covariances of 2 messages are known in part, which is not kept: they are treated"
     )

@@ -8,12 +8,11 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from make.commands import refused, run
-from make.mcap import Topic, write_topics
 from make.places import SAMPLE_LOGS
+from make.ros import TF, write_messages
 from make.small_files import EUROC
 from make.tables import write_rates
 from pyarrow import parquet as pq
-from rosbags.typesys import Stores, get_typestore
 
 from quatprop.containers import first_blocks
 from quatprop.containers.chunks import ChunkedLog
@@ -245,11 +244,7 @@ def test_a_topic_of_several_transforms_is_said_in_one_sentence(shared_logs):
 
 def test_a_topic_without_transforms_is_said_to_be_so(tmp_path):
     """`info` sent who looked at an empty /tf_static to `info`."""
-    kind, store = "tf2_msgs/msg/TFMessage", get_typestore(Stores.LATEST)
-    definition, _ = store.generate_msgdef(kind, ros_version=2)
-    data = bytes(store.serialize_cdr(store.types[kind]([]), kind))
-    topic = Topic(kind, [data], definition.encode(), "ros2msg", "cdr")
-    log = write_topics(tmp_path / "log.mcap", {"/tf_static": topic}, profile="ros2")
+    log = write_messages(tmp_path / "log.mcap", [("/tf_static", TF, 0, ())])
     said = "the messages of topic '/tf_static' hold no transforms; choose another "
     assert text(log)[-1] == f"  /tf_static: {said}--topic"
     assert info(log)["attitudes"][0]["missing"] == f"{said}topic"

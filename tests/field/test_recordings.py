@@ -35,15 +35,9 @@ ARRIVED = {
 """Recordings with stamps of the time at which samples arrived, of a clock that is steady."""
 
 AUK_FORMS = (
-    "auk.bag",
-    "auk_bz2.bag",
-    "auk_lz4.bag",
-    "auk_mcap_zstd",
-    "auk_mcap_zstdfile",
-    "auk_sqlite3",
-    "auk_sqlite3_zstdmsg",
-    "auk_sqlite3_zstdfile",
-)
+    "auk.bag", "auk_bz2.bag", "auk_lz4.bag", "auk_mcap_zstd", "auk_mcap_zstdfile",
+    "auk_sqlite3", "auk_sqlite3_zstdmsg", "auk_sqlite3_zstdfile",
+)  # fmt: skip
 
 
 def propagated(tmp_path, *arguments):
