@@ -75,12 +75,6 @@ def test_attitudes_become_rows_of_kitti_at_the_origin(tmp_path):
     assert "kitti has no comments; leave --header-comment out" in sentence
 
 
-def test_a_trajectory_of_evo_is_read_as_it_is(tmp_path):
-    """Which has no header."""
-    file_interface.write_tum_trajectory_file(tmp_path / "poses.tum", TRAJECTORY)
-    np.testing.assert_allclose(read_attitudes(tmp_path / "poses.tum").wxyz, WXYZ, atol=1e-9)
-
-
 def test_columns_that_are_only_components_mean_a_quaternion_where_one_is_asked_for(tmp_path):
     """By themselves they are not taken for one, but in NGIMU's quaternion.csv."""
     path = tmp_path / "log.csv"

@@ -199,10 +199,7 @@ def test_policies_hold_for_rates_in_memory():
     ("keywords", "sentence"),
     [
         ({"q0": "level"}, "q0='level' needs a log, not rates in memory"),
-        ({"q0": (1, 0, 0)}, "q0: '1,0,0' is not W,X,Y,Z, 4 finite numbers"),
         ({"q0": (0, 0, 0, 0)}, "has the length 0, so it is not an attitude"),
-        ({"method": "euler"}, "method: 'euler' is not one of"),
-        ({"metod": "end"}, "there is no setting 'metod'"),
         ({"mount": "x,y,-z"}, "is left-handed, so it is not a rotation"),
         ({"bias": [np.nan, 0, 0]}, "^bias: .* is not .,.,.*, 3 finite numbers"),
         ({"q0": "inf,0,0,0"}, "^q0: .* is not .,.,.*, 4 finite numbers"),
