@@ -1,7 +1,6 @@
 """The method quintic: sixth order on smooth motion, at ends, at gaps and between samples too."""
 
 from fractions import Fraction
-from itertools import product
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.propagate import TILE, attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply
 from quatprop.kinematics.quintic import quintic, quintic_of_averages
-from quatprop.kinematics.resample import Listed, Steady
+from quatprop.kinematics.resample import Listed
 from quatprop.series import GyroSeries
 from quatprop.simulation.motion import Shape, motion_named
 
@@ -25,41 +24,6 @@ def propagated(series, times=None, q0=IDENTITY, rates="body", batch=None):
     size = batch or len(series)
     batches = [series[k : k + size] for k in range(0, len(series), size)]
     return segmented(batches, times, q0=q0, method="quintic", rates=rates)[1:]
-
-
-def averages(t_ns):
-    """Return the average rates of the rotor over the intervals, by Gaussian quadrature."""
-    nodes, weights = np.polynomial.legendre.leggauss(12)
-    middle, half = (t_ns[1:] + t_ns[:-1]) / 2e9, np.diff(t_ns) / 2e9
-    rate = sum(w / 2 * rotor(middle + x * half)[1] for x, w in zip(nodes, weights, strict=True))
-    return np.concatenate([[rate[0]], rate])
-
-
-def samples(kind, t_ns):
-    """Return what a gyroscope on the rotor measures: rates in a frame, averages or increments."""
-    if kind in {"body", "inertial"}:
-        return GyroSeries(t_ns, rotor(t_ns / 1e9, kind)[1])
-    spans = np.diff(t_ns, prepend=2 * t_ns[0] - t_ns[1]) if kind == "increments" else None
-    return GyroSeries(t_ns, averages(t_ns), spans, kind == "averages")
-
-
-@pytest.mark.parametrize(
-    ("kind", "jitter"),
-    [*product(("body", "inertial"), (0.0, 0.3)), ("averages", 0.3), ("increments", 0.3)],
-)
-@pytest.mark.parametrize("hz_out", [None, 997])
-def test_a_precessing_rotor_is_met_to_sixth_order(kind, jitter, hz_out):
-    """At samples and between them; of averages, the polynomial is that of the integral."""
-    errors = []
-    for hz in RATES_HZ:
-        t_ns = stamps(hz, 4, jitter)
-        frame = "inertial" if kind == "inertial" else "body"
-        q0 = rotor(t_ns[:1] / 1e9)[0][0]
-        times = hz_out and Steady(Fraction(hz_out))
-        out_ns, wxyz = propagated(samples(kind, t_ns), times, q0, frame)
-        errors.append(geodesic_angle(wxyz, rotor(out_ns / 1e9)[0]).max())
-    assert np.log2(errors[0] / errors[-1]) / 3 > 5.8
-    assert kind in {"averages", "increments"} or errors[-1] < 1e-10
 
 
 @pytest.mark.parametrize(
