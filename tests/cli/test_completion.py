@@ -152,7 +152,7 @@ HOSTILE = [
 
 NAMES = HOSTILE + [
     "".join(random.Random(seed).choices("ab$`(){}[]<>|&;*?!#~^=:,%@+-_./\\'\" é", k=8))
-    for seed in range(40)
+    for seed in range(15)
 ]
 QUOTES = pytest.mark.parametrize("quote", ["", "'", '"'], ids=["bare", "single", "double"])
 BASH = pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")

@@ -229,24 +229,6 @@ def test_a_rest_holds_the_same_for_every_part_that_is_propagated():
     assert np.array_equal(whole, part)
 
 
-@pytest.mark.parametrize(
-    ("given", "sentence"),
-    [
-        ("static@+1s", "'static@+1s' is not a time range; write static@+10s..+20s"),
-        ("static@+1s..", "'static@+1s..' is not a time range; write static@+10s..+20s"),
-        ("static@+1s..soon", "'soon'"),
-        (
-            "static@+9s..+1s",
-            "holds fewer than 2 samples; info shows where the log begins and ends",
-        ),
-    ],
-)
-def test_a_rest_that_cannot_be_used_is_refused(tmp_path, given, sentence):
-    """In one sentence with the way out."""
-    path = write_rates(tmp_path / "log.csv", [(k * 10**7, 0, 0, 0.1 * k) for k in range(20)])
-    assert sentence in refused("propagate", path, "-o", tmp_path / "o.csv", "--bias", given)
-
-
 # --- quantisation
 
 
