@@ -88,9 +88,3 @@ def test_a_batch_is_that_of_the_command(tmp_path):
     words = ("--method", "coning", "--to", "csv", "-o", out, "--skip-existing")
     assert "nothing to do" in run("batch", *logs[:2], *words).stderr
     assert quatprop.batch(logs[:2], out, method="coning", to="csv", skip_existing=True) == []
-
-
-def test_a_report_is_short_when_shown():
-    """It filled pages of a notebook."""
-    report = quatprop.propagate(BAG).report
-    assert repr(report) == "<RunReport: 1,000 attitudes of 1,000 samples by method start>"

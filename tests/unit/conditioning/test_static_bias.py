@@ -208,15 +208,6 @@ def test_an_orientation_that_settles_or_changes_its_sign_does_not_hide_rest(tmp_
     assert told["rest"]["samples"] == 1000
 
 
-def test_a_sensor_that_has_not_begun_shows_no_bias(tmp_path):
-    """Zeros at the beginning of a log are no measurement."""
-    log = Motion((10, REST)).write(tmp_path)
-    head, *rows = log.read_text().splitlines()
-    rows[:300] = [f"{row.split(',')[0]},0,0,0" for row in rows[:300]]
-    _, told = static(write_rates(log, rows, head))
-    assert told["bias_rad_s"] == pytest.approx(BIAS.tolist(), abs=3e-4)
-
-
 @pytest.mark.parametrize("force", [",,", "nan,nan,nan", "0,0,0", "none,none,none"])
 def test_an_accelerometer_that_measures_nothing_shows_nothing(force, tmp_path):
     """Its columns may be empty, NaN, zero or text: rest is then found by the rates alone."""
