@@ -16,7 +16,7 @@ from make.streams import propagated
 from quatprop.errors import SeriesError, UsageError
 from quatprop.kinematics.product import PADDING
 from quatprop.kinematics.propagate import TILE, FinalAttitude, Propagation, attitudes
-from quatprop.kinematics.quaternion import exp, geodesic_angle, rotate
+from quatprop.kinematics.quaternion import geodesic_angle, rotate
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK, reblock
 from quatprop.settings.choices import METHODS
@@ -43,16 +43,6 @@ def joined(stream):
 
 
 # --- closed forms
-
-
-@pytest.mark.parametrize("angle", [3.0, 3.3, 5.0, 6.5, 11.0, 13.0])
-def test_steps_beyond_half_a_turn(angle):
-    """One step may turn by more than 180 degrees, or by more than a full turn."""
-    axis = np.array([2.0, -1.0, 2.0]) / 3
-    t_ns, rate = steady(angle * axis, 100, SECOND)
-    half = angle / 2 * np.arange(100)
-    expected = np.concatenate([np.cos(half)[:, None], np.sin(half)[:, None] * axis], axis=1)
-    assert np.abs(attitudes(t_ns, rate) - expected).max() < 3e-13
 
 
 def cone(t_s, tilt=0.2, turn=30.0):
@@ -251,15 +241,6 @@ def test_zero_rate_is_the_identity_to_the_bit(rates):
     t_ns, rate = steady([0, 0, 0], 2 * TILE + 3, 5_000_000)
     q = attitudes(t_ns, rate, rates=rates)
     assert q.tobytes() == np.tile([1.0, 0.0, 0.0, 0.0], (len(t_ns), 1)).tobytes()
-
-
-def test_repeated_stamps_turn_nothing():
-    """Samples at the same instant have the same attitude, however large their rates."""
-    t_ns = np.array([0, SECOND, SECOND, SECOND, 2 * SECOND])
-    q = attitudes(t_ns, np.array([[0, 0, 1.0], [5, 5, 5], [6, 6, 6], [0, 0, 1.0], [0, 0, 0]]))
-    assert np.array_equal(q[1], q[2])
-    assert np.array_equal(q[1], q[3])
-    assert np.allclose(q[4], exp([0, 0, 2.0]), rtol=0, atol=2e-16)
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def by_differences(name, motion, frame, method):
     return total
 
 
-def are_close(name, motion, frame, method="start", fault=1.0, told=None):  # noqa: PLR0913  # all
+def are_close(name, motion, frame, method="start", *, fault=1.0, told=None):  # noqa: PLR0913
     """Tell whether predictions agree to 1 % of the largest number of each covariance.
 
     `fault`: what the predicted errors are multiplied by
