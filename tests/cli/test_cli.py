@@ -2,7 +2,6 @@
 
 import json
 import tarfile
-from fractions import Fraction
 
 import numpy as np
 import pyarrow.parquet
@@ -154,18 +153,6 @@ def test_a_file_that_begins_with_its_provenance_can_be_read(log, tmp_path, kind)
     rows = pyarrow.parquet.read_table(table)
     assert rows.num_rows == 11
     assert rows["qw"][-1].as_py() == pytest.approx(np.cos(0.5), abs=1e-15)
-
-
-@pytest.mark.parametrize("rate", ["285.7142857142857", "2000/7"])
-@pytest.mark.parametrize("option", ["--sample-rate", "--rate"])
-def test_rates_are_decimals_or_fractions(tmp_path, option, rate):
-    """Both options take any decimal and any fraction, exactly."""
-    log = write_rates(tmp_path / "log.csv", ["1,2,3"] * 4, "wx,wy,wz")
-    rates = {"--sample-rate": "10", option: rate}
-    arguments = [word for item in rates.items() for word in item]
-    out = tmp_path / "out.csv"
-    run("propagate", log, "-o", out, "--rate-unit", "rad/s", *arguments, code=0)
-    assert stamps(out)[3] == round(3 * 10**9 / Fraction(rate))
 
 
 @pytest.mark.parametrize("cut", [0, 30])

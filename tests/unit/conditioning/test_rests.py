@@ -2,7 +2,6 @@
 
 import math
 import re
-import warnings
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from quatprop.conditioning.quantisation import Levels, shared_step, step_of
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate, log, multiply
 
+pytestmark = pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 HZ = 100
 DEG = math.pi / 180
 
@@ -36,11 +36,15 @@ def turning(seed, seconds=5):
 
 
 def found(samples, **options):
-    """Return the report of a run that takes the bias from a rest."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        report = propagate(samples, **{"bias": "static", "sigma": True, **options}).report
+    """Return the report of a run that takes the bias from a rest, and its remarks."""
+    report = propagate(samples, **{"bias": "static", "sigma": True, **options}).report
     return report, [str(remark) for remark in report.remarks]
+
+
+def written(folder, samples):
+    """Write samples as a table, whose unit is not told; return its path."""
+    rows = ([t_ns, *rate] for t_ns, rate in zip(samples.t_ns, samples.rate.tolist(), strict=True))
+    return write_rates(folder / "log.csv", rows)
 
 
 # --- rests that differ
@@ -135,7 +139,7 @@ def test_the_bias_of_several_rests(way):
     (remark,) = (each for each in remarks if "differs by 0.17" in each)
     assert "which is the bias" not in remark, "it is one of three"
     # The rates that are propagated, from attitudes that are.
-    wxyz = found_attitudes(samples, f"static:{way}")
+    wxyz = propagate(samples, bias=f"static:{way}").wxyz
     rate = log(multiply(conjugate(wxyz[:-1]), wxyz[1:])) * HZ
     bias = (samples.rate[:-1] - rate)[:, 2]
     ends = [(rest.first_ns, rest.last_ns) for rest in conditioning.rests]
@@ -147,13 +151,6 @@ def test_the_bias_of_several_rests(way):
     assert bias[middle + 1] == pytest.approx(expected[2], abs=1e-5)
     before = np.mean(means[:2], axis=0) if way == "interpolate" else means[0]
     assert bias[middle - 1] == pytest.approx(before[2], abs=1e-5)
-
-
-def found_attitudes(samples, bias):
-    """Return attitudes, remarks aside."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return propagate(samples, bias=bias).wxyz
 
 
 def test_of_several_rests_the_error_between_them_is_stated():
@@ -177,7 +174,7 @@ def test_one_rest_is_the_nearest_and_the_bias_between():
     """To the bit what static takes."""
     samples = series(noise(1, 10), turning(2))
     one, nearest, between = (
-        found_attitudes(samples, f"static{way}") for way in ("", ":nearest", ":interpolate")
+        propagate(samples, bias=f"static{way}").wxyz for way in ("", ":nearest", ":interpolate")
     )
     assert one.tobytes() == nearest.tobytes() == between.tobytes()
 
@@ -185,15 +182,14 @@ def test_one_rest_is_the_nearest_and_the_bias_between():
 def test_the_summary_says_how_the_bias_follows_from_rests(tmp_path):
     """And the same attitudes come out of a file, in whatever batches."""
     samples, _ = three_rests()
-    rows = ([t_ns, *rate] for t_ns, rate in zip(samples.t_ns, samples.rate.tolist(), strict=True))
-    path, out = write_rates(tmp_path / "log.csv", rows), tmp_path / "out.csv"
+    path, out = written(tmp_path, samples), tmp_path / "out.csv"
     options = ("--rate-unit", "rad/s", "--bias", "static:interpolate")
     result = run("propagate", path, "-o", out, *options)
     (line,) = (line for line in result.stderr.splitlines() if line.startswith("bias"))
     assert "interpolated between 3 rests of 39." in line
     assert "z -0.00" in line
     last = [float(part) for part in out.read_text().splitlines()[-1].split(",")[1:]]
-    expected = found_attitudes(samples, "static:interpolate")[-1]
+    expected = propagate(samples, bias="static:interpolate").wxyz[-1]
     np.testing.assert_allclose(last, expected, rtol=1e-15)
     said = refused("propagate", path, "-o", out, "--bias", "static:2s:nearest")
     assert "'2s' is not one of 'nearest', 'interpolate'" in said
@@ -212,8 +208,7 @@ def test_a_rest_can_be_given(tmp_path, given):
     inside = (samples.t_ns >= rest.first_ns) & (samples.t_ns <= rest.last_ns)
     assert inside.sum() == rest.samples == 901
     np.testing.assert_allclose(rest.mean_rad_s, samples.rate[inside].mean(axis=0), rtol=1e-12)
-    rows = ([t_ns, *rate] for t_ns, rate in zip(samples.t_ns, samples.rate.tolist(), strict=True))
-    path, out = write_rates(tmp_path / "log.csv", rows), tmp_path / "out.csv"
+    path, out = written(tmp_path, samples), tmp_path / "out.csv"
     result = run("propagate", path, "-o", out, "--rate-unit", "rad/s", "--bias", given)
     assert "from 901 samples over 9 s" in result.stderr
     assert "; as given" in result.stderr
