@@ -44,10 +44,7 @@ def spawned(shell, folder, programs, **options):
 
 @pytest.mark.parametrize("shell", START)
 def test_a_line_is_completed_word_by_word(shell, tmp_path):
-    """Command, file, option, choice, and the topic or columns of the file; then the line runs.
-
-    Nothing of a log whose name and columns are commands is executed: what is completed is the name.
-    """
+    """To the topic or columns of the file; then the line runs, and no name in it is executed."""
     if shutil.which(shell) is None:
         pytest.skip(f"{shell} is not installed")
     command = "$(touch PWNED)"

@@ -183,10 +183,7 @@ def test_axes_of_the_reference_remain_theirs(tmp_path):
 @pytest.mark.parametrize("changes", [True, False])
 @pytest.mark.parametrize("ours", [True, False])
 def test_covariances_that_are_constant_at_first_are_kept(tmp_path, changes, ours):
-    """A filter may be as sure of its attitude for long; only a driver says the same to the end.
-
-    Of messages that this package wrote it is known that their covariances are none of a driver.
-    """
+    """Only a driver says the same to the end; messages of this package are none of a driver."""
     t_ns = np.arange(19_000, dtype=np.int64) * 10_000_000
     covariance = np.tile(np.diag([0.01, 0.04, 0.09]), (len(t_ns), 1, 1))
     if changes:

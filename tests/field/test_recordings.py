@@ -52,10 +52,7 @@ def propagated(tmp_path, *arguments):
 @pytest.mark.filterwarnings("ignore::quatprop.DataLossWarning")
 @pytest.mark.parametrize("name", EXPECTED or ["none"])
 def test_attitudes_agree_with_the_oracle(shared_logs, tmp_path, name):
-    """Samples and stamps are the same, the attitudes midway and at the end within 1e-12 rad.
-
-    Mean by the command line; the others of the rates that are read once.
-    """
+    """The stamps are the same, the attitudes midway and at the end within 1e-12 rad."""
     expected, options = EXPECTED[name], OPTIONS.get(name, {})
     words = [word for key, value in options.items() for word in (f"--{key}", value)]
     t_ns, mean = propagated(tmp_path, shared_logs / name, "--method", "mean", *words)

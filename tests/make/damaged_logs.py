@@ -35,10 +35,7 @@ TOKENS = [
 
 
 def write_logs(folder):
-    """Write an intact log of every kind into a folder; return their names, sorted.
-
-    A folder among them is a ROS 2 bag.
-    """
+    """Write an intact log of every kind, ROS 2 bags too; return their names, sorted."""
     write_all(folder)
     for name in ("spin.csv", "coning.mcap", "tumbling.bag", "rest.parquet"):
         shutil.copy(SAMPLE_LOGS / name, folder)
@@ -208,15 +205,7 @@ def _damaged_file(file, rng):
 
 
 class DamagedLog(NamedTuple):
-    """A damaged log.
-
-    Parameters
-    ----------
-    path
-        Where it is.
-    origins
-        Names of the intact logs whose samples were in it.
-    """
+    """Where a damaged log is, and the names of the intact logs whose samples were in it."""
 
     path: Path
     origins: tuple[str, ...]

@@ -93,10 +93,7 @@ def test_a_named_part_in_which_the_body_moves_is_said_to_be_no_rest():
 
 
 def test_a_rest_of_zeros_is_a_rest():
-    """Of a coarse sensor, or one with a dead band, which shows 0, there was said to be none.
-
-    Zeros before a sensor begins to measure are none where it rests later.
-    """
+    """Of a coarse sensor there was said to be none; zeros before it begins to measure are none."""
     zeros, moving = np.zeros((10 * HZ, 3)), turning(2)
     report, remarks = found(series(zeros, moving), sigma=False)
     assert report.conditioning.rest.samples == 10 * HZ
@@ -264,10 +261,7 @@ def test_rates_that_are_not_quantised_have_no_step():
 
 @pytest.mark.parametrize("spread", [0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 0.8, 1.5])
 def test_the_mean_of_a_quantised_rest_is_as_good_as_stated(spread):
-    """A thousand rests of 500 samples each, of any rate: nowhere worse than stated.
-
-    By noise alone, which is what was stated, they are up to hundreds of times worse.
-    """
+    """Of a thousand rests; noise alone, which was stated, is hundreds of times less."""
     random = np.random.default_rng(3)
     ratios, by_noise = [], []
     for rate in random.uniform(-1, 1, 1000):

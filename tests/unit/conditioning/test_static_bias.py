@@ -181,10 +181,7 @@ def test_the_accelerometer_shows_a_drive(tmp_path):
 @pytest.mark.parametrize("frame", ["body", "inertial"])
 @pytest.mark.parametrize("tilt", [0.0, 2.0])
 def test_the_orientation_shows_a_turn_in_the_axes_of_the_rates(tmp_path, frame, tilt):
-    """On a tilted body a turn has other numbers in the axes of the reference.
-
-    Of rates in those axes it was taken for rest, and the rotation for the bias.
-    """
+    """Of rates in the axes of the reference a turn was taken for rest, and for the bias."""
     motion = Motion((1, [0, 0, 0.08]))  # two windows
     attitude = Rotation.from_euler("x", tilt) * motion.attitude
     if frame == "inertial":

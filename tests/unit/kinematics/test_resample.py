@@ -45,10 +45,7 @@ def resampled(gyro, times, method="start", rates="body", size=1000):
 
 @pytest.mark.parametrize("rates", ["body", "inertial"])
 def test_what_is_between_samples_is_linear_in_the_axes_in_which_it_grows(rates):
-    """Rates in reference axes were interpolated after they were turned to body axes.
-
-    Covariances are sums of integrals in the axes in which the rates are not resolved.
-    """
+    """Rates in reference axes were interpolated after they were turned to body axes."""
     t_ns = np.arange(51) * 20_000_000
     first, slope = np.array([[1.0, -2.0, 0.5], [3.0, 1.0, -2.0]])
     rate = first + np.outer(t_ns / 1e9, slope)

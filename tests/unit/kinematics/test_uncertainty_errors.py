@@ -39,10 +39,7 @@ COUNT, INTERVAL_NS, CHANGE = 81, 25_000_000, 1e-6
 
 @cache
 def differences(motion, frame, method):
-    """Return the samples, and how each attitude changes with each rate, ``(N, 3, N, 3)``, s.
-
-    All series of which one number is changed are propagated as one, one after the other.
-    """
+    """Return the samples, and how each attitude changes with each rate, ``(N, 3, N, 3)``, s."""
     t_ns, rate = simulated(motion, frame, COUNT, INTERVAL_NS)
     copies = np.tile(rate, (1 + rate.size, 1, 1))
     for copy, number in enumerate(np.ndindex(rate.shape), 1):
