@@ -16,6 +16,7 @@ import pyarrow.parquet
 import pytest
 from make.commands import run
 from make.places import SAMPLE_LOGS
+from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
 import quatprop
@@ -230,14 +231,16 @@ def test_advice_on_rates_in_memory_names_no_setting_for_logs(advice):
     assert not re.search("clock|time_col|time_unit|rate_unit", " ".join(said))
 
 
-def test_what_looks_wrong_is_a_warning():
-    """A gap is propagated across, and said; also of rates in memory."""
+def test_what_looks_wrong_is_a_warning(tmp_path):
+    """A gap is propagated across, or drawn, and said at the line that calls."""
     t_ns = np.append(np.arange(50), 1000) * 10_000_000
     series = GyroSeries(t_ns, np.tile([0, 0, 0.5], (51, 1)))
-    words = "^series: 1 interval longer than 100 ms"
-    with pytest.warns(quatprop.RemarkWarning, match=words) as seen:
+    log = write_rates(tmp_path / "log.csv", [(t, 0, 0, 0.5) for t in t_ns.tolist()])
+    with pytest.warns(quatprop.RemarkWarning, match="^series: 1 interval longer than 100 ms"):
         quatprop.propagate(series)
-    assert seen[0].filename == __file__
+    with pytest.warns(quatprop.RemarkWarning, match="1 gap longer than 100 ms") as seen:
+        quatprop.plot(log, output=tmp_path / "a.svg", rate_unit="rad/s")
+    assert {one.filename for one in seen} == {__file__}
 
 
 @pytest.mark.parametrize(
