@@ -30,7 +30,8 @@ EXAMPLES = (
 OPTIONS = {
     **PLOT,
     **JSON,
-    "-q --quiet": Keyword(flag, "Print nothing; the exit code only.", group="Display", common=True),
+    "-q --quiet": Keyword(
+        flag, "Print nothing; only set the exit code.", group="Display", common=True),
 }  # fmt: skip
 
 

@@ -36,7 +36,7 @@ CONTAINED = {
 
 
 class Undoings(NamedTuple):
-    """Which mistakes are undone, by their keys; empty where none is of that kind."""
+    """Which mistakes are undone, by their keys; empty if none is of that kind."""
 
     reading: str = ""
     clock: str = ""

@@ -139,7 +139,7 @@ def simulated(values: Mapping[str, Any]) -> "tuple[str, Shape, Gyroscope, tuple[
     for name, motions in SHAPED_BY.items():
         if motion not in motions and name in given:
             whose = Setting("motion", " or ".join(motions))
-            raise UsageError(f"{Setting(name)} goes with {whose}")
+            raise UsageError(f"{Setting(name)} requires {whose}")
     if "samples" in given and "duration" in given:
         raise UsageError(
             f"{Setting('samples')} and {Setting('duration')} exclude each other; give one of them"

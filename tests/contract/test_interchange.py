@@ -74,7 +74,7 @@ def test_attitudes_become_rows_of_kitti_at_the_origin(tmp_path):
         [0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1, 0],
     ]
     sentence = refused("propagate", log, "-o", "-", "--to", "kitti", "--header-comment")
-    assert "kitti has no comments; leave --header-comment out" in sentence
+    assert "kitti has no comments; omit --header-comment" in sentence
 
 
 def test_columns_that_are_only_components_mean_a_quaternion_where_one_is_asked_for(tmp_path):

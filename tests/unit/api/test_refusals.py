@@ -57,7 +57,7 @@ COMPARE = [
     ({"time_col": "x"}, "give compare() what read_attitudes() returns with time_col=..."),
 ]
 SIMULATE = [
-    ({"axis": "1,0,0", "motion": "rest"}, "axis goes with motion='spin'"),
+    ({"axis": "1,0,0", "motion": "rest"}, "axis requires motion='spin'"),
     ({"samples": 3, "duration": "1s"}, "samples and duration exclude each other"),
     ({"noise": -1}, "noise: '-1' is below 0"),
     ({"start": "+5s"}, "start: '+5s' is not a time"),
@@ -87,15 +87,15 @@ PLOT = [
     ([RATES], {"topic": "/imu"}, "topic is for files"),
     ([RATES], {"output": "a.png"}, "figure.savefig"),
     ([TRUTH], {"output": "a.png", "reference": STILL}, "figure.savefig"),
-    ([TRUTH], {"output": "a.png", "components": True, "unwrap": True}, "does not go with"),
+    ([TRUTH], {"output": "a.png", "components": True, "unwrap": True}, "cannot be combined with"),
     ([RATES], {"unwrap": True}, "series 1 has no attitude to show"),
     ([RATES[:0]], {}, "series 1 has no rows"),
     ([RATES], {"reference": TRUTH}, "Expected attitudes"),
-    ([np.eye(3)], {}, "make a series of arrays"),
+    ([np.eye(3)], {}, "make a series from arrays"),
 ]
 BATCH = [
     ({"at": [1, 2]}, "at of batch() is a file"),
-    ({"verify": True}, "verify goes with skip_existing"),
+    ({"verify": True}, "verify requires skip_existing"),
     ({"shard": "3/2"}, "'3/2' is not I/N"),
     ({"to": "doc"}, "no output kind 'doc'"),
     ({"methods": "end"}, "did you mean 'method'"),
@@ -127,10 +127,10 @@ OTHERS = [
     ),
     (lambda: quatprop.plot(STILL, RATES), "draw them apart, or choose with show"),
     # Of what is no path the type is named, and no table is shown.
-    (lambda: quatprop.propagate(RATES.to_pandas()), "is not a path; make a GyroSeries of arrays"),
+    (lambda: quatprop.propagate(RATES.to_pandas()), "is not a path; make a GyroSeries from arrays"),
     (
         lambda: quatprop.compare(STILL, STILL.wxyz),
-        "is not a path; make an AttitudeSeries of arrays",
+        "is not a path; make an AttitudeSeries from arrays",
     ),
     (lambda: quatprop.convert(STILL, "a.csv"), "is not a path; write() takes a series"),
     *(

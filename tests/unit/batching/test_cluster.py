@@ -56,7 +56,7 @@ def without_the_folder(task, settings, _version):
     ("worker", "reason"),
     [
         (without_the_package, "its worker cannot import quatprop (No module named 'quatprop'); "),
-        (without_the_folder, "its worker has written an output that is not seen here; give "),
+        (without_the_folder, "its worker has written an output that is not visible here; give "),
     ],
 )
 def test_what_other_machines_cannot_do_is_an_outcome(tmp_path, monkeypatch, worker, reason):
@@ -92,7 +92,7 @@ def test_a_cluster_without_workers_or_scheduler(tmp_path, monkeypatch):
     monkeypatch.setattr(distributed.Future, "result", lambda _: (_ for _ in ()).throw(cancelled))
     with distributed.LocalCluster(n_workers=1, **QUIET) as cluster:
         results = on_a_cluster(tasks, settings_in(tmp_path), cluster.scheduler_address, manifest)
-        with pytest.raises(QuatpropError, match="no longer answers; what is done is recorded"):
+        with pytest.raises(QuatpropError, match="no longer answers; finished logs are recorded"):
             list(results)
 
 

@@ -142,7 +142,7 @@ def test_as_many_times_as_samples_could_mean_are_taken(hz, stamps):
             (
                 "between the samples at 0 and 10000001000000000 ns there would be 10,000,001 "
                 "attitudes at 1 Hz; is a timestamp wrong? Choose on_gap='split', a lower rate, or "
-                "leave a part out with start or end"
+                "omit a part with start or end"
             ),
         ),
         # Of a rate that is no whole number, to the last of the times.

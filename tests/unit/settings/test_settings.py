@@ -106,7 +106,7 @@ def test_a_value_that_cannot_be_used_is_one_sentence(name, value, sentence):
     ("options", "sentence"),
     [
         ({"metod": "end"}, "there is no setting 'metod'; did you mean 'method'"),
-        ({"heading": 5}, "^heading goes with q0='level'$"),
+        ({"heading": 5}, "^heading requires q0='level'$"),
         ({"every": 2, "rate": 5}, "^every, rate and at each say which attitudes to write"),
     ],
 )
