@@ -74,8 +74,9 @@ def on_a_cluster(
                 there = task._replace(root=_absolute_path(task.root))
                 # Bytes: where the package is missing, only calling it fails, and for this log.
                 call = pickle.dumps(_Call(there, settings, __version__))
+                before = _state_of(settings.output_of(task))
                 future = client.submit(pickle.loads, call, pure=False, retries=settings.retries)
-                indices[future.key] = index, _state_of(settings.output_of(task))
+                indices[future.key] = index, before
                 completed.add(future)  # type: ignore[no-untyped-call]
 
         submit(AHEAD)

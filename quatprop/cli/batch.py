@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from quatprop.batching.logs import LogSearch
     from quatprop.batching.manifest import Manifest
 
-ONE_LOG = {"log", "logs", "output", "to", "into", "plot", "report", "quiet", "verbose"}
+ONE_LOG = {"log", "logs", "output", "to", "into", "plot", "view", "report", "quiet", "verbose"}
 """Parameters of ``propagate`` that are about one log."""
 
 OF_MESSAGES = ("topic", "rate_field", "time_field")

@@ -205,8 +205,8 @@ class RunReport:
         """
         source = self.source._replace(path=log, digest=Digest(self.source.digest.bytes))
         longest = sorted(names.items(), key=lambda item: -len(item[0]))
-        renamed: JsonObject = _renamed(replace(self, source=source).as_json(), longest)
-        return renamed
+        report = replace(self, source=source).as_json()
+        return {**_renamed(report, longest)} if names else report
 
     def as_json(self) -> JsonObject:
         """Return the report as JSON: the content of a report file and of outputs' metadata."""

@@ -60,10 +60,21 @@ def without_the_folder(task, settings, _version):
     ],
 )
 def test_what_other_machines_cannot_do_is_an_outcome(tmp_path, monkeypatch, worker, reason):
-    """A worker that does not share the folder was believed; one without the package ended all."""
+    """A worker that does not share the folder was believed; one without the package ended all.
+
+    One that was done before the client had looked at yesterday's output was not.
+    """
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr("quatprop.batching.cluster.propagate_on_worker", worker)
     monkeypatch.setattr("quatprop.batching.cluster.PATIENCE_S", 0)
+    submit = distributed.Client.submit
+
+    def submit_and_wait(*arguments, **options):
+        future = submit(*arguments, **options)
+        future.exception(timeout=60)
+        return future
+
+    monkeypatch.setattr(distributed.Client, "submit", submit_and_wait)
     tasks, manifest, settings = (
         tasks_of(tmp_path, "a", "b"),
         prepared(tmp_path),

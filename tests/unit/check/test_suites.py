@@ -15,7 +15,7 @@ from quatprop.cli import compare, propagate
 
 OUTPUT_ONLY = {
     "output", "to", "layout", "header-comment", "with", "euler-unit", "message", "out-topic",
-    "frames", "into", "report", "quiet", "verbose", "plot", "json", "config",
+    "frames", "into", "report", "quiet", "verbose", "plot", "view", "json", "config",
 }  # fmt: skip
 """Options of propagate and compare that are about what they write: no keys of a case."""
 
