@@ -183,7 +183,7 @@ class Terminal:
     def received(self):
         """Return what the next run of ``quatprop`` tells."""
         shown = ""
-        while self.asked not in (ready := select.select([self.asked, self.bash], [], [], 20)[0]):
+        while self.asked not in (ready := select.select([self.asked, self.bash], [], [], 60)[0]):
             assert ready, f"bash has not run quatprop: {shown[-200:]}"
             shown += self.bash.read_nonblocking(99999).decode(errors="replace")
         return os.read(self.asked, 4096).decode().split("\0")[:-1]
