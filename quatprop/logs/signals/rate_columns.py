@@ -89,12 +89,7 @@ def _no_rates(matcher: ColumnMatcher) -> LogError:
             "OpenRocket)",
             f"{Setting('rate_cols', 'X,Y,Z')} if they are those of the body",
         )
-    seen = matcher.seen()
-    if len(seen) == 40 and seen[-1].startswith("39: "):  # noqa: PLR2004  # of sensor_msgs/Imu
-        names = f"{Setting('rate_cols', '16,17,18')} {Setting('rate_unit', 'rad/s')}"
-        way_out = f"{names} {Setting('time_col', '0,1')} if ros2 topic echo wrote a sensor_msgs/Imu"
-        return UndeclaredError(matcher.path, "what its 40 columns without names are", way_out)
-    return NoRatesError(matcher.path, seen, "columns")
+    return NoRatesError(matcher.path, matcher.seen(), "columns")
 
 
 def match_bias(found: Found, selection: SignalSelection) -> Match:
