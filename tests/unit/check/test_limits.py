@@ -119,7 +119,7 @@ def test_no_default_leaves_out_all_cases(folder, key):
     """One line in the defaults made every case green, also with `--strict`."""
     result = check(write_suite(folder, f'[defaults]\n{key} = "later"\n{TRUTH}'), "--strict")
     assert result.exit_code == 2
-    assert f"'defaults.{key}': the reason is that of one case" in result.stderr
+    assert f"'defaults.{key}': the reason belongs to one case" in result.stderr
 
 
 def test_a_reference_of_another_origin_fails(folder):
