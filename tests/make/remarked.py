@@ -154,9 +154,17 @@ def converted(t_ns, wxyz, to="out.csv", more=(), head="", **options):
         columns = [t_ns, *np.transpose(wxyz), *more]
         lines = [",".join(map(str, each)) for each in zip(*columns, strict=True)]
         path = write_rates(folder / "in.csv", lines, f"t_ns,qw,qx,qy,qz{head}")
-        return convert(path, folder / to, **options, **given).remarks
+        if "relative_to" in options:
+            given["relative_to"] = options["relative_to"](folder)
+        return convert(path, folder / to, **{**options, **given}).remarks
 
     return made
+
+
+def still_body(t_ns):
+    """Return what writes the attitudes of a body that does not turn."""
+    lines = [f"{t},1,0,0,0" for t in t_ns]
+    return lambda folder: write_rates(folder / "still.csv", lines, "t_ns,qw,qx,qy,qz")
 
 
 def compared(a, b, **options):
@@ -230,12 +238,8 @@ def covered(*first):
     """Return what gives messages a covariance of the rates that begins with these numbers."""
 
     def each(k, topic, kind, at, values):
-        return (
-            topic,
-            kind,
-            at,
-            values | {"angular_velocity_covariance": [first[k % len(first)]] * 9},
-        )
+        covariance = [first[k % len(first)]] * 9
+        return topic, kind, at, values | {"angular_velocity_covariance": covariance}
 
     return each
 
@@ -260,18 +264,10 @@ def outer_stamps(first):
         store.register(
             get_types_from_msg("std_msgs/Header header\nsensor_msgs/Imu imu\n", "p/msg/Motion")
         )
-        at = stamps(20).tolist()
-        messages = [
-            (
-                "/imu",
-                "p/msg/Motion",
-                t,
-                {"header": {"stamp": t}, "imu": {"header": {"stamp": own}, "angular_velocity": w}},
-            )
-            for t, own, w in zip(
-                at, with_value(stamps(20), slice(0, first), 0).tolist(), TWENTY, strict=True
-            )
-        ]
+        messages, inner = [], with_value(stamps(20), slice(0, first), 0).tolist()
+        for at, own, rate in zip(stamps(20).tolist(), inner, TWENTY, strict=True):
+            imu = {"header": {"stamp": own}, "angular_velocity": rate}
+            messages.append(("/imu", "p/msg/Motion", at, {"header": {"stamp": at}, "imu": imu}))
         return rates_of(write_messages(folder / "log.mcap", messages, types=(ROS1, store)))
 
     return made
