@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop.batching.entries import BUCKETS, TYPES, json_line, schema, table_of
 from quatprop.batching.logs import place_below
+from quatprop.batching.manifest_files import LINES, PART, ManifestFile, groups, is_own, slices
 from quatprop.errors import OutputError, StoreError
 from quatprop.stores.objects import is_address, list_objects, locate, without_secret
 from quatprop.stores.transfers import get, put
@@ -39,13 +40,11 @@ if TYPE_CHECKING:
 FOLDER = "_manifest"
 """Readers of data sets skip what begins with an underscore."""
 
-PART = ".pq"
-"""Suffix of a part in Parquet: not that of outputs, which ``DIR/**/*.parquet`` stands for."""
-
-LINES = ".jsonl"
-
 OBJECT_ENTRIES = 100
 """Entries of an object with lines: nothing can be appended to it, and it is written again."""
+
+FILE_ENTRIES = 1 << 16
+"""Entries of a file with lines, which is parsed as a whole."""
 
 REQUESTS = 16
 """Objects that are read at a time."""
@@ -55,12 +54,6 @@ SIMILAR = 4
 
 MANY = 16
 """Similar parts from which they are merged."""
-
-ENTRY_BYTES = 32
-"""Bytes of an entry, at least."""
-
-SLICE_ROWS = 1 << 18
-"""Entries that are looked at together."""
 
 ABANDONED_S = 7 * 86_400
 """Age of lines that no batch will append to."""
@@ -84,6 +77,7 @@ class Manifest:
 
     def __init__(self, folder: str) -> None:
         self.folder, self.run, self.unused = folder, new_run(), 0
+        self._recorded = 0
         self._place = place_below(folder, FOLDER)
         self.place = without_secret(self._place)
         self._is_remote = is_address(folder)
@@ -111,6 +105,8 @@ class Manifest:
             self._lines.append(line)
             put(self._journal, b"".join(self._lines))
             return entry
+        if self._recorded % FILE_ENTRIES == 0:
+            self._journal = ""
         journal, self._journal = self._journal or self._new_name(LINES), ""
         with output_errors(self._place):
             file = os.open(journal, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
@@ -119,7 +115,7 @@ class Manifest:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             finally:
                 os.close(file)
-        self._journal = journal
+        self._journal, self._recorded = journal, self._recorded + 1
         return entry
 
     def __getstate__(self) -> dict[str, object]:
@@ -128,7 +124,7 @@ class Manifest:
 
     def slices(self, columns: Sequence[str]) -> Iterator[tuple[range, dict[str, tuple[Any, ...]]]]:
         """Yield the valid entries by output, as values of columns, in parts by their bucket."""
-        for buckets in _slices(self._files()):
+        for buckets in slices(self._files()):
             wanted = list(dict.fromkeys(["output", "time", *columns]))
             table = self._read(buckets, wanted).sort_by("time")
             values = zip(*(table[name].to_pylist() for name in columns), strict=True)
@@ -142,16 +138,17 @@ class Manifest:
         """Make a part of the entries of this batch, and of those that killed ones have left."""
         limit = time.time() - ABANDONED_S
         own = [
-            name
-            for name, _, written in self._files()
-            if name.endswith(LINES) and (name.startswith(self.run) or written < limit)
+            file
+            for file in self._files()
+            if file.name.endswith(LINES)
+            and (file.name.startswith(self.run) or file.written < limit)
         ]
-        if own:
-            self._merge(own)
+        for names in groups(own):
+            self._merge(names)
         similar: dict[int, list[str]] = {}
-        for name, size, _ in self._files():
-            if name.endswith(PART):
-                similar.setdefault(size.bit_length() // SIMILAR, []).append(name)
+        for file in self._files():
+            if file.name.endswith(PART):
+                similar.setdefault(file.size.bit_length() // SIMILAR, []).append(file.name)
         for names in similar.values():
             if len(names) >= MANY:
                 self._merge(names)
@@ -168,7 +165,7 @@ class Manifest:
                 open_atomic(self._new_name(PART)) as stream,
                 pq.ParquetWriter(stream, schema(), compression="zstd") as writer,
             ):
-                for buckets in _slices([file for file in self._files() if file[0] in names]):
+                for buckets in slices([file for file in self._files() if file.name in names]):
                     table = self._read(buckets, names=names)
                     table = _distinct(table, ["bucket", "output", "time", "run"])
                     writer.write_table(table, row_group_size=1 << 14)
@@ -184,7 +181,7 @@ class Manifest:
             else:
                 Path(self._place, name).unlink(missing_ok=True)
 
-    def _files(self) -> list[tuple[str, int, float]]:
+    def _files(self) -> list[ManifestFile]:
         """Return name, size and time of all files, the oldest first.
 
         They are listed again where one was removed meanwhile: what took its place may be missing.
@@ -192,25 +189,29 @@ class Manifest:
         while True:
             with suppress(_MergedError):
                 before, files = self._listed(), self._listed()
-                if {name for name, _, _ in before} <= {name for name, _, _ in files}:
+                if {file.name for file in before} <= {file.name for file in files}:
                     return files
 
-    def _listed(self) -> list[tuple[str, int, float]]:
+    def _listed(self) -> list[ManifestFile]:
         if self._is_remote:
             objects = list_objects(self._place, missing_ok=True).items()
-            found = [(name, info.size, (info.mtime_ns or 0) * 1e-9) for name, info in objects]
-            return sorted(file for file in found if file[1] and _is_own(file[0]))
+            found = [
+                ManifestFile(name, info.size, (info.mtime_ns or 0) * 1e-9)
+                for name, info in objects
+                if is_own(name)
+            ]
+            return sorted(file for file in found if file.size)
         found = []
         with suppress(FileNotFoundError), os.scandir(self._place) as entries:
             for entry in entries:
-                if _is_own(entry.name):
+                if is_own(entry.name):
                     try:
                         status = entry.stat()
                     except FileNotFoundError as error:
                         raise _MergedError from error
                     if stat.S_ISREG(status.st_mode):
-                        found.append((entry.name, status.st_size, status.st_mtime))
-        return sorted(file for file in found if file[1])
+                        found.append(ManifestFile(entry.name, status.st_size, status.st_mtime))
+        return sorted(file for file in found if file.size)
 
     def _read(
         self,
@@ -223,7 +224,7 @@ class Manifest:
             return self._read_files(names, buckets, columns)
         while True:
             with suppress(_MergedError):
-                return self._read_files([name for name, _, _ in self._files()], buckets, columns)
+                return self._read_files([file.name for file in self._files()], buckets, columns)
 
     def _read_files(
         self, names: Sequence[str], buckets: range, columns: Sequence[str] | None
@@ -245,11 +246,13 @@ class Manifest:
             bucket = pc.field("bucket")
             chosen = (bucket >= buckets.start) & (bucket < buckets.stop)
         lines = [name for name in names if name.endswith(LINES)]
+        tables, self.unused = [], 0
         with ThreadPoolExecutor(REQUESTS) as pool:
-            parsed = [table_of(content) for content in pool.map(self._content, lines)]
-        self.unused = sum(unused for _, unused in parsed)
-        tables = [table if chosen is None else table.filter(chosen) for table, _ in parsed]
-        tables = [table.select(columns) for table in tables]
+            # Files of this machine are large: one of them at a time.
+            read = pool.map if self._is_remote else map
+            for table, unused in map(table_of, read(self._content, lines)):
+                tables.append((table if chosen is None else table.filter(chosen)).select(columns))
+                self.unused += unused
         if parts := [name for name in names if name.endswith(PART)]:
             import pyarrow.dataset as ds
 
@@ -274,19 +277,6 @@ class Manifest:
     def _new_name(self, suffix: str) -> str:
         name = f"{self.run}-{os.getpid()}-{secrets.token_hex(4)}{suffix}"
         return place_below(self._place, name)
-
-
-def _is_own(name: str) -> bool:
-    """Return whether a file is a part or has lines, and is not being written."""
-    return name.endswith((PART, LINES)) and not name.startswith(".")
-
-
-def _slices(files: Sequence[tuple[str, int, float]]) -> Iterator[range]:
-    """Yield ranges of buckets, of which the entries are few enough to be looked at together."""
-    rows = sum(size for _, size, _ in files) // ENTRY_BYTES
-    count = min(BUCKETS, rows // SLICE_ROWS + 1)
-    for number in range(count):
-        yield range(number * BUCKETS // count, (number + 1) * BUCKETS // count)
 
 
 def _distinct(table: pa.Table, keys: list[str]) -> pa.Table:

@@ -11,9 +11,10 @@ import pytest
 from make.batches import UP_TO_DATE, batch, entries, outputs_in, said, spin
 from make.commands import refused
 
-from quatprop.batching import execution
-from quatprop.batching.entries import ManifestEntry, json_line
+from quatprop.batching import execution, manifest, manifest_files
+from quatprop.batching.entries import ManifestEntry, json_line, table_of
 from quatprop.batching.manifest import Manifest
+from quatprop.batching.manifest_files import LINES
 
 
 def test_the_manifest_has_a_line_for_each_log(tmp_path):
@@ -59,6 +60,33 @@ def journal(out, *lines):
     """Write lines as a batch does that was killed."""
     (out / "_manifest").mkdir(parents=True, exist_ok=True)
     (out / "_manifest" / "1-killed.jsonl").write_bytes(b"".join(lines))
+
+
+def test_lines_of_a_large_batch_are_parsed_once_and_a_few_files_at_a_time(tmp_path, monkeypatch):
+    """All lines were held at once, and parsed again for each part of the buckets."""
+    monkeypatch.setattr(manifest, "FILE_ENTRIES", 10)
+    line = len(json_line(ManifestEntry("done", "/in", "0", "0").recorded("1")))
+    monkeypatch.setattr(
+        manifest_files, "SLICE_ROWS", 25 * line // manifest_files.ENTRY_BYTES[LINES]
+    )
+    parsed = []
+    monkeypatch.setattr(manifest, "table_of", lambda text: parsed.append(text) or table_of(text))
+    batch = Manifest(str(tmp_path))
+    batch.prepare()
+    for number in range(100):
+        batch.record(ManifestEntry("done", "/in", str(number % 90), str(number % 90)))
+    assert len(list((tmp_path / "_manifest").iterdir())) == 10
+    batch.collect()
+    assert [text.count(b"\n") for text in parsed] == [10] * 10
+    assert [path.suffix for path in (tmp_path / "_manifest").iterdir()] == [".pq"] * 5
+    assert batch.history().num_rows == 100
+    assert len(entries(tmp_path)) == 90
+
+
+def test_an_entry_has_at_least_the_bytes_that_are_counted_on():
+    """The number of entries in a file is estimated from its size."""
+    entry = ManifestEntry("done", "", "", "", seconds=0.0, quatprop="1")
+    assert len(json_line(entry.recorded(""))) >= manifest_files.ENTRY_BYTES[LINES]
 
 
 def test_a_line_that_was_cut_is_ignored(tmp_path):
