@@ -7,6 +7,7 @@ import io
 import json
 import re
 from datetime import UTC, datetime
+from functools import reduce
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.provenance import as_json
@@ -222,3 +223,15 @@ def _is_entry(line: bytes) -> bool:
         name not in _REQUIRED if entry.get(name) is None else _is_valid(name, entry[name])
         for name in TYPES
     )
+
+
+def distinct(table: pa.Table, keys: list[str]) -> pa.Table:
+    """Return entries in order, each once."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    table = table.sort_by([(key, "ascending") for key in keys])
+    if not len(table):
+        return table
+    changes = [pc.not_equal(table[key][1:], table[key][:-1]) for key in keys]
+    return pa.concat_tables([table[:1], table[1:].filter(reduce(pc.or_, changes))])

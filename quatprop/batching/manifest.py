@@ -17,13 +17,20 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from datetime import UTC, datetime
-from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from quatprop.batching.entries import BUCKETS, TYPES, json_line, schema, table_of
+from quatprop.batching.entries import BUCKETS, TYPES, distinct, json_line, schema, table_of
 from quatprop.batching.logs import place_below
-from quatprop.batching.manifest_files import LINES, PART, ManifestFile, groups, is_own, slices
+from quatprop.batching.manifest_files import (
+    LINE_BYTES,
+    LINES,
+    PART,
+    ManifestFile,
+    groups,
+    is_own,
+    slices,
+)
 from quatprop.errors import OutputError, StoreError
 from quatprop.stores.objects import is_address, list_objects, locate, without_secret
 from quatprop.stores.transfers import get, put
@@ -34,6 +41,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     import pyarrow as pa
+    import pyarrow.dataset as ds
 
     from quatprop.batching.entries import ManifestEntry
 
@@ -43,7 +51,7 @@ FOLDER = "_manifest"
 OBJECT_ENTRIES = 100
 """Entries of an object with lines: nothing can be appended to it, and it is written again."""
 
-FILE_ENTRIES = 1 << 16
+FILE_ENTRIES = 1 << 15
 """Entries of a file with lines, which is parsed as a whole."""
 
 REQUESTS = 16
@@ -124,7 +132,7 @@ class Manifest:
 
     def slices(self, columns: Sequence[str]) -> Iterator[tuple[range, dict[str, tuple[Any, ...]]]]:
         """Yield the valid entries by output, as values of columns, in parts by their bucket."""
-        for buckets in slices(self._files()):
+        for buckets in self._slices():
             wanted = list(dict.fromkeys(["output", "time", *columns]))
             table = self._read(buckets, wanted).sort_by("time")
             values = zip(*(table[name].to_pylist() for name in columns), strict=True)
@@ -132,7 +140,7 @@ class Manifest:
 
     def history(self) -> pa.Table:
         """Return all entries there ever were, by output and time."""
-        return _distinct(self._read(range(BUCKETS)), ["output", "time", "run"])
+        return distinct(self._read(range(BUCKETS)), ["output", "time", "run"])
 
     def collect(self) -> None:
         """Make a part of the entries of this batch, and of those that killed ones have left."""
@@ -165,9 +173,9 @@ class Manifest:
                 open_atomic(self._new_name(PART)) as stream,
                 pq.ParquetWriter(stream, schema(), compression="zstd") as writer,
             ):
-                for buckets in slices([file for file in self._files() if file.name in names]):
+                for buckets in self._slices(names):
                     table = self._read(buckets, names=names)
-                    table = _distinct(table, ["bucket", "output", "time", "run"])
+                    table = distinct(table, ["bucket", "output", "time", "run"])
                     writer.write_table(table, row_group_size=1 << 14)
             # Not before the part is in its place: a kill would lose them.
             self._remove(names)
@@ -213,6 +221,23 @@ class Manifest:
                         found.append(ManifestFile(entry.name, status.st_size, status.st_mtime))
         return sorted(file for file in found if file.size)
 
+    def _slices(self, names: Sequence[str] | None = None) -> Iterator[range]:
+        """Return ranges of buckets of a bounded size, of some files if they are named."""
+        while True:
+            with suppress(FileNotFoundError):  # another batch has just merged one of them
+                files = [file for file in self._files() if names is None or file.name in names]
+                lines = sum(file.size for file in files if file.name.endswith(LINES))
+                parts = [file.name for file in files if file.name.endswith(PART)]
+                rows = self._dataset(parts).count_rows() if parts else 0
+                return slices(rows + lines // LINE_BYTES)
+
+    def _dataset(self, parts: Sequence[str]) -> ds.Dataset:
+        import pyarrow.dataset as ds
+
+        store, place = locate(self._place) if self._is_remote else (None, self._place)
+        paths = [f"{place}/{name}" for name in parts]
+        return ds.dataset(paths, schema(), format="parquet", filesystem=store)
+
     def _read(
         self,
         buckets: range,
@@ -254,12 +279,7 @@ class Manifest:
                 tables.append((table if chosen is None else table.filter(chosen)).select(columns))
                 self.unused += unused
         if parts := [name for name in names if name.endswith(PART)]:
-            import pyarrow.dataset as ds
-
-            store, place = locate(self._place) if self._is_remote else (None, self._place)
-            paths = [f"{place}/{name}" for name in parts]
-            data = ds.dataset(paths, schema(), format="parquet", filesystem=store)
-            tables.append(data.to_table(columns, filter=chosen))
+            tables.append(self._dataset(parts).to_table(columns, filter=chosen))
         return pa.concat_tables(tables or [schema().empty_table().select(columns)])
 
     def _content(self, name: str) -> bytes:
@@ -277,15 +297,3 @@ class Manifest:
     def _new_name(self, suffix: str) -> str:
         name = f"{self.run}-{os.getpid()}-{secrets.token_hex(4)}{suffix}"
         return place_below(self._place, name)
-
-
-def _distinct(table: pa.Table, keys: list[str]) -> pa.Table:
-    """Return entries in order, each once."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
-    table = table.sort_by([(key, "ascending") for key in keys])
-    if not len(table):
-        return table
-    changes = [pc.not_equal(table[key][1:], table[key][:-1]) for key in keys]
-    return pa.concat_tables([table[:1], table[1:].filter(reduce(pc.or_, changes))])

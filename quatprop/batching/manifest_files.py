@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import PurePath
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.batching.entries import BUCKETS
@@ -15,11 +14,11 @@ PART = ".pq"
 
 LINES = ".jsonl"
 
-ENTRY_BYTES = {PART: 32, LINES: 256}
-"""Bytes of an entry, at least."""
+LINE_BYTES = 256
+"""Bytes of an entry in a file with lines, at least."""
 
-SLICE_ROWS = 1 << 18
-"""Entries that are looked at together, at most."""
+SLICE_ROWS = 1 << 16
+"""Entries that are looked at together, about."""
 
 
 class ManifestFile(NamedTuple):
@@ -29,33 +28,28 @@ class ManifestFile(NamedTuple):
     size: int
     written: float
 
-    @property
-    def rows(self) -> int:
-        """Its entries, at most."""
-        return self.size // ENTRY_BYTES[PurePath(self.name).suffix]
-
 
 def is_own(name: str) -> bool:
     """Return whether a file is a part or has lines, and is not being written."""
     return name.endswith((PART, LINES)) and not name.startswith(".")
 
 
-def slices(files: Sequence[ManifestFile]) -> Iterator[range]:
+def slices(rows: int) -> Iterator[range]:
     """Yield ranges of buckets, of which the entries are few enough to be looked at together."""
-    count = min(BUCKETS, sum(file.rows for file in files) // SLICE_ROWS + 1)
+    count = min(BUCKETS, rows // SLICE_ROWS + 1)
     for number in range(count):
         yield range(number * BUCKETS // count, (number + 1) * BUCKETS // count)
 
 
 def groups(files: Sequence[ManifestFile]) -> Iterator[list[str]]:
-    """Yield names of files whose entries are few enough to be looked at together."""
+    """Yield names of files with lines, few enough to be looked at together."""
     names: list[str] = []
-    rows = 0
+    size = 0
     for file in files:
-        if names and rows + file.rows > SLICE_ROWS:
+        if names and size + file.size > SLICE_ROWS * LINE_BYTES:
             yield names
-            names, rows = [], 0
+            names, size = [], 0
         names.append(file.name)
-        rows += file.rows
+        size += file.size
     if names:
         yield names

@@ -19,7 +19,7 @@ import pyarrow.compute as pc
 from quatprop.stores.compression import MAX_SIZE
 from quatprop.stores.limits import decompressed_limit, too_large
 from quatprop.tables.hdf5_attributes import absent_values
-from quatprop.tables.npy_format import HeaderError
+from quatprop.tables.npy_format import HeaderError, has_signals_in_rows
 from quatprop.tables.numpy_table import rows_at_once, values_in
 from quatprop.text import listed, plain
 
@@ -50,12 +50,16 @@ def shape_of(dataset: Any) -> tuple[int, ...] | None:
         shape = space and space.get_simple_extent_dims()
     else:
         shape = dataset.shape
-    return shape[::-1] if shape and is_of_matlab(dataset, len(shape)) else shape
+    return shape[::-1] if shape and has_samples_in_columns(dataset, shape) else shape
 
 
-def is_of_matlab(dataset: Any, dimensions: int) -> bool:
-    """Whether MATLAB has written it, column after column."""
-    return dimensions == 2 and "MATLAB_class" in dataset.attrs  # noqa: PLR2004  # rows and columns
+def has_samples_in_columns(dataset: Any, shape: tuple[int, ...]) -> bool:
+    """Return whether samples follow one another along the second dimension.
+
+    MATLAB writes column after column.
+    """
+    is_of_matlab = len(shape) == 2 and "MATLAB_class" in dataset.attrs  # noqa: PLR2004
+    return is_of_matlab != has_signals_in_rows(shape[::-1] if is_of_matlab else shape)
 
 
 def refusal(dataset: Any, file_size: int) -> str:
@@ -106,8 +110,7 @@ class StoredRows:
         self._absent_values = absent_values(dataset)
         self._dataset = dataset
         self._shape: tuple[int, ...] = dataset.shape
-        self._is_of_matlab = is_of_matlab(dataset, len(self._shape))
-        self._axis = 1 if self._is_of_matlab else 0
+        self._axis = int(has_samples_in_columns(dataset, self._shape))
         self._width: slice[int, int, None]  # of several columns
         self.step = size = dataset.dtype.itemsize
         if len(self._shape) > 1:
@@ -201,7 +204,7 @@ class StoredRows:
         rows = slice(begin, end)
         if len(self._shape) == 1:
             values = self._dataset[rows]
-        elif self._is_of_matlab:
+        elif self._axis:
             values = self._dataset[self._width, rows].T
         else:
             values = self._dataset[rows, self._width]

@@ -28,6 +28,7 @@ _PREAMBLES = {(1, 0): ("<H", "latin-1"), (2, 0): ("<I", "latin-1"), (3, 0): ("<I
 _LONGEST_HEADER = 1 << 15
 _WIDEST_ROW = 1 << 20
 _MOST_COLUMNS = 4096
+_MOST_SIGNALS, _FEWEST_SAMPLES = 20, 100
 
 
 class HeaderError(ValueError):
@@ -60,6 +61,14 @@ class ArrayColumn(NamedTuple):
     step: int
     offset: int
     rows: int
+
+
+def has_signals_in_rows(shape: tuple[int, ...]) -> bool:
+    """Return whether each row of a matrix is a signal, as MATLAB's users often write them.
+
+    A log of so few samples with so many columns there is not.
+    """
+    return len(shape) == 2 and shape[0] <= _MOST_SIGNALS and shape[1] > _FEWEST_SAMPLES  # noqa: PLR2004
 
 
 def read_header(stream: BinaryIO) -> ArrayHeader:
@@ -108,9 +117,11 @@ def columns_of(header: ArrayHeader) -> list[ArrayColumn]:
 
     An array of records has one for each field, those of nested fields as ``field.part``, those of
     fields that are arrays as ``field[0]``; a plain array of two dimensions has ``[0]``, ``[1]``...
-    where there are several.
+    where there are several. A matrix whose rows are signals is one of which the columns are.
     """
     dtype, shape, is_fortran = header
+    if has_signals_in_rows(shape):
+        shape, is_fortran = shape[::-1], not is_fortran
     if len(shape) == 1:
         rows, fields, step = shape[0], _fields(dtype), dtype.itemsize
     elif len(shape) == 2 and not dtype.names:  # noqa: PLR2004  # rows and columns

@@ -14,7 +14,6 @@ from make.commands import refused
 from quatprop.batching import execution, manifest, manifest_files
 from quatprop.batching.entries import ManifestEntry, json_line, table_of
 from quatprop.batching.manifest import Manifest
-from quatprop.batching.manifest_files import LINES
 
 
 def test_the_manifest_has_a_line_for_each_log(tmp_path):
@@ -66,9 +65,7 @@ def test_lines_of_a_large_batch_are_parsed_once_and_a_few_files_at_a_time(tmp_pa
     """All lines were held at once, and parsed again for each part of the buckets."""
     monkeypatch.setattr(manifest, "FILE_ENTRIES", 10)
     line = len(json_line(ManifestEntry("done", "/in", "0", "0").recorded("1")))
-    monkeypatch.setattr(
-        manifest_files, "SLICE_ROWS", 25 * line // manifest_files.ENTRY_BYTES[LINES]
-    )
+    monkeypatch.setattr(manifest_files, "SLICE_ROWS", 25 * line // manifest_files.LINE_BYTES)
     parsed = []
     monkeypatch.setattr(manifest, "table_of", lambda text: parsed.append(text) or table_of(text))
     batch = Manifest(str(tmp_path))
@@ -86,7 +83,7 @@ def test_lines_of_a_large_batch_are_parsed_once_and_a_few_files_at_a_time(tmp_pa
 def test_an_entry_has_at_least_the_bytes_that_are_counted_on():
     """The number of entries in a file is estimated from its size."""
     entry = ManifestEntry("done", "", "", "", seconds=0.0, quatprop="1")
-    assert len(json_line(entry.recorded(""))) >= manifest_files.ENTRY_BYTES[LINES]
+    assert len(json_line(entry.recorded(""))) >= manifest_files.LINE_BYTES
 
 
 def test_a_line_that_was_cut_is_ignored(tmp_path):

@@ -3,10 +3,12 @@
 import struct
 import zipfile
 
+import h5py
 import numpy as np
 import pytest
 from make.commands import refused, run
 from make.table_rates import refusal, table_rates
+from scipy.io import savemat
 
 from quatprop.errors import DamagedLogError, NoRatesError, UndeclaredError
 from quatprop.logs.open_log import open_log
@@ -153,7 +155,7 @@ def header(descr, shape, *, fortran=False):
         (npy(header("<f8", ())), "its array of shape () is"),
         (npy(header("<f8", (2, 3, 4))), "of shape (2, 3, 4"),
         (npy(header(DESCR, (2, 2))), "of shape (2, 2) is"),
-        (npy(header("<f8", (2, 10**15))), "its rows have 8000"),
+        (npy(header("<f8", (200, 10**15))), "its rows have 8000"),
         (npy(header("<f8", (2, 0), fortran=True)), "its rows have 8 bytes"),
     ],
 )
@@ -263,3 +265,35 @@ def test_an_array_that_was_being_written_is_read_as_far_as_it_goes(path):
     t_ns, _, losses, _ = table_rates(path)
     assert len(t_ns) > 100
     assert (t_ns, len(losses)) == ([*range(len(t_ns))], 2)
+
+
+@pytest.mark.parametrize("form", ["npy", "npz", "npz f", "v5", "v7.3", "h5", "h5 chunks"])
+def test_a_matrix_whose_rows_are_signals_is_read_along_them(tmp_path, form):
+    """Of 3 by 2,000 numbers three samples were read, and nothing was said."""
+    rate, seconds = np.random.default_rng(5).normal(size=(2000, 3)), np.arange(2000) / 100
+    kind = {"v5": "mat", "v7.3": "mat"}.get(form, form.split()[0])
+    path = tmp_path / f"log.{kind}"
+    variables = {"gyr": rate.T, "t": seconds[None]}
+    if form == "npy":
+        np.save(path, np.vstack([variables["t"], variables["gyr"]]))
+    elif kind == "npz":
+        order = np.asfortranarray if form.endswith("f") else np.ascontiguousarray
+        np.savez(path, **{name: order(values) for name, values in variables.items()})
+    elif form == "v5":
+        savemat(path, variables)
+    else:
+        of_matlab = form == "v7.3"
+        with h5py.File(path, "w", userblock_size=512 if of_matlab else 0) as file:
+            for name, values in variables.items():
+                chunks = (1, 300) if form.endswith("chunks") else None
+                file.create_dataset(name, data=values.T if of_matlab else values, chunks=chunks)
+                if of_matlab:
+                    file[name].attrs["MATLAB_class"] = np.bytes_("double")
+        if of_matlab:
+            with path.open("r+b") as bare:
+                bare.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64")
+    columns = {"rate_cols": ("1", "2", "3"), "time_col": "0"} if form == "npy" else {}
+    found = table_rates(path, rate_unit="rad/s", time_unit="s", **columns)
+    assert found.rate.tolist() == rate.tolist()
+    assert found.t_ns == np.round(seconds * 1e9).tolist()
+    assert not found.losses
