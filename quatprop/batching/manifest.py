@@ -51,7 +51,7 @@ FOLDER = "_manifest"
 OBJECT_ENTRIES = 100
 """Entries of an object with lines: nothing can be appended to it, and it is written again."""
 
-FILE_ENTRIES = 1 << 15
+FILE_ENTRIES = 1 << 14
 """Entries of a file with lines, which is parsed as a whole."""
 
 REQUESTS = 16
@@ -166,6 +166,7 @@ class Manifest:
 
         Whoever reads meanwhile may see an entry twice, which is the same as once.
         """
+        import pyarrow as pa
         import pyarrow.parquet as pq
 
         with suppress(_MergedError):
@@ -177,6 +178,8 @@ class Manifest:
                     table = self._read(buckets, names=names)
                     table = distinct(table, ["bucket", "output", "time", "run"])
                     writer.write_table(table, row_group_size=1 << 14)
+                    del table
+                    pa.default_memory_pool().release_unused()
             # Not before the part is in its place: a kill would lose them.
             self._remove(names)
 

@@ -17,7 +17,7 @@ LINES = ".jsonl"
 LINE_BYTES = 256
 """Bytes of an entry in a file with lines, at least."""
 
-SLICE_ROWS = 1 << 16
+SLICE_ROWS = 1 << 15
 """Entries that are looked at together, about."""
 
 
