@@ -24,9 +24,12 @@ from quatprop.comparison.misreadings import axes, misreadings
 from quatprop.comparison.plans import (
     CLOCKS,
     CONTAINED,
+    MISREAD,
     NOTHING,
     PRICE,
     PRICES,
+    RATE_REMEDIES,
+    READINGS,
     Explanation,
     Undoings,
 )
@@ -56,6 +59,15 @@ TIE = 1.05
 
 AS_GOOD = 1.3
 """Within this factor of the best, an explanation is not ruled out."""
+
+SHOWN = 0.05
+"""Share of the error that a misreading or an integration rule may leave: all of it is theirs."""
+
+OF_RULES = 0.2
+"""The same of an integration rule, over that of a misreading: other rules are nearly as good."""
+
+CLEARLY = 3.0
+"""Within this factor of the best, another misreading of quaternions is not ruled out."""
 
 PROMISING = 4.0
 """Within this factor of the best, a reading is tried with all alignments."""
@@ -100,6 +112,7 @@ class Search:
         self._fits: dict[Undoings, Explanation] = {}
         self._readings: dict[str, Undoing] = {}
         self._rules: Undoing | None = None
+        self._is_read = any(undoing.name in READINGS for undoing in known)
         self._floor, self.is_open, self.best = 0.0, False, NOTHING
         self.others: list[str] = []
         above = {"mean": ("mount",), "mount": ()}.get(self._align, ("mean", "mount"))
@@ -124,7 +137,8 @@ class Search:
         self._fits.clear()
         sign, *others = misreadings()
         readings = [sign, *axes(self._read(Undoings())), *others]
-        self._readings = {f"{number}": each for number, each in enumerate(readings)}
+        if not self._is_read:
+            self._readings = {f"{number}": each for number, each in enumerate(readings)}
         plan = self._least(Undoings(rates="rate bias", frames=frame) for frame in self._frames)
         for _ in range(ROUNDS):
             plan = last = self._read_and_aligned(plan)
@@ -145,8 +159,53 @@ class Search:
                 plan = ruled
             if plan == last:
                 break
-        self.best = self._fit(plan)
-        self.others = self._alternatives(plan)
+        if self._is_shown(plan, SHOWN * before.rms):
+            plan = self._deliverable(plan)
+            self.best = self._fit(plan)
+            self.others = self._alternatives(plan)
+
+    def _deliverable(self, plan: Undoings) -> Undoings:
+        """Return a plan that leaves A's rates alone where A may be read the wrong way."""
+        best = self._fit(plan)
+        names = {undoing.name for undoing in (*self._known, *best.undone)}
+        if not RATE_REMEDIES & {undoing.name for undoing in best.undone}:
+            return plan
+        if not names & MISREAD:
+            opposite = [key for key, each in self._readings.items() if each.name == "conjugate"]
+            fits = [self._fit(plan._replace(reading=key)) for key in opposite]
+            if plan.reading or min((fit.rms for fit in fits), default=math.inf) > (
+                CLEARLY * (best.rms + self._floor)
+            ):
+                return plan
+        return self._least(
+            plan._replace(rates=rates) for rates in ("drift in body", "drift in reference", "")
+        )
+
+    def _is_shown(self, plan: Undoings, most: float) -> bool:
+        """Tell whether a misreading or a rule explains all of an error, as no other layout does."""
+        best = self._fit(plan)
+        names = {undoing.name for undoing in best.undone}
+        with_it = [best.rms]
+        if plan.reading:
+            with_it += [fit.rms for each, fit in self._fits.items() if each.reading == plan.reading]
+        if "method" in names:
+            most *= OF_RULES
+        if names & {*READINGS, "method"} and min(with_it) > most:
+            return False
+        if not any(name.startswith("layout") for name in names):
+            return True
+        # A wrong layout turns both frames: where these are free, it is any of them in A as in B.
+        if plan.frames and best.undone[0].remedy.startswith("if it is A"):
+            return False
+        # A layout of B is as good as the inverse of A's: B's is tried first, and stands for both.
+        others = (
+            self._fit(plan._replace(reading=key, frames=frames)).rms
+            for key, each in self._readings.items()
+            for frames in self._frames
+            if frames != "mount" or plan.frames == "mount" or each.name in names
+            if each.name in MISREAD and (each.name not in names or int(key) < int(plan.reading))
+        )
+        return min(others) > CLEARLY * (best.rms + self._floor)
 
     def _read_and_aligned(self, plan: Undoings) -> Undoings:
         """Return the best plan with another reading, other rates and frames."""
@@ -176,12 +235,17 @@ class Search:
         found: dict[str, str] = {}
         most = AS_GOOD * (self.best.rms + self._floor) - self._floor
         for other, fit in sorted(self._fits.items(), key=lambda tried: tried[1].rms):
-            # A mounting makes one misreading of another.
-            count = len(fit.undone) + (other.frames == "mount" and other.reading != "")
-            if fit.rms <= most and count <= len(self.best.undone):
+            if fit.rms <= most and self._count(other) <= self._count(plan):
                 for undoing in fit.undone:
                     if not any((name, undoing.name) in CONTAINED for name in names):
                         found.setdefault(undoing.name, undoing.other)
+        if names & READINGS and not self._shows_mounting(plan):
+            # About one axis, an axis that is reversed reverses all rotations.
+            found |= {
+                each.name: each.other
+                for each in self._readings.values()
+                if each.name in {"rate sign", "conjugate", "axes"}
+            }
         if "reference frame" in names:
             sides = self._read(plan)
             for undoing in self.best.undone:
@@ -193,6 +257,16 @@ class Search:
                 angle = float(geodesic_angle(IDENTITY, turn))
                 found["body frame"] = f"body frames that differ by {degrees_text(angle)}"
         return sorted({text for name, text in found.items() if name not in names})
+
+    def _count(self, plan: Undoings) -> int:
+        # A mounting makes one misreading of another.
+        return len(self._fit(plan).undone) + (plan.frames == "mount" and plan.reading != "")
+
+    def _shows_mounting(self, plan: Undoings) -> bool:
+        with suppress(ComparisonError):
+            self._aligned(plan._replace(frames="mount"), self._read(plan))
+            return True
+        return False
 
     def _read(self, plan: Undoings) -> Sides:
         """Return pairs with a reading and a clock, as series of the same stamps."""

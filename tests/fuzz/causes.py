@@ -114,7 +114,7 @@ def _mended(source, clause, one):  # noqa: PLR0911, PLR0912  # one kind of remed
         turn = exp(-seconds * np.radians(np.array(found.groups()[:3], float) / 3600))
         pair = (series.wxyz, turn) if found[4] == "body" else (turn, series.wxyz)
         return Source(series=AttitudeSeries(series.t_ns, multiply(*pair)))
-    if found := re.search(f"add {number} ms to B's stamps.* {number} ppm", clause):
+    if found := re.search(f"add {number} ms to B's timestamps.* {number} ppm", clause):
         series = source.attitudes()
         since = series.t_ns - series.t_ns[0]
         added = float(found[1]) * 1e6 + float(found[2]) * 1e-6 * since
