@@ -203,6 +203,19 @@ def test_a_dead_axis_is_a_finding_and_no_cause():
     assert compare(attitudes(signs=(0, 0, 1)), about_z()[1]).remarks == ()
 
 
+@pytest.mark.parametrize("of_rates", [0.0, 1.0])
+def test_noise_about_a_constant_rate_is_no_motion_about_three_axes(of_rates):
+    """Of a body that spins about z, a reference with noise was said to show missing rates."""
+    rng = np.random.default_rng(3)
+    rate = np.zeros((2000, 3)) + [0, 0, 1.0]
+    measured = rate + np.radians(of_rates) * rng.normal(size=rate.shape)
+    t_ns = np.arange(2000) * 10**8
+    a, b = (quatprop.propagate(GyroSeries(t_ns, one)) for one in (rate, measured))
+    noise = exp(np.radians(1.0) * rng.normal(size=rate.shape))
+    pair = AttitudeSeries(t_ns, a.wxyz), AttitudeSeries(t_ns, multiply(b.wxyz, noise))
+    assert findings(*pair, comparison_settings(align="mean")) == ()
+
+
 def propagated(keep=slice(None), rates=RATES):
     """Return attitudes of some of the rates."""
     found = quatprop.propagate(GyroSeries(T_NS[keep], rates[keep]), method="mean")
