@@ -98,7 +98,7 @@ site: $(READY_SITE)
 	PYTHONPATH=tests NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict -f quatprop/docs/site/mkdocs.yml
 
 bench: $(READY_BENCH)
-	$(BIN)/python tests/bench
+	PYTHONPATH=tests $(BIN)/python tests/bench
 
 sample-logs: $(READY)
 	$(BIN)/python sample_logs/generate.py

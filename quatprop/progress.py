@@ -23,7 +23,7 @@ SHOW: ContextVar[Show | None] = ContextVar("SHOW", default=None)
 def with_progress(batches: Iterator[Batch], total: int | None, size: Size = len) -> Iterator[Batch]:
     """Return the batches, whose progress is shown where an interface does so.
 
-    `total`: how many samples there are, at least roughly; None where that is not known
+    `total`: how many samples there are, at least roughly; None if that is not known
     """
     show = SHOW.get()
     return batches if show is None else show(batches, total, size)

@@ -69,9 +69,9 @@ def as_json(value: object, spell: Callable[[str], str] = in_python) -> Any:
 
 
 def provenance_in(text: bytes | str | None, path: Path | str) -> JsonObject:
-    """Return the provenance that a file keeps; empty where there is none.
+    """Return the provenance that a file keeps; empty if there is none.
 
-    `text`: the JSON; None where there is none
+    `text`: the JSON; None if there is none
     """
     if text is None:
         return {}
@@ -101,7 +101,7 @@ def of_all_topics(custom: Mapping[str, str]) -> dict[str, str]:
 class Digest(NamedTuple):
     """By what a source is recognised.
 
-    `bytes`: its size; None where there is nothing that could be read again
+    `bytes`: its size; None if there is nothing that could be read again
     `sha256`: of its content; of a folder, of what ``sha256sum *`` prints for its files. None where
         it was not computed
     `files`: the files of a folder, by name; None for a file

@@ -141,7 +141,7 @@ def shown(value: object) -> str:
 
 
 def nearest(name: str, names: Iterable[str]) -> str | None:
-    """Return the name that was probably meant, whatever its case; None where none is like it."""
+    """Return the name that was probably meant, whatever its case; None if none is like it."""
     from difflib import get_close_matches
 
     lower = {other.lower().strip("-"): other for other in names}

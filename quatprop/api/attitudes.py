@@ -89,7 +89,7 @@ def write(
         Format; by default that of the suffix. A name without a suffix is a ROS 2 bag folder.
     layout
         ``"scalar-first"`` or ``"scalar-last"``; by default what the format prescribes, or
-        scalar-first where it leaves the choice.
+        scalar-first if it allows both.
     extra_columns
         What else to write of each attitude into columns of a table, such as ``"euler-zyx-deg"``;
         a representation of :func:`convert`.
@@ -227,7 +227,7 @@ def _side(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:
 
     if isinstance(source, AttitudeSeries):
         return _valid(name, source)
-    path = path_text(name, source, "make an AttitudeSeries of arrays")
+    path = path_text(name, source, "make an AttitudeSeries from arrays")
     with errors_of(name):
         return read_attitudes(path)
 

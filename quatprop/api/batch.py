@@ -60,11 +60,11 @@ def batch(  # noqa: PLR0913  # one keyword for each option
     processes, dask
         Logs at a time, by default the cores; address of a Dask scheduler whose workers do it.
     skip_existing, verify
-        Leave out logs whose output is up to date; compare the digests of outputs, too.
+        Skip logs whose output is up to date; also compare the digests of outputs.
     retries
-        Try a log again so often whose process was killed or whose store did not answer.
+        How often to retry a log whose process was killed or whose store did not answer.
     dataset, buckets
-        Write one Parquet dataset instead of a file per log; its number of files (256).
+        Write one Parquet dataset instead of one file per log; its number of files (256).
     **options
         Which samples of each log, and how they are propagated; files, not values in memory.
 
@@ -110,7 +110,7 @@ def _refuse_here(*, verify: bool, skip_existing: bool) -> None:
             "if __name__ == '__main__':, or with processes=1"
         )
     if verify and not skip_existing:
-        raise UsageError(f"{Setting('verify')} goes with {Setting('skip_existing')}")
+        raise UsageError(f"{Setting('verify')} requires {Setting('skip_existing')}")
 
 
 def _search(

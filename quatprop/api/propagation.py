@@ -96,7 +96,7 @@ def propagate(
         _refuse_log_settings(options)
         series = _propagated_in_memory(log, settings)
     else:
-        paths = paths_of("log", log, "make a GyroSeries of arrays")
+        paths = paths_of("log", log, "make a GyroSeries from arrays")
         path = " + ".join(paths)
         series = _propagated_log(paths, settings)
     report = series.report

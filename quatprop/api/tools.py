@@ -98,7 +98,7 @@ def plot(  # noqa: PLR0913  # one keyword for each option
     components
         Draw the components of quaternions instead of yaw, pitch and roll.
     unwrap
-        Draw yaw and roll beyond half a turn.
+        Draw yaw and roll without jumps at half a turn.
     reference
         Draw the geodesic error of each against these attitudes instead, a path or a series.
     **options
@@ -142,7 +142,9 @@ def plot(  # noqa: PLR0913  # one keyword for each option
 
 
 def _path(source: StrPath, name: str = "sources") -> str:
-    return path_text(name, source, "make a series of arrays; several go one after the other")
+    return path_text(
+        name, source, "make a series from arrays; several files are given as separate arguments"
+    )
 
 
 def _picture(
@@ -219,11 +221,11 @@ def _view(
     from quatprop.settings.selection import AttitudeSelection, RateSelection
 
     if components and unwrap:
-        raise UsageError(f"{Setting('unwrap')} does not go with {Setting('components')}")
+        raise UsageError(f"{Setting('unwrap')} cannot be combined with {Setting('components')}")
     of_attitudes = any(name in values for name in ONE_SERIES if name not in READ_RATES)
     is_attitude = components or unwrap or of_attitudes
     if is_attitude and show == "rates":
-        raise UsageError(f"the settings of attitudes go with {Setting('show', 'attitude')}")
+        raise UsageError(f"the settings of attitudes require {Setting('show', 'attitude')}")
     return View(
         kind=values.get("kind"),
         show="attitude" if is_attitude else show,

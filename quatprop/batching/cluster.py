@@ -74,8 +74,9 @@ def on_a_cluster(
                 there = task._replace(root=_absolute_path(task.root))
                 # Bytes: where the package is missing, only calling it fails, and for this log.
                 call = pickle.dumps(_Call(there, settings, __version__))
+                before = _state_of(settings.output_of(task))
                 future = client.submit(pickle.loads, call, pure=False, retries=settings.retries)
-                indices[future.key] = index, _state_of(settings.output_of(task))
+                indices[future.key] = index, before
                 completed.add(future)  # type: ignore[no-untyped-call]
 
         submit(AHEAD)
@@ -86,8 +87,8 @@ def on_a_cluster(
             result = _result(future, task)
             if result is None:
                 raise QuatpropError(
-                    f"the Dask scheduler at {quoted(scheduler)} no longer answers; what is done "
-                    f"is recorded: go on with {Setting('skip_existing')}"
+                    f"the Dask scheduler at {quoted(scheduler)} no longer answers; finished logs "
+                    f"are recorded: continue with {Setting('skip_existing')}"
                 )
             submit(1)
             seen = looks.why_not_seen(settings.output_of(task), result.entry, before)
@@ -131,8 +132,9 @@ class _Looks:
                 return ""
             if self._left_s <= 0:
                 return (
-                    "its worker has written an output that is not seen here; give workers the same "
-                    "folder of outputs"
+                    "its worker has written an output that is not visible here; give workers "
+                    "the same "
+                    "output folder"
                 )
             time.sleep(LOOK_S)
             self._left_s -= LOOK_S

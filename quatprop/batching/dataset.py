@@ -86,7 +86,7 @@ def refuse_mixture(outputs: Iterable[str], files: int | None, folder: str) -> No
     }
     found = map(_FILE.fullmatch, folders)
     for other in {int(match[2]) if match else None for match in found} - {files}:
-        what = f"a file for each log; leave {Setting('dataset')} out, or choose"
+        what = f"one file per log; omit {Setting('dataset')}, or choose"
         if other:
             options = f"{Setting('dataset')} {Setting('buckets', str(other))}"
             what = f"a dataset of {other} files; choose {options}, or"
@@ -109,7 +109,7 @@ def rows_in(folder: str, *, verify: bool) -> Callable[[str], LogRows | None]:
 
 @contextmanager
 def _opened(place: str) -> Iterator[tuple[ParquetFile | None, dict[str, LogRows]]]:
-    """Open a file of a dataset, with its logs in order; None where there is none."""
+    """Open a file of a dataset, with its logs in order; None if there is none."""
     from pyarrow import ArrowException
     from pyarrow.parquet import ParquetFile
 
@@ -251,7 +251,7 @@ def _rows_of(part: Path) -> LogRows:
 def _unreadable(place: str | Path, error: Exception) -> OutputError:
     return OutputError(
         without_secret(place),
-        f"its rows cannot be read ({plain(error)}); remove it, and go on with "
+        f"its rows cannot be read ({plain(error)}); remove it, and continue with "
         f"{Setting('skip_existing')}",
     )
 

@@ -49,7 +49,7 @@ class ManifestEntry(NamedTuple):
     seconds
         How long it took, s.
     log_bytes, log_sha256, log_etag, output_bytes, output_sha256
-        Sizes and digests; None where there are none. A log in an object store has the ETag that
+        Sizes and digests; None if there are none. A log in an object store has the ETag that
         the store gives it.
     quatprop, options
         The version, and a digest of all settings but the paths, and of the files that they name.

@@ -185,7 +185,7 @@ def record(
 
 
 def output_size_of(output: str) -> int | None:
-    """Return the bytes of an output; None where there is none."""
+    """Return the bytes of an output; None if there is none."""
     if not is_address(output):
         return output_size(output)
     try:

@@ -42,7 +42,7 @@ class BatchTask(NamedTuple):
     `origin`: by what a store's listing tells that it is another log; empty if it was not listed
     `named`: path of its output in the folder of the batch, where that is another one than usually;
         empty where there cannot be any
-    `folder`: that of its output in the folder of the batch, with ``/``; empty where it is that
+    `folder`: that of its output in the folder of the batch, with ``/``; empty if it is that
     """
 
     root: str
@@ -280,7 +280,7 @@ def _is_bag(folder: str) -> bool:
 
 
 def kind_by_suffix(name: str) -> str:
-    """Return the kind of a log by its suffix; empty where that is not one of a log."""
+    """Return the kind of a log by its suffix; empty if that is not one of a log."""
     stem, suffix = os.path.splitext(name.lower())
     if suffix in COMPRESSION_SUFFIXES:
         suffix = os.path.splitext(stem)[1]

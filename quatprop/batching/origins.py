@@ -60,11 +60,7 @@ def origin_of_parts(files: Iterable[tuple[str, str]]) -> str:
     files = sorted(files)
     size = sum(int(origin.split(":")[0]) for _, origin in files)
     digest = hashlib.sha256(repr(files).encode(errors="surrogateescape")).hexdigest()
-    return f"{size}:{max(map(_changed_ns, files), default=0)}:{digest[:16]}"
-
-
-def _changed_ns(file: tuple[str, str]) -> int:
-    return changed_ns(file[1])
+    return f"{size}:{max((changed_ns(origin) for _, origin in files), default=0)}:{digest[:16]}"
 
 
 def changed_ns(origin: str) -> int:

@@ -104,10 +104,10 @@ def dataset_files(kind: str, *, dataset: bool, buckets: int | None) -> int | Non
     """Return the number of files of the dataset; None for a file a log."""
     if not dataset:
         if buckets:
-            raise UsageError(f"{Setting('buckets')} goes with {Setting('dataset')}")
+            raise UsageError(f"{Setting('buckets')} requires {Setting('dataset')}")
         return None
     if kind != "parquet":
-        raise UsageError(f"{Setting('dataset')} is Parquet; leave {Setting('to', kind)} out")
+        raise UsageError(f"{Setting('dataset')} is Parquet; omit {Setting('to', kind)}")
     return buckets or BUCKETS
 
 

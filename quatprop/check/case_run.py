@@ -117,7 +117,7 @@ def chooses_rows(case: Case) -> bool:
 
 def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseComparison:
     """Compare the attitudes of a case, `a`, with the reference, `b`."""
-    named = partial(with_names, a="the log's attitudes", b="the reference")
+    named = partial(with_names, a="the log's attitudes", b="the reference series")
     try:
         result = compare(a, b, case.comparison)
     except ComparisonError as error:
@@ -157,13 +157,13 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
 def _taken_out(result: Comparison) -> Iterator[str]:
     """Yield what is not in the errors, since the reference was moved to the log's attitudes."""
     if offset := result.time_offset.added_to_b_ns:
-        yield f"with the reference moved by {duration_text(offset)}"
+        yield f"with the reference timestamps shifted by {duration_text(offset)}"
     for what, angle in (
         ("reference frame", result.alignment.reference_rad),
         ("body frame", result.alignment.mount_rad),
     ):
         if math.degrees(angle) > SHOWN_DEG:
-            yield f"with the {what} of the reference turned by {degrees_text(angle)}"
+            yield f"with the {what} of the reference attitudes rotated by {degrees_text(angle)}"
 
 
 def _limit(case: Case, one: Criterion) -> Limit:
@@ -194,7 +194,8 @@ def _no_overlap(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> str:
     if case.external is not None:
         ways += [Setting("clock", side="b"), Setting("time_offset", "auto")]
     return spelled(
-        f"the log's attitudes ({spans[0]}) and the reference ({spans[1]}) have no time in "
+        f"the log's attitudes ({spans[0]}) and the reference attitudes ({spans[1]}) have no "
+        f"time in "
         "common: their timestamps are from different clocks or different recordings; see "
         f"{', '.join(ways)}"
     )
@@ -226,12 +227,13 @@ def largest_errors(result: Comparison) -> tuple[float, float, float]:
 def compare_timestamps(a: AttitudeSeries, b: AttitudeSeries) -> str:
     """Return how timestamps differ from those of a reference; empty where they do not."""
     if len(a) != len(b):
-        return f"there are {len(a)} attitudes, and {len(b)} in the reference"
+        return f"there are {len(a)} attitudes, and {len(b)} reference attitudes"
     (differing,) = (a.t_ns != b.t_ns).nonzero()
     if not len(differing):
         return ""
     first = int(differing[0])
     return (
-        f"{len(differing)} of {len(a)} timestamps differ from the reference, the first at attitude "
+        f"{len(differing)} of {len(a)} timestamps differ from those of the reference file, "
+        f"the first at attitude "
         f"{first}: {a.t_ns[first]} ns, not {b.t_ns[first]} ns"
     )

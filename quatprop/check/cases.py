@@ -200,7 +200,7 @@ class _CaseParser:
                 )
             return None
         if others:
-            reason = f"a stored reference goes without {quoted(others[0])}; omit one"
+            reason = f"a stored reference cannot be combined with {quoted(others[0])}; omit one"
             self._refuse(reason, "reference")
         reference = self._path("reference")
         if not reference.lower().endswith((".parquet", ".pq")):

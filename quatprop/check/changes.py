@@ -102,7 +102,7 @@ def _obstacles(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> Iterat
     there = case.reference is not None and Path(case.reference).exists()
     accept = "restore it, or accept it with "
     if pin is None and there:
-        reason = "the reference is there, but not in the lock"
+        reason = "the reference file exists, but is not in the lock"
         yield f"{about}: {reason}", "restore the lock, or check with "
     elif pin is None:
         reason = "the lock has no entry for this case yet"
@@ -126,12 +126,12 @@ def _obstacles(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> Iterat
     if _keys(pin.inputs) != _keys(hashes) or (pin.reference is None) != (case.reference is None):
         yield f"{about}: the case was pinned with another kind of reference", accept
     elif case.reference is not None and not there:
-        yield f"{about}: the reference is missing", "restore it, or write it with "
+        yield f"{about}: the reference file is missing", "restore it, or write it with "
     elif case.reference is not None and (now := sha256_of(case.reference)) != pin.reference:
         digests = f"(SHA-256 {str(pin.reference)[:DIGITS]}, now {now[:DIGITS]})"
-        reason = f"this is not the reference that was pinned {digests}"
+        reason = f"this is not the reference file that was pinned {digests}"
         reason += describe_provenance(case, pin)
-        yield f"{about}: {reason}", "restore it, or write it anew with "
+        yield f"{about}: {reason}", "restore it, or write it again with "
 
 
 def _keys(hashes: Mapping[str, str]) -> set[str]:

@@ -79,7 +79,9 @@ def judge(case: Case, pin: Pin | None, folder: Path) -> Judgement:
     remarks = remarks_of(case, run, reference, comparison)
     notes: list[str] = [*loss_notes(case, run, reference)]
     if pin is not None and pin.quatprop != __version__:
-        notes.insert(0, f"the reference was made by quatprop {pin.quatprop}, this is {__version__}")
+        notes.insert(
+            0, f"the reference file was made by quatprop {pin.quatprop}, this is {__version__}"
+        )
     unpinned = [code for code in remarks if pin and code not in pin.remarks]
     notes += [text for code, text in remarks.items() if code in unpinned and text not in notes]
     failures = [*filter(None, _failures(case, pin, run, reference, comparison))]
@@ -162,9 +164,12 @@ def _failures(
     if case.external is None and pin is not None:
         final = final_of(reference)
         if final is None:
-            yield "the reference does not say what it was made of: check did not write it"
+            yield "the reference file does not say what it was made from: check did not write it"
         elif (apart := math.degrees(final_distance(pin, np.array(final)))) > SAME_DEG:
-            yield f"the lock and the reference have last attitudes that are {apart:.6g} deg apart"
+            yield (
+                f"the last attitudes in the lock and in the reference file are {apart:.6g} "
+                f"deg apart"
+            )
         if case.strict:
             yield compare_timestamps(run.series, reference.series)
     yield comparison.failure
@@ -180,4 +185,7 @@ def _compare_last(case: Case, reference: LoadedAttitudes, run: CaseRun) -> str:
     error = float(geodesic_angle(np.array(final), run.report.result.final_wxyz))
     if error <= case.comparison.limit_rad:
         return ""
-    return f"the attitude at the last sample is {case.angle_text(error)} from that of the reference"
+    return (
+        f"the attitude at the last sample is {case.angle_text(error)} from the one in the "
+        f"reference file"
+    )

@@ -207,10 +207,10 @@ def describe_change(file: Path, old: str | None, new: str | None) -> str:
     `old`, `new`: its SHA-256 when it was pinned, and now; None where there was or is none
     """
     if old is None:
-        return "it was not there when the reference was made"
+        return "it did not exist when the reference file was made"
     if new is None:
-        return "it was there when the reference was made, and is missing"
-    changed = "since the reference was made"
+        return "it existed when the reference file was made, and is missing"
+    changed = "since the reference file was made"
     if (ends := _line_ends_for(file, old)) is not None:
         return (
             f"only its line ends changed {changed}, {ends}: Git converts them; keep them with a "

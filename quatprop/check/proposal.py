@@ -58,7 +58,10 @@ def propose_limits(log: str, reference: str) -> Iterator[str]:
         reason = "the rotation over each window: delays, axes and scales, which drift hides above"
         yield _limit("window-rms-tol", result.window.rms_rad, reason)
     least = covered.least
-    yield f"min-coverage = {math.floor(least) - 1}  # {least:.4g} % of the reference is compared"
+    yield (
+        f"min-coverage = {math.floor(least) - 1}  # {least:.4g} % of the reference "
+        "series is compared"
+    )
 
 
 def _limit(key: str, error: float, reason: str) -> str:

@@ -23,7 +23,7 @@ def remarks_of(
     if case.external is not None and reference is not None:
         result = comparison and comparison.result
         for remark in (*reference.signal.remarks, *(result.remarks if result else ())):
-            text = with_names(spelled(remark), a="the log's attitudes", b="the reference")
+            text = with_names(spelled(remark), a="the log's attitudes", b="the reference series")
             found.append(Remark(f"reference: {remark.code}", text))
     found += loss_notes(case, run, reference)
     return {remark.code: remark for remark in found}

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from quatprop.batching.logs import LogSearch
     from quatprop.batching.manifest import Manifest
 
-ONE_LOG = {"log", "logs", "output", "to", "into", "plot", "report", "quiet", "verbose"}
+ONE_LOG = {"log", "logs", "output", "to", "into", "plot", "view", "report", "quiet", "verbose"}
 """Parameters of ``propagate`` that are about one log."""
 
 OF_MESSAGES = ("topic", "rate_field", "time_field")
@@ -47,7 +47,7 @@ OPTIONS = {
         group="Output"),
     "--buckets": Keyword(
         click.IntRange(1, 1 << 16),
-        "With --dataset: the number of its files; in which a log is depends on its name alone.",
+        "With --dataset: the number of its files; a log's file depends only on its name.",
         "256", "N", group="Output"),
     "--list list_file": Keyword(
         PATH, "Also read names from FILE or stdin, one per line, relative to the current folder.",
@@ -58,25 +58,26 @@ OPTIONS = {
         "DIR", group="Execution"),
     "--shard": Keyword(
         click.STRING,
-        "Only the I-th of N parts of the logs, I from 1, as for array jobs; of which part a log "
-        "is depends on its name alone.", "all", "I/N", group="Execution"),
+        "Only the I-th of N parts of the logs, I from 1, as for array jobs; a log's part "
+        "depends only on its name.", "all", "I/N", group="Execution"),
     "-j processes": Keyword(
-        click.IntRange(min=1), "Logs at a time: each in a process of its own.", "the cores", "N",
+        click.IntRange(min=1), "Logs at a time: each in its own process.",
+        "the cores", "N",
         group="Execution", common=True),
     "--dask": Keyword(
         click.STRING,
         "Use the workers of the Dask cluster whose scheduler has this address; they must "
         "see the same paths.", "this machine", "ADDRESS", group="Execution"),
     "--skip-existing": Keyword(
-        flag, "Leave out logs whose output is up to date: made by the same version, with the "
-        "same options, from the log as it is (size and time), and of the size that it had.",
+        flag, "Skip logs whose output is up to date: same version, options, log (size and time) "
+        "and output size.",
         group="Execution", common=True),
     "--verify": Keyword(
         flag, "With --skip-existing, also compare the SHA-256 of each output.",
         group="Execution"),
     "--retries": Keyword(
         click.IntRange(min=0),
-        "Try a log again, up to N times, whose process was killed or whose store did not answer.",
+        "Retry a log up to N times if its process was killed or its store did not answer.",
         "0", "N", group="Execution", preset=True),
     "--json as_json": Keyword(
         flag, "JSON on stdout: the report of each log.", group="Display", common=True),
@@ -162,7 +163,7 @@ def _refuse_contradictions(folder: str, chosen: Mapping[str, Any]) -> None:
     if chosen["dask"] and chosen["processes"]:
         raise click.UsageError("-j is for this machine; omit it with --dask")
     if chosen["verify"] and not chosen["skip_existing"]:
-        raise click.UsageError("--verify goes with --skip-existing")
+        raise click.UsageError("--verify requires --skip-existing")
     if Path(folder).is_file():
         raise click.UsageError(f"-o {folder} is a file; name a folder for the outputs")
 

@@ -34,16 +34,17 @@ EXAMPLES = (
 
 OPTIONS = {
     "-j processes": Keyword(click.IntRange(min=1),
-        "Cases at a time, each in a process of its own; the output is the same for any N.", "1",
+        "Number of cases at the same time, each in its own process; the output is the same "
+        "for any N.", "1",
         "N", preset=True),
     "--update": Keyword(
         flag, "Write the references of cases that are new, changed or fail, and list each with "
         "what changes, in degrees. Cases that pass are left as they are."),
     "--dry-run": Keyword(flag, "With --update: list what would change, and write nothing."),
     "--interactive": Keyword(flag, "With --update: ask before each change."),
-    "--force": Keyword(flag, "With --update or --init: also where CI is set (and not to 0 or "
-        "false), where nobody reviews it; where the change of the attitudes cannot be measured; "
-        "and where cases are removed from the lock."),
+    "--force": Keyword(flag, "With --update or --init: also if CI is set (and not to 0 or "
+        "false), so that nobody reviews it; if the change of the attitudes cannot be measured; "
+        "and if cases are removed from the lock."),
     "--init": Keyword(flag, "Write SUITE.toml, with a case for each LOG, and the references."),
     "--reference-log": Keyword(
         PATH,
@@ -158,19 +159,19 @@ def _refuse_contradictions(logs: Sequence[str], options: Mapping[str, Any]) -> N
     if options["init"] != bool(logs):
         raise click.UsageError("--init needs a LOG for each case, and nothing else takes one")
     if options["reference_log"] and not options["init"]:
-        raise click.UsageError("--reference-log goes with --init; in a suite, it is a key")
+        raise click.UsageError("--reference-log requires --init; in a suite, it is a key")
     updating = options["update"] or options["init"]
     for name in ("dry_run", "interactive", "force"):
         if options[name] and not (options["update"] or (updating and name == "force")):
-            raise click.UsageError(f"--{name.replace('_', '-')} goes with --update")
+            raise click.UsageError(f"--{name.replace('_', '-')} requires --update")
     if options["interactive"] and options["processes"] > 1:
         raise click.UsageError("--interactive asks about one case at a time; omit -j")
     on_ci = os.environ.get("CI", "").lower() not in {"", "0", "false"}
     if updating and on_ci and not options["force"] and not options["dry_run"]:
         raise click.UsageError(
-            "CI is set, where nobody reviews the references that this would write; run it at home, "
-            f"{'' if options['init'] else 'preview it with --dry-run, '}or write them all the same "
-            "with --force"
+            "CI is set, so nobody would review the references that this writes; run it on your "
+            f"machine, {'' if options['init'] else 'preview it with --dry-run, '}or write them "
+            "anyway with --force"
         )
 
 
@@ -206,7 +207,7 @@ def _removed(
     names = [name for name in gone if not patterns or name in patterns]
     if names and not (patterns or options["force"] or options["dry_run"]):
         raise click.UsageError(
-            f"the lock pins {listed(names)}, which the suite has no more; restore what was "
+            f"the lock pins {listed(names)}, which the suite no longer has; restore what was "
             f"deleted or renamed, or see with --dry-run what was pinned, and remove it with "
             f"--update -k NAME, or all of them with --update --force"
         )

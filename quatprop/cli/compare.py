@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.help import Command
-from quatprop.cli.options import JSON, PLOT, input_of, options_of, refuse_stdin_twice, with_options
+from quatprop.cli.options import (
+    JSON,
+    PLOT,
+    VIEW,
+    input_of,
+    options_of,
+    refuse_stdin_twice,
+    with_options,
+)
 from quatprop.cli.types import PATH
 from quatprop.comparison.settings import COMPARE, ComparisonSettings
 from quatprop.settings.keyword import Keyword
@@ -29,8 +37,10 @@ EXAMPLES = (
 
 OPTIONS = {
     **PLOT,
+    **VIEW,
     **JSON,
-    "-q --quiet": Keyword(flag, "Print nothing; the exit code only.", group="Display", common=True),
+    "-q --quiet": Keyword(
+        flag, "Print nothing; only set the exit code.", group="Display", common=True),
 }  # fmt: skip
 
 
@@ -62,7 +72,7 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
 
     refuse_stdin_twice(a, b)
     side_a, side_b = input_of(a, chosen, side="a"), input_of(b, chosen, side="b")
-    picture = None
+    picture = viewer = None
     with progress(quiet=quiet), ExitStack() as stack:
         if plot is not None:
             from quatprop.plotting.errors import pair_page
@@ -70,11 +80,16 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
 
             paths = side_a.path, side_b.path
             picture = stack.enter_context(PictureFile(plot, paths, command=command_line()))
-        first, second, comparison = compare_files(
-            side_a, side_b, settings_of(chosen), keep=picture is not None
-        )
+        if chosen["view"] is not None:
+            from quatprop.plotting.viewers import open_viewer
+
+            viewer = stack.enter_context(open_viewer(chosen["view"]))
+        keep = picture is not None or viewer is not None
+        first, second, comparison = compare_files(side_a, side_b, settings_of(chosen), keep=keep)
         if picture is not None:
             picture.commit(pair_page(first, second, comparison))
+        if viewer is not None:
+            viewer.compared(first, second, comparison)
     if as_json:
         report = {
             "quatprop": __version__,
@@ -86,6 +101,8 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
     elif not quiet:
         rows = comparison_rows(first, second, comparison)
         show(lines_of(rows), indent=10, err=False)
+    if viewer is not None and viewer.said and not quiet:
+        click.echo(viewer.said, err=True)
     if comparison.passed is False:
         return 1
     return 3 if first.data_lost or second.data_lost or comparison.left_out else 0

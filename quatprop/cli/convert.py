@@ -92,7 +92,7 @@ def _summary(report: ConversionReport) -> Iterator[str]:
     path, rows = plain(without_secret(job.output.path)), count_text(report.written, "row")
     yield f"out  {path}: {rows}; {written_as}, {','.join(report.columns)}"
     if outside := sum(report.outside):
-        yield f"left out: {count_text(outside, 'row')} outside the time range"
+        yield f"omitted: {count_text(outside, 'row')} outside the time range"
     if job.axes is not None:
         changed = {"reference": job.left, "body": job.right}
         turned = (f"of the {name} by {plain(str(turn))}" for name, turn in changed.items() if turn)

@@ -55,7 +55,7 @@ OPTIONS = {
     "--json as_json": Keyword(
         flag, "JSON on stdout instead of a table.", group="Display", common=True),
     "--as-config": Keyword(
-        flag, "Print the options that LOG, an output of propagate, was made with; as a file "
+        flag, "Print the options that LOG, an output of propagate, was made with, as a file "
         "for propagate --config, which makes it again.", group="Display", common=True),
 }  # fmt: skip
 

@@ -14,7 +14,7 @@ import click
 from quatprop.cli.help import GroupedOption
 from quatprop.cli.types import PATH, OneOf, ParamType, Parsed
 from quatprop.settings.keyword import Keyword
-from quatprop.settings.parsers import flag
+from quatprop.settings.parsers import Choice, flag
 from quatprop.settings.spelling import in_options, option
 from quatprop.text import plain
 
@@ -92,6 +92,14 @@ PLOT = {
         takes="PIC",
         group="Output",
         common=True,
+    ),
+}
+VIEW = {
+    "--view": Keyword(
+        Choice("rerun", "foxglove"),
+        "Open the result in Rerun (extra: rerun) or Foxglove's desktop app: attitudes as axes, "
+        "rates or errors as plots, at the times of the log.",
+        group="Output",
     ),
 }
 QUIET = {"-q --quiet": Keyword(flag, "No summary; errors only.", group="Display", common=True)}

@@ -34,8 +34,8 @@ OUTPUT_OPTIONS = {
         Choice(*WRITERS), f"{', '.join(WRITERS)}.",
         "by the suffix, else a ROS 2 bag", "FORMAT", group="Output", common=True),
     "--layout": Keyword(
-        Choice(*LAYOUTS), "Order of the quaternion: a matter of storage only; scalar-first where "
-        "the format leaves the choice.", "by the format", group="Output", common=True),
+        Choice(*LAYOUTS), "Order of the components: in storage only; scalar-first if the "
+        "format allows both.", "by the format", group="Output", common=True),
     "--with extra_columns": Keyword(Choice("rotvec", *EULER, "matrix"),
         "Also write angles, a rotation vector or a matrix; in further columns of a "
         "table: euler-zyx is yaw, pitch and roll, euler-xyz and so on another sequence; "
@@ -45,7 +45,7 @@ OUTPUT_OPTIONS = {
         flag, f"Begin {', '.join(_COMMENTED[:-1])} or {_COMMENTED[-1]} with the report in a # "
         "comment.", group="Output"),
     "--message": Keyword(Choice(*MESSAGES),
-        f"What mcap and bags hold: {', '.join(MESSAGES)}. The last two are "
+        f"Message type in mcap and bags: {', '.join(MESSAGES)}. The last two are "
         "Foxglove's own, for mcap only.", "QuaternionStamped", "TYPE", group="Output"),
     "--out-topic": Keyword(
         click.STRING, "Topic of the messages.", "/attitude, or /tf for transforms", "NAME",
@@ -68,7 +68,7 @@ def output_settings(chosen: Mapping[str, Any], own: str = "-o OUT") -> OutputSet
         raise click.UsageError(f"say where the attitudes go: {own}, or --into COPY{both}")
     written = {chosen["extra_columns"], chosen.get("representation")}
     if chosen["euler_unit"] and not written & {*EULER}:
-        raise click.UsageError("--euler-unit goes with euler-zyx and other sequences of angles")
+        raise click.UsageError("--euler-unit requires euler-zyx or another sequence of angles")
     return OutputSettings(
         path=into or output,
         into=into is not None,
@@ -89,7 +89,7 @@ def with_unit(representation: str, euler_unit: str | None) -> str:
 
 
 def _message(kind: str | None, topic: str | None, frames: str | None) -> Message | None:
-    """Return what the attitudes are written as; None where no option says it."""
+    """Return what the attitudes are written as; None if no option says it."""
     if kind is None and topic is None and frames is None:
         return None
     reference, comma, body = (frames or "reference,body").partition(",")

@@ -47,7 +47,8 @@ OPTIONS = {
         flag, "Draw the four components of the quaternion.", "yaw, pitch and roll",
         group="Options"),
     "--unwrap": Keyword(
-        flag, "Draw yaw and roll beyond half a turn.", "from -180 to 180 deg", group="Options"),
+        flag, "Draw yaw and roll without jumps at half a turn.", "from -180 to 180 deg",
+        group="Options"),
     "--size": Keyword(
         picture_size, "Size of the picture, such as 90mm, 16x9cm or 3.5in.", "7.5in wide",
         "W[xH]UNIT", group="Options"),
@@ -59,7 +60,7 @@ OPTIONS = {
     "--style": Keyword(
         PATH, "Style sheet of matplotlib, for fonts, axes and grid of a picture.", takes="FILE",
         group="Output"),
-    "--no-title": Keyword(flag, "Leave out the lines above and below the panels.", group="Options"),
+    "--no-title": Keyword(flag, "Omit the lines above and below the panels.", group="Options"),
 }  # fmt: skip
 REFERENCE = {
     "--reference": Keyword(
@@ -109,7 +110,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     reference = chosen["reference"]
     _refuse_idle(chosen)
     if chosen["components"] and chosen["unwrap"]:
-        raise click.UsageError("--unwrap does not go with --components, which have no turns")
+        raise click.UsageError("--unwrap cannot be combined with --components, which have no turns")
     refuse_stdin_twice(*files, reference)
     against = None if reference is None else input_of(reference, chosen, side="ref", drop=True)
     view = View(
@@ -155,7 +156,7 @@ def _show(chosen: Mapping[str, Any]) -> Literal["rates", "attitude"] | None:
     for name in ("components", "unwrap", *ATTITUDES):
         if chosen[name]:
             if show == "rates":
-                raise click.UsageError(f"{option(name)} goes with --show attitude")
+                raise click.UsageError(f"{option(name)} requires --show attitude")
             return "attitude"
     return show
 
@@ -168,6 +169,8 @@ def _refuse_idle(chosen: Mapping[str, Any]) -> None:
         if value is None or value is False:
             continue
         if chosen["reference"] is None and (name in of_error or name.endswith("-ref")):
-            raise click.UsageError(f"{name} goes with --reference")
+            raise click.UsageError(f"{name} requires --reference")
         if chosen["reference"] is not None and name in NOT_OF_ERROR:
-            raise click.UsageError(f"{name} does not go with --reference, which draws an error")
+            raise click.UsageError(
+                f"{name} cannot be combined with --reference, which draws an error"
+            )

@@ -9,7 +9,7 @@ import click
 
 from quatprop.cli.config import config_option
 from quatprop.cli.help import Command
-from quatprop.cli.options import PLOT, QUIET, REPORT, options_of, with_options
+from quatprop.cli.options import PLOT, QUIET, REPORT, VIEW, options_of, with_options
 from quatprop.cli.output_options import INTO, OUTPUT_OPTIONS, output_settings
 from quatprop.cli.types import PATH, TEXTS
 from quatprop.settings import PROPAGATE
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from quatprop.pipeline.attitude_stream import Observer
     from quatprop.pipeline.job import Job
 
 EXAMPLES = (
@@ -49,7 +50,7 @@ VERBOSE = {
     OUTPUT_OPTIONS,
     options_of(PROPAGATE),
     [config_option],
-    {**REPORT, **PLOT, **QUIET, **VERBOSE},
+    {**REPORT, **PLOT, **VIEW, **QUIET, **VERBOSE},
 )
 def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> int:
     """Turn the body rates of LOG into its attitude series.
@@ -63,17 +64,26 @@ def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> i
     from quatprop.cli.summary import INDENT, command_line, show, summary
     from quatprop.pipeline.job import run
 
+    view = chosen["view"]
+    if plot is not None and view is not None:
+        raise click.UsageError("--view does not go with --plot; draw the picture in another run")
     job = job_of(chosen)
-    picture = None
+    observer: Observer | None = None
+    viewer = None
     with progress(quiet=quiet), ExitStack() as stack:
         if plot is not None:
             from quatprop.plotting.propagation import PropagationPicture
 
             drawing = PropagationPicture(plot, job, command=command_line())
-            picture = stack.enter_context(drawing)
-        report = run(job, picture, summary=not quiet)
+            observer = stack.enter_context(drawing)
+        if view is not None:
+            from quatprop.plotting.viewers import open_viewer
+
+            observer = viewer = stack.enter_context(open_viewer(view))
+        report = run(job, observer, summary=not quiet)
     if not quiet:
-        show(summary(report, verbose=verbose), INDENT)
+        said = [viewer.said] if viewer is not None and viewer.said else []
+        show([*summary(report, verbose=verbose), *said], INDENT)
     return 3 if report.data_lost else 0
 
 

@@ -192,7 +192,7 @@ class ErrorAccumulator:
 
     @property
     def drift_deg_h(self) -> float | None:
-        """Least squares slope of the errors in time, deg/h; None where there is none to tell."""
+        """Least squares slope of the errors in time, deg/h; None if there is none to tell."""
         power, shared = self._moments.tolist()
         if power == 0.0 or self.alignment.name in BY_ALL:
             return None

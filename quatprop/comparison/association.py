@@ -66,7 +66,7 @@ class Matching(NamedTuple):
     `matched`: number of pairs
     `candidates`: how many could have been matched at best: samples in the time that both series
         cover, of the one that has fewer
-    `first_ns`, `last_ns`: times of the first and the last pair, ns; 0 where there is none
+    `first_ns`, `last_ns`: times of the first and the last pair, ns; 0 if there is none
     `rate_hz`: the rate at which A was interpolated, Hz; None: it is as it was
     """
 

@@ -60,5 +60,5 @@ def isolated_samples(error: Float64) -> Cause | None:
         return None
     sentence = f"{count} of {len(error)} samples carry the error, and the others are right"
     return Cause(
-        "isolated samples", sentence, before, after, f"leave {count_text(count, 'sample')} of B out"
+        "isolated samples", sentence, before, after, f"omit {count_text(count, 'sample')} of B"
     )

@@ -36,7 +36,7 @@ class ErrorParts(NamedTuple):
 
     `heading`: rotation about the vertical
     `inclination`: the angle between the verticals
-    `about_x`, `about_y`, `about_z`: components of the rotation vector, about the reference's axes
+    `about_x`, `about_y`, `about_z`: components of the rotation vector, about reference axes
     """
 
     heading: Extent

@@ -47,7 +47,7 @@ RATE_REMEDIES = {"rate bias", "scale", "method"}
 
 
 class Undoings(NamedTuple):
-    """Which mistakes are undone, by their keys; empty where none is of that kind."""
+    """Which mistakes are undone, by their keys; empty if none is of that kind."""
 
     reading: str = ""
     clock: str = ""

@@ -124,7 +124,7 @@ def judge(settings: ComparisonSettings, measured: Comparison) -> Iterator[Criter
             continue
         if size is None:
             raise ComparisonError(
-                f"one pair of attitudes shows no drift; leave {Setting('drift_tol')} out"
+                f"one pair of attitudes shows no drift; omit {Setting('drift_tol')}"
             )
         passed = size >= limit if setting == "min_coverage" else abs(size) <= limit
         yield Criterion(setting, label, size, limit, unit, passed)
@@ -143,7 +143,7 @@ class Comparison:
         What was compared; None where files were compared while they were read, which keeps nothing
         of a pair.
     errors
-        Geodesic errors of the pairs, shape ``(N,)``, rad; empty where there are no pairs.
+        Geodesic errors of the pairs, shape ``(N,)``, rad; empty if there are no pairs.
     association
         How the attitudes were matched in time.
     judged
@@ -162,7 +162,7 @@ class Comparison:
     window
         Errors of the rotations over windows, where they were asked for.
     parts
-        The errors in heading, in inclination and about the reference's axes, with the alignment
+        The errors in heading, in inclination and about reference axes, with the alignment
         ``"yaw"`` or a limit on one of them.
     sigmas
         The errors in standard deviations; None where neither series has any.
@@ -177,7 +177,7 @@ class Comparison:
     criteria
         The verdict on each criterion.
     passed
-        Whether all criteria passed; None where there are none.
+        Whether all criteria passed; None if there are none.
     first_exceeding
         The first pair with an error above the tolerance.
     likely_cause

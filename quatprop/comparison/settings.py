@@ -64,7 +64,7 @@ class ComparisonSettings:
         error that passes, rad or in standard deviations; None: every error passes
     `window_tol`, `window_rms_tol`: the same for the worst and the RMS error of the rotations over
         windows, rad
-    `tol_heading`, `tol_inclination`: the same for the error about the reference's z axis, and for
+    `tol_heading`, `tol_inclination`: the same for the error about the reference z axis, and for
         that between the z axes, rad
     `drift_tol`: largest drift in either direction that passes, deg/h; not with an alignment by all
         pairs
@@ -112,7 +112,7 @@ class ComparisonSettings:
                     f"{Setting(name)} needs windows; give their length with {Setting('window')}"
                 )
         if self.rate is not None and self.match not in {None, "interpolate"}:
-            raise UsageError(f"{Setting('rate')} goes with {Setting('match', 'interpolate')}")
+            raise UsageError(f"{Setting('rate')} requires {Setting('match', 'interpolate')}")
         if self.drift_tol is not None and self.align in BY_ALL:
             raise UsageError(
                 f"{Setting('drift_tol')} needs {Setting('align', 'none|first')}: an alignment by "

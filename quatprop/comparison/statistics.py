@@ -143,7 +143,7 @@ class SigmaStatistics:
 def sigma_statistics(
     a: AttitudeSeries, b: AttitudeSeries, pairs: Pairs, alignment: Alignment
 ) -> SigmaStatistics | None:
-    """Return the errors of pairs in standard deviations; None where no pair has any."""
+    """Return the errors of pairs in standard deviations; None if no pair has any."""
     known = [one for one in (a, b) if one.covariance is not None]
     if not known:
         return None

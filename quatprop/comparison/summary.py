@@ -103,7 +103,7 @@ def _series(operand: ReadAttitudes) -> str:
 def _method(comparison: Comparison) -> Iterator[Row]:
     offset, alignment = comparison.time_offset, comparison.alignment
     if comparison.outside:
-        yield "range", f"{count_text(comparison.outside, 'attitude')} outside it left out"
+        yield "range", f"{count_text(comparison.outside, 'attitude')} outside it omitted"
     yield "matched", _matching(comparison.association)
     if part := comparison.judged:
         ranges = count_text(len(part.ranges_ns), "time range")

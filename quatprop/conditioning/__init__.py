@@ -81,7 +81,7 @@ FROM_TRANSFORMS = "tf:"
 
 
 class GyroCorrectionInputs(NamedTuple):
-    """What is known of a log besides its rates; None where it is not there or not asked for.
+    """What is known of a log besides its rates; None if it is not there or not asked for.
 
     `force`: reads stamps and specific forces, shape ``(N, 3)``, any unit, sensor axes
     `orientation`: reads stamps and the log's own orientation, wxyz body -> reference, shape ``(N,

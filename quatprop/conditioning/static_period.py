@@ -52,7 +52,7 @@ class StaticPeriod(NamedTuple):
     `steady`: which signals were found steady: ``"rate"``, ``"accelerometer"``, ``"orientation"``
     `searched_first_ns`, `searched_last_ns`: the part of the log that was searched, ns: all of it,
         whatever part is propagated
-    `other`: the rest that differs most, by more than noise; None where there is none
+    `other`: the rest that differs most, by more than noise; None if there is none
     `spread_rad_s`: by how much the bias may be off because other rests have another mean, on the
         axis where they differ most
     `levels`: of the axes whose rates are quantised more coarsely than noise hides
@@ -148,7 +148,7 @@ class StaticPeriod(NamedTuple):
         return (
             f"the rates are in steps of up to {step:.3g} deg/s, and the stationary period shows "
             f"hardly more than one: the bias is known only to {math.degrees(sigma):.2g} deg/s "
-            "only (1 sigma)"
+            "(1 sigma)"
         )
 
     def _one_value(self) -> str:

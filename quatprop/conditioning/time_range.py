@@ -62,7 +62,7 @@ class Ends(NamedTuple):
 
     `first_ns`, `last_ns`: their stamps, ns
     `pauses`: the stamps before and after a pause close to the first sample, and close to the last,
-        ns; None where there is none
+        ns; None if there is none
     """
 
     first_ns: int

@@ -77,7 +77,7 @@ def _joined(rows: list[tuple[Int64, Float64]]) -> tuple[Int64, Float64]:
 def aligned_window_sums(
     rates: WindowSums, rows: Rows, window_ns: int, width: int = 3
 ) -> WindowSums | None:
-    """Return the sums of another signal in the windows of the rates; None where none is measured.
+    """Return the sums of another signal in the windows of the rates; None if none is measured.
 
     Drivers of sensors without an accelerometer leave its fields empty, NaN or zero.
     """

@@ -39,7 +39,7 @@ class MessageLog(Log):
         """Yield the messages of one channel, chunk after chunk.
 
         Messages of a block are in the container's order. Blocks come in order of their earliest
-        log time where that is known; :func:`quatprop.tables.batches.merge_by_time` sorts what
+        log time if known; :func:`quatprop.tables.batches.merge_by_time` sorts what
         was decoded from them.
 
         `within`: only parts of the log that the index has in a range of log times, of a channel
@@ -49,7 +49,7 @@ class MessageLog(Log):
     def recorded_span(self, channel: Channel) -> TimeRange | None:  # noqa: ARG002  # of some kinds
         """Return when a channel was recorded by an index that says it of each part of the log.
 
-        None where there is no such index: then only the whole log can be read.
+        None if there is no such index: then only the whole log can be read.
         """
         return None
 

@@ -111,7 +111,7 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
 
     @abstractmethod
     def size_of(self, chunk: Chunk) -> int:
-        """Return the bytes of the records of a chunk; 0 where that is not known."""
+        """Return the bytes of the records of a chunk; 0 if that is not known."""
 
     @abstractmethod
     def load(self, chunk: Chunk, *, is_mixed: bool) -> Content:
@@ -119,7 +119,7 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
 
     @abstractmethod
     def indexed(self, content: Content, chunk: Chunk) -> MessageBlock | None:
-        """Return the messages of a loaded chunk by its index; None where that is not certain.
+        """Return the messages of a loaded chunk by its index; None if that is not certain.
 
         Called in other threads.
         """
@@ -164,7 +164,7 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
 
 
 def span_of(parts: Sequence[TimedPart]) -> TimeRange | None:
-    """Return when parts in order of time were recorded; None where that is not known of each."""
+    """Return when parts in order of time were recorded; None if that is not known of each."""
     last = [part.last_ns for part in parts if part.last_ns is not None]
     if not parts or len(last) < len(parts):
         return None

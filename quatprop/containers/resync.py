@@ -18,9 +18,9 @@ def first_accepted(
     accepted: Callable[[int], int | None],
     tries: int,
 ) -> int | None:
-    """Return where the first record begins that is accepted as one; None where there is none.
+    """Return where the first record begins that is accepted as one; None if there is none.
 
-    `accepted`: where the record begins that is at a candidate; None where there is none
+    `accepted`: where the record begins that is at a candidate; None if there is none
     """
     start, stop, behind = within
     for begin in range(start, stop, WINDOW):

@@ -154,8 +154,8 @@ class TopicTable(Table):
         for label in labels:
             raise UsageError(
                 f"{plain(self.path)}: the messages of topic {quoted(self.name)} are one series, so "
-                f"{quoted(label)} cannot be chosen; leave {Setting('series')} or "
-                f"{Setting('frame')} out"
+                f"{quoted(label)} cannot be chosen; omit {Setting('series')} or "
+                f"{Setting('frame')}"
             )
         return self
 

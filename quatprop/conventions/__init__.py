@@ -19,7 +19,8 @@ so are other ways to write a rotation: :mod:`quatprop.conventions.representation
 References
 ----------
 Breckenridge, "Quaternions - Proposed Standard Conventions", JPL interoffice memorandum
-343-79-1199, 1979. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017, table 2.
+343-79-1199, 1979. Solà, "Quaternion kinematics for the error-state Kalman filter",
+arXiv:1711.02508, 2017.
 """
 
 from __future__ import annotations

@@ -61,14 +61,14 @@ def _refuse_other_conventions(job: Conversion) -> None:
         raise OutputError(
             output.path,
             f"kind {quoted(kind)} holds Hamilton quaternions body to reference by its own "
-            f"definition; leave {Setting('convention')} and {Setting('direction')} out, or choose "
+            f"definition; omit {Setting('convention')} and {Setting('direction')}, or choose "
             f"{listed(name for name, known in WRITERS.items() if known.columns)}",
         )
     refuse_message(kind, output.message)
     if output.extra_columns is not None:
         raise UsageError(
-            f"{Setting('extra_columns')} goes with Hamilton quaternions body to reference; leave "
-            f"{Setting('convention')} and {Setting('direction')} out"
+            f"{Setting('extra_columns')} requires Hamilton quaternions body to reference; omit "
+            f"{Setting('convention')} and {Setting('direction')}"
         )
 
 

@@ -23,20 +23,20 @@ class ConvertOptions(AttitudeOptions, total=False):
         Choice(*DIRECTIONS), "Which coordinates OUT turns into which.", "body-to-ref",
         group="Output", common=True)]
     sign: Annotated[Sign | None, Keyword(
-        Choice(*SIGNS), "Of q and -q, which are the same attitude: the one that is there, the one "
-        "nearer to the row before, or the one with w >= 0 (of half turns, w = 0, the one whose "
-        "first component that is not zero is positive).", "keep", group="Output", common=True)]
+        Choice(*SIGNS), "Sign of q, as q and -q are the same attitude: keep leaves it; continuous "
+        "takes the one nearer to the previous row; positive takes w >= 0 (for half turns, w = 0, "
+        "the first component that is not zero is positive).", "keep", group="Output", common=True)]
     left: Annotated[str | Collection[float] | Rotated | None, Keyword(
-        mounting, "From the reference axes of {log} to those of OUT's: a quaternion with v_new = r "
-
-        "v_old r*, the old axes that become x, y and z, fixed-axis angles (deg), or a name. "
-        "Positions are rotated as well.", "the same", ROTATION, group="Output")]
+        mounting,
+        "From the reference axes of {log} to the reference axes of OUT: a quaternion with "
+        "v_new = r v_old r*, the old axes that become x, y and z, fixed-axis angles (deg), or a "
+        "name. Positions are rotated as well.", "the same", ROTATION, group="Output")]
     right: Annotated[str | Collection[float] | Rotated | None, Keyword(
         mounting,
-        "From the body axes of {log} to those of OUT's, in the same way: q_out = LEFT q_in "
+        "From the body axes of {log} to the body axes of OUT, in the same way: q_out = LEFT q_in "
         "RIGHT*. Covariances are rotated as well.", "the same", ROTATION, group="Output")]
     rate: Annotated[float | Fraction | str | None, Keyword(
-        frequency, "Rate of the attitudes, interpolated between those of {log} by polynomials "
+        frequency, "Output rate: the attitudes of {log} are interpolated by polynomials "
         "through six of them, not across gaps; holds them in memory.", "as they are", "HZ",
         "Output", common=True)]
     # fmt: on

@@ -54,7 +54,7 @@ class DataLossWarning(QuatpropWarning):
     Attributes
     ----------
     messages
-        How many messages or rows are lost, where that is known.
+        How many messages or rows are lost, if known.
     """
 
     messages: int | None = None
@@ -279,7 +279,7 @@ class UndeclaredError(LogError):
     def __init__(
         self, path: Path | str, unknown: str, way_out: str, *, several: bool = False
     ) -> None:
-        reason = "are not declared; say them" if several else "is not declared; say it"
+        reason = "are not declared; specify them" if several else "is not declared; specify it"
         super().__init__(path, f"{unknown} {reason} with {way_out}")
 
 

@@ -64,7 +64,7 @@ MEMORY_HINT = "; choose fewer columns or topics, or a machine with more memory"
 
 
 def _reason(error: BaseException, table: dict[str, str]) -> str | None:
-    """Return the reason of an error from a table; None where it is not in it."""
+    """Return the reason of an error from a table; None if it is not in it."""
     for kind in type(error).__mro__:
         name = f"{kind.__module__}.{kind.__qualname__}"
         if name in table:

@@ -85,7 +85,7 @@ class Steady:
             raise UsageError(
                 f"between the samples at {before} and {after} ns there would be {int(rows):,} "
                 f"attitudes at {float(self._rate):.6g} Hz; is a timestamp wrong? Choose "
-                f"{Setting('on_gap', 'split')}, a lower {Setting('rate')}, or leave a part out "
+                f"{Setting('on_gap', 'split')}, a lower {Setting('rate')}, or omit a part "
                 f"with {Setting('start')} or {Setting('end')}"
             )
         rows = int(t_ns[-1] - t_ns[0]) * self._rate / NS_PER_S

@@ -91,7 +91,7 @@ class ErrorGrowth:
     `mount`: sensor axes to body axes, shape ``(3, 3)``, for scale factors; None where they are the
         same
     `q0`: covariance of the first attitude, about reference axes for body rates and about body axes
-        for inertial ones, shape ``(3, 3)``, rad^2; None where that is exact
+        for inertial ones, shape ``(3, 3)``, rad^2; None if that is exact
     `rests`: where the bias is known from; None: as it is at the first sample
     `final`: the covariance at the last sample so far, shape ``(3, 3)``, rad^2
     `variances`: what each error, by its name in :class:`SensorErrors`, and ``"q0_sigma"``, adds to

@@ -49,7 +49,7 @@ def copy_kind(log: Log, target: str, to: str | None = None) -> str:
         raise OutputError(target, "standard output takes text only; name a file for the copy")
     if to is not None:
         raise UsageError(
-            f"{Setting('into')} copies the log in its own format; leave {Setting('to')} out"
+            f"{Setting('into')} copies the log in its own format; omit {Setting('to')}"
         )
     suffixes = tuple(suffix for form in WRITERS.values() for suffix in form.suffixes if suffix)
     name = target.lower()

@@ -24,7 +24,7 @@ _STEP = 1 << 12
 
 
 def first_ns(path: Path) -> int:
-    """Return the earliest log time of a database, ns; 0 where there is none."""
+    """Return the earliest log time of a database, ns; 0 if there is none."""
     with closing(open_database(path, files_beside(path))) as database:
         ((earliest,),) = database.execute("SELECT MIN(timestamp) FROM messages")
     return int(str(earliest)) if earliest else 0

@@ -73,7 +73,7 @@ def _orientation(log: Log, source: RateSignal, selection: RateSelection) -> Rows
 def specific_forces(source: RateSignal, selection: RateSelection) -> Rows | None:
     """Return stamps, ns, and specific forces in sensor axes, ``(N, 3)``, in the rows of rates.
 
-    None where there are none.
+    None if there are none.
     """
     for match in source.matches:
         if selection.accel_cols is not None:

@@ -89,7 +89,7 @@ def other_kind(path: str | Path, what: str, kind: str) -> UnreadableLogError:
     """Return the error of a log that is of another kind than was said."""
     return UnreadableLogError(
         path,
-        f"a {what} is no log of kind {kind}; leave {Setting('kind')} out, or name the log itself",
+        f"a {what} is no log of kind {kind}; omit {Setting('kind')}, or name the log itself",
     )
 
 

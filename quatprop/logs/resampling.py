@@ -44,8 +44,8 @@ class Resampling:
             raise TimelineError(
                 self._path,
                 "there is no attitude between two whose timestamps do not rise: "
-                f"{series.t_ns[wrong[0]]} ns and then {series.t_ns[wrong[0] + 1]} ns; leave "
-                f"{Setting('rate')} out",
+                f"{series.t_ns[wrong[0]]} ns and then {series.t_ns[wrong[0] + 1]} ns; omit "
+                f"{Setting('rate')}",
             )
         self._gap_ns = GAP_FACTOR * int(np.median(steps)) if len(steps) else 0
         cuts = np.flatnonzero(steps > self._gap_ns) + 1

@@ -132,7 +132,7 @@ class AttitudeStream:
         except SeriesError as error:
             if self._log is None:
                 raise
-            way_out = f"leave others out with {Setting('start')} and {Setting('end')}"
+            way_out = f"omit others with {Setting('start')} and {Setting('end')}"
             raise TimelineError(self._path, f"{error.text}; {way_out}") from error
         if not self._rows:
             counts = self._timeline.counts

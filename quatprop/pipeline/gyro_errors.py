@@ -60,7 +60,7 @@ class ErrorSettings:
 
     def __post_init__(self) -> None:
         if self.sigma_axes is not None and not self.sigma:
-            raise UsageError(f"{Setting('sigma_axes')} goes with {Setting('sigma')}")
+            raise UsageError(f"{Setting('sigma_axes')} requires {Setting('sigma')}")
 
     def refuse_unknown_errors(self) -> None:
         """Refuse to give standard deviations where nothing is known of the gyroscope's errors."""
@@ -87,7 +87,7 @@ class UncertaintyReport(NamedTuple):
         attitude :data:`BY_ACCELEROMETER`
     `q0_sigma_rad`: standard deviations of the initial attitude about body axes, shape ``(3,)``,
         rad; None if it is taken to be exact
-    `columns_axes`: the axes of the columns of standard deviations; None where there are none
+    `columns_axes`: the axes of the columns of standard deviations; None if there are none
     `sigma_rad`: standard deviations of the final attitude about body axes, shape ``(3,)``, rad
     `largest`: the error that contributes most
     `largest_share`: its share of the variance
@@ -123,7 +123,7 @@ class KnownErrors(NamedTuple):
 
 
 def known_errors(settings: ErrorSettings, report: GyroCorrectionReport) -> KnownErrors | None:
-    """Return what is known of a gyroscope's errors; None where that is nothing.
+    """Return what is known of a gyroscope's errors; None if that is nothing.
 
     `report`: has the rests from which the bias was taken. The scatter of n rates over the time T is
         the noise density N, and N / sqrt(T) what is left of the bias, with what the step of

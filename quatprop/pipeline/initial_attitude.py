@@ -47,7 +47,7 @@ class InitialAttitude:
     `source`: ``"level"``, ``"log"``, or an attitude series: a path, a topic of the log or a series
         in memory; ``""`` for `wxyz`
     `wxyz`: the attitude body -> reference, where it is given
-    `heading`: for ``"level"``: rotation about the reference's z axis, rad
+    `heading`: for ``"level"``: rotation about the z axis of the reference frame, rad
     `down`: for ``"level"``: whether the reference's z axis points down, as in north-east-down
     """
 
@@ -174,7 +174,7 @@ def level(force: Float64, heading: float = 0.0, *, down: bool = False) -> Float6
     """Return the attitude of a body at rest from the specific force it feels.
 
     `force`: specific force in body axes, shape ``(3,)``, any unit; at rest it points up
-    `heading`: rotation about the reference's z axis, rad, applied last
+    `heading`: rotation about the z axis of the reference frame, rad, applied last
     `Returns`: wxyz, body -> reference, shape ``(4,)``: the shortest turn that brings the force
         upright in roll and pitch, then the heading
     """

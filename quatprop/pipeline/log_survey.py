@@ -24,7 +24,7 @@ class SignalSurvey:
     `median_dt_ns`, `min_dt_ns`, `max_dt_ns`: intervals, ns
     `gaps`, `duplicates`, `backwards`: intervals longer than 10 median ones, repeated timestamps,
         and those that go backwards or are outliers
-    `missing`: what is not declared, and the settings that declare it; None where nothing is missing
+    `missing`: what is not declared, and the settings that declare it; None if nothing is missing
     `remarks`: what a reader should know
     """
 

@@ -80,7 +80,7 @@ def frame_remarks(source: RateSignal) -> list[Remark]:
         return []
     said = (
         f"its messages are in several frames, {listed(frames)}: if they are those of several "
-        "sensors, the rates are mixed; record each on a topic of its own"
+        "sensors, the rates are mixed; record each on its own topic"
     )
     return [Remark("several-frames", said)]
 

@@ -79,7 +79,7 @@ class ConventionReport(NamedTuple):
         ``"default"``
     `samples`: what the samples are: ``"rates"`` at their timestamps, ``"averages"`` or
         ``"increments"`` over the intervals that end at them
-    `layout`: order of the columns written; None where nothing was written
+    `layout`: order of the columns written; None if nothing was written
     `q0_wxyz`: initial attitude, at the first sample, scalar first
     `q0_from`: ``"given"``, ``"level"``, ``"log"`` or a file
     `earth_rate_rad_s`: the rotation of the reference frame that was removed, in its axes, rad/s;
@@ -150,7 +150,7 @@ class RunReport:
     Parameters
     ----------
     source, convention, policy, counts, conditioning, uncertainty, result
-        The parts; of the uncertainty None where nothing is known of the gyroscope's errors, or the
+        The parts; of the uncertainty None if nothing is known of the gyroscope's errors, or the
         report is kept nowhere.
     settings
         What was requested, by the names of settings, as text.
@@ -205,8 +205,8 @@ class RunReport:
         """
         source = self.source._replace(path=log, digest=Digest(self.source.digest.bytes))
         longest = sorted(names.items(), key=lambda item: -len(item[0]))
-        renamed: JsonObject = _renamed(replace(self, source=source).as_json(), longest)
-        return renamed
+        report = replace(self, source=source).as_json()
+        return {**_renamed(report, longest)} if names else report
 
     def as_json(self) -> JsonObject:
         """Return the report as JSON: the content of a report file and of outputs' metadata."""

@@ -33,7 +33,7 @@ class Segments:
     `q0`: attitude at the first sample, wxyz, unit length
     `times`: when attitudes are wanted; None is at every sample
     `final`: the attitude at the last sample so far, wxyz
-    `sensitivity`: how far it depends on method and sampling; None where that was not asked for
+    `sensitivity`: how far it depends on method and sampling; None if that was not asked for
     `growth`: the growth of its error; None where the errors of the gyroscope are not known
     """
 

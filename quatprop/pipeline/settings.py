@@ -247,7 +247,7 @@ def _initial_attitude(values: Mapping[str, Any]) -> InitialAttitude:
         ("q0_layout", Setting("q0", "W,X,Y,Z"), isinstance(q0, tuple)),
     ):
         if name in values and not fits:
-            raise UsageError(f"{Setting(name)} goes with {partner}")
+            raise UsageError(f"{Setting(name)} requires {partner}")
     if q0 is None:
         return InitialAttitude()
     if isinstance(q0, tuple):

@@ -99,7 +99,7 @@ def _sensitivity(result: ResultReport, convention: ConventionReport) -> str:
     unless = " (no error if the sensor corrects for coning itself)" if is_sum else ""
     return (
         f"the final attitude differs by {by_method} from method {result.next_method}{unless}, "
-        f"by {by_sampling} from every second sample"
+        f"by {by_sampling} from the result with every second sample"
     )
 
 

@@ -156,7 +156,7 @@ def _verdict(file: ComparedFile) -> str:
 
 def _warnings(files: Sequence[ComparedFile], reference: ReadAttitudes) -> Iterator[str]:
     for name, operand, comparison in files:
-        named = partial(with_names, a=name, b="the reference")
+        named = partial(with_names, a=name, b="the reference series")
         for criterion in comparison.criteria:
             if not criterion.passed:
                 yield f"{name}: {named(criterion_text(criterion, comparison))}"

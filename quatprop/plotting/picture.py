@@ -27,7 +27,7 @@ class Curve(NamedTuple):
     `drawn`: its points, seconds and values
     `colour`: a key of :data:`quatprop.plotting.palette.AXES`, or the number of the file
     `band`: the area of one standard deviation: seconds, lower and upper edge, shape ``(P,)`` each,
-        NaN where it breaks; None where it is unknown
+        NaN where it breaks; None if it is unknown
     """
 
     drawn: Line

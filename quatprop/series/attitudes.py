@@ -36,13 +36,13 @@ class AttitudeSeries(Series):
         Unit quaternions body -> reference (Hamilton, scalar first), shape ``(N, 4)``, kept as
         float64.
     position
-        Position of the body in the reference frame, shape ``(N, 3)``, m; None where it is not
+        Position of the body in the reference frame, shape ``(N, 3)``, m; None if it is not
         known.
     covariance
         Covariance of small rotations about the body's axes, shape ``(N, 3, 3)``, rad^2; None where
         it is not known.
     rate
-        Angular rate of the body in its own axes, shape ``(N, 3)``, rad/s; None where it is not
+        Angular rate of the body in its own axes, shape ``(N, 3)``, rad/s; None if it is not
         known.
     log_ns
         As for :class:`GyroSeries`.
@@ -168,7 +168,7 @@ class AttitudeSeries(Series):
         return np.degrees(angles) if degrees else angles
 
     def inv(self) -> AttitudeSeries:
-        """Return the attitudes of the reference in the body: the two change places.
+        """Return the attitude of the reference frame relative to the body: the two change places.
 
         Covariances go along; positions and rates are left out.
         """

@@ -38,7 +38,7 @@ class GyroSeries(Series):
         Whether each rate is the average over the interval that ends at its timestamp, instead of
         the rate at that moment. Then method ``"end"`` is the default, and exact about a fixed axis.
     log_ns
-        When the message of each sample was recorded, shape ``(N,)``, int64, ns; None where it is
+        When the message of each sample was recorded, shape ``(N,)``, int64, ns; None if it is
         not known or not needed.
 
     Raises

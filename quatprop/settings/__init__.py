@@ -55,8 +55,8 @@ class RunOptions(RateOptions, total=False):
         "W,X,Y,Z|level|log|FILE|TOPIC", "Initial "
         "attitude", common=True)]
     heading: Annotated[float | None, Keyword(
-        number, f"For {Setting('q0', 'level')}: rotation about the reference's z axis, deg, right-"
-        f"handed: 90 points body x along the reference's y.", "0", "DEG", "Initial attitude")]
+        number, f"For {Setting('q0', 'level')}: rotation about the z axis of the reference frame, "
+        "deg, right-handed: 90 points body x along reference y.", "0", "DEG", "Initial attitude")]
     reference_z: Annotated[Literal["up", "down"] | None, Keyword(
         Choice("up", "down"),
         f"For {Setting('q0', 'level')} and {Setting('earth_rate')}: where the z axis of the "

@@ -113,7 +113,7 @@ def angles(value: object) -> tuple[float, ...]:
 
 
 def picture_size(value: object) -> tuple[float, float | None]:
-    """Return the width and height of a picture in inches; the height None where it is not given."""
+    """Return the width and height of a picture in inches; the height None if it is not given."""
     number = r"(\d+\.?\d*)"
     found = re.fullmatch(rf"{number}(?:x{number})?(mm|cm|in)", str(value), re.ASCII)
     if found is not None:

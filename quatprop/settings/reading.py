@@ -60,7 +60,7 @@ class SelectOptions(TypedDict, total=False):
         "Message definitions for {log}: a .msg file, or a folder of them.",
         "those in or next to the log", "PATH")]
     clock: Annotated[ClockName | None, Keyword(
-        Choice(*CLOCKS), "Timestamp source.", "header where the message has one, else log")]
+        Choice(*CLOCKS), "Timestamp source.", "header if the message has one, else log")]
     time_field: Annotated[str | None, Keyword(
         text, "Message field of {log} that is the time.", "the header timestamp", "A.B")]
     time_col: Annotated[str | int | None, Keyword(
@@ -75,7 +75,7 @@ class SelectOptions(TypedDict, total=False):
         "counter, Hz.", takes="HZ")]
     series: Annotated[str | int | None, Keyword(
         lambda value: text(str(value)), "Which of the interleaved series in the rows of {log}, "
-        "such as those of two sensors; all reads them as one.", "the only one there is",
+        "such as two sensors; all reads them as one.", "the only one there is",
         "VALUE|COLUMN=VALUE|all")]
     # fmt: on
 
@@ -119,11 +119,11 @@ class SeriesOptions(SelectOptions, total=False):
         f"{Setting('from_euler')}.",
         "by the header", "A,B,C[,D]")]
     frame: Annotated[str | None, Keyword(
-        text, "Which transform of {log}, where it is a list of them.", "the only one there is",
+        text, "Which transform of {log}, if it is a list of them.", "the only one there is",
         "[PARENT:]CHILD")]
     from_layout: Annotated[Layout | None, Keyword(
         Choice(*LAYOUTS), "Order of the quaternion in {log}.", "by names, definitions or metadata; "
-        "required where none of them says it")]
+        "required if none of them states it")]
     from_convention: Annotated[Convention | None, Keyword(
         Choice(*CONVENTIONS), "Convention of {log}.", "by metadata, else hamilton")]
     from_direction: Annotated[Direction | None, Keyword(
@@ -131,7 +131,7 @@ class SeriesOptions(SelectOptions, total=False):
         "body-to-ref")]
     from_angle_unit: Annotated[Literal["rad", "deg"] | None, Keyword(
         Choice("rad", "deg"), "Unit of angles in {log}, a table of yaw, pitch, roll or rotation "
-        "vectors.", "by names; required where they do not say it")]
+        "vectors.", "by names; required if they do not state it")]
     from_euler: Annotated[EulerSequence | None, Keyword(
         Choice(*EULER_SEQUENCES), "Sequence of the angles in {log}: xyz turns about x, the new y "
         "and the newest z. yaw, pitch and roll are about z, y and x.", "zyx, or by names")]

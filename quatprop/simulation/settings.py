@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypedDict,
 
 from quatprop.errors import UsageError
 from quatprop.settings.keyword import Keyword, keywords_of
-from quatprop.settings.parsers import Choice, count, frequency, length, moment, number, number_list
+from quatprop.settings.parsers import (
+    Choice,
+    Parser,
+    count,
+    frequency,
+    length,
+    moment,
+    number,
+    number_list,
+)
+from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, quantity_of
 from quatprop.text import Setting, shown
 
 if TYPE_CHECKING:
@@ -48,10 +58,19 @@ def _moment(value: object) -> int:
     return given.ns
 
 
-def _size(value: object) -> float:
-    """Return a number from 0 on."""
-    if (parsed := number(value)) < 0:
-        raise UsageError(f"{shown(value)} is below 0")
+def _in_radians(units: Mapping[str, float], noun: str, examples: str) -> Parser:
+    """Return a parser of a number with one of some units, or in the first of them."""
+    parse = quantity_of(units, noun, examples)
+
+    def parsed(value: object) -> Any:
+        try:
+            size = number(value)
+        except UsageError:
+            return parse(value)
+        if size < 0:
+            raise UsageError(f"{shown(value)} is below 0")
+        return size
+
     return parsed
 
 
@@ -81,8 +100,10 @@ class SimulateOptions(TypedDict, total=False):
         _moment, "Time of the first sample, RFC 3339 or ns.", "2023-11-14T22:13:20Z", "TIME")]
     seed: Annotated[int | None, Keyword(
         _seed, "Of noise and random walk: the same seed gives the same log.", "0", "N")]
-    noise: Annotated[float | None, Keyword(
-        _size, "Angle random walk, rad/s/sqrt(Hz).", "0", "X")]
+    noise: Annotated[float | str | None, Keyword(
+        _in_radians(NOISE_DENSITIES, "a noise density", "0.2deg/sqrt(h)"),
+        "Angle random walk, in rad/s/sqrt(Hz) or with its unit, such as 0.2deg/sqrt(h).", "0",
+        "X")]
     bias: Annotated[Collection[float] | str | None, Keyword(
         number_list("X,Y,Z"), "Constant error of the rates, rad/s.", "0,0,0", "X,Y,Z")]
     q0: Annotated[Collection[float] | str, Keyword(
@@ -98,8 +119,9 @@ class SimulateOptions(TypedDict, total=False):
         _exact, "Half-angle of the cone, or nutation angle of tumbling.", "10", "DEG")]
     spin_frequency: Annotated[float | Fraction | str | None, Keyword(
         _exact, "Revolutions per second of a tumbling body about its own axis.", "0.2", "HZ")]
-    walk: Annotated[float | None, Keyword(
-        _size, "Random walk of the rate, rad/s/sqrt(s).", "0.1", "X")]
+    walk: Annotated[float | str | None, Keyword(
+        _in_radians(RATE_WALKS, "a rate random walk", "5deg/s/sqrt(s)"),
+        "Random walk of the rate, in rad/s/sqrt(s) or with its unit.", "0.1", "X")]
     # fmt: on
 
 
@@ -117,7 +139,7 @@ def simulated(values: Mapping[str, Any]) -> "tuple[str, Shape, Gyroscope, tuple[
     for name, motions in SHAPED_BY.items():
         if motion not in motions and name in given:
             whose = Setting("motion", " or ".join(motions))
-            raise UsageError(f"{Setting(name)} goes with {whose}")
+            raise UsageError(f"{Setting(name)} requires {whose}")
     if "samples" in given and "duration" in given:
         raise UsageError(
             f"{Setting('samples')} and {Setting('duration')} exclude each other; give one of them"

@@ -143,7 +143,7 @@ def _names_in(folder: Path) -> list[str]:
 
 
 def _lock(path: Path, *, wait: bool) -> int | None:
-    """Lock a path and return the descriptor; None where it is taken or not supported."""
+    """Lock a path and return the descriptor; None if it is taken or not supported."""
     try:
         import fcntl
     except ImportError:  # Windows: what a killed run has left stays

@@ -154,7 +154,7 @@ class Counts:
     nonfinite
         Rates that are NaN or infinite.
     steady_clock
-        The clock about which the timestamps jitter; None where they do not.
+        The clock about which the timestamps jitter; None if they do not.
     """
 
     read: int = 0

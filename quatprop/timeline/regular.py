@@ -74,7 +74,7 @@ class _Sums:
         self.carried += float(error[-1]) ** 2
 
     def clock(self) -> SteadyClock | None:
-        """Return the clock; None where nothing jitters."""
+        """Return the clock; None if nothing jitters."""
         if self.offset_ns is None:
             return None
         return SteadyClock(
@@ -92,7 +92,7 @@ class RegularTime:
     """Compares stamps with a steady clock, or replaces them by its times.
 
     `method`, `rates`: how the samples are propagated, for what jitter costs
-    `first_ns`: the first stamp before it was replaced, ns; None where it is not
+    `first_ns`: the first stamp before it was replaced, ns; None if it is not
     """
 
     def __init__(self, path: Path | str, method: str, rates: str) -> None:
@@ -103,7 +103,7 @@ class RegularTime:
 
     @property
     def clock(self) -> SteadyClock | None:
-        """The clock about which the stamps jitter; None where they do not, or not throughout."""
+        """The clock about which the stamps jitter; None if they do not, or not throughout."""
         return self._sums.clock() if self._sums is not None else None
 
     def observed(self, blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
@@ -151,8 +151,8 @@ class RegularTime:
     def _refusal(self, which: str, why: str) -> TimelineError:
         return TimelineError(
             self._path,
-            f"the timestamps {which} do not jitter about a steady clock: {why}; leave "
-            f"{Setting('regular_time')} out",
+            f"the timestamps {which} do not jitter about a steady clock: {why}; omit "
+            f"{Setting('regular_time')}",
         )
 
 

@@ -76,7 +76,7 @@ def refuse_message(kind: str, message: Message | None) -> None:
     """Refuse a description of messages where a format holds none."""
     if message is not None and not WRITERS[kind].encodings:
         settings = f"{Setting('message')}, {Setting('out_topic')} and {Setting('frames')}"
-        raise UsageError(f"{kind} holds no messages; leave {settings} out")
+        raise UsageError(f"{kind} holds no messages; omit {settings}")
 
 
 def holds_covariances(kind: str, message: Message | None) -> bool:
@@ -164,4 +164,4 @@ def _refuse_stdout(target: Path | str, kind: str) -> None:
 def refuse_comment(kind: str, *, comment: bool) -> None:
     """Refuse a comment where a format has none."""
     if comment and not WRITERS[kind].comments:
-        raise UsageError(f"{kind} has no comments; leave {Setting('header_comment')} out")
+        raise UsageError(f"{kind} has no comments; omit {Setting('header_comment')}")

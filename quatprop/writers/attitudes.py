@@ -68,7 +68,7 @@ def attitude_table(
     """Return a writer of attitudes as a table: stamps, four components, and more columns.
 
     `table`: a table with the columns of `layout`, of `form` and of standard deviations
-    `sigma`: the axes of the columns of standard deviations at the end; None where there are none
+    `sigma`: the axes of the columns of standard deviations at the end; None if there are none
     `form`: what else to write of each attitude, such as its angles; None for nothing
     """
 

@@ -107,7 +107,7 @@ DEFAULT_LAYOUT = "scalar-first"
 def layout_of(kind: str, layout: str | None = None) -> Layout:
     """Return the layout in which a kind of file is written.
 
-    `layout`: the layout asked for; None where none was
+    `layout`: the layout asked for; None if none was
     """
     from quatprop.conventions.layout import layout_named
 
@@ -117,8 +117,8 @@ def layout_of(kind: str, layout: str | None = None) -> Layout:
     order = layout_named(layout)
     if prescribed is not None and order.name != prescribed:
         raise UsageError(
-            f"{kind} is {prescribed} by its own definition, not {order.name}; leave "
-            f"{Setting('layout')} out",
+            f"{kind} is {prescribed} by its own definition, not {order.name}; omit "
+            f"{Setting('layout')}",
         )
     return order
 

@@ -141,7 +141,7 @@ def refuse_overlap(inputs: Iterable[str | None], outputs: Iterable[str | None]) 
             )
         if above := source_above(os.path.dirname(place)):  # noqa: PTH120
             raise OutputError(
-                name, f"this lies in {plain(above)}, which is an input; choose another output"
+                name, f"this is in {plain(above)}, which is an input; choose another output"
             )
         if place in written:
             raise OutputError(name, "two outputs of the run would go here; choose another")
@@ -154,7 +154,7 @@ def _object(address: str) -> str:
 
 
 def _identity(name: str) -> tuple[int, int] | None:
-    """Return what identifies a file under all its names; None where there is none."""
+    """Return what identifies a file under all its names; None if there is none."""
     try:
         status = os.stat(name)  # noqa: PTH116  # no object a name
     except OSError:

@@ -41,9 +41,10 @@ MIXED = {
     "frames_zstd.mcap": (mixed_logs.varying_frames, 1),
     "images_zstd.mcap": (mixed_logs.beside_images, 10),
     "images_none.mcap": (mixed_logs.beside_images, 10),
+    "odometry.mcap": (mixed_logs.odometry, 10),
     "imu.h5": (table_logs.as_hdf5, 1),
 }
-"""How each is written, and which part of the samples it has: pictures take room."""
+"""How each is written, and which part of the samples it has: pictures take room, Protobuf time."""
 
 
 def make_logs(folder: Path, samples: int) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import lz4.frame
 import zstandard
+from make.protobuf import FOXGLOVE, made, stamp_file
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
@@ -42,6 +43,14 @@ def with_mcap(path: Path) -> int:
         return sum(1 for _ in reader.iter_decoded_messages())
 
 
+def with_protobuf(path: Path) -> int:
+    """Parse every message with the mcap and the protobuf package."""
+    odometry = made("foxglove.Odometry", FOXGLOVE, stamp_file())
+    with path.open("rb") as file:
+        messages = make_reader(file).iter_messages()
+        return sum(1 for *_, message in messages if odometry.FromString(message.data))
+
+
 def read_and_decompress(path: Path) -> int:
     """Read the chunks of an MCAP file and decompress them: the floor under any reader."""
     unpack = {"zstd": zstandard.ZstdDecompressor().decompress, "lz4": lz4.frame.decompress}
@@ -70,7 +79,7 @@ def select_blobs(path: Path) -> int:
 
 LOGS = [
     "imu_zstd.mcap", "imu_none.mcap", "frames_zstd.mcap", "images_zstd.mcap", "images_none.mcap",
-    "imu.bag", "imu_db3",
+    "imu.bag", "imu_db3", "odometry.mcap",
 ]  # fmt: skip
 
 
@@ -83,9 +92,12 @@ def measure(folder: Path, _samples: int) -> None:
             readers["read and decompress alone"] = 5, read_and_decompress
         if path.is_dir():
             readers["SELECT of stamps and blobs alone"] = 5, select_blobs
-        readers["rosbags AnyReader + deserialize"] = 1, with_rosbags
+        if path.name == "odometry.mcap":
+            readers["mcap + protobuf"] = 1, with_protobuf
+        else:
+            readers["rosbags AnyReader + deserialize"] = 1, with_rosbags
         if path.name == LOGS[0]:
             readers["mcap + mcap-ros2-support"] = 1, with_mcap
-        table = Table(f"decode {path.name}, {samples:,} Imu messages")
+        table = Table(f"decode {path.name}, {samples:,} messages")
         for name, (repeats, read) in readers.items():
             table.row(name, best_of(repeats, partial(read, path)), samples)

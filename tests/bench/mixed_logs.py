@@ -1,11 +1,15 @@
-"""Logs as robots write them: frame ids of several lengths, and a camera beside the IMU."""
+"""Logs as robots write them: frame ids of several lengths, a camera beside the IMU, Protobuf."""
 
 import struct
 from pathlib import Path
 
 import numpy as np
+from make.formats import protobuf_topic
+from make.mcap import write_topics
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
+
+import quatprop
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 IMU, IMAGE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/CompressedImage"
@@ -26,6 +30,12 @@ def beside_images(path: Path, samples: int) -> None:
     """Write Imu messages beside pictures of 100 kB, plain or packed as the name says."""
     noise = np.random.default_rng(1).integers(0, 256, 100_000, np.uint8)
     _write(path, samples, FRAMES[:1], _encoded(IMAGE, "camera", "jpeg", noise))
+
+
+def odometry(path: Path, samples: int) -> None:
+    """Write the rates of the table beside it as messages of Protobuf."""
+    rates = quatprop.read_rates(path.with_name("imu.parquet"))[:samples]
+    write_topics(path, {"/odometry": protobuf_topic(rates)})
 
 
 def _write(path: Path, samples: int, frames: tuple[str, ...], image: bytes | None) -> None:

@@ -231,10 +231,12 @@ def test_a_log_that_is_made_anew_may_be_longer(ci):
 
 # What cannot be judged, and why: an error of exactly that case.
 
-SHA = "its content changed since the reference was made (SHA-256 "
+SHA = "its content changed since the reference file was made (SHA-256 "
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
 NOT_THERE = "it is a Git LFS pointer, not the file itself; download the file with git lfs pull"
-LINE_ENDS = "only its line ends changed since the reference was made, from {}: Git converts them"
+LINE_ENDS = (
+    "only its line ends changed since the reference file was made, from {}: Git converts them"
+)
 BROKEN_FILES = {
     ("spin", "logs/spin.csv"): {
         "flip": SHA,
@@ -247,13 +249,13 @@ BROKEN_FILES = {
     ("tumbling", "logs/tumbling_ros2/tumbling_ros2.db3"): {"flip": SHA},
     ("tumbling", "logs/tumbling_ros2/metadata.yaml"): {
         "comment": SHA,
-        "missing": "it was there when the reference was made, and is missing",
+        "missing": "it existed when the reference file was made, and is missing",
         "pointer": NOT_THERE,
     },
     ("tumbling", "logs/tumbling.truth.csv"): {"flip": SHA},
     ("spin", "refs/spin.parquet"): {
         "cut": ", and cannot be read; restore it",
-        "missing": "the reference is missing; restore it, or write it with --update",
+        "missing": "the reference file is missing; restore it, or write it with --update",
         "pointer": NOT_THERE,
     },
 }
@@ -336,7 +338,10 @@ def test_a_reference_that_is_not_the_pinned_one_is_an_error(ci, options, words):
     shutil.copy(other, reference)
     code, case = judged(ci, "spin")
     assert (code, case["verdict"]) == (2, "error")
-    assert "refs/spin.parquet: this is not the reference that was pinned (SHA-256 " in case["said"]
+    assert (
+        "refs/spin.parquet: this is not the reference file that was pinned (SHA-256 "
+        in case["said"]
+    )
     assert words in case["said"]
 
 
@@ -417,10 +422,10 @@ def remade(ci, change):
 
 ABOVE = "above the tolerance, first at"
 STAMP = (
-    "1 of 580 timestamps differ from the reference, the first at attitude 7: "
+    "1 of 580 timestamps differ from those of the reference file, the first at attitude 7: "
     "1700000001350000000 ns, not 1700000001350000001 ns"
 )
-END = "the attitude at the last sample is 3.14 rad from that of the reference"
+END = "the attitude at the last sample is 3.14 rad from the one in the reference file"
 FAILURES = {
     # Attitudes that were thinned do not hide that samples are gone, nor another end.
     "samples": (lambda ci: pin(ci, "rest", samples=2901), "2900 samples were propagated, and 2901"),
@@ -428,7 +433,7 @@ FAILURES = {
     "stamp": (lambda ci: rewrite(ci, "rest", late), STAMP),
     "tenth": (
         lambda ci: remade(ci, lambda rows: rows[: len(rows) // 10]),
-        "% of the samples of the reference, at least 99 %",
+        "% of the samples of the reference series, at least 99 %",
     ),
     "third": (lambda ci: remade(ci, lambda rows: rows[::3]), ABOVE),
     "bias": (
@@ -450,7 +455,7 @@ def test_what_differs_fails(ci, name):
 
 def test_another_version_is_named_and_judged_all_the_same(ci):
     """Noted once for all cases, in a failure too, until an update, which keeps the references."""
-    note = f"the reference was made by quatprop 0.0.9, this is {__version__}"
+    note = f"the reference file was made by quatprop 0.0.9, this is {__version__}"
     for name in NAMES:
         pin(ci, name, quatprop="0.0.9")
     assert judged(ci, "spin")[1]["notes"] == [note]

@@ -64,7 +64,7 @@ def test_above_the_tolerance_is_exit_code_1(spin, bumped):
         "failed    above the tolerance 0.00174533 rad (0.1 deg), first at sample 30 of A, "
         "1700000000300000000 ns, 300 ms after the first: 0.1 rad (5.72958 deg)\n"
         "cause     likely (isolated samples): 1 of 100 samples carry the error, and the others are "
-        "right; leave 1 sample of B out\n"
+        "right; omit 1 sample of B\n"
     ) in run(*words, code=1).stdout
     assert run(*words, "-q", code=1).output == ""
     found = json.loads(run(*words, "--json", code=1).stdout)

@@ -35,7 +35,7 @@ def test_a_time_range_is_converted(tmp_path, truth, part, first, last):
     assert quatprop.read_attitudes(out) == truth[first : last + 1]
     recorded = json.loads(report.read_text())["conversions"][0]["time_range"]
     assert (recorded["before"], recorded["after"]) == (first, 999 - last)
-    assert f"left out: {first + 999 - last} rows outside the time range" in said
+    assert f"omitted: {first + 999 - last} rows outside the time range" in said
 
 
 def test_attitudes_of_a_time_range_are_read(truth):
@@ -97,5 +97,7 @@ def test_stamps_that_do_not_rise_are_not_interpolated(tmp_path):
     """There is no attitude between them."""
     source = tmp_path / "in.csv"
     source.write_text("t_ns,qw,qx,qy,qz\n5,1,0,0,0\n5,1,0,0,0\n")
-    with pytest.raises(TimelineError, match="timestamps do not rise: 5 ns and then 5 ns; leave ra"):
+    with pytest.raises(
+        TimelineError, match="timestamps do not rise: 5 ns and then 5 ns; omit rate"
+    ):
         quatprop.convert(source, tmp_path / "out.csv", rate=10)

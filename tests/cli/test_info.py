@@ -59,11 +59,11 @@ def test_a_log_is_a_table_with_a_line_for_each_source(tmp_path):
 RATE_UNIT, TIME_UNIT = Setting("rate_unit", "rad/s|deg/s"), Setting("time_unit", "s|ms|us|ns")
 UNITS = {
     "t_ns,gyro_x,gyro_y,gyro_z": "the unit of the rates 'gyro_x', 'gyro_y', 'gyro_z' is not "
-    f"declared; say it with {RATE_UNIT}",
-    "t,wx_rad_s,wy_rad_s,wz_rad_s": "the unit of the time 't' is not declared; say it with "
+    f"declared; specify it with {RATE_UNIT}",
+    "t,wx_rad_s,wy_rad_s,wz_rad_s": "the unit of the time 't' is not declared; specify it with "
     f"{TIME_UNIT}",
     "t,wx,wy,wz": "the unit of the rates 'wx', 'wy', 'wz' and the unit of the time 't' are not "
-    f"declared; say them with {RATE_UNIT} and {TIME_UNIT}",
+    f"declared; specify them with {RATE_UNIT} and {TIME_UNIT}",
 }
 
 
@@ -80,11 +80,13 @@ def test_a_table_whose_units_are_unknown_is_shown(tmp_path, head, sentence):
 
 
 AMBIGUOUS = {
-    "a,b,wx,wy,wz": "the time column (one of 'a', 'b') is not declared; say it with time_col='C', "
+    "a,b,wx,wy,wz": "the time column (one of 'a', 'b') is not declared; specify it with "
+    "time_col='C', "
     "or sample_rate='HZ' for rows at a steady rate",
     "t_ns,a_qw,a_qx,a_qy,a_qz,b_qw,b_qx,b_qy,b_qz": "which quaternion to use (their scalar columns "
-    "are 'a_qw', 'b_qw') is not declared; say it with quat_cols='A,B,C,D'",
-    "time,qw,qx,qy,qz": "the unit of the time 'time' is not declared; say it with time_unit='s' or "
+    "are 'a_qw', 'b_qw') is not declared; specify it with quat_cols='A,B,C,D'",
+    "time,qw,qx,qy,qz": "the unit of the time 'time' is not declared; specify it with "
+    "time_unit='s' or "
     "'ms' or 'us' or 'ns'",
 }
 

@@ -19,7 +19,7 @@ COUNTED = (
     "(2024-01-31T12:00:00Z) or in ns, without a unit"
 )
 IN_NS = "a number without a unit is in ns: write all digits, a date, or a duration from the first"
-KIND = "leave --from out, or name the log itself"
+KIND = "omit --from, or name the log itself"
 ONCE = "Error: stdin can be read only once; name files for the others"
 TWO_TOPICS = "Error: two.mcap: several topics carry attitudes: '/one', '/two'; choose one with"
 SIMULATED = "|".join(kind for kind in WRITERS if kind not in {"tum", "euroc", "kitti"})
@@ -45,9 +45,9 @@ PROPAGATE = {
     "log.csv -o - --report -": "Error: -: two outputs of the run would go to stdout; name a file",
     "nan.csv -o old.csv": "not finite",
     **{f"nan.csv -o - --to {kind}": "not finite" for kind in ("csv", "tsv", "jsonl", "tum")},
-    "log.csv --heading 30": "--heading goes with --q0",
-    "log.csv --reference-z down": "--reference-z goes with --q0",
-    "log.csv --q0-layout xyzw": "--q0-layout goes with --q0",
+    "log.csv --heading 30": "--heading requires --q0",
+    "log.csv --reference-z down": "--reference-z requires --q0",
+    "log.csv --q0-layout xyzw": "--q0-layout requires --q0",
     "log.csv --q0 1,0,0": "for '--q0': '1,0,0' is not W,X,Y,Z, 4 finite numbers",
     "log.csv --q0 0,0,0,0": "has the length 0, so it is not an attitude; the identity is 1,0,0,0",
     "log.csv --q0 1,0,0,0.1": "--q0 1.0,0.0,0.0,0.1 has the length 1.00499, so it is not an attit",
@@ -112,9 +112,9 @@ SIMULATE = {
     "a.csv --start noon": "'noon' is not a time",
     "a.csv --duration 0s": "'0s' is not a duration above 0",
     "a.csv --samples 5 --duration 1s": "--samples and --duration exclude each other; give one of",
-    "a.csv --motion coning --axis 1,0,0": "--axis goes with --motion spin",
-    "a.csv --angle 5": "--angle goes with --motion coning or tumbling",
-    "a.csv --motion rest --walk 1": "--walk goes with --motion random-walk",
+    "a.csv --motion coning --axis 1,0,0": "--axis requires --motion spin",
+    "a.csv --angle 5": "--angle requires --motion coning or tumbling",
+    "a.csv --motion rest --walk 1": "--walk requires --motion random-walk",
     "a.ulg": f".npz, .mcap, .bag, none for a ROS 2 bag folder, or specify --to {SIMULATED}",
 }
 
@@ -138,7 +138,7 @@ COMPARE = {
 
 JPL = "--from-convention says hamilton, but the metadata of the file says jpl; omit it"
 OF_MATRIX = "is about quaternions and matrix has none; omit it"
-NO_MESSAGES = "csv holds no messages; leave --message, --out-topic and --frames out"
+NO_MESSAGES = "csv holds no messages; omit --message, --out-topic and --frames"
 CONVERT = {
     "q0.csv out.csv --report q0.csv": f"Error: q0.csv: {INPUT}",
     "q.csv q.csv": f"Error: q.csv: {INPUT}",
@@ -157,15 +157,15 @@ CONVERT = {
     "q.csv - --as matrix --convention jpl": f"--convention {OF_MATRIX}",
     "q.csv - --as matrix --sign positive": f"--sign {OF_MATRIX}",
     "q.csv - --as matrix --message TFMessage": f"--message {OF_MATRIX}",
-    "q.csv - --as matrix --euler-unit deg": "--euler-unit goes with euler-zyx and other",
+    "q.csv - --as matrix --euler-unit deg": "--euler-unit requires euler-zyx or another",
     "q.csv - --as euler": "did you mean 'euler-zyx'?",
     "q.csv out.csv --message TFMessage": NO_MESSAGES,
     "q.csv out.csv --message TFMessage --convention jpl": NO_MESSAGES,
     "q.csv a.tum --with euler-zyx": "--with: tum has its own columns; choose 'csv', ",
     "q.csv a.mcap --with euler-zyx": "--with: mcap has its own columns; choose 'csv', ",
     "q.csv - --with euler-zyx --as rotvec": "--with is about quaternions and rotvec has none",
-    "q.csv - --with euler-zyx --direction ref-to-body": "--with goes with Hamilton quaternions bo",
-    "q.csv - --with rotvec --euler-unit deg": "--euler-unit goes with euler-zyx and other sequen",
+    "q.csv - --with euler-zyx --direction ref-to-body": "--with requires Hamilton quaternions bo",
+    "q.csv - --with rotvec --euler-unit deg": "--euler-unit requires euler-zyx or another sequen",
 }
 
 SMALL = "the panels and their letters do not fit into this picture; give at least --size "
@@ -177,11 +177,11 @@ PLOT = {
     "q.svg --from csv -o q.svg": f"Error: q.svg: {INPUT}",
     "q.csv --reference q.svg -o q.svg": f"Error: q.svg: {INPUT}",
     "q.csv none.csv -o old.png": "none.csv: no such file",
-    "q.csv --components --unwrap": "--unwrap does not go with --components, which have no turns",
-    "q.csv --tol 1deg": "Error: --tol goes with --reference",
-    "q.csv --topic-ref /a": "Error: --topic-ref goes with --reference",
-    "q.csv --reference q.csv --components": "--components does not go with --reference, which dra",
-    "both.csv --components --show rates": "Error: --components goes with --show attitude",
+    "q.csv --components --unwrap": "--unwrap cannot be combined with --components",
+    "q.csv --tol 1deg": "Error: --tol requires --reference",
+    "q.csv --topic-ref /a": "Error: --topic-ref requires --reference",
+    "q.csv --reference q.csv --components": "--components cannot be combined with --reference",
+    "both.csv --components --show rates": "Error: --components requires --show attitude",
     "q.csv --start +1h": "no samples in 'qw,qx,qy,qz' between --start and --end: 2 are before, 0 ",
     "log.csv q.csv": "Error: log.csv shows rate x in rad/s and q.csv yaw in deg; draw them apart,",
     "height.parquet": "no body rates or attitudes found; its columns are 't_ns', 'height'; name "

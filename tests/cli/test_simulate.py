@@ -1,5 +1,7 @@
 """``quatprop simulate`` writes what its options say."""
 
+import math
+
 from make.commands import run
 
 from quatprop.simulation.motion import MOTIONS
@@ -33,3 +35,11 @@ def test_the_command_writes_to_stdout():
     result = run("simulate", "-", "--motion", "rest", "--samples", "1", "-q", code=0)
     assert result.stdout == "t_ns,wx,wy,wz\n1700000000000000000,0,0,0\n"
     assert result.stderr == ""
+
+
+def test_noise_has_the_units_of_data_sheets(tmp_path):
+    """Noise in deg/sqrt(h), as `--noise-density` takes it, was no number."""
+    logs = [tmp_path / "degrees.csv", tmp_path / "radians.csv"]
+    for log, noise in zip(logs, ("60deg/sqrt(h)", f"{math.radians(1)!r}"), strict=True):
+        run("simulate", log, "--samples", "10", "--noise", noise, "-q", code=0)
+    assert logs[0].read_bytes() == logs[1].read_bytes()

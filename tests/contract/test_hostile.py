@@ -140,7 +140,7 @@ def test_rates_near_the_largest_number_are_refused_without_a_warning(tmp_path):
     log = write_rates(tmp_path / "log.csv", ["0,1e308,1e308,0", "1,0,0,0"])
     assert refused("propagate", log, "-o", tmp_path / "out.csv") == (
         f"Error: {log}: the attitude of sample 1 is not finite; rates must be finite, and their "
-        "squares too; leave others out with --start and --end"
+        "squares too; omit others with --start and --end"
     )
 
 

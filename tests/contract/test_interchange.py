@@ -72,7 +72,7 @@ def test_attitudes_become_rows_of_kitti_at_the_origin(tmp_path):
         [0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1, 0],
     ]
     sentence = refused("propagate", log, "-o", "-", "--to", "kitti", "--header-comment")
-    assert "kitti has no comments; leave --header-comment out" in sentence
+    assert "kitti has no comments; omit --header-comment" in sentence
 
 
 def test_a_trajectory_of_evo_is_read_as_it_is(tmp_path):

@@ -121,7 +121,7 @@ def test_what_is_no_rotation_is_located_in_every_format(tmp_path, kind, layout):
     sentence = (
         r"3 of 5 rows are invalid quaternions \(1 all zero, 1 off unit length by up to 0.01, 1 "
         r"absent or not finite\), the first is row 1 at 1000000000 ns; normalize scales those of "
-        r"another length, on_invalid='drop' leaves them out"
+        r"another length, on_invalid='drop' omits them"
     )
     with pytest.raises(NotRotationsError, match=sentence):
         convert(Conversion(AttitudeInput(str(path)), output))

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
+from collections import Counter, deque
 from pathlib import Path
 
 from make.batches import entries, spin
@@ -44,27 +44,43 @@ def times_done(out):
     return Counter(Manifest(str(out)).history()["output"].to_pylist())
 
 
-def kills(top, right, count):
-    """Kill a batch again and again."""
-    draw, out = random.Random(1), top / "killed"
-    for number in range(300):
-        spin(top / "in" / f"{number}.csv")
-    found, killed = [], 0
-    while killed < count:
-        process = begun(top / "in", out, "-j", "2")
+def killed(folder, out, count, *options):
+    """Kill a batch again and again, and yield each time; then let it end."""
+    draw = random.Random(1)
+    for number in range(count):
+        process = begun(folder, out, "-j", "2", *options)
         time.sleep(draw.uniform(0.5, 1.5))
-        ended = process.poll() is not None
+        if process.poll() is not None:
+            spin(folder / f"more{number}.csv")
         process.kill()
         process.wait()
         time.sleep(0.3)  # its processes end by themselves
-        killed += 1
-        found += (
-            problems(top / "in", out, right, complete=False) if (out / "_manifest").exists() else []
-        )
-        if ended:
-            spin(top / "in" / f"more{killed}.csv")
-    assert begun(top / "in", out, "-j", "2").wait() == 0
+        yield
+    assert begun(folder, out, "-j", "2", *options).wait() == 0
+
+
+def kills(top, right, count):
+    """Kill a batch that writes a file for each log."""
+    found, out = [], top / "killed"
+    for _ in killed(top / "in", out, count):
+        if (out / "_manifest").exists():
+            found += problems(top / "in", out, right, complete=False)
     return found + problems(top / "in", out, right, complete=True)
+
+
+def dataset(top, count):
+    """Kill a batch that writes a dataset: its files are those of a batch that was not killed."""
+    options = ("--to", "parquet", "--dataset", "--buckets", "4")
+    deque(killed(top / "in", top / "parts", count, *options), maxlen=0)
+    assert begun(top / "in", top / "whole", *options).wait() == 0
+    made, right = (
+        {path.name: path.read_bytes() for path in (top / name).glob("*.parquet")}
+        for name in ("parts", "whole")
+    )
+    left = [f"{path}: left" for path in (top / "parts" / "_parts").rglob("*.parquet")]
+    return left + [
+        f"{name}: other bytes" for name in {*made, *right} if made.get(name) != right.get(name)
+    ]
 
 
 def shards(top, right):
@@ -98,9 +114,12 @@ def main(count=20):
         top = Path(folder)
         log = spin(top / "one.csv")
         run("propagate", log, "-o", top / "right.csv", "-q", code=0)
+        for number in range(300):
+            spin(top / "in" / f"{number}.csv")
         right, failures = (top / "right.csv").read_bytes(), 0
         for name, found in (
             (f"{count} kills", kills(top, right, count)),
+            (f"{count} kills of a dataset", dataset(top, count)),
             ("8 shards of a growing folder", shards(top, right)),
             ("2 batches at once", at_once(top, right)),
         ):

@@ -89,7 +89,8 @@ def _json_topic(series):
     return Topic("sensor_msgs/Imu", messages)
 
 
-def _protobuf_topic(series):
+def protobuf_topic(series):
+    """Return a topic of foxglove.Odometry."""
     odometry, messages = made("foxglove.Odometry", FOXGLOVE, stamp_file()), []
     for t_ns, (x, y, z) in zip(series.t_ns.tolist(), series.rate.tolist(), strict=True):
         message = odometry(frame_id="odom", body_frame_id="base")
@@ -301,7 +302,7 @@ FORMATS = {
     "unchunked.mcap": _ros(_mcap(use_chunking=False)),
     "checked.mcap": _indexed(_mcap(enable_crcs=True), checked=True),
     "json.mcap": _ros(_mcap(_json_topic)),
-    "protobuf.mcap": _ros(_mcap(_protobuf_topic)),
+    "protobuf.mcap": _ros(_mcap(protobuf_topic)),
     "none.bag": _indexed(_bag()),
     "bz2.bag": _indexed(_bag("BZ2")),
     "lz4.bag": _indexed(_bag("LZ4")),

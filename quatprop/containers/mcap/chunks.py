@@ -54,7 +54,7 @@ class Chunk:
     """A chunk, or a run of messages outside chunks.
 
     `start`, `length`: the chunk record, or the messages, in the file, bytes
-    `first_ns`, `last_ns`: its earliest and latest log time, ns; the latest is None where no index
+    `first_ns`, `last_ns`: its earliest and latest log time, ns; the latest is None if no index
         states it
     `index_length`: bytes of message index that follow it
     `message_index_offsets`: where in the file the message index of each channel is, by channel id;
@@ -97,7 +97,7 @@ class Chunk:
 
     @property
     def ids(self) -> list[int]:
-        """Ids in the index of the channels that it holds, where that is known."""
+        """Ids in the index of the channels that it holds, if known."""
         return [self.id_offset + id_ for id_ in self.message_index_offsets or ()]
 
     def may_have_logged(self, log_ns: NDArray[np.int64]) -> bool:
@@ -137,7 +137,7 @@ class Loaded(NamedTuple):
     `damage`: why they end early, or ``""``
     `has_checksum`: whether a checksum shows that it is as it was written
     `is_readable`: whether anything of it can be read
-    `offsets`: where the wanted messages begin in `data`, which has little else; None where it is
+    `offsets`: where the wanted messages begin in `data`, which has little else; None if it is
         whole
     """
 
@@ -214,7 +214,7 @@ class ChunkHead(NamedTuple):
 
 
 def head_of(source: FileSource, chunk: Chunk) -> ChunkHead | None:
-    """Return the head of a chunk; None where none of its length begins."""
+    """Return the head of a chunk; None if none of its length begins."""
     return chunk_head(source.read(chunk.start, PEEK), chunk.length)
 
 

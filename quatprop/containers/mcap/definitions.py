@@ -73,7 +73,7 @@ class Definitions:
 
 
 def _identity(opcode: int, content: Buffer) -> tuple[str, str, int | bytes] | None:
-    """Return what a record says of a channel or schema; None where it is damaged."""
+    """Return what a record says of a channel or schema; None if it is damaged."""
     try:
         return (read_schema if opcode == SCHEMA else read_channel)(content).identity
     except MALFORMED:

@@ -92,7 +92,7 @@ class McapReader(ChunkReader[Chunk, Loaded]):
             return Loaded(damage=error.reason, is_readable=False)
 
     def _load_messages(self, chunk: Chunk) -> Loaded | None:
-        """Return the wanted messages of a chunk; None where it is better read whole.
+        """Return the wanted messages of a chunk; None if it is better read whole.
 
         What precedes the first message is read, too, and the heads of all records, which show that
         nothing is hidden between them. The checksum is that of the whole chunk.

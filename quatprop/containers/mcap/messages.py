@@ -187,7 +187,7 @@ def indexed_offsets(
     """Return the offsets that the message indexes of some channels list, or those of all.
 
     `ids`: the channels; None for all
-    `Returns`: shape ``(N,)``, int64, ascending; None where there is no index or it is damaged
+    `Returns`: shape ``(N,)``, int64, ascending; None if there is no index or it is damaged
     """
     if not chunk.index_length or chunk.message_index_offsets is None:
         return None
@@ -208,7 +208,7 @@ def index_entries(
 ) -> NDArray[np.int64] | None:
     """Return the log times and offsets in the message index of a channel.
 
-    `Returns`: shape ``(N, 2)``, int64; None where it is damaged
+    `Returns`: shape ``(N, 2)``, int64; None if it is damaged
     """
     at = place - chunk.start - chunk.length
     if at < 0 or at + INDEX_HEAD.size > len(index):

@@ -87,7 +87,7 @@ class ChunkRecords:
     `data`: its decompressed records, as far as they could be read, shape ``(B,)``
     `damage`: why they end early, or ``""``
     `read_index`: reads the index data that follow the chunk
-    `offsets`: where the wanted messages begin in `data`, which has little else; None where it is
+    `offsets`: where the wanted messages begin in `data`, which has little else; None if it is
         whole
     """
 

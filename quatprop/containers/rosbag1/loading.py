@@ -98,7 +98,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         return loaded
 
     def _load_messages(self, chunk: BagChunk) -> ChunkRecords | None:
-        """Return the wanted messages of a chunk; None where it is better read whole.
+        """Return the wanted messages of a chunk; None if it is better read whole.
 
         That is, if it is compressed or mostly wanted, or its index data is not what the bag says.
         """
@@ -192,7 +192,7 @@ def prove(file: RecordFile, chunks: Sequence[BagChunk]) -> None:
 
 
 def record_of(file: RecordFile, chunk: BagChunk) -> Record | None:
-    """Return the record of a chunk; None where there is none that is whole."""
+    """Return the record of a chunk; None if there is none that is whole."""
     if chunk.record is None and not chunk.is_missing:
         try:
             record = file.record(chunk.start)

@@ -66,7 +66,7 @@ class TablePages:
 
     `columns`: positions of the columns ``topic_id``, ``timestamp`` and ``data``
     `overlay`: pages by number that a write-ahead log has newer: where they are in `wal`
-    `wal`: the write-ahead log; None where there is none
+    `wal`: the write-ahead log; None if there is none
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class TablePages:
             return b""
 
     def _cell(self, page: bytes, at: int, number: int) -> Cell | None:
-        """Return the row of a cell; None where it is not one of this table."""
+        """Return the row of a cell; None if it is not one of this table."""
         size, at = _varint(page, at)
         rowid, at = _varint(page, at)
         local = self._local(size)

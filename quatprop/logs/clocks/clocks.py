@@ -113,7 +113,7 @@ class Clock(NamedTuple):
 
 
 def named_clock(key: str, keys: Iterable[str]) -> tuple[int, str, int] | None:
-    """Return rank, implied unit and place of a column by its key; None where it is no clock."""
+    """Return rank, implied unit and place of a column by its key; None if it is no clock."""
     for place, row in enumerate(CLOCKS):
         match = re.fullmatch(row.pattern, key)
         if match and all(

@@ -216,7 +216,7 @@ class SeriesChoice:
             return UnsupportedLogError(
                 self._table.path,
                 f"the rows of several series, {listed(labels)} in column {name}, take turns; write "
-                "each to a file of its own",
+                "each to its own file",
             )
         wanted = self._wanted or ""
         before = "" if wanted in {"", ALL} else f"{plain(wanted)},"

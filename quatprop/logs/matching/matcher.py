@@ -68,7 +68,7 @@ class ColumnMatcher:
         if len(positions) > 1:
             raise UsageError(
                 f"{plain(self.path)}: {len(positions)} columns are called {quoted(name)}; "
-                f"say which with its number from 0, {Setting(setting)} taking {positions[0]}, "
+                f"choose one by its number from 0: {Setting(setting)} takes {positions[0]}, "
                 f"{positions[1]}..."
             )
         if positions:

@@ -49,7 +49,7 @@ class CovarianceColumns(NamedTuple):
     def in_body_axes(self, rows: Iterator[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]]:
         """Yield rows whose last numbers are covariances about body axes, ``(N, 3, 3)``, rad^2.
 
-        They are None where nothing is known. The first two of a row are stamps and quaternions.
+        They are None if nothing is known. The first two of a row are stamps and quaternions.
         """
         if self.are_sigmas:
             rows = self._of_sigmas(rows)
@@ -139,7 +139,7 @@ def _checked(table: Table, sigmas: Float64, wxyz: Float64, t_ns: Int64, first: i
         raise LogError(
             table.path,
             f"{SIGMA_COLUMNS[axis]} is {sigmas[row, axis]:g} in row {first + row} at "
-            f"{t_ns[row]} ns, which is not a standard deviation; correct it, or leave out "
+            f"{t_ns[row]} ns, which is not a standard deviation; correct it, or omit "
             f"the columns {', '.join(SIGMA_COLUMNS)}",
         )
     return sigmas

@@ -143,4 +143,4 @@ class QuaternionCheck:
             )
         scaling = f"{Setting('normalize')} scales those of another length, "
         ways = f"{scaling if counts.not_unit else ''}{Setting('on_invalid', 'drop')}"
-        return f"{counts.summary}; {ways} leaves them out"
+        return f"{counts.summary}; {ways} omits them"

@@ -178,7 +178,7 @@ class RangeReader:
         wanted: TimeRange | None = None,
         note: list[Int64] | None = None,
     ) -> _Zone | None:
-        """Return the extremes in a range of log times; None where no stamp is a wanted one.
+        """Return the extremes in a range of log times; None if no stamp is a wanted one.
 
         The stamps are appended to `note`.
         """

@@ -247,7 +247,7 @@ def _refuse_mixture(data: list[list[str]], title: str, width: int, path: Path) -
         return
     raise UnsupportedLogError(
         path,
-        f"{reason}, so it holds several kinds of records; write each kind to a file of its own",
+        f"{reason}, so it holds several kinds of records; write each kind to its own file",
     )
 
 

@@ -41,8 +41,7 @@ _RECORD_HEAD_BYTES = 9
 class McapFile:
     """An MCAP file being written.
 
-    Schemas and channels stand ahead of the chunks. Messages are written to one channel, and all
-    have one size.
+    Schemas and channels stand ahead of their chunks. The messages of a channel all have one size.
 
     `stream`: where the file goes, from its first byte; it need not be seekable
     `header`: what the file begins with; or only its profile, ``"ros2"`` or nothing
@@ -70,6 +69,7 @@ class McapFile:
         self._before = before
         self._chunk_bytes = chunk_bytes
         self._written = 0
+        self._channels: list[RecordBlock] = []
         self._pool = OrderedThreadPool(partial(chunk_of_messages, compression), self._append_own)
         self.contents = McapContents() if contents is None else contents
         self.size = 0
@@ -78,7 +78,7 @@ class McapFile:
         self._append_record(Header(header, "quatprop") if isinstance(header, str) else header)
 
     def add_channel(self, topic: Topic, metadata: Mapping[str, str] | None = None) -> None:
-        """Declare the channel to which messages are written."""
+        """Declare a channel to which messages are written."""
         record = Channel(
             id=_free_id(self.contents.channels),
             topic=topic.name,
@@ -89,12 +89,15 @@ class McapFile:
         self._append_record(record)
         self.contents.channels[record.id] = record
         empty = partial(empty_messages, record.id, self._chunk_bytes)
-        self._messages = RecordBlock(empty, self._pool.submit)
+        self._channels.append(RecordBlock(empty, self._pool.submit))
 
-    def write(self, log_ns: Int64, messages: Records) -> None:
-        """Append messages, shape ``(N,)``, logged and published at some times, ns, from 1970 on."""
+    def write(self, log_ns: Int64, messages: Records, channel: int = 0) -> None:
+        """Append messages, shape ``(N,)``, logged and published at some times, ns, from 1970 on.
+
+        `channel`: how many were declared before theirs
+        """
         number = np.arange(self._written, self._written + len(messages), dtype=np.uint64)
-        self._messages.write(messages, sequence=number, log=log_ns, publish=log_ns)
+        self._channels[channel].write(messages, sequence=number, log=log_ns, publish=log_ns)
         self._written += len(messages)
 
     def _schema_id(self, topic: Topic) -> int:
@@ -134,7 +137,8 @@ class McapFile:
 
     def flush(self) -> None:
         """Write buffered messages."""
-        self._messages.flush()
+        for channel in self._channels:
+            channel.flush()
         self._pool.drain()
 
     def _append_own(self, chunk: McapChunk) -> None:

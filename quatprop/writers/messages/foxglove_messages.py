@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.arrays import Int64, Records
+    from quatprop.arrays import Float64, Int64, Records
     from quatprop.series import AttitudeSeries
     from quatprop.writers.messages.kinds import Message
 
@@ -41,7 +41,14 @@ _MESSAGE = 11
 _OPTIONAL = 1
 """Numbers in ``descriptor.proto``: of types, and of the label of a field that is not a list."""
 
+CURVES: Mapping[str, tuple[str, ...]] = {
+    "quatprop.Rates": ("x_rad_s", "y_rad_s", "z_rad_s"),
+    "quatprop.Error": ("angle_deg", "x_deg", "y_deg", "z_deg"),
+}
+"""Messages of numbers alone, which viewers plot against their log times: names of the fields."""
+
 _DEFINITIONS: Mapping[str, Mapping[str, str]] = {
+    **{name: dict.fromkeys(fields, "double") for name, fields in CURVES.items()},
     "google.protobuf.Timestamp": {"seconds": "int64", "nanos": "int32"},
     "foxglove.Quaternion": dict.fromkeys("xyzw", "double"),
     "foxglove.Vector3": dict.fromkeys("xyz", "double"),
@@ -85,7 +92,7 @@ def delimited(number: int, content: bytes | str) -> bytes:
 def schema_of(name: str) -> bytes:
     """Return the definition of a type with all that it uses, as a ``FileDescriptorSet``.
 
-    `name`: ``"foxglove.FrameTransform"`` or ``"foxglove.PoseInFrame"``
+    `name`: ``"foxglove.FrameTransform"``, ``"foxglove.PoseInFrame"`` or a key of :data:`CURVES`
     """
     used = [name]
     for one in used:
@@ -125,6 +132,17 @@ def _field_descriptor(number: int, name: str, kind: str) -> bytes:
         b"" if kind in _TYPES else delimited(6, f".{kind}"),
     )
     return b"".join(parts)
+
+
+def curve_messages(values: Float64) -> Records:
+    """Return messages of numbers alone, shape ``(N,)``, from values of shape ``(N, fields)``."""
+    numbers = range(1, values.shape[1] + 1)
+    fields = [field for n in numbers for field in ((f"tag {n}", "u1"), (f"{n}", "<f8"))]
+    rows = np.empty(len(values), fields)
+    for number, column in zip(numbers, values.T, strict=True):
+        rows[f"tag {number}"] = tag(number, FIXED64)[0]
+        rows[f"{number}"] = column
+    return rows
 
 
 _VARINT_BYTES = 5

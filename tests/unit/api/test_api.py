@@ -328,8 +328,12 @@ def test_no_error_shows_a_table():
     """Of what is no path the type is named, and the parameter."""
     series = quatprop.propagate(GyroSeries(T_NS, RATE))
     for call, name, way_out in (
-        (lambda: quatprop.propagate(FRAME), "log", "; make a GyroSeries of arrays"),
-        (lambda: quatprop.compare(series, series.wxyz), "b", "; make an AttitudeSeries of arrays"),
+        (lambda: quatprop.propagate(FRAME), "log", "; make a GyroSeries from arrays"),
+        (
+            lambda: quatprop.compare(series, series.wxyz),
+            "b",
+            "; make an AttitudeSeries from arrays",
+        ),
         (lambda: quatprop.convert(series, "a.csv"), "source", r"; write\(\) takes a series"),
         (lambda: quatprop.propagate(GyroSeries(T_NS, RATE), at=T_NS[0]), "at", ""),
     ):

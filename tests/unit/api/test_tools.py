@@ -52,7 +52,7 @@ def test_simulate_gives_what_the_command_writes(tmp_path):
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        ({"axis": "1,0,0", "motion": "rest"}, "axis goes with motion='spin'"),
+        ({"axis": "1,0,0", "motion": "rest"}, "axis requires motion='spin'"),
         ({"samples": 3, "duration": "1s"}, "samples and duration exclude each other"),
         ({"noise": -1}, "noise: '-1' is below 0"),
         ({"start": "+5s"}, "start: '+5s' is not a time"),
@@ -84,7 +84,7 @@ def test_plot_draws_what_the_command_draws(tmp_path):
 
 def test_a_plot_refuses_what_does_not_go_together(tmp_path):
     """As the command does."""
-    with pytest.raises(UsageError, match="does not go with"):
+    with pytest.raises(UsageError, match="cannot be combined with"):
         quatprop.plot(TRUTH, output=tmp_path / "a.png", components=True, unwrap=True)
 
 
@@ -119,7 +119,7 @@ def test_a_plot_takes_and_returns_axes():
         ([RATES], {"unwrap": True}, "series 1 has no attitude to show"),
         ([RATES[:0]], {}, "series 1 has no rows"),
         ([RATES], {"reference": TRUTH}, "Expected attitudes"),
-        ([np.eye(3)], {}, "make a series of arrays"),
+        ([np.eye(3)], {}, "make a series from arrays"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(sources, options, reason):
@@ -146,7 +146,7 @@ def test_a_batch_is_that_of_the_command(tmp_path):
     ("options", "reason"),
     [
         ({"at": [1, 2]}, "at of batch.. is a file"),
-        ({"verify": True}, "verify goes with skip_existing"),
+        ({"verify": True}, "verify requires skip_existing"),
         ({"shard": "3/2"}, "'3/2' is not I/N"),
         ({"to": "doc"}, "no output kind 'doc'"),
         ({"methods": "end"}, "did you mean 'method'"),

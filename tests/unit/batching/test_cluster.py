@@ -56,14 +56,25 @@ def without_the_folder(task, settings, _version):
     ("worker", "reason"),
     [
         (without_the_package, "its worker cannot import quatprop (No module named 'quatprop'); "),
-        (without_the_folder, "its worker has written an output that is not seen here; give "),
+        (without_the_folder, "its worker has written an output that is not visible here; give "),
     ],
 )
 def test_what_other_machines_cannot_do_is_an_outcome(tmp_path, monkeypatch, worker, reason):
-    """A worker that does not share the folder was believed; one without the package ended all."""
+    """A worker that does not share the folder was believed; one without the package ended all.
+
+    One that was done before the client had looked at yesterday's output was not.
+    """
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr("quatprop.batching.cluster.propagate_on_worker", worker)
     monkeypatch.setattr("quatprop.batching.cluster.PATIENCE_S", 0)
+    submit = distributed.Client.submit
+
+    def submit_and_wait(*arguments, **options):
+        future = submit(*arguments, **options)
+        future.exception(timeout=60)
+        return future
+
+    monkeypatch.setattr(distributed.Client, "submit", submit_and_wait)
     tasks, manifest, settings = (
         tasks_of(tmp_path, "a", "b"),
         prepared(tmp_path),
@@ -92,7 +103,7 @@ def test_a_cluster_without_workers_or_scheduler(tmp_path, monkeypatch):
     monkeypatch.setattr(distributed.Future, "result", lambda _: (_ for _ in ()).throw(cancelled))
     with distributed.LocalCluster(n_workers=1, **QUIET) as cluster:
         results = on_a_cluster(tasks, settings_in(tmp_path), cluster.scheduler_address, manifest)
-        with pytest.raises(QuatpropError, match="no longer answers; what is done is recorded"):
+        with pytest.raises(QuatpropError, match="no longer answers; finished logs are recorded"):
             list(results)
 
 

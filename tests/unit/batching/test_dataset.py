@@ -208,7 +208,7 @@ def test_rows_that_cannot_be_read_are_not_lost_unsaid(made, logs, tmp_path):
     again = (logs / log, "--root", logs, "-o", tmp_path / "out", *DATASET)
     words = refused("batch", *again, "-q")
     assert words.startswith(f"Error: {place}: its rows cannot be read (")
-    assert words.endswith("); remove it, and go on with --skip-existing")
+    assert words.endswith("); remove it, and continue with --skip-existing")
     place.unlink()
     batch(logs, "-o", tmp_path / "out", *DATASET, "--skip-existing", code=0)
     assert files_in(tmp_path / "out") == files_in(made)
@@ -225,15 +225,17 @@ def test_a_folder_is_one_dataset_or_files(made, logs, tmp_path):
         )
     batch(logs / "a.csv", "-o", tmp_path / "files", code=0)
     words = refused("batch", logs, "-o", tmp_path / "files", "--dataset")
-    assert words.endswith("has a file for each log; leave --dataset out, or choose another folder")
+    assert words.endswith("has one file per log; omit --dataset, or choose another folder")
     log = pyarrow.parquet.read_table(made / "1-of-3.parquet")["log"].to_pylist()[0]
     again = (logs / log, "--root", logs, "-o", out, *DATASET, "--with", "rotvec", "-q")
     assert " has other columns than other logs in it; propagate all" in refused("batch", *again)
     batch(logs, "-o", out, *DATASET, "--with", "rotvec", code=0)
     assert "rotvec_x_rad" in pyarrow.dataset.dataset(out).schema.names
-    assert refused("batch", logs, "-o", out, "--buckets", "3").startswith("Error: --buckets goes")
+    assert refused("batch", logs, "-o", out, "--buckets", "3").startswith(
+        "Error: --buckets requires"
+    )
     words = refused("batch", logs, "-o", tmp_path / "x", "--dataset", "--to", "csv")
-    assert words == "Error: --dataset is Parquet; leave --to csv out"
+    assert words == "Error: --dataset is Parquet; omit --to csv"
 
 
 def test_a_shard_has_whole_files():

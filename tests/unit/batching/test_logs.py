@@ -209,8 +209,8 @@ def test_wrong_usage_is_one_sentence(tmp_path, monkeypatch):
     for arguments, sentence in (
         ("- -o out", "stdin is one log; give it to quatprop propagate"),
         ("a.csv -o out -j 2 --dask tcp://x:1", "-j is for this machine; omit it with"),
-        ("a.csv -o out --verify", "--verify goes with --skip-existing"),
-        ("a.csv -o out --heading 5", "--heading goes with --q0 level"),
+        ("a.csv -o out --verify", "--verify requires --skip-existing"),
+        ("a.csv -o out --heading 5", "--heading requires --q0 level"),
         ("a.csv -o a.csv", "-o a.csv is a file; name a folder for the outputs"),
         (". -o .", "outputs in '.' would lie among the logs; choose --output"),
         ("a.csv -o . --to csv", "this is an input of the run; choose another output"),

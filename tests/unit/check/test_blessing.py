@@ -244,9 +244,9 @@ def test_no_update_where_nobody_reviews_it(folder, value):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--dry-run"], "--dry-run goes with --update"),
-        (["--interactive"], "--interactive goes with --update"),
-        (["--force"], "--force goes with --update"),
+        (["--dry-run"], "--dry-run requires --update"),
+        (["--interactive"], "--interactive requires --update"),
+        (["--force"], "--force requires --update"),
         (["--update", "--interactive", "-j", "2"], "omit -j"),
     ],
 )

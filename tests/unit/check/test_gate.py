@@ -106,7 +106,7 @@ def test_a_case_that_is_replaced_by_another_is_not_forgotten_without_being_asked
     assert "would be removed from the lock: 'spin', pinned with 301 samples, " in (preview.stderr)
     result = check(suite, "--update")
     assert result.exit_code == 2
-    assert "the lock pins 'spin', which the suite has no more; restore" in result.stderr
+    assert "the lock pins 'spin', which the suite no longer has; restore" in result.stderr
     assert list(lock_of(suite)) == ["spin"]
     assert check(suite, "--update", "-k", "turn").exit_code == 0
     assert list(lock_of(suite)) == ["spin", "turn"]
@@ -165,7 +165,7 @@ def test_a_run_that_ends_at_once_replaces_no_input(folder):
 def test_advice_can_be_followed(folder):
     """--init has no --dry-run, and --update leaves a case with xfail as it is."""
     result = check(folder / "new.toml", "--init", folder / "logs/spin.csv", env={"CI": "true"})
-    assert "run it at home, or write them all the same with --force" in result.stderr
+    assert "run it on your machine, or write them anyway with --force" in result.stderr
     suite = pinned(folder, stored())
     write_suite(folder, stored("spin", "spin.csv", TURNED, 'xfail = "drifts"'))
     words = "leaves it as it is, because of xfail"
@@ -298,7 +298,9 @@ def test_a_lock_that_was_edited_does_not_hide_another_reference(folder):
     lock.write_text(json.dumps(told))
     result = check(suite)
     assert result.exit_code == 1
-    assert "the lock and the reference have last attitudes that are 167.241 deg " in result.stdout
+    assert (
+        "the last attitudes in the lock and in the reference file are 167.241 deg " in result.stdout
+    )
     assert "final attitude: 167.241 deg from the one pinned" in check(suite, "--update").stdout
     assert check(suite).exit_code == 0
 

@@ -72,7 +72,7 @@ def test_a_series_for_limits_goes_with_init(folder):
     """In a suite that is there, it is a key."""
     result = check(pinned(folder, TRUTH), "--reference-log", folder / "logs/coning.truth.csv")
     assert result.exit_code == 2
-    assert "--reference-log goes with --init" in result.stderr
+    assert "--reference-log requires --init" in result.stderr
 
 
 @pytest.mark.parametrize(("rows", "code"), [(slice(100), 1), (slice(600), 0)])
@@ -106,8 +106,10 @@ def test_what_an_alignment_takes_out_is_said(drifting, folder):
     log.write_text("\n".join([",".join(head.split(",")[:4]), *turned]) + "\n")
     passed = check(suite)
     assert passed.exit_code == 0
-    (moved,) = re.findall("; with the reference moved by (.*?) ms; ", passed.stdout)
-    (turned_by,) = re.findall("body frame of the reference turned by (.*?) deg\n", passed.stdout)
+    (moved,) = re.findall("; with the reference timestamps shifted by (.*?) ms; ", passed.stdout)
+    (turned_by,) = re.findall(
+        "body frame of the reference attitudes rotated by (.*?) deg\n", passed.stdout
+    )
     assert float(moved) == pytest.approx(20, abs=0.1)
     assert float(turned_by) == pytest.approx(180, abs=0.01)
 
@@ -130,4 +132,4 @@ def test_a_reference_of_another_origin_fails(folder):
     lock.write_text(json.dumps(told))
     result = check(suite)
     assert result.exit_code == 1
-    assert "the reference does not say what it was made of" in result.stdout
+    assert "the reference file does not say what it was made from" in result.stdout

@@ -152,7 +152,9 @@ def test_evidence_without_a_comparison_says_why(failing, folder, monkeypatch):
 
     monkeypatch.setattr("quatprop.check.case_run.compare", fails)
     assert check(failing, "--artifacts", folder / "failed").exit_code == 2
-    sentence = "the log's attitudes turns &lt;b&gt;faster&lt;/b&gt; &amp; the reference does not"
+    sentence = (
+        "the log's attitudes turns &lt;b&gt;faster&lt;/b&gt; &amp; the reference series does not"
+    )
     assert (folder / "failed" / "a%2Fb" / "error.html").read_text() == (
         f'<!doctype html>\n<meta charset="utf-8">\n<p>error: {sentence}</p>\n'
         "<p>there is nothing to draw, as nothing was compared</p>\n"

@@ -15,7 +15,7 @@ from quatprop.cli import compare, propagate
 
 OUTPUT_ONLY = {
     "output", "to", "layout", "header-comment", "with", "euler-unit", "message", "out-topic",
-    "frames", "into", "report", "quiet", "verbose", "plot", "json", "config",
+    "frames", "into", "report", "quiet", "verbose", "plot", "view", "json", "config",
 }  # fmt: skip
 """Options of propagate and compare that are about what they write: no keys of a case."""
 
@@ -67,8 +67,8 @@ BAD_KEYS = [
     ("tol = 0.1", ", 'tol'", "'0.1' is not an angle; write a number with its unit"),
     ('align = "best"', ", 'align'", "'best' is not one of 'none', 'first', 'yaw', "),
     ('q0 = "none.csv"', ", 'q0'", "none.csv' is neither four numbers W,X,Y,Z nor level or log"),
-    ("heading = 90", "", 'heading goes with q0 = "level"'),
-    ('reference-topic = "/a"', ", 'reference'", "goes without 'reference-topic'"),
+    ("heading = 90", "", 'heading requires q0 = "level"'),
+    ('reference-topic = "/a"', ", 'reference'", "combined with 'reference-topic'"),
     ("skip = true", ", 'skip'", "write the reason as text"),
     ("xfail = true", ", 'xfail'", "write the reason as text"),
 ]

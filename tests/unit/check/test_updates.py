@@ -49,7 +49,7 @@ def test_the_cause_of_an_update_names_the_log_and_the_reference(folder):
     write_suite(folder, stored("coning", "coning.mcap", 'method = "coning"'))
     assert (
         "likely cause: the same rates lead to the log's attitudes with method coning, and to the "
-        "reference with method start; undoing it reduces the RMS error from "
+        "reference series with method start; undoing it reduces the RMS error from "
     ) in check(suite, "--update").stdout
 
 
@@ -152,7 +152,10 @@ def test_a_lock_that_is_none_is_refused(folder):
         words = f"it is not the lock that --update writes{why}; restore it, or remove it and update"
         assert result.stderr == f"Error: {lock}: {words}\n", content
     lock.unlink()
-    words = "the reference is there, but not in the lock; restore the lock, or check with --update"
+    words = (
+        "the reference file exists, but is not in the lock; restore the lock, or check "
+        "with --update"
+    )
     assert words in check(suite).stdout
 
 

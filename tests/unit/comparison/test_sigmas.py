@@ -136,7 +136,7 @@ def test_columns_that_hold_no_standard_deviations_are_refused(tmp_path, value, s
         read_attitudes(table)
     assert str(error.value) == (
         f"{table}: sigma_y is {shown} in row 1 at 5 ns, which is not a standard deviation; correct "
-        "it, or leave out the columns sigma_x, sigma_y, sigma_z"
+        "it, or omit the columns sigma_x, sigma_y, sigma_z"
     )
     write_rates(table, [row.replace("5,1", "5,nan") for row in rows], HEADER)
     with pytest.warns(DataLossWarning, match="1 rows were dropped"):

@@ -155,4 +155,4 @@ def test_outputs_and_references_depend_on_definitions(tmp_path):
         done = run(*batch, "--msg-path", source)
         assert ("up to date" in done.stderr) == up_to_date, done.stderr
     done = run("check", suite, code=2)
-    assert f"{file}: its content changed since the reference was made" in done.stdout
+    assert f"{file}: its content changed since the reference file was made" in done.stdout

@@ -160,9 +160,10 @@ REFUSED = {
     "cts the columns 'euler_xyz_1_rad', 'euler_xyz_2_rad', 'euler_xyz_3_rad', which by their names "
     "are angles about x, y, z",
     "a,b,c --from-euler xyz --quat-cols a,b,c": "the unit of the angles 'a', 'b', 'c' is not "
-    "declared; say it with --from-angle-unit",
+    "declared; specify it with --from-angle-unit",
     f"{QUATERNION} --from-euler xyx": "no attitudes found; its columns",
-    "yaw,pitch,roll": "the unit of the angles 'yaw', 'pitch', 'roll' is not declared; say it with "
+    "yaw,pitch,roll": "the unit of the angles 'yaw', 'pitch', 'roll' is not declared; specify "
+    "it with "
     "--from-angle-unit rad|deg",
     f"{DEGREES} --from-angle-unit rad": "--from-angle-unit says rad, but by their names 'yaw_deg', "
     "'pitch_deg', 'roll_deg' are in deg; omit the option",

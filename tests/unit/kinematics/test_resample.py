@@ -144,7 +144,7 @@ def test_steady_times_do_not_drift():
             (
                 "between the samples at 0 and 10000001000000000 ns there would be 10,000,001 "
                 "attitudes at 1 Hz; is a timestamp wrong? Choose on_gap='split', a lower rate, or "
-                "leave a part out with start or end"
+                "omit a part with start or end"
             ),
         ),
     ],

@@ -167,9 +167,9 @@ def test_what_is_there_is_not_touched(tmp_path, log):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--into", "a.mcap", "--to", "csv"], "--into copies the log in its own format; leave "),
+        (["--into", "a.mcap", "--to", "csv"], "--into copies the log in its own format; omit "),
         (["--into", "a.mcap", "--layout", "wxyz"], "mcap is scalar-last by its own definition"),
-        (["--into", "a.mcap", "--header-comment"], "mcap has no comments; leave --header-comment"),
+        (["--into", "a.mcap", "--header-comment"], "mcap has no comments; omit --header-comment"),
         (["--into", "a.mcap", "-o", "a.csv"], "say where the attitudes go: -o OUT, or --into COP"),
         ([], "say where the attitudes go: -o OUT, or --into COPY"),
         (["--into", "-"], "standard output takes text only; name a file for the copy"),

@@ -201,7 +201,7 @@ def test_numbered_columns_need_columns_and_a_layout(table):
     refused(NoAttitudesError, path, "no attitudes found; its columns are '0', '1', '2'")
     named = {"quat_cols": ("1", "2", "3", "4"), "time_col": "0", "time_unit": "us"}
     sentence = (
-        "which of the columns '1', '2', '3', '4' is the scalar is not declared; say it "
+        "which of the columns '1', '2', '3', '4' is the scalar is not declared; specify it "
         "with from_layout='scalar-first' or 'scalar-last'"
     )
     refused(UndeclaredError, path, sentence, **named)

@@ -129,7 +129,7 @@ def test_two_clocks_of_one_rank_that_disagree_are_refused(tmp_path):
     path = table(tmp_path / "log.csv", {"epoch (s)": TIMES * 1.1, "time (s)": TIMES})
     assert refusal(path, UndeclaredError) == (
         "the time column (one of 'epoch (s)', 'time (s)', which differ by up to 149.5 ms "
-        "beyond a constant) is not declared; say it with time_col='C', or sample_rate='HZ' for "
+        "beyond a constant) is not declared; specify it with time_col='C', or sample_rate='HZ' for "
         "rows at a steady rate"
     )
     assert told(path, time_col="time (s)")[0] == STEADY
@@ -314,7 +314,7 @@ def test_a_column_of_text_is_no_clock_of_a_typed_table(tmp_path, suffix):
     assert told(path) == (SINCE_1970, [])
 
 
-SAID = " is not declared; say it with "
+SAID = " is not declared; specify it with "
 TIME_UNITS = "time_unit='s' or 'ms' or 'us' or 'ns'"
 STEADILY = "sample_rate='HZ' for rows at a steady rate"
 ONE_OF = f"{SAID}time_col='C', or {STEADILY}"
@@ -458,7 +458,8 @@ def test_a_counter_of_larger_steps_is_not_guessed_about(tmp_path, step):
     numbered(path, "Counter", counts)
     for options in ({}, {"sample_rate": 100}):
         assert refusal(path, UndeclaredError, **options) == (
-            f"whether {what} counts samples is not declared; say it with time_col='Counter' and "
+            f"whether {what} counts samples is not declared; specify it with "
+            f"time_col='Counter' and "
             "sample_rate='100' if it does, or time_col='none' and sample_rate='100' to count rows"
         )
     assert told(path, time_col="none", sample_rate=100) == (STEADY[:270], [])

@@ -95,7 +95,7 @@ def test_the_message_says_the_choices_and_each_of_them_works(tmp_path):
     command = ["propagate", path, "-o", "-", "-q", *named]
     assert run(*command).stderr == (
         f"Error: {path}: which series to read, of 'acc', 'gyro' that take turns in column '0', is "
-        "not declared; say it with --series acc|gyro, or if all rows are of one sensor, with "
+        "not declared; specify it with --series acc|gyro, or if all rows are of one sensor, with "
         "--series all\n"
     )
     for wanted, count in {"acc": 1001, "gyro": 1001, "all": 2002}.items():
@@ -132,7 +132,7 @@ def test_attitudes_of_a_series_are_converted_and_compared(tmp_path):
     result = run("compare", path, path, "--series-a", "l", "--series-b", "r", "--json")
     assert json.loads(result.stdout)["error_rad"]["max"] == pytest.approx(np.pi / 2)
     result = run("compare", path, path, "--series-a", "l")
-    assert "say it with --series-b l|r" in result.stderr
+    assert "specify it with --series-b l|r" in result.stderr
 
 
 def test_a_batch_reads_the_same_series_of_every_log(log, tmp_path):
@@ -286,7 +286,7 @@ def test_a_bias_of_several_series_is_refused_with_a_way_out(tmp_path):
     bias = write_rates(tmp_path / "bias.csv", rows, f"t_ns,unit,{names}")
     assert run("propagate", rates, "-o", "-", "--bias", bias).stderr == (
         f"Error: {bias}: the rows of several series, 'a', 'b' in column 'unit', take turns; write "
-        "each to a file of its own\n"
+        "each to its own file\n"
     )
 
 

@@ -198,9 +198,13 @@ def test_a_name_is_taken_apart(text, key, unit):
 
 ASKED = (
     "log.csv: the unit of the rates '{0}x', '{0}y', '{0}z' and the unit of the time 't' are not "
-    "declared; say them with rate_unit='rad/s' or 'deg/s' and time_unit='s' or 'ms' or 'us' or 'ns'"
+    "declared; specify them with rate_unit='rad/s' or 'deg/s' and time_unit='s' or 'ms' or "
+    "'us' or 'ns'"
 )
-TWO = "which set of rates to use (their x columns are '{}', '{}') is not declared; say it with rate"
+TWO = (
+    "which set of rates to use (their x columns are '{}', '{}') is not declared; specify it "
+    "with rate"
+)
 MIXED = (
     "by header or convention 'wx_rad_s', 'wy_rad_s' are in rad/s and 'wz_deg_s' is in deg/s; "
     "convert them to one unit"
@@ -209,7 +213,7 @@ ANGLES = "Time (s),Roll rate (\u00b0/s),Pitch rate (\u00b0/s),Yaw rate (\u00b0/s
 ABOUT = (
     "log.csv: about which axes 'Roll rate (\u00b0/s)', 'Pitch rate (\u00b0/s)', "
     "'Yaw rate (\u00b0/s)' turn (those of the body, or others, as in OpenRocket) is not "
-    "declared; say it with rate_cols='X,Y,Z' if they are those of the body"
+    "declared; specify it with rate_cols='X,Y,Z' if they are those of the body"
 )
 QUATPROP = "t_ns,wx,wy,wz"
 XYZ = {"rate_cols": ("x", "y", "z"), "time_col": "t", "rate_unit": "rad/s", "time_unit": "us"}
@@ -241,7 +245,7 @@ REFUSED = {
             "'t_ns' cannot be both the time and one of rate",
         ),
         ("t,a,y,z", XYZ, "rate_cols asks for column 'x'; the columns are 't', 'a'"),
-        ("t,x,{xyz}", XYZ, "2 columns are called 'x'; say which with its number"),
+        ("t,x,{xyz}", XYZ, "2 columns are called 'x'; choose one by its number"),
         ("t_s,wx_rad_s,wy_rad_s,wz_deg_s", {}, MIXED),
         (
             QUATPROP,

@@ -110,7 +110,7 @@ def test_biases_of_the_estimator_of_px4(topic, tmp_path):
         ("a.csv", "t_ns,a,b,c\n0,1,2,3\n", "no columns are named as biases of a gyroscope"),
         ("a.csv", "t_ns,bg_x,bg_y,bg_z\n0,1,2,3\n", "the unit of 'bg_x', 'bg_y', 'bg_z' is not"),
         ("a.csv", f"{OKVIS}\n0,nan,2,3\n", "it has no valid biases"),
-        ("a.csv", f"t_ns,{TWO}\n0,1,2,3,4,5,6\n", "; say it with a table that holds one"),
+        ("a.csv", f"t_ns,{TWO}\n0,1,2,3,4,5,6\n", "; specify it with a table that holds one"),
     ],
 )
 def test_what_is_no_series_of_biases_is_refused(name, table, reason, messages, tmp_path):

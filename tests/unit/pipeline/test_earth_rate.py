@@ -72,7 +72,7 @@ def test_a_turning_body_is_followed_against_the_ground():
     [
         ({"earth_rate": 91}, "earth_rate: '91' is not a latitude: give -90 to 90 deg"),
         ({"earth_rate": (1, 2, 3)}, "is not LAT,AZIMUTH, 2 finite numbers"),
-        ({"reference_z": "down"}, "reference_z goes with q0='level' or earth_rate"),
+        ({"reference_z": "down"}, "reference_z requires q0='level' or earth_rate"),
         ({"earth_rate": 90, "rates": "reference"}, "0,0,7.292115e-05 rad/s, with bias"),
         ({"earth_rate": 45, "bias": "static"}, "give bias as numbers"),
         ({"earth_rate": 45, "on_gap": "split"}, "choose on_gap='hold' or on_gap='error'"),

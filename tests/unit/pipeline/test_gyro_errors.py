@@ -237,7 +237,7 @@ def test_settings_that_say_nothing_are_refused():
         "sigma needs the errors of the gyroscope; give noise_density, bias_sigma, random_walk, "
         "scale_sigma or misalignment_sigma, a file with imu, or bias='static'"
     )
-    with pytest.raises(UsageError, match=r"^sigma_axes goes with sigma$"):
+    with pytest.raises(UsageError, match=r"^sigma_axes requires sigma$"):
         propagate(noisy(1), sigma_axes="reference")
 
 

@@ -51,7 +51,7 @@ OTHER_CLOCK = (
 )
 SEVERAL_FRAMES = (
     "its messages are in several frames, 'left', 'right_imu': if they are those of several "
-    "sensors, the rates are mixed; record each on a topic of its own"
+    "sensors, the rates are mixed; record each on its own topic"
 )
 OTHER_UNIT = (
     "rate_unit says deg/s, but by definition 'angular_velocity.x', 'angular_velocity.y', "

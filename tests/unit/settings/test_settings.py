@@ -106,7 +106,7 @@ def test_a_value_that_cannot_be_used_is_one_sentence(name, value, sentence):
     ("options", "sentence"),
     [
         ({"metod": "end"}, "there is no setting 'metod'; did you mean 'method'"),
-        ({"heading": 5}, "^heading goes with q0='level'$"),
+        ({"heading": 5}, "^heading requires q0='level'$"),
         ({"every": 2, "rate": 5}, "^every, rate and at each say which attitudes to write"),
     ],
 )
@@ -144,7 +144,7 @@ def test_every_interface_has_the_same_names():
     """The options of the command, the parsers and the keywords of the library are one list."""
     output = {"logs", "output", "into", "to", "layout", "comment", "message", "out_topic", "frames",
               "extra_columns", "euler_unit",
-              "report", "plot", "config", "quiet", "verbose"}  # fmt: skip
+              "report", "plot", "view", "config", "quiet", "verbose"}  # fmt: skip
     assert {option.name for option in command.params} - output == set(PROPAGATE)
 
 

@@ -436,7 +436,7 @@ def test_a_row_of_a_date_and_words_is_no_header():
 def test_recordings_ask_for_what_they_do_not_say(shared_logs):
     """Line breaks in cells, a counter at a declared rate, two clocks of which one is named."""
     path = shared_logs / "nested_imu/kiran_car_circle_data_0_imu.csv"
-    assert "say them with rate_unit=" in refusal(path, UndeclaredError)
+    assert "specify them with rate_unit=" in refusal(path, UndeclaredError)
     t_ns, rate, losses, _ = table_rates(path, **UNITS)
     assert (len(t_ns), t_ns[0], losses) == (2530, int(Decimal("1763590172.7504675") * 10**9), [])
     assert rate[0].tolist() == [0.037773, 0.029186, -0.272747]

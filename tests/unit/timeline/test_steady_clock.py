@@ -187,7 +187,7 @@ def test_irregular_stamps_are_left_alone(name, moves):
     with pytest.raises(TimelineError, match="do not jitter about a steady clock") as error:
         propagate(series, regular_time=True)
     assert why in str(error.value)
-    assert str(error.value).endswith("; leave regular_time out")
+    assert str(error.value).endswith("; omit regular_time")
 
 
 STEADY = {
@@ -244,7 +244,7 @@ def test_damaged_rates_and_stamps_hide_no_clock_and_raise_nothing(tmp_path, valu
     t_ns[100] = 0
     assert observed(GyroSeries(t_ns, rate)) == (None, [])
     np.savez(tmp_path / "back.npz", t_ns=t_ns, wx=rate[:, 0], wy=rate[:, 1], wz=rate[:, 2])
-    with pytest.raises(TimelineError, match="they step back; leave regular_time out"):
+    with pytest.raises(TimelineError, match="they step back; omit regular_time"):
         read_rates(tmp_path / "back.npz", regular_time=True)
 
 

@@ -344,7 +344,7 @@ def test_a_format_with_a_layout_of_its_own_refuses_the_other(tmp_path, kind):
     assert layout_of(kind, prescribed).name == prescribed
     (other,) = set(NAMES) - {prescribed}
     assert refusal(tmp_path / "a", kind, layout=other) == (
-        f"{kind} is {prescribed} by its own definition, not {other}; leave layout out"
+        f"{kind} is {prescribed} by its own definition, not {other}; omit layout"
     )
 
 
@@ -361,9 +361,7 @@ def test_what_cannot_be_written_is_refused_before_there_is_a_file(tmp_path):
     assert refusal(target, "csv", layout="jpl") == (
         "no layout 'jpl'; choose one of 'scalar-first', 'scalar-last', 'wxyz', 'xyzw'"
     )
-    assert refusal(target, "jsonl", comment=True) == (
-        "jsonl has no comments; leave header_comment out"
-    )
+    assert refusal(target, "jsonl", comment=True) == ("jsonl has no comments; omit header_comment")
     words = f": kind 'tum' holds quaternions only; choose {', '.join(map(repr, TABLES))}$"
     with pytest.raises(OutputError, match=words):
         open_table(tmp_path / "a.tum", ["x"])

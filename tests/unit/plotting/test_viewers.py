@@ -1,0 +1,203 @@
+"""Results in Rerun and Foxglove: what they are given, at which times, and what is said."""
+
+import subprocess
+import sys
+import tempfile
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from make.commands import refused, run
+from make.mcap_doctor import examine
+from make.tables import write_attitudes, write_rates
+from mcap.reader import make_reader
+
+import quatprop
+from quatprop.kinematics.quaternion import exp, multiply
+from quatprop.plotting import viewers
+
+T0 = 1_700_000_000_123_456_789
+"""Ends in digits that a float of seconds loses."""
+
+STEP = 5_000_001
+SAMPLES = 300
+
+
+@pytest.fixture(params=[T0, 0], ids=["since 1970", "since the start"])
+def log(tmp_path, request):
+    """Write rates about a turning axis, and return file, times and rates."""
+    t_ns = request.param + STEP * np.arange(SAMPLES)
+    rates = np.column_stack([np.sin(np.arange(SAMPLES) / 40), np.full(SAMPLES, 0.5), t_ns % 7])
+    rows = [(t, *rate) for t, rate in zip(t_ns.tolist(), rates.tolist(), strict=True)]
+    head = "t_ns,wx [rad/s],wy [rad/s],wz [rad/s]"
+    return write_rates(tmp_path / "log.csv", rows, head), t_ns, rates
+
+
+@pytest.fixture
+def pair(tmp_path):
+    """Write attitudes that are 5 degrees off about y, one second early, and the reference."""
+    t_ns = T0 + STEP * np.arange(SAMPLES)
+    true = exp(np.outer(np.arange(SAMPLES) / 100, [0, 0, 1]))
+    off = multiply(true, exp(np.radians([[0, 5, 0]])))
+    early = write_attitudes(tmp_path / "off.csv", t_ns - 1_000_000_000, off)
+    return early, write_attitudes(tmp_path / "true.csv", t_ns, true), t_ns - 1_000_000_000
+
+
+@pytest.fixture
+def foxglove(tmp_path, monkeypatch):
+    """Stand in for Foxglove's app; return what it was asked to open."""
+    opened = []
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(viewers, "which", {"foxglove-studio": "/apps/foxglove-studio"}.get)
+    monkeypatch.setattr(subprocess, "Popen", lambda command, **_how: opened.append(command))
+    return opened
+
+
+def messages_of(path):
+    """Return topic -> log times and messages of a file, decoded by the library of protobuf."""
+    examine(path)
+    with path.open("rb") as stream:
+        read = sorted(
+            make_reader(stream).iter_messages(), key=lambda one: (one[1].topic, one[2].sequence)
+        )
+    topics = {}
+    for topic, messages in groupby(read, key=lambda one: one[1].topic):
+        rows = list(messages)
+        schema, pool = rows[0][0], descriptor_pool.DescriptorPool()
+        for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+            pool.Add(file)
+        kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+        times = [message.log_time for _, _, message in rows]
+        topics[topic] = times, [kind.FromString(message.data) for _, _, message in rows]
+    return topics
+
+
+def test_foxglove_is_given_axes_and_rates_at_the_times_of_the_log(log, foxglove, tmp_path):
+    """Every sample is in the file that is opened, with the numbers of the log and of the result."""
+    path, t_ns, rates = log
+    said = run("propagate", path, "-o", tmp_path / "a.csv", "--view", "foxglove", code=0).stderr
+    ((app, name),) = foxglove
+    assert app == "/apps/foxglove-studio"
+    assert said.endswith(f"view: {name}\n")
+    shown = messages_of(Path(name))
+    assert set(shown) == {"/rates", "/tf/body"}
+    times, messages = shown["/rates"]
+    assert times == t_ns.tolist()
+    assert [(m.x_rad_s, m.y_rad_s, m.z_rad_s) for m in messages] == list(map(tuple, rates))
+    times, messages = shown["/tf/body"]
+    assert times == t_ns.tolist()
+    wxyz = [(m.rotation.w, m.rotation.x, m.rotation.y, m.rotation.z) for m in messages]
+    assert (np.array(wxyz) == quatprop.propagate(path).wxyz).all()
+    assert {(m.parent_frame_id, m.child_frame_id) for m in messages} == {("reference", "body")}
+
+
+def test_foxglove_is_given_both_sides_of_a_comparison_and_the_error(pair, foxglove):
+    """All of it is on the clock of A, which is a second behind that of B here."""
+    a, b, t_ns = pair
+    run("compare", a, b, "--time-offset=-1s", "--view", "foxglove", "-q", code=0)
+    shown = messages_of(Path(foxglove[0][1]))
+    assert set(shown) == {"/error", "/tf/A", "/tf/B"}
+    for times, _ in shown.values():
+        assert times == t_ns.tolist()
+    _, errors = shown["/error"]
+    vectors = [(one.angle_deg, one.x_deg, one.y_deg, one.z_deg) for one in errors]
+    np.testing.assert_allclose(vectors, [[5, 0, 5, 0]] * SAMPLES, atol=1e-9)
+    body = shown["/tf/B"][1][100].rotation
+    np.testing.assert_allclose([body.w, body.z], [np.cos(0.5), np.sin(0.5)], atol=1e-12)
+
+
+def test_a_view_of_more_than_a_chunk_is_whole(foxglove, tmp_path):
+    """Channels fill their chunks at different paces."""
+    rows = [(t, 1, 2, 3) for t in range(T0, T0 + 20_000 * STEP, STEP)]
+    path = write_rates(tmp_path / "log.csv", rows)
+    run("propagate", path, "-o", tmp_path / "a.npy", "-q", "--view", "foxglove", code=0)
+    found = examine(Path(foxglove[0][1]))
+    assert len(found.chunks) > 2
+    assert found.counts == {1: 20_000, 2: 20_000}
+
+
+def test_nothing_is_left_of_a_view_of_a_run_that_fails(foxglove, tmp_path):
+    """The file in the temporary folder is for Foxglove, which is not opened."""
+    path = write_rates(tmp_path / "log.csv", [(T0, 1, 2, 3), (T0 - 1, 1, 2, 3)])
+    refused("propagate", path, "-o", tmp_path / "a.csv", "--view", "foxglove")
+    assert foxglove == []
+    assert [one.name for one in tmp_path.iterdir()] == ["log.csv"]
+
+
+def test_a_viewer_that_is_missing_is_named_before_the_log_is_read(tmp_path, monkeypatch):
+    """The way out is in the sentence, and neither file is looked for."""
+    monkeypatch.setattr(viewers, "which", {}.get)
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    propagate = "propagate", "no.csv", "-o", tmp_path / "a.csv", "--view"
+    assert "rerun" in (said := refused(*propagate, "rerun"))
+    assert said.endswith("needs Rerun, which is not installed; pip install rerun-sdk")
+    assert "install it from https://foxglove.dev/download" in refused(*propagate, "foxglove")
+    assert "pip install rerun-sdk" in refused("compare", "a.csv", "b.csv", "--view", "rerun")
+
+
+def test_a_view_and_a_picture_are_two_runs():
+    """A run has one observer."""
+    said = refused("propagate", "no.csv", "-o", "a.csv", "--plot", "a.png", "--view", "rerun")
+    assert said.endswith("--view does not go with --plot; draw the picture in another run")
+
+
+@pytest.fixture
+def rerun(tmp_path, monkeypatch):
+    """Have Rerun write what it would show to a file; return a function that reads it."""
+    pytest.importorskip("rerun")
+    from rerun.chunk import RrdReader
+
+    monkeypatch.setenv("_RERUN_TEST_FORCE_SAVE", str(tmp_path / "shown.rrd"))
+
+    def read(entity, column):
+        """Return the index and the values of a column."""
+        chunks = [
+            chunk.to_record_batch()
+            for chunk in RrdReader(tmp_path / "shown.rrd").stream()
+            if chunk.entity_path == entity and not chunk.is_static
+        ]
+        times = [time for chunk in chunks for time in chunk["log_time"]]
+        return times, [value for chunk in chunks for value in chunk[column].to_pylist()]
+
+    return read
+
+
+def test_rerun_is_given_axes_and_rates_at_the_times_of_the_log(log, rerun, tmp_path):
+    """Instants where the clock counts from 1970, durations where it does not, to the nanosecond."""
+    path, t_ns, rates = log
+    run("propagate", path, "-o", tmp_path / "a.csv", "-q", "--view", "rerun", code=0)
+    kind = "timestamp[ns]" if t_ns[0] >= T0 else "duration[ns]"
+    times, shown = rerun("/rates", "Scalars:scalars")
+    assert {str(time.type) for time in times} == {kind}
+    assert [time.value for time in times] == t_ns.tolist()
+    assert shown == rates.tolist()
+    times, shown = rerun("/body", "Transform3D:quaternion")
+    assert [time.value for time in times] == t_ns.tolist()
+    xyzw = quatprop.propagate(path).wxyz[:, [1, 2, 3, 0]].astype(np.float32)
+    assert (np.array(shown)[:, 0] == xyzw).all()
+
+
+def test_rerun_is_given_both_sides_of_a_comparison_and_the_error(pair, rerun):
+    """All of it is on the clock of A, which is a second behind that of B here."""
+    a, b, t_ns = pair
+    run("compare", a, b, "--time-offset=-1s", "--view", "rerun", "-q", code=0)
+    times, errors = rerun("/error", "Scalars:scalars")
+    assert [time.value for time in times] == t_ns.tolist()
+    np.testing.assert_allclose(errors, [[5, 0, 5, 0]] * SAMPLES, atol=1e-9)
+    times, shown = rerun("/B", "Transform3D:quaternion")
+    assert [time.value for time in times] == t_ns.tolist()
+    np.testing.assert_allclose(shown[100][0], [0, 0, np.sin(0.5), np.cos(0.5)], atol=1e-7)
+
+
+def test_rerun_that_does_not_open_is_said_before_the_log_is_read(monkeypatch):
+    """Without a display it ends at once; the run would have gone on and shown nothing."""
+    sdk = pytest.importorskip("rerun")
+
+    def fails(**_how):
+        raise RuntimeError("no viewer")
+
+    monkeypatch.setattr(sdk, "spawn", fails)
+    said = refused("propagate", "no.csv", "-o", "a.csv", "--view", "rerun")
+    assert said.startswith("Error: Rerun did not open a window; run `rerun` to see why")
