@@ -139,13 +139,13 @@ class Search(Fits):
         # A wrong layout turns both frames: where these are free, it is any of them in A as in B.
         if plan.frames and best.undone[0].remedy.startswith("if it is A"):
             return False
-        # A layout of B is as good as the inverse of A's: B's is tried first, and stands for both.
+        # A's are the inverse of B's, which stand for both.
         others = (
             self._fit(plan._replace(reading=key, frames=frames)).rms
             for key, each in self._readings.items()
             for frames in self._frames
             if frames != "mount" or plan.frames == "mount" or each.name in names
-            if each.name in MISREAD and (each.name not in names or int(key) < int(plan.reading))
+            if each.name in MISREAD and each.remedy.startswith("if it is B") and key != plan.reading
         )
         return min(others) > CLEARLY * (best.rms + self._floor)
 
