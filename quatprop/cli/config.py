@@ -14,6 +14,7 @@ from quatprop.provenance import as_json
 from quatprop.settings.guarded_text import ContentError, read_toml
 from quatprop.settings.rotations import file_beside
 from quatprop.settings.spelling import option
+from quatprop.stores.log_names import split_topic
 from quatprop.text import did_you_mean, plain, quoted
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def config_of(path: str, provenance: Mapping[str, Any]) -> str:
                 err=True,
             )
     paths = [value for value in provenance.get("files") or {} if not Path(value).is_absolute()]
-    if {*paths} & {*settings.values()}:
+    if {*paths} & {split_topic(one)[0] for one in settings.values() if isinstance(one, str)}:
         lines.append("# paths are as they were given: keep this file in the folder of that run")
     for name, value in settings.items():
         lines.append(f"{option(name)[2:]} = {json.dumps(value)}")

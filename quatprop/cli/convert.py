@@ -26,6 +26,7 @@ EXAMPLES = (
     "quatprop convert attitude.csv attitude.parquet --layout scalar-last",
     "quatprop convert attitude.mcap attitude.tum",
     "quatprop convert attitude.csv - --as euler-zyx --euler-unit deg",
+    "quatprop convert attitude.csv joint.csv --relative-to sample_logs/tumbling.truth.csv",
     "quatprop convert attitude.csv enu.csv --left ned-to-enu --right frd-to-flu",
 )
 
@@ -93,6 +94,8 @@ def _summary(report: ConversionReport) -> Iterator[str]:
     yield f"out  {path}: {rows}; {written_as}, {','.join(report.columns)}"
     if outside := sum(report.outside):
         yield f"omitted: {count_text(outside, 'row')} outside the time range"
+    if job.relative_to is not None:
+        yield f"relative to {plain(job.relative_to)}"
     if job.axes is not None:
         changed = {"reference": job.left, "body": job.right}
         turned = (f"of the {name} by {plain(str(turn))}" for name, turn in changed.items() if turn)

@@ -12,6 +12,7 @@ from quatprop.conventions.representations import QUATERNION, REPRESENTATIONS
 from quatprop.conversion.destination import kept_sigma, open_destination, remarks_on
 from quatprop.conversion.job import Conversion, ConversionReport
 from quatprop.conversion.rates import RATES, rate_batches
+from quatprop.conversion.relative import RelativeTo
 from quatprop.errors import NoSamplesError, UsageError
 from quatprop.logs.attitude_part import AttitudePart
 from quatprop.logs.open_log import open_log
@@ -21,6 +22,7 @@ from quatprop.logs.signals.quaternion_check import QuaternionCheck
 from quatprop.pipeline.job import with_format
 from quatprop.pipeline.report import ReportFile
 from quatprop.provenance import digest_ahead
+from quatprop.stores.log_names import split_topic
 from quatprop.stores.objects import without_secret
 from quatprop.text import Remark, Setting, listed, quoted
 from quatprop.writers.targets import refuse_overlap
@@ -38,7 +40,8 @@ def convert(job: Conversion) -> ConversionReport:
     """Write an attitude series in other terms."""
     _refuse_contradictions(job)
     wanted, output = job.source, job.output
-    refuse_overlap([wanted.path], [output.path, output.report])
+    read = [wanted.path, *([split_topic(job.relative_to)[0]] if job.relative_to else [])]
+    refuse_overlap(read, [output.path, output.report])
     with open_log(wanted.path, wanted.kind, msg_path=wanted.selection.msg_path) as log:
         job = replace(job, output=with_format(output, log))
         source = choose_attitudes(log, wanted.selection)
@@ -68,7 +71,9 @@ def _written(
     check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
     order = _Order()
     # A reference that is turned into the body is no place for a position.
-    keeps = target.holds_positions and source.meaning.direction == HAMILTON.direction
+    is_absolute = source.meaning.direction == HAMILTON.direction and job.relative_to is None
+    keeps = target.holds_positions and is_absolute
+    relative = None if job.relative_to is None else RelativeTo(job.relative_to)
     part = AttitudePart(source, wanted.part)
     resampling = None if job.rate is None else Resampling(wanted.path, job.rate)
     rows = part.read(
@@ -79,6 +84,8 @@ def _written(
     write: Callable[[Any], None] = target.write
     with digest_ahead(wanted.path, hashed=job.output.keeps_report) as digest:
         attitudes: Iterable[AttitudeSeries] = order.counted(check.apply(rows))
+        if relative is not None:
+            attitudes = relative.applied(attitudes)
         if job.axes is not None:
             attitudes = job.axes.applied(attitudes)
         if resampling is not None:
@@ -91,10 +98,12 @@ def _written(
             raise NoSamplesError(
                 wanted.path, source.name, part.outside, losses=log.losses, length=part.length
             )
-        columns = job.columns(sigma)
+        losses, columns = [*log.losses], job.columns(sigma)
         found = [*part.remarks(), *log.remarks, *order.remarks()]
         if resampling is not None:
             found += resampling.remarks()
+        if relative is not None:
+            losses, found = [*losses, *relative.losses], [*found, *relative.remarks()]
         lost = remarks_on(
             job,
             target.locked_rows,
@@ -112,7 +121,7 @@ def _written(
             counts=check.counts,
             written=written,
             outside=(part.outside[0], part.outside[1]),
-            losses=tuple(log.losses),
+            losses=tuple(losses),
             remarks=(*source.remarks, *found, *lost),
         )
 

@@ -30,7 +30,8 @@ def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> s
     nothing of axes between theirs.
     """
     axes = source.sigma_axes
-    if job.axes is not None and axes is not None and job.axes.mixes(axes):
+    mixes = job.axes is not None and axes is not None and job.axes.mixes(axes)
+    if mixes or job.relative_to is not None:
         return None
     has_place = holds_covariances(job.output.kind, job.output.message)
     is_plain = job.meaning == HAMILTON and job.representation == QUATERNION

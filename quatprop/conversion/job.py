@@ -40,6 +40,7 @@ class Conversion:
     `left`, `right`: what takes axes of the reference, and of the body, to those of the output, as
         :func:`quatprop.conditioning.mounting.mounting` reads it; None: they stay
     `rate`: interpolate attitudes at this rate, Hz; None: those of the source
+    `relative_to`: the attitudes of another body, in whose axes they are written, before axes change
     """
 
     source: AttitudeInput
@@ -50,6 +51,7 @@ class Conversion:
     left: str | None = None
     right: str | None = None
     rate: Fraction | None = None
+    relative_to: str | None = None
 
     @property
     def axes(self) -> AxisChange | None:
@@ -87,7 +89,7 @@ def terms_of(values: Mapping[str, Any]) -> dict[str, Any]:
         values.get("convention") or HAMILTON.convention,
         values.get("direction") or HAMILTON.direction,
     )
-    turns = {name: values.get(name) for name in ("left", "right", "rate")}
+    turns = {name: values.get(name) for name in ("left", "right", "rate", "relative_to")}
     return {"meaning": meaning, "sign": values.get("sign") or "keep", **turns}
 
 
@@ -156,8 +158,8 @@ class ConversionReport:
             **({"layout": job.layout.name} if is_quaternion else {}),
             **{
                 name: turn
-                for name, turn in (("left", job.left), ("right", job.right))
-                if turn is not None
+                for name in ("relative_to", "left", "right")
+                if (turn := getattr(job, name)) is not None
             },
             **({} if job.rate is None else {"rate_hz": str(job.rate)}),
             "columns": list(self.columns),

@@ -2,11 +2,12 @@
 
 from collections.abc import Collection
 from fractions import Fraction
+from os import PathLike
 from typing import Annotated
 
 from quatprop.settings.choices import CONVENTIONS, DIRECTIONS, SIGNS, Convention, Direction, Sign
 from quatprop.settings.keyword import Keyword, keywords_of
-from quatprop.settings.parsers import Choice, frequency
+from quatprop.settings.parsers import Choice, frequency, path
 from quatprop.settings.reading import AttitudeOptions
 from quatprop.settings.rotations import Rotated, mounting
 
@@ -35,6 +36,11 @@ class ConvertOptions(AttitudeOptions, total=False):
         mounting,
         "From the body axes of {log} to the body axes of OUT, in the same way: q_out = LEFT q_in "
         "RIGHT*. Covariances are rotated as well.", "the same", ROTATION, group="Output")]
+    relative_to: Annotated[str | PathLike[str] | None, Keyword(
+        path, "Write the attitude of the body of {log} in the axes of another, q_FILE* q, such as "
+        "the angle of a joint: FILE (FILE:TOPIC) holds the attitudes of the other body against the "
+        "same reference, and is interpolated in time.", "the reference", "FILE", "Output",
+        common=True)]
     rate: Annotated[float | Fraction | str | None, Keyword(
         frequency, "Output rate: the attitudes of {log} are interpolated by polynomials "
         "through six of them, not across gaps; holds them in memory.", "as they are", "HZ",

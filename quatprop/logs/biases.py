@@ -17,6 +17,7 @@ from quatprop.logs.vocabulary.sources import TYPES
 from quatprop.series import GyroSeries
 from quatprop.settings.rotations import InMemory
 from quatprop.settings.selection import RateSelection, SignalSelection
+from quatprop.stores.log_names import split_topic
 from quatprop.text import Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
@@ -38,9 +39,10 @@ def read_biases(source: str | InMemory, log: Log | None, selection: SignalSelect
         if not isinstance(series, GyroSeries) or not len(series):
             raise UsageError(f"{Setting('bias')}: a series of biases is a GyroSeries with rows")
         return BiasSeries(str(source), "rate", series.t_ns, series.rate)
-    if Path(source).exists():
-        with open_log(source) as opened:
-            known = [one for table in opened.tables() for one in find(table, "bias")]
+    path, topic = split_topic(source)
+    if Path(path).exists():
+        with open_log(path) as opened:
+            known = [one for table in opened.tables(topic) for one in find(table, "bias")]
             if len(known) != 1:
                 names = listed(one.table.name for one in known)
                 there = f"several topics with biases: {names}" if known else "no topic with biases"

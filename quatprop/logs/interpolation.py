@@ -24,6 +24,7 @@ from quatprop.logs.open_log import open_log
 from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.logs.signals.quaternion_check import QuaternionCheck
 from quatprop.settings.selection import AttitudeSelection, RateSelection, SignalSelection
+from quatprop.stores.log_names import split_topic
 from quatprop.text import Setting, plain, quoted
 from quatprop.times import NS_PER_UNIT, duration_text
 
@@ -56,8 +57,9 @@ def attitude_at(
         as it is stored, otherwise a unit quaternion on the shortest arc between its neighbours in
         time
     """
-    wanted, clock = AttitudeSelection(), None if selection is None else selection.clock
-    is_file = Path(source).exists()
+    path, topic = split_topic(str(source))
+    wanted, clock = AttitudeSelection(topic=topic), None if selection is None else selection.clock
+    is_file = Path(path).exists()
     if not is_file:
         topic = str(source)
         if log is None or not log.tables(topic):
@@ -68,7 +70,7 @@ def attitude_at(
         wanted = AttitudeSelection(topic=topic, clock=clock)
     with errors_of("q0"), ExitStack() as stack:
         if is_file or log is None:
-            log = stack.enter_context(open_log(source))
+            log = stack.enter_context(open_log(path))
         # Invalid rows elsewhere in the series do not matter.
         check = QuaternionCheck(log.path, drop=True)
         signal = choose_attitudes(log, wanted)

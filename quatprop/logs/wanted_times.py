@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.errors import LogError, NoAttitudesError, NoRatesError, UndeclaredError, UsageError
+from quatprop.errors import (
+    LogError,
+    NoAttitudesError,
+    NoRatesError,
+    NoSuchTopicError,
+    UndeclaredError,
+    UsageError,
+)
 from quatprop.logs.attitude_input import errors_of
 from quatprop.logs.clocks.stamps import choose_time
 from quatprop.logs.matching.find import Found
@@ -18,6 +25,7 @@ from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.logs.signals.rates import choose_rates
 from quatprop.logs.vocabulary.sources import GENERIC
 from quatprop.settings.selection import AttitudeSelection, RateSelection, SignalSelection
+from quatprop.stores.log_names import split_topic
 from quatprop.stores.objects import is_address
 from quatprop.tables.column_names import TIME_UNITS, parse_name
 from quatprop.tables.timestamps import from_text
@@ -43,7 +51,8 @@ def stamps_in(
     `log`, `selection`: an open log that can be read again, and how its rates were chosen; None for
         rates in memory
     """
-    is_file = Path(source).exists() or is_address(source)
+    path, topic = split_topic(source)
+    is_file = Path(path).exists() or is_address(path)
     tables = log.tables(source) if log is not None and not is_file else ()
     if not is_file and not tables:
         raise UsageError(
@@ -52,27 +61,28 @@ def stamps_in(
         )
     with errors_of("at"):
         if is_file:
-            stamps = [*_of_file(source)]
+            stamps = [*_of_file(path, topic)]
         else:
             clock = None if selection is None else selection.clock
             stamps = [*_of_table(tables[0], SignalSelection(clock=clock))]
     return np.sort(np.concatenate([np.zeros(0, np.int64), *stamps]))
 
 
-def _of_file(path: str) -> Iterator[Int64]:
-    if (alone := _alone(path)) is not None:
+def _of_file(path: str, topic: str | None) -> Iterator[Int64]:
+    if topic is None and (alone := _alone(path)) is not None:
         yield alone
         return
     with open_log(path) as opened:
         try:
-            yield from [t_ns for t_ns, _ in choose_attitudes(opened, AttitudeSelection()).rows()]
-        except (NoAttitudesError, UndeclaredError) as error:
+            attitudes = choose_attitudes(opened, AttitudeSelection(topic=topic))
+            yield from [t_ns for t_ns, _ in attitudes.rows()]
+        except (NoAttitudesError, NoSuchTopicError, UndeclaredError) as error:
             try:
-                rates = choose_rates(opened, RateSelection())
+                rates = choose_rates(opened, RateSelection(topic=topic))
                 yield from [batch.t_ns for batch in rates.batches()]
-            except (NoRatesError, UndeclaredError):
-                tables = opened.tables()
-                if not isinstance(error, NoAttitudesError) or len(tables) != 1:
+            except (NoRatesError, NoSuchTopicError, UndeclaredError):
+                tables = opened.tables(topic)
+                if isinstance(error, UndeclaredError) or len(tables) != 1:
                     raise error from None
                 try:
                     yield from _of_table(tables[0], SignalSelection())

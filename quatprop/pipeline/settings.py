@@ -21,6 +21,7 @@ from quatprop.settings.rotations import FROM_THE_LOG, InMemory, file_beside
 from quatprop.settings.selection import RateSelection
 from quatprop.settings.static_bias import StaticBias
 from quatprop.settings.values import as_text, parse_all
+from quatprop.stores.log_names import split_topic
 from quatprop.stores.objects import is_address, without_secret
 from quatprop.text import Setting
 from quatprop.timeline.counts import Policy
@@ -127,7 +128,7 @@ class PropagationSettings:
             "q0": self.q0.source,
         }
         return {
-            name: path
+            name: split_topic(path)[0]
             for name, path in named.items()
             if path
             and isinstance(path, str)

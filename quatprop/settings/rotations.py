@@ -10,6 +10,7 @@ from typing import Any, Protocol, TypeGuard
 
 from quatprop.errors import UsageError
 from quatprop.settings.parsers import number_list, parts_of, path
+from quatprop.stores.log_names import split_topic
 from quatprop.text import shown
 
 FROM_THE_LOG = ("level", "log")
@@ -64,7 +65,8 @@ def file_beside(name: str, text: str, folder: Path) -> Path | None:
     if name not in FILE_SETTINGS or "://" in text or re.split("[:@]", text)[0].strip() in words:
         return None
     # It may as well be a topic or numbers.
-    return path if path.exists() or not (words or name == "at" or "," in text) else None
+    is_there = Path(split_topic(str(path))[0]).exists()
+    return path if is_there or not (words or name == "at" or "," in text) else None
 
 
 def files_beside(values: Mapping[str, object], folder: Path) -> dict[str, object]:

@@ -21,7 +21,7 @@ from quatprop.tables import arrow, jsonl, numpy_table, text_stream
 from quatprop.tables.csv import log as csv
 
 TURNED = "0.8,0.36,-0.48,0"
-OUTPUTS = ("csv", "parquet", "feather", "mcap", "bag", "npy", "jsonl")
+OUTPUTS = ("csv", "parquet", "feather", "mcap", "bag", "npy", "npz", "jsonl", "tum")
 
 
 @pytest.fixture(scope="module")

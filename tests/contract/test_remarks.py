@@ -52,6 +52,7 @@ from make.remarked import (
     rows,
     shifted,
     stamps,
+    still_body,
     swinging,
     swinging_at,
     turned,
@@ -413,6 +414,10 @@ CONVERSIONS = {
     "stamps-unordered": (
         converted(with_value(T_NS, 9, T_NS[8]), TURNED),
         converted(with_value(T_NS, 9, T_NS[8] + 1), TURNED),
+    ),
+    "not-covered": (
+        converted(T_NS, TURNED, relative_to=still_body(T_NS[1:])),
+        converted(T_NS, TURNED, relative_to=still_body(T_NS)),
     ),
     "gaps-kept": (
         converted(np.delete(T_NS, range(40, 60)), np.delete(TURNED, range(40, 60), 0), rate=50),

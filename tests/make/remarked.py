@@ -154,9 +154,17 @@ def converted(t_ns, wxyz, to="out.csv", more=(), head="", **options):
         columns = [t_ns, *np.transpose(wxyz), *more]
         lines = [",".join(map(str, each)) for each in zip(*columns, strict=True)]
         path = write_rates(folder / "in.csv", lines, f"t_ns,qw,qx,qy,qz{head}")
-        return convert(path, folder / to, **options, **given).remarks
+        if "relative_to" in options:
+            given["relative_to"] = options["relative_to"](folder)
+        return convert(path, folder / to, **{**options, **given}).remarks
 
     return made
+
+
+def still_body(t_ns):
+    """Return what writes the attitudes of a body that does not turn."""
+    lines = [f"{t},1,0,0,0" for t in t_ns]
+    return lambda folder: write_rates(folder / "still.csv", lines, "t_ns,qw,qx,qy,qz")
 
 
 def compared(a, b, **options):

@@ -52,6 +52,13 @@ class ColumnMatcher:
         """Return the columns whose names match a pattern."""
         return [k for k, _ in matching(self.table, self.part, pattern)]
 
+    def seen(self) -> list[str]:
+        """Return the names of columns for an error, with first cells where they are numbers."""
+        names = [column.text for column in self.columns]
+        if names == [*map(str, range(len(names)))] and (rows := self.table.head(range(len(names)))):
+            return [f"{k}: {cell}" for k, cell in enumerate(rows[0])]
+        return names
+
     def has(self, name: str) -> bool:
         """Return whether a column is called that, as spelled."""
         return any(column.text.strip() == name for column in self.columns)

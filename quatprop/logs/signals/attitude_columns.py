@@ -10,7 +10,7 @@ from quatprop.logs.clocks.stamps import choose_time
 from quatprop.logs.matching.find import Found, Match, marks_of
 from quatprop.logs.matching.matcher import ColumnMatcher
 from quatprop.logs.vocabulary.names import COMPONENT, ROTATIONS
-from quatprop.logs.vocabulary.rows import QUATERNION_PARTS
+from quatprop.logs.vocabulary.rows import PARTS, QUATERNION_PARTS
 from quatprop.logs.vocabulary.sources import GENERIC
 from quatprop.tables.column_names import ANGLE_UNITS, EULER, EULER_NUMBERED
 from quatprop.text import Remark, Setting, listed, plain, quoted
@@ -162,7 +162,10 @@ def _layout(stored: Sequence[int], wxyz: Group) -> str:
 def _rotation(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str, Found, Group]:
     """Return the only rotation that is no quaternion."""
     sequence, named = selection.from_euler, selection.quat_cols
+    own = matcher.row("angles")
     rotations = _matches(matcher, _rotations(sequence))
+    if not rotations and own.angles and sequence in {None, "zyx"}:
+        rotations = _matches(matcher, [("euler-zyx", own.angles, PARTS["angles"])])
     if sequence is not None and named is not None:
         if len(named) != len(sequence):
             raise UsageError(
@@ -173,7 +176,7 @@ def _rotation(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str
     if not rotations:
         if sequence is not None:
             _refuse_other_sequence(matcher, sequence)
-        raise NoAttitudesError(matcher.path, [column.text for column in matcher.columns], "columns")
+        raise NoAttitudesError(matcher.path, matcher.seen(), "columns")
     form, columns = rotations[0]
     for name in ("from_layout", "from_convention"):
         if getattr(selection, name) is not None:
@@ -188,7 +191,7 @@ def _rotation(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str
             f"which rotation to use (their first columns are {names})",
             "a table that holds one of them",
         )
-    row = matcher.row("angles") if form == "euler-zyx" and named is None else GENERIC
+    row = own if form == "euler-zyx" and named is None else GENERIC
     return form, matcher.found(row, (columns,)), columns
 
 

@@ -89,7 +89,7 @@ def _no_rates(matcher: ColumnMatcher) -> LogError:
             "OpenRocket)",
             f"{Setting('rate_cols', 'X,Y,Z')} if they are those of the body",
         )
-    return NoRatesError(matcher.path, [column.text for column in matcher.columns], "columns")
+    return NoRatesError(matcher.path, matcher.seen(), "columns")
 
 
 def match_bias(found: Found, selection: SignalSelection) -> Match:

@@ -94,7 +94,7 @@ PARTS: Mapping[str, tuple[str, ...]] = {
     "bias": RATE_PARTS,
     "force": RATE_PARTS,
     "position": RATE_PARTS,
-    "angles": ("yaw", "pitch", "roll"),
+    "angles": ("yaw|z", "pitch|y", "roll|x"),
 }
 """The same by the field of a row."""
 

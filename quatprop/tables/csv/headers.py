@@ -13,7 +13,7 @@ from quatprop.errors import UnsupportedLogError
 from quatprop.provenance import COMMENT
 from quatprop.tables.base import OTHER_DATES
 from quatprop.tables.csv.notes import NUMBER, RATES, column_names, declared_notes, header_row
-from quatprop.text import listed, quoted
+from quatprop.text import Setting, listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -86,6 +86,7 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
         )
     raw = _records(head.splitlines(keepends=True)[:_LINES])
     texts = [_text(line) for line in raw]
+    _refuse_opensim(texts, path)
     delimiter, rows = _delimiter(texts)
     # The provenance of our own files is JSON in a comment, full of numbers and commas.
     rows = [[] if text.startswith(_OURS) else row for text, row in zip(texts, rows, strict=True)]
@@ -195,6 +196,18 @@ def _decimal(data: list[list[str]], delimiter: str) -> str:
 def _dates(row: list[str]) -> dict[int, str | None]:
     matches = ((k, _DATE.fullmatch(cell)) for k, cell in enumerate(row))
     return {k: "UTC" if match["zone"] else None for k, match in matches if match}
+
+
+def _refuse_opensim(texts: list[str], path: Path) -> None:
+    """Refuse the quaternions of OpenSim: w,x,y,z of a sensor are one cell."""
+    if "DataType=Quaternion" in map(str.strip, texts):
+        columns = f"{Setting('quat_cols', '1,2,3,4')} {Setting('from_layout', 'wxyz')}"
+        time = f"{Setting('time_col', '0')} {Setting('time_unit', 's')}"
+        way_out = (
+            f"sed '1,/^time/d' FILE | tr , '\\t', and read the first sensor with {columns} {time}"
+        )
+        reason = "it is an OpenSim table, with a quaternion in a cell; write one number a cell with"
+        raise UnsupportedLogError(path, f"{reason} {way_out}")
 
 
 def _refuse_turns(rows: list[list[str]], data: list[int], path: Path) -> None:

@@ -101,8 +101,9 @@ FAILING = {
 
 
 @pytest.mark.parametrize("name", FAILING)
-def test_a_way_out_is_a_keyword(name):
+def test_a_way_out_is_a_keyword(name, tmp_path, monkeypatch):
     """In Python there are no options."""
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(quatprop.QuatpropError) as caught:
         FAILING[name]()
     assert " --" not in str(caught.value)

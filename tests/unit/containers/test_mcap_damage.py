@@ -86,46 +86,32 @@ def test_a_wrong_checksum_of_the_data_section_is_told(tmp_path):
 
 @every_compression
 @every_layout
-def test_what_follows_a_hole_is_read(tmp_path, compression, layout):
-    """Bytes that are missing in the middle cost the chunk they are missing in, and no other."""
-    intact = numbered(compression=compression, **LAYOUTS[layout])
-    begin, _ = chunks(intact)[4]
-    content = intact[: begin + 200] + intact[begin + 277 :]
-    if layout != "whole":
-        content = content[: len(unclosed(intact)) - 77]
-    numbers, losses = read_numbers(tmp_path, content)
-    lost = numbers_of_chunks(intact)[4]
-    assert numbers == without(lost)
-    assert losses
-    if layout == "whole":
-        assert sum(loss.messages or 0 for loss in losses) == len(lost)
-
-
-@every_compression
-@every_layout
-@pytest.mark.parametrize("field", ["opcode", "length", "packed size", "everything"])
-def test_what_follows_a_damaged_chunk_head_is_read(tmp_path, compression, layout, field):
-    """A chunk that cannot be followed to its end does not hide those behind it."""
+@pytest.mark.parametrize("harm", ["opcode", "length", "packed size", "everything", "hole"])
+def test_what_follows_a_damaged_chunk_is_read(tmp_path, compression, layout, harm):
+    """A chunk that cannot be followed to its end, or lacks bytes, costs no other."""
     intact = numbered(compression=compression, **LAYOUTS[layout])
     begin, end = chunks(intact)[4]
-    content = bytearray(intact)
     name = len({CompressionType.NONE: ""}.get(compression, compression.name))
-    place, value = {
-        "opcode": (0, b"\x55"),
-        "length": (1, (2**40).to_bytes(8, "little")),
-        "packed size": (9 + 32 + name, (2**63).to_bytes(8, "little")),
-        "everything": (0, bytes(range(100, 160)) * 30),
-    }[field]
-    content[begin + place : begin + place + len(value)] = value
-    if field == "everything":
-        content = bytearray(intact[:begin] + value + intact[end:])
+    first, last, value = {
+        "opcode": (0, 1, b"\x55"),
+        "length": (1, 9, (2**40).to_bytes(8, "little")),
+        "packed size": (41 + name, 49 + name, (2**63).to_bytes(8, "little")),
+        "everything": (0, end - begin, bytes(range(100, 160)) * 30),
+        "hole": (200, 277, b""),
+    }[harm]
+    content = intact[: begin + first] + value + intact[begin + last :]
     if layout != "whole":
-        content = bytearray(content[: len(unclosed(intact)) + len(content) - len(intact)])
-    numbers, losses = read_numbers(tmp_path, bytes(content))
-    assert set(without(numbers_of_chunks(intact)[4])) <= set(numbers)
+        content = content[: len(unclosed(intact)) + len(content) - len(intact)]
+    numbers, losses = read_numbers(tmp_path, content)
+    lost = numbers_of_chunks(intact)[4]
+    assert set(without(lost)) <= set(numbers)
     assert numbers == sorted(set(numbers))
     # Of head and content, one is enough to tell where a chunk ends, if an index does not.
     assert losses or numbers == ALL
+    if harm == "hole":
+        assert numbers == without(lost)
+    if layout == "whole":
+        assert sum(loss.messages or 0 for loss in losses) == MESSAGES - len(numbers)
 
 
 def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path):
@@ -179,11 +165,10 @@ def test_a_message_whose_channel_id_is_damaged_is_counted(tmp_path, layout):
 
 def test_messages_outside_chunks_are_read_behind_damage(tmp_path):
     """A message whose length is wrong costs itself."""
-    for closed in (True, False):
-        content = bytearray(numbered(use_chunking=False))
-        if not closed:
-            content = bytearray(unclosed(content))
-        begin = [begin for opcode, begin, _ in records(content) if opcode == 5][200]
+    whole = numbered(use_chunking=False)
+    for intact in (whole, unclosed(whole)):
+        content = bytearray(intact)
+        begin = [begin for opcode, begin, _ in records(intact) if opcode == 5][200]
         content[begin + 1 : begin + 9] = b"\xff" * 8
         numbers, losses = read_numbers(tmp_path, bytes(content))
         assert numbers == without([200])

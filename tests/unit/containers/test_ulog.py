@@ -8,7 +8,6 @@ import pyulog
 from make.commands import run
 from make.px4_messages import write_mcap
 from make.reading import attitudes, rates
-from make.streams import propagated
 from make.ulog import TOPICS, added, data, fields_of, gyro, record, write
 
 import quatprop
@@ -22,7 +21,6 @@ from quatprop.errors import (
     TimelineError,
     UnsupportedLogError,
 )
-from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.logs.open_log import open_log
 from quatprop.logs.signals.rates import choose_rates, rate_candidates
 from quatprop.settings.selection import RateSelection
@@ -97,17 +95,6 @@ def test_a_message_is_the_same_in_a_ULog_and_in_a_ROS_2_bag(tmp_path, topic):
     assert (found.integration_time_ns is None) == (topic != "vehicle_imu")
     if found.integration_time_ns is not None:
         assert (found.integration_time_ns == expected.integration_time_ns).all()
-
-
-def test_increments_lead_to_the_angle_they_add_up_to(tmp_path):
-    """Nothing is integrated twice, whatever the stamps."""
-    messages = [
-        data("vehicle_imu", 1, timestamp_sample=t, delta_angle=[0.25, 0, 0], delta_angle_dt=5000)
-        for t in (0, 4000, 11_000, 15_000)
-    ]
-    series, _ = read(sensor(tmp_path / "log.ulg", *messages, topic="vehicle_imu"))
-    *_, last = propagated([series])
-    assert geodesic_angle(last.wxyz[-1], exp([0.75, 0, 0])) < 1e-15
 
 
 @pytest.mark.parametrize("marks", [[record(b"S", SYNC)], []])

@@ -9,6 +9,7 @@ import pytest
 from make.bag_doctor import examine_bag
 from make.commands import run
 from make.into_logs import BOOT, RATE, START, moments, write_bag, write_mcap, write_rosbag2
+from make.mcap import BARE
 from make.mcap_doctor import examine
 from make.ros import ROS1, ROS2
 from mcap.reader import NonSeekingReader, make_reader
@@ -36,10 +37,6 @@ def without_index(path, **options):
     return path
 
 
-NO_SUMMARY = {
-    "use_statistics": False, "use_summary_offsets": False, "repeat_channels": False,
-    "repeat_schemas": False, "index_types": IndexType.NONE,
-}  # fmt: skip
 MCAP = {
     "zstd": {},
     "lz4": {"compression": CompressionType.LZ4},
@@ -49,7 +46,7 @@ MCAP = {
     "no message index": {"index_types": IndexType.CHUNK},
     "no chunk index": {"index_types": IndexType.MESSAGE},
     "no chunks, no indexes": {"use_chunking": False, "index_types": IndexType.NONE},
-    "no summary": NO_SUMMARY,
+    "no summary": BARE,
     "no checksums": {"enable_crcs": False},
     "one chunk": {"chunk_size": 1 << 20},
     "no profile": {"profile": ""},

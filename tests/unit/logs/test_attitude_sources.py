@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from make.mcap import Topic, write_topics
 from make.reading import attitudes
-from make.ros import ROS2
+from make.ros import TF, write_messages
 
 from quatprop.errors import (
     AmbiguousTopicError,
@@ -141,6 +141,8 @@ ABOUT_X, QUARTER_X, QUARTER_Z = [0.8, 0.6, 0, 0], [HALF, HALF, 0, 0], [HALF, 0, 
         ("Quaternion.csv", "Timestamp (us),W,X,Y,Z\n10000,.8,.6,0,0\n", 10**7, ABOUT_X),
         # The clock of a Movella DOT counts microseconds, by its manual; it had to be declared.
         ("dot.csv", f"{DOT},Quat_W,Quat_X,Quat_Y,Quat_Z\n0,10000,.8,.6,0,0\n", 10**7, ABOUT_X),
+        # Nor were its angles known: of z, the new y, the newest x, in deg, by the manual.
+        ("dot.csv", f"{DOT},Euler_X,Euler_Y,Euler_Z\n0,10000,0,0,90\n", 10**7, QUARTER_Z),
         # q[0] is the scalar in what ulog2csv writes.
         ("a_vehicle_attitude_0.csv", "timestamp,q[0],q[1],q[2],q[3]\n1,.8,.6,0,0\n", 1000, ABOUT_X),
     ],
@@ -198,7 +200,7 @@ def test_a_tum_trajectory_of_another_name_is_read_as_one_where_the_user_says_so(
 def test_numbered_columns_need_columns_and_a_layout(table):
     """Without a header nothing is guessed, one question after the other."""
     path = table("10,0.6,0,0,0.8\n20,0.6,0,0,0.8\n")
-    refused(NoAttitudesError, path, "no attitudes found; its columns are '0', '1', '2'")
+    refused(NoAttitudesError, path, "no attitudes found; its columns are '0: 10', '1: 0.6', '2: 0'")
     named = {"quat_cols": ("1", "2", "3", "4"), "time_col": "0", "time_unit": "us"}
     sentence = (
         "which of the columns '1', '2', '3', '4' is the scalar is not declared; specify it "
@@ -271,38 +273,25 @@ def test_an_absent_orientation_is_no_rotation(table, tmp_path):
         assert (counts.not_finite, counts.zero) == (1, 1)
 
 
-def transform(stamp_ns, parent, child, wxyz):
-    """Return a transform between two frames."""
-    types = {name.rpartition("/")[2]: made for name, made in ROS2.types.items()}
-    w, x, y, z = wxyz
-    return types["TransformStamped"](
-        types["Header"](types["Time"](*divmod(stamp_ns, 10**9)), parent),
-        child,
-        types["Transform"](types["Vector3"](1.0, 2.0, 3.0), types["Quaternion"](x, y, z, w)),
-    )
-
-
 def test_transforms_are_found_wherever_they_stand_in_their_lists(tmp_path):
     """Lists of any length, names of any length, the same pair twice in a message."""
     random = np.random.default_rng(3)
     names = ["", "b", "base", "base_link", "camera_optical_frame"]
-    kind = "tf2_msgs/msg/TFMessage"
     messages, expected = [], []
     stamp = 0
-    for _ in range(200):
+    for k in range(200):
         transforms = []
         for _ in range(random.integers(0, 5)):
             parent, child = map(str, random.choice(names, 2))
             wxyz = random.normal(size=4)
             wxyz = (wxyz / np.linalg.norm(wxyz)).tolist()
             stamp += 10**8
-            transforms.append(transform(stamp, parent, child, wxyz))
+            moved = ([1.0, 2.0, 3.0], np.roll(wxyz, -1).tolist())
+            transforms.append([{"stamp": stamp, "frame_id": parent}, child, moved])
             if (parent, child) == ("base", "b"):
                 expected.append((stamp, wxyz))
-        messages.append(bytes(ROS2.serialize_cdr(ROS2.types[kind](transforms), kind)))
-    definition, _ = ROS2.generate_msgdef(kind, ros_version=2)
-    topic = Topic(kind, messages, definition.encode(), "ros2msg", "cdr")
-    log = write_topics(tmp_path / "log.mcap", {"/tf": topic})
+        messages.append(("/tf", TF, k, [transforms]))
+    log = write_messages(tmp_path / "log.mcap", messages)
     source, t_ns, wxyz, _ = attitudes(log, frame="base:b")
     assert source.field == "base <- b"
     assert len(expected) > 5

@@ -52,6 +52,14 @@ def test_every_row_of_the_table_fits_the_standard_type_of_its_name():
             assert all(stamps(one)[0] == HEADER for one in found)
 
 
+def time_in(place):
+    """Return names and units of a time of ROS."""
+    return [f"{place}.sec", f"{place}.nanosec"], ("s", "ns")
+
+
+GYRO = "uint64 timestamp\nuint64 timestamp_sample\nuint32 id\nfloat32 x\nfloat32 y\nfloat32 z\n"
+SEVERAL = "sensor_msgs/Imu[2] pair\nsensor_msgs/Imu third\nsensor_msgs/Imu[] more\n"
+ODOMETRY = "builtin_interfaces/Time timestamp\ngeometry_msgs/Vector3 angular_velocity\n"
 LEAN = (
     f"std_msgs/Header header\nsensor_msgs/Imu imu\n{LINE}\nMSG: sensor_msgs/Imu\n"
     "geometry_msgs/Vector3 angular_velocity\n"
@@ -62,37 +70,26 @@ LEAN = (
     ("channel", "fields", "stamp"),
     [
         # Three neighbouring numbers are as good as a vector.
-        (
-            channel_of(
-                "uint64 timestamp\nuint64 timestamp_sample\nuint32 id\n"
-                "float32 x\nfloat32 y\nfloat32 z\n",
-                "px4_msgs/msg/SensorGyro",
-            ),
-            ["x,y,z"],
-            (["timestamp_sample"], ("us",)),
-        ),
+        (channel_of(GYRO, "px4_msgs/msg/SensorGyro"), ["x,y,z"], (["timestamp_sample"], ("us",))),
         # An Imu inside of another message has its own header; one without takes that around it.
         (
             channel_of("std_msgs/Header header\nsensor_msgs/Imu imu\n"),
             ["imu.angular_velocity"],
-            (["imu.header.stamp.sec", "imu.header.stamp.nanosec"], ("s", "ns")),
+            time_in("imu.header.stamp"),
         ),
         (channel_of(LEAN), ["imu.angular_velocity"], HEADER),
         # Fields and elements of fixed arrays count, elements of sequences do not.
         (
-            channel_of("sensor_msgs/Imu[2] pair\nsensor_msgs/Imu third\nsensor_msgs/Imu[] more\n"),
-            ["third.angular_velocity", "pair[0].angular_velocity", "pair[1].angular_velocity"],
-            (["third.header.stamp.sec", "third.header.stamp.nanosec"], ("s", "ns")),
+            channel_of(SEVERAL),
+            [f"{one}.angular_velocity" for one in ("third", "pair[0]", "pair[1]")],
+            time_in("third.header.stamp"),
         ),
         # An estimate or a command is no gyroscope.
         (Channel("/odom", "nav_msgs/msg/Odometry", "cdr"), ["twist.twist.angular"], HEADER),
         (
-            channel_of(
-                "builtin_interfaces/Time timestamp\ngeometry_msgs/Vector3 angular_velocity\n",
-                "foxglove_msgs/msg/Odometry",
-            ),
+            channel_of(ODOMETRY, "foxglove_msgs/msg/Odometry"),
             ["angular_velocity"],
-            (["timestamp.sec", "timestamp.nanosec"], ("s", "ns")),
+            time_in("timestamp"),
         ),
     ],
 )

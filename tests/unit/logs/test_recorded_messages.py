@@ -31,7 +31,7 @@ FRAMES = {
         ("/tf", "/tilt_base:/tilt_axis", ("/tilt_base", "/tilt_axis")),
     ],
     "rosbag2/geocam_all_types": [
-        ("/test/tf2_msgs/tf_message", None, ("test_frame", "child_frame")),
+        ("/test/tf2_msgs/tf_message", None, ("test_frame", "child_frame"))
     ],
 }
 """The topics of transforms, what is asked for, and the frames that this means."""

@@ -260,7 +260,7 @@ REFUSED = {
         ),
     ],
     UnsupportedLogError: [
-        ("t_ns,Gyr_{XYZ} [counts]", {}, "declared in 'counts'; convert them to rad/s or deg/s"),
+        ("t_ns,Gyr_{XYZ} [counts]", {}, "declared in 'counts'; convert them to rad/s or deg/s")
     ],
 }
 

@@ -71,3 +71,38 @@ def test_a_topic_of_the_log_gives_the_times(tmp_path, suffix, kind, late):
         "no such file is there, and the log has no such topic"
         in run("propagate", log, "-o", out, "--at", "/nothing", code=2).stderr
     )
+
+
+def test_a_topic_of_another_log(tmp_path):
+    """For `--at`, `--q0` and `--bias`; LOG:TOPIC was taken for a topic of the log itself."""
+    first_ns = 1_700_000_000_000_000_000
+    turned = {"quaternion": {"w": 0.0, "x": 1.0, "y": 0.0, "z": 0.0}}
+    still = {"quaternion": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}}
+    bias = {"vector": {"x": 0.25, "y": 0.0, "z": 0.0}}
+    rows = [
+        (topic, f"geometry_msgs/msg/{kind}", t_ns, {"header": {"stamp": t_ns}, **values})
+        for t_ns in (first_ns, first_ns + 9_990_000_000)
+        for topic, kind, values in (
+            ("/still", "QuaternionStamped", still),
+            ("/turned", "QuaternionStamped", turned),
+            ("/bias", "Vector3Stamped", bias),
+            ("/other_bias", "Vector3Stamped", {"vector": {"x": 9.0, "y": 0.0, "z": 0.0}}),
+        )
+    ]
+    log = write_messages(tmp_path / "other.mcap", rows)
+    found = quatprop.propagate(
+        BAG, q0=f"{log}:/turned", at=f"{log}:/still", bias=f"{log}:/bias", method="coning"
+    )
+    same = quatprop.propagate(BAG, q0=[0, 1, 0, 0], bias=[0.25, 0, 0], at=found.t_ns)
+    assert found.t_ns.tolist() == [first_ns, first_ns + 9_990_000_000]
+    assert found.wxyz[0].tolist() == same.wxyz[0].tolist() == [0, 1, 0, 0]
+    assert found.report.as_json()["files"].keys() == {str(log)}
+    for option, sentence in (
+        ("--at", "no topic '/nothing' that carries attitudes; choose one of '/still', '/turned'"),
+        ("--q0", "no topic '/nothing' that carries attitudes; choose one of '/still', '/turned'"),
+        ("--bias", f"{log}:/nothing: it has no topic with biases"),
+    ):
+        done = run("propagate", BAG, "-o", "-", option, f"{log}:/nothing", code=2)
+        assert sentence in done.stderr, done.stderr
+    found = quatprop.propagate(BAG, at=f"{log}:/other_bias")
+    assert found.t_ns.tolist() == same.t_ns.tolist()

@@ -2,11 +2,10 @@
 
 import json
 
-import numpy as np
 import pytest
 from make.commands import run
-from make.mcap import Topic, write_topics
 from make.reading import attitudes, rates
+from make.ros import ROS1, imu_messages, write_messages
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop.errors import TimelineError
@@ -15,7 +14,6 @@ STORE = get_typestore(Stores.LATEST)
 NAME = "pkg/msg/Motion"
 TEXT = "std_msgs/Header header\nsensor_msgs/Imu imu\n"
 STORE.register(get_types_from_msg(TEXT, NAME))
-TYPES = STORE.types
 T0 = 1_700_000_000_000_000_000
 GOOD = [T0 + k * 10_000_000 for k in range(40)]
 ZERO = [0] * 40
@@ -23,26 +21,16 @@ RECORDED = [t_ns + 77 for t_ns in GOOD]
 REFUSED = "all header timestamps of topic '/imu' are zero; for the time of recording choose "
 
 
-def header(stamp_ns):
-    """Return a header with a stamp."""
-    time = TYPES["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
-    return TYPES["std_msgs/msg/Header"](time, "imu")
-
-
 def write(path, inner, outer=None):
     """Write Imus, perhaps inside of messages with stamps of their own."""
-    vector, quaternion = (TYPES[f"geometry_msgs/msg/{name}"] for name in ("Vector3", "Quaternion"))
-    name = "sensor_msgs/msg/Imu" if outer is None else NAME
-    none, messages = np.zeros(9), []
-    for k, stamp_ns in enumerate(inner):
-        turning, still = vector(0.5, 0.0, 0.0), vector(0.0, 0.0, 9.8)
-        attitude = quaternion(0.0, 0.0, 0.6, 0.8)
-        fields = (header(stamp_ns), attitude, none, turning, none, still, none)
-        message = TYPES["sensor_msgs/msg/Imu"](*fields)
-        message = message if outer is None else TYPES[NAME](header(outer[k]), message)
-        messages.append((RECORDED[k], bytes(STORE.serialize_cdr(message, name))))
-    text = b"" if outer is None else TEXT.encode()
-    return write_topics(path, {"/imu": Topic(name, messages, text, "ros2msg", "cdr")})
+    rates, wxyz = [(0.5, 0.0, 0.0)] * len(inner), [(0.8, 0.0, 0.0, 0.6)] * len(inner)
+    messages = imu_messages(inner, rates, wxyz, recorded=RECORDED)
+    if outer is not None:
+        messages = [
+            (topic, NAME, logged_ns, {"header": {"stamp": stamp_ns}, "imu": imu})
+            for (topic, _, logged_ns, imu), stamp_ns in zip(messages, outer, strict=True)
+        ]
+    return write_messages(path, messages, types=(ROS1, STORE))
 
 
 @pytest.fixture

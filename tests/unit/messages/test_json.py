@@ -11,7 +11,6 @@ from make.json_messages import imu
 from make.mcap import Topic, write_topics
 from make.messages_reference import block_of
 from make.reading import found_in, mark, rates
-from rosbags.typesys import Stores, get_typestore
 
 from quatprop.errors import (
     AmbiguousTopicError,
@@ -60,30 +59,6 @@ def read(path, **options):
     """Return the samples of the one source, and how many messages were lost."""
     _, series, losses = rates(path, **options)
     return series, sum(loss.messages for loss in losses)
-
-
-def test_a_JSON_log_is_the_same_series_as_a_CDR_log(tmp_path):
-    """Doubles survive their decimal digits."""
-    random = np.random.default_rng(8)
-    rate = random.normal(size=(500, 3)) * 10.0 ** random.integers(-9, 3, (500, 1))
-    stamps = np.cumsum(random.integers(1, 10**10, 500)) + START
-    store = get_typestore(Stores.LATEST)
-    make = {name.rpartition("/")[2]: kind for name, kind in store.types.items()}
-    cdr, messages, nine = [], [], np.zeros(9)
-    for t_ns, row in zip(stamps.tolist(), rate.tolist(), strict=True):
-        sec, nanosec = divmod(t_ns, 10**9)
-        messages.append(imu(*row, stamp={"sec": sec, "nanosec": nanosec}))
-        header = make["Header"](make["Time"](sec, nanosec), "a")
-        vectors = make["Vector3"](*row), nine, make["Vector3"](0, 0, 0), nine
-        message = make["Imu"](header, make["Quaternion"](0, 0, 0, 1), nine, *vectors)
-        cdr.append(bytes(store.serialize_cdr(message, "sensor_msgs/msg/Imu")))
-    for topic in (
-        Topic("sensor_msgs/msg/Imu", messages),
-        Topic("sensor_msgs/msg/Imu", cdr, b"", "ros2msg", "cdr"),
-    ):
-        series, _ = read(write_topics(tmp_path / "log.mcap", {"/imu": topic}))
-        assert (series.t_ns == stamps).all()
-        assert (series.rate == rate).all()
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 from make.mcap import Topic, write_topics
+from make.messages_reference import block_of
 from make.protobuf import (
     DOUBLE,
     FLOAT,
@@ -20,7 +21,7 @@ from make.reading import found_in, rates
 
 from quatprop.errors import MessageError, SchemaError
 from quatprop.logs.clocks.stamps import place_of, stamps_of
-from quatprop.messages.blocks import Channel, MessageBlock
+from quatprop.messages.blocks import Channel
 from quatprop.messages.protobuf import ProtobufDecoder
 from quatprop.messages.values import ValueDecoder
 
@@ -50,14 +51,6 @@ NUMBERS = [
     *("d", "f", "i64", "u64", "i32", "x64", "x32"),
     *("flag", "u32", "sx32", "sx64", "s32", "s64"),
 ]
-
-
-def block_of(messages):
-    """Return messages, recorded one nanosecond after the other."""
-    ends = np.cumsum([*map(len, messages)])
-    t_ns = np.arange(len(messages))
-    data = np.frombuffer(b"".join(messages), np.uint8)
-    return MessageBlock(data, ends - [*map(len, messages)], ends, t_ns, t_ns)
 
 
 def a_message(rng, made_class):

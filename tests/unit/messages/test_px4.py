@@ -117,14 +117,3 @@ def test_an_estimate_that_is_invalid_is_not_finite(tmp_path):
     with open_log(tmp_path / "VehicleOdometry.mcap") as log:
         assert [one.preferred for one in rate_candidates(log, RateSelection())] == [False]
     np.testing.assert_array_equal(series.rate, [[0.5, 1, 2], [np.nan] * 3])
-
-
-@pytest.mark.parametrize(
-    ("kind", "fields"),
-    [("SensorGyro", {"x": 1, "y": 2, "z": 3}), ("VehicleAngularVelocity", {"xyz": [1, 2, 3]})],
-)
-def test_other_messages_have_plain_rates(tmp_path, kind, fields):
-    """Each with the time at which it was sampled, not that at which it was sent."""
-    _, series = read(tmp_path, kind, [{"timestamp": 900, "timestamp_sample": 700, **fields}])
-    assert series.t_ns.tolist() == [700_000]
-    assert series.rate.tolist() == [[1, 2, 3]]

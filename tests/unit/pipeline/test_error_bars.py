@@ -53,10 +53,7 @@ def test_a_sensor_that_is_turned_as_a_whole(motion):
 
 @pytest.mark.parametrize(
     ("motion", "way", "jump"),
-    [
-        *product(["tumbling"], ["static", *WAYS[1:]], [1, 2, 3.5]),
-        *product(MOVING, WAYS[:1], [10]),
-    ],
+    [*product(["tumbling"], ["static", *WAYS[1:]], [1, 2, 3.5]), *product(MOVING, WAYS[:1], [10])],
 )
 def test_a_bias_that_jumps_a_little(motion, way, jump):
     """A difference that noise might explain, too, was not counted: 2.2 times what was stated.

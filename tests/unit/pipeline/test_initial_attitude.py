@@ -165,11 +165,7 @@ def test_the_report_names_where_q0_is_from(wanted, origin):
 @pytest.mark.parametrize(
     ("head", "row", "said"),
     [
-        (
-            COLUMNS,
-            "{t},{swing},0,0,0,0,9.8",
-            "its rates scatter by 0.7 rad/s in the first second",
-        ),
+        (COLUMNS, "{t},{swing},0,0,0,0,9.8", "its rates scatter by 0.7 rad/s in the first second"),
         (COLUMNS, "{t},0,0,0,0,0,{swing}", "the accelerations of the first second do not show"),
         ("t_ns,wx,wy,wz", "{t},0,0,0", "it has no accelerations to take roll and pitch from"),
     ],

@@ -58,12 +58,6 @@ def test_a_unit_that_is_declared_already_is_not_advised():
         assert in_python(remark).endswith(said)
 
 
-def test_rates_of_zero_are_not_scaled():
-    """Twists that a driver leaves at zero were said to be scaled by pi/180."""
-    gyro, own = turning(1000)
-    assert against_orientation([gyro.with_rate(0 * gyro.rate)], [own]) is None
-
-
 def test_an_orientation_that_does_not_move_tells_nothing():
     """At rest there is nothing to compare, nor without common stamps or an estimate."""
     t_ns = np.arange(1000) * 10 * MS

@@ -10,7 +10,6 @@ from make.mistakes import Recording
 from make.ros import imu_messages, write_messages
 from make.tables import write_rates
 
-import quatprop
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.series import GyroSeries
 from quatprop.text import in_python
@@ -253,19 +252,3 @@ def test_whole_seconds_are_not_fast_motion(tmp_path):
         "990 repeated timestamps",
         "the timestamps are whole seconds, each of several samples",
     ]
-
-
-@pytest.mark.filterwarnings("ignore:.*the times in '%time' differ:quatprop.RemarkWarning")
-@pytest.mark.parametrize("name", ["xio3", "xsens-txt", "rostopic", "euroc"])
-def test_recordings_are_plausible(shared_logs, name):
-    """Nothing is said against what real sensors measured."""
-    found = Recording(shared_logs, name)
-    assert remarks(found.rate, step_ns=int(np.median(np.diff(found.t_ns)))) == []
-
-
-def test_a_log_that_clips_is_remarked_on_in_the_library():
-    """A notebook gets the warning, too."""
-    rate = np.clip(swinging(2000), -4, 4)
-    with pytest.warns(quatprop.RemarkWarning, match="saturated") as seen:
-        quatprop.propagate(GyroSeries(np.arange(2000) * 5_000_000, rate))
-    assert len(seen) == 6

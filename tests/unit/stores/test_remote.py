@@ -81,10 +81,7 @@ def rates_message(k, pad):
 
 
 BESIDE = ["--topic", "/imu", "--rate-field", "w", "--rate-unit", "rad/s"]
-CASES = {
-    CompressionType.NONE: {"count": 100, "image": 800_000},
-    CompressionType.ZSTD: {},
-}
+CASES = {CompressionType.NONE: {"count": 100, "image": 800_000}, CompressionType.ZSTD: {}}
 
 
 @pytest.mark.parametrize("compression", CASES)

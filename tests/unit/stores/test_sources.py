@@ -11,17 +11,13 @@ import threading
 from contextlib import contextmanager
 from pathlib import Path
 
-import h5py
-import numpy as np
 import pytest
 from make.commands import refused, run
 from make.into_logs import write_mcap
 from make.mcap import Topic, write_topics
 from make.places import SAMPLE_LOGS
-from make.reading import rates
 from make.ulog import added, gyro, write
 from mcap.reader import make_reader
-from scipy.io import savemat
 
 from quatprop import read_rates
 from quatprop.containers.mcap.log import McapLog
@@ -30,52 +26,6 @@ from quatprop.logs.open_log import open_log
 from quatprop.stores.file_source import FileSource
 
 needs_pipes = pytest.mark.skipif(not Path("/dev/fd").exists(), reason="no pipes of POSIX here")
-
-BEHIND = {
-    ".mcap": None,
-    ".bag": None,
-    ".csv": None,
-    ".jsonl": None,
-    ".csv.gz": None,
-    ".db3": "{} bytes follow the database and are not read; was another joined to it?",
-    ".ulg": "{} bytes follow the log and are not read; was another joined to it?",
-    ".npy": "{} bytes follow its array and are not read; was another joined to it?",
-    ".h5": "{} bytes follow the file and are not read; was another joined to it?",
-    ".mat": "{} bytes follow the file and are not read; was another joined to it?",
-}
-"""What is said of the second of two logs that `cat` put one behind the other; None: it is read."""
-
-
-def log_of(path):
-    """Write a log of 50 samples in the format of a suffix; return its bytes."""
-    if path.suffix == ".ulg":
-        write(path, added("sensor_gyro", 0, 1), *gyro(1, range(5000, 255_000, 5000), 1e-6))
-    elif path.suffix in {".h5", ".mat"}:
-        columns = {f"gyro_{axis}_rad_s": np.full(50, 0.1) for axis in "xyz"}
-        columns["t_ns"] = 10**7 * np.arange(50)
-        if path.suffix == ".mat":
-            savemat(path, columns)
-        else:
-            with h5py.File(path, "w") as file:
-                file.update(columns)
-    else:
-        target = path.with_suffix("") if path.suffix == ".db3" else path
-        run("simulate", target, "--samples", "50", "--truth", "none", "-q", code=0)
-        path = next(target.glob("*.db3")) if path.suffix == ".db3" else path
-    return path.read_bytes()
-
-
-@pytest.mark.parametrize("suffix", BEHIND)
-def test_logs_one_behind_another_are_read_to_the_end_or_their_rest_is_lost(tmp_path, suffix):
-    """Where reading on costs nothing it is no loss; elsewhere every byte behind the end is one."""
-    pack = gzip.compress if suffix.endswith(".gz") else bytes
-    log = pack(log_of(tmp_path / f"one{suffix.removesuffix('.gz')}"))
-    both = tmp_path / f"both{suffix}"
-    both.write_bytes(2 * log)
-    _, series, losses = rates(both)
-    lost = BEHIND[suffix]
-    assert len(series) == (100 if lost is None else 50)
-    assert [loss.reason for loss in losses] == ([lost.format(len(log))] if lost else [])
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 import bz2
 import gzip
 import io
-import json
 import math
 import re
 import zlib
@@ -145,16 +144,6 @@ def test_a_last_row_whose_first_cell_has_line_breaks_is_one_row(rows):
     assert len(remarks) == (rows < 40)
 
 
-def test_the_doubt_is_said_by_the_commands(tmp_path):
-    """The remark is shown, stands in the report, and is no loss: exit code 0."""
-    log, report = tmp_path / "log.csv", tmp_path / "report.json"
-    log.write_text(HEADER + rows_of("0.5", "0.25", "0.75"))
-    result = run("propagate", log, "-o", tmp_path / "out.csv", "--report", report, code=0)
-    assert "warning: " + REMARK.format("'5,-0.25,0.75'") in result.output
-    assert any("no line end" in remark for remark in json.loads(report.read_text())["remarks"])
-    assert "no line end" in run("info", log).output
-
-
 @pytest.mark.parametrize(
     "command", ["info {}", "convert {} {}.out.csv", "compare {} {}", "plot {} -o {}.svg"]
 )
@@ -255,13 +244,6 @@ def test_quotes_in_comments_and_within_cells_are_no_damage():
     """A quote has a meaning only at the beginning of a cell, and none in a comment."""
     text = '# "paused\n0,a,1,2,3,5"\n#,"stop\n1,3" disk,1,2,3,z\n'
     assert read(text, QUOTED)[1:] == (2, [], [])
-
-
-def test_a_stray_quote_costs_its_row_alone():
-    """Only a cell whose next lines are no rows can have line breaks."""
-    text = rows_of(*["0.123456"] * 3, '0.12"3456', *["0.123456"] * 120)
-    reason = "'0.12\"3456' in column 'wz' is not a number"
-    assert read(text)[1:3] == (123, [Loss("line 5", reason, 1)])
 
 
 # Compressed texts

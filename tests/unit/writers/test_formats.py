@@ -17,8 +17,6 @@ from quatprop.errors import OutputError, UsageError
 from quatprop.series import AttitudeSeries
 from quatprop.writers import open_table, open_writer
 from quatprop.writers.formats import WRITERS, kind_of, layout_of
-from quatprop.writers.tables import arrow
-from quatprop.writers.tables import parquet as parquet_writer
 from quatprop.writers.tables.trajectories import seconds
 
 TOLD = {"convention": {"layout": "scalar-first"}, "n": "ø", "q0_wxyz": [1.0, 0.0, 0.0, 0.0]}
@@ -31,11 +29,10 @@ SHORT = AttitudeSeries(
 )
 
 
-def write(target, series=SHORT, kind=None, cuts=(), **options):
-    """Write a series, cut into batches, and return the bytes."""
+def write(target, series=SHORT, kind=None, **options):
+    """Write a series, and return the bytes."""
     with open_writer(target, kind, **options) as writer:
-        for rows in np.split(np.arange(len(series)), cuts):
-            writer.write(AttitudeSeries(series.t_ns[rows], series.wxyz[rows]))
+        writer.write(series)
         writer.commit(TOLD)
     return target.read_bytes()
 
@@ -249,21 +246,6 @@ def test_other_readers_of_json_lines_and_trajectories(tmp_path):
         np.testing.assert_array_equal(trajectory.orientations_quat_wxyz, series.wxyz)
         np.testing.assert_array_equal(trajectory.positions_xyz, np.zeros((9, 3)))
         np.testing.assert_allclose(trajectory.timestamps, series.t_ns / 1e9, rtol=0, atol=2.4e-7)
-
-
-@pytest.mark.parametrize("kind", OTHERS)
-def test_batches_of_any_size_give_the_same_bytes(tmp_path, monkeypatch, kind):
-    """How a series is cut into batches cannot be seen in the file, nor when it was written."""
-    for module in (arrow, parquet_writer):
-        monkeypatch.setattr(module, "GROUP", 20_000)
-    series = noise(45_000)
-    cuts = (1, 1, 700, 16_384, 20_001, 40_000)
-    whole = write(tmp_path / "whole", series, kind)
-    assert write(tmp_path / "cut", series, kind, cuts) == whole
-    if kind == "parquet":
-        metadata = parquet.read_metadata(tmp_path / "cut")
-        groups = [metadata.row_group(k).num_rows for k in range(metadata.num_row_groups)]
-        assert groups == [20_000, 20_000, 5_000]
 
 
 @pytest.mark.parametrize("kind", OTHERS)

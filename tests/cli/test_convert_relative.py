@@ -1,0 +1,79 @@
+"""``convert --relative-to``: attitudes of a body in the axes of another, against SciPy."""
+
+import json
+
+import numpy as np
+import pytest
+from make.commands import refused, run
+from scipy.spatial.transform import Rotation
+
+import quatprop
+from quatprop import AttitudeSeries
+
+T_NS = np.arange(101) * 10_000_000
+
+
+def written(path, t_ns, turns):
+    """Write attitudes and return where."""
+    quatprop.write(AttitudeSeries(t_ns, turns.as_quat(scalar_first=True)), path)
+    return path
+
+
+@pytest.fixture
+def bodies(tmp_path):
+    """Return files of a thigh and a shank of a knee that bends by a degree a sample."""
+    thigh = Rotation.from_euler("ZYX", [(k / 9, -k / 7, k / 5) for k in range(101)], degrees=True)
+    knee = Rotation.from_euler("y", np.arange(101)[:, None], degrees=True)
+    return (
+        written(tmp_path / "thigh.csv", T_NS, thigh),
+        written(tmp_path / "shank.csv", T_NS, thigh * knee),
+    )
+
+
+def test_the_angle_of_a_joint(bodies, tmp_path):
+    """As Euler angles, in a file of which a picture is drawn; there was Python alone."""
+    thigh, shank = bodies
+    out, report = tmp_path / "knee.csv", tmp_path / "report.json"
+    angles = "--as", "euler-zyx", "--euler-unit", "deg", "--report", report
+    done = run("convert", shank, out, "--relative-to", thigh, *angles, code=0)
+    assert f"relative to {thigh}" in done.stderr
+    expected = np.column_stack([np.zeros(101), np.arange(101), np.zeros(101)])
+    found = np.loadtxt(out, delimiter=",", skiprows=1)[:, 1:]
+    near = slice(0, 85)  # in gimbal lock, the two others are of no meaning
+    np.testing.assert_allclose(found[near], expected[near], atol=1e-9)
+    step = json.loads(report.read_text())["conversions"][0]
+    assert step["to"]["relative_to"] == str(thigh)
+    run("plot", out, "-o", tmp_path / "knee.svg", code=0)
+
+
+def test_what_the_other_body_does_not_cover_is_left_out_and_counted(bodies, tmp_path):
+    """Before, after and in a gap of it; between its samples it is interpolated."""
+    thigh, shank = bodies
+    other = quatprop.read_attitudes(thigh)
+    rows = np.r_[10:40:2, 62:91:2]
+    part, out = tmp_path / "part.csv", tmp_path / "knee.csv"
+    quatprop.write(other[rows], part)
+    done = run("convert", shank, out, "--relative-to", part, code=0)
+    kept = [*range(10, 39), *range(62, 91)]
+    assert f"omitted {101 - len(kept)} rows before, after or in a gap" in done.stderr
+    found = quatprop.read_attitudes(out)
+    assert found.t_ns.tolist() == T_NS[kept].tolist()
+    bent = Rotation.from_quat(found.wxyz, scalar_first=True).magnitude()
+    np.testing.assert_allclose(np.degrees(bent), kept, atol=0.01)
+
+
+def test_what_has_no_relation_is_refused(bodies, tmp_path):
+    """Times of another clock, and times that step back, with the file that has them."""
+    thigh, shank = bodies
+    other = quatprop.read_attitudes(thigh)
+    later, back, out = tmp_path / "later.csv", tmp_path / "back.csv", tmp_path / "out.csv"
+    quatprop.write(AttitudeSeries(other.t_ns + 10**12, other.wxyz), later)
+    quatprop.write(AttitudeSeries(other.t_ns[::-1], other.wxyz), back)
+    for other_body, sentence in (
+        (later, f"{later}: it has no attitudes at these times; are both"),
+        (back, f"{back}: its timestamps do not increase"),
+        (tmp_path / "no.csv", f"{tmp_path / 'no.csv'}: no such file"),
+    ):
+        assert sentence in refused("convert", shank, out, "--relative-to", other_body)
+    assert str(thigh) in refused("convert", shank, thigh, "--relative-to", thigh)
+    assert not out.exists()
