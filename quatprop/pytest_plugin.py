@@ -99,19 +99,36 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> SuiteFile 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection_modifyitems(
-    config: pytest.Config, items: list[pytest.Item]
+    session: pytest.Session, config: pytest.Config, items: list[pytest.Item]
 ) -> Iterable[None]:
-    """Refuse a suite that was requested and of which no case was found; count what is chosen."""
+    """Add an error for each suite of which no case was found; see which were all deselected."""
     found = {item.path.resolve() for item in items if isinstance(item, CaseItem)}
     yield
     left = {item.path.resolve() for item in items if isinstance(item, CaseItem)}
-    broken = config.stash.setdefault(BROKEN, set())
-    # What was not run for --lf did not fail before.
-    for suite in [] if config.getoption("lf", default=False) else _suites(config):
-        if suite.resolve() not in found | broken:
-            reason = "none of its cases was collected; is it ignored by an option or a conftest.py?"
-            raise pytest.UsageError(f"{OPTION}: {plain(suite)}: {reason}")
     config.stash[DESELECTED] = sorted(map(str, found - left))
+    if hasattr(config, "workeroutput"):
+        config.workeroutput["quatprop"] = config.stash[DESELECTED]
+    known = {*found, *config.stash.get(BROKEN, ())}
+    # What was not run for --lf did not fail before.
+    suites = [] if config.getoption("lf", default=False) else _suites(config)
+    # A worker of pytest-xdist must not raise; an item fails there, too, and in JUnit.
+    items += [_uncollected(session, suite) for suite in suites if suite.resolve() not in known]
+
+
+def _uncollected(session: pytest.Session, suite: Path) -> Any:
+    """Return an item in place of the cases of a suite, which fails."""
+    from quatprop.check.case import CaseNotRun
+
+    reason = "none of its cases was collected; is it ignored by an option or a conftest.py?"
+    case = CaseNotRun(suite.name, f"{OPTION}: {plain(suite)}: {reason}")
+    file = SuiteFile.from_parent(session, path=suite)
+    return CaseItem.from_parent(file, name=suite.name, case=case, pin=None)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """Take from a worker of pytest-xdist, each of which collects all, what was deselected."""
+    node.config.stash[DESELECTED] = getattr(node, "workeroutput", {}).get("quatprop", [])
 
 
 def pytest_terminal_summary(
@@ -139,13 +156,10 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
     if isinstance(item, CaseItem) and (report.when == "call" or not report.passed):
         from quatprop.provenance import as_json
 
-        result = item.result
-        if result is None:
-            fields = {"reason": getattr(item.case, "reason", "")}
-            fields["verdict"] = getattr(item.case, "verdict", "error")
-        else:
-            fields = {name: getattr(result, name) for name in SHOWN}
-        report.quatprop = json.dumps(as_json({"name": item.name, "suite": item.path, **fields}))
+        shown = item.result or item.case
+        fields = {name: getattr(shown, name) for name in SHOWN if hasattr(shown, name)}
+        facts = {"name": item.name, "suite": item.path, "verdict": "error", **fields}
+        report.quatprop = json.dumps(as_json(facts))
     return report
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from quatprop.check.case import Case, Limit
 from quatprop.comparison.compare import compare
 from quatprop.comparison.settings import ComparisonSettings
-from quatprop.comparison.summary import criterion_text, with_names
+from quatprop.comparison.summary import criterion_text, matching_text, with_names
 from quatprop.errors import ComparisonError
 from quatprop.logs.attitude_input import AttitudeInput, LoadedAttitudes, load_attitudes
 from quatprop.pipeline.job import Job, run
@@ -140,6 +140,8 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
         others.append(str(limit))
         if not one.passed:
             failures.append(named(criterion_text(one, result)))
+    if {"match", "max-dt"} & case.comparison_options.keys():
+        others.append(named(matching_text(result.association)))
     if judged := case.comparison_options.get("judge"):
         others.append(f"judged at {plain(judged)} alone")
     others += _taken_out(result)

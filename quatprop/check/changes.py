@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
+from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +18,8 @@ from quatprop.check.lock import (
     describe_change,
     digests_of,
     pin_of,
-    renamed_to,
     sha256_of,
+    with_content,
 )
 from quatprop.check.reference import DEFAULT, PROVENANCE_KEY, describe_provenance, provenance_of
 from quatprop.conventions.representations import euler_angles, from_euler
@@ -51,7 +52,8 @@ def hash_inputs(case: Case, pin: Pin | None) -> dict[str, str]:
         try:
             digests = digests_of(path)
         except UnreadableLogError as error:
-            other = pin and key in pin.inputs and renamed_to(Path(path), pin.inputs[key])
+            place, digest = Path(path), pin and pin.inputs.get(key)
+            other = digest and with_content(place.parent, f"*{escape(place.suffix)}", digest)
             if not other:
                 raise
             reason = f"{error.reason}; {plain(other)} has the same content: name that as {key}"
@@ -91,8 +93,7 @@ def obstacles(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> str:
     found = [*_obstacles(case, pin, hashes)]
     if not found:
         return ""
-    ways_out = [way_out for _, way_out in found]
-    sentences = [sentence for sentence, _ in found]
+    sentences, ways_out = zip(*found, strict=True)
     return spelled("; ".join([*sentences, ways_out[-1] + Setting("update")]))
 
 
@@ -117,13 +118,17 @@ def _obstacles(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> Iterat
             continue
         file = Path(path, name) if name else Path(path)
         yield f"{plain(file)}: {describe_change(file, old, new)}", accept
-    if options := option_differences(pin, case):
-        changed = ", ".join(
-            f"{key} was {option_text(old)} and is now {option_text(new)}"
-            for key, old, new in options
-        )
-        yield f"{about}: the case has changed since it was pinned: {changed}", accept
-    if _keys(pin.inputs) != _keys(hashes) or (pin.reference is None) != (case.reference is None):
+    options = option_differences(pin, case)
+    changed = [
+        f"{key} was {option_text(old)} and is now {option_text(new)}" for key, old, new in options
+    ]
+    before, after = ({key.partition("/")[0] for key in files} for files in (pin.inputs, hashes))
+    others = (before ^ after) - {key for key, *_ in options}
+    if "log" in others:
+        changed.append(f"pin-log was {not case.pins_log} and is now {case.pins_log}".lower())
+    if changed:
+        yield f"{about}: the case has changed since it was pinned: {', '.join(changed)}", accept
+    if others - {"log"} or (pin.reference is None) != (case.reference is None):
         yield f"{about}: the case was pinned with another kind of reference", accept
     elif case.reference is not None and not there:
         yield f"{about}: the reference file is missing", "restore it, or write it with "
@@ -132,10 +137,6 @@ def _obstacles(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> Iterat
         reason = f"this is not the reference file that was pinned {digests}"
         reason += describe_provenance(case, pin)
         yield f"{about}: {reason}", "restore it, or write it again with "
-
-
-def _keys(hashes: Mapping[str, str]) -> set[str]:
-    return {key.partition("/")[0] for key in hashes}
 
 
 def make_pin(
@@ -212,9 +213,9 @@ def change_lines(case: Case, old: Pin, new: Pin, run: CaseRun) -> list[str]:
     if old.samples != new.samples:
         lines.append(f"samples: {old.samples} -> {new.samples}")
     turned = f"{old.total_angle_deg:.9g} deg -> {new.total_angle_deg:.9g} deg"
-    final = final_distance(old, run.report.result.final_wxyz)
     if old.final_deg != new.final_deg or old.total_angle_deg != new.total_angle_deg:
-        apart = degrees_text(round(final, 8))  # as exact as the angles of a lock
+        # As exact as the angles of a lock.
+        apart = degrees_text(round(final_distance(old, run.report.result.final_wxyz), 8))
         lines.append(f"final attitude: {apart} from the one pinned; total angle: {turned}")
     for name in ("max", "rms", "final"):
         was_error, now_error = old.measured.get(name), new.measured.get(name)

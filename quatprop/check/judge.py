@@ -161,8 +161,8 @@ def _failures(
         yield f"{run.samples} samples were propagated, and {pin.samples} when pinned"
     if comparison is None or reference is None:
         return
+    final = final_of(reference) if case.external is None else None
     if case.external is None and pin is not None:
-        final = final_of(reference)
         if final is None:
             yield "the reference file does not say what it was made from: check did not write it"
         elif (apart := math.degrees(final_distance(pin, np.array(final)))) > SAME_DEG:
@@ -173,19 +173,10 @@ def _failures(
         if case.strict:
             yield compare_timestamps(run.series, reference.series)
     yield comparison.failure
-    if case.external is None and not comparison.failure and comparison.result:
-        yield _compare_last(case, reference, run)
-
-
-def _compare_last(case: Case, reference: LoadedAttitudes, run: CaseRun) -> str:
-    """Return how the last attitude differs, which the rows of the reference may lack."""
-    final = final_of(reference)
-    if not case.strict or case.comparison.align != "none" or final is None:
-        return ""
-    error = float(geodesic_angle(np.array(final), run.report.result.final_wxyz))
-    if error <= case.comparison.limit_rad:
-        return ""
-    return (
-        f"the attitude at the last sample is {case.angle_text(error)} from the one in the "
-        f"reference file"
-    )
+    comparable = case.strict and case.comparison.align == "none" and comparison.result
+    if final is not None and comparable and not comparison.failure:
+        # The rows of the reference may lack the last sample.
+        error = float(geodesic_angle(np.array(final), run.report.result.final_wxyz))
+        if error > case.comparison.limit_rad:
+            apart_text = f"{case.angle_text(error)} from the one in the reference file"
+            yield f"the attitude at the last sample is {apart_text}"

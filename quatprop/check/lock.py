@@ -11,7 +11,6 @@ import hashlib
 import json
 import re
 from contextlib import contextmanager, suppress
-from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -239,11 +238,6 @@ def sha256_of(path: str) -> str:
     if digest is None:
         raise UnreadableLogError(path, "no such file or folder; check the path")
     return str(digest)
-
-
-def renamed_to(path: Path, digest: str | None) -> Path | None:
-    """Return the file beside a missing one that has its content; None where there is none."""
-    return with_content(path.parent, f"*{escape(path.suffix)}", digest)
 
 
 def with_content(folder: Path, pattern: str, digest: str | None) -> Path | None:

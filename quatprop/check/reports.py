@@ -65,15 +65,8 @@ def result_text(result: CaseResult, width: int) -> str:
     name = f"{plain(result.name):<{width}}"
     first = f"{VERDICTS[result.verdict][0]:<{WIDTH}}  {name}  {summary or plain(result.reason)}"
     indent = " " * (WIDTH + 2)
-    below = _details(result)
-    if not summary:
-        below = [*filter(None, [result.summary]), *below[1:]]
+    below = filter(None, [result.reason if summary else result.summary, *result.changes])
     return "\n".join([first.rstrip(), *(f"{indent}{plain(text)}" for text in below)])
-
-
-def _details(result: CaseResult) -> list[str]:
-    """Return the reason and the changes."""
-    return [*([result.reason] if result.reason else []), *result.changes]
 
 
 def note_lines(results: Sequence[CaseResult], *, remarks: bool = False) -> Iterator[str]:
@@ -124,13 +117,14 @@ def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) 
     for result in results:
         facts = {"classname": plain(suite.stem), "name": plain(result.name)}
         case = ET.SubElement(tests, "testcase", {**facts, "time": f"{result.seconds:.3f}"})
+        texts = [result.summary, result.reason, *result.changes, *result.notes]
         if result.verdict in JUNIT_ELEMENTS:
             reason = plain(result.reason)
             element = ET.SubElement(case, JUNIT_ELEMENTS[result.verdict], {"message": reason})
             place = f"{plain(suite.as_posix())}:{result.line}"
             element.text = "\n".join(filter(None, [place, result.summary, reason]))
-        elif texts := [*filter(None, [result.summary, *_details(result), *result.notes])]:
-            ET.SubElement(case, "system-out").text = "\n".join(map(plain, texts))
+        elif any(texts):
+            ET.SubElement(case, "system-out").text = "\n".join(map(plain, filter(None, texts)))
     ET.indent(root)
     with open_atomic(target) as stream:
         ET.ElementTree(root).write(stream, encoding="utf-8", xml_declaration=True)

@@ -51,11 +51,8 @@ class CheckOptions(NamedTuple):
     strict: bool = False
 
 
-JUDGE = CheckOptions()
-
-
 @spelling(in_keys)
-def run_case(pinned: PinnedCase, options: CheckOptions = JUDGE) -> CaseResult:
+def run_case(pinned: PinnedCase, options: CheckOptions) -> CaseResult:
     """Judge or update a case; an error becomes its result."""
     case, pin = pinned
     began = time.perf_counter()
@@ -146,7 +143,7 @@ def _with_evidence(case: Case, judged: Judgement, options: CheckOptions) -> Case
 def run_cases(
     cases: Sequence[Case | CaseNotRun],
     pins: Mapping[str, Pin],
-    options: CheckOptions = JUDGE,
+    options: CheckOptions,
     processes: int = 1,
 ) -> Generator[CaseResult]:
     """Yield the result of each case, in their order, as soon as those before are done.

@@ -91,7 +91,7 @@ def _show(
             if result.verdict in NEEDS_ATTENTION:
                 last.append(text)
             elif not options["as_json"] and (
-                every or result.changes or result.updated == "updated"
+                every or result.changes or result.updated in {"new", "updated"}
             ):
                 click.echo(text, nl=False)
     finally:
@@ -173,9 +173,7 @@ def told_to_ci(suite: Path, options: Mapping[str, Any]) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        reason = str(error)
-        if isinstance(error, click.ClickException):
-            reason = error.format_message()
+        reason = error.format_message() if isinstance(error, click.ClickException) else str(error)
         junit = options["junit"]
         if junit is not None and not _may_be_junit(junit):
             junit = None

@@ -104,7 +104,10 @@ def _method(comparison: Comparison) -> Iterator[Row]:
     offset, alignment = comparison.time_offset, comparison.alignment
     if comparison.outside:
         yield "range", f"{count_text(comparison.outside, 'attitude')} outside it omitted"
-    yield "matched", _matching(comparison.association)
+    matching = comparison.association
+    span = duration_text(matching.last_ns - matching.first_ns)
+    counts = f"{matching.matched} of {matching.candidates} samples over {span}"
+    yield "matched", f"{counts}: {matching_text(matching)}"
     if part := comparison.judged:
         ranges = count_text(len(part.ranges_ns), "time range")
         yield "judged", f"{part.pairs} of them, in {ranges}"
@@ -128,7 +131,8 @@ def _method(comparison: Comparison) -> Iterator[Row]:
         yield "alignment", rotated
 
 
-def _matching(matching: Matching) -> str:
+def matching_text(matching: Matching) -> str:
+    """Return how attitudes were matched in time."""
     reach = duration_text(matching.max_dt_ns)
     other = "A" if matching.at == "B" else "B"
     method = {
@@ -140,9 +144,7 @@ def _matching(matching: Matching) -> str:
     }
     if matching.rate_hz is not None:
         method["interpolate"] = f"interpolated at {matching.rate_hz:.9g} Hz, B over at most {reach}"
-    span = duration_text(matching.last_ns - matching.first_ns)
-    counts = f"{matching.matched} of {matching.candidates} samples over {span}"
-    return f"{counts}: {method[matching.match]}"
+    return method[matching.match]
 
 
 def _errors(comparison: Comparison) -> Iterator[Row]:

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from make.commands import refused, run
+from make.commands import run
 from scipy.spatial.transform import Rotation
 
 import quatprop
@@ -104,27 +104,3 @@ def test_the_metadata_say_what_was_changed(source, tmp_path):
     told = json.loads(pq.read_metadata(tmp_path / "a.parquet").metadata[b"quatprop"])
     assert told["conversions"][0]["to"]["left"] == "ned-to-enu"
     assert "right" not in told["conversions"][0]["to"]
-
-
-WAYS = (
-    "'ned' is not a rotation; write three signed axes such as x,-y,-z, a quaternion W,X,Y,Z that "
-    "takes old axes to new ones, fixed-axis angles in deg such as rpy:0,30,0, ned-to-enu, "
-    "enu-to-ned, frd-to-flu, flu-to-frd"
-)
-
-
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
-        ("x,y,-z", "the rotation 'x,y,-z' is left-handed"),
-        ("2,0,0,0", "the rotation '2,0,0,0' has the length 2"),
-        ("ned", WAYS),
-        ("rpy:1,2", "is not a rotation"),
-        ("rpy:x,-y,-z", "is not a rotation"),
-        ("rpy:1,2,3,4", "is not a rotation"),
-        ("1,2,3", "is not a rotation"),
-    ],
-)
-def test_what_is_no_rotation_is_refused(source, tmp_path, text, sentence):
-    """With every way to write one."""
-    assert sentence in refused("convert", source[0], tmp_path / "a.csv", "--left", text)

@@ -4,11 +4,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from make.commands import run
-from make.mcap import Topic, write_topics
+from make.ros import imu_messages, write_messages
 from make.small_files import QUATERNION
 from make.tables import write_rates
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 
 import quatprop
 from quatprop.errors import SeriesError
@@ -87,19 +86,34 @@ def test_formats_with_positions_give_them_back(poses, tmp_path, name, options):
 @pytest.mark.parametrize(
     ("name", "options"),
     [
-        ("out.csv", ["--layout", "wxyz"]),
-        ("out.parquet", []),
-        ("out.mcap", ["--message", "QuaternionStamped"]),
-        ("out.mcap", ["--message", "PoseInFrame"]),
-        ("out.csv", ["--as", "rotvec"]),
-        ("out.tum", ["--from-direction", "ref-to-body"]),
+        ("out.csv", "--layout wxyz"),
+        ("out.parquet", ""),
+        ("out.mcap", "--message QuaternionStamped"),
+        ("out.mcap", "--message PoseInFrame"),
+        ("out.csv", "--as rotvec"),
+        ("out.tum", "--from-direction ref-to-body"),
     ],
 )
 def test_an_output_without_positions_says_so(poses, tmp_path, name, options):
     """Also one whose positions would be those of another frame: they are zero then."""
-    assert POSITIONS in convert(poses, tmp_path / name, *options)
+    assert POSITIONS in convert(poses, tmp_path / name, *options.split())
     if name.endswith("tum"):
         assert {tuple(row[1:4]) for row in trajectory(tmp_path / name)} == {("0", "0", "0")}
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("out.tum", ""),
+        ("out.mcap", ""),
+        ("out.csv", "--as rotvec"),
+        ("out.csv", "--direction ref-to-body"),
+        ("out.csv", "--from-direction ref-to-body"),
+    ],
+)
+def test_an_output_without_standard_deviations_says_so(sigmas, tmp_path, name, options):
+    """As for positions."""
+    assert COVARIANCES in convert(sigmas, tmp_path / name, *options.split())
 
 
 def test_attitudes_without_positions_are_at_the_origin(tmp_path):
@@ -166,37 +180,10 @@ def test_axes_of_the_reference_remain_theirs(tmp_path):
     np.testing.assert_allclose(columns[0], np.sqrt(variances), rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [
-        ("out.tum", []),
-        ("out.mcap", []),
-        ("out.csv", ["--as", "rotvec"]),
-        ("out.csv", ["--direction", "ref-to-body"]),
-        ("out.csv", ["--from-direction", "ref-to-body"]),
-    ],
-)
-def test_an_output_without_standard_deviations_says_so(sigmas, tmp_path, name, options):
-    """As for positions."""
-    assert COVARIANCES in convert(sigmas, tmp_path / name, *options)
-
-
-def test_columns_of_other_representations_are_kept_by_writing_them_again(tmp_path):
-    """The note names the columns and the option."""
-    head = f"{QUATERNION},yaw_rad,pitch_rad,roll_rad"
-    path, out = write_rates(tmp_path / "in.csv", ["0,1,0,0,0,0,0,0"], head), tmp_path / "out.csv"
-    note = "note: columns 'yaw_rad', 'pitch_rad', 'roll_rad' are not kept; --with writes such ones"
-    assert note in convert(path, out)
-    assert "not kept" not in convert(path, out, "--with", "euler-zyx")
-
-
 @pytest.mark.parametrize("changes", [True, False])
 @pytest.mark.parametrize("ours", [True, False])
 def test_covariances_that_are_constant_at_first_are_kept(tmp_path, changes, ours):
-    """A filter may be as sure of its attitude for long; only a driver says the same to the end.
-
-    Of messages that this package wrote it is known that their covariances are none of a driver.
-    """
+    """Only a driver says the same to the end; messages of this package are none of a driver."""
     t_ns = np.arange(19_000, dtype=np.int64) * 10_000_000
     covariance = np.tile(np.diag([0.01, 0.04, 0.09]), (len(t_ns), 1, 1))
     if changes:
@@ -220,27 +207,13 @@ def test_covariances_that_are_constant_at_first_are_kept(tmp_path, changes, ours
         np.testing.assert_allclose(quatprop.read_attitudes(log).covariance, covariance, rtol=1e-14)
 
 
-def imu(second, diagonal):
-    """Return an Imu message with a covariance of its orientation."""
-    store = get_typestore(Stores.LATEST)
-    make = store.types
-    vector = make["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-    message = make["sensor_msgs/msg/Imu"](
-        make["std_msgs/msg/Header"](make["builtin_interfaces/msg/Time"](second, 0), "imu"),
-        make["geometry_msgs/msg/Quaternion"](0.0, 0.6, 0.0, 0.8),
-        np.diag(np.array(diagonal, float)).ravel(),
-        *(vector, np.zeros(9)) * 2,
-    )
-    return bytes(store.serialize_cdr(message, "sensor_msgs/msg/Imu"))
-
-
 def test_covariances_that_are_known_in_part_are_said_to_be_unknown(tmp_path):
     """A row has three standard deviations or none; two of three would be lost unseen."""
     log = tmp_path / "log.mcap"
     diagonals = [[1.0, 4, 9], [1, 4, -1], [1, np.nan, 9], [-1, -1, -1], [np.nan] * 3]
-    messages = [imu(second, diagonal) for second, diagonal in enumerate(diagonals, 1)]
-    topic = Topic("sensor_msgs/msg/Imu", messages, b"", "ros2msg", "cdr")
-    write_topics(log, {"/imu": topic}, profile="ros2")
+    wxyz, covariances = [(0.8, 0.0, 0.6, 0.0)] * 5, [np.diag(one).ravel() for one in diagonals]
+    t_ns = np.arange(1, 6) * 10**9
+    write_messages(log, imu_messages(t_ns, wxyz=wxyz, orientation_covariance=covariances))
     sentence = (
         "the covariances of 2 messages are known in part, which is not kept: they are treated"
     )

@@ -1,19 +1,18 @@
 """`quatprop info`: rates and attitudes of logs, and what is missing to read them."""
 
+import io
 import json
-import subprocess
 import sys
 
 import numpy as np
 import pyarrow as pa
 import pytest
 from make.commands import refused, run
-from make.mcap import Topic, write_topics
 from make.places import SAMPLE_LOGS
+from make.ros import TF, write_messages
 from make.small_files import EUROC
 from make.tables import write_rates
 from pyarrow import parquet as pq
-from rosbags.typesys import Stores, get_typestore
 
 from quatprop.containers import first_blocks
 from quatprop.containers.chunks import ChunkedLog
@@ -192,12 +191,10 @@ def test_stdin_is_read_once(head, key):
 
 def test_a_binary_log_on_stdin_is_listed_whole():
     """It was copied, so attitudes are looked for, too; text is read once, which is reported."""
-    command = [sys.executable, "-m", "quatprop", "info", "--json", "-"]
     found = []
     for name in ("tumbling.bag", "spin.csv"):
-        with (SAMPLE_LOGS / name).open("rb") as stream:
-            piped = subprocess.run(command, stdin=stream, capture_output=True, check=True)
-        found += json.loads(piped.stdout)
+        stdin = io.BufferedReader(io.BytesIO((SAMPLE_LOGS / name).read_bytes()))
+        found.append(info("-", input=stdin))
     log = info(SAMPLE_LOGS / "tumbling.bag")
     assert {**found[0], "path": log["path"]} == log
     remark = "text on stdin is read only once: attitudes were not looked for"
@@ -247,11 +244,7 @@ def test_a_topic_of_several_transforms_is_said_in_one_sentence(shared_logs):
 
 def test_a_topic_without_transforms_is_said_to_be_so(tmp_path):
     """`info` sent who looked at an empty /tf_static to `info`."""
-    kind, store = "tf2_msgs/msg/TFMessage", get_typestore(Stores.LATEST)
-    definition, _ = store.generate_msgdef(kind, ros_version=2)
-    data = bytes(store.serialize_cdr(store.types[kind]([]), kind))
-    topic = Topic(kind, [data], definition.encode(), "ros2msg", "cdr")
-    log = write_topics(tmp_path / "log.mcap", {"/tf_static": topic}, profile="ros2")
+    log = write_messages(tmp_path / "log.mcap", [("/tf_static", TF, 0, ())])
     said = "the messages of topic '/tf_static' hold no transforms; choose another "
     assert text(log)[-1] == f"  /tf_static: {said}--topic"
     assert info(log)["attitudes"][0]["missing"] == f"{said}topic"

@@ -441,9 +441,7 @@ def error_drawn(request, off, tmp_path, drawn):
 
 
 def test_an_error_has_its_tolerance_first_and_worst_marked(error_drawn):
-    """The line is the geodesic angle in degrees; the tolerance, the first sample above it and
-    the worst sample are where they belong.
-    """
+    """The line is the geodesic angle in degrees; what is marked is where it belongs."""
     axes, _ = error_drawn("--tol", "1deg", code=1)
     error, level, worst = axes[0].get_lines()
     want = np.linspace(0, 2, 1001)

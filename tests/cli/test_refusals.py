@@ -64,6 +64,10 @@ PROPAGATE = {
     "log.csv --rate-cols x,y": "'x,y' does not name 3 columns X,Y,Z",
     "log.csv --bias static:neares": "'neares' is not a duration; write a number with a unit, such "
     "as 20ms, 0.5s or 1m30s; did you mean 'nearest'?",
+    "log.csv --bias static@+1s": "'static@+1s' is not a time range; write static@+10s..+20s",
+    "log.csv --bias static@+1s..": "'static@+1s..' is not a time range; write static@+10s..+20s",
+    "log.csv --bias static@+1s..soon": "'soon'",
+    "log.csv --bias static@+9s..+1s": "holds fewer than 2 samples; info shows where the log begins",
     "log.csv --mount x,y,-z": "the mounting 'x,y,-z' is left-handed, so it is not a rotation",
     "log.csv --mount 2,0,0,0": "the mounting '2,0,0,0' has the length 2, so it is not a rotation",
     "log.csv --start 2000000000": f"Error: log.csv: no samples in {EUROC_COLUMNS} between --start "
@@ -99,6 +103,21 @@ PROPAGATE = {
     "gyros.bag -t /imuraw": "did you mean '/imu_raw'?",
     "gyros.bag -t /imu_raw --time-field header.stmp": "has 'seq', 'stamp', 'frame_id'; did you me",
     "nameless.csv --rate-unit rad/s --rate-cols gx,gy,gzz": "'gx', 'gy', 'gz'; did you mean 'gz'?",
+}
+
+BATCH = {
+    "- -o out": "stdin is one log; give it to quatprop propagate",
+    "log.csv -o out -j 2 --dask tcp://x:1": "-j is for this machine; omit it with",
+    "log.csv -o out --verify": "--verify requires --skip-existing",
+    "log.csv -o out --heading 5": "--heading requires --q0 level",
+    "log.csv -o log.csv": "-o log.csv is a file; name a folder for the outputs",
+    ". -o .": "outputs in '.' would lie among the logs; choose --output",
+    "log.csv -o . --to csv": INPUT,
+    "log.csv -o out --sigma": "--sigma needs the errors of the gyroscope; give",
+    "-o out": "there are no logs; name files, folders or patterns",
+    "folder.csv -o out": "there are no logs in 'folder.csv'; name files",
+    "log.csv -o out --buckets 3": "Error: --buckets requires",
+    "log.csv -o out --dataset --to csv": "Error: --dataset is Parquet; omit --to csv",
 }
 
 SIMULATE = {
@@ -139,7 +158,20 @@ COMPARE = {
 JPL = "--from-convention says hamilton, but the metadata of the file says jpl; omit it"
 OF_MATRIX = "is about quaternions and matrix has none; omit it"
 NO_MESSAGES = "csv holds no messages; omit --message, --out-topic and --frames"
+ROTATIONS = (
+    "is not a rotation; write three signed axes such as x,-y,-z, a quaternion W,X,Y,Z that takes "
+    "old axes to new ones, fixed-axis angles in deg such as rpy:0,30,0, ned-to-enu, enu-to-ned, "
+    "frd-to-flu, flu-to-frd"
+)
 CONVERT = {
+    "q.csv - --left x,y,-z": "the rotation 'x,y,-z' is left-handed",
+    "q.csv - --left 2,0,0,0": "the rotation '2,0,0,0' has the length 2",
+    **{
+        f"q.csv - --left {text}": f"'{text}' {ROTATIONS}"
+        for text in ("ned", "rpy:1,2", "rpy:x,-y,-z", "rpy:1,2,3,4", "1,2,3")
+    },
+    "q.csv - --as body-rates --layout wxyz": "--layout is about quaternions and body-rates has",
+    "q.csv - --as body-rates --direction ref-to-body": "--direction is about attitudes, and body-r",
     "q0.csv out.csv --report q0.csv": f"Error: q0.csv: {INPUT}",
     "q.csv q.csv": f"Error: q.csv: {INPUT}",
     "q.csv link.csv": f"Error: link.csv: {INPUT}",
@@ -215,8 +247,8 @@ OTHERS = {
 
 OUTPUT = {"propagate": "out.csv", "plot": "a.png"}
 COMMANDS = {
-    "propagate": PROPAGATE, "simulate": SIMULATE, "compare": COMPARE, "convert": CONVERT,
-    "plot": PLOT, "info": INFO,
+    "propagate": PROPAGATE, "batch": BATCH, "simulate": SIMULATE, "compare": COMPARE,
+    "convert": CONVERT, "plot": PLOT, "info": INFO,
 }  # fmt: skip
 
 

@@ -23,10 +23,7 @@ DAMAGED = [name for name in FORMATS if name != "wal_ros2"]
 
 
 def read(log):
-    """Return the stamps and rates of a log, and whether anything of it is told as lost.
-
-    That its last number may be cut, where nobody can tell, is told as well: by None.
-    """
+    """Return stamps and rates, and whether a loss is told; None: the last number may be cut."""
     try:
         with open_log(log) as opened:
             batches = list(choose_rates(opened, RateSelection()).batches())

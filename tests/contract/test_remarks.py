@@ -79,10 +79,7 @@ PEAK = integers(swinging(2000, 8000, 5.0, 0.4), 0.01)
 """Its rounded peaks are flat for many samples, and so are all its slow parts."""
 RATES = {
     "zero-rates": (in_memory(np.zeros((50, 3))), in_memory(with_value(np.zeros((50, 3)), 9, 1e-9))),
-    "beyond-range": (
-        in_memory(swinging(2000, peak=80)),
-        in_memory(swinging(2000, peak=60)),
-    ),
+    "beyond-range": (in_memory(swinging(2000, peak=80)), in_memory(swinging(2000, peak=60))),
     "frozen": (
         in_memory(np.tile([0.1, 0.2, 0.3], (200, 1))),
         in_memory(with_value(np.tile([0.1, 0.2, 0.3], (200, 1)), (7, 1), 0.2001)),
@@ -220,6 +217,7 @@ TIME = {
     ),
 }
 BACK_ON_THE_WAY = stamps(200) - (np.arange(200) > 90) * 115 * MS
+DROP = {"on_backwards": "drop"}
 LATE = stamps(20, first=2**63 - 200 * MS)
 IDENTITY = np.tile([1.0, 0, 0, 0], (200, 1))
 MESSAGES = {
@@ -241,16 +239,9 @@ MESSAGES = {
         of_messages(each=covered(0.0, 1e-6), options={"rate_field": "angular_velocity"}),
     ),
     "log-times-back": (
+        of_messages("log.bag", t_ns=BACK_ON_THE_WAY, recorded=BACK_ON_THE_WAY, options=DROP),
         of_messages(
-            "log.bag",
-            t_ns=BACK_ON_THE_WAY,
-            recorded=BACK_ON_THE_WAY,
-            options={"on_backwards": "drop"},
-        ),
-        of_messages(
-            "log.bag",
-            t_ns=BACK_ON_THE_WAY + 10 * MS * (np.arange(200) > 90),
-            options={"on_backwards": "drop"},
+            "log.bag", t_ns=BACK_ON_THE_WAY + 10 * MS * (np.arange(200) > 90), options=DROP
         ),
     ),
     "clamped-times": (
@@ -291,6 +282,8 @@ PX4 = ",".join([*(f"delta_angle[{k}]" for k in range(3)), "delta_angle_dt", "tim
 FIFO = "timestamp_sample,x[0],x[1],y[0],y[1],z[0],z[1],dt,scale,samples\n"
 ESTIMATED = ",".join(f"twist.twist.angular.{axis}" for axis in "xyz")
 MEASURED = ",".join(f"imu.angular_velocity.{axis}" for axis in "xyz")
+STAMP = "header.stamp.sec,header.stamp.nanosec"
+EPOCH_BESIDE = "device_time (s),epoch (ms),wx_rad_s,wy_rad_s,wz_rad_s\n"
 TWO_CLOCKS = "device_time (ms),server_time (s),wx_rad_s,wy_rad_s,wz_rad_s\n"
 TWO_SENSORS = TURNS + "".join(f"{k},{'ab'[k % 2]},0.1,0.2,{k}\n" for k in range(40))
 EVEN, MISSING = range(0, 60, 2), [k for k in range(60) if k % 10]
@@ -307,32 +300,12 @@ TABLES = {
         of_table(rows(30, "{k},39,8,{k},0,0,0\n", GCSV.format("XYZ")), "log.gcsv"),
     ),
     "ignored-signals": (
-        of_table(
-            rows(
-                30,
-                "{k},0,1,2,3,4,5,{k}\n",
-                f"header.stamp.sec,header.stamp.nanosec,{ESTIMATED},{MEASURED}\n",
-            )
-        ),
-        of_table(
-            rows(30, "{k},0,4,5,{k}\n", f"header.stamp.sec,header.stamp.nanosec,{MEASURED}\n")
-        ),
+        of_table(rows(30, "{k},0,1,2,3,4,5,{k}\n", f"{STAMP},{ESTIMATED},{MEASURED}\n")),
+        of_table(rows(30, "{k},0,4,5,{k}\n", f"{STAMP},{MEASURED}\n")),
     ),
     "clock-stands": (
-        of_table(
-            rows(
-                30,
-                "0,1{k:02},0.1,0.2,{k}\n",
-                "device_time (s),epoch (ms),wx_rad_s,wy_rad_s,wz_rad_s\n",
-            )
-        ),
-        of_table(
-            rows(
-                30,
-                "0.{k:03},1{k:02},0.1,0.2,{k}\n",
-                "device_time (s),epoch (ms),wx_rad_s,wy_rad_s,wz_rad_s\n",
-            )
-        ),
+        of_table(rows(30, "0,1{k:02},0.1,0.2,{k}\n", EPOCH_BESIDE)),
+        of_table(rows(30, "0.{k:03},1{k:02},0.1,0.2,{k}\n", EPOCH_BESIDE)),
     ),
     "clocks-differ": (
         of_table(rows(30, "{k},{k},0.1,0.2,0.{k}\n", TWO_CLOCKS)),
@@ -479,23 +452,14 @@ NAMED = re.compile(r"(\w+)=('[^']*'(?: or '[^']*')*)")
 """A setting and the values that a remark names."""
 TOO_LARGE = of_messages(rate=swinging(count=200, peak=500))
 IN_US = rows(30, "1700000000{k:02}0000,0.1,0.2,0.{k}\n", "t,wx_rad_s,wy_rad_s,wz_rad_s\n")
+OF_THE_TABLE = ("other-clock", "zero-stamps", "stated-mount", "clocks-differ", "counter-used",
+                "counter-unused", "index-gaps")  # fmt: skip
 REMEDIES = {
     "beyond-range": TOO_LARGE,
     "unit-by-steps": of_messages(rate=integers(swinging(count=200), 500 / 32768)),
     "rates-off-scale": of_messages(**oriented(SLOW_TURN, 1 / DEG)),
     "sample-rate": of_table(IN_US, time_unit="ns"),
-    **{
-        code: TABLE[code][0]
-        for code in (
-            "other-clock",
-            "zero-stamps",
-            "stated-mount",
-            "clocks-differ",
-            "counter-used",
-            "counter-unused",
-            "index-gaps",
-        )
-    },
+    **{code: TABLE[code][0] for code in OF_THE_TABLE},
 }
 """Logs whose remark names a setting that removes it."""
 

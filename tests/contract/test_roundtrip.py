@@ -38,10 +38,7 @@ def unit(random, count):
 
 
 def series(kind, rows=200):
-    """Return attitudes at awkward stamps: near 1.7e18 ns, one apart, repeated, from zero.
-
-    Negative ones where the format has them: ROS has not.
-    """
+    """Return attitudes at awkward stamps; negative ones where the format has them: ROS has not."""
     random = np.random.default_rng(5)
     t_ns = 1_700_000_000_123_456_789 + np.cumsum(random.integers(0, 3, rows))
     t_ns[:3] = [0, 1, 999_999_999]
@@ -68,10 +65,7 @@ def read(path):
 
 @pytest.mark.parametrize("kind", TIMED)
 def test_every_kind_that_is_written_can_be_read(tmp_path, kind):
-    """Nothing needs to be said: the content tells the kind, the names the layout.
-
-    There are enough rows for several blocks of every writer and reader.
-    """
+    """In several blocks: the content tells the kind, the names the layout."""
     given = series(kind, 70_000)
     t_ns, wxyz, _ = read(written(tmp_path, kind, None, given))
     assert t_ns.tolist() == given.t_ns.tolist()

@@ -14,12 +14,9 @@ from quatprop.containers.rosbag2.log import Rosbag2Log
 from quatprop.errors import QuatpropError
 
 AUK = [
-    "auk/auk_mcap_zstd",
-    "auk/auk_mcap_zstdfile",
-    "auk/auk_sqlite3",
-    "auk/auk_sqlite3_zstdfile",
-    "auk/auk_sqlite3_zstdmsg",
-]
+    "auk/auk_mcap_zstd", "auk/auk_mcap_zstdfile", "auk/auk_sqlite3",
+    "auk/auk_sqlite3_zstdfile", "auk/auk_sqlite3_zstdmsg",
+]  # fmt: skip
 RECORDINGS = {
     "auk/auk.bag": Rosbag1Log,
     "auk/auk_bz2.bag": Rosbag1Log,

@@ -4,12 +4,11 @@
 """
 
 import json
-import re
 
 import numpy as np
 import pyarrow.csv
 import pytest
-from make.commands import refused, run
+from make.commands import run
 from make.places import SHARED_LOGS
 
 from quatprop import compare, propagate, read_rates
@@ -35,15 +34,9 @@ ARRIVED = {
 """Recordings with stamps of the time at which samples arrived, of a clock that is steady."""
 
 AUK_FORMS = (
-    "auk.bag",
-    "auk_bz2.bag",
-    "auk_lz4.bag",
-    "auk_mcap_zstd",
-    "auk_mcap_zstdfile",
-    "auk_sqlite3",
-    "auk_sqlite3_zstdmsg",
-    "auk_sqlite3_zstdfile",
-)
+    "auk.bag", "auk_bz2.bag", "auk_lz4.bag", "auk_mcap_zstd", "auk_mcap_zstdfile",
+    "auk_sqlite3", "auk_sqlite3_zstdmsg", "auk_sqlite3_zstdfile",
+)  # fmt: skip
 
 
 def propagated(tmp_path, *arguments):
@@ -59,10 +52,7 @@ def propagated(tmp_path, *arguments):
 @pytest.mark.filterwarnings("ignore::quatprop.DataLossWarning")
 @pytest.mark.parametrize("name", EXPECTED or ["none"])
 def test_attitudes_agree_with_the_oracle(shared_logs, tmp_path, name):
-    """Samples and stamps are the same, the attitudes midway and at the end within 1e-12 rad.
-
-    Mean by the command line; the others of the rates that are read once.
-    """
+    """The stamps are the same, the attitudes midway and at the end within 1e-12 rad."""
     expected, options = EXPECTED[name], OPTIONS.get(name, {})
     words = [word for key, value in options.items() for word in (f"--{key}", value)]
     t_ns, mean = propagated(tmp_path, shared_logs / name, "--method", "mean", *words)
@@ -124,26 +114,3 @@ def test_the_forms_of_one_recording_give_the_same_bytes(shared_logs, tmp_path):
         propagated(tmp_path, shared_logs / "auk" / form)
         written.setdefault((tmp_path / "attitude.csv").read_bytes(), []).append(form)
     assert list(written.values()) == [list(AUK_FORMS)]
-
-
-def test_several_topics_are_refused_by_name(shared_logs, tmp_path):
-    """Two gyroscopes are ambiguous; the stamps of the derived one step back, first of 31 named."""
-    log, out = shared_logs / "two_imus" / "test1_2014_xsens.bag", tmp_path / "attitude.csv"
-    assert refused("propagate", log, "-o", out) == (
-        f"Error: {log}: several topics carry body rates: '/my_odometry2imu/imu_data', "
-        "'/xsens/imu_data'; choose one with --topic"
-    )
-    said = refused("propagate", log, "-t", "/my_odometry2imu/imu_data", "-o", out)
-    assert re.search(r"time steps back by .* at sample \d+ .* --on-backwards", said)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_nonsense_is_remarked_on(shared_logs, tmp_path):
-    """Rates of 131 rad/s, scaled once too often, and quaternions of length 196, unasked."""
-    log = shared_logs / "rosbag2" / "plotjuggler_rosbag2_test"
-    said = run("propagate", log, "-o", tmp_path / "a.csv", code=0).stderr
-    assert "warning: rates up to 133 rad/s are beyond any gyroscope" in said
-    assert "warning: every rate is the same" in said
-    assert "off unit length by up to 195" in said
-    shown = run("info", shared_logs / "nested_imu/kiran_11sec_motion", code=0).stdout
-    assert "times as far as its rates: were they scaled by pi/180 once too often?" in shown

@@ -6,6 +6,8 @@ from make.tables import write_rates
 from quatprop.batching.manifest import Manifest
 from quatprop.stores.transfers import put
 
+UP_TO_DATE = "nothing to do: its output is up to date\n"
+
 
 def batch(*arguments, **options):
     """Run `quatprop batch` with one process unless more are asked for."""

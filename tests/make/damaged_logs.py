@@ -23,51 +23,19 @@ EXTREMES = [
 """Lengths, counts and offsets that nobody should believe."""
 
 TOKENS = [
-    b"nan",
-    b"-inf",
-    b"1e999",
-    b"1e-400",
-    b"9" * 40,
-    b"-0",
-    b'"',
-    b",,,,",
-    b"\r",
-    b"\nnull\n",
-    b"\n[1, 2]\n3\n",
-    b"CREATE TABLE x(y)",
-    b"\n",
-    b"\0",
-    b"\x1b[2J\x1b]0;x\x07",
-    b"\xff\xfe",
-    b"\xef\xbb\xbf",
-    b"[4294967295]",
-    b"[18446744073709551616]",
-    b"[]",
-    b"<=4294967295",
-    b"float64[1000000000] x\n",
-    b"wstring s\n",
-    b"string s\n",
-    b"geometry_msgs/Vector3",
-    b"sensor_msgs/Imu x\n",
-    b"MSG: std_msgs/Header\n",
-    b"../../../etc/passwd",
-    b"/dev/zero",
-    b"!!python/object:os.system x",
-    b"&a [*a, *a]",
-    b"- ",
-    b": ",
-    b"2262-04-12T00:00:00Z",
-    b"-9223372036854775808",
-    b"18446744073709551615",
-]
+    b"nan", b"-inf", b"1e999", b"1e-400", b"9" * 40, b"-0", b'"', b",,,,", b"\r", b"\nnull\n",
+    b"\n[1, 2]\n3\n", b"CREATE TABLE x(y)", b"\n", b"\0", b"\x1b[2J\x1b]0;x\x07", b"\xff\xfe",
+    b"\xef\xbb\xbf", b"[4294967295]", b"[18446744073709551616]", b"[]", b"<=4294967295",
+    b"float64[1000000000] x\n", b"wstring s\n", b"string s\n", b"geometry_msgs/Vector3",
+    b"sensor_msgs/Imu x\n", b"MSG: std_msgs/Header\n", b"../../../etc/passwd", b"/dev/zero",
+    b"!!python/object:os.system x", b"&a [*a, *a]", b"- ", b": ", b"2262-04-12T00:00:00Z",
+    b"-9223372036854775808", b"18446744073709551615",
+]  # fmt: skip
 """Texts that mean something to one format or another."""
 
 
 def write_logs(folder):
-    """Write an intact log of every kind into a folder; return their names, sorted.
-
-    A folder among them is a ROS 2 bag.
-    """
+    """Write an intact log of every kind, ROS 2 bags too; return their names, sorted."""
     write_all(folder)
     for name in ("spin.csv", "coning.mcap", "tumbling.bag", "rest.parquet"):
         shutil.copy(SAMPLE_LOGS / name, folder)
@@ -163,20 +131,9 @@ def _zero(data, rng):
 
 
 DAMAGES = (
-    _flip,
-    _randomise,
-    _truncate,
-    _overwrite,
-    _overwrite,
-    _overwrite_length,
-    _overwrite_length,
-    _write_token,
-    _write_token,
-    _remove,
-    _repeat,
-    _exchange,
-    _zero,
-)
+    _flip, _randomise, _truncate, _overwrite, _overwrite, _overwrite_length, _overwrite_length,
+    _write_token, _write_token, _remove, _repeat, _exchange, _zero,
+)  # fmt: skip
 
 
 PAGE = 4096
@@ -236,14 +193,9 @@ def _edit_schema(data, rng, _begin, _step):
 
 
 PAGE_DAMAGES = (
-    _edit_page_head,
-    _edit_page_head,
-    _edit_frame,
-    _remove_page,
-    _exchange_pages,
-    _truncate_pages,
-    _edit_schema,
-)
+    _edit_page_head, _edit_page_head, _edit_frame, _remove_page, _exchange_pages,
+    _truncate_pages, _edit_schema,
+)  # fmt: skip
 
 
 def _damaged_file(file, rng):
@@ -253,15 +205,7 @@ def _damaged_file(file, rng):
 
 
 class DamagedLog(NamedTuple):
-    """A damaged log.
-
-    Parameters
-    ----------
-    path
-        Where it is.
-    origins
-        Names of the intact logs whose samples were in it.
-    """
+    """Where a damaged log is, and the names of the intact logs whose samples were in it."""
 
     path: Path
     origins: tuple[str, ...]

@@ -21,7 +21,7 @@ from make import ulog
 from make.json_messages import imu as json_imu
 from make.mcap import BARE, Topic, write_topics
 from make.protobuf import FOXGLOVE, described, made, stamp_file
-from make.ros import ROS1, ROS2
+from make.ros import IMU, ROS1, ROS2, encoded
 from mcap.writer import CompressionType
 from pyarrow import feather, parquet
 from rosbags.rosbag1 import Writer as BagWriter
@@ -32,7 +32,6 @@ from scipy.io import savemat
 from quatprop.containers.ulog_records import SYNC
 from quatprop.series import GyroSeries
 
-IMU = "sensor_msgs/msg/Imu"
 NS = 1_000_000_000
 SAMPLES = 200
 """Samples of a small log: damage meets its structure more often than its numbers."""
@@ -55,24 +54,14 @@ def samples(count=SAMPLES, first=0):
 
 def imus(store, series):
     """Yield log time, and message, of samples; each is logged as it is stamped."""
-    types, nothing = store.types, np.zeros(9)
-    vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
     for k, (t_ns, rate) in enumerate(zip(series.t_ns.tolist(), series.rate.tolist(), strict=True)):
-        message = types[IMU](
-            header=types["std_msgs/msg/Header"](
-                stamp=types["builtin_interfaces/msg/Time"](*divmod(t_ns, NS)),
-                frame_id=FRAME,
-                **({"seq": k} if store is ROS1 else {}),
-            ),
-            orientation=quaternion(0.0, 0.0, 0.0, 1.0),
-            orientation_covariance=nothing,
-            angular_velocity=vector(*rate),
-            angular_velocity_covariance=nothing,
-            linear_acceleration=vector(0.0, 0.0, 9.81),
-            linear_acceleration_covariance=nothing,
-        )
-        pack = store.serialize_ros1 if store is ROS1 else store.serialize_cdr
-        yield t_ns, bytes(pack(message, IMU))
+        values = {
+            "header": {"seq": k, "stamp": t_ns, "frame_id": FRAME},
+            "orientation": (0.0, 0.0, 0.0, 1.0),
+            "angular_velocity": rate,
+            "linear_acceleration": (0.0, 0.0, 9.81),
+        }
+        yield t_ns, encoded(store, IMU, values)
 
 
 def ros_topic(series):

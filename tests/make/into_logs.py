@@ -1,8 +1,7 @@
 """Logs to add attitudes to: rates beside other things, in the libraries' own writers."""
 
-import numpy as np
 from make.mcap import Topic, build
-from make.ros import ROS1, ROS2
+from make.ros import IMU, ROS1, ROS2, encoded
 from mcap.writer import CompressionType
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import Writer as Rosbag2Writer
@@ -10,29 +9,24 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 START = 1_700_000_000_000_000_000
 BOOT = 5_000_000_000
 """The stamps count from when the recorder was switched on; log times do not."""
-IMU = "sensor_msgs/msg/Imu"
+HEADER = "std_msgs/msg/Header"
 RATE = 0.25
 
 
-def imu_message(store, stamp, ros1=False):
+def imu_message(store, stamp):
     """Return an encoded message of a body that turns about z."""
-    types = store.types
-    vector = types["geometry_msgs/msg/Vector3"]
-    nothing = np.zeros(9)
-    message = types[IMU](
-        header=types["std_msgs/msg/Header"](
-            stamp=types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9),
-            frame_id="imu",
-            **({"seq": 0} if ros1 else {}),
-        ),
-        orientation=types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.6, 0.8),
-        orientation_covariance=nothing,
-        angular_velocity=vector(0.0, 0.0, RATE),
-        angular_velocity_covariance=nothing,
-        linear_acceleration=vector(0.0, 0.0, 9.81),
-        linear_acceleration_covariance=nothing,
-    )
-    return bytes(store.serialize_ros1(message, IMU) if ros1 else store.serialize_cdr(message, IMU))
+    values = {
+        "header": {"stamp": stamp, "frame_id": "imu"},
+        "orientation": (0.0, 0.0, 0.6, 0.8),
+        "angular_velocity": (0.0, 0.0, RATE),
+        "linear_acceleration": (0.0, 0.0, 9.81),
+    }
+    return encoded(store, IMU, values)
+
+
+def shutter_message(store, k):
+    """Return an encoded header, of a camera's shutter."""
+    return encoded(store, HEADER, {"seq": k, "stamp": k, "frame_id": "x" * 50})
 
 
 def moments(count, start=0):
@@ -57,7 +51,7 @@ def write_mcap(path, count=300, profile="ros2", start=0, times=None, **options):
     def events():
         yield lambda writer: writer.add_metadata("vehicle", {"name": "truck"})
         for k, (stamp, logged) in enumerate(times or moments(count, start)):
-            yield 0, logged, imu_message(store, stamp, ros1), logged + 1
+            yield 0, logged, imu_message(store, stamp), logged + 1
             if k % 10 == 0:
                 yield 1, logged, bytes([k % 256]) * 500
             if k == count // 2:
@@ -79,17 +73,12 @@ def write_bag(path, count=300, compression=None, chunk_size=4000, times=None):
         writer.set_compression(compression)
     with writer:
         imu = writer.add_connection("/imu", IMU, typestore=store)
-        shutter = writer.add_connection(
-            "/shutter", "std_msgs/msg/Header", typestore=store, callerid="/camera", latching=1
-        )
+        camera = {"callerid": "/camera", "latching": 1}
+        shutter = writer.add_connection("/shutter", HEADER, typestore=store, **camera)
         for k, (stamp, logged) in enumerate(times or moments(count)):
-            writer.write(imu, logged, imu_message(store, stamp, ros1=True))
+            writer.write(imu, logged, imu_message(store, stamp))
             if k % 10 == 0:
-                header = store.types["std_msgs/msg/Header"]
-                time = store.types["builtin_interfaces/msg/Time"](0, k)
-                message = header(seq=k, stamp=time, frame_id="x" * 50)
-                data = store.serialize_ros1(message, "std_msgs/msg/Header")
-                writer.write(shutter, logged, data)
+                writer.write(shutter, logged, shutter_message(store, k))
     return path
 
 
@@ -98,12 +87,10 @@ def write_rosbag2(path, storage, count=300, version=9):
     store = ROS2
     with Rosbag2Writer(path, version=version, storage_plugin=storage) as writer:
         imu = writer.add_connection("/imu", IMU, typestore=store)
-        shutter = writer.add_connection("/shutter", "std_msgs/msg/Header", typestore=store)
+        shutter = writer.add_connection("/shutter", HEADER, typestore=store)
         for k, (stamp, logged) in enumerate(moments(count)):
             writer.write(imu, logged, imu_message(store, stamp))
             if k % 10 == 0:
-                time = store.types["builtin_interfaces/msg/Time"](0, k)
-                header = store.types["std_msgs/msg/Header"](stamp=time, frame_id="x" * 50)
-                writer.write(shutter, logged, store.serialize_cdr(header, "std_msgs/msg/Header"))
+                writer.write(shutter, logged, shutter_message(store, k))
     (path / "note.txt").write_text("first flight")
     return path

@@ -5,6 +5,7 @@ from fractions import Fraction
 import numpy as np
 
 from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotate
+from quatprop.series import GyroSeries
 from quatprop.simulation.motion import Shape, motion_named
 
 SECOND = 1_000_000_000
@@ -43,3 +44,23 @@ def simulated(motion, frame, count, interval_ns):
     shape = Shape(Fraction(1, 4), axis=(1.0, 2.0, 3.0), angle=Fraction(40), walk=1.0)
     rate, wxyz = motion_named(motion, shape)(t_ns)
     return t_ns, rate if frame == "body" else rotate(wxyz, rate)
+
+
+def rotor_samples(kind, t_ns):
+    """Return what a gyroscope on the rotor gives: rates in a frame, or averages or increments.
+
+    Those are exact: differences of the integral of the body rate. The first is about time before
+    the log; whatever it is, no result may depend on it.
+    """
+    if kind in FRAMES:
+        return GyroSeries(t_ns, rotor(t_ns / 1e9, kind)[1])
+    rate = np.diff(_rotor_integral(t_ns / 1e9), axis=0) / (np.diff(t_ns) / 1e9)[:, None]
+    rate = np.vstack([[9.0, -9.0, 9.0], rate])
+    spans = np.diff(t_ns, prepend=2 * t_ns[0] - t_ns[1]) if kind == "increments" else None
+    return GyroSeries(t_ns, rate, spans, kind == "averages")
+
+
+def _rotor_integral(t_s, spin=4.1, precession=1.22, tilt=1.2):
+    across = precession * np.sin(tilt) / spin
+    along = spin + precession * np.cos(tilt)
+    return np.stack([-across * np.cos(spin * t_s), across * np.sin(spin * t_s), along * t_s], 1)

@@ -238,12 +238,8 @@ def covered(*first):
     """Return what gives messages a covariance of the rates that begins with these numbers."""
 
     def each(k, topic, kind, at, values):
-        return (
-            topic,
-            kind,
-            at,
-            values | {"angular_velocity_covariance": [first[k % len(first)]] * 9},
-        )
+        covariance = [first[k % len(first)]] * 9
+        return topic, kind, at, values | {"angular_velocity_covariance": covariance}
 
     return each
 
@@ -268,18 +264,10 @@ def outer_stamps(first):
         store.register(
             get_types_from_msg("std_msgs/Header header\nsensor_msgs/Imu imu\n", "p/msg/Motion")
         )
-        at = stamps(20).tolist()
-        messages = [
-            (
-                "/imu",
-                "p/msg/Motion",
-                t,
-                {"header": {"stamp": t}, "imu": {"header": {"stamp": own}, "angular_velocity": w}},
-            )
-            for t, own, w in zip(
-                at, with_value(stamps(20), slice(0, first), 0).tolist(), TWENTY, strict=True
-            )
-        ]
+        messages, inner = [], with_value(stamps(20), slice(0, first), 0).tolist()
+        for at, own, rate in zip(stamps(20).tolist(), inner, TWENTY, strict=True):
+            imu = {"header": {"stamp": own}, "angular_velocity": rate}
+            messages.append(("/imu", "p/msg/Motion", at, {"header": {"stamp": at}, "imu": imu}))
         return rates_of(write_messages(folder / "log.mcap", messages, types=(ROS1, store)))
 
     return made

@@ -41,6 +41,13 @@ def _value(store, form, given):
     return np.zeros(count, kind[0]) if given is None else np.asarray(given, kind[0])
 
 
+def encoded(store, kind, values=()):
+    """Return the bytes of a message, in the encoding of the types: that of ROS 1 or of ROS 2."""
+    is_ros1 = store.fielddefs["std_msgs/msg/Header"][1][0][0] == "seq"
+    serialize = store.serialize_ros1 if is_ros1 else store.serialize_cdr
+    return bytes(serialize(message(store, kind, values), kind))
+
+
 def write_messages(path, messages, types=(ROS1, ROS2), published_ns=0):
     """Write ``(topic, type, log time in ns, values)``, in order; return the path.
 
@@ -54,22 +61,16 @@ def write_messages(path, messages, types=(ROS1, ROS2), published_ns=0):
             if topic not in channels:
                 text, _ = store.generate_msgdef(kind, ros_version=2)
                 channels[topic] = Topic(kind, (), text.encode(), "ros2msg", "cdr")
-            data = bytes(store.serialize_cdr(message(store, kind, values), kind))
+            data = encoded(store, kind, values)
             events.append((list(channels).index(topic), at, data, at + published_ns))
         path.write_bytes(build(channels.items(), events, profile="ros2", chunk_size=8000))
         return path
-    ros1 = store is types[0]
-    writer = (
-        Rosbag1Writer(path)
-        if ros1
-        else Rosbag2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
-    )
-    serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
-    with writer:
+    of_ros2 = {"version": 9, "storage_plugin": StoragePlugin.SQLITE3}
+    with Rosbag1Writer(path) if store is types[0] else Rosbag2Writer(path, **of_ros2) as writer:
         for topic, kind, at, values in messages:
             if topic not in channels:
                 channels[topic] = writer.add_connection(topic, kind, typestore=store)
-            writer.write(channels[topic], at, bytes(serialize(message(store, kind, values), kind)))
+            writer.write(channels[topic], at, encoded(store, kind, values))
     return path
 
 

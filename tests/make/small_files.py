@@ -7,18 +7,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from make.commands import run
-from make.into_logs import IMU, imu_message, moments
-from make.mcap import Topic, write_topics
 from make.places import SAMPLE_LOGS
-from make.ros import ROS1
+from make.ros import imu_messages, write_messages
 from make.tables import write_attitudes, write_rates
-from mcap.reader import make_reader
-from rosbags.rosbag1 import Writer
 
 EUROC = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]"
 QUATERNION = "t_ns,qw,qx,qy,qz"
 ATTITUDES = f"{QUATERNION}\n1,1,0,0,0\n2,0.8,0.6,0,0\n"
 EPOCH_NS = 1_700_000_000_000_000_000
+TOPICS = ("/one", "/two")
 
 TEXTS = {
     "nan.csv": "t_ns,wx,wy,wz\n0,0,0,nan\n1000000,0,0,1\n",
@@ -47,24 +44,6 @@ TEXTS = {
 }
 
 
-def _two_topics(path, log):
-    """Write the messages of a log on two topics."""
-    with log.open("rb") as stream:
-        read = list(make_reader(stream).iter_messages())
-    schema, messages = read[0][0], [message.data for _, _, message in read]
-    topic = Topic(schema.name, messages, schema.data, schema.encoding, "cdr")
-    write_topics(path, {"/one": topic, "/two": topic})
-
-
-def _two_gyroscopes(path):
-    """Write a ROS 1 bag."""
-    with Writer(path) as writer:
-        for topic in ("/cam/imu", "/imu_raw"):
-            connection = writer.add_connection(topic, IMU, typestore=ROS1)
-            for stamp, logged in moments(3):
-                writer.write(connection, logged, imu_message(ROS1, stamp, ros1=True))
-
-
 def write_small_files(folder):
     """Write all of them into a folder; return it."""
     for name, first_ns in (("log.csv", 0), ("epoch.csv", EPOCH_NS)):
@@ -78,10 +57,13 @@ def write_small_files(folder):
     (folder / "folder.csv").mkdir()
     (folder / "link.csv").symlink_to("q.csv")
     shutil.copytree(SAMPLE_LOGS / "tumbling_ros2", folder / "bag")
-    _two_gyroscopes(folder / "gyros.bag")
+    names = ("/cam/imu", "/imu_raw")
+    rates = [(name, *one[1:]) for name in names for one in imu_messages(range(3))]
+    write_messages(folder / "gyros.bag", rates)
+    kind, values = "geometry_msgs/msg/QuaternionStamped", {"quaternion": (0.0, 0.0, 0.0, 1.0)}
+    turns = [(name, kind, k, {"header": {"stamp": k}, **values}) for k in (1, 2) for name in TOPICS]
+    write_messages(folder / "two.mcap", turns)
     run("convert", folder / "q.csv", folder / "jpl.parquet", "--convention", "jpl", code=0)
-    run("convert", folder / "q.csv", folder / "one.mcap", code=0)
-    _two_topics(folder / "two.mcap", folder / "one.mcap")
     said = json.dumps({"convention": {"layout": "scalar-first"}})
     for name, columns, metadata in (
         ("swapped.parquet", ("qx", "qy", "qz", "qw"), said),

@@ -148,15 +148,21 @@ def test_pytest_refuses_a_suite_that_is_not_there(mixed):
     assert f"--quatprop-suite: {name}: no such file; check the path" in told
 
 
-def test_pytest_refuses_a_suite_of_which_nothing_is_collected(mixed):
-    """Ignored, with a misspelt name in the configuration, or without cases, it passed."""
-    told = run_pytest(
-        mixed,
-        "--quatprop-suite=suite.toml",
-        "--ignore=suite.toml",
-        code=pytest.ExitCode.USAGE_ERROR,
-    )
+@pytest.mark.parametrize("workers", [0, 1])
+def test_pytest_fails_where_no_case_of_a_suite_is_collected(mixed, workers):
+    """Ignored, its cases were missing from JUnit; under xdist, it was an internal error."""
+    ignored = ["--quatprop-suite=suite.toml", "--ignore=suite.toml", "-k", "spinning"]
+    xdist = ["-p", "xdist", f"-n{workers}", "--junit-xml=junit.xml"]
+    told = run_pytest(mixed, *ignored, *xdist, code=pytest.ExitCode.TESTS_FAILED)
+    assert "1 failed, 1 passed" in told
     assert "suite.toml: none of its cases was collected; is it ignored by an option" in told
+    (failure,) = ET.parse(mixed / "junit.xml").iter("failure")  # noqa: S314  # our own file
+    assert "none of its cases was collected" in failure.get("message")
+    assert "deselected" not in told.replace("1 deselected", "")
+
+
+def test_pytest_refuses_a_suite_without_cases(mixed):
+    """With a misspelt name in the configuration, or without cases, it passed."""
     (mixed / "pytest.ini").write_text("[pytest]\naddopts = --quatprop-suite=ci/siute.toml\n")
     told = run_pytest(mixed, "test_other.py", code=pytest.ExitCode.USAGE_ERROR)
     assert "siute.toml: no such file; check the path" in told
@@ -168,10 +174,16 @@ def test_pytest_refuses_a_suite_of_which_nothing_is_collected(mixed):
     assert "it has no cases" in told
 
 
-def test_pytest_says_if_every_case_is_deselected(mixed):
-    """-k and -m choose among all tests; cases are marked."""
-    told = run_pytest(mixed, "--quatprop-suite=suite.toml", "-k", "spinning")
+@pytest.mark.parametrize("workers", [0, 1])
+def test_pytest_says_if_every_case_is_deselected(mixed, workers):
+    """Under xdist, of which workers alone know it, nothing was said."""
+    xdist = ["-p", "xdist", f"-n{workers}"]
+    told = run_pytest(mixed, "--quatprop-suite=suite.toml", "-k", "spinning", *xdist)
     assert f"quatprop: every case of {mixed.resolve() / 'suite.toml'} was deselected" in told
+
+
+def test_cases_are_marked(mixed):
+    """-m chooses among all tests."""
     told = run_pytest(mixed, "--quatprop-suite=suite.toml", "-m", "quatprop", code=1)
     assert "2 failed, 1 passed, 1 deselected" in told
 

@@ -39,9 +39,7 @@ DEG_S = {"xio3"}
 
 @pytest.mark.parametrize("name", TRUTHS)
 def test_criteria_tell_regressions_from_the_errors_of_a_recording(shared_logs, tmp_path, name):
-    """At 1.2 times the errors of today, it passes; two of a bias of 0.02 rad/s, a wrong side, a
-    conjugate and a scale error of 5 % fail.
-    """
+    """At 1.2 times the errors of today it passes; with each of two mistakes it fails."""
     (tmp_path / "scale.yaml").write_text("matrix: [[1.05, 0, 0], [0, 1.05, 0], [0, 0, 1.05]]\n")
     log, reference, align, errors = TRUTHS[name]
     key, folder = ("topic", "") if reference.startswith("/") else ("log", f"{shared_logs}/")

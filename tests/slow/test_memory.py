@@ -34,10 +34,7 @@ def folder(tmp_path_factory):
     ids=["rates", "attitudes", "covariances"],
 )
 def test_a_long_series_is_not_held_twice(folder, work):
-    """All blocks were kept until they were joined: twice what is returned, and what is read.
-
-    An eighth is room to grow, and of a million rows what is being read is nearly a half.
-    """
+    """All blocks were kept until they were joined: twice what is returned, and what is read."""
     tracemalloc.start()
     series = work(folder)
     _, most = tracemalloc.get_traced_memory()

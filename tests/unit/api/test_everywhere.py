@@ -5,12 +5,11 @@ import pickle
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
 import pytest
 from make.places import SAMPLE_LOGS
 
 import quatprop
-from quatprop import AttitudeSeries, GyroSeries, errors
+from quatprop import AttitudeSeries, errors
 
 BAG = SAMPLE_LOGS / "tumbling.bag"
 TRUTH = SAMPLE_LOGS / "tumbling.truth.csv"
@@ -83,36 +82,7 @@ def test_a_warning_is_about_the_line_that_calls(files, name):
     assert {one.filename for one in caught} == {__file__}
 
 
-STILL = AttitudeSeries([0, 10**9], [[1, 0, 0, 0]] * 2)
-SPIN = GyroSeries(np.arange(9) * 10**8, [[0, 0, 1]] * 9)
-FAILING = {
-    "read_rates": lambda: quatprop.read_rates(SAMPLE_LOGS / "spin.truth.csv"),
-    "read_attitudes": lambda: quatprop.read_attitudes(SAMPLE_LOGS / "spin.csv"),
-    "propagate": lambda: quatprop.propagate(SPIN, max_gap="1ms", on_gap="error"),
-    "compare": lambda: quatprop.compare(STILL, AttitudeSeries([5, 6], STILL.wxyz)),
-    "convert": lambda: quatprop.convert(SAMPLE_LOGS / "spin.csv", "a.csv"),
-    "write": lambda: quatprop.write(STILL, "a.unknown"),
-    "info": lambda: quatprop.info(SAMPLE_LOGS / "spin.csv", time_col="t", sample_rate=3),
-    "plot": lambda: quatprop.plot(STILL, SPIN),
-    "simulate": lambda: quatprop.simulate(motion="rest", frequency=3),
-    "batch": lambda: quatprop.batch(SAMPLE_LOGS, "a", verify=True),
-}
-"""Function -> a call that fails."""
-
-
-@pytest.mark.parametrize("name", FAILING)
-def test_a_way_out_is_a_keyword(name, tmp_path, monkeypatch):
-    """In Python there are no options."""
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(quatprop.QuatpropError) as caught:
-        FAILING[name]()
-    assert " --" not in str(caught.value)
-    assert "quatprop " not in str(caught.value)
-    assert ";" in str(caught.value) or "requires" in str(caught.value)
-
-
 def test_no_function_is_left_out():
     """Of what is exported."""
     functions = {name for name in quatprop.__all__ if inspect.isfunction(getattr(quatprop, name))}
-    assert functions == FAILING.keys()
     assert functions - LOSING.keys() == {"info", "simulate", "batch"}

@@ -5,24 +5,14 @@ import re
 import warnings
 
 import numpy as np
-import pytest
 from make.commands import run
 from make.places import SAMPLE_LOGS
 from matplotlib.figure import Figure
 
 import quatprop
-from quatprop.errors import QuatpropError, UsageError
 
 BAG, TRUTH = SAMPLE_LOGS / "tumbling.bag", SAMPLE_LOGS / "tumbling.truth.csv"
 RATES = quatprop.read_rates(BAG)
-
-
-def test_functions_stay_functions_when_what_they_use_is_imported(tmp_path):
-    """A package of the same name took their place once it was imported."""
-    quatprop.plot(BAG, output=tmp_path / "a.svg")
-    quatprop.simulate(samples=3)
-    quatprop.info(BAG)
-    assert all(callable(getattr(quatprop, name)) for name in ("plot", "simulate", "info"))
 
 
 def test_info_has_what_the_command_prints(tmp_path):
@@ -49,22 +39,6 @@ def test_simulate_gives_what_the_command_writes(tmp_path):
     assert truth == quatprop.read_attitudes(tmp_path / "a.truth.parquet")
 
 
-@pytest.mark.parametrize(
-    ("options", "reason"),
-    [
-        ({"axis": "1,0,0", "motion": "rest"}, "axis requires motion='spin'"),
-        ({"samples": 3, "duration": "1s"}, "samples and duration exclude each other"),
-        ({"noise": -1}, "noise: '-1' is below 0"),
-        ({"start": "+5s"}, "start: '+5s' is not a time"),
-        ({"bais": 1}, "there is no setting 'bais'; did you mean 'bias'"),
-    ],
-)
-def test_simulations_that_make_no_sense_are_refused(options, reason):
-    """In the words of Python."""
-    with pytest.raises(UsageError, match=reason.replace("+", r"\+")):
-        quatprop.simulate(**options)
-
-
 def test_plot_draws_what_the_command_draws(tmp_path):
     """The same lines."""
     for words, options in (
@@ -80,12 +54,6 @@ def test_plot_draws_what_the_command_draws(tmp_path):
         warnings.simplefilter("error")
         quatprop.plot(TRUTH, TRUTH, output=tmp_path / "errors.png", reference=TRUTH)
     assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_a_plot_refuses_what_does_not_go_together(tmp_path):
-    """As the command does."""
-    with pytest.raises(UsageError, match="cannot be combined with"):
-        quatprop.plot(TRUTH, output=tmp_path / "a.png", components=True, unwrap=True)
 
 
 def test_a_plot_takes_and_returns_axes():
@@ -108,26 +76,6 @@ def test_a_plot_takes_and_returns_axes():
     assert ax.get_xlabel() == "time since 2023-11-14 22:13:20 UTC, s"
 
 
-@pytest.mark.parametrize(
-    ("sources", "options", "reason"),
-    [
-        ([], {}, "nothing to draw"),
-        ([TRUTH, "a.png"], {}, "output='a.png'"),
-        ([RATES], {"topic": "/imu"}, "topic is for files"),
-        ([RATES], {"output": "a.png"}, "figure.savefig"),
-        ([TRUTH], {"output": "a.png", "reference": quatprop.propagate(RATES)}, "figure.savefig"),
-        ([RATES], {"unwrap": True}, "series 1 has no attitude to show"),
-        ([RATES[:0]], {}, "series 1 has no rows"),
-        ([RATES], {"reference": TRUTH}, "Expected attitudes"),
-        ([np.eye(3)], {}, "make a series from arrays"),
-    ],
-)
-def test_what_cannot_be_drawn_is_refused(sources, options, reason):
-    """In a sentence that says what can."""
-    with pytest.raises(QuatpropError, match=reason):
-        quatprop.plot(*sources, **options)
-
-
 def test_a_batch_is_that_of_the_command(tmp_path):
     """Only a process could run one; here its manifest comes back, and sentences name keywords."""
     logs, out = [BAG, SAMPLE_LOGS / "coning.mcap", TRUTH], tmp_path / "out"
@@ -140,42 +88,3 @@ def test_a_batch_is_that_of_the_command(tmp_path):
     words = ("--method", "coning", "--to", "csv", "-o", out, "--skip-existing")
     assert "nothing to do" in run("batch", *logs[:2], *words).stderr
     assert quatprop.batch(logs[:2], out, method="coning", to="csv", skip_existing=True) == []
-
-
-@pytest.mark.parametrize(
-    ("options", "reason"),
-    [
-        ({"at": [1, 2]}, "at of batch.. is a file"),
-        ({"verify": True}, "verify requires skip_existing"),
-        ({"shard": "3/2"}, "'3/2' is not I/N"),
-        ({"to": "doc"}, "no output kind 'doc'"),
-        ({"methods": "end"}, "did you mean 'method'"),
-        ({"logs": []}, "is not a path"),
-    ],
-)
-def test_a_batch_that_makes_no_sense_is_refused(tmp_path, options, reason):
-    """Before anything is done."""
-    out = tmp_path / "out"
-    with pytest.raises(QuatpropError, match=reason):
-        quatprop.batch(**{"logs": BAG, "output": out, **options})
-    assert not out.exists()
-
-
-def test_a_report_is_short_when_shown():
-    """It filled pages of a notebook."""
-    report = quatprop.propagate(BAG).report
-    assert repr(report) == "<RunReport: 1,000 attitudes of 1,000 samples by method start>"
-
-
-def test_warnings_point_at_the_line_of_the_user(tmp_path):
-    """Of every function: not at a line of the library."""
-    gappy = tmp_path / "gappy.csv"
-    times = [*range(100), *range(500, 600)]
-    gappy.write_text("t_ns,wx,wy,wz\n" + "".join(f"{k}000000,0,0.5,{k % 9}\n" for k in times))
-    for call in (
-        lambda: quatprop.propagate(gappy, rate_unit="rad/s"),
-        lambda: quatprop.plot(gappy, output=tmp_path / "a.png", rate_unit="rad/s"),
-    ):
-        with pytest.warns(quatprop.RemarkWarning) as caught:
-            call()
-        assert {one.filename for one in caught} == {__file__}

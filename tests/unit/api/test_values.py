@@ -1,7 +1,5 @@
 """Where the command line takes a file, the library takes what a program has, too."""
 
-from datetime import UTC, datetime
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,7 +7,6 @@ from scipy.spatial.transform import Rotation
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
-from quatprop.errors import QuatpropError
 
 MS = 1_000_000
 LOG = quatprop.read_rates("sample_logs/tumbling.bag")
@@ -66,20 +63,3 @@ def test_the_bias_is_a_series():
     np.testing.assert_allclose(
         quatprop.propagate(LOG, bias=growing).wxyz, expected.wxyz, atol=1e-13
     )
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ({"q0": LOG}, "q0: GyroSeries has no attitudes"),
-        ({"bias": AttitudeSeries([0], [[1, 0, 0, 0]])}, "a series of biases is a GyroSeries"),
-        ({"at": [0.5]}, "Expected `at` to be int64 nanoseconds or dates"),
-        ({"at": datetime(2020, 1, 1, tzinfo=UTC)}, "is not a path"),
-        ({"q0": AttitudeSeries([0], [[1, 0, 0, 0]])}, "q0: its last attitude is"),
-    ],
-)
-def test_what_does_not_fit_is_refused(options, sentence):
-    """With the name of the keyword."""
-    with pytest.raises(QuatpropError) as caught:
-        quatprop.propagate(LOG, **options)
-    assert sentence in str(caught.value)

@@ -231,11 +231,6 @@ def test_a_folder_is_one_dataset_or_files(made, logs, tmp_path):
     assert " has other columns than other logs in it; propagate all" in refused("batch", *again)
     batch(logs, "-o", out, *DATASET, "--with", "rotvec", code=0)
     assert "rotvec_x_rad" in pyarrow.dataset.dataset(out).schema.names
-    assert refused("batch", logs, "-o", out, "--buckets", "3").startswith(
-        "Error: --buckets requires"
-    )
-    words = refused("batch", logs, "-o", tmp_path / "x", "--dataset", "--to", "csv")
-    assert words == "Error: --dataset is Parquet; omit --to csv"
 
 
 def test_a_shard_has_whole_files():

@@ -198,25 +198,3 @@ def test_one_log_of_a_folder_is_not_taken_for_all(tmp_path, command):
         f"Error: {tmp_path / 'in'}: the folder holds several logs: 'a.csv', 'b.mcap', 'c'; "
         "name one, or use quatprop batch"
     )
-
-
-def test_wrong_usage_is_one_sentence(tmp_path, monkeypatch):
-    """What cannot be is refused before any log is read or written."""
-    monkeypatch.chdir(tmp_path)
-    spin(tmp_path / "a.csv")
-    spin(tmp_path / "b.csv")
-    (tmp_path / "empty").mkdir()
-    for arguments, sentence in (
-        ("- -o out", "stdin is one log; give it to quatprop propagate"),
-        ("a.csv -o out -j 2 --dask tcp://x:1", "-j is for this machine; omit it with"),
-        ("a.csv -o out --verify", "--verify requires --skip-existing"),
-        ("a.csv -o out --heading 5", "--heading requires --q0 level"),
-        ("a.csv -o a.csv", "-o a.csv is a file; name a folder for the outputs"),
-        (". -o .", "outputs in '.' would lie among the logs; choose --output"),
-        ("a.csv -o . --to csv", "this is an input of the run; choose another output"),
-        (". -o out --sigma", "--sigma needs the errors of the gyroscope; give"),
-        ("-o out", "there are no logs; name files, folders or patterns"),
-        ("empty -o out", "there are no logs in 'empty'; name files"),
-    ):
-        assert sentence in refused("batch", *arguments.split())
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv", "b.csv", "empty"]

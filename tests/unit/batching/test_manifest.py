@@ -8,14 +8,12 @@ import subprocess
 import sys
 
 import pytest
-from make.batches import batch, entries, outputs_in, said, spin
+from make.batches import UP_TO_DATE, batch, entries, outputs_in, said, spin
 from make.commands import refused
 
 from quatprop.batching import execution
 from quatprop.batching.entries import ManifestEntry, json_line
 from quatprop.batching.manifest import Manifest
-
-UP_TO_DATE = "nothing to do: its output is up to date\n"
 
 
 def test_the_manifest_has_a_line_for_each_log(tmp_path):

@@ -6,25 +6,22 @@ import os
 import re
 import shutil
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pyarrow.dataset
 import pyarrow.parquet
 import pytest
-from make.batches import batch, entries, outputs_in, said, spin
+from make.batches import UP_TO_DATE, batch, entries, outputs_in, said, spin
 from make.commands import refused
+from make.documents import GUIDES
 from make.places import SAMPLE_LOGS
 
-import quatprop
 from quatprop import __version__
 from quatprop.batching import execution, listing
 from quatprop.batching.logs import BatchTask
 from quatprop.batching.manifest import Manifest
 from quatprop.stores.transfers import get, upload
 
-FLEETS = Path(quatprop.__file__).parent / "docs" / "fleets.md"
-
-UP_TO_DATE = "nothing to do: its output is up to date\n"
+FLEETS = GUIDES / "fleets.md"
 
 
 def states(folder):

@@ -316,7 +316,59 @@ def test_a_reference_in_place_of_a_series_is_not_said_to_be_unreadable(folder):
     assert "not comparable: no reference was stored before; restore" in result.stdout
 
 
-def test_what_is_judged_alone_is_said(folder):
-    """A pass of three samples read as one of the whole log."""
-    suite = pinned(folder, stored("spin", "spin.csv", 'judge = "+0s..+20ms"'))
-    assert "; judged at +0s..+20ms alone\n" in check(suite).stdout
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ('judge = "+0s..+20ms"', "judged at +0s..+20ms alone"),
+        ('match = "exact"', "equal timestamps"),
+        (
+            'match = "nearest"\nmax-dt = "4ms"',
+            "the reference series nearest to the log's attitudes within 4 ms, not interpolated",
+        ),
+        (
+            'match = "interpolate"\nmax-dt = "30ms"',
+            "interpolated at the timestamps of the log's attitudes, over at most 30 ms",
+        ),
+    ],
+)
+def test_how_attitudes_were_matched_and_which_were_judged_is_said(folder, key, words):
+    """A pass of three samples, or of samples near those of the reference, read as any other."""
+    suite = pinned(folder, stored("spin", "spin.csv", key))
+    assert f"{words}\n" in check(suite).stdout
+
+
+@pytest.mark.parametrize("keys", [("pin-log = false",), ()])
+def test_a_log_that_is_pinned_no_more_is_named(folder, keys):
+    """It was said to be pinned with another kind of reference."""
+    suite = pinned(folder, stored("spin", "spin.csv", *keys))
+    write_suite(folder, stored() if keys else stored("spin", "spin.csv", "pin-log = false"))
+    result = check(suite)
+    assert result.exit_code == 2
+    was, now = ("false", "true") if keys else ("true", "false")
+    words = f"since it was pinned: pin-log was {was} and is now {now}; restore it, or accept it"
+    assert words in result.stdout
+    assert "kind of reference" not in result.stdout
+
+
+def test_a_case_of_which_nothing_is_left_is_no_pass_and_always_listed(folder):
+    """With its lock entry and its reference deleted, among many or with -q, no line was shown."""
+    others = "".join(stored(f"case{number}") for number in range(8))
+    suite = pinned(folder, others + stored())
+    lock, before = suite.with_suffix(".lock.json"), lock_of(suite)
+    (folder / "refs" / "spin.parquet").unlink()
+    told = json.loads(lock.read_text())
+    del told["cases"]["spin"]
+    lock.write_text(json.dumps(told))
+    write_suite(folder, others + stored("spin", "spin.csv", TURNED))
+    for options in ([], ["--strict"]):
+        result = check(suite, *options, env={"CI": "true"})
+        assert result.exit_code == 2
+        assert "ERROR  spin   " in result.stdout
+        assert "the lock has no entry for this case yet; look at what is" in result.stdout
+    assert check(suite, "--update", env={"CI": "true"}).exit_code == 2
+    result = check(suite, "--update", "-q")
+    assert result.stdout.startswith("pass   spin   new      301 of 301 attitudes in ")
+    # What a review sees: the entry as it was committed, and as it is.
+    after = lock_of(suite)
+    assert after["spin"]["final_deg"] != before["spin"]["final_deg"]
+    assert {name for name in after if after[name] != before[name]} == {"spin"}

@@ -181,10 +181,7 @@ def test_the_accelerometer_shows_a_drive(tmp_path):
 @pytest.mark.parametrize("frame", ["body", "inertial"])
 @pytest.mark.parametrize("tilt", [0.0, 2.0])
 def test_the_orientation_shows_a_turn_in_the_axes_of_the_rates(tmp_path, frame, tilt):
-    """On a tilted body a turn has other numbers in the axes of the reference.
-
-    Of rates in those axes it was taken for rest, and the rotation for the bias.
-    """
+    """Of rates in the axes of the reference a turn was taken for rest, and for the bias."""
     motion = Motion((1, [0, 0, 0.08]))  # two windows
     attitude = Rotation.from_euler("x", tilt) * motion.attitude
     if frame == "inertial":
@@ -206,15 +203,6 @@ def test_an_orientation_that_settles_or_changes_its_sign_does_not_hide_rest(tmp_
         _, told = static(log)
         assert told["bias_rad_s"] == pytest.approx(BIAS.tolist(), abs=3e-4)
     assert told["rest"]["samples"] == 1000
-
-
-def test_a_sensor_that_has_not_begun_shows_no_bias(tmp_path):
-    """Zeros at the beginning of a log are no measurement."""
-    log = Motion((10, REST)).write(tmp_path)
-    head, *rows = log.read_text().splitlines()
-    rows[:300] = [f"{row.split(',')[0]},0,0,0" for row in rows[:300]]
-    _, told = static(write_rates(log, rows, head))
-    assert told["bias_rad_s"] == pytest.approx(BIAS.tolist(), abs=3e-4)
 
 
 @pytest.mark.parametrize("force", [",,", "nan,nan,nan", "0,0,0", "none,none,none"])

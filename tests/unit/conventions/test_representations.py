@@ -11,7 +11,7 @@ from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
 from quatprop import RemarkWarning, convert, read_attitudes, write
-from quatprop.conventions.representations import REPRESENTATIONS, from_euler, from_matrices
+from quatprop.conventions.representations import REPRESENTATIONS, from_euler
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.logs.open_log import open_log
@@ -113,15 +113,6 @@ def test_angles_of_any_size_are_those_of_scipy(sequence, rows):
     """Beyond half a turn, and pitch beyond 90 degrees."""
     expected = Rotation.from_euler(sequence.upper(), rows).as_quat(scalar_first=True)
     assert geodesic_angle(from_euler(sequence, np.array(rows)), expected).max() < 1e-14
-
-
-@given(st.lists(QUATERNIONS, min_size=1, max_size=20))
-def test_matrices_are_read_as_scipy_reads_them(rows):
-    """From scipy's own matrices, with w never below zero."""
-    rotation = Rotation.from_quat(rows, scalar_first=True)
-    found = from_matrices(rotation.as_matrix().reshape(-1, 9))
-    assert geodesic_angle(found, rotation.as_quat(scalar_first=True)).max() < 1e-14
-    assert (found[:, 0] >= 0).all()
 
 
 @pytest.mark.parametrize(

@@ -73,15 +73,6 @@ def split(combination, numbers):
     return numbers[3], np.array(numbers[:3])
 
 
-@pytest.mark.parametrize("combination", STORED)
-def test_the_table_worked_out_by_hand_turns_vectors_as_its_textbook_says(combination):
-    """Each row of the table, put into its own textbook's formula, is the written-out matrix."""
-    w, v = split(combination, np.array(STORED[combination]) / 11)
-    expected = BODY_TO_REF if combination[2] == "body-to-ref" else BODY_TO_REF.T
-    matrix = textbook_matrix(combination[1], w, v)
-    np.testing.assert_allclose(VECTORS @ matrix.T, VECTORS @ expected.T, atol=1e-14)
-
-
 @pytest.mark.parametrize("first", STORED)
 def test_every_combination_becomes_every_other(tmp_path, first):
     """All 64 pairs, to the bit, and each result turns vectors as its textbook says."""

@@ -123,10 +123,7 @@ def test_the_same_bits_wherever_batches_end(interpolated):
 
 @pytest.mark.parametrize("interval", [0, 1])
 def test_noise_within_a_rest_is_less_its_mean(interval):
-    """N^2 (L - L^2 / T) after the part L of a rest of mean time T, wherever the log begins.
-
-    A mean of samples is over one interval more: at the end the noise of one sample is left.
-    """
+    """N^2 (L - L^2 / T) after the part L of a rest of mean time T, wherever the log begins."""
     t_ns = np.arange(201) * 10_000_000
     series, wxyz = GyroSeries(t_ns, np.zeros((201, 3))), np.tile([1.0, 0, 0, 0], (201, 1))
     for begin in (-50, 0, 40):

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from quatprop.errors import UsageError
 from quatprop.kinematics.increments import rotation_vectors
 from quatprop.settings.choices import METHODS
 
@@ -46,11 +45,3 @@ def test_what_every_method_keeps(method):
 def test_intervals_are_rounded_once():
     """An interval in seconds is the float64 nearest to its nanoseconds."""
     assert rotation_vectors(np.array([0, 9_999_999_999]), np.ones((2, 3)))[0, 0] == 9.999999999
-
-
-def test_unknown_method_names_the_known_ones():
-    """A method that does not exist is refused with those that do."""
-    choices = "'start', 'end', 'mean', 'coning', 'cubic', 'quintic'"
-    message = f"^there is no method 'rk4'; choose one of {choices}$"
-    with pytest.raises(UsageError, match=message):
-        rotation_vectors(T_NS, RATE, "rk4")

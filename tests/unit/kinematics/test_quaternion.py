@@ -149,12 +149,6 @@ def test_smallest_steps_do_not_vanish():
     assert exp([1e-200, 0, 0])[1] == 5e-201
 
 
-@pytest.mark.parametrize("angle", [2.0, 3.5, 6.0, 9.0, 12.0])
-def test_exponential_beyond_half_a_turn(angle):
-    """Cosine and sine are those of half the angle, with their signs: w is never forced positive."""
-    assert close(exp([0, 0, angle]), [np.cos(angle / 2), 0, 0, np.sin(angle / 2)])
-
-
 @given(SEEDS, st.sampled_from([1e-200, 1e-12, 1e-3, 1.0, 6.2]))
 def test_logarithm_inverts_exponential(seed, angle):
     """Log(exp(v)) = v for every v shorter than a full turn; neither 1 nor -1 has an axis."""

@@ -10,9 +10,9 @@ from make.streams import IDENTITY, segmented
 from quatprop.kinematics.cubic import MAX_RATIO
 from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.propagate import TILE, attitudes
-from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, rotate
+from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply
 from quatprop.kinematics.quintic import quintic, quintic_of_averages
-from quatprop.kinematics.resample import Listed, Steady
+from quatprop.kinematics.resample import Listed
 from quatprop.series import GyroSeries
 from quatprop.simulation.motion import Shape, motion_named
 
@@ -24,49 +24,6 @@ def propagated(series, times=None, q0=IDENTITY, rates="body", batch=None):
     size = batch or len(series)
     batches = [series[k : k + size] for k in range(0, len(series), size)]
     return segmented(batches, times, q0=q0, method="quintic", rates=rates)[1:]
-
-
-def worst(t_ns, wxyz):
-    """Return the worst error of attitudes of the rotor, rad."""
-    return geodesic_angle(wxyz, rotor(t_ns / 1e9)[0]).max()
-
-
-def steps_of_averages(t_ns):
-    """Return the average rates of the rotor over the intervals, of many fine rotation angles."""
-    nodes, weights = np.polynomial.legendre.leggauss(12)
-    middle, half = (t_ns[1:] + t_ns[:-1]) / 2e9, np.diff(t_ns) / 2e9
-    rate = sum(w / 2 * rotor(middle + x * half)[1] for x, w in zip(nodes, weights, strict=True))
-    return np.concatenate([[rate[0]], rate])
-
-
-@pytest.mark.parametrize("rates", ["body", "inertial"])
-@pytest.mark.parametrize("jitter", [0.0, 0.3])
-@pytest.mark.parametrize("times", [None, Steady(Fraction(997))])
-def test_a_precessing_rotor_is_met_to_sixth_order(rates, jitter, times):
-    """At samples and between them, evenly spaced or not, in either frame."""
-    errors = []
-    for hz in RATES_HZ:
-        t_ns = stamps(hz, 4, jitter)
-        truth, rate = rotor(t_ns / 1e9)
-        series = GyroSeries(t_ns, rate if rates == "body" else rotate(truth, rate))
-        wanted = None if times is None else Steady(Fraction(997))
-        errors.append(worst(*propagated(series, wanted, truth[0], rates)))
-    assert np.log2(errors[0] / errors[-1]) / 3 > 5.8
-    assert errors[-1] < 1e-10
-
-
-@pytest.mark.parametrize("increments", [False, True])
-@pytest.mark.parametrize("times", [None, Steady(Fraction(997))])
-def test_averages_and_increments_are_of_sixth_order(increments, times):
-    """The polynomial is that of the integral of the rate."""
-    errors = []
-    for hz in RATES_HZ:
-        t_ns = stamps(hz, 4, 0.3)
-        lengths = np.diff(t_ns, prepend=t_ns[0] - (t_ns[1] - t_ns[0])) if increments else None
-        series = GyroSeries(t_ns, steps_of_averages(t_ns), lengths, not increments)
-        wanted = None if times is None else Steady(Fraction(997))
-        errors.append(worst(*propagated(series, wanted, rotor(np.zeros(1))[0][0])))
-    assert np.log2(errors[0] / errors[-1]) / 3 > 5.8
 
 
 @pytest.mark.parametrize(
@@ -171,26 +128,3 @@ def test_tiles_and_batches_change_nothing(count):
     steps = exp(rotation_vectors(t_ns, rate, "quintic"))
     serial = multiply(expected[0][:-1], steps)
     assert geodesic_angle(serial, expected[0][1:]).max() < 1e-14
-
-
-def test_all_but_the_last_attitudes_depend_on_nothing_that_comes_later():
-    """Two samples are looked ahead where they are evenly spaced."""
-    t_ns, rate = stamps(100, 2), np.random.default_rng(11).normal(size=(201, 3))
-    whole = attitudes(t_ns, rate, method="quintic")
-    for count in (50, 51, 120):
-        part = attitudes(t_ns[:count], rate[:count], method="quintic")
-        assert np.array_equal(part[:-2], whole[: count - 2])
-        assert not np.array_equal(part[-2], whole[count - 2])
-
-
-def test_with_the_noise_of_a_mems_gyroscope_nothing_is_gained_or_lost():
-    """Coning at 2 Hz, 0.6 deg/sqrt(h): what noise does is a thousand times what the method does."""
-    t_ns = np.arange(20 * 200 + 1) * (SECOND // 200)
-    rate, wxyz = motion_named("coning", Shape(Fraction(2)))(t_ns)
-    rate = rate + np.random.default_rng(12).normal(0, 1.7e-4 * 200**0.5, rate.shape)
-    errors = [
-        geodesic_angle(attitudes(t_ns, rate, q0=wxyz[0], method=method), wxyz).max()
-        for method in ("cubic", "quintic")
-    ]
-    assert errors[0] > 3e-4
-    assert errors[1] == pytest.approx(errors[0], rel=0.02)

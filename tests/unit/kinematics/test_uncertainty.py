@@ -73,33 +73,6 @@ def test_a_scale_error_is_a_share_of_the_angle_about_a_fixed_axis():
     assert np.abs(found[:, [0, 2], [0, 2]]).max() < 1e-30
 
 
-def test_a_constant_spin_holds_the_bias_across_it():
-    """In the plane of the spin a bias turns with the body: b |2 sin(w t / 2) / w|, not b t."""
-    spin = 2.0
-    t_ns = stamps(400, 10)
-    found, _ = covariances(t_ns, np.tile([0, 0, spin], (len(t_ns), 1)), SensorErrors(bias_sigma=B))
-    t = t_ns / 1e9
-    across = np.abs(2 * np.sin(spin * t / 2) / spin)
-    np.testing.assert_allclose(np.sqrt(found[:, 0, 0]), B * across, atol=1e-5 * B)
-    np.testing.assert_allclose(np.sqrt(found[:, 2, 2]), B * t, rtol=1e-12)
-
-
-def test_about_a_fixed_axis_the_axes_of_the_rates_do_not_matter():
-    """Ten turns in 62.8 s are the same motion, and have the same errors, either way.
-
-    Of rates in reference axes a bias of 1e-3 rad/s was said to be 3.6 deg, which is that at rest.
-    """
-    t_ns = stamps(100, 1)[1] * np.arange(6284)
-    rate = np.tile([0, 0, 1.0], (len(t_ns), 1))
-    body, inertial = (
-        covariances(t_ns, rate, SensorErrors(bias_sigma=1e-3), rates)[0]
-        for rates in ("body", "inertial")
-    )
-    np.testing.assert_allclose(inertial, body, atol=1e-12 * body.max())
-    assert np.degrees(np.sqrt(inertial[-1, 0, 0])) < 0.003
-    assert np.degrees(np.sqrt(inertial[-1, 2, 2])) == pytest.approx(3.6, rel=1e-3)
-
-
 # --- batches, prefixes, contributions
 
 

@@ -49,7 +49,7 @@ def test_a_bag_keeps_its_start_and_end(tmp_path, order, chunk_size, compression)
         writer.write(text, times[0][1] - 5 * SECOND, bytes(4))
         for number in ORDERS[order]:
             stamp, logged = times[number]
-            writer.write(imu, logged, imu_message(ROS1, stamp, ros1=True))
+            writer.write(imu, logged, imu_message(ROS1, stamp))
         for k in range(90):
             writer.write(text, times[-1][1] + (k + 1) * SECOND, bytes(4))
     run("propagate", log, "--into", out, "-q", "--on-backwards", "sort", code=0)

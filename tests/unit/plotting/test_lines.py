@@ -48,10 +48,7 @@ def test_a_long_spin_is_counted_without_rounding():
 
 
 def test_a_line_is_the_series_where_it_fits():
-    """With a bin for every two samples the line is the samples, each once and in their order.
-
-    Stamps of today keep their nanoseconds: the start is taken off before they are floats.
-    """
+    """With a bin for two samples it is all samples in order; stamps keep their nanoseconds."""
     start = 1_700_000_000_000_000_000
     values = np.random.default_rng(2).normal(size=1000)
     got = line(reduced(start + np.arange(1000) * 7, values), 0, start)
@@ -86,10 +83,7 @@ def test_missing_values_break_a_line():
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize(("to", "whole"), [(200.0, False), (560.0, True), (920.0, True)])
 def test_a_wrap_is_cut_at_the_edges_of_its_range(sign, to, whole):
-    """A line leaves at 180 degrees and comes back at -180 in the same instant, both ways.
-
-    Where several turns lie between two samples, it has been everywhere.
-    """
+    """It leaves at 180 degrees and comes back at -180; of several turns it has been everywhere."""
     drawn = folded(Line(np.array([0.0, 1.0]), sign * np.array([170.0, to])))
     middle = [-180.0, 180.0, np.nan] if whole else []
     expected = [170.0, 180.0, np.nan, *middle, -180.0, -160.0]

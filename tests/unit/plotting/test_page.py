@@ -69,10 +69,7 @@ def page_of(*arguments):
 
 
 def assert_loads_nothing(text, page):
-    """Check that no element and no address of a page reaches out of it, and that one script runs.
-
-    It is that of the package, and browsers are told that no other may run.
-    """
+    """Check that no element and no address reaches out of a page, and that one script may run."""
     assert not page.open
     tags = {tag for tag, _ in page.elements}
     assert not tags & LOADS

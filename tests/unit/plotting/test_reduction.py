@@ -49,9 +49,7 @@ samples = st.lists(
 @given(samples, st.lists(st.integers(0, 60), max_size=5), st.integers(2, 20))
 @example([(0, 0.0), (0, 0.0), (-1, 0.0), (-2, 0.0), (1, 0.0)], [4], 3)
 def test_bins_hold_what_every_sample_says(rows, cuts, bins):
-    """First, lowest, highest and last value of each bin are those of all its samples, however
-    the series was cut into batches and whatever order its stamps are in.
-    """
+    """First, lowest, highest and last value are those of all samples, in any batches and order."""
     t_ns = np.array([t for t, _ in rows], dtype=np.int64)
     values = np.array([value for _, value in rows])
     in_time = np.argsort(t_ns, kind="stable")

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
-from quatprop.errors import LogError, SeriesError, TimelineError, UsageError
+from quatprop.errors import SeriesError, UsageError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.settings.choices import EULER_SEQUENCES
 
@@ -136,12 +136,3 @@ def test_a_notebook_shows_the_first_and_the_last_rows():
     assert f"<td>{39 * NS}</td><td>{A.wxyz[-1, 0]:.9g}</td>" in page
     assert W._repr_html_().count("<tr>") == 6
     assert "no samples" in W[:0]._repr_html_()
-
-
-@pytest.mark.parametrize(
-    "error", [UsageError("a; b"), LogError("log.csv", "bad"), TimelineError("log.csv", "bad")]
-)
-def test_errors_survive_pickling(error):
-    """A pool of processes sends them so."""
-    back = pickle.loads(pickle.dumps(error))  # noqa: S301
-    assert (type(back), str(back)) == (type(error), str(error))

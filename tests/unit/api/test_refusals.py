@@ -1,0 +1,201 @@
+"""What cannot be done is refused in one sentence, in the words of Python; nothing is written."""
+
+import datetime as dt
+
+import numpy as np
+import pytest
+from make.places import SAMPLE_LOGS
+
+import quatprop
+from quatprop import AttitudeSeries, GyroSeries
+from quatprop.errors import (
+    ComparisonError,
+    LogError,
+    OutputError,
+    QuatpropError,
+    SeriesError,
+    UsageError,
+)
+
+BAG, TRUTH = SAMPLE_LOGS / "tumbling.bag", SAMPLE_LOGS / "tumbling.truth.csv"
+SPIN = SAMPLE_LOGS / "spin.csv"
+RATES = GyroSeries(10**9 + np.arange(3) * 10_000_000, np.eye(3))
+STILL = AttitudeSeries([0, 1], [[1, 0, 0, 0]] * 2)
+NOT_FINITE = GyroSeries([0, 1, 2], np.full((3, 3), np.nan))
+
+PROPAGATE = [
+    ({"q0": "level"}, "q0='level' needs a log, not rates in memory"),
+    ({"q0": (0, 0, 0, 0)}, "has the length 0, so it is not an attitude"),
+    ({"q0": "inf,0,0,0"}, "q0: 'inf,0,0,0' is not W,X,Y,Z, 4 finite numbers"),
+    ({"q0": object()}, "q0: "),
+    ({"q0": RATES}, "q0: GyroSeries has no attitudes"),
+    ({"q0": STILL[:1]}, "q0: its last attitude is"),
+    ({"bias": [np.nan, 0, 0]}, "bias: 'nan,0,0' is not X,Y,Z, 3 finite numbers"),
+    ({"bias": STILL}, "a series of biases is a GyroSeries"),
+    ({"mount": "x,y,-z"}, "is left-handed, so it is not a rotation"),
+    ({"start": dt.datetime(2024, 1, 1)}, "start: "),  # noqa: DTZ001  # no zone is the mistake
+    ({"at": [0.5]}, "Expected `at` to be int64 nanoseconds or dates"),
+    ({"at": dt.datetime(2020, 1, 1, tzinfo=dt.UTC)}, "is not a path"),
+    ({"at": RATES.t_ns[0]}, "is not a path"),
+    # Settings of logs would be ignored silently otherwise.
+    *(
+        ({name: value}, f"{name} is for logs, not for rates in memory")
+        for name, value in {
+            "rate_unit": "deg/s", "topic": "/imu", "clock": "log", "rate_cols": "a,b,c",
+            "kind": "csv", "msg_path": "a.msg",
+        }.items()
+    ),
+]  # fmt: skip
+COMPARE = [
+    ({"tol": -1}, "tol: '-1' is below 0"),
+    ({"tol": np.nan}, "tol: 'nan' is not a finite number"),
+    ({"max_dt": -5}, "max_dt: '-5' is not a duration above 0"),
+    ({"align": "best"}, "align: 'best' is not one of"),
+    # They were refused with a list of the limits, without a way out.
+    ({"topic_b": "x"}, "'topic_b'; give compare() what read_attitudes() returns with topic=..."),
+    ({"from_layout_a": "x"}, "give compare() what read_attitudes() returns with from_layout=..."),
+    ({"time_col": "x"}, "give compare() what read_attitudes() returns with time_col=..."),
+]
+SIMULATE = [
+    ({"axis": "1,0,0", "motion": "rest"}, "axis requires motion='spin'"),
+    ({"samples": 3, "duration": "1s"}, "samples and duration exclude each other"),
+    ({"noise": -1}, "noise: '-1' is below 0"),
+    ({"start": "+5s"}, "start: '+5s' is not a time"),
+    ({"bais": 1}, "there is no setting 'bais'; did you mean 'bias'"),
+]
+CONVERT = [
+    ({name: "rotvec"}, f"there is no setting '{name}'; {meant}")
+    for name, meant in {
+        "with_": "did you mean 'extra_columns'?",
+        "with": "did you mean 'extra_columns'?",
+        "as_": "did you mean 'representation'?",
+        "from_": "did you mean 'kind'?",
+        "layot": "did you mean 'layout'?",
+        "euler_unit": "it is part of a representation's name, such as 'euler-zyx-deg'",
+    }.items()
+]
+WRITE = [
+    ({"with_": "rotvec"}, "there is no setting 'with_'; did you mean 'extra_columns'?"),
+    (
+        {"representation": "rotvec"},
+        "there is no setting 'representation'; there are 'to', 'layout', 'extra_columns'",
+    ),
+]
+PLOT = [
+    ([], {}, "nothing to draw"),
+    ([TRUTH, "a.png"], {}, "output='a.png'"),
+    ([RATES], {"topic": "/imu"}, "topic is for files"),
+    ([RATES], {"output": "a.png"}, "figure.savefig"),
+    ([TRUTH], {"output": "a.png", "reference": STILL}, "figure.savefig"),
+    ([TRUTH], {"output": "a.png", "components": True, "unwrap": True}, "cannot be combined with"),
+    ([RATES], {"unwrap": True}, "series 1 has no attitude to show"),
+    ([RATES[:0]], {}, "series 1 has no rows"),
+    ([RATES], {"reference": TRUTH}, "Expected attitudes"),
+    ([np.eye(3)], {}, "make a series from arrays"),
+]
+BATCH = [
+    ({"at": [1, 2]}, "at of batch() is a file"),
+    ({"verify": True}, "verify requires skip_existing"),
+    ({"shard": "3/2"}, "'3/2' is not I/N"),
+    ({"to": "doc"}, "no output kind 'doc'"),
+    ({"methods": "end"}, "did you mean 'method'"),
+    ({"logs": []}, "is not a path"),
+]
+OTHERS = [
+    # A bias is not subtracted by reading.
+    (lambda: quatprop.read_rates(BAG, bias="1,2,3"), "there is no setting 'bias'"),
+    (lambda: quatprop.write(RATES, "a.csv"), "Expected an AttitudeSeries, got GyroSeries"),
+    (
+        lambda: quatprop.propagate(NOT_FINITE, on_nonfinite="drop"),
+        "no samples in 'series'; 3 with rates that are not finite",
+    ),
+    (lambda: quatprop.read_rates(TRUTH), "name the columns with rate_cols and time_col"),
+    (lambda: quatprop.read_attitudes(SPIN), "name the columns with quat_cols, from_layout and tim"),
+    (lambda: quatprop.convert(SPIN, "a.csv"), "with quat_cols, from_layout and time_col"),
+    (
+        lambda: quatprop.propagate(RATES, max_gap="1ms", on_gap="error"),
+        "choose on_gap='hold' or 'zero' or 'split' or a longer max_gap",
+    ),
+    (
+        lambda: quatprop.compare(STILL, AttitudeSeries([5, 6], STILL.wxyz)),
+        "if they begin at the same moment, give time_offset='-5ns'",
+    ),
+    (lambda: quatprop.write(STILL, "a.unknown"), "does not determine the output format; use one"),
+    (
+        lambda: quatprop.info(SPIN, time_col="t", sample_rate=3),
+        "time_col and sample_rate contradict each other; give one",
+    ),
+    (lambda: quatprop.plot(STILL, RATES), "draw them apart, or choose with show"),
+    # Of what is no path the type is named, and no table is shown.
+    (lambda: quatprop.propagate(RATES.to_pandas()), "is not a path; make a GyroSeries from arrays"),
+    (
+        lambda: quatprop.compare(STILL, STILL.wxyz),
+        "is not a path; make an AttitudeSeries from arrays",
+    ),
+    (lambda: quatprop.convert(STILL, "a.csv"), "is not a path; write() takes a series"),
+    *(
+        (lambda path=path, read=read: read(path), "is not a path")
+        for path in (7, None, b"", "", "a\0b")
+        for read in (quatprop.read_rates, quatprop.read_attitudes, quatprop.propagate)
+    ),
+]
+
+
+KINDS = {
+    ComparisonError: ["if they begin at the same moment, give time_offset='-5ns'"],
+    LogError: [
+        "choose on_gap='hold' or 'zero' or 'split' or a longer max_gap",
+        "name the columns with quat_cols, from_layout and tim",
+        "name the columns with rate_cols and time_col",
+        "no samples in 'series'; 3 with rates that are not finite",
+        "q0: its last attitude is",
+        "with quat_cols, from_layout and time_col",
+    ],
+    OutputError: ["no output kind 'doc'", "does not determine the output format; use one"],
+    SeriesError: [
+        "Expected an AttitudeSeries, got GyroSeries",
+        "Expected `at` to be int64 nanoseconds or dates",
+        "Expected attitudes",
+        "series 1 has no rows",
+    ],
+}
+"""What is not an error of the usage."""
+
+
+def calls():
+    """Yield every call with its sentence."""
+    for settings, said in PROPAGATE:
+        yield lambda settings=settings: quatprop.propagate(RATES, **settings), said
+    for settings, said in COMPARE:
+        yield lambda settings=settings: quatprop.compare(STILL, STILL, **settings), said
+    for settings, said in SIMULATE:
+        yield lambda settings=settings: quatprop.simulate(**settings), said
+    for settings, said in CONVERT:
+        yield lambda settings=settings: quatprop.convert(TRUTH, "a.csv", **settings), said
+    for settings, said in WRITE:
+        yield lambda settings=settings: quatprop.write(STILL, "a.csv", **settings), said
+    for drawn, settings, said in PLOT:
+        yield lambda drawn=drawn, settings=settings: quatprop.plot(*drawn, **settings), said
+    for settings, said in BATCH:
+        given = {"logs": BAG, "output": "out", **settings}
+        yield lambda given=given: quatprop.batch(**given), said
+    yield from OTHERS
+
+
+CALLS = list(calls())
+
+
+@pytest.mark.parametrize(("call", "sentence"), CALLS, ids=range(len(CALLS)))
+def test_it_is_one_sentence_and_nothing_is_written(tmp_path, monkeypatch, call, sentence):
+    """Never an AttributeError from inside, and never an option of the command line."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(QuatpropError) as caught:
+        call()
+    said = str(caught.value)
+    assert sentence in said
+    kinds = [kind for kind, sentences in KINDS.items() if sentence in sentences]
+    assert isinstance(caught.value, (*kinds, UsageError)[0])
+    assert " --" not in said
+    assert "quatprop " not in said
+    assert len(said) < 400
+    assert list(tmp_path.iterdir()) == []
