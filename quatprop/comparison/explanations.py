@@ -47,11 +47,11 @@ TIE = 1.05
 AS_GOOD = 1.3
 """Within this factor of the best, an explanation is not ruled out."""
 
-SHOWN = 0.05
-"""Share of the error that a misreading or an integration rule may leave: all of it is theirs."""
+SHOWN = 0.25
+"""Share of the error that a misreading or an integration rule may leave: most of it is theirs."""
 
-OF_RULES = 0.2
-"""The same of an integration rule, over that of a misreading: other rules are nearly as good."""
+OF_LAYOUTS = 0.05
+"""The same of a wrong layout: there are so many that one of them resembles anything."""
 
 CLEARLY = 3.0
 """Within this factor of the best, another misreading of quaternions is not ruled out."""
@@ -101,9 +101,8 @@ class Search(Fits):
                 plan = ruled
             if plan == last:
                 break
-        if self._is_shown(plan, SHOWN * before.rms):
-            plan = self._deliverable(plan)
-            self.best = self._fit(plan)
+        if self._is_shown(plan, before.rms):
+            self.best = self._fit(self._deliverable(plan))
             self.others = self._alternatives(plan)
 
     def _deliverable(self, plan: Undoings) -> Undoings:
@@ -123,31 +122,28 @@ class Search(Fits):
             plan._replace(rates=rates) for rates in ("drift in body", "drift in reference", "")
         )
 
-    def _is_shown(self, plan: Undoings, most: float) -> bool:
-        """Tell whether a misreading or a rule explains all of an error, as no other layout does."""
+    def _is_shown(self, plan: Undoings, before: float) -> bool:
+        """Tell whether a misreading or a rule explains an error, as no layout of B does for A's."""
         best = self._fit(plan)
         names = {undoing.name for undoing in best.undone}
+        is_layout = any(name.startswith("layout") for name in names)
         with_it = [best.rms]
         if plan.reading:
             with_it += [fit.rms for each, fit in self._fits.items() if each.reading == plan.reading]
-        if "method" in names:
-            most *= OF_RULES
-        if names & {*READINGS, "method"} and min(with_it) > most:
+        share = OF_LAYOUTS if is_layout else SHOWN
+        if names & {*READINGS, "method"} and min(with_it) > share * before:
             return False
-        if not any(name.startswith("layout") for name in names):
+        if not is_layout or best.undone[0].side == "b":
             return True
         # A wrong layout turns both frames: where these are free, it is any of them in A as in B.
-        if plan.frames and best.undone[0].remedy.startswith("if it is A"):
-            return False
-        # A's are the inverse of B's, which stand for both.
         others = (
             self._fit(plan._replace(reading=key, frames=frames)).rms
             for key, each in self._readings.items()
             for frames in self._frames
-            if frames != "mount" or plan.frames == "mount" or each.name in names
-            if each.name in MISREAD and each.remedy.startswith("if it is B") and key != plan.reading
+            if frames != "mount" or each.name in names
+            if each.name in MISREAD and each.side == "b"
         )
-        return min(others) > CLEARLY * (best.rms + self._floor)
+        return not plan.frames and min(others) > CLEARLY * (best.rms + self._floor)
 
     def _read_and_aligned(self, plan: Undoings) -> Undoings:
         """Return the best plan with another reading, other rates and frames."""
@@ -190,7 +186,7 @@ class Search(Fits):
             }
         if "reference frame" in names:
             sides = self._read(plan)
-            for undoing in self.best.undone:
+            for undoing in self._fit(plan).undone:
                 if undoing.name in {"rate bias", "scale", "drift", "method"}:
                     sides = undoing.apply(sides)
             a, b = (series.wxyz for series in sides)

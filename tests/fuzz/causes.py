@@ -120,11 +120,10 @@ def _mended(source, clause, one):  # noqa: PLR0911, PLR0912  # one kind of remed
         added = float(found[1]) * 1e6 + float(found[2]) * 1e-6 * since
         t_ns = series.t_ns + np.round(added).astype(np.int64)
         return Source(series=AttitudeSeries(t_ns, series.wxyz))
-    if re.search(r"leave \d", clause):
+    if re.search(r"omit \d", clause):
         errors = quatprop.compare(one.a.attitudes(), one.b.attitudes(), tol=4, **one.options)
         keep = (
-            errors.errors
-            <= np.sort(errors.errors)[-1 - int(re.search(r"leave ([\d]+)", clause)[1])]
+            errors.errors <= np.sort(errors.errors)[-1 - int(re.search(r"omit ([\d]+)", clause)[1])]
         )
         series = one.b.attitudes()
         kept = np.isin(series.t_ns, errors.t_ns[keep])
