@@ -101,7 +101,8 @@ class Search(Fits):
                 plan = ruled
             if plan == last:
                 break
-        if self._is_shown(plan, before.rms):
+        plan = self._of_b(plan)
+        if plan and self._is_shown(plan, before.rms):
             self.best = self._fit(self._deliverable(plan))
             self.others = self._alternatives(plan)
 
@@ -122,35 +123,43 @@ class Search(Fits):
             plan._replace(rates=rates) for rates in ("drift in body", "drift in reference", "")
         )
 
-    def _is_shown(self, plan: Undoings, before: float) -> bool:
-        """Tell whether a misreading or a rule explains an error, as no layout of B does for A's."""
+    def _of_b(self, plan: Undoings) -> Undoings | None:
+        """Return a plan that reads B otherwise instead of A, if that explains as much.
+
+        A wrong layout turns both frames: where these are free, it is any of them in A as in B.
+        """
         best = self._fit(plan)
         names = {undoing.name for undoing in best.undone}
-        is_layout = any(name.startswith("layout") for name in names)
-        with_it = [best.rms]
-        if plan.reading:
-            with_it += [fit.rms for each, fit in self._fits.items() if each.reading == plan.reading]
-        share = OF_LAYOUTS if is_layout else SHOWN
-        if names & {*READINGS, "method"} and min(with_it) > share * before:
-            return False
-        if not is_layout or best.undone[0].side == "b":
-            return True
-        # A wrong layout turns both frames: where these are free, it is any of them in A as in B.
-        others = (
-            self._fit(plan._replace(reading=key, frames=frames)).rms
-            for key, each in self._readings.items()
-            for frames in self._frames
-            if frames != "mount" or each.name in names
-            if each.name in MISREAD and each.side == "b"
+        if not best.undone or best.undone[0].side != "a" or "conjugate" in names:
+            return plan
+        keys = [key for key, each in self._readings.items() if each.side == "b"]
+        of_b = self._least(
+            each
+            for each in self._varied([plan], reading=keys, frames=self._frames)
+            if each.frames != "mount" or self._readings[each.reading].name in names
         )
-        return not plan.frames and min(others) > CLEARLY * (best.rms + self._floor)
+        more = self._fit(of_b).rms / (best.rms + self._floor)
+        if more <= TIE:
+            return of_b
+        return None if plan.frames or more <= CLEARLY else plan
+
+    def _is_shown(self, plan: Undoings, before: float) -> bool:
+        """Tell whether a misreading or a rule explains most of an error."""
+        names = {undoing.name for undoing in self._fit(plan).undone}
+        fits = [fit.rms for each, fit in self._fits.items() if each.reading == plan.reading]
+        with_it = min(fits if plan.reading else [self._fit(plan).rms])
+        is_layout = any(name.startswith("layout") for name in names)
+        most = (OF_LAYOUTS if is_layout else SHOWN) * before
+        return not names & {*READINGS, "method"} or with_it <= most
 
     def _read_and_aligned(self, plan: Undoings) -> Undoings:
         """Return the best plan with another reading, other rates and frames."""
         # Readings are also compared with free frames: those that differ may hide which is right.
         near: dict[str, Undoings] = {}
-        for frame in self._frames[: 1 + ("mean" in self._frames)]:
-            tried = [plan._replace(reading=key, frames=frame) for key in ("", *self._readings)]
+        frames = self._frames[: 1 + ("mean" in self._frames)]
+        for frame, rates in product(frames, {"": 0, plan.rates: 0}):
+            kinds = {"reading": ("", *self._readings), "rates": [rates], "frames": [frame]}
+            tried = [*self._varied([plan], **kinds)]
             most = PROMISING * min(self._fit(each).score for each in tried)
             near |= {each.reading: each for each in tried if self._fit(each).score <= most}
         plan = self._least(self._varied(near.values(), rates=("", plan.rates), frames=self._frames))
