@@ -50,7 +50,7 @@ AS_GOOD = 1.3
 SHOWN = 0.25
 """Share of the error that a misreading or an integration rule may leave: most of it is theirs."""
 
-OF_LAYOUTS = 0.05
+OF_LAYOUTS = 0.08
 """The same of a wrong layout: there are so many that one of them resembles anything."""
 
 CLEARLY = 3.0

@@ -7,7 +7,7 @@ from fuzz.planted import pair
 pytestmark = pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 
 SIMULATED = {3: "right", 6: "right", 16: "right", 18: "right", 21: "named", 35: "right"}
-RECORDED = {5: "right", 10: "right", 32: "right", 62: "named"}
+RECORDED = {5: "right", 10: "right", 32: "right", 62: "right"}
 AMBIGUOUS = {
     97: "none",  # a rule that leaves 4 % of the error is not the one that made it
     231: "none",  # lost motion was called a layout that left 13 % of the error
