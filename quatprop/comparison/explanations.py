@@ -101,10 +101,10 @@ class Search(Fits):
                 plan = ruled
             if plan == last:
                 break
-        plan = self._of_b(plan)
-        if plan and self._is_shown(plan, before.rms):
-            self.best = self._fit(self._deliverable(plan))
-            self.others = self._alternatives(plan)
+        of_b = self._of_b(plan)
+        if of_b and self._is_shown(of_b, before.rms):
+            self.best = self._fit(self._deliverable(of_b))
+            self.others = self._alternatives(of_b)
 
     def _deliverable(self, plan: Undoings) -> Undoings:
         """Return a plan that leaves A's rates alone where A may be read the wrong way."""

@@ -273,6 +273,24 @@ def test_gaps_and_limits_that_make_no_error_are_no_findings(a, b):
     assert findings(a(), b(), comparison_settings()) == ()
 
 
+SINES = np.sin(PHASES)
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
+@pytest.mark.parametrize(
+    ("a", "b", "names"),
+    [
+        (np.clip(SINES, -0.996, 0.996), SINES, ["motion-lost"]),
+        (SINES, SINES * np.where(np.abs(SINES) > 0.999, 1.05, 1), []),
+    ],
+    ids=["saturated", "a smooth peak"],
+)
+def test_rates_at_a_limit_stay_there(a, b, names):
+    """At its peaks a sine is within 0.1 % of the largest for 3 % of the time: that is no limit."""
+    found = findings(propagated(rates=a), propagated(rates=b), comparison_settings())
+    assert [remark.code for remark in found] == names
+
+
 def test_time_that_is_not_judged_is_no_gap():
     """What happens between time ranges is not lost: the gaps there are those of the ranges."""
     jump = exp(np.minimum(SECONDS // 20, 1)[:, None] * [0.1, 0, 0])
