@@ -157,7 +157,7 @@ class Search(Fits):
         # Readings are also compared with free frames: those that differ may hide which is right.
         near: dict[str, Undoings] = {}
         frames = self._frames[: 1 + ("mean" in self._frames)]
-        for frame, rates in product(frames, {"": 0, plan.rates: 0}):
+        for frame, rates in product(frames, dict.fromkeys(("", plan.rates))):
             kinds = {"reading": ("", *self._readings), "rates": [rates], "frames": [frame]}
             tried = [*self._varied([plan], **kinds)]
             most = PROMISING * min(self._fit(each).score for each in tried)

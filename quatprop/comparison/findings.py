@@ -49,7 +49,7 @@ OF_NOISE = 2.0
 one are no noise, neither of rates nor of attitudes."""
 
 AT_LIMIT = 1e-3
-"""Share of the largest rate about an axis by which rates at a limit differ from it."""
+"""Share of the range of sizes of a rate by which those at a limit differ from the largest."""
 
 MIN_AT_LIMIT = 0.04
 """Share of the samples at a limit: of a sine, 0.03 are that close to its peaks."""
@@ -112,7 +112,7 @@ def _in_gaps(t_ns: Int64, pairs_ns: Int64) -> Bool:
 def _at_limit(rate: Float64) -> Bool:
     """Tell which rates are as large as any about their axis, shape ``(N - 1, 3)``."""
     sizes = np.abs(rate)
-    at_limit = sizes >= (1 - AT_LIMIT) * sizes.max(axis=0)
+    at_limit = sizes >= sizes.max(axis=0) - AT_LIMIT * np.ptp(sizes, axis=0)
     return np.asarray(at_limit & (at_limit.mean(axis=0) >= MIN_AT_LIMIT))
 
 
