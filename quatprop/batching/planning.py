@@ -156,7 +156,9 @@ def _rank(log: BatchTask) -> tuple[bool, bool, str, str]:
 def _refused(task: BatchTask, owner: str, output: str) -> BatchTask:
     """Return a task that fails, as another log has its output."""
     name, place = quoted(without_secret(owner)), quoted(without_secret(output))
-    return task._replace(named="", refused=f"its output {place} is that of {name}; {OTHER_OUTPUT}")
+    return task._replace(
+        named="", refused=f"its output {place} is also the output of {name}; {OTHER_OUTPUT}"
+    )
 
 
 def plan(

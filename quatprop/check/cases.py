@@ -64,7 +64,7 @@ def load_cases(path: Path | str) -> tuple[Suite, list[Case | CaseNotRun]]:
     for name, value in suite.defaults.items():
         _refuse_unknown(suite, name, value, None)
         if name in {"skip", "xfail"}:
-            reason = "the reason is that of one case, not of all; write it there"
+            reason = "the reason belongs to one case, not to all; write it there"
             raise SuiteError(suite.path, reason, None, f"defaults.{name}")
     cases: list[Case | CaseNotRun] = []
     owners: dict[str, str] = {}

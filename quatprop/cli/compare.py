@@ -57,7 +57,7 @@ OPTIONS = {
 def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **chosen: Any) -> int:
     """Measure the geodesic error between two attitude series, A and B.
 
-    Each is a table of attitudes, or a log with a topic of them, LOG:TOPIC: the same log twice, too.
+    Each is a table of attitudes, or a log with such a topic, LOG:TOPIC; both may be in one log.
     q and -q are the same attitude. B is the reference. Exit code 0: all criteria pass (--tol and
     others); 1: one fails; 2: A and B cannot be read or compared; 3: as 0, but some of A or B was
     left out.

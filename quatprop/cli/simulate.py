@@ -30,7 +30,7 @@ LOG = {
         "zstd for mcap, else none"),
     "--truth": Keyword(
         PATH, "Where the true attitudes go, or 'none'.",
-        "OUT's name with .truth.csv, beside Parquet .truth.parquet, beside - none", "PATH"),
+        "OUT's name with .truth.csv, or .truth.parquet for Parquet; none for -", "PATH"),
 }  # fmt: skip
 QUIET = {"-q --quiet": Keyword(flag, "Say nothing.", "a line on stderr")}
 

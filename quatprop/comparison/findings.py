@@ -130,7 +130,9 @@ def dead_axes(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Remark]:
             text = f"the rate of {name} about its {' and '.join(axes)} axis never changes, and "
             text += f"{other} turns about all three: are rates missing?"
             if len(axes) == len(own):
-                text = f"the rate of {name} never changes, and that of {other} does: is one dead?"
+                text = (
+                    f"the rate of {name} never changes, and the rate of {other} does: is one dead?"
+                )
             yield Remark("dead-axis", text)
 
 

@@ -275,7 +275,7 @@ class CompareOptions(TypedDict, total=False):
         common=True)]
     rate: Annotated[float | Fraction | str | None, Keyword(
         frequency, "Rate at which the error is judged: both are interpolated to times counted from "
-        "the first attitude of A, but not across gaps; holds them in memory.",
+        "the start of A, but not across gaps; holds them in memory.",
         "that of the series with the longer intervals", "HZ", "Alignment")]
     # fmt: on
 

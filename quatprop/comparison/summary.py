@@ -68,7 +68,9 @@ def criterion_text(criterion: Criterion, comparison: Comparison) -> str:
             covered = comparison.coverage
             share = covered.samples
             samples = "" if share is None else f" and {share:.4g} % of the samples"
-            of_a = f" and {covered.time_of_a:.4g} % of that of A" if value < covered.least else ""
+            of_a = (
+                f" and {covered.time_of_a:.4g} % of the time of A" if value < covered.least else ""
+            )
             shares = f"{covered.time:.4g} % of the time{samples} of B{of_a}"
             return f"{label} {shares}, at least {limit:.6g} %"
         case _:

@@ -103,7 +103,7 @@ class GyroCorrectionReport(NamedTuple):
     `rest`: the rest from which it was taken
     `rests`: those from which a bias over time was taken, in the order of time; none for fewer than
         two
-    `interpolated`: whether it was interpolated between them, or is that of the nearest
+    `interpolated`: whether it was interpolated between them, or is the bias of the nearest
     `bias_series`: the series from which it was taken, interpolated in time
     `calibration`: what the rates are multiplied by after the bias is subtracted, shape ``(3, 3)``
     `mount`: matrix from sensor to body axes, shape ``(3, 3)``

@@ -68,7 +68,7 @@ class RestBiases:
     """The bias over time by the means of several rests.
 
     `rests`: in the order of time
-    `interpolated`: whether it changes linearly between them, or is that of the nearest in time
+    `interpolated`: whether it changes linearly between them, or is the bias of the nearest in time
     """
 
     def __init__(self, rests: Sequence[StaticPeriod], *, interpolated: bool) -> None:

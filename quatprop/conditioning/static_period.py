@@ -136,7 +136,8 @@ class StaticPeriod(NamedTuple):
         way = Setting("bias", f"static@{self.other.first_ns}..{self.other.last_ns}")
         return (
             f"the mean rate at rest from {self.first_ns} to {self.last_ns} ns differs by "
-            f"{degrees:.3g} deg/s from that of another rest, {way}: the bias changed between the "
+            f"{degrees:.3g} deg/s from the mean of another rest, {way}: the bias changed "
+            "between the "
             "two, or the body turned steadily in one of them"
         )
 

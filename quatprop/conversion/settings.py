@@ -21,7 +21,7 @@ class ConvertOptions(AttitudeOptions, total=False):
     convention: Annotated[Convention | None, Keyword(
         Choice(*CONVENTIONS), "Convention of OUT.", "hamilton", group="Output", common=True)]
     direction: Annotated[Direction | None, Keyword(
-        Choice(*DIRECTIONS), "Which coordinates OUT turns into which.", "body-to-ref",
+        Choice(*DIRECTIONS), "Which coordinates OUT transforms into which.", "body-to-ref",
         group="Output", common=True)]
     sign: Annotated[Sign | None, Keyword(
         Choice(*SIGNS), "Sign of q, as q and -q are the same attitude: keep leaves it; continuous "

@@ -157,7 +157,7 @@ class BinaryDecoder:
             self.path,
             f"the message of topic {quoted(self.channel.topic)} recorded at "
             f"{first.log_ns[0]} ns{others} ends, after {size} bytes, before the wanted field "
-            f"of {quoted(self.channel.type_name)}; the log is damaged or its definition is not "
-            "that of its messages",
+            f"of {quoted(self.channel.type_name)}; the log is damaged or its definition does not "
+            "match its messages",
             positions.tolist(),
         )

@@ -69,7 +69,7 @@ class TransformDecoder:
             raise SchemaError(
                 path,
                 f"topic {quoted(channel.topic)} is of type {quoted(channel.type_name)}, but the "
-                "definition that the log carries is not that of a list of transforms",
+                "definition that the log carries does not describe a list of transforms",
             )
 
     def transforms(self, block: MessageBlock) -> Transforms:

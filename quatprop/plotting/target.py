@@ -84,6 +84,6 @@ def kind_of(target: str) -> str:
     if kind is None:
         raise OutputError(
             target,
-            "the suffix is not that of an image; use .png, .svg or .pdf, or .html for a report",
+            "the suffix is not an image format; use .png, .svg or .pdf, or .html for a report",
         )
     return kind

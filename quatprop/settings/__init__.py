@@ -44,7 +44,7 @@ class RunOptions(RateOptions, total=False):
         place,
         "Remove the rotation of the Earth at this latitude, deg, so that attitudes are relative "
         "to the ground. The reference frame is east-north-up, or north-east-down if its z axis "
-        "points down; AZIMUTH is that of a different x axis, deg clockwise from north.",
+        "points down; AZIMUTH is the direction of a different x axis, deg clockwise from north.",
         "attitudes relative to an inertial reference frame", "LAT[,AZIMUTH]", "Integration")]
     q0: Annotated[
         str | PathLike[str] | Collection[float] | Rotated | Timed | None, Keyword(

@@ -127,7 +127,7 @@ class SeriesOptions(SelectOptions, total=False):
     from_convention: Annotated[Convention | None, Keyword(
         Choice(*CONVENTIONS), "Convention of {log}.", "by metadata, else hamilton")]
     from_direction: Annotated[Direction | None, Keyword(
-        Choice(*DIRECTIONS), "Which coordinates {log} turns into which.", "by metadata, else "
+        Choice(*DIRECTIONS), "Which coordinates {log} transforms into which.", "by metadata, else "
         "body-to-ref")]
     from_angle_unit: Annotated[Literal["rad", "deg"] | None, Keyword(
         Choice("rad", "deg"), "Unit of angles in {log}, a table of yaw, pitch, roll or rotation "

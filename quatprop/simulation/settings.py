@@ -99,7 +99,7 @@ class SimulateOptions(TypedDict, total=False):
     start: Annotated[str | int | datetime | None, Keyword(
         _moment, "Time of the first sample, RFC 3339 or ns.", "2023-11-14T22:13:20Z", "TIME")]
     seed: Annotated[int | None, Keyword(
-        _seed, "Of noise and random walk: the same seed gives the same log.", "0", "N")]
+        _seed, "Seed of noise and random walk: the same seed gives the same log.", "0", "N")]
     noise: Annotated[float | str | None, Keyword(
         _in_radians(NOISE_DENSITIES, "a noise density", "0.2deg/sqrt(h)"),
         "Angle random walk, in rad/s/sqrt(Hz) or with its unit, such as 0.2deg/sqrt(h).", "0",

@@ -104,7 +104,7 @@ def kind_of(path: Path, head: bytes) -> str:
         return "csv"
     raise UnknownFormatError(
         path,
-        "neither its content nor its suffix is that of a log this version reads; if you know "
+        "neither its content nor its suffix is one that this version reads; if you know "
         f"its kind, use {Setting('kind', '|'.join(READERS))}",
     )
 

@@ -195,7 +195,7 @@ class NpzLog(NumpyTable):
         members = [name for name in self._archive.namelist() if name.endswith(_SUFFIX)]
         if len(members) > _MOST_ARRAYS:
             raise UnsupportedLogError(
-                self.path, f"it has {len(members)} arrays; save those of one recording"
+                self.path, f"it has {len(members)} arrays; save the arrays of one recording"
             )
         arrays: dict[str, list[ArrayColumn]] = {}
         refused = ""

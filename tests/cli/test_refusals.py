@@ -12,7 +12,7 @@ INPUT = "this is an input of the run; choose another output"
 TWICE = "two outputs of the run would go here; choose another"
 RATE = "is not a rate from 1e-9 to 1e9 Hz; write 100, 29.97 or 30000/1001"
 NO_TIME = "is not a time; write RFC 3339 (2024-01-31T12:00:00Z) or integer nanoseconds"
-ODD = "neither its content nor its suffix is that of a log this version reads; if you know its kind"
+ODD = "neither its content nor its suffix is one that this version reads; if you know its kind"
 EUROC_COLUMNS = "'w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1]'"
 COUNTED = (
     "counts from the first sample, and no log is so long; write a Unix time as RFC 3339 "
@@ -203,7 +203,7 @@ CONVERT = {
 SMALL = "the panels and their letters do not fit into this picture; give at least --size "
 SIZE = "is not a size from 1in to 100in; write 90mm or 16x9cm"
 PLOT = {
-    "q.csv -o a.jpg": "Error: a.jpg: the suffix is not that of an image; use .png, .svg or .pdf, "
+    "q.csv -o a.jpg": "Error: a.jpg: the suffix is not an image format; use .png, .svg or .pdf, "
     "or .html for a report",
     "q.csv -o -": "Error: -: a plot is written to a file; name one that ends in .png",
     "q.svg --from csv -o q.svg": f"Error: q.svg: {INPUT}",

@@ -114,7 +114,8 @@ def test_what_is_no_rotation_is_located_in_every_format(tmp_path, kind, layout):
     output = OutputSettings(str(target))
     sentence = (
         r"3 of 5 rows are invalid quaternions \(1 all zero, 1 off unit length by up to 0.01, 1 "
-        r"absent or not finite\), the first is row 1 at 1000000000 ns; normalize scales those of "
+        r"absent or not finite\), the first is row 1 at 1000000000 ns; normalize scales "
+        r"quaternions of "
         r"another length, on_invalid='drop' omits them"
     )
     with pytest.raises(NotRotationsError, match=sentence):

@@ -18,7 +18,7 @@ from quatprop.conventions import AttitudeConvention
 from quatprop.logs.signals.quaternion_check import QuaternionCounts
 from quatprop.pipeline.report import RunReport
 
-HEAD = "This page is written by `make documents`, from what the program says of itself.\n"
+HEAD = "This page is written by `make documents` from the program's own help and docstrings.\n"
 
 
 def reference():
@@ -113,11 +113,15 @@ JSON = """## JSON
 
 `propagate --report`, `batch --json` and the metadata of outputs have a RunReport, `compare --json`
 a Comparison, each line of a batch's `manifest.jsonl` a ManifestEntry. Keys are the fields below.
-Beside them stand `quatprop`, the version that wrote it; in a RunReport `data_lost`, `timings`, and
+Further keys are `quatprop`, the version that wrote it; in a RunReport `data_lost`, `timings`, and
 `side` of its convention; in a Comparison its inputs `a` and `b`, each with `path`, `kind`, `name`,
 `type`, `quaternion` (field or columns), `layout`, `meaning` (AttitudeConvention), `clock`,
 `samples`, `rows` (QuaternionCounts), `losses` and `remarks`. Arrays and tuples are lists; None is
-null, and so is a number that is not finite. The fields of a digest stand beside the others.
+null, and so is a number that is not finite. The fields of a digest are among the others.
+
+`info --json` is a list with a [LogSurvey](api.md) for each log, and `check --json` has `passed`,
+`counts` and `cases`, each with its `verdict`, `reason`, `error_rad` and `limits`. Keys may change
+from one version to the next until version 1.0, so pin the version.
 """
 
 ROOTS = (RunReport, Comparison, ManifestEntry, AttitudeConvention, QuaternionCounts)

@@ -167,8 +167,8 @@ def _counted(
         if counter:
             matcher.remark(
                 "counter-used",
-                f"{given} is that of the counter {matcher.names(counter)}, which also counts lost "
-                f"samples; to count rows, give {Setting('time_col', _NO_COLUMN)} too"
+                f"{given} is the rate of the counter {matcher.names(counter)}, which also counts "
+                f"lost samples; to count rows, give {Setting('time_col', _NO_COLUMN)} too"
             )  # fmt: skip
         stamp = _at_rate(matcher, numbers, counter, rate)
         if unused := clocks_of(matcher, row, ()):

@@ -45,7 +45,7 @@ def match_attitudes(found: Found, selection: AttitudeSelection, recorded: str | 
     else:
         row = found.row
         unit = _angle_unit(matcher, selection.from_angle_unit, form, stored, row.angle_unit)
-        text = "which of q and -q is meant is not stored: signs are those of each row by itself"
+        text = "which of q and -q is meant is not stored: each row has its own sign"
         remarks = (Remark("sign-unstored", text),)
         if form.startswith("euler-"):
             first, second, third = tuple(form.removeprefix("euler-"))

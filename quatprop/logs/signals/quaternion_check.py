@@ -141,6 +141,6 @@ class QuaternionCheck:
                 f"none of {counts.read} rows holds an attitude (they are absent, not finite or no "
                 "rotations); if the log holds body rates, propagate them first"
             )
-        scaling = f"{Setting('normalize')} scales those of another length, "
+        scaling = f"{Setting('normalize')} scales quaternions of another length, "
         ways = f"{scaling if counts.not_unit else ''}{Setting('on_invalid', 'drop')}"
         return f"{counts.summary}; {ways} omits them"

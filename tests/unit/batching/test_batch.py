@@ -110,7 +110,7 @@ def test_two_logs_never_share_an_output(tmp_path):
     one, out = spin(tmp_path / "a.csv"), tmp_path / "out"
     other = spin(tmp_path / "b" / "a.csv", samples=7)
     done = batch(one, other, "-o", out, code=2)
-    words = f"its output '{out / 'a.parquet'}' is that of '{one}'; {FOLDERS}"
+    words = f"its output '{out / 'a.parquet'}' is also the output of '{one}'; {FOLDERS}"
     assert f"Error: {other}: {words}\n" in done.stderr
     assert said(done) == "1 of 2 logs done, 5 samples"
     batch(one, tmp_path / "." / "a.csv", "-o", out, "-q", code=0)
@@ -137,7 +137,7 @@ def test_an_output_of_another_log_is_not_replaced(tmp_path):
     batch(one, "-o", tmp_path / "out", code=0)
     words = refused("batch", other, "-o", tmp_path / "out", "-q")
     place = tmp_path / "out" / "imu.parquet"
-    assert words == f"Error: {other}: its output '{place}' is that of '{one}'; {FOLDERS}"
+    assert words == f"Error: {other}: its output '{place}' is also the output of '{one}'; {FOLDERS}"
     assert entries(tmp_path / "out")["imu.parquet"]["root"] == str(tmp_path / "1")
     batch(other, "-o", tmp_path / "out", "--root", tmp_path, code=0)
     batch(one, "-o", tmp_path / "out", code=0)

@@ -145,7 +145,9 @@ def test_names_that_differ_in_case_only_are_refused(tmp_path):
     with_names(search.logs, "out")
     first, second = search.logs
     assert (first.name, first.refused) == ("IMU.npy", "")
-    assert second.refused.startswith(f"its output 'out/imu.npy' is that of '{tmp_path / '1'}")
+    assert second.refused.startswith(
+        f"its output 'out/imu.npy' is also the output of '{tmp_path / '1'}"
+    )
 
 
 def test_logs_can_be_listed(tmp_path):

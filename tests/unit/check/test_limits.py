@@ -89,7 +89,7 @@ def test_a_limit_holds_for_what_was_compared(folder, rows, code, swapped):
     assert result.exit_code == code, result.output
     assert ("failed" in result.output) == bool(code)
     if code:
-        share = "100 % of the time and 100 % of the samples of B and 9.91 % of that of A"
+        share = "100 % of the time and 100 % of the samples of B and 9.91 % of the time of A"
         assert (share if swapped else "coverage 9.91 % of the time") in result.output
     assert run("compare", *pair, "--tol", "1deg", "--min-coverage", "0").exit_code == 0
 
@@ -119,7 +119,7 @@ def test_no_default_leaves_out_all_cases(folder, key):
     """One line in the defaults made every case green, also with `--strict`."""
     result = check(write_suite(folder, f'[defaults]\n{key} = "later"\n{TRUTH}'), "--strict")
     assert result.exit_code == 2
-    assert f"'defaults.{key}': the reason is that of one case" in result.stderr
+    assert f"'defaults.{key}': the reason belongs to one case" in result.stderr
 
 
 def test_a_reference_of_another_origin_fails(folder):

@@ -216,7 +216,7 @@ def test_rows_that_are_no_rotations_are_found(tmp_path, head, rows, counts):
 def test_stamps_are_those_of_the_rates_where_angles_have_no_unit(tmp_path):
     """Angles beside rates do not stand in the way of who wants the stamps alone."""
     path = written(tmp_path, "wx,wy,wz,yaw,pitch,roll", [range(6), range(6)])
-    assert stamps_in(path).tolist() == [0, 1]
+    assert stamps_in(str(path)).tolist() == [0, 1]
 
 
 FORMS = ["rotvec", "euler-zyx", "euler-zyx --euler-unit deg", "euler-zxz", "matrix"]

@@ -409,7 +409,8 @@ def test_a_counter_is_used_at_a_sample_rate_unless_rows_are_to_be_counted(tmp_pa
         by_counter,
         [
             (
-                "sample_rate='100' is that of the counter 'PacketCounter', which also counts lost "
+                "sample_rate='100' is the rate of the counter 'PacketCounter', which also "
+                "counts lost "
                 "samples; to count rows, give time_col='none' too"
             ),
             "2 samples lost by the counter 'PacketCounter'",

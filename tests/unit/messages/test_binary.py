@@ -159,8 +159,8 @@ def test_a_message_is_long_enough_exactly_from_the_end_of_the_wanted_field_on():
     with pytest.raises(
         MessageError,
         match=r"^log: the message of topic '/topic' recorded at 1000 ns ends, after 19 bytes, "
-        r"before the wanted field of 'pkg/msg/T'; the log is damaged or its definition is not that "
-        r"of its messages$",
+        r"before the wanted field of 'pkg/msg/T'; the log is damaged or its definition does not "
+        r"match its messages$",
     ) as caught:
         columns(block_of([whole, whole[: 4 + 8 + 7], whole]))
     assert caught.value.positions == (1,)

@@ -170,7 +170,7 @@ def test_where_all_messages_are_lost_the_reason_is_said(tmp_path):
     assert str(caught.value) == (
         f"{path}: no samples in '/imu'; lost: topic /imu: the message of topic '/imu' recorded at "
         f"{T0} ns and 2 others ends, after 9 bytes, before the wanted field of "
-        "'sensor_msgs/msg/Imu'; the log is damaged or its definition is not that of its messages"
+        "'sensor_msgs/msg/Imu'; the log is damaged or its definition does not match its messages"
     )
 
 

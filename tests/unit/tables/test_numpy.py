@@ -72,7 +72,7 @@ def test_an_archive_of_columns_and_matrices_is_read(path, save, order):
 def test_columns_without_names_are_numbered(path, order):
     """A plain array needs the options that a headerless text needs."""
     saved(path, np.save, np.column_stack([[0.5, 1.0, 2.0], RATES]).copy(order))
-    assert "its columns are '0', '1', '2', '3'; name the columns" in refusal(path, NoRatesError)
+    assert "its columns are '0: 0.5', '1: 1.0', " in refusal(path, NoRatesError)
     cols = {"rate_cols": ("1", "2", "3")}
     sentence = refusal(path, UndeclaredError, time_col="0", **cols)
     assert "the unit of the rates '1', '2', '3' and the unit" in sentence
