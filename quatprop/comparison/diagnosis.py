@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.comparison.association import associate
 from quatprop.comparison.cause import NO_ERROR, Cause, isolated_samples
-from quatprop.comparison.explanations import Search
+from quatprop.comparison.explanations import ENOUGH, Search
 from quatprop.comparison.undoing import Sides, Undoing
 from quatprop.rendering import degrees_text
 from quatprop.series.blocks import rms
@@ -35,6 +35,9 @@ MAX_CLAIMS = 3
 
 AXES, RATES = {"axes", "rate sign", "side"}, {"rate bias", "scale"}
 """Mistakes in the axes of rates, and in the rates about these axes."""
+
+FRAMES = {"reference frame", "body frame"}
+"""Mistakes that hide all others, however much of the error is theirs."""
 
 MOST = 0.5
 """Share of an error that may remain without its cause."""
@@ -85,6 +88,8 @@ def _claims(
         if not undone or names & {each.name for each in known}:
             return
         yield _described(undone, search.others, before, after)
+        if not names <= FRAMES:
+            enough = max(enough, ENOUGH * before)
         is_all = len(undone) == len(search.best.undone) and not search.is_open
         # A rule leaves the rates at one end open, which looks like a frame.
         if is_all or "method" in names or after <= enough:

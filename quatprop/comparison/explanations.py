@@ -12,38 +12,28 @@ from contextlib import suppress
 from itertools import product
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from quatprop.comparison.alignment import Alignment, align, find_mounting, mean_rotation
-from quatprop.comparison.association import associate
+from quatprop.comparison.alignment import mean_rotation
 from quatprop.comparison.cause import NO_ERROR
-from quatprop.comparison.clock_mistakes import clocks
-from quatprop.comparison.clocks import coarse_offset
+from quatprop.comparison.fits import Fits, rms_between
 from quatprop.comparison.integration_rules import integration_rules
 from quatprop.comparison.misreadings import axes, misreadings
 from quatprop.comparison.plans import (
     CLOCKS,
     CONTAINED,
+    MISREAD,
     NOTHING,
-    PRICE,
-    PRICES,
-    Explanation,
+    RATE_REMEDIES,
+    READINGS,
     Undoings,
 )
-from quatprop.comparison.rate_mistakes import RATES, rate_mistake
-from quatprop.comparison.undoing import Sides, Undoing, frames
-from quatprop.comparison.windows import common_beginning
+from quatprop.comparison.rate_mistakes import RATES
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply
 from quatprop.rendering import degrees_text
-from quatprop.series import AttitudeSeries
-from quatprop.series.blocks import rms
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator
 
-    from quatprop.arrays import Float64
-    from quatprop.comparison.settings import ComparisonSettings
 
 NEGLIGIBLE = 1e-4
 """Share of the error below which explanations are equally good."""
@@ -57,63 +47,28 @@ TIE = 1.05
 AS_GOOD = 1.3
 """Within this factor of the best, an explanation is not ruled out."""
 
+SHOWN = 0.25
+"""Share of the error that a misreading or an integration rule may leave: most of it is theirs."""
+
+OF_LAYOUTS = 0.08
+"""The same of a wrong layout: there are so many that one of them resembles anything."""
+
+CLEARLY = 3.0
+"""Within this factor of the best, another misreading of quaternions is not ruled out."""
+
 PROMISING = 4.0
 """Within this factor of the best, a reading is tried with all alignments."""
-
-SEARCHED = 1_000
-"""Pairs in which explanations are compared, about; what is claimed is measured in all."""
-
-MIN_SAMPLES = 100
-"""Fewer samples show no clock."""
 
 ROUNDS = 2
 """How often every kind of mistake is looked for, beside those that were found."""
 
 
-class Search:
+class Search(Fits):
     """The search for what explains the errors of two series.
 
-    `added_ns`: what was added to B's timestamps already, ns
-    `known`: mistakes that are undone first
     `best`, `others`: the best explanation, and what explains as much; once it has run
     `is_open`: whether kinds of mistakes were left out, since little of the error remains
     """
-
-    def __init__(
-        self,
-        sides: Sides,
-        settings: ComparisonSettings,
-        added_ns: int,
-        known: Sequence[Undoing] = (),
-    ) -> None:
-        self._settings, self._added_ns, self._known = settings, added_ns, known
-        self._align = settings.align
-        for undoing in known:
-            sides, self._align = undoing.apply(sides), undoing.align or self._align
-        self._whole = sides
-        same = np.isin(sides.a.t_ns, sides.b.t_ns)
-        self._same_stamps = 2 * int(same.sum()) > len(same)
-        self._sides = Sides(*common_beginning(*sides))
-        self._pairs: dict[tuple[str, str, bool], Sides] = {}
-        self._mounts: dict[tuple[str, str], Float64 | None] = {}
-        self._clocks: dict[tuple[str, bool], tuple[Undoing | None, Undoing | None]] = {}
-        self._fits: dict[Undoings, Explanation] = {}
-        self._readings: dict[str, Undoing] = {}
-        self._rules: Undoing | None = None
-        self._floor, self.is_open, self.best = 0.0, False, NOTHING
-        self.others: list[str] = []
-        above = {"mean": ("mount",), "mount": ()}.get(self._align, ("mean", "mount"))
-        self._frames = ("", *above)
-
-    def judged(self, undone: Iterable[Undoing]) -> float:
-        """Return the RMS error that is left in the whole series, rad."""
-        sides, name = self._whole, self._align
-        for undoing in undone:
-            sides, name = undoing.apply(sides), undoing.align or name
-        with suppress(ComparisonError):
-            pairs = associate(*sides, self._settings)
-            return _rms(pairs.a, align(name, pairs.a, pairs.b).apply(pairs.b))
-        return math.inf
 
     def run(self) -> None:
         """Find the best explanation, and what else explains as much."""
@@ -124,7 +79,8 @@ class Search:
         self._fits.clear()
         sign, *others = misreadings()
         readings = [sign, *axes(self._read(Undoings())), *others]
-        self._readings = {f"{number}": each for number, each in enumerate(readings)}
+        if not self._is_read:
+            self._readings = {f"{number}": each for number, each in enumerate(readings)}
         plan = self._least(Undoings(rates="rate bias", frames=frame) for frame in self._frames)
         for _ in range(ROUNDS):
             plan = last = self._read_and_aligned(plan)
@@ -145,15 +101,65 @@ class Search:
                 plan = ruled
             if plan == last:
                 break
-        self.best = self._fit(plan)
-        self.others = self._alternatives(plan)
+        of_b = self._of_b(plan)
+        if of_b and self._is_shown(of_b, before.rms):
+            self.best = self._fit(self._deliverable(of_b))
+            self.others = self._alternatives(of_b)
+
+    def _deliverable(self, plan: Undoings) -> Undoings:
+        """Return a plan that leaves A's rates alone where A may be read the wrong way."""
+        best = self._fit(plan)
+        names = {undoing.name for undoing in (*self._known, *best.undone)}
+        if not RATE_REMEDIES & {undoing.name for undoing in best.undone}:
+            return plan
+        if not names & MISREAD:
+            opposite = [key for key, each in self._readings.items() if each.name == "conjugate"]
+            fits = [self._fit(plan._replace(reading=key)) for key in opposite]
+            if plan.reading or min((fit.rms for fit in fits), default=math.inf) > (
+                CLEARLY * (best.rms + self._floor)
+            ):
+                return plan
+        return self._least(
+            plan._replace(rates=rates) for rates in ("drift in body", "drift in reference", "")
+        )
+
+    def _of_b(self, plan: Undoings) -> Undoings | None:
+        """Return a plan that reads B otherwise instead of A, if that explains as much.
+
+        A wrong layout turns both frames: where these are free, it is any of them in A as in B.
+        """
+        best = self._fit(plan)
+        names = {undoing.name for undoing in best.undone}
+        if not best.undone or best.undone[0].side != "a" or "conjugate" in names:
+            return plan
+        keys = [key for key, each in self._readings.items() if each.side == "b"]
+        of_b = self._least(
+            each
+            for each in self._varied([plan], reading=keys, frames=self._frames)
+            if each.frames != "mount" or self._readings[each.reading].name in names
+        )
+        more = self._fit(of_b).rms / (best.rms + self._floor)
+        if more <= TIE:
+            return of_b
+        return None if plan.frames or more <= CLEARLY else plan
+
+    def _is_shown(self, plan: Undoings, before: float) -> bool:
+        """Tell whether a misreading or a rule explains most of an error."""
+        names = {undoing.name for undoing in self._fit(plan).undone}
+        fits = [fit.rms for each, fit in self._fits.items() if each.reading == plan.reading]
+        with_it = min(fits if plan.reading else [self._fit(plan).rms])
+        is_layout = any(name.startswith("layout") for name in names)
+        most = (OF_LAYOUTS if is_layout else SHOWN) * before
+        return not names & {*READINGS, "method"} or with_it <= most
 
     def _read_and_aligned(self, plan: Undoings) -> Undoings:
         """Return the best plan with another reading, other rates and frames."""
         # Readings are also compared with free frames: those that differ may hide which is right.
         near: dict[str, Undoings] = {}
-        for frame in self._frames[: 1 + ("mean" in self._frames)]:
-            tried = [plan._replace(reading=key, frames=frame) for key in ("", *self._readings)]
+        frames = self._frames[: 1 + ("mean" in self._frames)]
+        for frame, rates in product(frames, dict.fromkeys(("", plan.rates))):
+            kinds = {"reading": ("", *self._readings), "rates": [rates], "frames": [frame]}
+            tried = [*self._varied([plan], **kinds)]
             most = PROMISING * min(self._fit(each).score for each in tried)
             near |= {each.reading: each for each in tried if self._fit(each).score <= most}
         plan = self._least(self._varied(near.values(), rates=("", plan.rates), frames=self._frames))
@@ -176,116 +182,35 @@ class Search:
         found: dict[str, str] = {}
         most = AS_GOOD * (self.best.rms + self._floor) - self._floor
         for other, fit in sorted(self._fits.items(), key=lambda tried: tried[1].rms):
-            # A mounting makes one misreading of another.
-            count = len(fit.undone) + (other.frames == "mount" and other.reading != "")
-            if fit.rms <= most and count <= len(self.best.undone):
+            if fit.rms <= most and self._count(other) <= self._count(plan):
                 for undoing in fit.undone:
                     if not any((name, undoing.name) in CONTAINED for name in names):
                         found.setdefault(undoing.name, undoing.other)
+        if names & READINGS and not self._shows_mounting(plan):
+            # About one axis, an axis that is reversed reverses all rotations.
+            found |= {
+                each.name: each.other
+                for each in self._readings.values()
+                if each.name in {"rate sign", "conjugate", "axes"}
+            }
         if "reference frame" in names:
             sides = self._read(plan)
-            for undoing in self.best.undone:
+            for undoing in self._fit(plan).undone:
                 if undoing.name in {"rate bias", "scale", "drift", "method"}:
                     sides = undoing.apply(sides)
             a, b = (series.wxyz for series in sides)
             turn = mean_rotation(multiply(conjugate(b), a))
-            if _rms(a, multiply(b, turn)) <= most:
+            if rms_between(a, multiply(b, turn)) <= most:
                 angle = float(geodesic_angle(IDENTITY, turn))
                 found["body frame"] = f"body frames that differ by {degrees_text(angle)}"
         return sorted({text for name, text in found.items() if name not in names})
 
-    def _read(self, plan: Undoings) -> Sides:
-        """Return pairs with a reading and a clock, as series of the same stamps."""
-        key = plan.reading, plan.clock, bool(plan.clock) and self._is_turned(plan)
-        if key not in self._pairs:
-            # Where no clock is wrong, the pairs are read otherwise: they are interpolated once.
-            again = plan.clock or not plan.reading
-            sides = self._sides if again else self._read(Undoings())
-            for undoing in self._undone(plan):
-                sides = undoing.apply(sides)
-            if again:
-                pairs = associate(*sides, self._settings)
-                sides = Sides(*(AttitudeSeries(pairs.t_ns, q) for q in (pairs.a, pairs.b)))
-            self._pairs[key] = sides
-        return self._pairs[key]
+    def _count(self, plan: Undoings) -> int:
+        # A mounting makes one misreading of another.
+        return len(self._fit(plan).undone) + (plan.frames == "mount" and plan.reading != "")
 
-    def _undone(self, plan: Undoings) -> Iterator[Undoing]:
-        """Yield a reading and a clock."""
-        if plan.reading:
-            yield self._readings[plan.reading]
-        if plan.clock:
-            key = plan.reading, self._is_turned(plan)
-            if key not in self._clocks:
-                self._clocks[key] = self._clocks_of(*key)
-            undoing = self._clocks[key][CLOCKS.index(plan.clock)]
-            if undoing is None:
-                raise ComparisonError("the motion shows no offset")
-            yield undoing
-
-    def _is_turned(self, plan: Undoings) -> bool:
-        return "mount" in {plan.frames, self._align}
-
-    def _clocks_of(self, reading: str, turned: bool) -> tuple[Undoing | None, Undoing | None]:
-        sides = self._readings[reading].apply(self._sides) if reading else self._sides
-        if min(map(len, sides)) < MIN_SAMPLES:
-            return None, None
-        coarse_ns = 0
+    def _shows_mounting(self, plan: Undoings) -> bool:
         with suppress(ComparisonError):
-            coarse_ns, _ = coarse_offset(*sides)
-        offset, change = clocks(sides, coarse_ns, self._added_ns, turned=turned)
-        return None if self._settings.time_offset == "auto" else offset, change
-
-    def _fit(self, plan: Undoings) -> Explanation:
-        if plan not in self._fits:
-            self._fits[plan] = NOTHING
-            with suppress(ComparisonError):
-                self._fits[plan] = self._fitted(plan)
-        return self._fits[plan]
-
-    def _fitted(self, plan: Undoings) -> Explanation:
-        sides = self._read(plan)
-        undone = [*self._undone(plan)]
-        alignment, left = self._aligned(plan, sides)
-        for kind in plan.rates.split(" and "):
-            if not kind:
-                continue
-            turned = [each.mount for each in (*self._known, *undone) if each.mount is not None]
-            undoing = (
-                self._rules
-                if kind == "method"
-                else rate_mistake(kind, sides, alignment, turned[0] if turned else None)
-            )
-            if undoing is None:
-                return NOTHING
-            undone.append(undoing)
-            sides = undoing.apply(sides)
-            alignment, left = self._aligned(plan, sides)
-        if plan.frames:
-            undone.append(frames(self._aligned(Undoings(), sides)[0], alignment))
-        price = math.prod(PRICES.get(undoing.name, PRICE) for undoing in undone)
-        if plan.frames == "mount" and self._align != "mean":
-            price *= PRICES["reference frame"]  # it rotates both
-        return Explanation(tuple(undone), left, (left + self._floor) / price)
-
-    def _aligned(self, plan: Undoings, sides: Sides) -> tuple[Alignment, float]:
-        some = slice(None, None, max(len(sides.a) // SEARCHED, 1))
-        a, b = (series.wxyz[some] for series in sides)
-        name = plan.frames or self._align
-        if name == "mount":
-            # Rotations between samples show it, and hardly what goes wrong slowly.
-            key = plan.reading, plan.clock
-            if key not in self._mounts:
-                self._mounts[key] = None
-                self._mounts[key], _ = find_mounting(a, b)
-            mount = self._mounts[key]
-            if mount is None:
-                raise ComparisonError("the motion shows no mounting")
-            turned = multiply(b, mount)
-            alignment = Alignment(name, align("mean", a, turned).reference_wxyz, mount)
-        else:
-            alignment = align(name, a, b)
-        return alignment, _rms(a, alignment.apply(b))
-
-
-def _rms(a: Float64, b: Float64) -> float:
-    return rms(geodesic_angle(a, b))
+            self._aligned(plan._replace(frames="mount"), self._read(plan))
+            return True
+        return False

@@ -44,12 +44,15 @@ MIN_SHARE = 0.05
 DEAD = 1e-6
 """Share of its largest spread below which a rate does not vary but by rounding."""
 
+OF_NOISE = 2.0
+"""Rotations over windows of n samples that are this many times the root of n larger than those over
+one are no noise, neither of rates nor of attitudes."""
 
 AT_LIMIT = 1e-3
-"""Share of the largest rate about an axis by which rates at a limit differ from it."""
+"""Share of the range of sizes of a rate by which those at a limit differ from the largest."""
 
-MIN_AT_LIMIT = 0.02
-"""Share of the samples at a limit: of a smooth motion, fewer are that close to its peaks."""
+MIN_AT_LIMIT = 0.04
+"""Share of the samples at a limit: of a sine, 0.03 are that close to its peaks."""
 
 MOST = 0.5
 """Share of the error, at most, that remains without what is made where motion is lost."""
@@ -109,7 +112,7 @@ def _in_gaps(t_ns: Int64, pairs_ns: Int64) -> Bool:
 def _at_limit(rate: Float64) -> Bool:
     """Tell which rates are as large as any about their axis, shape ``(N - 1, 3)``."""
     sizes = np.abs(rate)
-    at_limit = sizes >= (1 - AT_LIMIT) * sizes.max(axis=0)
+    at_limit = sizes >= sizes.max(axis=0) - AT_LIMIT * np.ptp(sizes, axis=0)
     return np.asarray(at_limit & (at_limit.mean(axis=0) >= MIN_AT_LIMIT))
 
 
@@ -136,12 +139,14 @@ def dead_axes(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Remark]:
 def _spreads(series: AttitudeSeries) -> tuple[Float64, Float64]:
     """Return the RMS rotations from sample to sample about the body axes, less the mean rate, rad.
 
-    The second result is of windows, about their principal axes, the smallest first.
+    The second result is of windows, about their principal axes, the smallest first; none of noise.
     """
     seconds, angle = body_angle(series, int(series.t_ns[0]))
     span = max(float(seconds[-1]), 1e-9)
     varying = angle - seconds[:, None] / span * angle[-1]
     steps = np.diff(varying, axis=0)
-    windows = np.diff(varying[:: max(len(varying) // WINDOWS, 1)], axis=0)
-    powers = np.linalg.eigvalsh(windows.T @ windows / len(windows))
+    stride = max(len(varying) // WINDOWS, 1)
+    windows = np.diff(varying[::stride], axis=0)
+    of_steps, powers = (np.linalg.eigvalsh(x.T @ x / len(x)) for x in (steps, windows))
+    powers[powers <= OF_NOISE**2 * stride * of_steps] = 0.0
     return np.sqrt((steps**2).mean(axis=0)), np.sqrt(np.maximum(powers, 0.0))

@@ -34,8 +34,8 @@ MIN_SAMPLES = 20
 ROUGH = 40.0
 """Squared changes of rates over those of their means: of noise 4; others grow without bound."""
 
-SAME = 1e-6
-"""rad: the rates must lead back to A."""
+SAME = 2e-3
+"""rad: the rates must lead back to A; what is missing of that is missing with the other rule."""
 
 
 SCREENED = 1_500
@@ -93,8 +93,7 @@ def by_other_rule(a: AttitudeSeries, known: str, other: str) -> AttitudeSeries |
     back = rotation_vectors(a.t_ns, rate, known)
     if not (rough <= ROUGH * smooth and np.abs(back - steps).max() <= SAME):
         return None
-    steps = np.asarray(rotation_vectors(a.t_ns, rate, other))
-    return recomposed(a, steps)
+    return recomposed(a, steps + rotation_vectors(a.t_ns, rate, other) - back)
 
 
 def _rates(t_ns: Int64, steps: Float64, rule: str) -> Float64:

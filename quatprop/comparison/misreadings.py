@@ -81,7 +81,9 @@ def _misread(side: str) -> Iterator[Undoing]:
     direction += Setting("from_convention", "jpl", side)
     way = f"if it is {side.upper()}, read it with "
     other = "a wrong direction or JPL convention"
-    yield Undoing("conjugate", other, CONJUGATE, way + direction, read(AS_READ, opposite=True))
+    yield Undoing(
+        "conjugate", other, CONJUGATE, way + direction, read(AS_READ, opposite=True), side=side
+    )
     for name, order in LAYOUTS.items():
         last = (name == "layout") == (side == "b")
         own, taken = ("last", "first") if last else ("first", "last")
@@ -89,13 +91,14 @@ def _misread(side: str) -> Iterator[Undoing]:
         layout = Setting("from_layout", f"scalar-{own}", side)
         numbers = order if side == "b" else np.argsort(order).tolist()
         apply = read(numbers, opposite=False)
-        yield Undoing(name, "a wrong layout", said, way + layout, apply)
+        yield Undoing(name, "a wrong layout", said, way + layout, apply, side=side)
         yield Undoing(
             f"{name} and conjugate",
             f"a wrong layout with {other}",
             f"{said}; also, {CONJUGATE}",
             f"{way}{layout} and {direction}",
             read(numbers, opposite=True),
+            side=side,
         )
 
 

@@ -30,9 +30,20 @@ CONTAINED = {
     ("reference frame", "body frame"),
     ("body frame", "reference frame"),
     ("clock drift", "time offset"),
-    ("time offset", "clock drift"),
 }
 """Mistakes of which the second is no alternative to the first: it has as much, or is a part."""
+
+MISREAD = {
+    *("conjugate", "layout", "layout-first"),
+    *("layout and conjugate", "layout-first and conjugate"),
+}
+"""Quaternions of one series that were read otherwise than they were written."""
+
+READINGS = {*MISREAD, "axes", "rate sign", "side"}
+"""Mistakes without parameters, of which one is made."""
+
+RATE_REMEDIES = {"rate bias", "scale", "method"}
+"""Mistakes that are undone by propagating again."""
 
 
 class Undoings(NamedTuple):

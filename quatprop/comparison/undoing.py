@@ -42,6 +42,7 @@ class Undoing(NamedTuple):
     `align`: the alignment that undoes it, where one does
     `mount`: the matrix by which it turns A's rates, where the remedy is a mounting: a bias is
         subtracted before that
+    `side`: ``a`` or ``b``, the series that was misread, where it is only one
     """
 
     name: str
@@ -51,6 +52,7 @@ class Undoing(NamedTuple):
     apply: Callable[[Sides], Sides]
     align: str = ""
     mount: Float64 | None = None
+    side: str = ""
 
 
 def if_propagated(setting: str, a: str, b: str) -> str:

@@ -114,17 +114,16 @@ def _mended(source, clause, one):  # noqa: PLR0911, PLR0912  # one kind of remed
         turn = exp(-seconds * np.radians(np.array(found.groups()[:3], float) / 3600))
         pair = (series.wxyz, turn) if found[4] == "body" else (turn, series.wxyz)
         return Source(series=AttitudeSeries(series.t_ns, multiply(*pair)))
-    if found := re.search(f"add {number} ms to B's stamps.* {number} ppm", clause):
+    if found := re.search(f"add {number} ms to B's timestamps.* {number} ppm", clause):
         series = source.attitudes()
         since = series.t_ns - series.t_ns[0]
         added = float(found[1]) * 1e6 + float(found[2]) * 1e-6 * since
         t_ns = series.t_ns + np.round(added).astype(np.int64)
         return Source(series=AttitudeSeries(t_ns, series.wxyz))
-    if re.search(r"leave \d", clause):
+    if re.search(r"omit \d", clause):
         errors = quatprop.compare(one.a.attitudes(), one.b.attitudes(), tol=4, **one.options)
         keep = (
-            errors.errors
-            <= np.sort(errors.errors)[-1 - int(re.search(r"leave ([\d]+)", clause)[1])]
+            errors.errors <= np.sort(errors.errors)[-1 - int(re.search(r"omit ([\d]+)", clause)[1])]
         )
         series = one.b.attitudes()
         kept = np.isin(series.t_ns, errors.t_ns[keep])

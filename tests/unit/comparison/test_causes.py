@@ -203,6 +203,20 @@ def test_a_dead_axis_is_a_finding_and_no_cause():
     assert compare(attitudes(signs=(0, 0, 1)), about_z()[1]).remarks == ()
 
 
+@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
+@pytest.mark.parametrize("of_rates", [0.0, 1.0])
+def test_noise_about_a_constant_rate_is_no_motion_about_three_axes(of_rates):
+    """Of a body that spins about z, a reference with noise was said to show missing rates."""
+    rng = np.random.default_rng(3)
+    rate = np.tile([0, 0, 1.0], (2000, 1))
+    measured = rate + np.radians(of_rates) * rng.normal(size=rate.shape)
+    t_ns = np.arange(2000) * 10**8
+    a, b = (quatprop.propagate(GyroSeries(t_ns, one)) for one in (rate, measured))
+    noise = exp(np.radians(1.0) * rng.normal(size=rate.shape))
+    pair = AttitudeSeries(t_ns, a.wxyz), AttitudeSeries(t_ns, multiply(b.wxyz, noise))
+    assert findings(*pair, comparison_settings(align="mean")) == ()
+
+
 def propagated(keep=slice(None), rates=RATES):
     """Return attitudes of some of the rates."""
     found = quatprop.propagate(GyroSeries(T_NS[keep], rates[keep]), method="mean")
@@ -257,6 +271,26 @@ def test_gaps_and_limits_that_make_no_error_are_no_findings(a, b):
     Of turned frames, rounding was left, and said to be lost motion.
     """
     assert findings(a(), b(), comparison_settings()) == ()
+
+
+SINES = np.sin(PHASES)
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
+@pytest.mark.parametrize(
+    ("a", "b", "names"),
+    [
+        (np.clip(SINES, -0.996, 0.996), SINES, ["motion-lost"]),
+        (SINES, SINES * np.where(np.abs(SINES) > 0.999, 1.05, 1), []),
+        ([0, 0, 20] + 0.05 * SINES, [0, 0, 20] + 0.05 * SINES * np.where(SINES > 0.6, 1.1, 1), []),
+    ],
+    ids=["saturated", "a smooth peak", "a smooth peak of a fast spin"],
+)
+def test_rates_at_a_limit_stay_there(a, b, names):
+    """At its peaks a sine is within 0.1 % of the largest for 3 % of the time: that is no limit."""
+    pair = propagated(rates=a), propagated(rates=b)
+    found = findings(*pair, comparison_settings(align="mean"))
+    assert [remark.code for remark in found] == names
 
 
 def test_time_that_is_not_judged_is_no_gap():
