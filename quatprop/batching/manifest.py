@@ -282,7 +282,9 @@ class Manifest:
                 tables.append((table if chosen is None else table.filter(chosen)).select(columns))
                 self.unused += unused
         if parts := [name for name in names if name.endswith(PART)]:
-            tables.append(self._dataset(parts).to_table(columns, filter=chosen))
+            ahead = REQUESTS if self._is_remote else 1  # parts take memory
+            data = self._dataset(parts)
+            tables.append(data.to_table(columns, filter=chosen, fragment_readahead=ahead))
         return pa.concat_tables(tables or [schema().empty_table().select(columns)])
 
     def _content(self, name: str) -> bytes:

@@ -99,10 +99,10 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
 
     Keys are the options of propagate (topic, method, bias...) and of compare (tol, align,
     max-dt...; those of its B begin with reference-, as reference-topic); paths are relative to
-    the suite. --update writes the references, and SUITE.lock.json, which pins the SHA-256 of the
-    inputs and the options of each case. Keep all of them with the suite. Use pin-log = false
-    where the system under test makes the log, skip = "REASON" to leave a case out, and
-    xfail = "REASON" for a case that is known to fail.
+    the suite. Run a new suite once with --update: it writes the references, and SUITE.lock.json,
+    which pins the SHA-256 of the inputs and the options of each case. Keep all of them with the
+    suite. Use pin-log = false where the system under test makes the log, skip = "REASON" to omit
+    a case, and xfail = "REASON" for a case that is known to fail.
 
     Exit code 0: all pass; 1: a case failed; 2: there was an error (a log is missing, or something
     that is pinned changed), whatever the other cases do. A case that changed is compared with its

@@ -79,9 +79,13 @@ def _refuse_several_logs(folder: Path) -> None:
             )
     parts = {suffix for kind in ("mcap", "db3") for suffix in READERS[kind].suffixes}
     if len(logs) > 1 and any(file.suffix.lower() not in parts for file in logs):
-        names = listed(file.name for file in logs)
+        names, kinds = listed(file.name for file in logs), {file.suffix for file in logs}
+        # Of a data set, for example.
+        parts_of_one = f"all of one recording as {plain(folder)}/*{plain(kinds.pop())}, "
         raise UnsupportedLogError(
-            folder, f"the folder holds several logs: {names}; name one, or use quatprop batch"
+            folder,
+            f"the folder holds several logs: {names}; name one, "
+            f"{'' if kinds else parts_of_one}or use quatprop batch",
         )
 
 

@@ -178,7 +178,7 @@ def _samples(report: RunReport) -> str:
         text += f" over {duration_text(counts.span_ns)}, "
         text += rate_text(counts.used, counts.span_ns, counts.median_dt_ns)
     if result.rows != result.samples:
-        text += f"; {result.rows} of them written"
+        text += f"; {count_text(result.rows, 'attitude')} written"
     return text
 
 

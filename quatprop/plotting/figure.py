@@ -63,8 +63,10 @@ MIN_HEIGHT_SHARE = 0.8
 MIN_PANEL_HEIGHT, MIN_PANEL_WIDTH = 0.4, 1.15
 """Inches: least height of one of several panels, and least width, for letters of the usual size."""
 
-MAX_NOTES = 3
-"""Notes below a picture."""
+MAX_NOTES, LINES = 3, 4
+"""Notes below a picture, and lines of each where its height is free."""
+
+MORE = " \N{HORIZONTAL ELLIPSIS}"
 
 
 class Style(NamedTuple):
@@ -93,12 +95,17 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    picture, notes = page.picture, notes_of(page.warnings) if style.title else ()
-    panels, scale = picture.panels, style.font / FONT
+    picture, panels, scale = page.picture, page.picture.panels, style.font / FONT
     heights = [panel.quantity.height for panel in panels]
     least_width = (LEFT + MIN_PANEL_WIDTH + RIGHT) * scale
     room = max(style.width, least_width) / WIDTH / scale
     time = wrap(picture.time, round(LONGEST_LABEL * room))
+    lines = LINES if style.height is None else 1
+    notes = [
+        line
+        for note in (notes_of(page.warnings) if style.title else ())
+        for line in wrap(plain(note), round(LONGEST_FACT * room), max_lines=lines, placeholder=MORE)
+    ]
     body = SINGLE if len(panels) == 1 else PANEL * sum(heights)
     entries = len(picture.legend) + sum(len(panel.marks) + bool(panel.level) for panel in panels)
     columns = 2 if room >= TWO_COLUMNS_FROM else 1
@@ -167,7 +174,7 @@ def _write_text(
         result.text(MARGIN, place, shortened(fact, longest), fontsize=small, va="top")
     for number, note in enumerate(reversed(notes)):
         place = (0.07 + LINE * number) / height
-        result.text(MARGIN, place, shortened(note, longest), fontsize=small)
+        result.text(MARGIN, place, note, fontsize=small)
 
 
 def _write_legend(

@@ -195,7 +195,8 @@ class AttitudeSeries(Series):
             return NotImplemented
         if not np.array_equal(self.t_ns, other.t_ns):
             raise SeriesError(
-                "attitudes at different times cannot be multiplied; relative_to() interpolates"
+                "attitudes at different times cannot be multiplied; relative_to() interpolates "
+                "those of another body, and wxyz has the quaternions alone"
             )
         return AttitudeSeries(self.t_ns, multiply(self.wxyz, other.wxyz))
 

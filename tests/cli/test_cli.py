@@ -105,7 +105,7 @@ def test_lost_samples_end_with_code_3(tmp_path, rows, options, said):
 @pytest.mark.parametrize(
     ("options", "said", "milliseconds"),
     [
-        ("--every 4", "samples     11 over 1 s, 10 Hz; 3 of them written", [0, 400, 800]),
+        ("--every 4", "samples     11 over 1 s, 10 Hz; 3 attitudes written", [0, 400, 800]),
         ("--start +200ms --end -500ms", "samples     4 over 300 ms", [200, 300, 400, 500]),
         ("--start 1970-01-01T00:00:00.9Z", "samples     2 over 100 ms", [900, 1000]),
         ("--start 800000000 --end +900ms", "samples     2 over 100 ms", [800, 900]),

@@ -81,7 +81,7 @@ def test_none_takes_back_what_a_configuration_gives():
     settings = {"rate": "50 Hz", "on-gap": "zero", "max-gap": "1s", "topic": "/imu"}
     Path("more.toml").write_text("".join(f'{key} = "{settings[key]}"\n' for key in settings))
     line = ("propagate", "tumbling.bag", "-o", "a.parquet", "--config", "more.toml")
-    assert "500 of them written" in run(*line, code=0).stderr
+    assert "500 attitudes written" in run(*line, code=0).stderr
     run(*line, *(text for name in settings for text in (f"--{name}", "none")), code=0)
     run("propagate", "tumbling.bag", "-o", "b.parquet", code=0)
     assert Path("a.parquet").read_bytes() == Path("b.parquet").read_bytes()

@@ -422,6 +422,23 @@ def test_what_looks_wrong_with_rates_is_said_below_them(tmp_path):
     assert "warning: every rate is zero: is this the right topic?" in said.splitlines()
 
 
+@pytest.mark.parametrize(("height", "whole"), [(None, True), (4.0, False)])
+def test_a_long_warning_is_wrapped_and_cut_only_behind_a_word(turning, height, whole):
+    """Its middle was missing, and with it the number that was to be subtracted."""
+    note = (
+        "run: likely cause (rate bias): " + "subtract 0.00221576878 from the rates; " * 8 + "done"
+    )
+    plotted = view_file(str(turning), View()).plotted
+    page = Page("t", (), (), picture([plotted]), (), ())._replace(warnings=(note,))
+    texts = draw.figure(page, draw.STYLE._replace(height=height)).texts[1:]
+    shown = " ".join(
+        text.get_text() for text in sorted(texts, key=lambda text: -text.get_position()[1])
+    )
+    assert (shown == note) is whole
+    assert note.startswith(shown.removesuffix(" \N{HORIZONTAL ELLIPSIS}"))
+    assert set(shown.split()) <= {*note.split(), "\N{HORIZONTAL ELLIPSIS}"}
+
+
 # Errors.
 
 

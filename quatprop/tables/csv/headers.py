@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from quatprop.errors import UnsupportedLogError
+from quatprop.errors import UnknownFormatError, UnsupportedLogError
 from quatprop.provenance import COMMENT
 from quatprop.tables.base import OTHER_DATES
 from quatprop.tables.csv.notes import NUMBER, RATES, column_names, declared_notes, header_row
@@ -96,7 +96,7 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
     width = len(data[0]) if data else max(map(len, rows), default=0)
     header = header_row(rows[:first], data)
     if not data and len(rows) > _HEADER_ROWS and not _is_table(rows, header):
-        raise UnsupportedLogError(
+        raise UnknownFormatError(
             path,
             f"none of its first {len(rows)} lines is a row of {RATES} numbers or more; is it a "
             "table with one row per sample?",

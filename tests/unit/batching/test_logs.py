@@ -168,11 +168,15 @@ def test_tables_without_rates_in_a_folder_are_no_logs(tmp_path):
     spin(tmp_path / "in" / "imu.csv")
     gps = tmp_path / "in" / "gps.csv"
     gps.write_text("t,lat,lon\n0,1,2\n")
+    # Of two columns it failed: rates have three.
+    battery = "Time (s),Voltage (V)\n" + "0.5,4.1\n" * 300
+    (tmp_path / "in" / "battery.csv").write_text(battery)
     (tmp_path / "in" / "note.md").write_text("words")
     done = batch(tmp_path / "in", "-o", tmp_path / "out", code=0)
-    words = "1 of 1 logs done, 5 samples; ignored 1 table without body rates and 1 other file"
+    words = "1 of 1 logs done, 5 samples; ignored 2 tables without body rates and 1 other file"
     assert said(done) == words
-    assert entries(tmp_path / "out")["gps.parquet"]["state"] == "no rates"
+    for name in ("gps", "battery"):
+        assert entries(tmp_path / "out")[f"{name}.parquet"]["state"] == "no rates"
     batch(gps, "-o", tmp_path / "out", code=2)
 
 
@@ -199,4 +203,12 @@ def test_one_log_of_a_folder_is_not_taken_for_all(tmp_path, command):
     assert refused(command, tmp_path / "in", *output) == (
         f"Error: {tmp_path / 'in'}: the folder holds several logs: 'a.csv', 'b.mcap', 'c'; "
         "name one, or use quatprop batch"
+    )
+    for name in ("part-0.parquet", "part-1.parquet"):
+        (tmp_path / "set").mkdir(exist_ok=True)
+        (tmp_path / "set" / name).write_bytes(b"PAR1")
+    assert refused(command, tmp_path / "set", *output) == (
+        f"Error: {tmp_path / 'set'}: the folder holds several logs: 'part-0.parquet', "
+        f"'part-1.parquet'; name one, all of one recording as {tmp_path / 'set'}/*.parquet, "
+        "or use quatprop batch"
     )

@@ -17,6 +17,7 @@ from make.table_rates import refusal, table_rates
 
 from quatprop import read_rates
 from quatprop.errors import (
+    LogError,
     NoRatesError,
     UndeclaredError,
     UnreadableLogError,
@@ -393,7 +394,7 @@ UTF16 = "it is UTF-16 text; if it is a table, save it again as a"
 )
 def test_what_is_no_table_is_refused(text, reason):
     """Rows below another header, or of another kind, would be taken for rates."""
-    assert refusal(text, rate_unit="rad/s").startswith(reason)
+    assert refusal(text, LogError, rate_unit="rad/s").startswith(reason)
 
 
 def test_a_file_of_several_record_types_is_refused(shared_logs):
