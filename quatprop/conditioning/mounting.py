@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64
 
 AXES = {"x": 0, "y": 1, "z": 2}
+
+_TURN = re.compile(r"(?P<axis>[xyz]):(?P<deg>[^,]+?)(deg)?")
+"""A turn about one axis."""
 
 
 class FrameMounting(NamedTuple):
@@ -49,12 +53,15 @@ def mounting(text: str, what: str = "mounting") -> Float64:
 
     `text`: three signed old axes that become the new x, y and z, such as ``"x,-y,-z"``; a unit
         quaternion ``"W,X,Y,Z"`` with v_body = m v_sensor m*; ``"rpy:R,P,Y"``, deg, turns about
-        the axes that stay, Rz(Y) Ry(P) Rx(R), as in URDF; a key of :data:`NAMED`
+        the axes that stay, Rz(Y) Ry(P) Rx(R), as in URDF, ``"y:30deg"`` about one of them; a key
+        of :data:`NAMED`
     `what`: it is called in errors
     `Returns`: rotation matrix, shape ``(3, 3)``: rate_body = M rate_sensor
     """
     old_to_new = {"mounting": "sensor axes to body axes"}.get(what, "old axes to new ones")
     word = text.strip().lower()
+    if turn := _TURN.fullmatch(word):
+        word = "rpy:" + ",".join(turn["deg"] if axis == turn["axis"] else "0" for axis in AXES)
     parts = [part.strip() for part in NAMED.get(word, word.removeprefix("rpy:")).split(",")]
     is_angles = word.startswith("rpy:")
     if (
@@ -82,7 +89,8 @@ def mounting(text: str, what: str = "mounting") -> Float64:
             return _matrix(numbers, text, what)
     raise UsageError(
         f"{quoted(text)} is not a {what}; write three signed axes such as x,-y,-z, a quaternion "
-        f"W,X,Y,Z that takes {old_to_new}, fixed-axis angles in deg such as rpy:0,30,0, "
+        f"W,X,Y,Z that takes {old_to_new}, fixed-axis angles in deg such as rpy:0,30,0 "
+        f"or y:30deg, "
         f"{', '.join(NAMED)}{', or tf:FRAME' if what == 'mounting' else ''}"
     )
 

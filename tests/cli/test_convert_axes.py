@@ -20,6 +20,8 @@ SPELLED = [
     ("ned-to-enu", NED_ENU), ("enu-to-ned", NED_ENU.inv()), ("frd-to-flu", FRD_FLU),
     ("FLU-to-FRD", FRD_FLU.inv()), ("y,-x,z", QUARTER.inv()), ("0.6,0,0.8,0", None),
     ("rpy:10,-20,130", Rotation.from_euler("xyz", [10, -20, 130], degrees=True)),
+    ("y:30deg", Rotation.from_euler("y", 30, degrees=True)),
+    ("Z:-1.5", Rotation.from_euler("z", -1.5, degrees=True)),
 ]  # fmt: skip
 
 

@@ -160,15 +160,15 @@ OF_MATRIX = "is about quaternions and matrix has none; omit it"
 NO_MESSAGES = "csv holds no messages; omit --message, --out-topic and --frames"
 ROTATIONS = (
     "is not a rotation; write three signed axes such as x,-y,-z, a quaternion W,X,Y,Z that takes "
-    "old axes to new ones, fixed-axis angles in deg such as rpy:0,30,0, ned-to-enu, enu-to-ned, "
-    "frd-to-flu, flu-to-frd"
+    "old axes to new ones, fixed-axis angles in deg such as rpy:0,30,0 or y:30deg, "
+    "ned-to-enu, enu-to-ned, frd-to-flu, flu-to-frd"
 )
 CONVERT = {
     "q.csv - --left x,y,-z": "the rotation 'x,y,-z' is left-handed",
     "q.csv - --left 2,0,0,0": "the rotation '2,0,0,0' has the length 2",
     **{
         f"q.csv - --left {text}": f"'{text}' {ROTATIONS}"
-        for text in ("ned", "rpy:1,2", "rpy:x,-y,-z", "rpy:1,2,3,4", "1,2,3")
+        for text in ("ned", "rpy:1,2", "rpy:x,-y,-z", "rpy:1,2,3,4", "y:", "y:30rad", "1,2,3")
     },
     "q.csv - --as body-rates --layout wxyz": "--layout is about quaternions and body-rates has",
     "q.csv - --as body-rates --direction ref-to-body": "--direction is about attitudes, and body-r",

@@ -68,6 +68,23 @@ def test_limits_are_proposed_that_find_a_delay(drifting, folder):
     assert "RMS error over windows " in result.stdout.splitlines()[1]
 
 
+@pytest.mark.parametrize(
+    ("turned", "align", "why"),
+    [
+        (("--left", "z:40deg"), "mean", "the reference frames are 39."),
+        (("--right", "x:5deg"), "mount", "the body frames are 5.0"),
+    ],
+)
+def test_frames_that_differ_are_aligned_and_said(drifting, folder, turned, align, why):
+    """The limits are those of what remains."""
+    log, truth = drifting
+    run("convert", truth, folder / "refs.csv", *turned, code=0)
+    result = check(folder / "ci.toml", "--init", log, "--reference-log", folder / "refs.csv")
+    assert result.exit_code == 0, result.output
+    (line,) = [line for line in (folder / "ci.toml").read_text().splitlines() if "align" in line]
+    assert line.startswith(f'align = "{align}"  # {why}')
+
+
 def test_a_series_for_limits_goes_with_init(folder):
     """In a suite that is there, it is a key."""
     result = check(pinned(folder, TRUTH), "--reference-log", folder / "logs/coning.truth.csv")

@@ -8,6 +8,7 @@ from make.mcap import Topic, write_topics
 from make.messages_reference import block_of
 from make.protobuf import (
     DOUBLE,
+    FIELD,
     FLOAT,
     FOXGLOVE,
     STRING,
@@ -213,3 +214,18 @@ def test_of_two_values_that_exclude_each_other_the_last_one_counts():
     for messages, expected in ((a + b, [0, 2.5]), (b + a, [2.5, 0]), (a + a, [2.5, 0])):
         columns = decoder("one.Of", file, ["a", "b"]).columns(block_of([messages] * 20))
         assert [column.tolist() for column in columns] == [[value] * 20 for value in expected]
+
+
+def test_an_enumeration_is_a_number():
+    """It stands between other fields, and may be the column that tells messages apart."""
+    file = file_of("kind", {"Of": {"a": DOUBLE}})
+    states = file.enum_type.add(name="State")
+    for number, name in enumerate(("OFF", "ON")):
+        states.value.add(name=name, number=number)
+    label, kind = FIELD.LABEL_OPTIONAL, FIELD.TYPE_ENUM
+    file.message_type[0].field.add(
+        name="state", number=2, label=label, type=kind, type_name=".kind.State"
+    )
+    messages = [made("kind.Of", file)(a=k, state=k % 2).SerializeToString() for k in range(4)]
+    columns = decoder("kind.Of", file, ["a", "state"]).columns(block_of(messages))
+    assert [column.tolist() for column in columns] == [[0, 1, 2, 3], [0, 1, 0, 1]]

@@ -73,6 +73,7 @@ def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expect
     ("name", "value", "sentence"),
     [
         ("topic", 3, "topic: '3' is not a name"),
+        ("topic", {"a": 20 * "long"}, "topic: a value of type dict is not a name"),
         ("rate_cols", "a,b", "rate_cols: 'a,b' does not name 3 columns X,Y,Z"),
         ("rate_cols", "a,b,a", "rate_cols: 'a,b,a' names a column twice"),
         ("method", "magic", "method: 'magic' is not one of 'start', 'end', 'mean', 'coning'"),
