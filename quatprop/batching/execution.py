@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from quatprop.batching.entries import COMPLETE, ManifestEntry
 from quatprop.batching.logs import BatchTask, absolute
 from quatprop.batching.origins import origin_of_read
-from quatprop.batching.tasks import BatchResult, BatchSettings, failed, output_size
+from quatprop.batching.tasks import BatchResult, BatchSettings, failed, output_size, with_topic
 from quatprop.concurrency.processes import KILLED, map_processes
 from quatprop.concurrency.threads import available_cores
 from quatprop.errors import (
@@ -98,7 +98,7 @@ def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchRes
     """Propagate one log into a file of this machine."""
     job = settings.job
     names, output = partial(known_as, task), job.output._replace(path=path)
-    job = job._replace(log=task.path, known_as=names, output=output)
+    job = with_topic(job, task.topic)._replace(log=task.path, known_as=names, output=output)
     for _ in range(ATTEMPTS):
         origin = task.origin if is_address(task.path) else task.origin_now()
         report = run(job, summary=False)

@@ -43,6 +43,7 @@ class BatchTask(NamedTuple):
     `named`: path of its output in the folder of the batch, where that is another one than usually;
         empty where there cannot be any
     `folder`: that of its output in the folder of the batch, with ``/``; empty if it is that
+    `topic`: the one that is read, of every topic with rates; empty if that is not asked for
     """
 
     root: str
@@ -54,6 +55,7 @@ class BatchTask(NamedTuple):
     origin: str = ""
     named: str | None = None
     folder: str = ""
+    topic: str = ""
 
     @property
     def path(self) -> str:
@@ -67,12 +69,18 @@ class BatchTask(NamedTuple):
 
     @property
     def stem(self) -> str:
-        """Its path without its own suffixes."""
+        """Its path without its own suffixes, and its topic."""
         if self.is_folder:
-            return self.log
+            return self.log_and_topic
         stem, suffix = os.path.splitext(self.log)
         is_packed = suffix.lower() in (*COMPRESSION_SUFFIXES, ".active")
-        return os.path.splitext(stem)[0] if is_packed else stem
+        return self._replace(log=os.path.splitext(stem)[0] if is_packed else stem).log_and_topic
+
+    @property
+    def log_and_topic(self) -> str:
+        """Its path, and its topic, with ``/``."""
+        topic = "/".join(part for part in self.topic.split("/") if part not in {"", ".", ".."})
+        return f"{self.log}/{topic}" if topic else self.log
 
     @property
     def name(self) -> str:

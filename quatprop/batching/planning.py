@@ -142,8 +142,10 @@ def with_names(tasks: list[BatchTask], folder: str) -> None:
             task = tasks[place]
             owner = owners.setdefault(stem, task)
             if owner is not task and absolute(owner.root) == absolute(task.root):
-                tasks[place] = task = task._replace(named=f"{task.folder}{task.log}{task.suffix}")
-                owner = owners.setdefault(task.log.lower(), task)
+                tasks[place] = task = task._replace(
+                    named=f"{task.folder}{task.log_and_topic}{task.suffix}"
+                )
+                owner = owners.setdefault(task.log_and_topic.lower(), task)
             if owner is not task:
                 tasks[place] = _refused(task, owner.path, place_below(folder, task.name))
 

@@ -6,14 +6,31 @@ from typing import TYPE_CHECKING
 
 from quatprop.batching.dataset import merge_parts, with_parts
 from quatprop.batching.planning import Plan, Shard, deleted, plan
+from quatprop.batching.tasks import EVERY_TOPIC, with_topic
 from quatprop.concurrency.threads import available_cores
+from quatprop.errors import QuatpropError, UsageError
+from quatprop.text import Setting
 
 if TYPE_CHECKING:
     from collections.abc import Generator
 
-    from quatprop.batching.logs import LogSearch
+    from quatprop.batching.logs import BatchTask, LogSearch
     from quatprop.batching.manifest import Manifest
     from quatprop.batching.tasks import BatchResult, BatchSettings
+
+
+def _topics(log: BatchTask, settings: BatchSettings) -> list[BatchTask]:
+    """Return a task for each topic with rates; a log without one says so when it is read."""
+    from quatprop.logs.joined import open_logs
+    from quatprop.logs.signals.rates import rate_candidates
+
+    chosen = with_topic(settings.job, "").settings
+    try:
+        with open_logs([log.path], chosen.kind, msg_path=chosen.selection.msg_path) as opened:
+            found = rate_candidates(opened, chosen.selection)
+    except QuatpropError:
+        return [log]
+    return [log._replace(topic=name) for name in dict.fromkeys(one.topic for one in found)]
 
 
 class Batch:
@@ -36,6 +53,13 @@ class Batch:
     ) -> None:
         self._settings, self._manifest, self._part = settings, manifest, part
         logs = [log for log in search.logs if part.has(log)]
+        if settings.job.settings.selection.topic == EVERY_TOPIC:
+            if settings.files:
+                raise UsageError(
+                    f"{Setting('topic', EVERY_TOPIC)} gives several series of a log, and "
+                    f"{Setting('dataset')} has one; name a topic"
+                )
+            logs = [task for log in logs for task in _topics(log, settings)]
         if settings.files:
             logs = with_parts(logs, settings.files)
         self.gone = deleted(manifest, search.logs, search.searched, part)

@@ -19,6 +19,19 @@ if TYPE_CHECKING:
     from quatprop.tables.log import Loss
 
 
+EVERY_TOPIC = "*"
+"""Topic that stands for all that carry rates."""
+
+
+def with_topic(job: Job, topic: str) -> Job:
+    """Return a job for one of the topics, if it is for every topic."""
+    settings = job.settings
+    if settings.selection.topic != EVERY_TOPIC:
+        return job
+    selection = replace(settings.selection, topic=topic or None)
+    return job._replace(settings=replace(settings, selection=selection))
+
+
 class BatchSettings(NamedTuple):
     """What all logs of a batch share.
 

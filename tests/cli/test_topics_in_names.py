@@ -1,6 +1,7 @@
 """A topic in the name of a log, ``LOG:TOPIC``, wherever a command reads a log."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -137,3 +138,25 @@ def test_two_topics_for_one_log_are_refused(words):
     """None of them is ignored."""
     said = run(*words, code=2).stderr
     assert "log.bag:/imu/left: another topic is given, '/imu/right'; name one" in said
+
+
+def test_a_batch_reads_every_topic_with_rates(log, tmp_path):
+    """Each into an output of its own; what is no log fails alone."""
+    (tmp_path / "bad.bag").write_bytes(b"#ROSBAG V2.0\n")
+    words = ["batch", log, "bad.bag", "-o", "out", "--to", "csv", "-t", "*"]
+    run(*words, code=2)
+    made = {path.relative_to("out").as_posix() for path in Path("out").rglob("*.csv")}
+    assert made == {"log/imu/left.csv", "log/imu/right.csv"}
+    for topic, rate in RATES.items():
+        series = quatprop.read_attitudes(f"out/log{topic}.csv")
+        np.testing.assert_allclose(series.wxyz, turn(rate, STAMPS), atol=1e-12)
+    again = run(*words, "--skip-existing", code=2).stderr
+    assert "0 of 1 logs done" in again, again
+    entries = quatprop.batch([log], "python", topic="*", processes=1)
+    assert [entry.output for entry in entries] == ["log/imu/left.parquet", "log/imu/right.parquet"]
+
+
+def test_a_dataset_has_one_topic_of_each_log():
+    """Rows of two topics would be mixed."""
+    sentence = "--topic * gives several series of a log, and --dataset has one; name a topic"
+    assert sentence in run("batch", "log.bag", "-o", "d", "-t", "*", "--dataset", code=2).stderr
