@@ -107,8 +107,8 @@ def command(
     """Turn the body rates of each LOG into an attitude series in DIR.
 
     Folders, prefixes of object stores and quoted patterns (with **) are searched for logs, and
-    DIR/_manifest lists them. A log that cannot be used does not stop the others (exit code
-    2; 3: data was lost). -t '*': every topic with rates.
+    DIR/_manifest lists them. -t '*' is every topic with rates. A log that fails does not stop
+    the others (exit code 2; 3: data was lost).
     """
     from quatprop.batching.manifest import Manifest
     from quatprop.batching.planning import dataset_files, shard
