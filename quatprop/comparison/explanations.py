@@ -94,8 +94,7 @@ class Search(Fits):
                 break
         of_b = self._of_b(plan)
         if of_b and self._is_shown(of_b, before):
-            of_b = self._deliverable(of_b)
-            self.best = self._fit(of_b)
+            self.best = self._fit(self._deliverable(of_b))
             self.others = self._alternatives(of_b)
 
     def _deliverable(self, plan: Undoings) -> Undoings:
@@ -201,8 +200,9 @@ class Search(Fits):
         return sorted({text for name, text in found.items() if name not in names})
 
     def _count(self, plan: Undoings) -> int:
-        # A mounting makes one misreading of another.
-        return len(self._fit(plan).undone) + (plan.frames == "mount" and plan.reading != "")
+        # A mounting makes one misreading of another, and turns the reference frame too.
+        both = plan.frames == "mount" and (plan.reading != "" or self._align != "mean")
+        return len(self._fit(plan).undone) + both
 
     def _shows_mounting(self, plan: Undoings) -> bool:
         with suppress(ComparisonError):

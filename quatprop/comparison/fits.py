@@ -79,7 +79,7 @@ class Fits:
         )
         stride = int(max(1, min(len(pairs) / SEARCHED, MAX_TURN / max(turn, 1e-9))))
         self._few = Sides(*(each[::stride] for each in self._full))
-        self._pairs: dict[tuple[str, str, bool], Sides] = {}
+        self._pairs: dict[tuple[str, str, bool, bool], Sides] = {}
         self._mounts: dict[tuple[str, str], Float64 | None] = {}
         self._clocks: dict[tuple[str, bool], tuple[Undoing | None, Undoing | None]] = {}
         self._fits: dict[Undoings, Explanation] = {}

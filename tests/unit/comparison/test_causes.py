@@ -161,6 +161,15 @@ def test_a_mounting_is_described_as_the_option_takes_it():
         assert compare(again, other).error_rad.max < 1e-12
 
 
+@pytest.mark.parametrize("layout", ["scalar-first", "scalar-last"])
+def test_the_layout_that_was_read_is_not_offered(layout):
+    """In planar motion several layouts fit as well; one of them was on already."""
+    a, b = about_z()
+    wrong = changed(b, lambda q: q[:, [1, 2, 3, 0]])
+    cause = compare(a, replace(wrong, layout=layout), align="mean").likely_cause
+    assert f"from-layout-b {layout}" not in in_options(cause.remedy)
+
+
 @pytest.mark.parametrize("ppm", [-1000, 1500])
 def test_a_clock_that_drifts_is_named_with_its_uncertainty(ppm):
     """Within three standard deviations; the offset changes by 60 or 90 ms in a minute."""
