@@ -175,8 +175,10 @@ class Search(Fits):
         names = {undoing.name for undoing in self.best.undone}
         found: dict[str, str] = {}
         most = AS_GOOD * (self.best.rms + self._floor) - self._floor
+        # A mounting that is named turns the reference frame too.
+        count = self._count(plan) + (plan.frames == "mount" and self._align != "mean")
         for other, fit in sorted(self._fits.items(), key=lambda tried: tried[1].rms):
-            if fit.rms <= most and self._count(other) <= self._count(plan):
+            if fit.rms <= most and self._count(other) <= count:
                 for undoing in fit.undone:
                     if not any((name, undoing.name) in CONTAINED for name in names):
                         found.setdefault(undoing.name, undoing.other)
@@ -200,9 +202,9 @@ class Search(Fits):
         return sorted({text for name, text in found.items() if name not in names})
 
     def _count(self, plan: Undoings) -> int:
-        # A mounting makes one misreading of another, and turns the reference frame too.
-        both = plan.frames == "mount" and (plan.reading != "" or self._align != "mean")
-        return len(self._fit(plan).undone) + both
+        # A mounting turns two frames, and makes one misreading of another.
+        count = len(self._fit(plan).undone)
+        return count + (plan.frames == "mount" and count > 1)
 
     def _shows_mounting(self, plan: Undoings) -> bool:
         with suppress(ComparisonError):
