@@ -18,8 +18,8 @@ from quatprop.messages.schema import (
     Struct,
     Unknown,
     find,
+    key_path_of,
     numeric_layout,
-    steps,
 )
 
 RULE = "=" * 80
@@ -171,14 +171,14 @@ def test_types_that_multiply_by_sharing_are_refused_in_no_time():
 
 
 @pytest.mark.parametrize(
-    ("text", "way"),
+    ("text", "key_path"),
     [("a", ("a",)), ("a.b_2.c", ("a", "b_2", "c")), ("a[0]", ("a", 0)),
      ("a[12].b[3]", ("a", 12, "b", 3)), ("a b.c-d", ("a b", "c-d")),
      *((text, None) for text in ("", ".a", "a..b", "a[x]", "a.", "a[1]b"))],
 )  # fmt: skip
-def test_field_paths_are_names_with_dots_and_indices(text, way):
+def test_field_paths_are_names_with_dots_and_indices(text, key_path):
     """What is not a path is not taken for one."""
-    assert steps(text) == way
+    assert key_path_of(text) == key_path
 
 
 NO_FIELD = "'sensor_msgs/msg/Imu' has no field 'PATH'; "
