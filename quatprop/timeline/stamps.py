@@ -141,7 +141,7 @@ class StampChecks:
         return found
 
     def _refuse(self) -> None:
-        """Raise an error for the outlier or step back that is first in the log."""
+        """Raise an error for the first outlier or step back."""
         outliers, back = self.counts.outliers, self.counts.backwards
         another = f"another {Setting(self.chosen_by)}"
         ways_out = f"choose {Setting('on_backwards', 'drop|sort')}, or {another}"
@@ -154,7 +154,7 @@ class StampChecks:
             )
         if back.count:
             if back.cause:
-                # Dropping or sorting samples after a counter has wrapped around would damage the data.
+                # Dropping or sorting samples after a wrap-around would damage the data.
                 ways_out = (
                     "log a wider counter, or add 2^32 to the column after each such step, or "
                     f"choose {another}"
