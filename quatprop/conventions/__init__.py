@@ -39,16 +39,6 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64
 
 
-__all__ = [
-    "HAMILTON",
-    "REPRESENTATIONS",
-    "SIGNS",
-    "Meaning",
-    "Representation",
-    "Signs",
-]
-
-
 @dataclass(frozen=True, slots=True)
 class AttitudeConvention:
     """The convention and the direction of a quaternion, independent of its layout.
