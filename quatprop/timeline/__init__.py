@@ -84,17 +84,15 @@ class Timeline(StampChecks):
 
         Nothing is counted or sorted. `note` is called with the timestamps that are not outliers.
         """
-        # Non-finite rates are handled in the second pass.
-        policy = self.policy._replace(on_nonfinite="keep")
         seen: list[tuple[Int64, Bool]] = []
-        checks = StampChecks(self.path, policy, self.chosen_by)
+        checks = StampChecks(self.path, self.policy, self.chosen_by)
         for each in checks.examined(batches, attrgetter("t_ns")):
             batch, wrong = each.batch, each.outliers
-            if policy.on_backwards == "sort":
+            if self.policy.on_backwards == "sort":
                 seen.append((batch.t_ns, wrong))
             else:
                 note(batch.t_ns[~wrong])
-            dropped = wrong | (each.back & (policy.on_backwards == "drop"))
+            dropped = wrong | (each.back & (self.policy.on_backwards == "drop"))
             yield batch[~dropped]
         if seen:
             # After sorting, all timestamps are needed to find the outliers.

@@ -93,7 +93,7 @@ def outliers_in_order(t_ns: Int64, found: Bool) -> Bool:
         return found
     if np.sum(t_ns[1:] < t_ns[:-1]) > np.sum(t_ns[1:] > t_ns[:-1]):
         ((_, mask, _),) = marked([t_ns[::-1]], lambda stamps: stamps)
-        found = np.zeros(len(t_ns), np.bool_) if mask is None else mask[::-1]
+        found = mask[::-1]
     fits = np.zeros(len(t_ns), np.bool_)
     fits[found] = _fits(t_ns[found], np.sort(t_ns[~found]))
     return found & ~fits
