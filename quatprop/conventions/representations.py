@@ -23,9 +23,7 @@ from quatprop.settings.choices import EULER_SEQUENCES
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from numpy.typing import NDArray
-
-    Float64 = NDArray[np.float64]
+    from quatprop.arrays import Float64
 
 QUATERNION = "quaternion"
 """The representation that is not converted."""
