@@ -26,8 +26,8 @@ def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> s
     """Return the axes of the stored standard deviations if they are kept, else None.
 
     They are kept if the output can store them, and both sides are Hamilton and body to reference:
-    another direction or convention has them about other axes. From three standard deviations those
-    about oblique axes do not follow.
+    another direction or convention has them about other axes, and those about rotated axes cannot
+    be computed from three standard deviations.
     """
     axes = source.sigma_axes
     mixes = job.axes is not None and axes is not None and job.axes.mixes(axes)

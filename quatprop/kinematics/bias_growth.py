@@ -1,4 +1,4 @@
-"""Covariance of the attitude by the error of a bias that is known from rests.
+"""Covariance of the attitude due to the error of a bias that is known from rests.
 
 A bias that is measured at rest has the error of that mean, and then walks away from it until the
 next rest, where it is measured again. Over a stretch of time the covariance is

@@ -92,7 +92,7 @@ class Curvature(NamedTuple):
 def curvature(t_ns: Int64, rate: Float64, gap_ns: int | None = None) -> Curvature:
     """Return the curvature of the rate in the intervals between samples.
 
-    `t_ns`: time stamps, shape ``(N,)``, int64, ns; N is at least 2
+    `t_ns`: timestamps, shape ``(N,)``, int64, ns; N is at least 2
     `rate`: angular rates, shape ``(3, N)``, rad/s
     `gap_ns`: intervals longer than this are gaps; None for no gaps
     """
@@ -114,7 +114,7 @@ def curvature_of_averages(
 ) -> Curvature:
     """Return the curvature of the integral of the rate in the intervals between samples.
 
-    `t_ns`: time stamps, shape ``(N,)``, int64, ns; N is at least 2
+    `t_ns`: timestamps, shape ``(N,)``, int64, ns; N is at least 2
     `rate`: average rates over the intervals that end at the timestamps, shape ``(3, N)``, rad/s;
         that of the first sample, whose interval begins earlier, is not used
     `integration_time_ns`: for increments: the integration time of each, shape ``(N,)``, int64, ns

@@ -116,7 +116,7 @@ class Quintic(NamedTuple):
 def quintic(t_ns: Int64, rate: Float64, gap_ns: int | None = None) -> Quintic:
     """Return the polynomials through samples of the rate.
 
-    `t_ns`: time stamps, shape ``(N,)``, int64, ns; N is at least 2
+    `t_ns`: timestamps, shape ``(N,)``, int64, ns; N is at least 2
     `rate`: angular rates, shape ``(3, N)``, rad/s
     `gap_ns`: intervals longer than this are gaps; None for no gaps
     """

@@ -38,7 +38,7 @@ def quaternion_rate(q: ArrayLike, rate: ArrayLike, *, rates: str = "body") -> Fl
 
 
 def rate_matrix(q: ArrayLike, *, rates: str = "body") -> Float64:
-    """Return the matrix M with q' = M w; its inverse is w = 4 M' q'.
+    """Return the matrix M with q' = M w and, with its transpose, w = 4 M^T q'.
 
     `Returns`: shape ``(..., 4, 3)``
 

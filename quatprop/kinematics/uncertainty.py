@@ -1,4 +1,4 @@
-"""Covariance of the attitude at every sample by the errors of a gyroscope.
+"""Covariance of the attitude at every sample, due to the errors of a gyroscope.
 
 An error e of the body rate rotates the attitude by the integral of R e in reference axes, with R
 the rotation matrix body -> reference. So the covariance needs only integrals of R, which are sums
@@ -13,8 +13,8 @@ of the bias, s of the scale factors and m of the misalignments, equal and indepe
 bias with a random walk is in :mod:`quatprop.kinematics.bias_growth`. P is the covariance of small
 rotations about reference axes, R' P R that of the same rotations about body axes.
 
-Misalignments are the six small angles between each sensitive axis and the two others: the error of
-the rate is e_i = m_ij w_j + m_ik w_k. If the whole sensor is rotated by small angles, m_ij is
+Misalignments are the six small angles by which each sensitive axis is tilted towards the two
+others: e_i = m_ij w_j + m_ik w_k. If the whole sensor is rotated by small angles, m_ij is
 -m_ji; its errors are at most sqrt(2) times those of six angles of the same size.
 
 An error e of an inertial rate rotates the attitude by the integral of R' e in body axes. With R' in
@@ -68,7 +68,7 @@ class SensorErrors(NamedTuple):
     `bias_sigma`: constant bias, rad/s
     `random_walk`: rate random walk K of the bias, rad/s^2/sqrt(Hz), which is rad/s/sqrt(s)
     `scale_sigma`: scale factors, a ratio
-    `misalignment_sigma`: angles between each sensitive axis and the two others, rad
+    `misalignment_sigma`: angles by which each sensitive axis is tilted towards the two others, rad
     """
 
     noise_density: float = 0.0

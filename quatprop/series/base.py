@@ -145,7 +145,7 @@ class Series:
     def gathered(cls, parts: Iterable[Self]) -> Self:
         """Concatenate a stream of series, at least one, that all have the same columns.
 
-        The columns grow in place, so that memory is never needed for the parts and the result.
+        The columns grow in place, so that all parts and the result are never in memory together.
         """
         stream = iter(parts)
         first, second = next(stream), next(stream, None)

@@ -42,9 +42,9 @@ MIN_SAMPLES = 20
 class Policy(NamedTuple):
     """The handling of each kind of irregularity.
 
-    `on_backwards`: timestamps earlier than one before, and outliers: ``"error"``; ``"drop"`` the
-        samples; ``"sort"`` all samples by time (keeps the whole log in memory) and drop outliers;
-        ``"keep"`` them, for inspection only
+    `on_backwards`: timestamps earlier than a previous one, and outliers: ``"error"``; ``"drop"``
+        the samples; ``"sort"`` all samples by time (keeps the whole log in memory) and drop
+        outliers; ``"keep"`` them, for inspection only
     `on_nonfinite`: rates that are NaN or infinite: ``"error"``; ``"drop"`` the samples; ``"hold"``
         the last finite rate; ``"keep"`` them, for inspection only
     `on_gap`: intervals longer than `max_gap_ns`: ``"hold"`` propagates across them as across any

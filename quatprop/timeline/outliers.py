@@ -36,7 +36,7 @@ LONGEST_RUN = 32
 """Maximum run of outliers, as in a message of a burst of samples with a wrong timestamp."""
 
 CONFIRMING = 8
-"""Timestamps behind a run that decide whether it is outliers; at least one more than the run."""
+"""Number of timestamps that decide whether a run before them is outliers; more for long runs."""
 
 LOOK_AHEAD = 2 * LONGEST_RUN
 """Maximum number of later samples on which the decision about a sample depends."""
