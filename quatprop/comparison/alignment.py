@@ -15,13 +15,7 @@ import numpy as np
 
 from quatprop.conventions.representations import from_matrices
 from quatprop.errors import ComparisonError
-from quatprop.kinematics.quaternion import (
-    IDENTITY,
-    conjugate,
-    geodesic_angle,
-    multiply,
-    shorter,
-)
+from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply, shorter
 from quatprop.series.blocks import rms
 from quatprop.text import Setting
 
