@@ -225,3 +225,9 @@ def test_the_structs_of_a_message_come_outermost_first():
     parts = [part.prefix for part in flattened(message_type(IMU, "log")).parts]
     vectors = ["orientation.", "angular_velocity.", "linear_acceleration."]
     assert parts == ["", "header.", *vectors, "header.stamp."]
+
+
+def test_arrays_of_more_than_64_numbers_are_no_columns():
+    """Each would be a thousand columns that nobody asked for."""
+    columns = flattened(message_type(defined("int8[64] a\nint8[65] b\nint8 c\n"), "log")).columns
+    assert [column.text for column in columns] == [*(f"a[{k}]" for k in range(64)), "c"]
