@@ -120,7 +120,7 @@ class RegularTime:
     def replaced(self, blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Yield blocks at the times of their clocks; refuse timestamps without a steady clock."""
         sums = self._sums = _Sums()
-        for block in _no_short_end(blocks):
+        for block in _with_long_end(blocks):
             self.first_ns = int(block.t_ns[0]) if self.first_ns is None else self.first_ns
             yield replace(block, t_ns=self._times(block, sums))
         if not sums.judged:
@@ -177,7 +177,7 @@ def _without_damaged(rate: Float64) -> Float64:
     return np.where(np.abs(rate) < _FASTEST, rate, 0.0)
 
 
-def _no_short_end(blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+def _with_long_end(blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
     """Yield blocks; a short last one is joined to the previous, as few samples show no clock."""
     held: GyroSeries | None = None
     for block in blocks:

@@ -36,28 +36,28 @@ _WINDOW = 15
 _ENDS = 5
 """The same at the first and last samples."""
 
-_HELD_UP = 8
+_DELAY_WINDOWS = 8
 """Samples are late, rather than missing, if within this many windows others are punctual again."""
 
-_CLEAR = 0.3
+_MAX_PHASE_ERROR = 0.3
 """Maximum deviation of a median from a whole number of intervals, in intervals."""
 
-_SHARP = 0.35
+_SHARP_EDGE = 0.35
 """Residuals have a sharp lower edge, as of arrival times, if the lowest tenth is at most this wide,
 relative to the rest of the lower half."""
 
 _PARTS = 16
-_SLOW = 0.5
+_DRIFT = 0.5
 """Medians of this many parts of the residuals scatter by less than this share of the residuals."""
 
-_SMOOTH = 0.2
+_ROUGHNESS = 0.2
 """Minimum mean square of differences of neighbouring residuals, relative to independent ones."""
 
 _PATTERN = 8
 _REPEATED = 0.4
 """Residuals repeat if a pattern of up to this many samples has this share of the variance."""
 
-_TONE = 0.8
+_ONE_FREQUENCY = 0.8
 """Residuals repeat if one frequency has this share of it; a sawtooth, as of polling, has 0.61."""
 
 _ROUNDED = 0.35
@@ -144,7 +144,7 @@ def _clock(t_ns: Int64, period: float) -> FittedClock:
     number = np.arange(len(t)) + missing
     slope, offset = _line(number, t)
     regular = t_ns[0] + np.rint(slope * number + offset).astype(np.int64)
-    why_not = _judged(t - slope * number, float(np.gcd.reduce(t_ns - t_ns[0])))
+    why_not = _fault_of(t - slope * number, float(np.gcd.reduce(t_ns - t_ns[0])))
     return FittedClock(slope, regular, int(missing[-1]), why_not)
 
 
@@ -161,11 +161,11 @@ def _missing(t: Float64, period: float) -> Int64 | str:
     first, last = (np.sort(part)[_ENDS // 2] for part in (phase[:_ENDS], phase[-_ENDS:]))
     levels = np.concatenate([[first], middles, [last]])
     # The minimum of later windows: delayed samples become punctual again, missing ones do not.
-    ahead = np.concatenate([levels, np.full(_HELD_UP - 1, np.inf)])
-    levels = np.lib.stride_tricks.sliding_window_view(ahead, _HELD_UP).min(axis=1)
+    ahead = np.concatenate([levels, np.full(_DELAY_WINDOWS - 1, np.inf)])
+    levels = np.lib.stride_tricks.sliding_window_view(ahead, _DELAY_WINDOWS).min(axis=1)
     steps = np.diff(levels)
     before = np.concatenate([[0], np.cumsum(np.rint(steps))])
-    if (np.abs(steps - np.rint(steps)) > _CLEAR).any() or (np.diff(before) < 0).any():
+    if (np.abs(steps - np.rint(steps)) > _MAX_PHASE_ERROR).any() or (np.diff(before) < 0).any():
         return UNCLEAR
     if before[-1] > MOST_MISSING * len(t):
         return MISSING
@@ -202,11 +202,11 @@ def _line(number: Int64, t: Float64) -> tuple[float, float]:
     rest -= tilt * number
     slope += float(tilt)
     lowest, low, middle, high, highest = np.quantile(rest, (0.005, 0.1, 0.5, 0.9, 0.995))
-    if low - lowest > _SHARP * (middle - low):
+    if low - lowest > _SHARP_EDGE * (middle - low):
         return slope, float(np.mean(rest[usual]))
     usual = rest >= middle - 1.5 * (middle - low)
     tilt, bottom = _lower_edge(number[usual], rest[usual])
-    if highest - high > _SHARP * (high - middle):
+    if highest - high > _SHARP_EDGE * (high - middle):
         return slope + tilt, bottom
     # Sharp edges on both sides: rounded times.
     return slope + tilt, float(np.median(rest - tilt * number))
@@ -230,7 +230,7 @@ def _lower_edge(number: Int64, rest: Float64) -> tuple[float, float]:
     return slope, begin[1] - slope * begin[0]
 
 
-def _judged(rest: Float64, tick: float) -> str:
+def _fault_of(rest: Float64, tick: float) -> str:
     """Return why residuals are not those of a steady clock; ``""`` if they are.
 
     `tick`: greatest common divisor of the timestamps, ns
@@ -244,7 +244,10 @@ def _judged(rest: Float64, tick: float) -> str:
     parts = np.median(rest[: size * _PARTS].reshape(_PARTS, size), axis=1)
     rest = rest - rest.mean()
     variance = float(np.mean(rest**2))
-    if np.var(parts) > _SLOW**2 * variance or np.mean(np.diff(rest) ** 2) < _SMOOTH * 2 * variance:
+    if (
+        np.var(parts) > _DRIFT**2 * variance
+        or np.mean(np.diff(rest) ** 2) < _ROUGHNESS * 2 * variance
+    ):
         return DRIFTS
     for count in range(2, _PATTERN + 1):
         pattern = rest[: len(rest) // count * count].reshape(-1, count).mean(axis=0)
@@ -252,7 +255,7 @@ def _judged(rest: Float64, tick: float) -> str:
             return REPEATS
     power = np.abs(np.fft.rfft(rest * np.hanning(len(rest)))) ** 2
     peak = max(int(np.argmax(power)), 2)
-    return REPEATS if power[peak - 2 : peak + 3].sum() > _TONE * power.sum() else ""
+    return REPEATS if power[peak - 2 : peak + 3].sum() > _ONE_FREQUENCY * power.sum() else ""
 
 
 def _follows(t_ns: Int64, regular: Int64, rate: Float64) -> bool:

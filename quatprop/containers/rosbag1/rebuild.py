@@ -36,7 +36,7 @@ def rebuild_index(file: RecordFile, index: BagIndex) -> None:
             record = file.record(at)
             _add(file, index, record)
         except UnreadableDataError as error:
-            at = _resumed(file, index, at, str(error))
+            at = _resume(file, index, at, str(error))
         else:
             at = record.end
     index.end = file.size
@@ -81,7 +81,7 @@ def _add_missing(index: BagIndex, chunks: list[BagChunk], infos: list[BagChunk])
             index.chunks.append(info)
 
 
-def _resumed(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
+def _resume(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
     """Record that no record can be read at `at`; return where to resume."""
     if file.at(at, len(MAGIC)) == MAGIC:
         index.origin = at
