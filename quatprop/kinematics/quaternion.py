@@ -37,14 +37,11 @@ def multiply(p: ArrayLike, q: ArrayLike) -> Float64:
     """
     pw, px, py, pz = _components(p)
     qw, qx, qy, qz = _components(q)
-    return np.stack(
-        [
-            pw * qw - px * qx - py * qy - pz * qz,
-            pw * qx + px * qw + py * qz - pz * qy,
-            pw * qy - px * qz + py * qw + pz * qx,
-            pw * qz + px * qy - py * qx + pz * qw,
-        ],
-        axis=-1,
+    return _rows(
+        pw * qw - px * qx - py * qy - pz * qz,
+        pw * qx + px * qw + py * qz - pz * qy,
+        pw * qy - px * qz + py * qw + pz * qx,
+        pw * qz + px * qy - py * qx + pz * qw,
     )
 
 
@@ -106,7 +103,7 @@ def log(q: ArrayLike) -> Float64:
     """
     q = _array(q)
     w, vector = q[..., :1], q[..., 1:]
-    sine = _length(vector)[..., None]
+    sine = _length(*_components(vector))[..., None]
     ratio = np.zeros_like(sine)
     np.divide(2 * np.arctan2(sine, w), sine, out=ratio, where=sine != 0)
     return vector * ratio
@@ -121,8 +118,8 @@ def rotate(q: ArrayLike, v: ArrayLike) -> Float64:
     """
     q, v = _array(q), _array(v)
     w, vector = q[..., :1], q[..., 1:]
-    twice = 2 * np.cross(vector, v)
-    return np.asarray(v + w * twice + np.cross(vector, twice))
+    twice = 2 * _cross(vector, v)
+    return np.asarray(v + w * twice + _cross(vector, twice))
 
 
 def rotation_matrix(q: ArrayLike) -> Float64:
@@ -175,16 +172,13 @@ def geodesic_angle(p: ArrayLike, q: ArrayLike) -> Float64:
     pw, px, py, pz = _components(p)
     qw, qx, qy, qz = _components(q)
     # p* q, with its terms in pairs: of equal attitudes each pair, and so the angle, is exactly 0.
-    vector = np.stack(
-        [
-            (pw * qx - px * qw) - (py * qz - pz * qy),
-            (pw * qy - py * qw) - (pz * qx - px * qz),
-            (pw * qz - pz * qw) - (px * qy - py * qx),
-        ],
-        axis=-1,
+    length = _length(
+        (pw * qx - px * qw) - (py * qz - pz * qy),
+        (pw * qy - py * qw) - (pz * qx - px * qz),
+        (pw * qz - pz * qw) - (px * qy - py * qx),
     )
     scalar = pw * qw + px * qx + py * qy + pz * qz
-    return np.asarray(2 * np.arctan2(_length(vector), np.abs(scalar)))
+    return np.asarray(2 * np.arctan2(length, np.abs(scalar)))
 
 
 def slerp(p: ArrayLike, q: ArrayLike, fraction: ArrayLike) -> Float64:
@@ -202,10 +196,23 @@ def _array(values: ArrayLike) -> Float64:
     return np.asarray(values, dtype=np.float64)
 
 
-def _components(q: ArrayLike) -> Float64:
-    return np.moveaxis(_array(q), -1, 0)
+def _components(q: ArrayLike) -> list[Float64]:
+    q = _array(q)
+    return [q[..., k] for k in range(q.shape[-1])]
 
 
-def _length(vector: Float64) -> Float64:
-    """Return the lengths of ``(..., 3)``; hypot, since squares of tiny components vanish."""
-    return np.asarray(np.hypot(np.hypot(vector[..., 0], vector[..., 1]), vector[..., 2]))
+def _rows(*components: Float64) -> Float64:
+    rows = np.empty((*np.shape(components[0]), len(components)))
+    for k, component in enumerate(components):
+        rows[..., k] = component
+    return rows
+
+
+def _cross(x: Float64, y: Float64) -> Float64:
+    (x0, x1, x2), (y0, y1, y2) = _components(x), _components(y)
+    return _rows(x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0)
+
+
+def _length(x: Float64, y: Float64, z: Float64) -> Float64:
+    """Return the length of vectors; hypot, since squares of tiny components vanish."""
+    return np.asarray(np.hypot(np.hypot(x, y), z))

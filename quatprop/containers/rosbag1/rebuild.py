@@ -1,4 +1,4 @@
-"""Build the index of a ROS 1 bag that has none, by walking its records beyond any damage."""
+"""Rebuild the index of a ROS 1 bag by walking its records, resuming after damage."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from quatprop.stores.compression import UnreadableDataError
 from quatprop.times import NS_PER_S
 
 _LOOSE_SIZE = 1 << 20
-"""Bytes of messages outside chunks that are read together."""
+"""Maximum bytes of a run of messages outside chunks."""
 
 
 def rebuild_index(file: RecordFile, index: BagIndex) -> None:
-    """Complete an index by walking the records behind its end, beyond any damage."""
+    """Complete an index by walking the records behind its end, resuming after damage."""
     at, known = index.end, len(index.chunks)
     while at < file.size:
         try:
@@ -60,13 +60,13 @@ def rebuild_index(file: RecordFile, index: BagIndex) -> None:
 
 
 def _add_missing(index: BagIndex, chunks: list[BagChunk], infos: list[BagChunk]) -> None:
-    """Add chunks that were not found where their infos say, with what is missing of them."""
+    """Add chunks that are not at the offset in their chunk infos, with the missing counts."""
     begins = {info.start for info in index.infos} - {info.start for info in infos}
     ends = [*sorted(begins), index.end]
     others = [chunk for chunk in chunks if chunk.start not in begins]
     for info in infos:
         end = next((end for end in ends if end > info.start), info.start)
-        # Its place may be wrong, or a part of it was found there, outside any chunk.
+        # Its offset may be wrong, or a part of it was found there outside any chunk.
         parts = [each for each in others if each.counts == info.counts][:1] or [
             each for each in others if info.start <= each.start < end
         ]
@@ -82,14 +82,14 @@ def _add_missing(index: BagIndex, chunks: list[BagChunk], infos: list[BagChunk])
 
 
 def _resumed(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
-    """Note that no record can be read at a place; return where to go on."""
+    """Record that no record can be read at `at`; return where to resume."""
     if file.at(at, len(MAGIC)) == MAGIC:
         index.origin = at
-        return at + len(MAGIC)  # another bag, which its header begins
+        return at + len(MAGIC)  # the header of another bag follows
     last = index.chunks[-1] if index.chunks else None
     resumed_at = None
     if last is not None and not last.is_unchunked and last.end == at and not last.counts:
-        # The length of the chunk before may be wrong.
+        # The length of the previous chunk may be wrong.
         resumed_at = next_record(file, last.start + 1, at, CHUNKS)
     if resumed_at is None:
         resumed_at = next_record(file, at + 1, file.size, RECORDS)
@@ -102,7 +102,7 @@ def _resumed(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
 
 
 def _is_damaged_chunk(file: RecordFile, record: Record) -> bool:
-    """Tell whether a chunk cannot be followed to its end: its fields or what follows contradict."""
+    """Return whether a chunk's header is inconsistent, or its end is behind another chunk."""
     if not is_chunk(record):
         return True
     beyond = record.end > file.size
@@ -160,8 +160,8 @@ def _add_times(chunk: BagChunk, record: bytes) -> None:
 def _read_inside(file: RecordFile, index: BagIndex, chunk: BagChunk, stated: Counter[int]) -> None:
     """Walk the records of a chunk for its connections, counts and earliest time.
 
-    What is stated of a damaged chunk and is not there is missing; else both statements must be of
-    it, as one of them may be damaged.
+    `stated`: counts by its chunk info, if there is one. A damaged chunk should have the messages
+        that it or the index data count; an intact one only those of both, as one may be wrong
     """
     indexed, chunk.counts = Counter(chunk.counts), dict(stated)
     try:

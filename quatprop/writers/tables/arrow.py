@@ -1,4 +1,4 @@
-"""Tables as Arrow writes them: groups of rows, provenance in the metadata; Arrow IPC files.
+"""Tables written by Arrow, in groups of rows with provenance in the metadata; Arrow IPC files.
 
 Arrow IPC files, also known as Feather, are not compressed: attitudes hardly shrink, and an
 uncompressed file can be memory-mapped.
@@ -34,7 +34,7 @@ def metadata(provenance: Mapping[str, object]) -> dict[bytes, bytes]:
 
 
 class ArrowTable(TableWriter):
-    """Collect rows and write them a group at a time.
+    """A table that is written in groups of rows.
 
     `names`: names of the float64 columns that follow ``t_ns``
     """
@@ -70,9 +70,9 @@ class ArrowTable(TableWriter):
 
 
 class FeatherTable(ArrowTable):
-    """Write columns as an Arrow IPC file.
+    """An Arrow IPC file.
 
-    It begins with its metadata, which is complete only at the end: the rows are kept in a
+    It begins with its metadata, which are complete only at the end, so the rows are kept in a
     temporary file until then.
 
     `names`: names of the float64 columns that follow ``t_ns``
@@ -95,7 +95,7 @@ class FeatherTable(ArrowTable):
                     file.write(group.replace_schema_metadata(schema.metadata))
 
     def abort(self) -> None:
-        """Remove what was not committed."""
+        """Discard uncommitted output."""
         self._body.close()
         super().abort()
 
