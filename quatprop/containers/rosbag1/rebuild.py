@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from itertools import zip_longest
 
 import numpy as np
 
@@ -42,8 +41,9 @@ def rebuild_index(file: RecordFile, index: BagIndex) -> None:
     index.end = file.size
     chunks = index.chunks[known:]
     infos = {info.start: info for info in index.infos}
-    owner, missing = None, Counter[int]()
-    for chunk, after in zip_longest(chunks, chunks[1:]):
+    owner: BagChunk | None = None
+    missing = Counter[int]()
+    for chunk, after in zip(chunks, [*chunks, None][1:], strict=True):
         info = infos.pop(chunk.start, None)
         if not chunk.is_unchunked:
             owner, missing = chunk, Counter()
