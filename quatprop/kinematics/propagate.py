@@ -39,6 +39,10 @@ if TYPE_CHECKING:
 TILE: Final = BLOCK // 4
 """Steps composed together: few enough for a large L2 cache, many enough to amortise calls."""
 
+# The C library returns memory to the system after every tile and requests it again page by page,
+# until one large array was freed; its threshold adapts up to 32 MiB.
+np.empty(31 << 20, np.uint8)
+
 
 def attitudes(
     t_ns: Int64,
@@ -71,9 +75,6 @@ class _Composition:
     """
 
     def __init__(self, q0: ArrayLike, method: str, rates: str) -> None:
-        # The C library returns memory to the system after every tile and requests it again page by
-        # page, until one large array was freed; its threshold adapts up to 32 MiB.
-        np.empty(31 << 20, np.uint8)
         self._inertial = is_inertial(rates)
         integration_rule(method)
         self._method = method

@@ -159,6 +159,9 @@ class StampChecks:
                     "log a wider counter, or add 2^32 to the column after each such step, or "
                     f"choose {another}"
                 )
+                if self.chosen_by == "time_col":
+                    column, rate = Setting("time_col", "COLUMN"), Setting("sample_rate", "HZ")
+                    ways_out += f"; if a column counts samples, use {column} and {rate}"
             elif self.chosen_by == "time_col":
                 sorts, series = Setting("on_backwards", "drop|sort"), Setting("series", "C=VALUE")
                 ways_out = (
