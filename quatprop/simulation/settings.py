@@ -59,7 +59,7 @@ def _moment(value: object) -> int:
 
 
 def _in_radians(units: Mapping[str, float], noun: str, examples: str) -> Parser:
-    """Return a parser of a number with a unit, or without one in radians."""
+    """Return a parser of a number with a unit, or without one in the first of the units."""
     parse = quantity_of(units, noun, examples)
 
     def parsed(value: object) -> Any:
