@@ -37,9 +37,10 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0)
 def truth_beside(target: Path | str, kind: str | None = None) -> str | None:
     """Return where the truth of a log goes by default: the log's name with ``.truth.csv``.
 
-    Beside a Parquet log it is Parquet as well; beside stdout there is none.
+    Beside a Parquet log it is Parquet as well; beside stdout there is none, nor beside a folder
+    without a name, which is no place for a log.
     """
-    if is_stdout(target):
+    if is_stdout(target) or not Path(target).name:
         return None
     kind = kind_of(target, kind, GENERAL_KINDS)
     suffix = ".truth.parquet" if kind == "parquet" else ".truth.csv"
