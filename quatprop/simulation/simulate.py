@@ -37,9 +37,10 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0)
 def truth_beside(target: Path | str, kind: str | None = None) -> str | None:
     """Return the default path of the truth: the log's name with ``.truth.csv``.
 
-    The truth of a Parquet log is Parquet as well; that of stdout is not written.
+    The truth of a Parquet log is Parquet as well; that of stdout, or of a folder without a name, is
+    not written.
     """
-    if is_stdout(target):
+    if is_stdout(target) or not Path(target).name:
         return None
     kind = kind_of(target, kind, GENERAL_KINDS)
     suffix = ".truth.parquet" if kind == "parquet" else ".truth.csv"

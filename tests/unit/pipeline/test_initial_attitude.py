@@ -184,11 +184,6 @@ def test_level_of_a_sorted_log_is_that_of_its_earliest_second(log):
     assert geodesic_angle(q0, [math.sqrt(0.5), math.sqrt(0.5), 0, 0]) < 1e-15
 
 
-def test_stdin_cannot_be_read_twice():
-    """What needs a second look needs a file."""
-    assert "stdin can be read only once" in refused("propagate", "-", "-o", "-", "--q0", "level")
-
-
 # --- the log's own orientation
 
 
