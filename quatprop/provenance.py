@@ -52,7 +52,8 @@ def as_json(value: object, spell: Callable[[str], str] = in_python) -> Any:
         return spell(value) if isinstance(value, str) and MARK in value else value
     if isinstance(value, Digest):
         return value.as_json()
-    if (names := _names(type(value))) is not None:
+    kind: Any = type(value)  # mypy takes a type for its unbound __hash__
+    if (names := _names(kind)) is not None:
         items = {name: as_json(getattr(value, name), spell) for name in names}
         # A digest says more about the same thing.
         digest = items.pop("digest", {})
