@@ -38,7 +38,7 @@ COMMENT = b"# quatprop "
 """How the first line of a text begins that holds the provenance."""
 
 
-def as_json(value: object, spell: Callable[[str], str] = in_python) -> Any:
+def as_json(value: Any, spell: Callable[[str], str] = in_python) -> Any:
     """Return a value as JSON has it: the one place where reports and results become JSON.
 
     Dataclasses and named tuples become objects with their fields as keys (those of a digest among
@@ -52,7 +52,7 @@ def as_json(value: object, spell: Callable[[str], str] = in_python) -> Any:
         return spell(value) if isinstance(value, str) and MARK in value else value
     if isinstance(value, Digest):
         return value.as_json()
-    if (names := _names(type(value))) is not None:
+    if (names := _names(value.__class__)) is not None:
         items = {name: as_json(getattr(value, name), spell) for name in names}
         # A digest says more about the same thing.
         digest = items.pop("digest", {})

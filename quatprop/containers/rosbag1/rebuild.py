@@ -42,7 +42,8 @@ def rebuild_index(file: RecordFile, index: BagIndex) -> None:
     index.end = file.size
     chunks = index.chunks[known:]
     infos = {info.start: info for info in index.infos}
-    owner, missing = None, Counter[int]()
+    owner: BagChunk | None = None
+    missing = Counter[int]()
     for chunk, after in zip_longest(chunks, chunks[1:]):
         info = infos.pop(chunk.start, None)
         if not chunk.is_unchunked:
@@ -61,7 +62,7 @@ def rebuild_index(file: RecordFile, index: BagIndex) -> None:
             index.id_offset = chunk.id_offset
             stated = Counter(chunk.counts if info is None else info.counts)
             found = _read_inside(file, index, chunk, stated)
-            if chunk is owner:
+            if not chunk.is_unchunked:
                 missing = Counter(chunk.counts) - found
             elif owner is not None:
                 # What is outside of a damaged chunk is not missing in it.
