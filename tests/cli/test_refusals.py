@@ -146,6 +146,9 @@ BATCH = {
     "log.csv -o out --sigma": "--sigma needs the errors of the gyroscope; give",
     "-o out": "there are no logs; name files, folders or patterns",
     "folder.csv -o out": "there are no logs in 'folder.csv'; name files",
+    # Rows of two topics would be mixed.
+    "gyros.bag -o d -t '*' --dataset": "--topic * gives several series of a log, and --dataset has "
+    "one; name a topic",
     "log.csv -o out --buckets 3": "Error: --buckets requires",
     "log.csv -o out --dataset --to csv": "Error: --dataset is Parquet; omit --to csv",
 }
