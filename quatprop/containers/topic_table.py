@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from itertools import islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from quatprop.text import Remark, Setting, plain, quoted
 from quatprop.times import LATEST, duration_text
 
 if TYPE_CHECKING:
-    import re
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from quatprop.arrays import AnyArray, Float64, Int64
@@ -87,7 +86,7 @@ class TopicTable(Table):
         return flattened(self.root).parts
 
     @cached_property
-    def matches(self) -> dict[object, list[tuple[int, re.Match[str]]]]:  # type: ignore[override]
+    def matches(self) -> dict[object, Any]:  # type: ignore[override]
         """A cache of searches in the columns, shared by topics of one definition."""
         return flattened(self.root).matches
 

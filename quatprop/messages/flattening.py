@@ -5,13 +5,12 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import deque
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.messages.schema import MAX_SEARCHED_ITEMS, Array, Primitive, Struct
 from quatprop.tables.model import Column, TablePart
 
 if TYPE_CHECKING:
-    import re
     from collections.abc import Iterator
 
     from quatprop.messages.schema import Type
@@ -28,7 +27,7 @@ class Flat(NamedTuple):
 
     columns: tuple[Column, ...]
     parts: tuple[TablePart, ...]
-    matches: dict[object, list[tuple[int, re.Match[str]]]]
+    matches: dict[object, Any]
 
 
 @lru_cache(maxsize=64)

@@ -9,6 +9,7 @@ uploaded when it is complete.
 from __future__ import annotations
 
 import os
+import stat
 import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, BinaryIO, cast
 
 from quatprop.errors import OutputError
 from quatprop.stores.objects import exists, is_address, split_address, without_secret
-from quatprop.stores.temp_files import LockedTemp, take_mode_of, temp_file, temp_folder
+from quatprop.stores.temp_files import LockedTemp, NewFile, temp_file, temp_folder
 from quatprop.writers.targets import checked_place, is_stdout, is_stream, output_errors
 
 if TYPE_CHECKING:
@@ -33,12 +34,12 @@ class OutputFile:
 
     def __init__(self, target: Path | str) -> None:
         self.target = without_secret(target)
-        self._temp: LockedTemp[BinaryIO] | None = None
+        self._temp: LockedTemp[NewFile] | None = None
         self._address = str(target) if is_address(target) else ""
         if self._address:
             with output_errors(self.target):
                 self._temp = temp_file(_scratch_place())
-            self.stream: BinaryIO = self._temp.made
+            self.stream: BinaryIO = self._temp.made.stream
         elif is_stdout(target):
             if sys.stdout is None:
                 raise OutputError(target, "standard output is closed; name a file")
@@ -52,7 +53,7 @@ class OutputFile:
             self._place = checked_place(target)
             with output_errors(target):
                 self._temp = temp_file(self._place)
-            self.stream = self._temp.made
+            self.stream = self._temp.made.stream
 
     def finish(self) -> None:
         """Flush and close the stream, which may fail if the disk is full."""
@@ -66,7 +67,7 @@ class OutputFile:
                 if self._temp is not None and self._address:
                     _upload(self._temp.path, self._address)
                 elif self._temp is not None:
-                    take_mode_of(self._temp.path, self._place)
+                    self._temp.path.chmod(self._temp.made.mode)
                     self._temp.path.replace(self._place)
         finally:
             self.discard()
@@ -160,7 +161,7 @@ class OutputPath:
                     _upload(self.path, self._address)
                     return
                 if self._place.exists():  # a file: folders are never replaced
-                    take_mode_of(self.path, self._place)
+                    self.path.chmod(stat.S_IMODE(self._place.stat().st_mode))
                 self.path.replace(self._place)
         finally:
             self.discard()

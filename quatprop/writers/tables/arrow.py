@@ -42,31 +42,26 @@ class ArrowTable(TableWriter):
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
         self._schema = series_schema(names)
         super().__init__(OutputFile(target))
-        self._t_ns = np.empty(GROUP, np.int64)
-        self._columns = np.empty((len(names), GROUP), np.float64)
+        self._parts: list[list[AnyArray]] = []
         self._filled = 0
 
     @abstractmethod
     def _write_group(self, group: pa.RecordBatch) -> None:
-        """Write a group; its memory is reused afterwards."""
+        """Write a group."""
 
     def _write(self, t_ns: AnyArray, columns: Sequence[AnyArray]) -> None:
         for rows, place in block_slices(len(t_ns), self._filled, GROUP):
-            self._t_ns[place] = t_ns[rows]
-            for buffer, column in zip(self._columns, columns, strict=True):
-                buffer[place] = column[rows]
+            self._parts.append([t_ns[rows], *(column[rows] for column in columns)])
             self._filled = place.stop
             if self._filled == GROUP:
                 self._flush()
 
     def _flush(self) -> None:
         """Write the collected rows."""
-        if not self._filled:
-            return
-        rows = slice(0, self._filled)
-        arrays = [to_arrow(self._t_ns[rows]), *(to_arrow(column[rows]) for column in self._columns)]
-        self._write_group(pa.record_batch(arrays, schema=self._schema))
-        self._filled = 0
+        if self._parts:
+            arrays = [to_arrow(np.concatenate(parts)) for parts in zip(*self._parts, strict=True)]
+            self._write_group(pa.record_batch(arrays, schema=self._schema))
+        self._parts, self._filled = [], 0
 
 
 class FeatherTable(ArrowTable):
