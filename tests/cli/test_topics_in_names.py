@@ -137,9 +137,3 @@ def test_a_batch_reads_every_topic_with_rates(log, tmp_path):
     assert "0 of 1 logs done" in again, again
     entries = quatprop.batch([log], "python", topic="*", processes=1)
     assert [entry.output for entry in entries] == ["log/imu/left.parquet", "log/imu/right.parquet"]
-
-
-def test_a_dataset_has_one_topic_of_each_log():
-    """Rows of two topics would be mixed."""
-    sentence = "--topic * gives several series of a log, and --dataset has one; name a topic"
-    assert sentence in run("batch", "log.bag", "-o", "d", "-t", "*", "--dataset", code=2).stderr

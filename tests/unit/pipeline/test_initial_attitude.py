@@ -292,18 +292,3 @@ def test_q0_is_the_attitude_of_a_topic_of_the_log(tmp_path):
     config.write_text('q0 = "/attitude"\n')
     run(*options, "--config", config, code=0)
     assert out.read_text().splitlines() == found
-
-
-@pytest.mark.parametrize(
-    ("q0", "said"),
-    [
-        ("/vicon", "--q0 /vicon is neither four numbers W,X,Y,Z nor level or log, no such file"),
-        ("levle", "--q0 levle is neither four numbers W,X,Y,Z nor level or log, no such file"),
-        ("/imu", "'/imu' has no orientation: 1000 of 1000 rows are invalid quaternions (1000 "),
-    ],
-)
-def test_a_name_that_is_no_series_is_refused(tmp_path, q0, said):
-    """Neither a file nor a topic, or a topic without attitudes."""
-    log = tmp_path / "log.bag"
-    log.symlink_to(SAMPLE_LOGS / "tumbling.bag")
-    assert said in sentence(log, q0)
