@@ -52,8 +52,7 @@ def as_json(value: object, spell: Callable[[str], str] = in_python) -> Any:
         return spell(value) if isinstance(value, str) and MARK in value else value
     if isinstance(value, Digest):
         return value.as_json()
-    kind: Any = type(value)  # mypy takes a type for its unbound __hash__
-    if (names := _names(kind)) is not None:
+    if (names := _names(value.__class__)) is not None:
         items = {name: as_json(getattr(value, name), spell) for name in names}
         # A digest says more about the same thing.
         digest = items.pop("digest", {})

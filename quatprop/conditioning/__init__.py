@@ -127,9 +127,9 @@ class GyroCorrectionReport(NamedTuple):
     start_ns: int | None
     end_ns: int | None
     outside: list[int]
-    remarks: tuple[Remark, ...] = ()
-    part: PartOfLog | None = None
-    length: str = ""
+    remarks: tuple[Remark, ...]
+    part: PartOfLog | None
+    length: str
 
     @property
     def all_rests(self) -> tuple[StaticPeriod, ...]:

@@ -159,6 +159,9 @@ def test_a_column_goes_there_and_back(code):
         assert column.to_pylist() == values.tolist()
         assert to_numpy(column).dtype == values.dtype
         assert to_numpy(column).tolist() == values.tolist()
+    # Other programs give no memory for a column without rows.
+    empty = to_numpy(pa.Array.from_buffers(column.type, 0, [None, None]))
+    assert (empty.dtype, empty.shape) == (values.dtype, (0,))
 
 
 def test_a_column_that_is_strided_or_of_other_byte_order_is_copied():
