@@ -47,10 +47,10 @@ def command(
     """
     from quatprop.cli.progress import progress
     from quatprop.cli.summary import command_line, show
-    from quatprop.noise.files import imu_yaml, noise_rows
-    from quatprop.noise.measure import measure_logs
     from quatprop.provenance import as_json as to_json
     from quatprop.rendering import lines_of, loss_lines
+    from quatprop.sensor_noise.files import imu_yaml, noise_rows
+    from quatprop.sensor_noise.measure import measure_logs
     from quatprop.stores.log_names import split_topic
     from quatprop.writers.atomic import open_atomic
     from quatprop.writers.targets import is_stdout, refuse_overlap
@@ -80,4 +80,4 @@ def command(
         warnings = (f"warning: {spelled(remark)}" for remark in noise.remarks)
         for line in (*warnings, *loss_lines(noise.losses)):
             click.echo(plain(line), err=True)
-    return 3 if noise.losses else 0
+    return 3 if noise.losses or noise.dropped else 0

@@ -23,7 +23,6 @@ from quatprop.conditioning.time_range import (
     length_text,
     pause_remarks,
 )
-
 from quatprop.errors import UsageError
 from quatprop.text import Setting
 

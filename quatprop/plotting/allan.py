@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quatprop.errors import OutputError
-from quatprop.noise.covariance import laws
-from quatprop.noise.result import UNITS
 from quatprop.plotting.accumulators import Quantity
 from quatprop.plotting.lines import Line
 from quatprop.plotting.picture import Curve, Page, Panel, Picture
 from quatprop.plotting.target import PictureFile, kind_of
 from quatprop.rendering import count_text
+from quatprop.sensor_noise.covariance import laws
+from quatprop.sensor_noise.result import UNITS
 from quatprop.text import spelled
 from quatprop.times import NS_PER_S, duration_text
 
 if TYPE_CHECKING:
-    from quatprop.noise.result import Noise
+    from quatprop.sensor_noise.result import Noise
 
 
 class AllanPicture(PictureFile):
@@ -33,7 +33,11 @@ class AllanPicture(PictureFile):
         """Draw the picture and put it in its place."""
         tau = noise.tau_s
         curves = [
-            Curve(Line(tau, noise.deviation[:, axis]), axis, (tau, noise.low[:, axis], noise.high[:, axis]))
+            Curve(
+                Line(tau, noise.deviation[:, axis]),
+                axis,
+                (tau, noise.low[:, axis], noise.high[:, axis]),
+            )
             for axis in range(3)
         ]
         legend = ["x (confidence interval of 68 % shaded)", "y", "z"]
@@ -45,7 +49,10 @@ class AllanPicture(PictureFile):
                 curves.append(Curve(Line(tau[shown], slope[shown]), len(legend), None))
                 legend.append(f"{name.replace('_', ' ')} {value:.3g} {unit}")
         time = duration_text(round(noise.samples * noise.interval_s * NS_PER_S))
-        facts = (f"{count_text(noise.samples, 'sample')} at rest, {time} together", "lines: the root mean square of the axes")
+        facts = (
+            f"{count_text(noise.samples, 'sample')} at rest, {time} together",
+            "lines: the root mean square of the axes",
+        )
         self.commit(
             Page(
                 title=noise.source,

@@ -48,7 +48,7 @@ def draw_panel(axes: Axes, panel: Panel, picture: Picture, place: int) -> list[t
             )
     for number, curve in enumerate(panel.curves):
         # Of lines that coincide, those below show on both sides.
-        wider = min(len(panel.curves) - 1 - number, WIDEST)
+        wider = 0.5 if picture.is_log else min(len(panel.curves) - 1 - number, WIDEST)
         _draw_curve(axes, curve, THIN + THICKER * wider, f"curve_{place}_{number}")
     axes.grid(visible=True)
     axes.set_axisbelow(True)

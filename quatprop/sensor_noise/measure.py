@@ -7,6 +7,7 @@ Gaps and the ends of rests divide them into pieces, which the variances are mean
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 import numpy as np
@@ -20,11 +21,11 @@ from quatprop.logs.beside_rates import conditioning_inputs
 from quatprop.logs.joined import open_logs
 from quatprop.logs.open_log import is_stream
 from quatprop.logs.signals.rates import choose_rates
-from quatprop.noise.allan import AllanSums
-from quatprop.noise.covariance import covariances
-from quatprop.noise.fit import chi_square, fit
-from quatprop.noise.result import Noise, terms_of
 from quatprop.rendering import source_text
+from quatprop.sensor_noise.allan import AllanSums
+from quatprop.sensor_noise.covariance import covariances
+from quatprop.sensor_noise.fit import chi_square, fit
+from quatprop.sensor_noise.result import Noise, terms_of
 from quatprop.settings.selection import RateSelection
 from quatprop.settings.static_bias import StaticBias
 from quatprop.stores.objects import without_secret
@@ -41,9 +42,10 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64
     from quatprop.conditioning.static_period import StaticPeriod
     from quatprop.logs.signals.signal import RateSignal
-    from quatprop.noise.fit import Fit
+    from quatprop.sensor_noise.fit import Fit
     from quatprop.series import GyroSeries
     from quatprop.tables.log import Log
+    from quatprop.timeline.counts import Counts
 
 REST: Final = StaticBias(between="nearest")
 """All rests are looked for, in windows of this length."""
@@ -97,59 +99,58 @@ def measure(path: str, source: RateSignal, settings: NoiseSettings, log: Log | N
     chosen_by = "time_col" if isinstance(log, TableLog) else "clock"
     timeline = Timeline(settings.policy, path, chosen_by)
     rests = _rests(path, source, settings, log, timeline)
-    ends = _joined(rests)
-    is_sorted = settings.policy.on_backwards == "sort"
     batches, done = condition(
         source.batches,
         timeline,
         settings.part,
         1.0,
         GyroCorrectionInputs(),
-        part_reader=None if is_sorted else source.part_reader,
+        # Sorted, samples may belong to the range wherever they are in the log.
+        part_reader=None if settings.policy.on_backwards == "sort" else source.part_reader,
     )
-    sums, span_ns = AllanSums(), 0
+    ends, sums, span_ns = _joined(rests), AllanSums(), 0
     for segment in timeline.segments(timeline.measured(batches)):
         span_ns += _add(segment, ends, sums)
-    samples, pieces = sum(sums.lengths), len(sums.lengths)
-    m, variances = sums.variances() if samples > pieces else (np.zeros(0, np.int64), np.zeros(0))
+    counts, samples, pieces = timeline.counts, sum(sums.lengths), len(sums.lengths)
+    m, variances = sums.variances()
     if len(m) < FEWEST or not span_ns:
         raise UsageError(
-            f"{plain(path)}: {samples} samples at rest are too few to measure noise; record the sensor "
-            "at rest for a minute or longer"
+            f"{plain(path)}: {samples} samples at rest are too few to measure noise; record the "
+            "sensor at rest for a minute or longer"
         )
+    first_ns, last_ns = counts.first_ns or 0, counts.last_ns or 0
+    used = tuple(end for end in ends if end[1] >= first_ns and end[0] <= last_ns)
     interval_s = span_ns / (samples - pieces) / NS_PER_S
+    tau_s = np.asarray(m * interval_s)
     found = covariances(m, sums.lengths)
     fits = [fit(axis, found) if axis.all() else None for axis in variances.T]
+    said = (
+        *source.remarks,
+        *timeline_remarks(counts, settings.policy, chosen_by),
+        *clipping_remarks(settings.part, done),
+        *_remarks(counts, interval_s, rests, pieces - len(used)),
+        *_fit_remarks(fits, tau_s),
+        *(() if log is None else log.remarks),
+    )
     deviation = np.sqrt(variances)
-    # Where no terms explain an axis, those of another tell how far its deviation scatters.
-    others = next((each.freedoms for each in fits if each is not None), np.full(len(m), np.nan))
-    freedoms = np.stack([others if each is None else each.freedoms for each in fits], axis=1)
-    axes = tuple(terms_of([each], interval_s, m * interval_s) for each in fits)
+    freedoms = np.stack(
+        [np.full(len(m), np.nan) if one is None else one.freedoms for one in fits]
+    ).T
     return Noise(
         source=f"{without_secret(path)}: {source_text(source.name, source.type_name)}",
         topic=source.name if source.name.startswith("/") else "",
         samples=samples,
-        rests=tuple(ends),
+        rests=used,
         pieces=pieces,
         interval_s=interval_s,
-        tau_s=m * interval_s,
+        tau_s=tau_s,
         deviation=deviation,
         low=deviation * np.sqrt(freedoms / chi_square(freedoms, 1.0)),
         high=deviation * np.sqrt(freedoms / chi_square(freedoms, -1.0)),
-        axes=axes,
-        combined=terms_of(fits, interval_s, m * interval_s),
-        remarks=(
-            *source.remarks,
-            *(
-                remark
-                for remark in timeline_remarks(timeline.counts, settings.policy, chosen_by)
-                if remark.code not in OF_ATTITUDE
-            ),
-            *clipping_remarks(settings.part, done),
-            *_remarks(timeline, interval_s, rests, pieces - len(ends)),
-            *_fit_remarks(fits, m * interval_s),
-            *(() if log is None else log.remarks),
-        ),
+        axes=tuple(terms_of([one], interval_s, tau_s) for one in fits),
+        combined=terms_of(fits, interval_s, tau_s),
+        dropped=counts.dropped,
+        remarks=tuple(one for one in said if getattr(one, "code", "") not in OF_ATTITUDE),
         losses=() if log is None else tuple(log.losses),
     )
 
@@ -172,14 +173,15 @@ def _rests(
         return find_rests(read, finder, REST, inputs, "body")
     except NoRestError as error:
         raise UsageError(
-            f"{plain(path)}: {error.text}, and noise shows at rest alone; record the sensor lying still"
+            f"{plain(path)}: {error.text}, and noise is measured at rest; record the sensor while "
+            "it lies still"
         ) from None
 
 
 def _joined(rests: Sequence[StaticPeriod]) -> list[tuple[int, int]]:
     """Return first and last stamp of each rest, ns; a rest with a slow drift was found in parts."""
     ends = [(rest.first_ns, rest.last_ns) for rest in rests[:1]]
-    for before, rest in zip(rests, rests[1:], strict=False):
+    for before, rest in pairwise(rests):
         apart = np.abs(rest.mean_rad_s - before.mean_rad_s).max()
         if rest.first_ns - before.last_ns <= REST.window_ns // 2 and apart <= 2 * AGREEMENT:
             ends[-1] = ends[-1][0], rest.last_ns
@@ -190,7 +192,7 @@ def _joined(rests: Sequence[StaticPeriod]) -> list[tuple[int, int]]:
 
 def _add(segment: Iterator[GyroSeries], ends: list[tuple[int, int]], sums: AllanSums) -> int:
     """Add those samples of a segment without gaps that are at rest; return their time, ns."""
-    bounds = np.array(ends) + [0, 1]
+    bounds = np.array(ends) + np.array([0, 1])
     at, first_ns, last_ns, total = -1, 0, 0, 0
     for block in segment:
         # Even places are before a rest, or between two; odd ones in one.
@@ -210,13 +212,12 @@ def _add(segment: Iterator[GyroSeries], ends: list[tuple[int, int]], sums: Allan
 
 
 def _remarks(
-    timeline: Timeline, interval_s: float, rests: Sequence[StaticPeriod], gaps: int
+    counts: Counts, interval_s: float, rests: Sequence[StaticPeriod], gaps: int
 ) -> Iterator[Remark]:
     """Yield what a reader should know of the samples.
 
     `gaps`: how many there are in rests
     """
-    counts = timeline.counts
     median_s = (counts.median_dt_ns or 0) / NS_PER_S
     if gaps:
         limit = duration_text(counts.gap_limit_ns or 0)
@@ -250,7 +251,9 @@ def _fit_remarks(fits: Sequence[Fit | None], tau_s: Float64) -> Iterator[Remark]
                 f"the deviation of {axis} follows none of the slopes: nothing is stated of it",
             )
         elif found.first:
-            why = "larger, as with vibration or motion" if found.above else "smaller, as by a filter"
+            why = (
+                "larger, as with vibration or motion" if found.above else "smaller, as by a filter"
+            )
             yield Remark(
                 "noise-short-times",
                 f"below {tau_s[found.first]:.3g} s the deviation of {axis} follows none of the "

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from quatprop.noise.allan import stride
+from quatprop.sensor_noise.allan import stride
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

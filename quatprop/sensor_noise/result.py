@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.noise.fit import BOUND, SHOWN
+from quatprop.sensor_noise.fit import BOUND, SHOWN
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.arrays import Float64
-    from quatprop.noise.fit import Fit
+    from quatprop.sensor_noise.fit import Fit
     from quatprop.tables.log import Loss
     from quatprop.text import Remark
 
@@ -97,11 +97,13 @@ class Noise(NamedTuple):
     deviation
         Overlapping Allan deviation of x, y and z, shape ``(T, 3)``, rad/s.
     low, high
-        Its confidence interval of 68 %, shape ``(T, 3)``, rad/s.
+        Its confidence interval of 68 %, shape ``(T, 3)``, rad/s; NaN where no terms explain it.
     axes
         The noise of x, y and z.
     combined
         The value to use for all axes: the root of their mean square.
+    dropped
+        Samples that were read and not used, by `on_backwards` and `on_nonfinite`.
     remarks
         What a reader should know.
     losses
@@ -120,6 +122,7 @@ class Noise(NamedTuple):
     high: Float64
     axes: tuple[NoiseTerms, ...]
     combined: NoiseTerms
+    dropped: int = 0
     remarks: tuple[Remark, ...] = ()
     losses: tuple[Loss, ...] = ()
 
@@ -132,11 +135,11 @@ def terms_of(fits: Sequence[Fit | None], interval_s: float, tau_s: Float64) -> N
     units = (interval_s, math.sqrt(interval_s), 1.0, 1 / math.sqrt(interval_s))
     squares = np.mean([each.terms for each in found], axis=0)
     sigmas = np.sqrt(np.sum([each.sigmas**2 for each in found], axis=0)) / len(found)
-    terms = [
-        _term(float(square), float(sigma), unit)
-        for square, sigma, unit in zip(squares, sigmas, units, strict=False)
-    ]
-    return NoiseTerms(*terms, from_s=float(tau_s[max(each.first for each in found)]))
+    terms = {
+        name: _term(float(square), float(sigma), unit)
+        for name, square, sigma, unit in zip(UNITS, squares, sigmas, units, strict=False)
+    }
+    return NoiseTerms(**terms, from_s=float(tau_s[max(each.first for each in found)]))
 
 
 def _term(square: float, sigma: float, unit: float) -> NoiseTerm:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from quatprop.errors import UsageError
-from quatprop.noise.result import UNITS
 from quatprop.rendering import count_text
+from quatprop.sensor_noise.result import UNITS
 from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES
 from quatprop.text import plain
 from quatprop.times import NS_PER_S, duration_text
@@ -15,8 +15,8 @@ from quatprop.version import __version__
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.noise.result import Noise, NoiseTerm
     from quatprop.rendering import Row
+    from quatprop.sensor_noise.result import Noise, NoiseTerm
 
 DATA_SHEET = {
     "angle_random_walk": ("deg/sqrt(h)", NOISE_DENSITIES),
@@ -24,6 +24,8 @@ DATA_SHEET = {
     "rate_random_walk": ("deg/h/sqrt(h)", RATE_WALKS),
 }
 """The units of data sheets."""
+
+NOTE = "in brackets 1 sigma; < is a bound with 95 % confidence on what the recording does not show"
 
 TOO_SHORT = "the recording is too short to show it"
 
@@ -62,17 +64,23 @@ def noise_rows(noise: Noise) -> Iterator[Row]:
     pieces = f", {noise.pieces} pieces without gaps" if noise.pieces > len(noise.rests) else ""
     yield "at rest", f"{count_text(noise.samples, 'sample')} in {rests}{pieces}: {time}"
     columns = [*noise.axes, noise.combined]
-    yield "", "".join(f"{name:>17}" for name in ("x", "y", "z", "root mean square"))
+    yield "", "".join(f"{name:>18}" for name in ("x", "y", "z", "root mean square"))
     for name, unit in UNITS.items():
-        cells = "".join(f"{_cell(getattr(terms, name)):>17}" for terms in columns)
+        cells = "".join(f"{_cell(getattr(terms, name)):>18}" for terms in columns)
         yield name.replace("_", " "), f"{cells}  {unit}"
     lowest = noise.deviation.argmin(axis=0)
-    cells = "".join(f"{noise.deviation[row, axis]:>17.3e}" for axis, row in enumerate(lowest))
+    cells = "".join(f"{noise.deviation[row, axis]:>18.3e}" for axis, row in enumerate(lowest))
     times = ", ".join(f"{noise.tau_s[row]:.3g}" for row in lowest)
-    yield "lowest deviation", f"{cells}{'':>17}  rad/s, averaged over {times} s"
-    for name, (unit, units) in DATA_SHEET.items():
-        if (value := getattr(noise.combined, name).value) is not None:
-            yield f"  {name.replace('_', ' ')}", f"{value / units[unit]:.3g} {unit}"
+    yield "lowest deviation", f"{cells}{'':>18}  rad/s, averaged over {times} s"
+    values = ((name, getattr(noise.combined, name).value, *row) for name, row in DATA_SHEET.items())
+    known = [
+        f"{name.replace('_', ' ')} {value / units[unit]:.3g} {unit}"
+        for name, value, unit, units in values
+        if value is not None
+    ]
+    if known:
+        yield "data sheet", ", ".join(known)
+    yield "", NOTE
 
 
 def _bound(term: NoiseTerm) -> str:
@@ -82,4 +90,6 @@ def _bound(term: NoiseTerm) -> str:
 def _cell(term: NoiseTerm) -> str:
     if term.value is None:
         return "-" if term.at_most is None else f"< {term.at_most:.2e}"
-    return f"{term.value:.3e} ±{100 * term.relative:.2g}%"
+    percent = 100 * term.relative
+    digits = sum(percent < limit for limit in (1, 10))
+    return f"{term.value:.3e} ({percent:.{digits}f}%)"

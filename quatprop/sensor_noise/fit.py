@@ -13,7 +13,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from quatprop.arrays import Float64
-    from quatprop.noise.covariance import Covariances
+    from quatprop.sensor_noise.covariance import Covariances
 
 SHOWN: Final = 2.33
 """Standard deviations from which a term is shown: by chance, one in a hundred is."""
