@@ -21,20 +21,24 @@ SHOWN: Final = 2.33
 BOUND: Final = 1.645
 """Standard deviations of the bound that holds in 95 % of all cases."""
 
-UNLIKELY: Final = 2.33
-"""Residuals that are beyond this quantile of the normal distribution, one in a hundred, show that
-the terms do not explain the variances."""
+UNLIKELY, DOUBTFUL = 3.09, 2.33
+"""Residuals beyond this quantile of the normal distribution, one in a thousand, show that the terms
+do not explain all variances; beyond this one, one in a hundred, not those that are left."""
 
 ROUNDS: Final = 20
 
 SMALLEST: Final = 0.01
 """Eigenvalue of the correlations; smaller ones are neglected covariances."""
 
-PRIORITY: Final = (1, 3, 2, 0, 4)
+PRIORITY: Final = (1, 0, 3, 2, 4)
 """Which terms are fitted where the variances are few."""
 
 SPARE: Final = 2
 """Variances beyond the number of terms, for the residuals to tell something."""
+
+
+LEFT: Final = 0.3
+"""Share of the first variance that may be left of what a filter or a vibration does."""
 
 
 class Fit(NamedTuple):
@@ -58,49 +62,86 @@ class Fit(NamedTuple):
 def fit(variances: Float64, covariances: Covariances) -> Fit | None:
     """Return the terms that explain variances, ``(T,)``; None if none do.
 
-    Variances at the shortest times are left out where they follow no slope, as behind a filter.
+    Variances at the shortest times are left out where they follow no slope. Of what a filter or a
+    vibration does there, longer times keep something that falls like quantisation, of either sign:
+    it is fitted, and is none.
     """
-    count = len(variances)
-    for first in range(max(count - SPARE, 0)):
-        # What is left of quantisation is at the shortest times, or it is something else.
-        chosen = [term for term in PRIORITY if term or not first][: count - first - SPARE]
-        found = _solved(variances, covariances, first, sorted(chosen))
+    for first in range(len(variances) - SPARE):
+        found = _fit_from(first, variances, covariances)
         if found is not None:
             return found
     return None
 
 
+def _fit_from(first: int, variances: Float64, covariances: Covariances) -> Fit | None:
+    """Return the terms that explain the variances from one on; None if they do not."""
+    count = len(variances) - first
+    chosen = sorted(PRIORITY[: count - SPARE])
+    terms, solved, sigmas, residual = _solved(variances, covariances, first, chosen)
+    left = solved[0] * covariances.laws[first, 0] / variances[first]
+    ways = np.nan_to_num(solved / sigmas)
+    if first:
+        ways[0] = 0.0
+    limit = DOUBTFUL if first else UNLIKELY
+    if (
+        # Every gyroscope has white noise, unless the steps of its angles hide it.
+        (ways[:2] < SHOWN).all()
+        or (ways < -limit).any()
+        or residual > chi_square(count - len(chosen), limit)
+        or (first and abs(left) > LEFT)
+    ):
+        return None
+    for term in chosen:
+        if ways[term] < SHOWN:
+            sigmas[term] = _at_bound(term, solved, terms, covariances, (first, chosen))
+    if first:
+        solved[0] = sigmas[0] = np.nan
+    model, scatter = covariances.laws @ terms, np.sqrt(covariances.of(terms).diagonal())
+    above = (variances > model + UNLIKELY * scatter)[:first].any()
+    return Fit(solved, sigmas, first, bool(above), 2 * (model / scatter) ** 2)
+
+
 def _solved(
     variances: Float64, covariances: Covariances, first: int, chosen: list[int]
-) -> Fit | None:
-    """Return the fit of some terms to the variances from one on; None if they do not fit."""
+) -> tuple[Float64, Float64, Float64, float]:
+    """Return the fit of some terms to the variances from one on.
+
+    `Returns`: the terms, ``(5,)``, none below 0; the same as they come out, NaN where they are not
+        chosen; their standard deviations; and the sum of squared residuals
+    """
     y, laws = variances[first:], covariances.laws[first:, chosen]
     # To begin with, the relative errors are those of white noise.
     scales = y * np.sqrt(covariances.m[first:])
-    terms = np.zeros(covariances.laws.shape[1])
+    terms, (solved, sigmas) = np.zeros(covariances.laws.shape[1]), np.full((2, 5), np.nan)
     terms[chosen] = np.maximum(np.linalg.lstsq(laws / scales[:, None], y / scales)[0], 0.0)
     if not terms.any():
         terms[1] = y[0] * covariances.m[first]
     for _ in range(ROUNDS):
-        solved, spread, residual = _weighted(y, laws, covariances.of(terms)[first:, first:])
-        terms[chosen] = (terms[chosen] + np.maximum(solved, 0.0)) / 2
-    # Nor is it explained by what has to be below 0.
-    is_negative = (solved < -SHOWN * spread).any()
-    if is_negative or residual > chi_square(len(y) - len(chosen), UNLIKELY):
-        return None
-    sigmas = np.full(len(terms), np.nan)
-    for place, term in enumerate(chosen):
-        at = terms.copy()
-        sigmas[term] = spread[place]
-        for _ in range(ROUNDS if solved[place] < SHOWN * spread[place] else 0):
-            at[term] = max(solved[place], 0.0) + BOUND * sigmas[term]
-            _, wider, _ = _weighted(y, laws, covariances.of(at)[first:, first:])
-            sigmas[term] = wider[place]
-    found = np.full(len(terms), np.nan)
-    found[chosen] = solved
-    model, spreads = covariances.laws @ terms, np.sqrt(covariances.of(terms).diagonal())
-    above = (variances > model + UNLIKELY * spreads)[:first].any()
-    return Fit(found, sigmas, first, bool(above), 2 * (model / spreads) ** 2)
+        solved[chosen], sigmas[chosen], residual = _weighted(
+            y, laws, covariances.of(terms)[first:, first:]
+        )
+        terms = (terms + np.maximum(np.nan_to_num(solved), 0.0)) / 2
+    return terms, solved, sigmas, residual
+
+
+def _at_bound(
+    term: int,
+    solved: Float64,
+    terms: Float64,
+    covariances: Covariances,
+    part: tuple[int, list[int]],
+) -> float:
+    """Return the standard deviation of a term if it were as large as it may be.
+
+    `part`: from which variance on, and which terms are fitted
+    """
+    first, chosen = part
+    at, sigma, laws = terms.copy(), 0.0, covariances.laws[first:, chosen]
+    for _ in range(ROUNDS):
+        at[term] = max(solved[term], 0.0) + BOUND * sigma
+        spread = _weighted(laws[:, 0], laws, covariances.of(at)[first:, first:])[1]
+        sigma = float(spread[chosen.index(term)])
+    return sigma
 
 
 def _weighted(y: Float64, laws: Float64, covariance: Float64) -> tuple[Float64, Float64, float]:
