@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 HZ = 100
-BURN_IN = 4
+BURN_IN = 2
 """Lengths of a log for which flicker noise is made before it begins."""
 
 
