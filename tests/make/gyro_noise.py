@@ -1,4 +1,4 @@
-"""Gyroscopes at rest whose noise is known: white, flicker, random walk, quantised angles, a ramp."""
+"""Gyroscopes at rest whose noise is known: white, flicker, random walk, angles in steps, ramps."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""The noise that is stated of a gyroscope: forty simulated ones, a long log, its time and memory."""
+"""The noise that is stated of forty simulated gyroscopes; time and memory for a long log."""
 
 import sys
 from subprocess import run as run_process

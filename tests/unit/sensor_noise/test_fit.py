@@ -57,7 +57,7 @@ def variances_of(rate):
 
 
 def test_a_vibration_and_a_filter_are_left_out():
-    """A hum of 3 Hz and a filter of 5 samples: N is that of longer times, and which it was shows."""
+    """A hum of 3 Hz and a filter of 5 samples: N is that of longer times, and which it is shows."""
     random = np.random.default_rng(5)
     truth = Truth(N=1e-4)
     rate = rates(truth, 30_000, random)
