@@ -51,7 +51,7 @@ class AllanPicture(PictureFile):
         time = duration_text(round(noise.samples * noise.interval_s * NS_PER_S))
         facts = (
             f"{count_text(noise.samples, 'sample')} at rest, {time} together",
-            "lines: the root mean square of the axes",
+            "straight lines: the terms, root mean square of the axes",
         )
         self.commit(
             Page(

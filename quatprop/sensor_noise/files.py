@@ -50,7 +50,9 @@ def imu_yaml(noise: Noise) -> str:
         if term.value is None:
             lines.append(f"# {name}: {_bound(term)}; {TOO_SHORT}\n")
         else:
-            lines.append(f"{name}: {term.value:.4e}  # {unit}, 1 sigma {100 * term.relative:.2g} %\n")
+            lines.append(
+                f"{name}: {term.value:.4e}  # {unit}, 1 sigma {100 * term.relative:.2g} %\n"
+            )
     lines += [f'rostopic: "{plain(noise.topic)}"\n'] if noise.topic else []
     return "".join([*lines, f"update_rate: {1 / noise.interval_s:.6g}\n"])
 
