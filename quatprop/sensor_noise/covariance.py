@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64, Int64
 
-RELATED: Final = 6
+RELATED: Final = 8
 """Variances more octaves apart than this are as good as independent."""
 
 RANDOM: Final = 4

@@ -41,6 +41,10 @@ LEFT: Final = 0.3
 """Share of the first variance that may be left of what a filter or a vibration does."""
 
 
+WHITE: Final = 0.5
+"""Share of it that is white noise, if it is at short times alone that something else was."""
+
+
 class Fit(NamedTuple):
     """The terms of one axis.
 
@@ -78,7 +82,7 @@ def _fit_from(first: int, variances: Float64, covariances: Covariances) -> Fit |
     count = len(variances) - first
     chosen = sorted(PRIORITY[: count - SPARE])
     terms, solved, sigmas, residual = _solved(variances, covariances, first, chosen)
-    left = solved[0] * covariances.laws[first, 0] / variances[first]
+    shares = solved * covariances.laws[first] / variances[first]
     ways = np.nan_to_num(solved / sigmas)
     if first:
         ways[0] = 0.0
@@ -88,7 +92,7 @@ def _fit_from(first: int, variances: Float64, covariances: Covariances) -> Fit |
         (ways[:2] < SHOWN).all()
         or (ways < -limit).any()
         or residual > chi_square(count - len(chosen), limit)
-        or (first and abs(left) > LEFT)
+        or (first and (abs(shares[0]) > LEFT or shares[1] < WHITE))
     ):
         return None
     for term in chosen:
