@@ -355,19 +355,6 @@ def test_a_case_that_was_never_updated_is_an_error(ci):
     assert "the lock has no entry for this case yet" in result.stdout
 
 
-def test_an_unfinished_merge_is_named(ci):
-    """The line of the marker and the way out."""
-    lock = ci / "suite.lock.json"
-    lines = lock.read_text().splitlines()
-    lock.write_text("\n".join([*lines[:3], "<<<<<<< HEAD", *lines[3:]]))
-    result = check(ci / "suite.toml")
-    assert result.exit_code == 2
-    assert result.stderr == (
-        f"Error: {lock}: line 4 is a conflict marker of a merge; remove the markers, "
-        "keeping one side of each case, and check with --update\n"
-    )
-
-
 # What fails, and why: exactly that case.
 
 

@@ -24,6 +24,8 @@ ONCE = "Error: stdin can be read only once; name files for the others"
 TWO_TOPICS = "Error: two.mcap: several topics carry attitudes: '/one', '/two'; choose one with"
 SIMULATED = "|".join(kind for kind in WRITERS if kind not in {"tum", "euroc", "kitti"})
 
+TOPICS = "another topic is given, '/imu_raw'; name one"
+
 PROPAGATE = {
     "none.mcap": "Error: none.mcap: no such file or folder; check the path",
     "empty.mcap": "Error: empty.mcap: the file is empty; was the recording closed?",
@@ -102,6 +104,10 @@ PROPAGATE = {
     "gyros.bag -t imu": "one of '/cam/imu', '/imu_raw'; did you mean '/cam/imu'?",
     "gyros.bag -t /imuraw": "did you mean '/imu_raw'?",
     "gyros.bag -t /imu_raw --time-field header.stmp": "has 'seq', 'stamp', 'frame_id'; did you me",
+    "gyros.bag:/cam/imu -t /imu_raw": f"Error: gyros.bag:/cam/imu: {TOPICS}",
+    "gyros.bag:/imu_raw gyros.bag:/cam/imu": f"Error: gyros.bag:/cam/imu: {TOPICS}",
+    "- --q0 level": "stdin can be read only once",
+    "none.mcap --plot a.png --view rerun": "--view does not go with --plot; draw the picture in",
     "nameless.csv --rate-unit rad/s --rate-cols gx,gy,gzz": "'gx', 'gy', 'gz'; did you mean 'gz'?",
 }
 
@@ -134,6 +140,10 @@ SIMULATE = {
     "a.csv --motion coning --axis 1,0,0": "--axis requires --motion spin",
     "a.csv --angle 5": "--angle requires --motion coning or tumbling",
     "a.csv --motion rest --walk 1": "--walk requires --motion random-walk",
+    "a.bag --compression zstd": "a bag log cannot be compressed with 'zstd'; choose 'none', 'lz4'",
+    "a.tum": "kind 'tum' holds attitudes only; choose 'csv', 'tsv',",
+    # The first two have no name, which was a bug.
+    **{place: f"Error: {place}: exists already; choose another" for place in (".", "/", "bag")},
     "a.ulg": f".npz, .mcap, .bag, none for a ROS 2 bag folder, or specify --to {SIMULATED}",
 }
 
@@ -151,6 +161,8 @@ COMPARE = {
     "q.csv plain.csv": "the columns with --quat-cols-b, --from-layout-b and --time-col-b",
     "two.mcap q.csv": f"{TWO_TOPICS} --topic-a",
     "q.csv two.mcap": f"{TWO_TOPICS} --topic-b",
+    "spin.csv spin.csv --judge +5s..+6s": "--judge",
+    "gyros.bag:/cam/imu q.csv --topic-a /imu_raw": f"Error: gyros.bag:/cam/imu: {TOPICS}",
     # It is empty when it has been read: the log would not be to blame.
     "- -": ONCE,
 }
@@ -191,6 +203,15 @@ CONVERT = {
     "q.csv - --as matrix --message TFMessage": f"--message {OF_MATRIX}",
     "q.csv - --as matrix --euler-unit deg": "--euler-unit requires euler-zyx or another",
     "q.csv - --as euler": "did you mean 'euler-zyx'?",
+    "gyros.bag:/cam/imu out.csv -t /imu_raw": f"Error: gyros.bag:/cam/imu: {TOPICS}",
+    "q.csv out.csv --start +1h": "between --start and --end: 2 are before, 0 after; the log",
+    "a.kitti -": "or --sample-rate HZ for rows at a steady rate",
+    "b.kitti -": "it has 4 columns, and a KITTI trajectory has 12: r11 r12 r13 tx",
+    **{
+        f"q.csv out --to {kind} --message PoseInFrame": "'PoseInFrame' is Foxglove's own, in "
+        "protobuf, and ROS bags hold ROS messages; write mcap, or choose 'QuaternionStamped', "
+        for kind in ("bag", "rosbag2", "rosbag2-mcap")
+    },
     "q.csv out.csv --message TFMessage": NO_MESSAGES,
     "q.csv out.csv --message TFMessage --convention jpl": NO_MESSAGES,
     "q.csv a.tum --with euler-zyx": "--with: tum has its own columns; choose 'csv', ",
@@ -220,6 +241,7 @@ PLOT = {
     "the columns with --rate-cols or --quat-cols and --time-col",
     "q.csv --reference two.mcap": f"{TWO_TOPICS} --topic-ref",
     "two.mcap --reference q.csv": f"{TWO_TOPICS} --topic",
+    "gyros.bag:/cam/imu -t /imu_raw": f"Error: gyros.bag:/cam/imu: {TOPICS}",
     "- -": ONCE,
     "- --reference -": ONCE,
     **{
@@ -230,6 +252,7 @@ PLOT = {
 }
 
 INFO = {
+    "gyros.bag:/cam/imu -t /imu_raw": f"Error: gyros.bag:/cam/imu: {TOPICS}",
     "empty.mcap": "Error: empty.mcap: the file is empty; was the recording closed?",
     "folder.csv --from bag": f"Error: folder.csv: a folder is no log of kind bag; {KIND}",
     "log.csv --from rosbag2": f"Error: log.csv: a file is no log of kind rosbag2; {KIND}",

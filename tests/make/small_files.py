@@ -34,6 +34,8 @@ TEXTS = {
     "empty.mcap": "",
     "odd.xyz": "\x00\x01\x02 nonsense",
     "locked.csv": "old",
+    "a.kitti": "1 0 0 0 0 1 0 0 0 0 1 0\n",
+    "b.kitti": "1 0 0 0\n",
     "typo.toml": "metod = 'end'",
     "output.toml": "output = 'x.csv'",
     "method.toml": "method = 'rk4'",

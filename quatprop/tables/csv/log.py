@@ -6,6 +6,7 @@ Trajectories of TUM RGB-D and of KITTI have no header, but columns that are know
 from __future__ import annotations
 
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -180,6 +181,8 @@ class CsvLog(TableLog):
         self._forget_earlier_reading()
         self.remarks.clear()
         if self._stream is None:
+            if len(self._head) < HEAD_BYTES and not self._text.damage:  # that was all of it
+                return TextStream(BytesIO(self._head[self._layout.body :]), may_be_compressed=False)
             rows = open_text(self.path)
             rows.read(self._layout.body)
             return rows

@@ -186,16 +186,6 @@ def test_an_error_does_not_read_as_a_pass(folder):
     assert "pass   spin  would be updated  301 of" in check(suite, "--update", "--dry-run").stdout
 
 
-def test_conflict_markers_in_a_lock_are_named(folder):
-    """Indented by an editor, they were no JSON, and the advice was to remove what was pinned."""
-    suite = pinned(folder, stored())
-    lock = suite.with_suffix(".lock.json")
-    lock.write_text("{\n  <<<<<<< HEAD\n" + lock.read_text())
-    result = check(suite)
-    assert result.exit_code == 2
-    assert f"{lock}: line 2 is a conflict marker of a merge" in result.stderr
-
-
 def shorten(folder):
     """Take the last row of the log away."""
     log = folder / "logs" / "spin.csv"

@@ -316,7 +316,10 @@ HARMS = {
 @pytest.mark.parametrize("harm", HARMS)
 @pytest.mark.parametrize("indexed", [True, False])
 def test_what_follows_damage_is_read(tmp_path, compression, harm, indexed):
-    """Damage in one chunk costs no other, whether the bag was closed or not."""
+    """Damage in one chunk costs no other, whether the bag was closed or not.
+
+    Of 30 missing messages 64 were said to be: those outside of the chunk had its index data.
+    """
     path = tmp_path / "log.bag"
     intact = written(path, compression)
     places = chunks_of(path)
@@ -327,6 +330,7 @@ def test_what_follows_damage_is_read(tmp_path, compression, harm, indexed):
     assert numbers == sorted(set(numbers))
     assert set(range(MESSAGES)) - numbers_of(places, 4) <= set(numbers)
     assert losses
+    assert sum(loss.messages or 0 for loss in losses) in {0, MESSAGES - len(numbers)}
 
 
 def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path):

@@ -103,20 +103,6 @@ def test_a_value_that_cannot_be_used_is_one_sentence(name, value, sentence):
     assert str(caught.value).startswith(sentence)
 
 
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ({"metod": "end"}, "there is no setting 'metod'; did you mean 'method'"),
-        ({"heading": 5}, "^heading requires q0='level'$"),
-        ({"every": 2, "rate": 5}, "^every, rate and at each say which attitudes to write"),
-    ],
-)
-def test_settings_that_are_none_or_contradict_each_other_are_refused(options, sentence):
-    """What there is not, what belongs to another initial attitude, and two choices of rows."""
-    with pytest.raises(UsageError, match=sentence):
-        propagation_settings(options)
-
-
 def test_no_settings_are_the_defaults():
     """None counts as not given."""
     assert propagation_settings({}) == PropagationSettings()
