@@ -38,7 +38,7 @@ COMMENT = b"# quatprop "
 """How the first line of a text begins that holds the provenance."""
 
 
-def as_json(value: object, spell: Callable[[str], str] = in_python) -> Any:
+def as_json(value: Any, spell: Callable[[str], str] = in_python) -> Any:
     """Return a value as JSON has it: the one place where reports and results become JSON.
 
     Dataclasses and named tuples become objects with their fields as keys (those of a digest among
