@@ -71,7 +71,7 @@ class Search(Fits):
             self._readings = {f"{number}": each for number, each in enumerate(readings)}
         left = {key: self._over_windows(key) for key in ("", *self._readings)}
         most = PROMISING * min(left.values())
-        self._promising = [key for key in left if left[key] <= most]
+        self._promising = [key for key in left if not key or left[key] <= most]
         plan = self._least(Undoings(rates="rate bias", frames=frame) for frame in self._frames)
         for _ in range(ROUNDS):
             plan = last = self._read_and_aligned(plan)
