@@ -155,11 +155,13 @@ def test_a_run_that_ends_at_once_leaves_no_older_results(folder, options):
 
 
 def test_a_run_that_ends_at_once_replaces_no_input(folder):
-    """Results of an error must not go where there is something else."""
+    """Results of an error must not go where there is something else; a new file is none."""
     suite = write_suite(folder, "<<<<<<< HEAD\n" + stored())
     before = suite.read_bytes()
     assert check(suite, "--junit", suite).exit_code == 2
     assert suite.read_bytes() == before
+    assert check(suite, "--junit", folder / "new.xml").exit_code == 2
+    assert 'errors="1"' in (folder / "new.xml").read_text()
 
 
 def test_advice_can_be_followed(folder):
