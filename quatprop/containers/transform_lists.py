@@ -73,12 +73,12 @@ class TransformTable(TopicTable):
         parent, _, child = (wanted or "").rpartition(":")
         fits = [f for f in decoder.frames if child in ("", f.child) and parent in ("", f.parent)]
         if len(fits) != 1:
-            there = listed(f"{frames.parent}:{frames.child}" for frames in fits or decoder.frames)
+            choices = listed(f"{frames.parent}:{frames.child}" for frames in fits or decoder.frames)
             what = "has several transforms:" if wanted is None else f"has, for {quoted(wanted)},"
             if not fits:
                 what = f"has no transform {quoted(wanted)}, but"
             raise UsageError(
-                f"{plain(self.path)}: topic {quoted(self.name)} {what} {there}; choose one with "
+                f"{plain(self.path)}: topic {quoted(self.name)} {what} {choices}; choose one with "
                 f"{Setting('frame', 'PARENT:CHILD')}"
             )
         chosen = TransformTable(self.log, self.channel)

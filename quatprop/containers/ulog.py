@@ -118,7 +118,7 @@ class UlogLog(TopicLog):
     ) -> Iterator[MessageBlock]:
         """Yield the messages of one topic instance in the order of the file.
 
-        Log and publish times are the messages' own time stamps.
+        Log and publish times are the messages' own timestamps.
         """
         self._refuse_redefined(channel)
         stamps = decoder_of(channel, ["timestamp"], self.path)
@@ -179,7 +179,7 @@ class UlogLog(TopicLog):
 
 
 def _ids_by_channel(records: Records) -> dict[Channel, list[int]]:
-    """Return the ids of each channel: two after it was unknown and subscribed again."""
+    """Return the ids of each channel: two after it was unsubscribed and subscribed again."""
     ids: dict[Channel, list[int]] = {}
     for id_, (name, instance) in sorted(records.subscriptions.items()):
         channel = Channel(

@@ -125,7 +125,7 @@ def walk_records(source: FileSource, position: int, end: int, records: Records) 
             break
         size = _add_records(data, position, records)
         if not size:
-            position = _without_swallowed(source, position, records)
+            position = _without_overrun(source, position, records)
             after = _after_damage(source, position, end, records)
             reason = f"its records cannot be followed for {after - position} bytes"
             if source.read(position, len(_MAGIC)) == _MAGIC:
@@ -202,7 +202,7 @@ def _is_record(data: bytes, position: int, records: Records) -> bool:
     return kind in _KINDS and len(content) == size and bool(_KINDS[kind](content))
 
 
-def _without_swallowed(source: FileSource, position: int, records: Records) -> int:
+def _without_overrun(source: FileSource, position: int, records: Records) -> int:
     """Drop the last message if another file begins inside it; return where to continue."""
     begin = records.offsets[-1] if records.offsets else position
     if _MAGIC not in source.read(begin, position - begin + len(_MAGIC) - 1):

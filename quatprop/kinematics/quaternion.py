@@ -1,6 +1,6 @@
 """Quaternion arithmetic on arrays ``(..., 4)`` in the order w, x, y, z.
 
-Hamilton product, ij = k, scalar first: q = w + x i + y j + z k (eq. 1). An attitude takes body
+Hamilton product, ij = k, scalar first: q = w + x i + y j + z k (eq. 1). An attitude transforms body
 coordinates to reference coordinates, v_ref = q v_body q* (eq. 3). Leading dimensions broadcast.
 
 Equation numbers here and in the other modules are those of the article "quaternion kinematics and
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
 
 
 IDENTITY: Float64 = np.array([1.0, 0.0, 0.0, 0.0])
-"""The attitude of a body whose axes coincide with those of the reference."""
+"""The attitude of a body whose axes are those of the reference."""
 IDENTITY.setflags(write=False)
 
 UNIT_TOLERANCE = 1e-3
-"""Allowed difference of a length from 1: rounding to three decimals causes as much."""
+"""Maximum deviation of a length from 1, which rounding to three decimals can cause."""
 
 
 def multiply(p: ArrayLike, q: ArrayLike) -> Float64:
     """Return the Hamilton product p q.
 
     `p`, `q`: quaternions wxyz, shape ``(..., 4)``
-    `Returns`: shape ``(..., 4)``. As attitudes: first q, then p
+    `Returns`: shape ``(..., 4)``. As rotations: first q, then p
     """
     pw, px, py, pz = _components(p)
     qw, qx, qy, qz = _components(q)
@@ -55,20 +55,20 @@ def conjugate(q: ArrayLike) -> Float64:
 
 
 def normalize(q: ArrayLike) -> Float64:
-    """Return q at unit length.
+    """Return q scaled to unit length.
 
     `q`: quaternions wxyz, shape ``(..., 4)``, finite and not zero
     `Returns`: shape ``(..., 4)``
     """
     q = _array(q)
-    # Squares of very large or small components would overflow or vanish.
+    # Squares of very large or small components would overflow or underflow.
     scaled: Float64 = q / np.abs(q).max(axis=-1, keepdims=True)
     scaled /= np.sqrt((scaled**2).sum(axis=-1, keepdims=True))
     return scaled
 
 
 def shorter(q: ArrayLike) -> Float64:
-    """Return q or -q, ``(..., 4)``, with w >= 0: the same attitude, the shorter way round."""
+    """Return q or -q, ``(..., 4)``, with w >= 0: the same attitude by the shorter rotation."""
     q = _array(q)
     return np.asarray(np.where(q[..., :1] < 0, -q, q))
 
@@ -76,7 +76,7 @@ def shorter(q: ArrayLike) -> Float64:
 def exp(rotvec: ArrayLike) -> Float64:
     """Return the unit quaternion of a rotation vector (eq. 34).
 
-    Smooth through zero. The angle may be of any size; w is negative for angles between pi and
+    Smooth through zero, for angles of any size; w is negative for angles between pi and
     3 pi.
 
     `rotvec`: rotation vectors, shape ``(..., 3)``, rad: the axis times the angle
@@ -110,7 +110,7 @@ def log(q: ArrayLike) -> Float64:
 
 
 def rotate(q: ArrayLike, v: ArrayLike) -> Float64:
-    """Return q v q*: a vector's body coordinates as reference coordinates (eq. 3).
+    """Return q v q*: vectors in reference coordinates from body coordinates (eq. 3).
 
     `q`: unit quaternions wxyz body -> reference, shape ``(..., 4)``
     `v`: vectors resolved in the body frame, shape ``(..., 3)``, any unit
@@ -142,7 +142,7 @@ def from_matrix(matrix: ArrayLike) -> Float64:
     References
     ----------
     Shepperd, "Quaternion from rotation matrix", Journal of Guidance and Control 1(3), 1978: the
-    largest of the four squares is taken.
+    component with the largest square is used.
     """
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(_array(matrix), (-2, -1), (0, 1))
     # Four times the products of the components: each row is the quaternion times one of them.
@@ -163,15 +163,15 @@ def from_matrix(matrix: ArrayLike) -> Float64:
 def geodesic_angle(p: ArrayLike, q: ArrayLike) -> Float64:
     """Return the angle of the rotation between two attitudes.
 
-    The sign of either quaternion does not matter, nor does its length. Exact to rounding at any
-    angle: an arc cosine would lose everything below 1e-8 rad.
+    The signs and the lengths of the quaternions do not matter. Exact to rounding at any angle: an
+    arc cosine would lose angles below 1e-8 rad.
 
     `p`, `q`: attitudes wxyz, shape ``(..., 4)``
     `Returns`: angles, shape ``(...)``, rad, from 0 to pi
     """
     pw, px, py, pz = _components(p)
     qw, qx, qy, qz = _components(q)
-    # p* q, with its terms in pairs: of equal attitudes each pair, and so the angle, is exactly 0.
+    # p* q, with its terms in pairs: each pair, and so the angle, is exactly 0 for equal attitudes.
     length = _length(
         (pw * qx - px * qw) - (py * qz - pz * qy),
         (pw * qy - py * qw) - (pz * qx - px * qz),
@@ -182,7 +182,7 @@ def geodesic_angle(p: ArrayLike, q: ArrayLike) -> Float64:
 
 
 def slerp(p: ArrayLike, q: ArrayLike, fraction: ArrayLike) -> Float64:
-    """Return attitudes between two: on the shortest rotation from p to q, at a constant rate.
+    """Interpolate between two attitudes: the shortest rotation from p to q at a constant rate.
 
     `p`, `q`: unit quaternions wxyz, shape ``(..., 4)``; their signs do not matter
     `fraction`: elapsed fraction of the rotation, shape ``(...)``: 0 gives p, 1 gives q or -q
@@ -214,5 +214,5 @@ def _cross(x: Float64, y: Float64) -> Float64:
 
 
 def _length(x: Float64, y: Float64, z: Float64) -> Float64:
-    """Return the length of vectors; hypot, since squares of tiny components vanish."""
+    """Return the lengths of vectors; by hypot, since squares of tiny components underflow."""
     return np.asarray(np.hypot(np.hypot(x, y), z))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import apsw
 
-from quatprop.containers.rosbag2.sqlite_files import files_beside, open_database
+from quatprop.containers.rosbag2.sqlite_files import journal_files, open_database
 from quatprop.log_copy.rosbag2_metadata import Added
 from quatprop.writers.rosbag2.writer import insert_messages
 
@@ -25,7 +25,7 @@ _STEP = 1 << 12
 
 def first_ns(path: Path) -> int:
     """Return the earliest log time of a database, ns; 0 if there is none."""
-    with closing(open_database(path, files_beside(path))) as database:
+    with closing(open_database(path, journal_files(path))) as database:
         ((earliest,),) = database.execute("SELECT MIN(timestamp) FROM messages")
     return int(str(earliest)) if earliest else 0
 
@@ -33,7 +33,7 @@ def first_ns(path: Path) -> int:
 def _copy(source: Path, place: Path) -> None:
     """Copy a database with its write-ahead log."""
     with (
-        closing(open_database(source, files_beside(source))) as original,
+        closing(open_database(source, journal_files(source))) as original,
         closing(apsw.Connection(str(place))) as copy,
         copy.backup("main", original, "main") as backup,
     ):

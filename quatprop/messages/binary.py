@@ -40,7 +40,7 @@ Fields of the other encapsulations have tags or sizes, which plans do not suppor
 """
 
 
-def _identifiers(blocks: Sequence[MessageBlock]) -> Int64:
+def encapsulations_of(blocks: Sequence[MessageBlock]) -> Int64:
     """Return the encapsulation identifiers of CDR messages; 0 for those shorter than 4 bytes."""
     identifiers = []
     for block in blocks:
@@ -97,7 +97,7 @@ class BinaryDecoder:
 
     def _mixed(self, blocks: Sequence[MessageBlock]) -> list[AnyArray]:
         """Decode messages of several encapsulations, one encapsulation after another."""
-        identifiers = _identifiers(blocks)
+        identifiers = encapsulations_of(blocks)
         if not set(identifiers.tolist()) <= ENCAPSULATIONS.keys():
             raise self._unsupported(identifiers)
         mixed = self._empty_columns(len(identifiers))
@@ -126,7 +126,7 @@ class BinaryDecoder:
         identifier = int(first.data[begin]) << 8 | int(first.data[begin + 1])
         if identifier in ENCAPSULATIONS:
             return ENCAPSULATIONS[identifier]
-        raise self._unsupported(_identifiers(blocks))
+        raise self._unsupported(encapsulations_of(blocks))
 
     def _unsupported(self, identifiers: Int64) -> MessageError | UnsupportedLogError:
         """Return the error for unsupported encapsulations, of some messages or of all."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.errors import UnsupportedLogError
-from quatprop.messages.binary import ENCAPSULATIONS
+from quatprop.messages.binary import ENCAPSULATIONS, encapsulations_of
 from quatprop.messages.columns import TooShortError
 from quatprop.messages.placement import ROS1, XCDR1, Placement
 from quatprop.messages.schema import Primitive, String, Struct, Type
@@ -117,7 +117,7 @@ def cursors_of(channel: Channel, block: MessageBlock, path: Path | str) -> list[
     short = np.flatnonzero(block.ends - block.starts < XCDR1.header)
     if len(short):
         raise TooShortError(short)
-    identifiers = block.data[block.starts].astype(np.int64) << 8 | block.data[block.starts + 1]
+    identifiers = encapsulations_of([block])
     cursors = []
     for identifier in sorted({*identifiers.tolist()}):
         placement, order = ENCAPSULATIONS.get(identifier, (None, ""))
@@ -137,7 +137,7 @@ def first_names(
 ) -> list[str]:
     """Return the distinct values of a string field in the first messages of a block.
 
-    Empty if the field cannot be reached: not through structs alone, or behind a list.
+    Empty if the field is in or behind a list, or if messages are damaged.
 
     `field_path`: dotted path, such as ``"imu.header.frame_id"``
     """

@@ -46,7 +46,7 @@ class Place(NamedTuple):
 class ProtobufLayout:
     """The layout of a message that the library has decoded.
 
-    `numeric_fields`: numeric_fields of the numbers that are set, by key path
+    `numeric_fields`: places of the numbers that are set, by key path
 
     Raises LookupError if the message has a group, or a field twice that is not repeated.
     """

@@ -19,7 +19,7 @@ MAX_DEPTH = 50
 """Deeper nested definitions are refused: searches recurse, and real definitions are flatter."""
 
 MAX_SEARCHED_ITEMS = 16
-"""Fixed arrays of structs up to this length are searched."""
+"""Fixed arrays of structs or arrays are searched up to this length."""
 
 _NAME_PART = re.compile(r"[./]|::")
 _KEY = re.compile(r"(?:^|(?<=.)\.)([^.\[\]]+)|\[(\d+)\]", re.ASCII)
@@ -191,7 +191,7 @@ def _child(kind: Type, key: str | int) -> Type | None:
 
 
 def _no_such_field(root: Struct, field_path: str, key_path: KeyPath) -> str:
-    """Return the sentence for a dotted path without a field: what the message has instead."""
+    """Return the sentence for a dotted path without a field, which lists the existing fields."""
     here: Type = root
     for key in key_path:
         child = _child(here, key)

@@ -158,6 +158,7 @@ class TableLog(Log, Table):
     ) -> Iterator[RowBatch]:
         """Yield times, ns, and groups of columns; rows that do not fit are left out and noted."""
         columns = TimedColumns(tuple(chain.from_iterable(groups)), stamp, parts)
+        self._forget_earlier_reading()
         batches = self._stored_rows(columns)
         if stamp.series:
             batches = self._of_series(batches, stamp)

@@ -65,7 +65,7 @@ def attitude_table(
     sigma: str | None = None,
     form: Representation | None = None,
 ) -> AttitudeWriter:
-    """Return a writer of attitudes as a table: stamps, four components, and more columns.
+    """Return a writer of attitudes as a table: timestamps, four components, and more columns.
 
     `table`: a table with the columns of `layout`, of `form` and of standard deviations
     `sigma`: the axes of the columns of standard deviations at the end; None for no such columns

@@ -169,7 +169,7 @@ class FileWriter(Transaction):
 
 
 class TableWriter(FileWriter):
-    """A file of named columns: int64 stamps ``t_ns`` first, then float64.
+    """A file of named columns: int64 timestamps ``t_ns`` first, then float64.
 
     `holds_positions`: whether three columns of positions may follow those of the quaternion
     """

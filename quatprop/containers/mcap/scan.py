@@ -87,7 +87,7 @@ class Scan:
                 position = chunk.end
                 continue
             begin = position
-            opcode, position = self._step(position)
+            opcode, position = self._read_record(position)
             if opcode == DATA_END and not self.summary_start:
                 self.summary_start = position
                 self._check_data(begin)
@@ -107,7 +107,7 @@ class Scan:
                 self.chunks.append(chunk)
         self.chunks.sort(key=lambda chunk: chunk.start)
 
-    def _step(self, position: int) -> tuple[int, int]:
+    def _read_record(self, position: int) -> tuple[int, int]:
         """Process the record at `position`; return its opcode and the offset of the next one."""
         head = self.source.read(position, min(PEEK, self.end - position))
         if head.startswith(MAGIC):

@@ -188,7 +188,7 @@ def prove(file: RecordFile, chunks: Sequence[BagChunk]) -> None:
         ends, [max(pair) for pair in zip((c.end for c in chunks), ends, strict=True)]
     )
     for chunk in chunks:
-        chunk.is_proved = _is_indexed_alike(file, chunk)
+        chunk.is_proved = _matches_index(file, chunk)
 
 
 def record_of(file: RecordFile, chunk: BagChunk) -> Record | None:
@@ -210,10 +210,10 @@ def _has_no_gap_behind(file: RecordFile, chunk: BagChunk) -> bool:
     if record is None:
         return False
     size = sum(_INDEX_HEAD + INDEX_ENTRY.itemsize * count for count in chunk.counts.values())
-    return record.end + size == chunk.end or _is_indexed_alike(file, chunk)
+    return record.end + size == chunk.end or _matches_index(file, chunk)
 
 
-def _is_indexed_alike(file: RecordFile, chunk: BagChunk) -> bool:
+def _matches_index(file: RecordFile, chunk: BagChunk) -> bool:
     """Return whether index data fill the space behind a chunk and agree with its chunk info."""
     record = record_of(file, chunk)
     # They are shorter than the messages, unless these are empty.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from itertools import zip_longest
 
 import numpy as np
 
@@ -36,7 +35,7 @@ def rebuild_index(file: RecordFile, index: BagIndex) -> None:
             record = file.record(at)
             _add(file, index, record)
         except UnreadableDataError as error:
-            at = _resumed(file, index, at, str(error))
+            at = _resume(file, index, at, str(error))
         else:
             at = record.end
     index.end = file.size
@@ -44,7 +43,7 @@ def rebuild_index(file: RecordFile, index: BagIndex) -> None:
     infos = {info.start: info for info in index.infos}
     owner: BagChunk | None = None
     missing = Counter[int]()
-    for chunk, after in zip_longest(chunks, chunks[1:]):
+    for chunk, after in zip(chunks, [*chunks, None][1:], strict=True):
         info = infos.pop(chunk.start, None)
         if not chunk.is_unchunked:
             owner, missing = chunk, Counter()
@@ -62,7 +61,7 @@ def rebuild_index(file: RecordFile, index: BagIndex) -> None:
             index.id_offset = chunk.id_offset
             stated = Counter(chunk.counts if info is None else info.counts)
             found = _read_inside(file, index, chunk, stated)
-            if not chunk.is_unchunked:
+            if chunk is owner:
                 missing = Counter(chunk.counts) - found
             elif owner is not None:
                 # What is outside of a damaged chunk is not missing in it.
@@ -93,7 +92,7 @@ def _add_missing(index: BagIndex, chunks: list[BagChunk], infos: list[BagChunk])
             index.chunks.append(info)
 
 
-def _resumed(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
+def _resume(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
     """Record that no record can be read at `at`; return where to resume."""
     if file.at(at, len(MAGIC)) == MAGIC:
         index.origin = at

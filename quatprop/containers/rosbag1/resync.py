@@ -62,7 +62,7 @@ def next_record(file: RecordFile, start: int, stop: int, kinds: Container[int]) 
         return [op.start() for op in re.finditer(_OP, window, re.DOTALL) if op[1][0] in kinds]
 
     def accepted(place: int) -> int | None:
-        record = _around(file, place, start)
+        record = _record_around(file, place, start)
         is_found = record is not None and record.start < stop and _is_record(file, record)
         return record.start if record and is_found else None
 
@@ -81,7 +81,7 @@ def is_chunk(record: Record) -> bool:
     return compression in COMPRESSIONS and (compression != b"none" or size == length)
 
 
-def _around(file: RecordFile, op: int, start: int) -> Record | None:
+def _record_around(file: RecordFile, op: int, start: int) -> Record | None:
     """Return the record whose field ``op`` is at an offset; None if no header contains it."""
     first = max(start, op - _REACH)
     data = file.at(first, 2 * _REACH)

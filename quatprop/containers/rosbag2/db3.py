@@ -11,7 +11,7 @@ from quatprop.containers.rosbag2.db3_tables import check_indexes, columns_of, ha
 from quatprop.containers.rosbag2.fetches import ROWS, Fetch, combined, fetch_of, fetched, next_group
 from quatprop.containers.rosbag2.parts import custom_data
 from quatprop.containers.rosbag2.sqlite_files import (
-    files_beside,
+    journal_files,
     limit_steps,
     note_joined_bytes,
     open_database,
@@ -63,29 +63,29 @@ class Db3Log(TopicLog):
 
     def _connect(self) -> apsw.Connection:
         """Open the database, read-only, with the journal files beside it."""
-        beside = files_beside(self.path)
-        if beside:
+        journals = journal_files(self.path)
+        if journals:
             try:
-                database = open_database(self.path, beside)
+                database = open_database(self.path, journals)
                 database.execute("SELECT count(*) FROM sqlite_master").fetchall()
             except apsw.Error as error:
                 reason = f"it cannot be applied ({error}); the last messages may be missing"
-                self.losses.note(beside[0], reason)
+                self.losses.note(journals[0], reason)
             else:
-                self._note_unfinished(beside)
+                self._note_unfinished(journals)
                 return database
         database = open_database(self.path)
         note_joined_bytes(database, self.path, self.losses)
         return database
 
-    def _note_unfinished(self, beside: list[str]) -> None:
+    def _note_unfinished(self, journals: list[str]) -> None:
         """Record the end of a write-ahead log that SQLite does not apply."""
-        if beside[0].endswith("-wal"):
-            with FileSource(self.path.with_name(beside[0])) as wal:
+        if journals[0].endswith("-wal"):
+            with FileSource(self.path.with_name(journals[0])) as wal:
                 pages = read_wal(wal).unfinished
             if pages:
                 reason = f"{pages} pages of a transaction that was not finished are not read"
-                self.losses.note(beside[0], reason)
+                self.losses.note(journals[0], reason)
 
     def channels(self) -> list[Channel]:
         """Return all channels in order of topic; their numbers of messages are unknown."""
@@ -148,7 +148,7 @@ class Db3Log(TopicLog):
         in_range = ""
         if within != EVERY_TIME:
             in_range = f"timestamp BETWEEN {within.first_ns} AND {within.last_ns} AND "
-        # Bags have an index of the times: ordering costs a tenth of the time and no memory.
+        # Bags have an index of the times: ordering costs a tenth more time, and no memory.
         order = f"ORDER BY timestamp, {'rowid' if has_rowid(self._database) else 'timestamp'}"
         # Rows without a topic are selected with a null time: a second scan would take longer.
         query = (

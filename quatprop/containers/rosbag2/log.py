@@ -201,7 +201,7 @@ class Rosbag2Log(TopicLog):
             self._check_count(channel, count)
 
     def _check_count(self, channel: Channel, count: int) -> None:
-        """Record messages in the counts of metadata.yaml that were neither read nor lost."""
+        """Record a loss if metadata.yaml counts more messages than were read or lost."""
         name = _name(channel)
         namesakes = sum(_name(each) == name for each in self._channels)
         lost = sum(loss.messages or 0 for loss in self.losses if loss.place != METADATA)

@@ -39,7 +39,7 @@ _MOST_REST = 1 << 16
 """Bytes behind a database that are inspected: space that SQLite reserves is zero."""
 
 
-def files_beside(path: Path) -> list[str]:
+def journal_files(path: Path) -> list[str]:
     """Return the names of the journal files with changes not yet in the database."""
     return [
         name
@@ -48,15 +48,15 @@ def files_beside(path: Path) -> list[str]:
     ]
 
 
-def read_only(path: Path, beside: Sequence[str] = ()) -> str:
+def read_only(path: Path, journals: Sequence[str] = ()) -> str:
     """Return the URI that opens a database without changing it or creating files beside it.
 
-    `beside`: the files of :func:`files_beside`, if they are to be read, too. Without a shared
+    `journals`: the files of :func:`journal_files`, if they are to be read, too. Without a shared
         memory file (``-shm``), the connection must be set to ``locking_mode=EXCLUSIVE``, so that
         it creates none
     """
     address = f"file:{quote(str(path.absolute()))}?mode=ro"
-    if not beside:
+    if not journals:
         # Otherwise SQLite creates files beside a database in write-ahead mode.
         return f"{address}&immutable=1"
     return address if has_shared_memory(path) else f"{address}&vfs={NO_LOCKS}"
@@ -67,21 +67,21 @@ def has_shared_memory(path: Path) -> bool:
     return path.with_name(f"{path.name}-shm").exists()
 
 
-def open_database(path: Path, beside: Sequence[str] = ()) -> apsw.Connection:
+def open_database(path: Path, journals: Sequence[str] = ()) -> apsw.Connection:
     """Open a database, read-only; parameters as for :func:`read_only`.
 
     Its schema is read even if it refers to pages beyond the end of the file. No value may be longer
     than the files, and no query may take more steps than their rows could need.
     """
     flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
-    database = apsw.Connection(read_only(path, beside), flags=flags)
-    if beside and not has_shared_memory(path):
+    database = apsw.Connection(read_only(path, journals), flags=flags)
+    if journals and not has_shared_memory(path):
         database.execute("PRAGMA locking_mode=EXCLUSIVE")
     # SQLite would delete a write-ahead log without intact frames when it closes the database.
     database.config(apsw.SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1)
     database.execute("PRAGMA writable_schema=ON")
     database.config(apsw.SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0)
-    size = sum(file.stat().st_size for file in (path, *map(path.with_name, beside)))
+    size = sum(file.stat().st_size for file in (path, *map(path.with_name, journals)))
     database.limit(apsw.SQLITE_LIMIT_LENGTH, min(max(size, _LEAST_LENGTH), _MOST_LENGTH))
     limit_steps(database, size)
     return database

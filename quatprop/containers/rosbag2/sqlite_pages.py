@@ -13,7 +13,7 @@ import struct
 from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.containers.rosbag2.sqlite_files import files_beside, read_wal
+from quatprop.containers.rosbag2.sqlite_files import journal_files, read_wal
 from quatprop.stores.file_source import FileSource
 
 if TYPE_CHECKING:
@@ -55,9 +55,9 @@ class Cell(NamedTuple):
 def open_pages(path: Path, columns: tuple[int, int, int]) -> Iterator[TablePages]:
     """Open the pages of a database and of the write-ahead log beside it."""
     wal_name = f"{path.name}-wal"
-    has_wal = wal_name in files_beside(path)
-    beside = FileSource(path.with_name(wal_name)) if has_wal else nullcontext()
-    with FileSource(path) as source, beside as wal:
+    has_wal = wal_name in journal_files(path)
+    wal_file = FileSource(path.with_name(wal_name)) if has_wal else nullcontext()
+    with FileSource(path) as source, wal_file as wal:
         yield TablePages(source, columns, read_wal(wal).offsets if wal else {}, wal)
 
 

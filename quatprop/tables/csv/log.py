@@ -177,8 +177,7 @@ class CsvLog(TableLog):
         return block._replace(data=block.data[:begin])
 
     def _restart(self) -> TextStream:
-        """Return the text from its first row on, and forget what an earlier reading noted."""
-        self._forget_earlier_reading()
+        """Return the text from its first row on, and forget what an earlier reading remarked."""
         self.remarks.clear()
         if self._stream is None:
             if len(self._head) < HEAD_BYTES and not self._text.damage:  # that was all of it

@@ -170,7 +170,7 @@ class FoxgloveEncoder:
             delimited(number, content[part])
             for number, part in enumerate(message.definition.parts, 1)
         )
-        # All of them begin with the stamp and end with the quaternion.
+        # All messages begin with the timestamp and end with the quaternion.
         doubles = len(template) - len(_ROTATION) + 1
         seconds = len(delimited(1, _STAMP)) - len(_STAMP) + 1
         self._dtype = np.dtype(

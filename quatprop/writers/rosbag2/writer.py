@@ -107,7 +107,7 @@ class BulkMcap:
         self._stream.close()
 
     def abort(self) -> None:
-        """Close the file as it is."""
+        """Close the unfinished file."""
         self._file.abort()
         self._stream.close()
 
