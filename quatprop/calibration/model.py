@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from quatprop.kinematics.quaternion import IDENTITY, exp, multiply, normalize, rotation_matrix
+from quatprop.kinematics.quaternion import (
+    IDENTITY,
+    exp,
+    log,
+    multiply,
+    normalize,
+    rotation_matrix,
+    shorter,
+)
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -33,20 +41,22 @@ class Parameter(NamedTuple):
 
 GROUPS: Final = {
     "bias": (("x", "y", "z"), 0.01),
+    "offset": (("",), 0.01),
+    "mount": (("x", "y", "z"), 0.02),
+    "drift": (("",), 1e-4),
     "scale": (("x", "y", "z"), 0.01),
     "misalignment": (("xy", "xz", "yz"), 0.01),
-    "mount": (("x", "y", "z"), 0.02),
-    "offset": (("",), 0.01),
-    "drift": (("",), 1e-4),
 }
-"""What can be estimated: its parameters, and their limits. Where the limit is exceeded a data sheet
-says more: of MEMS gyroscopes and crystals, the errors are mostly below it."""
+"""What can be estimated: its parameters, and their limits, by which MEMS gyroscopes and crystals
+are mostly better. Those that cannot be told apart from others are held in reverse order."""
 
 PARAMETERS: Final = tuple(
     Parameter(group, axis, limit) for group, (axes, limit) in GROUPS.items() for axis in axes
 )
 LIMITS: Final = np.array([parameter.limit for parameter in PARAMETERS])
-UPPER: Final = ((0, 1), (0, 2), (1, 2))
+OF_GROUP: Final = np.array([parameter.group for parameter in PARAMETERS])
+PLACES: Final = np.cumsum([len(axes) for axes, _ in GROUPS.values()])[:-1]
+UPPER: Final = np.triu_indices(3, 1)
 """Rows and columns of the misalignment."""
 
 
@@ -77,16 +87,24 @@ class Model(NamedTuple):
 
     def moved(self, by: Float64) -> Model:
         """Return the model with something added to all parameters, ``(14,)``; a mounting turned."""
-        shape = self.shape + np.diag(by[3:6])
-        for place, value in zip(UPPER, by[6:9], strict=True):
-            shape[place] += value
+        bias, offset, mount, drift, scale, misalignment = np.split(by, PLACES)
+        shape = self.shape + np.diag(scale)
+        shape[UPPER] += misalignment
         return self._replace(
-            bias=self.bias + by[:3],
+            bias=self.bias + bias,
             shape=shape,
-            mount=normalize(multiply(exp(by[9:12]), self.mount)),
-            offset=self.offset + float(by[12]),
-            drift=self.drift + float(by[13]),
+            mount=normalize(multiply(exp(mount), self.mount)),
+            offset=self.offset + float(offset[0]),
+            drift=self.drift + float(drift[0]),
         )
+
+    @property
+    def values(self) -> Float64:
+        """All parameters, ``(14,)``; of the mounting its rotation vector."""
+        offset, drift = [self.offset], [self.drift]
+        scale = self.shape.diagonal() - 1
+        turn = log(shorter(self.mount))
+        return np.concatenate([self.bias, offset, turn, drift, scale, self.shape[UPPER]])
 
     def times_of(self, t_ns: Int64) -> Int64:
         """Return timestamps of the reference in the clock of the rates, int64 ns."""
@@ -97,14 +115,14 @@ class Model(NamedTuple):
     def by_rate(self) -> Float64:
         """Return what a change of each parameter but those of the clock does to calibrated rates.
 
-        `Returns`: shape ``(12, 3, 4)``: times 1 and the three components of the rate
+        `Returns`: shape ``(14, 3, 4)``: times 1 and the three components of the rate
         """
         matrix, turn = self.matrix, rotation_matrix(self.mount)
-        of_shape = np.linalg.inv(matrix)
-        change = np.zeros((12, 3, 4))
-        change[:3, :, 0] = -matrix.T
-        for row, place in zip(range(3, 9), (*zip(range(3), range(3), strict=True), *UPPER),
-                              strict=True):  # fmt: skip
-            change[row, :, 1:] = np.outer(turn[:, place[0]], of_shape[place[1]])
-        change[9:12, :, 1:] = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)
+        inverse = np.linalg.inv(matrix)
+        change = np.zeros((len(PARAMETERS), 3, 4))
+        change[OF_GROUP == "bias", :, 0] = -matrix.T
+        change[OF_GROUP == "mount", :, 1:] = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)
+        of_shape = np.einsum("im,nj->mnij", turn, inverse)
+        change[OF_GROUP == "scale", :, 1:] = of_shape[range(3), range(3)]
+        change[OF_GROUP == "misalignment", :, 1:] = of_shape[UPPER]
         return change

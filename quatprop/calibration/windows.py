@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from quatprop.calibration.model import OF_GROUP, Model
 from quatprop.conditioning import conditioned
 from quatprop.kinematics.elements import rotation_elements
 from quatprop.kinematics.propagate import Propagation
@@ -29,7 +30,6 @@ from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from quatprop.arrays import Bool, Float64, Int64
-    from quatprop.calibration.model import Model
 
 METHOD: Final = "coning"
 """The rule by which rates are integrated."""
@@ -97,7 +97,7 @@ def errors_of(rates: GyroSeries, windows: Windows, model: Model) -> Errors:
     `rates`: raw rates in order of time
     """
     (calibrated,) = conditioned([rates], bias=model.bias, matrix=model.matrix)
-    times = model.times_of(windows.t_ns)
+    times = np.clip(model.times_of(windows.t_ns), rates.t_ns[0], rates.t_ns[-1])
     q, rate, sums = _reached(calibrated, times.ravel())
     begin, end = q[::2], q[1::2]
     turn = multiply(conjugate(begin), end)
@@ -105,9 +105,11 @@ def errors_of(rates: GyroSeries, windows: Windows, model: Model) -> Errors:
     to_body = rotation_matrix(conjugate(end))
     by_rate = np.einsum("minj,pjn->mip", (sums[1::2] - sums[::2]), model.by_rate())
     at_begin = np.einsum("mji,mj->mi", rotation_matrix(turn), rate[::2])
-    since = (windows.t_ns - model.middle_ns)[:, :, None] / NS_PER_S
-    by_time = [rate[1::2] - at_begin, since[:, 1] * rate[1::2] - since[:, 0] * at_begin]
-    slope = np.concatenate([to_body @ by_rate, np.stack(by_time, axis=-1)], axis=-1)
+    since = (windows.t_ns - model.middle_ns)[..., None] / NS_PER_S
+    at_end = rate[1::2]
+    slope = to_body @ by_rate
+    slope[..., OF_GROUP == "offset"] = (at_end - at_begin)[..., None]
+    slope[..., OF_GROUP == "drift"] = (since[:, 1] * at_end - since[:, 0] * at_begin)[..., None]
     return Errors(vectors, -slope)
 
 
