@@ -8,7 +8,7 @@ import numpy as np
 
 from quatprop.calibration.model import LIMITS, OF_GROUP, PARAMETERS, Model
 from quatprop.calibration.windows import Errors, Windows, errors_of
-from quatprop.kinematics.quaternion import log, shorter
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from quatprop.arrays import Bool, Float64
@@ -30,7 +30,13 @@ REJECTED: Final = 4.6
 """Errors, in standard deviations, that do not count afterwards: one in 10,000 of normal noise."""
 
 BLOCKS: Final = 20
-"""Parts of the recording from whose spread the covariance is estimated."""
+"""Parts of the recording whose spread shows noise that is not white."""
+
+MAX_LOOKED_AT: Final = 100_000
+"""Samples from the start whose noise is estimated."""
+
+SIGNIFICANT: Final = 3.0
+"""Standard deviations by which blocks differ more than by white noise where they do."""
 
 ROUNDING: Final = 1e-12
 """Noise, rad, below which errors are those of rounding."""
@@ -62,9 +68,10 @@ def fit(rates: GyroSeries, windows: Windows, begin: Model, free: Bool) -> Fit:
     Huber's estimator first, then least squares without outliers: Rousseeuw and Leroy, "Robust
     regression and outlier detection", 1987.
     """
+    blind = _blind(rates, windows, begin)
     while True:
-        model, information = _robust_fit(rates, windows, begin, free)
-        fewer = shown(information, free)
+        model, information, noise = _robust_fit(rates, windows, begin, free)
+        fewer = shown(information - np.diag(blind * (1 / noise).sum()), free)
         if (fewer == free).all():
             break
         free = fewer  # once more from the beginning: what is not shown stays there
@@ -73,40 +80,63 @@ def fit(rates: GyroSeries, windows: Windows, begin: Model, free: Bool) -> Fit:
         errors = errors_of(rates, windows, model)
         noise, used = _noise(errors.vectors, used, int(free.sum()))
         information, scores = normal_equations(errors, noise, used)
-        power = information[np.ix_(free, free)]
+        power = information.sum(axis=0)[np.ix_(free, free)]
         by = _step(power, scores.sum(axis=0), free)
         if by[free] @ power @ by[free] < CONVERGED**2:
             break
         model = model.moved(by)
-    return Fit(model, free, _covariance(power, scores[:, free], free), noise, used)
+    parts = information[:, free][..., free], scores[:, free]
+    degrees = float(used.sum() - free.sum() / 3)
+    return Fit(model, free, _covariance(*parts, degrees), noise, used)
 
 
 def _robust_fit(
     rates: GyroSeries, windows: Windows, begin: Model, free: Bool
-) -> tuple[Model, Float64]:
-    """Return a model from any beginning, and what windows tell of each parameter."""
+) -> tuple[Model, Float64, Float64]:
+    """Return a model from any beginning, the information on each parameter, and the noise."""
     prior = np.diag((LOOSE * LIMITS) ** -2.0)
     model, total = begin, np.zeros(len(PARAMETERS))
     for _ in range(MAX_ROUNDS):
         errors = errors_of(rates, windows, model)
         noise, weight = robust_noise(errors.vectors)
-        information, scores = normal_equations(errors, noise, weight)
+        blocks, scores = normal_equations(errors, noise, weight)
+        information = blocks.sum(axis=0)
         power = (information + prior)[np.ix_(free, free)]
         by = _step(power, scores.sum(axis=0) + prior @ total, free)
         model, total = model.moved(by), total + by
         if by[free] @ power @ by[free] < CONVERGED**2:
             break
-    return model, information
+    return model, information, noise
+
+
+def _blind(rates: GyroSeries, windows: Windows, model: Model) -> Float64:
+    """Return twice what noise of the rates looks like: information on the clock that is none.
+
+    An offset changes the rotation over a window by the rates at its ends, and noise has such, too.
+    """
+    changes = np.diff(rates.rate[:MAX_LOOKED_AT], n=2, axis=0)
+    variance = (np.median(np.abs(changes)) / 0.6745) ** 2 / 6
+    since = (windows.t_ns - model.middle_ns) / NS_PER_S
+    blind = np.zeros(len(PARAMETERS))
+    blind[OF_GROUP == "offset"] = 2 * variance * since.size
+    blind[OF_GROUP == "drift"] = 2 * variance * (since**2).sum()
+    return blind
 
 
 def normal_equations(
     errors: Errors, noise: Float64, weight: Float64 | Bool
 ) -> tuple[Float64, Float64]:
-    """Return the information on all parameters, ``(14, 14)``, and scores of windows, ``(M, 14)``."""
-    weighted = errors.slope * (weight[:, None] / noise)[..., None]
-    flat = (-1, len(PARAMETERS))
-    information = weighted.reshape(flat).T @ errors.slope.reshape(flat)
-    return information, np.einsum("mip,mi->mp", weighted, errors.vectors)
+    """Return the information on all parameters, and the scores, of blocks of windows.
+
+    `Returns`: shapes ``(B, 14, 14)`` and ``(B, 14)``
+    """
+    # Of whitened errors, one row for each axis of a window.
+    whitener = np.sqrt(weight[:, None] / noise)
+    rows = (errors.slope * whitener[..., None]).reshape(-1, len(PARAMETERS))
+    left = (errors.vectors * whitener).ravel()
+    cuts = np.linspace(0, len(weight), min(BLOCKS, len(weight)) + 1).astype(int)[1:-1] * 3
+    blocks = [*zip(np.split(rows, cuts), np.split(left, cuts), strict=True)]
+    return np.stack([x.T @ x for x, _ in blocks]), np.stack([x.T @ y for x, y in blocks])
 
 
 def _step(power: Float64, score: Float64, free: Bool) -> Float64:
@@ -148,27 +178,23 @@ def shown(information: Float64, free: Bool) -> Bool:
     return free
 
 
-def _covariance(power: Float64, scores: Float64, free: Bool) -> Float64:
-    """Return the covariance of parameters whatever the noise: from how blocks of windows differ.
+def _covariance(information: Float64, scores: Float64, degrees: float) -> Float64:
+    """Return the covariance of parameters: by white noise, or by more where blocks differ more.
 
-    Each group of parameters has the correlations that white noise would give, and the variances of
-    the blocks, as a factor: nine or more of their squares are too few for all covariances.
-
-    `scores`: of windows, in the order of time, shape ``(M, F)``
+    `information`, `scores`: of blocks, shapes ``(B, F, F)`` and ``(B, F)``
+    `degrees`: of freedom from which the noise about each axis is known
 
     References
     ----------
-    Cameron and Miller, "A practitioner's guide to cluster-robust inference", J. Human Resources
-    50(2), 2015.
+    Bell and McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage
+    samples", Survey Methodology 28(2), 2002: what the spread of blocks is by white noise, and its
+    degrees of freedom.
     """
-    count = min(BLOCKS, len(scores))
-    starts = -(-np.arange(count) * len(scores) // count)
-    white = np.linalg.inv(power)
-    moves = np.add.reduceat(scores, starts) @ white
-    ratio = (moves**2).sum(axis=0) * count / (count - 1) / white.diagonal()
-    groups = OF_GROUP[free]
-    for group in np.unique(groups):
-        degrees = (groups == group).sum() * (count - 1)
-        # So is the mean square of a normal error over an estimated variance.
-        ratio[groups == group] = ratio[groups == group].mean() * degrees / (degrees - 2)
-    return np.asarray(np.sqrt(ratio[:, None] * ratio) * white)
+    white = np.linalg.inv(information.sum(axis=0))
+    shares = information @ white  # of each block in what is known
+    adds, takes = np.trace(shares, axis1=1, axis2=2), np.einsum("bij,bji->b", shares, shares)
+    spread = np.einsum("bi,ij,bj->", scores, white, scores) / (adds - takes).sum()
+    by_chance = SIGNIFICANT * np.sqrt(2 * takes.sum()) / adds.sum()
+    # A normal error over an estimated variance has this mean square.
+    white *= degrees / max(degrees - 2, 1.0)
+    return np.asarray(white * spread if spread > 1 + by_chance else white)
