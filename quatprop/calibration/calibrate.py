@@ -22,7 +22,7 @@ from quatprop.kinematics.quaternion import IDENTITY, conjugate, from_matrix, geo
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.series.blocks import rms
 from quatprop.text import Remark, Setting
-from quatprop.times import NS_PER_S, duration_text
+from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -155,7 +155,8 @@ def _beginnings(
 
 def _kept(windows: Windows) -> Bool:
     """Return which windows are for the estimate; the others try it."""
-    return np.arange(len(windows)) * PARTS // len(windows) % 3 != 1
+    part = np.arange(len(windows)) * PARTS // len(windows)
+    return np.asarray(part % 3 != 1)
 
 
 def _best(
@@ -198,14 +199,14 @@ class Trial(NamedTuple):
     gain_sigma_rad: float
 
 
-def _try(
-    rates: GyroSeries, windows: Windows, models: tuple[Model, Model], noise: Float64
-) -> Trial:
+def _try(rates: GyroSeries, windows: Windows, models: tuple[Model, Model], noise: Float64) -> Trial:
     """Return the errors over windows of two models; outliers are those of both."""
     squares = np.stack([errors_of(rates, windows, model).vectors ** 2 for model in models])
     usual = ((squares / noise).sum(axis=2) < REJECTED**2).any(axis=0)
     before, after = squares.sum(axis=2)[:, usual]
-    both = [rms(np.sqrt(each)) for each in (before, after)]
+    rms_before, rms_after = (rms(np.sqrt(each)) for each in (before, after))
     parts = [part.mean() for part in np.array_split(before - after, PARTS // 3) if len(part)]
     spread = float(np.std(parts, ddof=1)) / np.sqrt(len(parts))
-    return Trial(int(usual.sum()), *both, spread / max(sum(both), np.finfo(float).tiny))
+    # Of a difference of squares, that of the roots is this share.
+    total = max(rms_before + rms_after, np.finfo(float).tiny)
+    return Trial(int(usual.sum()), rms_before, rms_after, spread / total)

@@ -1,9 +1,10 @@
 """What is estimated: how body rates follow from raw ones, and one clock from the other.
 
-Calibrated rates are w = R (I + U) (w_raw - b), with the bias b in the axes of the raw rates, U upper
-triangular and R a rotation. The diagonal of U corrects the scale and the rest of it the angles
-between the axes of the sensor, of which z is taken to be right; R is the mounting, from the sensor
-to the body whose attitude the reference is. So every matrix of positive determinant is one R (I + U).
+Calibrated rates are w = R (I + U) (w_raw - b), with the bias b in the axes of the raw rates, U
+upper triangular and R a rotation. The diagonal of U corrects the scale and the rest of it the
+angles between the axes of the sensor, of which z is taken to be right; R is the mounting, from the
+sensor to the body whose attitude the reference is. Every matrix of positive determinant is one such
+R (I + U).
 """
 
 from __future__ import annotations

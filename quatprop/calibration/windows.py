@@ -81,7 +81,7 @@ class Errors(NamedTuple):
 
 
 def covered(rates: GyroSeries, windows: Windows, model: Model, spare_ns: int) -> Windows:
-    """Return the windows that have rates from begin to end, also where the clock is off a little."""
+    """Return the windows that have rates from begin to end, also if the clock is off a bit."""
     t_ns = model.times_of(windows.t_ns) + np.array([-spare_ns, spare_ns])
     steps = np.diff(rates.t_ns)
     gaps = np.flatnonzero(steps > GAP_FACTOR * np.median(steps))
