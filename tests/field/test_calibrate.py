@@ -7,6 +7,8 @@ from make.mistakes import RECORDINGS, Recording
 
 from quatprop import AttitudeSeries, GyroSeries, calibrate
 
+pytestmark = pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+
 BROAD = (
     "05_undisturbed_slow_rotation_with_breaks_B",
     "18_undisturbed_fast_translation_with_breaks_B",
