@@ -141,7 +141,7 @@ class GyroCalibration:
 
 def calibration_rows(result: GyroCalibration) -> Iterator[Row]:
     """Yield the parameters, what they were estimated from, and what they improve."""
-    left_out = f", {result.outliers} others left out as outliers" if result.outliers else ""
+    left_out = f", {result.outliers} more left out as outliers" if result.outliers else ""
     yield "windows", f"{result.used} of {duration_text(result.window_ns)}{left_out}"
     for group, (factor, unit) in SHOWN.items():
         values = [
@@ -153,7 +153,7 @@ def calibration_rows(result: GyroCalibration) -> Iterator[Row]:
         if values:
             yield group, f"{'  '.join(values)} {unit}"
     if held := _held([one for one in result.parameters if one.sigma is None]):
-        yield "held", f"{held}: this motion does not show it, so it is not corrected"
+        yield "held", f"{held}: not shown by this motion, so not corrected"
     before, after = (degrees_text(angle, 4) for angle in (result.before_rad, result.after_rad))
     yield "error", f"{before} RMS before, {after} after, over {result.held_out} windows not used"
     gain = degrees_text(result.before_rad - result.after_rad, 3)
