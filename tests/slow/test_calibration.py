@@ -4,7 +4,7 @@ import pytest
 from make.calibrations import MODELS, ensemble
 
 RUNS = 60
-"""Of each model; ``fuzz/calibrations.py`` makes 400, which also notice sigmas that are wrong by 5 %."""
+"""Of each model; ``fuzz/calibrations.py`` makes 400."""
 
 
 @pytest.mark.parametrize("names", MODELS)
