@@ -62,6 +62,7 @@ from quatprop.version import __version__ as __version__
 if TYPE_CHECKING:
     from quatprop.api.attitudes import compare, convert, write
     from quatprop.api.batch import batch
+    from quatprop.api.noise import noise
     from quatprop.api.propagation import PropagatedSeries, propagate
     from quatprop.api.reading import read_attitudes, read_rates
     from quatprop.api.tools import Simulation, info, plot, simulate
@@ -72,6 +73,7 @@ if TYPE_CHECKING:
     from quatprop.errors import DataLossWarning, QuatpropError, QuatpropWarning, RemarkWarning
     from quatprop.pipeline.log_survey import LogSurvey
     from quatprop.pipeline.report import RunReport
+    from quatprop.sensor_noise.result import Noise, NoiseTerm, NoiseTerms
     from quatprop.series import AttitudeSeries, GyroSeries
     from quatprop.timeline.counts import Counts
 
@@ -85,6 +87,9 @@ __all__ = [
     "GyroSeries",
     "LogSurvey",
     "ManifestEntry",
+    "Noise",
+    "NoiseTerm",
+    "NoiseTerms",
     "PropagatedSeries",
     "QuatpropError",
     "QuatpropWarning",
@@ -95,6 +100,7 @@ __all__ = [
     "compare",
     "convert",
     "info",
+    "noise",
     "plot",
     "propagate",
     "read_attitudes",
@@ -113,6 +119,9 @@ _MODULES = {
     "GyroSeries": "quatprop.series",
     "LogSurvey": "quatprop.pipeline.log_survey",
     "ManifestEntry": "quatprop.batching.entries",
+    "Noise": "quatprop.sensor_noise.result",
+    "NoiseTerm": "quatprop.sensor_noise.result",
+    "NoiseTerms": "quatprop.sensor_noise.result",
     "PropagatedSeries": "quatprop.api.propagation",
     "QuatpropError": "quatprop.errors",
     "QuatpropWarning": "quatprop.errors",
@@ -123,6 +132,7 @@ _MODULES = {
     "compare": "quatprop.api.attitudes",
     "convert": "quatprop.api.attitudes",
     "info": "quatprop.api.tools",
+    "noise": "quatprop.api.noise",
     "plot": "quatprop.api.tools",
     "propagate": "quatprop.api.propagation",
     "read_attitudes": "quatprop.api.reading",

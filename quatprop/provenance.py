@@ -13,10 +13,11 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
-from quatprop.concurrency.threads import in_background, use_threads
+from quatprop.concurrency.threads import in_background
 from quatprop.errors import DamagedLogError, UnreadableLogError, os_reason
 from quatprop.settings.guarded_text import ContentError, read_json
 from quatprop.text import MARK, in_python
@@ -37,7 +38,7 @@ COMMENT = b"# quatprop "
 """How the first line of a text begins that holds the provenance."""
 
 
-def as_json(value: object, spell: Callable[[str], str] = in_python) -> Any:
+def as_json(value: Any, spell: Callable[[str], str] = in_python) -> Any:
     """Return a value as JSON has it: the one place where reports and results become JSON.
 
     Dataclasses and named tuples become objects with their fields as keys (those of a digest among
@@ -51,21 +52,26 @@ def as_json(value: object, spell: Callable[[str], str] = in_python) -> Any:
         return spell(value) if isinstance(value, str) and MARK in value else value
     if isinstance(value, Digest):
         return value.as_json()
-    names = getattr(value, "_fields", None)
-    if is_dataclass(value):
-        names = [field.name for field in fields(value) if field.repr]
-    if names is not None:
+    if (names := _names(value.__class__)) is not None:
         items = {name: as_json(getattr(value, name), spell) for name in names}
         # A digest says more about the same thing.
         digest = items.pop("digest", {})
         return {**items, **digest}
-    if isinstance(value, Mapping):
-        return {str(key): as_json(item, spell) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
         return [as_json(item, spell) for item in value]
+    if isinstance(value, Mapping):
+        return {str(key): as_json(item, spell) for key, item in value.items()}
     # NumPy's arrays and scalars, without importing NumPy.
     convert = getattr(value, "tolist", None)
     return str(value) if convert is None else convert()
+
+
+@cache
+def _names(record: type) -> tuple[str, ...] | None:
+    """Return the fields of a dataclass that are shown, or of a named tuple; None of others."""
+    if is_dataclass(record):
+        return tuple(field.name for field in fields(record) if field.repr)
+    return getattr(record, "_fields", None)
 
 
 def provenance_in(text: bytes | str | None, path: Path | str) -> JsonObject:
@@ -127,8 +133,7 @@ class Digest(NamedTuple):
 
 def digest_of(path: Path | str) -> Digest:
     """Return the digest of a file or a folder; pipes and ``"-"`` cannot be read again."""
-    with use_threads(1), digest_ahead(path) as digest:
-        return digest()
+    return deque(_digest_at_end(Path(path), hashed=True), maxlen=1)[0] or Digest()
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """What the tests share: where the real recordings are, and that they are what they were."""
 
 import gc
+import itertools
 import json
 import os
 import sys
@@ -65,6 +66,15 @@ class Recordings(type(Path())):
             if known is not None and path.stat().st_size != known:
                 pytest.skip(f"{path} is not the recording it was: it should have {known} bytes")
         return path
+
+
+FOLDERS = itertools.count()
+
+
+@pytest.fixture
+def tmp_path(tmp_path_factory):
+    """Return an empty folder; pytest's own lists those of all tests before, and links to it."""
+    return tmp_path_factory.mktemp(str(next(FOLDERS)), numbered=False)
 
 
 @pytest.fixture(scope="session")

@@ -93,7 +93,7 @@ def propagate(
     settings = propagation_settings(options)
     if isinstance(log, GyroSeries):
         path = "series"
-        _refuse_log_settings(options)
+        refuse_log_settings(options)
         series = _propagated_in_memory(log, settings)
     else:
         paths = paths_of("log", log, "make a GyroSeries from arrays")
@@ -151,7 +151,7 @@ def _in_memory(sentence: str) -> str:
     return in_python(with_settings(sentence, advised))
 
 
-def _refuse_log_settings(options: Mapping[str, object]) -> None:
+def refuse_log_settings(options: Mapping[str, object]) -> None:
     """Refuse settings that say what to read of a log, for rates in memory."""
     for name, value in options.items():
         if name in READ_RATES and value is not None:

@@ -64,14 +64,15 @@ def on_a_cluster(
             "a Dask cluster needs distributed, which is not installed; pip install distributed"
         ) from error
     with _client(scheduler) as client:
-        waiting, settings = enumerate(tasks), _absolute(settings.with_threads(1))
+        waiting, settings = enumerate(tasks), settings.with_threads(1)
+        settings = settings._replace(folder=_absolute(settings.folder))
         indices: dict[str, tuple[int, object]] = {}
         completed = as_completed(loop=client.loop)  # type: ignore[no-untyped-call]
         looks = _Looks()
 
         def submit(count: int) -> None:
             for index, task in islice(waiting, count):
-                there = task._replace(root=_absolute_path(task.root))
+                there = task._replace(root=_absolute(task.root))
                 # Bytes: where the package is missing, only calling it fails, and for this log.
                 call = pickle.dumps(_Call(there, settings, __version__))
                 before = _state_of(settings.output_of(task))
@@ -213,10 +214,5 @@ def _freed_memory_kept() -> Iterator[None]:
         mallopt(_M_MMAP_THRESHOLD, DEFAULT_MAPPED_BYTES)
 
 
-def _absolute(settings: BatchSettings) -> BatchSettings:
-    """Return settings whose outputs do not depend on the current folder."""
-    return settings._replace(folder=_absolute_path(settings.folder))
-
-
-def _absolute_path(path: str) -> str:
+def _absolute(path: str) -> str:
     return path if is_address(path) else os.path.abspath(path)  # noqa: PTH100

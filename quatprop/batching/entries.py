@@ -148,14 +148,9 @@ def schema() -> pa.Schema:
 
 def json_line(entry: ManifestEntry) -> bytes:
     """Return an entry as a line of JSON."""
-    values = {name: _in_text(value) for name, value in entry._asdict().items()}
-    return (json.dumps(as_json(values), ensure_ascii=False) + "\n").encode()
-
-
-def _in_text(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return [_in_text(one) for one in value]
-    return as_text(value) if isinstance(value, str) else value
+    line = json.dumps(as_json(entry), ensure_ascii=False)
+    # In a string of JSON a backslash has another one before it.
+    return (_NO_UNICODE.sub(lambda found: f"\\{_escape(found)}", line) + "\n").encode()
 
 
 def table_of(lines: bytes) -> tuple[pa.Table, int]:

@@ -45,11 +45,6 @@ OTHER_OUTPUT = (
 )
 """The way out where two logs have the same output."""
 
-_COLUMNS = (
-    "state", "root", "log", "quatprop", "options", "origin", "log_etag", "output_bytes",
-    "output_sha256", "time", "seconds",
-)  # fmt: skip
-
 
 class Known(NamedTuple):
     """What the manifest knows of a log; fields as of an entry."""
@@ -178,7 +173,7 @@ def plan(
     is_due, lost = np.ones(len(tasks), bool), 0
     size_of = _sizes(settings.folder) if skip else None
     rows_of = rows_in(settings.folder, verify=verify)
-    for part, entries in manifest.slices(_COLUMNS):
+    for part, entries in manifest.slices(Known._fields):
         refuse_mixture(entries, settings.files, settings.folder)
         places = np.flatnonzero((buckets >= part.start) & (buckets < part.stop)).tolist()
         known = {

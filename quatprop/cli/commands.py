@@ -23,6 +23,7 @@ COMMANDS = {
     "convert": "Write an attitude series in another layout, convention, form or format.",
     "compare": "Measure the error between two attitude series.",
     "plot": "Plot rates, attitudes, or the error relative to a reference series.",
+    "noise": "Measure the noise of a gyroscope while it is at rest.",
     "check": "Compare recorded logs with references, as a regression test.",
     "simulate": "Write a log whose true attitude is known.",
     "completion": "Print the script that completes names in bash, zsh or fish.",

@@ -15,14 +15,7 @@ import numpy as np
 
 from quatprop.conventions.representations import from_matrices
 from quatprop.errors import ComparisonError
-from quatprop.kinematics.quaternion import (
-    IDENTITY,
-    conjugate,
-    geodesic_angle,
-    multiply,
-    rotate,
-    shorter,
-)
+from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply, shorter
 from quatprop.series.blocks import rms
 from quatprop.text import Setting
 
@@ -169,19 +162,19 @@ def find_mounting(a: Float64, b: Float64) -> tuple[Float64, MountingFit]:
     # Where two motions are the same, all are exact.
     mount, fit = min(fits, key=lambda one: (one[1].turn_rad < MIN_TURN, one[1].std_rad))
     _refuse_unexcited(fit)
-    return mount, fit
+    return from_matrices(mount.reshape(1, 9))[0], fit
 
 
 def _fitted(in_a: Float64, in_b: Float64, independent: float) -> tuple[Float64, MountingFit]:
-    """Fit the mounting to relative rotations, of which `independent` do not overlap."""
+    """Fit the mounting, as a matrix, to relative rotations; `independent` do not overlap."""
     usable = (in_a[:, 0] > np.cos(MAX_TURN / 2)) & (in_b[:, 0] > np.cos(MAX_TURN / 2))
     x, y = in_a[usable, 1:], in_b[usable, 1:]
     if len(x) < MIN_MOTIONS:
-        return IDENTITY, MountingFit(len(x), 0.0, [0.0, 0.0, 0.0], np.inf)
+        return np.eye(3), MountingFit(len(x), 0.0, [0.0, 0.0, 0.0], np.inf)
     mount, excited = kabsch(x, y)
     # Overlapping rotations repeat each other.
     information = (excited[1] + excited[2]) * max(min(len(x), independent), 1.0)
-    residual = float(((y - rotate(mount, x)) ** 2).sum(axis=1).mean()) / 3
+    residual = float(((y - x @ mount.T) ** 2).sum(axis=1).mean()) / 3
     std = np.sqrt(residual / information) if information else np.inf
     angle = rms(geodesic_angle(IDENTITY, in_a[usable]))
     return mount, MountingFit(len(x), angle, np.sqrt(excited).tolist(), float(std))
@@ -194,14 +187,15 @@ def _relative(q: Float64, stride: int) -> Float64:
 
 
 def kabsch(x: Float64, y: Float64) -> tuple[Float64, Float64]:
-    """Return the rotation m with y = m x m* in the least squares sense, and its excitation.
+    """Return the rotation matrix M with y = M x in the least squares sense, and its excitation.
 
     The excitation is the singular values of the mean of y x^T, shape ``(3,)``. Noise in x and y
     averages out in it, as it would not in that of x alone.
     """
     left, excited, right = np.linalg.svd(y.T @ x / len(x))
-    flip = np.array([1.0, 1.0, np.linalg.det(left) * np.linalg.det(right)])
-    return from_matrices(((left * flip) @ right).reshape(1, 9))[0], excited
+    if np.linalg.det(left) * np.linalg.det(right) < 0:
+        left[:, 2] *= -1
+    return left @ right, excited
 
 
 def _refuse_unexcited(mounting: MountingFit) -> None:

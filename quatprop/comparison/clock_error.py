@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 MAX_OFFSET_S = 0.5
 """Time offsets are tried up to this; what is larger cannot be told from another motion, s."""
 
-GRID_WINDOWS = 2000
+GRID_WINDOWS = 200
 """Windows with which the first time offset is found."""
 
-MAX_ROUNDS = 20
+MAX_ROUNDS = 30
 """Rounds of least squares at most; each is closer to the best time offset."""
 
 MIN_BLOCKS = 10
@@ -37,9 +37,6 @@ MIN_BLOCKS = 10
 
 BLOCK_S = 2.0
 """Length of such a block, s: errors further apart are taken to be independent."""
-
-MAX_FITS = 30
-"""Fits at most; each is closer to the offset."""
 
 
 class ClockError(NamedTuple):
@@ -81,47 +78,24 @@ def clock_errors(
     first_ns = min(int(a.t_ns[0]), int(b.t_ns[0]))
     of_a, of_b = body_angle(a, first_ns), body_angle(b, first_ns)
     found = [
-        (
-            *(
-                _turn_and_offset(of_a, of_b, starts, length)
-                if turned
-                else (clock_error(of_a, of_b, starts, length), of_b)
-            ),
-            starts,
-            length,
-        )
-        for length, starts in window_grids(of_a.seconds, of_b.seconds)
+        (clock_error(of_a, of_b, *grid, turned=turned), grid)
+        for grid in window_grids(of_a.seconds, of_b.seconds)
     ]
     if not found:
         return None
-    clock, of_b, starts, length = min(found, key=lambda one: one[0].white_std)
-    changing = clock_error(of_a, of_b, starts, length, clock.seconds, drifts=True)
+    clock, grid = min(found, key=lambda one: one[0].white_std)
+    changing = clock_error(of_a, of_b, *grid, clock.seconds, turned=turned, drifts=True)
     return clock, changing, first_ns
-
-
-def _turn_and_offset(
-    a: BodyAngle, b: BodyAngle, starts: Float64, length: float
-) -> tuple[ClockError, BodyAngle]:
-    """Estimate the offset, and the rotation between the bodies, in turn until they converge."""
-    before, begin = 0.0, None
-    y = a.over(starts, length)
-    for _ in range(MAX_FITS):
-        turn, _ = kabsch(b.over(starts - before, length), y)
-        turned = b.turned(turn)
-        found = clock_error(a, turned, starts, length, begin)
-        if abs(found.seconds - before) * NS_PER_S < 1:
-            break
-        before = begin = found.seconds
-    return found, turned
 
 
 def clock_error(  # noqa: PLR0913  # two angles, and windows of them
     a: BodyAngle,
     b: BodyAngle,
-    starts: Float64,
     length: float,
+    starts: Float64,
     begin: float | None = None,
     *,
+    turned: bool = True,
     drifts: bool = False,
 ) -> ClockError:
     """Estimate the error of B's clock by least squares over windows.
@@ -132,6 +106,7 @@ def clock_error(  # noqa: PLR0913  # two angles, and windows of them
     do not show the offset.
 
     `begin`: where to begin, s; None: at the best of a grid
+    `turned`: whether the bodies may be turned against each other
 
     References
     ----------
@@ -141,7 +116,7 @@ def clock_error(  # noqa: PLR0913  # two angles, and windows of them
     # The offset is a sum of terms: found is so much of each.
     terms = np.stack([np.ones_like(starts), starts - middle][: 1 + drifts])
     found = np.zeros(len(terms))
-    found[0] = _on_grid(a, b, starts, length) if begin is None else begin
+    found[0] = _on_grid(a, b, length, starts, turned) if begin is None else begin
 
     def clock(std: float, white_std: float) -> ClockError:
         seconds, ratio = np.append(found, 0.0)[:2].tolist()
@@ -152,8 +127,11 @@ def clock_error(  # noqa: PLR0913  # two angles, and windows of them
     y, slope_a = a.over(starts, length), _slope(a, starts, length, step)
     for _ in range(MAX_ROUNDS):
         moved = starts - found @ terms
-        error = y - b.over(moved, length)
-        slope = _slope(b, moved, length, step)
+        x, slope = b.over(moved, length), _slope(b, moved, length, step)
+        if turned:
+            turn, _ = kabsch(x, y)
+            x, slope = x @ turn.T, slope @ turn.T
+        error = y - x
         scores = terms * (slope * error).sum(axis=1)
         powers = terms[:, None] * terms * (slope_a * slope).sum(axis=1)
         power = powers.sum(axis=2)
@@ -177,14 +155,19 @@ def clock_error(  # noqa: PLR0913  # two angles, and windows of them
     return clock(float(np.sqrt((changes**2).sum(axis=0))[-1]), float(white_std))
 
 
-def _on_grid(a: BodyAngle, b: BodyAngle, starts: Float64, length: float) -> float:
+def _on_grid(a: BodyAngle, b: BodyAngle, length: float, starts: Float64, turned: bool) -> float:
+    """Return about the offset, s, of a grid the one at which windows have most in common."""
     few = starts[:: max(len(starts) // GRID_WINDOWS, 1)]
-    free = float(few[0] - max(a.seconds[0], b.seconds[0]))
-    reach = min(MAX_OFFSET_S, free)
+    reach = min(MAX_OFFSET_S, float(few[0] - max(a.seconds[0], b.seconds[0])))
     y = a.over(few, length)
     grid = np.linspace(-reach, reach, 2 * int(np.ceil(reach / (length / 8))) + 1)
-    remaining = [((y - b.over(few - at, length)) ** 2).sum() for at in grid]
-    return float(grid[int(np.argmin(remaining))])
+
+    def remaining(at: float) -> float:
+        x = b.over(few - at, length)
+        x = x @ kabsch(x, y)[0].T if turned else x
+        return float(((y - x) ** 2).sum())
+
+    return float(min(grid, key=remaining))
 
 
 def _slope(angle: BodyAngle, starts: Float64, length: float, step: float) -> Float64:

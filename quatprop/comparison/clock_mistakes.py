@@ -17,10 +17,11 @@ SIGNIFICANT = 5.0
 
 
 def clocks(
-    sides: Sides, coarse_ns: int, given_ns: int, *, turned: bool
+    sides: Sides, begin_ns: int, coarse_ns: int, given_ns: int, *, turned: bool
 ) -> tuple[Undoing | None, Undoing | None]:
     """Return the offset of B's clock, and how much faster or slower it is, where motion shows it.
 
+    `begin_ns`: the first timestamp of the whole of B, ns
     `coarse_ns`: about the offset, ns
     `given_ns`: what was added to B's timestamps already, ns
     `turned`: whether the bodies may be turned against each other
@@ -33,7 +34,7 @@ def clocks(
         _offset(offset, coarse_ns, given_ns, interval_ns(sides.a))
         if math.isfinite(offset.std)
         else None,
-        _clock_drift(change, coarse_ns, int(sides.b.t_ns[0]) - first_ns)
+        _clock_drift(change, coarse_ns, begin_ns, first_ns)
         if abs(change.ratio) > SIGNIFICANT * change.std
         else None,
     )
@@ -61,9 +62,9 @@ def _offset(clock: ClockError, coarse_ns: int, given_ns: int, interval_ns: int) 
     )
 
 
-def _clock_drift(clock: ClockError, coarse_ns: int, begin_ns: int) -> Undoing:
-    """`begin_ns`: B's first stamp, from where the times of the clock's error begin, ns."""
-    at_first = np.array((begin_ns + coarse_ns) / NS_PER_S)
+def _clock_drift(clock: ClockError, coarse_ns: int, begin_ns: int, first_ns: int) -> Undoing:
+    """`first_ns`: from where the times of the clock's error count, ns."""
+    at_first = np.array((begin_ns - first_ns + coarse_ns) / NS_PER_S)
     first_ms = 1e3 * float(clock.at(at_first)) + coarse_ns / 1e6
     ppm, std = abs(clock.ratio) * 1e6, max(clock.std * 1e6, 0.01)
     digits = max(1 - math.floor(math.log10(std)), 0)
@@ -74,8 +75,7 @@ def _clock_drift(clock: ClockError, coarse_ns: int, begin_ns: int) -> Undoing:
     )
 
     def apply(sides: Sides) -> Sides:
-        since = sides.b.t_ns - sides.b.t_ns[0]
-        added = np.rint(first_ms * 1e6 + clock.ratio * since).astype(np.int64)
+        added = np.rint(first_ms * 1e6 + clock.ratio * (sides.b.t_ns - begin_ns)).astype(np.int64)
         return sides._replace(b=shifted(sides.b, added))
 
     return Undoing(
@@ -84,8 +84,7 @@ def _clock_drift(clock: ClockError, coarse_ns: int, begin_ns: int) -> Undoing:
         f"B's clock is {pace} by {ppm:.{digits}f} +- {std:.{digits}f} ppm against A's: the offset "
         f"between their timestamps changes by {moved} in {span}",
         f"add {first_ms:.6g} ms to B's timestamps, and {clock.ratio * 1e6:.6g} ppm of the time "
-        "since "
-        "its first",
+        "since its first",
         apply,
     )
 

@@ -124,7 +124,8 @@ class Fits:
         coarse_ns = 0
         with suppress(ComparisonError):
             coarse_ns, _ = coarse_offset(*sides)
-        offset, change = clocks(sides, coarse_ns, self._added_ns, turned=turned)
+        begin_ns = int(self._whole.b.t_ns[0])
+        offset, change = clocks(sides, begin_ns, coarse_ns, self._added_ns, turned=turned)
         return None if self._settings.time_offset == "auto" else offset, change
 
     def _fit(self, plan: Undoings) -> Explanation:

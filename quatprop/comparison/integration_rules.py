@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import permutations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -53,10 +52,14 @@ def integration_rules(sides: Sides) -> Undoing | None:
     begin = int(np.argmax(sums)) * SCREENED
     a, b = (series[begin : begin + SCREENED] for series in sides)
     tried = {}
-    for rules in permutations(METHODS, 2):
-        if (changed := by_other_rule(a, *rules)) is not None:
-            aligned = align("mean", changed.wxyz, b.wxyz).apply(b.wxyz)
-            tried[rules] = rms(geodesic_angle(changed.wxyz, aligned))
+    for known in METHODS:
+        if (rates := led_by(a, known)) is None:
+            continue
+        for other in METHODS:
+            if other != known:
+                changed = rates.propagated(other)
+                aligned = align("mean", changed.wxyz, b.wxyz).apply(b.wxyz)
+                tried[known, other] = rms(geodesic_angle(changed.wxyz, aligned))
     most = AS_GOOD * min(tried.values(), default=0.0) + NO_ERROR
     likely = sorted((left, rules) for rules, left in tried.items() if left <= most)
     return _described([rules for _, rules in likely], a) if likely else None
@@ -75,25 +78,43 @@ def _described(likely: Sequence[tuple[str, str]], a: AttitudeSeries) -> Undoing:
     remedy += f"; if B was propagated with method {other}, with {Setting('method', known)}"
 
     def apply(sides: Sides) -> Sides:
-        changed = by_other_rule(sides.a, known, other)
-        return sides if changed is None else sides._replace(a=changed)
+        rates = led_by(sides.a, known)
+        return sides if rates is None else sides._replace(a=rates.propagated(other))
 
     return Undoing("method", "another integration rule", sentence, remedy, apply)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # of rates that grow without bound
-def by_other_rule(a: AttitudeSeries, known: str, other: str) -> AttitudeSeries | None:
-    """Return A as another rule leads to it, if a known one can have led to it."""
+class Rates(NamedTuple):
+    """Rates, rad/s, that led to attitudes, shape ``(N, 3)``.
+
+    `beyond`: what the rotations from sample to sample are more than those that the rates give back,
+        rad, shape ``(N - 1, 3)``
+    """
+
+    attitudes: AttitudeSeries
+    rate: Float64
+    beyond: Float64
+
+    @np.errstate(over="ignore", invalid="ignore")  # of rates that grow without bound
+    def propagated(self, rule: str) -> AttitudeSeries:
+        """Return where the rates lead to by another rule."""
+        steps = rotation_vectors(self.attitudes.t_ns, self.rate, rule)
+        return recomposed(self.attitudes, self.beyond + steps)
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def led_by(a: AttitudeSeries, rule: str) -> Rates | None:
+    """Return the rates that led to A by a rule, if there can be any."""
     if len(a) < MIN_SAMPLES:
         return None
     steps = rotation_vectors_between(a.wxyz)
     mean = steps / (np.diff(a.t_ns)[:, None] / NS_PER_S)
-    rate = _rates(a.t_ns, steps, known)
+    rate = _rates(a.t_ns, steps, rule)
     rough, smooth = (float(np.square(np.diff(one, axis=0)).sum()) for one in (rate, mean))
-    back = rotation_vectors(a.t_ns, rate, known)
-    if not (rough <= ROUGH * smooth and np.abs(back - steps).max() <= SAME):
+    beyond = steps - rotation_vectors(a.t_ns, rate, rule)
+    if not (rough <= ROUGH * smooth and np.abs(beyond).max() <= SAME):
         return None
-    return recomposed(a, steps + rotation_vectors(a.t_ns, rate, other) - back)
+    return Rates(a, rate, beyond)
 
 
 def _rates(t_ns: Int64, steps: Float64, rule: str) -> Float64:

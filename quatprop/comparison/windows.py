@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.kinematics.quaternion import rotate
 from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import NS_PER_S
@@ -69,10 +68,6 @@ class BodyAngle(NamedTuple):
             for angle in self.angle.T
         ]
         return np.stack(columns, axis=1)
-
-    def turned(self, wxyz: Float64) -> BodyAngle:
-        """Return the angle in other body axes: q v q*."""
-        return BodyAngle(self.seconds, rotate(wxyz, self.angle))
 
 
 def common_beginning(a: AttitudeSeries, b: AttitudeSeries) -> tuple[AttitudeSeries, AttitudeSeries]:

@@ -23,6 +23,8 @@ from quatprop.conditioning.time_range import (
     length_text,
     pause_remarks,
 )
+from quatprop.errors import UsageError
+from quatprop.text import Setting
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -127,9 +129,9 @@ class GyroCorrectionReport(NamedTuple):
     start_ns: int | None
     end_ns: int | None
     outside: list[int]
-    remarks: tuple[Remark, ...] = ()
-    part: PartOfLog | None = None
-    length: str = ""
+    remarks: tuple[Remark, ...]
+    part: PartOfLog | None
+    length: str
 
     @property
     def all_rests(self) -> tuple[StaticPeriod, ...]:
@@ -234,10 +236,18 @@ def _look_ahead(
         deque(timeline.looked_ahead(read(), finder.add), maxlen=0)
         return finder.ends(), ()
     from quatprop.conditioning.rests import find_rests
+    from quatprop.conditioning.static_detection import NoRestError
 
-    rests = find_rests(
-        lambda note: timeline.looked_ahead(read(), note), finder, static, inputs, settings.rates
-    )
+    try:
+        rests = find_rests(
+            lambda note: timeline.looked_ahead(read(), note), finder, static, inputs, settings.rates
+        )
+    except NoRestError as error:
+        shorter = Setting("bias", "static:DUR")
+        raise UsageError(
+            f"{error.text}; give {Setting('bias', 'X,Y,Z')}, or look for a shorter one with "
+            f"{shorter}"
+        ) from None
     return finder.ends(), rests
 
 

@@ -62,6 +62,10 @@ TURNING = 5e-3
 """rad/s: an orientation that turns slower than this stands still."""
 
 
+class NoRestError(UsageError):
+    """The sensor is at rest nowhere, and why; the way out depends on what the rest is for."""
+
+
 def find_static_periods(
     rates: WindowSums, inputs: GyroCorrectionInputs, static: StaticBias, frame: str = "body"
 ) -> list[StaticPeriod]:
@@ -100,7 +104,7 @@ def static_period_between(
         )
     try:
         found, steady = _rests(rates, inputs, static.window_ns, frame)
-    except UsageError:
+    except NoRestError:
         found, steady = rest[:0], ["rate"]
     return _period(np.concatenate([rest, found]), 0, rates, steady, [])
 
@@ -189,9 +193,9 @@ def _quiet_rates(rates: WindowSums) -> Intp:
         raise _no_rest(f" (the quietest scatters by {scatter.min():.3g} rad/s)")
     slow = steady & (speed <= LARGEST_BIAS)
     if not slow.any():
-        raise UsageError(
+        raise NoRestError(
             f"the steadiest period of the log has a mean rate of {speed[steady].min():.3g} rad/s, "
-            f"more than the bias of a gyroscope: the body rotates; give {Setting('bias', 'X,Y,Z')}"
+            "more than the bias of a gyroscope: the body rotates"
         )
     # Nor is one of a sensor that has not begun to measure, unless it is at rest nowhere else.
     measured = slow & (rates["squares"][windows] > 0)
@@ -294,9 +298,5 @@ def _not_turning(
     return still
 
 
-def _no_rest(why: str) -> UsageError:
-    return UsageError(
-        f"the log has no stationary period to estimate the bias from{why}; give "
-        f"{Setting('bias', 'X,Y,Z')}, or look for a shorter one with "
-        f"{Setting('bias', 'static:DUR')}"
-    )
+def _no_rest(why: str) -> NoRestError:
+    return NoRestError(f"the log has no stationary period{why}")

@@ -39,14 +39,17 @@ def window_sums(
         origin_ns = int(t_ns[0]) if origin_ns is None else origin_ns
         finite: Bool = np.logical_and.reduce(np.isfinite(values), axis=1)
         known = np.where(finite[:, None], values, 0.0)
-        sums = np.zeros(len(t_ns), dtype=kind)
-        sums["index"] = (t_ns - origin_ns) // window_ns
-        sums["first_ns"] = sums["last_ns"] = t_ns
-        sums["count"] = finite
-        sums["total"] = known
+        index = (t_ns - origin_ns) // window_ns
+        starts = np.flatnonzero(np.diff(index, prepend=index[0] - 1))
+        sums = np.zeros(len(starts), dtype=kind)
+        sums["index"] = index[starts]
+        sums["first_ns"] = np.minimum.reduceat(t_ns, starts)
+        sums["last_ns"] = np.maximum.reduceat(t_ns, starts)
+        sums["count"] = np.add.reduceat(finite, starts, dtype=np.float64)
+        sums["total"] = np.add.reduceat(known, starts, axis=0)
         with np.errstate(over="ignore"):
-            sums["squares"] = (known**2).sum(axis=1)
-        parts.append(_by_index(sums))
+            sums["squares"] = np.add.reduceat((known**2).sum(axis=1), starts)
+        parts.append(sums)
     sums = np.concatenate(parts)
     return _by_index(sums[np.argsort(sums["index"], kind="stable")])
 

@@ -1,1 +1,1 @@
-"""Containers of encoded messages: the bytes of each message, and when it was recorded."""
+"""Containers of encoded messages: the bytes and the log time of each message."""

@@ -1,4 +1,4 @@
-"""Read the messages of a channel in the chunks of a log, whichever format it has."""
+"""Read the messages of a channel from the chunks of a log, for all chunked formats."""
 
 from __future__ import annotations
 
@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 class TimedPart(Protocol):
     """A part of a log, such as a chunk.
 
-    `first_ns`, `last_ns`: log times of its earliest and latest message, ns; the latest is None
-        where it is unknown
+    `first_ns`, `last_ns`: earliest and latest log time, ns; the latest is None if unknown
     """
 
     first_ns: int
@@ -38,17 +37,17 @@ Content = TypeVar("Content")
 Item = TypeVar("Item")
 
 GROUP = 1 << 20
-"""Bytes of chunks that are loaded together, which stay in the processor's cache until decoded."""
+"""Bytes of chunks that are loaded together: they stay in the processor's cache until decoded."""
 
 FIRST = 1 << 16
-"""Bytes of the first group, for who reads only the beginning; each is twice the one before."""
+"""Bytes of the first group, small for callers that read only the beginning; each doubles."""
 
 LARGE = 1 << 26
-"""Bytes from which a chunk is not loaded ahead of its use."""
+"""Chunks of more bytes are not loaded ahead of their use."""
 
 
 class ChunkedLog(TopicLog, Generic[Chunk]):
-    """A file whose messages are in chunks."""
+    """A log whose messages are in chunks."""
 
     def __init__(self, log: Path | FileSource) -> None:
         self.source = source_of(log)
@@ -62,16 +61,16 @@ class ChunkedLog(TopicLog, Generic[Chunk]):
             raise
 
     def unreadable(self, error: OSError) -> UnreadableLogError:
-        """Return the error of a file that the system does not read."""
+        """Return the error for a file that the operating system cannot read."""
         return UnreadableLogError(self.path, os_reason(error))
 
     @abstractmethod
     def read_index(self) -> None:
-        """Read what the file holds and where; also its losses so far."""
+        """Read the channels, chunks and known losses of the file."""
 
     @abstractmethod
     def chunks_of(self, channel: Channel) -> list[Chunk]:
-        """Return the chunks that may hold a channel, in order of time."""
+        """Return the chunks that may have messages of a channel, in order of time."""
 
     @abstractmethod
     def read(self, channel: Channel, chunks: Sequence[Chunk]) -> Iterator[MessageBlock]:
@@ -80,13 +79,13 @@ class ChunkedLog(TopicLog, Generic[Chunk]):
     def blocks(self, channel: Channel, within: TimeRange | None = None) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, chunk after chunk in order of their first times.
 
-        Only chunks that hold the channel are read, and none is kept, so memory use does not grow
+        Only chunks that have the channel are read and none is kept, so memory use does not grow
         with the file.
         """
         return self.read(channel, parts_within(self.chunks_of(channel), within))
 
     def recorded_span(self, channel: Channel) -> TimeRange | None:
-        """Return when a channel was recorded; None where the file has no index of chunks."""
+        """Return the range of log times of a channel; None if the file has no index of chunks."""
         return span_of(self.chunks_of(channel))
 
     def close(self) -> None:
@@ -95,7 +94,7 @@ class ChunkedLog(TopicLog, Generic[Chunk]):
 
 
 class ChunkReader(ABC, Generic[Chunk, Content]):
-    """Reads the messages of one channel; each format loads its chunks and locates them there."""
+    """Reads the messages of one channel; subclasses load chunks and locate messages in them."""
 
     def __init__(self, source: FileSource) -> None:
         self.source = source
@@ -103,33 +102,33 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
 
     @abstractmethod
     def is_mixed(self, chunk: Chunk) -> bool:
-        """Return whether a chunk is known to hold other channels, too."""
+        """Return whether a chunk is known to have messages of other channels, too."""
 
     @abstractmethod
     def expected(self, chunk: Chunk, *, is_mixed: bool) -> list[tuple[int, int]]:
-        """Return begin and end of the bytes of the file that are read first for a chunk."""
+        """Return the byte ranges of the file that are read first for a chunk."""
 
     @abstractmethod
     def size_of(self, chunk: Chunk) -> int:
-        """Return the bytes of the records of a chunk; 0 if that is not known."""
+        """Return the bytes of the decompressed records of a chunk; 0 if unknown."""
 
     @abstractmethod
     def load(self, chunk: Chunk, *, is_mixed: bool) -> Content:
-        """Return a chunk, or a part that has its wanted messages. Called in other threads."""
+        """Return a chunk, or the part with the wanted messages. Called in other threads."""
 
     @abstractmethod
     def indexed(self, content: Content, chunk: Chunk) -> MessageBlock | None:
-        """Return the messages of a loaded chunk by its index; None if that is not certain.
+        """Return the messages of a loaded chunk by its index; None if it is not reliable.
 
         Called in other threads.
         """
 
     @abstractmethod
     def messages(self, content: Content, chunk: Chunk) -> MessageBlock | None:
-        """Return the messages of a loaded chunk by its records, and note what is lost of them."""
+        """Return the messages of a loaded chunk by its records, and record losses."""
 
     def blocks(self, chunks: Sequence[Chunk]) -> Iterator[MessageBlock]:
-        """Yield the messages in some chunks, in their order.
+        """Yield the messages in some chunks, in the order of the chunks.
 
         Chunks are read and decompressed ahead, in threads.
         """
@@ -151,20 +150,20 @@ class ChunkReader(ABC, Generic[Chunk, Content]):
                     yield replace(block, watermark_ns=bound)
 
     def _load(self, wanted: tuple[Chunk, bool]) -> Content | MessageBlock:
-        """Return a chunk, or copies of its messages: the memory of a mixed one is used again."""
+        """Return a chunk, or copies of the messages of a mixed one, whose memory is then freed."""
         chunk, is_mixed = wanted
         content = self.load(chunk, is_mixed=is_mixed)
         block = self.indexed(content, chunk) if is_mixed else None
         return content if block is None else block.compacted()
 
     def _share(self, chunk: Chunk, is_mixed: bool) -> int:
-        """Return how much of a group a chunk is, bytes: of a mixed one little is decoded."""
+        """Return the bytes by which a chunk fills a group: of a mixed chunk little is decoded."""
         size = self.size_of(chunk)
         return size // SHARE if is_mixed and size <= LARGE else size
 
 
 def span_of(parts: Sequence[TimedPart]) -> TimeRange | None:
-    """Return when parts in order of time were recorded; None if that is not known of each."""
+    """Return the range of log times of parts in order of time; None if one is unknown."""
     last = [part.last_ns for part in parts if part.last_ns is not None]
     if not parts or len(last) < len(parts):
         return None
@@ -172,7 +171,7 @@ def span_of(parts: Sequence[TimedPart]) -> TimeRange | None:
 
 
 def parts_within(parts: Sequence[Chunk], within: TimeRange | None) -> Sequence[Chunk]:
-    """Return the parts that overlap a range, or may; None is any time."""
+    """Return the parts that may overlap a range of log times; None for all."""
     if within is None:
         return parts
     return [p for p in parts if p.last_ns is None or within.overlaps(p.first_ns, p.last_ns)]
@@ -181,15 +180,15 @@ def parts_within(parts: Sequence[Chunk], within: TimeRange | None) -> Sequence[C
 def load_ahead(
     sized: Iterable[tuple[Item, int]], load: Callable[[Item], Content]
 ) -> Generator[Content, None, None]:
-    """Load chunks, whose sizes stand beside them, in other threads; yield the content of each.
+    """Load chunks, given with their sizes in bytes, in other threads; yield their contents.
 
-    Each has memory of its own, as long as what was read of it.
+    Each content has memory of its own.
     """
 
     def load_group(group: tuple[list[Item], bool]) -> Iterable[Content]:
         chunks, is_large = group
         loaded = map(load, chunks)
-        # What is large is loaded when it is its turn.
+        # A large chunk is loaded only when it is used.
         return loaded if is_large else [*loaded]
 
     with closing(prefetch(load_group, in_groups(sized))) as groups:
@@ -198,22 +197,22 @@ def load_ahead(
 
 
 def in_groups(sized: Iterable[tuple[Item, int]]) -> Iterator[tuple[list[Item], bool]]:
-    """Yield chunks in groups, and whether each is so large that it is loaded when it is its turn.
+    """Yield groups of chunks, and whether each is one large chunk, loaded only when it is used.
 
-    Handing over each chunk by itself would cost as much as decompressing it.
+    Handing each chunk to a thread by itself would cost as much as decompressing it.
     """
     chunks: list[Item] = []
-    room, limit = 0, min(FIRST, GROUP)
+    filled, limit = 0, min(FIRST, GROUP)
     for chunk, size in sized:
-        # One whose size is not known is taken to fill a sixteenth of a group.
+        # A chunk of unknown size counts as a sixteenth of a group.
         share = size or GROUP >> 4
-        if chunks and (size > LARGE or room + share > limit):
+        if chunks and (size > LARGE or filled + share > limit):
             yield chunks, False
-            chunks, room, limit = [], 0, min(GROUP, 2 * limit)
+            chunks, filled, limit = [], 0, min(GROUP, 2 * limit)
         if size > LARGE:
             yield [chunk], True
         else:
             chunks.append(chunk)
-            room += share
+            filled += share
     if chunks:
         yield chunks, False

@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from quatprop.messages.blocks import MessageBlock
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-"""How a compressed message begins; one in CDR begins with 0."""
+"""The first bytes of a compressed message; a message in CDR begins with 0."""
 
 
 def decompressed(block: MessageBlock, encoding: str, *, is_known: bool) -> tuple[MessageBlock, int]:
-    """Decompress messages that are compressed with zstd one by one; others stay as they are."""
+    """Decompress zstd messages; return the intact messages and the number of damaged ones."""
     first = block.data[block.starts[0] : block.ends[0]][:4].tobytes()
     if not is_known and (encoding != "cdr" or first != ZSTD_MAGIC):
         return block, 0
@@ -36,10 +36,10 @@ def decompressed(block: MessageBlock, encoding: str, *, is_known: bool) -> tuple
         intact.append(k)
     lengths = np.fromiter(map(len, messages), np.int64, len(messages))
     ends = np.cumsum(lengths)
-    whole = replace(
+    decompressed_block = replace(
         block.at(np.array(intact, np.intp)),
         data=np.frombuffer(b"".join(messages), np.uint8),
         starts=ends - lengths,
         ends=ends,
     )
-    return whole, len(block) - len(intact)
+    return decompressed_block, len(block) - len(intact)

@@ -1,4 +1,4 @@
-"""The blocks of a topic: the first are held for several readers, and small ones go together."""
+"""Buffer the first blocks of a topic for several readers, and group small blocks."""
 
 from __future__ import annotations
 
@@ -12,38 +12,38 @@ if TYPE_CHECKING:
     from quatprop.messages.blocks import Channel, MessageBlock
 
 ROOM = 1 << 23
-"""Bytes of messages that are held at most: some 20,000 of a usual topic."""
+"""Maximum bytes of buffered messages: some 20,000 of a usual topic."""
 
 ENOUGH_MESSAGES = 1 << 13
-"""Messages that are decoded together."""
+"""Number of messages that are decoded together."""
 
 ENOUGH_BYTES = 1 << 22
-"""Bytes of blocks that wait to be decoded at most, which still are in the processor's cache."""
+"""Maximum bytes of blocks that are decoded together: they stay in the processor's cache."""
 
 
 @dataclass(slots=True)
-class _Place:
-    """A place in a stream of blocks, and what follows there once somebody has read it."""
+class _Node:
+    """A node of a linked list of blocks; `following` is None until the next block is read."""
 
-    following: tuple[MessageBlock, _Place] | None = None
+    following: tuple[MessageBlock, _Node] | None = None
 
 
 class FirstBlocks:
-    """The blocks of a channel; all who begin to read it share them while there is room for them.
+    """The blocks of a channel, read once for all iterators that begin while the buffer has room.
 
-    Those who go on in step share what follows, too. Who begins after that reads again.
+    Those that go on in step share the later blocks, too. A later iterator reads the log again.
     """
 
     def __init__(self, log: MessageLog, channel: Channel) -> None:
         self._log, self._channel = log, channel
-        self._first: _Place | None = None
+        self._first: _Node | None = None
         self._rest: Iterator[MessageBlock] = iter(())
         self._room = self._turn = 0
 
     def __iter__(self) -> Iterator[MessageBlock]:
-        """Return the blocks from the first one on."""
+        """Iterate over all blocks, from the first on."""
         if self._first is None:
-            self._first, self._room = _Place(), ROOM
+            self._first, self._room = _Node(), ROOM
             self._rest = self._read(self._turn)
         return _blocks_from(self._first, self._rest)
 
@@ -53,7 +53,7 @@ class FirstBlocks:
                 if self._turn != turn:
                     yield block
                     continue
-                # There is nothing to gain where the buffer holds little else.
+                # Compacting does not pay if the buffer has few other bytes.
                 size = int((block.ends - block.starts).sum())
                 held = block if 2 * size > len(block.data) else block.compacted()
                 self._room -= len(held.data)
@@ -61,43 +61,43 @@ class FirstBlocks:
                 if self._room < 0 and self._turn == turn:
                     self.release()
         except Exception:
-            # Who begins later would take the blocks before an error for all that there are.
+            # A later iterator would take the blocks before the error for all blocks.
             self.release()
             raise
 
     def release(self) -> None:
-        """Hold nothing: who begins now reads again."""
-        # What reads the rest refers to it: a cycle would be left to the garbage collector.
+        """Drop the buffer: the next iterator reads the log again."""
+        # The iterator refers to this object: the cycle would wait for the garbage collector.
         self._first, self._rest, self._turn = None, iter(()), self._turn + 1
 
 
-def _blocks_from(place: _Place, rest: Iterator[MessageBlock]) -> Iterator[MessageBlock]:
-    """Yield blocks; unlike `tee`, which keeps up to 57, hold none that all readers are past."""
+def _blocks_from(node: _Node, rest: Iterator[MessageBlock]) -> Iterator[MessageBlock]:
+    """Yield blocks; `itertools.tee` would keep up to 57 that all iterators are past."""
     while True:
-        if place.following is None:
+        if node.following is None:
             block = next(rest, None)
             if block is None:
                 return
-            place.following = block, _Place()
-        block, place = place.following
+            node.following = block, _Node()
+        block, node = node.following
         yield block
 
 
 def decoded_together(blocks: Iterable[MessageBlock]) -> Iterator[list[MessageBlock]]:
-    """Yield blocks that are decoded together, since it takes time for each.
+    """Yield groups of blocks that are decoded together, since each call takes time.
 
-    The first is by itself, for who reads only the beginning; then about twice as many messages as
-    before are together.
+    The first block is alone, for callers that read only the beginning; each further group has about
+    twice as many messages as the one before.
     """
-    waiting: list[MessageBlock] = []
+    group: list[MessageBlock] = []
     messages = size = enough = 0
     for block in blocks:
-        waiting.append(block)
+        group.append(block)
         messages += len(block)
         size += len(block.data)
         if messages >= enough or size >= ENOUGH_BYTES:
-            yield waiting
+            yield group
             enough = min(ENOUGH_MESSAGES, 2 * messages)
-            waiting, messages, size = [], 0, 0
-    if waiting:
-        yield waiting
+            group, messages, size = [], 0, 0
+    if group:
+        yield group

@@ -1,4 +1,4 @@
-"""Message definitions in ``.msg`` files, for bags that carry none, as those before ROS 2 Iron."""
+"""Message definitions in ``.msg`` files, for bags without definitions (before ROS 2 Iron)."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ if TYPE_CHECKING:
     from quatprop.messages.blocks import Channel
 
 _LARGEST = 1 << 16
-"""Bytes of a file that is read as a definition; real ones have a few thousand."""
+"""Maximum size of a definition file, bytes; real ones have a few thousand."""
 _FIELD = r"(?m)^[ \t]*((?:\w+/)*[A-Z]\w*)(?:\[[^\]\n]*\])?[ \t]+\w+"
 _RULE = "=" * 80
 
 
 class MsgFiles:
-    """Finds definitions of message types by the names of files.
+    """Finds the definitions of message types by file names.
 
     `places`: folders in which the file of ``package/msg/Name`` may be ``package/msg/Name.msg``,
         ``msg/Name.msg`` or ``Name.msg``, or such files themselves
-    `is_given`: whether the user named the places, so that folders inside them are searched, too
-    `used`: the files that definitions were taken from
+    `is_given`: whether the user named the places, so that their subfolders are searched, too
+    `used`: the files from which definitions were read, by type name
     """
 
     def __init__(self, places: Iterable[Path], *, is_given: bool = False) -> None:
@@ -33,14 +33,14 @@ class MsgFiles:
         self.used: dict[str, Path] = {}
 
     def completed(self, channel: Channel) -> Channel:
-        """Return a channel with the definition that it lacks, where there are files for it."""
+        """Return a channel with its missing definition added, if there is a file for it."""
         if channel.schema or channel.encoding != "cdr":
             return channel
         schema = self.definition(channel.type_name)
         return replace(channel, schema_encoding="ros2msg", schema=schema) if schema else channel
 
     def definition(self, type_name: str) -> bytes:
-        """Return the definition of a type and of all types in it that have files; else empty."""
+        """Return the definition of a type and its nested types; empty if it has no file."""
         text = self._text(type_name)
         if text is None:
             return b""
@@ -60,7 +60,7 @@ class MsgFiles:
         return "\n".join([own, *others]).encode()
 
     def _text(self, type_name: str) -> str | None:
-        """Return the content of the file of a type."""
+        """Return the text of a type's file; None if there is none."""
         package, _, name = type_name.partition("/msg/")
         for place in self._places:
             for file in self._candidates(place, package, name):

@@ -1,4 +1,4 @@
-"""The search for the next record of a damaged log, whichever grammar its records have."""
+"""Search for the next record of a damaged log, for all record formats."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
 WINDOW = 1 << 22
-"""Bytes that are searched at a time."""
+"""Bytes searched at a time."""
 
 
 def first_accepted(
@@ -18,9 +18,12 @@ def first_accepted(
     accepted: Callable[[int], int | None],
     tries: int,
 ) -> int | None:
-    """Return where the first record begins that is accepted as one; None if there is none.
+    """Return the offset of the first record that is accepted; None if there is none.
 
-    `accepted`: where the record begins that is at a candidate; None if there is none
+    `within`: the range of offsets to search, and the bytes that a candidate may extend behind it
+    `candidates`: finds the offsets of candidates in some bytes
+    `accepted`: returns the offset of the record at a candidate's offset; None if there is none
+    `tries`: number of candidates after which the search ends
     """
     start, stop, behind = within
     for begin in range(start, stop, WINDOW):

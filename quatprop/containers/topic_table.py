@@ -1,10 +1,10 @@
-"""A topic of messages as a table: the definition, flattened, says what the columns are."""
+"""A topic as a table, whose columns are those of the flattened message definition."""
 
 from __future__ import annotations
 
 from functools import cached_property
 from itertools import islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from quatprop.text import Remark, Setting, plain, quoted
 from quatprop.times import LATEST, duration_text
 
 if TYPE_CHECKING:
-    import re
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from quatprop.arrays import AnyArray, Float64, Int64
@@ -37,10 +36,10 @@ if TYPE_CHECKING:
     Decode = Callable[[Sequence[MessageBlock]], RowBatch]
 
 CLOCK_STEP_NS = 100_000_000
-"""Time services set a clock that is wrong by more than this; what is less they catch up slowly."""
+"""Larger clock errors, ns, are corrected by a step; time services slew smaller ones."""
 
 TEXT_ENCODINGS = ("cdr", "ros1")
-"""Encodings of which lists of transforms are read, and text; that of JSON is, too."""
+"""Encodings whose transform lists and strings are read; strings of JSON are read, too."""
 
 
 class TopicTable(Table):
@@ -63,40 +62,40 @@ class TopicTable(Table):
         self.is_secondary = is_secondary(channel)
 
     def __str__(self) -> str:
-        """Return topic, type, and the encoding where it is not read."""
+        """Return topic, type, and the encoding if it is not supported."""
         encoding = f", encoded as {self.channel.encoding or 'nothing known'}, which is not read"
         return f"{self.name} ({self.type}{'' if self.is_decodable else encoding})"
 
     def may_contain(self, types: Iterable[str]) -> bool:
-        """Tell by the text of the definition, cheaply, whether one of some types may be inside."""
+        """Return whether the text of the definition has the name of one of some types."""
         return any(name.rpartition("/")[2].encode() in self.channel.schema for name in types)
 
     @cached_property
     def root(self) -> Struct:
-        """The type of the messages; SchemaError where the definition cannot be read."""
+        """The message type; raises SchemaError if the definition cannot be read."""
         return message_type(self.channel, self.path)
 
     @cached_property
     def columns(self) -> list[Column]:
-        """The numbers of fixed place; grows by those that are named."""
+        """The numbers outside sequences; grows by fields that are named."""
         return [*flattened(self.root).columns]
 
     @property
     def parts(self) -> tuple[TablePart, ...]:
-        """The structs of fixed place."""
+        """The structs outside sequences."""
         return flattened(self.root).parts
 
     @cached_property
-    def matches(self) -> dict[object, list[tuple[int, re.Match[str]]]]:  # type: ignore[override]
-        """What was found in the columns of the definition."""
+    def matches(self) -> dict[object, Any]:  # type: ignore[override]
+        """A cache of searches in the columns, shared by topics of one definition."""
         return flattened(self.root).matches
 
     @cached_property
-    def _numbers(self) -> dict[str, int]:
+    def _column_numbers(self) -> dict[str, int]:
         return {column.text: k for k, column in enumerate(self.columns)}
 
     def columns_of(self, name: str) -> Group | None:
-        """Return the columns that a field consists of; nothing where it is not a few numbers."""
+        """Return the columns of a field; empty if not a few numbers, None if it is unknown."""
         if name not in self._fields:
             self._fields[name] = self._columns_below(name)
         return self._fields[name]
@@ -116,23 +115,23 @@ class TopicTable(Table):
         return tuple(self._column(own, one) for own, one in leaves if isinstance(one, Primitive))
 
     def _column(self, name: str, kind: Primitive) -> int:
-        if name not in self._numbers:
-            self._numbers[name] = len(self.columns)
+        if name not in self._column_numbers:
+            self._column_numbers[name] = len(self.columns)
             self.columns.append(Column(name, name, code=kind.code))
-        return self._numbers[name]
+        return self._column_numbers[name]
 
     def field_of(self, group: Group) -> str:
-        """Return columns as settings name them: a vector by its own name."""
+        """Return the fields of a group as settings name them: a vector by its own name."""
         return ",".join(self.fields_of(group)[0])
 
     def refuse_unknown(self, name: str) -> None:
-        """Refuse a field that is not there, with what there is."""
+        """Raise an error, which lists the fields, if a field does not exist."""
         field_at(self.root, name, self.path)
 
     def fields_of(self, group: Group) -> tuple[list[str], list[int]]:
-        """Return the fields to decode for a group, and where its numbers are among theirs.
+        """Return the fields to decode for a group of columns, and the group's positions in them.
 
-        A vector is one field; where the numbers are in its order, no places are given.
+        A vector is one field; positions are empty if the group has its order.
         """
         if group not in self._groups:
             self._groups[group] = self._fields_below(group)
@@ -150,7 +149,7 @@ class TopicTable(Table):
         return [parent], [] if below == group else [below.index(k) for k in group]
 
     def of_series(self, labels: Sequence[str]) -> TopicTable:
-        """Return all rows; refused where one of several series is asked for."""
+        """Return the table itself; raise UsageError if a series is chosen: it has only one."""
         for label in labels:
             raise UsageError(
                 f"{plain(self.path)}: the messages of topic {quoted(self.name)} are one series, so "
@@ -160,7 +159,7 @@ class TopicTable(Table):
         return self
 
     def texts(self, name: str) -> list[str]:
-        """Return what a text is in the first messages; nothing where it cannot be read."""
+        """Return the distinct values of a text in the first messages; empty if not readable."""
         block = next(filter(len, self.blocks), None)
         if block is None or not isinstance(find(self.root, name), String):
             return []
@@ -179,7 +178,7 @@ class TopicTable(Table):
         within: Within = None,
     ) -> Iterator[RowBatch]:
         """Yield batches in the order of the log times, if these are recorded."""
-        # It holds on to what follows the rows that were looked at.
+        # It refers to the buffered blocks behind the rows that were inspected.
         self.first = None
         decode = self.decoder([stamp], groups)
         if isinstance(within, TimeRange):
@@ -187,15 +186,15 @@ class TopicTable(Table):
         else:
             blocks = with_progress(iter(self.blocks), self.channel.count)
         together = decoded_together(blocks)
-        batches = (self._readable(lambda own: convert(decode(own)), own) for own in together)
+        batches = (self._decoded(lambda own: convert(decode(own)), own) for own in together)
         return self.in_order(batches)
 
     def in_order(self, batches: Iterable[RowBatch]) -> Iterator[RowBatch]:
-        """Return rows in the order of the log times, if these are recorded."""
+        """Return batches in the order of the log times, if these are recorded."""
         return merge_by_time([batches]) if self.log.has_log_time else filter(len, batches)
 
     def recorded_span(self) -> TimeRange | None:
-        """Return when the topic was recorded by the index of the log, if it has one."""
+        """Return the topic's range of log times by the log's index; None without one."""
         return self.log.recorded_span(self.channel)
 
     def peek(
@@ -204,15 +203,17 @@ class TopicTable(Table):
         """Yield times and groups of columns of all messages, the first block by itself."""
         decode = self.decoder(stamps, groups)
         for blocks in decoded_together(self.blocks):
-            yield decode(blocks) if is_strict else without_misfits(decode, blocks, _left_out)
+            yield (
+                decode(blocks) if is_strict else without_misfits(decode, blocks, _without_positions)
+            )
 
     def release(self) -> None:
-        """Hold nothing of what was read."""
+        """Drop all buffered rows and blocks."""
         self.first = None
         self.blocks.release()
 
     def decoder(self, stamps: Sequence[Stamp], groups: Sequence[Group]) -> Decode:
-        """Return what decodes times and some groups of columns of blocks."""
+        """Return a function that decodes times and groups of columns from blocks."""
         times = [self.columns[k].text for stamp in stamps for k in stamp.columns]
         wanted = [self.fields_of(group) for group in groups]
         fields = [*times, *(name for names, _ in wanted for name in names)]
@@ -223,9 +224,9 @@ class TopicTable(Table):
             values: list[AnyArray] = [
                 self.ns(stamp, [*islice(arrays, len(stamp.columns))], blocks) for stamp in stamps
             ]
-            for group, (names, places) in zip(groups, wanted, strict=True):
+            for group, (names, positions) in zip(groups, wanted, strict=True):
                 own = [*islice(arrays, len(names))]
-                values.append(own[0] if len(group) == 1 else as_rows(own, places))
+                values.append(own[0] if len(group) == 1 else as_rows(own, positions))
             return RowBatch(log_ns_of(blocks), tuple(values), blocks[-1].watermark_ns)
 
         return decode
@@ -239,23 +240,23 @@ class TopicTable(Table):
             return np.where(publish_ns < 0, LATEST, publish_ns)
         return to_ns(fields, stamp.units, [self.columns[k].text for k in stamp.columns], self.path)
 
-    def _readable(self, decode: Decode, blocks: Sequence[MessageBlock]) -> RowBatch:
-        """Return the rows of blocks without the messages that do not fit."""
+    def _decoded(self, decode: Decode, blocks: Sequence[MessageBlock]) -> RowBatch:
+        """Return the rows of blocks, without messages that cannot be decoded."""
         for log_ns in (block.log_ns for block in blocks if self.log.has_log_time):
             if (log_ns[1:] < log_ns[:-1]).any():
                 self._remark_on_step(log_ns)
         return without_misfits(decode, blocks, self._leave_out)
 
     def _leave_out(self, blocks: Sequence[MessageBlock], error: MessageError) -> list[MessageBlock]:
-        """Return blocks without the messages that do not fit, which are noted."""
-        # Of the same reason in several blocks each counts, however often they are read.
+        """Return blocks without undecodable messages, which are recorded as losses."""
+        # Counted by block, so that reading a block again adds nothing.
         for bad in take_messages(blocks, np.array(error.positions)):
             first_ns, reason = int(bad.log_ns[0]), str(error.reason)
             self.log.losses.note(f"topic {self.name}", reason, len(bad), part=first_ns)
-        return _left_out(blocks, error)
+        return _without_positions(blocks, error)
 
     def _remark_on_step(self, log_ns: Int64) -> None:
-        """Remark on log times, in the order of the log, that step back as after setting a clock."""
+        """Add a remark if log times step back as far as after the clock was set."""
         if np.diff(log_ns).min() < -CLOCK_STEP_NS:
             self.remark(
                 "log-times-back",
@@ -265,36 +266,37 @@ class TopicTable(Table):
             )
 
     def provenance(self) -> JsonObject:
-        """Return how the messages were made, if this package made them."""
+        """Return the provenance of the messages, if this package wrote them."""
         return self.log.provenance(self.name)
 
     def remark(self, code: str, text: str) -> None:
-        """Add a remark on the log, as the last one."""
+        """Append a remark on the log."""
         self.log.remarks = [*(one for one in self.log.remarks if one != text), Remark(code, text)]
 
 
-def _left_out(blocks: Sequence[MessageBlock], error: MessageError) -> list[MessageBlock]:
-    """Return blocks without the messages that do not fit; at least one block."""
+def _without_positions(blocks: Sequence[MessageBlock], error: MessageError) -> list[MessageBlock]:
+    """Return blocks without undecodable messages; at least one block."""
     every = np.arange(sum(map(len, blocks)))
     return take_messages(blocks, np.delete(every, error.positions)) or [blocks[-1].at(every[:0])]
 
 
 def log_ns_of(blocks: Sequence[MessageBlock]) -> Int64:
-    """Return when each message of blocks was recorded, shape ``(N,)``, int64 ns."""
+    """Return the log time of each message in some blocks, shape ``(N,)``, int64 ns."""
     return np.concatenate([block.log_ns for block in blocks])
 
 
-def as_rows(fields: list[AnyArray], places: Sequence[int] = ()) -> Float64:
-    """Return one row of numbers, or several numbers, as a new array ``(N, k)`` of float64.
+def as_rows(fields: list[AnyArray], positions: Sequence[int] = ()) -> Float64:
+    """Return one field of rows, or several of numbers, as a new float64 array ``(N, k)``.
 
-    Its columns are contiguous: that is how rows are computed with, and quicker to make. With
-    `places`, the numbers of the row that are there, in that order.
+    Its columns are contiguous, as computations on rows need them.
+
+    `positions`: numbers of the row to return, in this order; empty for all
     """
     stacked = fields[0] if len(fields) == 1 else np.stack(fields).T
     with np.errstate(invalid="ignore"):  # a damaged log may have float32 NaNs that signal
-        if not places:
+        if not positions:
             return np.array(stacked, dtype=np.float64, order="F")
-        rows = np.empty((len(stacked), len(places)), np.float64, order="F")
-        for number, place in enumerate(places):
-            rows[:, number] = stacked[:, place]
+        rows = np.empty((len(stacked), len(positions)), np.float64, order="F")
+        for column, position in enumerate(positions):
+            rows[:, column] = stacked[:, position]
         return rows

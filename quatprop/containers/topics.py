@@ -1,4 +1,4 @@
-"""The topics of a log of messages as tables."""
+"""The topics of a message log as tables."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from quatprop.messages.blocks import Channel
 
 TRANSFORM_LISTS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-"""Types that consist of one list of ``geometry_msgs/TransformStamped``."""
+"""Types with a list of ``geometry_msgs/TransformStamped`` as their only field."""
 
 
 class TopicLog(MessageLog):
-    """A container whose tables are its topics, which live as long as it is open."""
+    """A container whose tables are its topics; they are valid while it is open."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -34,8 +34,8 @@ class TopicLog(MessageLog):
     def tables(self, topic: str | None = None) -> list[TopicTable]:
         """Return the topics that have messages.
 
-        `topic`: only those of this name; None for all. A ULog topic with one instance may be named
-            without it: ``sensor_combined`` for ``sensor_combined/0``
+        `topic`: only those of this name; None for all. A ULog topic with a single instance may be
+            named without its number: ``sensor_combined`` for ``sensor_combined/0``
         """
         channels = [channel for channel in self.channels() if channel.count != 0]
         if topic is not None:
@@ -61,7 +61,7 @@ def _table_of(log: MessageLog, channel: Channel) -> TopicTable:
     if channel.encoding == "json":
         from quatprop.messages.json import sample_of
 
-        # The first messages are all the definition there is.
+        # JSON has no other definition than its first messages.
         for block in islice(filter(len, table.blocks), 1):
             table.channel = replace(channel, sample=sample_of(raw_messages(block)))
     return table

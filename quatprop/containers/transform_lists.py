@@ -1,4 +1,4 @@
-"""Lists of transforms as tables: a row for each element, and the frames say whose row it is."""
+"""Lists of transforms as tables: a row per transform, selected by its frames."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _COLUMNS = (
 
 
 class TransformTable(TopicTable):
-    """The transforms between two frames, of a topic that carries lists of transforms."""
+    """The transforms between two frames in a topic of transform lists."""
 
     frames: Frames | None = None
     parts = (TablePart("", "geometry_msgs/msg/TransformStamped", 0, len(_COLUMNS)),)
@@ -45,17 +45,17 @@ class TransformTable(TopicTable):
         self.matches = {}
 
     def columns_of(self, name: str) -> Group | None:
-        """Return the columns that a field of an element consists of."""
+        """Return the columns of a field of a transform."""
         found = (k for k, one in enumerate(_COLUMNS) if f"{one.text}.".startswith(f"{name}."))
         return tuple(found) or None
 
-    def field_of(self, group: Group) -> str:  # noqa: ARG002  # it has nothing else
-        """Return the frames, where they are chosen."""
+    def field_of(self, group: Group) -> str:  # noqa: ARG002  # the table has no other field
+        """Return the two frames, if they are chosen."""
         frames = self.frames
         return "transforms" if frames is None else f"{frames.parent} <- {frames.child}"
 
     def of_series(self, labels: Sequence[str]) -> TransformTable:
-        """Return the transforms of the only pair of frames, after looking through the topic."""
+        """Return the table of the chosen, or only, pair of frames; reads the whole topic."""
         decoder = TransformDecoder(self.channel, self.path)
         for block in self.log.blocks(self.channel):
             try:
@@ -73,12 +73,12 @@ class TransformTable(TopicTable):
         parent, _, child = (wanted or "").rpartition(":")
         fits = [f for f in decoder.frames if child in ("", f.child) and parent in ("", f.parent)]
         if len(fits) != 1:
-            there = listed(f"{frames.parent}:{frames.child}" for frames in fits or decoder.frames)
+            choices = listed(f"{frames.parent}:{frames.child}" for frames in fits or decoder.frames)
             what = "has several transforms:" if wanted is None else f"has, for {quoted(wanted)},"
             if not fits:
                 what = f"has no transform {quoted(wanted)}, but"
             raise UsageError(
-                f"{plain(self.path)}: topic {quoted(self.name)} {what} {there}; choose one with "
+                f"{plain(self.path)}: topic {quoted(self.name)} {what} {choices}; choose one with "
                 f"{Setting('frame', 'PARENT:CHILD')}"
             )
         chosen = TransformTable(self.log, self.channel)
@@ -99,7 +99,7 @@ class TransformTable(TopicTable):
                 yield decoder.frames[number], wxyz
 
     def decoder(self, stamps: Sequence[Stamp], groups: Sequence[Group]) -> Decode:
-        """Return what decodes the elements between the two frames."""
+        """Return a function that decodes the transforms between the two frames."""
         transforms = TransformDecoder(self.channel, self.path)
         if self.frames is not None:
             transforms.frames.append(self.frames)
@@ -117,7 +117,7 @@ class TransformTable(TopicTable):
                 else self.ns(stamp, (), [block])[message]
                 for stamp in stamps
             ]
-            # In the order of the columns: x, y, z, w, and the position.
+            # The columns are x, y, z, w and the position.
             numbers = np.column_stack((found.wxyz[ours][:, [1, 2, 3, 0]], found.position[ours]))
             values = (numbers[:, [k - 1 for k in group]] for group in groups)
             return RowBatch(block.log_ns[message], (*times, *values), block.watermark_ns)

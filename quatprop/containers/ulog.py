@@ -35,10 +35,10 @@ if TYPE_CHECKING:
     from quatprop.tables.model import TimeRange
 
 HEADER_SIZE = 16
-"""Magic, version and start time."""
+"""Bytes of magic, version and start time."""
 
 BLOCK = 65_536
-"""Messages in a block."""
+"""Maximum number of messages in a block."""
 
 _FLAGS = struct.Struct("<8s8s3Q")
 
@@ -66,7 +66,7 @@ class UlogLog(TopicLog):
         self._channels = _ids_by_channel(records)
 
     def _walk(self) -> Records:
-        """Follow the records of the file and of the data appended to it."""
+        """Walk the records of the file and of the data appended to it."""
         if self._source.size < HEADER_SIZE:
             raise DamagedLogError(self.path, "it ends within its header; was it copied whole?")
         records = Records(self.losses)
@@ -77,19 +77,19 @@ class UlogLog(TopicLog):
             total_ms = sum(duration for _, duration in records.dropouts)
             place = f"{len(records.dropouts)} dropouts, first at byte {records.dropouts[0][0]}"
             self.losses.note(place, f"the recorder lost all messages for {total_ms} ms in total")
-        self._note_strays(records)
+        self._note_unknown(records)
         return records
 
-    def _note_strays(self, records: Records) -> None:
-        """Note messages whose topic is not known."""
+    def _note_unknown(self, records: Records) -> None:
+        """Record messages whose id has no topic as lost."""
         known = list(records.subscriptions)
-        (strays,) = np.nonzero(~np.isin(np.array(records.ids, np.int64), known))
-        if len(strays):
-            place = f"{len(strays)} messages, first at byte {records.offsets[strays[0]]}"
-            self.losses.note(place, "no topic has their number", len(strays))
+        (unknown,) = np.nonzero(~np.isin(np.array(records.ids, np.int64), known))
+        if len(unknown):
+            place = f"{len(unknown)} messages, first at byte {records.offsets[unknown[0]]}"
+            self.losses.note(place, "no topic has their number", len(unknown))
 
     def _appended(self) -> list[int]:
-        """Return where data was appended, from the flags at the beginning, if there are any."""
+        """Return the offsets of appended data, from the flags record, if there is one."""
         length = HEAD.size + _FLAGS.size
         begin = self._source.read(HEADER_SIZE, length).ljust(length, b"\0")
         size, kind = HEAD.unpack_from(begin)
@@ -105,7 +105,7 @@ class UlogLog(TopicLog):
         return [offset for offset in sorted(offsets) if HEADER_SIZE < offset < self._source.size]
 
     def channels(self) -> list[Channel]:
-        """Return every topic instance, in order of topic."""
+        """Return all topic instances in order of topic."""
         found = self._channels.items()
         highest = max((max(ids) for _, ids in found), default=0)
         counts = np.bincount(self._ids, minlength=highest + 1)
@@ -118,7 +118,7 @@ class UlogLog(TopicLog):
     ) -> Iterator[MessageBlock]:
         """Yield the messages of one topic instance in the order of the file.
 
-        Log and publish times are the messages' own time stamps.
+        Log and publish times are the messages' own timestamps.
         """
         self._refuse_redefined(channel)
         stamps = decoder_of(channel, ["timestamp"], self.path)
@@ -148,7 +148,7 @@ class UlogLog(TopicLog):
                 )
 
     def _windows(self, selected: Int64) -> Iterator[Int64]:
-        """Split messages into parts of bounded number and extent."""
+        """Split messages into windows of bounded number and bytes."""
         while len(selected):
             offsets = self._offsets[selected[:BLOCK]]
             count = max(1, int(offsets.searchsorted(offsets[0] + ulog_records.WINDOW)))
@@ -156,7 +156,7 @@ class UlogLog(TopicLog):
             selected = selected[count:]
 
     def _block(self, places: Int64) -> MessageBlock:
-        """Read messages; those beyond a file that has become shorter are noted as lost."""
+        """Read messages; those beyond the end of a file that was truncated are lost."""
         offsets, sizes = self._offsets[places], self._sizes[places]
         base = int(offsets[0])
         data, reason = b"", "the file has become shorter"
@@ -169,7 +169,7 @@ class UlogLog(TopicLog):
         whole = int(ends.searchsorted(len(data), "right"))
         if whole < len(places):
             self.losses.note(f"byte {base + len(data)}", reason, len(places) - whole)
-        # The subscription id before the message is not part of it.
+        # Skip the subscription id before each message.
         begin, ends = begin[:whole] + 2, ends[:whole]
         return MessageBlock(np.frombuffer(data, np.uint8), begin, ends, begin, begin)
 
@@ -179,7 +179,7 @@ class UlogLog(TopicLog):
 
 
 def _ids_by_channel(records: Records) -> dict[Channel, list[int]]:
-    """Return the ids of each channel; one that was unsubscribed and subscribed again has two."""
+    """Return the ids of each channel: two after it was unsubscribed and subscribed again."""
     ids: dict[Channel, list[int]] = {}
     for id_, (name, instance) in sorted(records.subscriptions.items()):
         channel = Channel(

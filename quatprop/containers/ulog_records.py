@@ -1,7 +1,7 @@
-"""The records of a ULog file, located in one walk.
+"""Locate the records of a ULog file in one walk.
 
-There are no checksums: a record is taken for one if its content is of its kind. A message has the
-length of its format, and an id that was subscribed.
+There are no checksums: a record is accepted if its content fits its kind. A message has the length
+of its format and a subscribed id.
 
 References
 ----------
@@ -28,20 +28,20 @@ if TYPE_CHECKING:
     from quatprop.tables.log import Losses
 
 WINDOW = 1 << 22
-"""Bytes that are read at a time; a record has less than 65,539."""
+"""Bytes that are read at a time; a record has at most 65,538."""
 
 SYNC = bytes.fromhex("2f731320250cbb12")
-"""Content of synchronisation records, behind which reading resumes after damage."""
+"""Content of synchronisation records, behind which the walk resumes after damage."""
 
 HEAD = struct.Struct("<HB")
 _HEAD_AND_ID = struct.Struct("<HBH")
-"""A head and the first two bytes behind it, which are the id of a message."""
+"""A head and the next two bytes, which are the id of a message."""
 
 _MAGIC = b"ULog\x01\x12\x35"
 _FORMAT, _SUBSCRIPTION, _DATA, _DROPOUT = b"FADO"
 _IDS = 1 << 16
 _NEVER, _ANY = -1, -2
-"""Lengths of messages whose id is not subscribed, and of those whose format does not say it."""
+"""Message lengths of ids without a subscription, and of formats that do not determine it."""
 
 
 def _is_text(content: bytes) -> bool:
@@ -52,7 +52,7 @@ def _is_text(content: bytes) -> bool:
 
 
 def _has_key(content: bytes) -> bool:
-    """Tell whether a record holds the length of a key, and its type and name."""
+    """Return whether a record begins with the length, type and name of a key."""
     key = content[1 : 1 + content[0]] if content else b""
     return re.fullmatch(rb"[\w/-]+(?:\[\d+\])? [ -~]+", key) is not None
 
@@ -71,18 +71,18 @@ _KINDS: dict[int, Callable[[bytes], object]] = {
     ord("L"): lambda content: content[:1].isdigit() and _is_text(content[9:]),
     ord("C"): lambda content: content[:1].isdigit() and _is_text(content[11:]),
 }
-"""What the content of each kind of record is like; messages have the length of their format.
+"""Tests of the content of each kind of record but messages, which have the length of their format.
 
-Texts of a log begin with their level, a digit, and their time."""
+Log texts begin with their level, a digit, and their time."""
 
 
 @dataclass(slots=True)
 class Records:
     """The result of a walk over the records.
 
-    A subscription has the number of its id, or one of its own where the id had another topic
-    before; `numbers` has that of each id at the end of the walk. Of each id, messages have a length
-    without the padding at the end of their format, or with it; `odd` are others that were accepted.
+    A subscription has its id as its number, or a new number if the id had another topic before;
+    `numbers` has the current number of each id. Messages of an id have its `bare_sizes` or its
+    `padded_sizes`, without or with the padding of their format, or are among the accepted `odd`.
     """
 
     losses: Losses
@@ -100,7 +100,7 @@ class Records:
     odd: set[tuple[int, int]] = field(default_factory=set)
 
     def define(self, content: bytes, place: int) -> None:
-        """Add a format; note where one is defined again, and otherwise."""
+        """Add a format; record where a different one of the same name is defined."""
         name, _, fields = content.decode().partition(":")
         if self.formats.setdefault(name, fields) != fields:
             self.redefined.setdefault(name, place)
@@ -118,14 +118,14 @@ class Records:
 
 
 def walk_records(source: FileSource, position: int, end: int, records: Records) -> None:
-    """Follow records by their lengths; after damage resume at the next that is recognised."""
+    """Walk records by their lengths; after damage resume at the next that is recognised."""
     while position + HEAD.size <= end:
         data = source.read(position, min(WINDOW, end - position))
         if len(data) < HEAD.size:
             break
         size = _add_records(data, position, records)
         if not size:
-            position = _without_swallowed(source, position, records)
+            position = _without_overrun(source, position, records)
             after = _after_damage(source, position, end, records)
             reason = f"its records cannot be followed for {after - position} bytes"
             if source.read(position, len(_MAGIC)) == _MAGIC:
@@ -139,7 +139,7 @@ def walk_records(source: FileSource, position: int, end: int, records: Records) 
 
 
 def _add_records(data: bytes, base: int, records: Records) -> int:
-    """Add records up to the first that is damaged or not whole; return their bytes."""
+    """Add records up to the first that is damaged or incomplete; return their total bytes."""
     unpack, size_of_head, end = _HEAD_AND_ID.unpack_from, HEAD.size, len(data)
     offset, size_note, id_note = records.offsets.append, records.sizes.append, records.ids.append
     bare_sizes, numbers = records.bare_sizes, records.numbers
@@ -159,7 +159,7 @@ def _add_records(data: bytes, base: int, records: Records) -> int:
         elif kind not in _KINDS or not _KINDS[kind](
             content := data[position + size_of_head : after]
         ):
-            if not _is_alone(data, position, records):
+            if not _is_isolated(data, position, records):
                 break
             count = 1 if size in bare_sizes else None
             records.losses.note(f"byte {base + position}", "a record is of no known kind", count)
@@ -174,25 +174,25 @@ def _add_records(data: bytes, base: int, records: Records) -> int:
 
 
 def _is_accepted(data: bytes, position: int, records: Records) -> bool:
-    """Tell whether a message of another length or id than expected is one all the same."""
+    """Return whether a message of unexpected length or id is accepted."""
     size, _, id_ = struct.unpack_from("<HBH", data, position)
     other = records.padded_sizes.get(id_, _NEVER)
     if other not in {size, _ANY} and (id_, size) not in records.odd:
-        if not _is_alone(data, position, records):
+        if not _is_isolated(data, position, records):
             return False
         records.odd.add((id_, size))
     return True
 
 
-def _is_alone(data: bytes, position: int, records: Records) -> bool:
-    """Tell whether another record follows an odd one, and no message is inside it."""
+def _is_isolated(data: bytes, position: int, records: Records) -> bool:
+    """Return whether a record follows an odd one and no message is inside it."""
     after = position + HEAD.size + HEAD.unpack_from(data, position)[0]
     inside = _first_message(data[position : after + HEAD.size], records.sizes_by_id)
     return inside < 0 and SYNC not in data[position:after] and _is_record(data, after, records)
 
 
 def _is_record(data: bytes, position: int, records: Records) -> bool:
-    """Tell whether what begins at a place, or ends there, may be a record."""
+    """Return whether a record may begin at `position`; True near the end of the data."""
     if position + HEAD.size + 2 > len(data):
         return True
     size, kind, id_ = struct.unpack_from("<HBH", data, position)
@@ -202,8 +202,8 @@ def _is_record(data: bytes, position: int, records: Records) -> bool:
     return kind in _KINDS and len(content) == size and bool(_KINDS[kind](content))
 
 
-def _without_swallowed(source: FileSource, position: int, records: Records) -> int:
-    """Drop the last message if it was cut off where another file begins; return where it began."""
+def _without_overrun(source: FileSource, position: int, records: Records) -> int:
+    """Drop the last message if another file begins inside it; return where to continue."""
     begin = records.offsets[-1] if records.offsets else position
     if _MAGIC not in source.read(begin, position - begin + len(_MAGIC) - 1):
         return position
@@ -213,11 +213,10 @@ def _without_swallowed(source: FileSource, position: int, records: Records) -> i
 
 
 def _after_damage(source: FileSource, position: int, end: int, records: Records) -> int:
-    """Return where records can be followed again; `end` if nowhere.
+    """Return where the walk can resume; `end` if nowhere.
 
-    That is behind a synchronisation record, of which many files have none, or at a message of a
-    topic with the length of its format; but not in another file that follows, which has
-    subscriptions of its own.
+    That is behind a synchronisation record, which many files do not have, or at a message that has
+    the length of its format; but not in another file that follows, whose subscriptions differ.
     """
     while position < end:
         data = source.read(position, min(WINDOW, end - position))
@@ -231,12 +230,12 @@ def _after_damage(source: FileSource, position: int, end: int, records: Records)
             return places[min(found)]
         if len(data) < WINDOW:
             break
-        position += len(data) - len(SYNC) + 1  # it may lie across the border
+        position += len(data) - len(SYNC) + 1  # a match may extend over the border
     return end
 
 
 def _first_message(data: bytes, sizes: Int64) -> int:
-    """Return where a message begins, behind the first byte, with the length of its id; or -1."""
+    """Return the offset of the first message of correct length, behind the first byte; or -1."""
     numbers = np.frombuffer(data, np.uint8).astype(np.uint16)
     pairs = numbers[:-1] | numbers[1:] << 8
     kinds = 1 + np.flatnonzero(numbers[3:-2] == _DATA)

@@ -1,7 +1,7 @@
-"""What stored numbers mean: convention, direction and sign.
+"""Attitude conventions: convention, direction and sign of stored numbers.
 
-Inside quatprop an attitude is a Hamilton quaternion q that turns body coordinates into reference
-coordinates, v_ref = q v_body q*. Files of others hold the same rotation in other numbers:
+Inside quatprop an attitude is a Hamilton quaternion q that transforms body coordinates to reference
+coordinates, v_ref = q v_body q*. Other conventions store the same rotation as other numbers:
 
 ==========  ===========  =======
 convention  direction    numbers
@@ -12,9 +12,9 @@ jpl         ref-to-body  q
 jpl         body-to-ref  q*
 ==========  ===========  =======
 
-because a JPL quaternion with components p turns vectors as the Hamilton quaternion p* does. How
-the four numbers are laid out in storage is a separate matter: :mod:`quatprop.conventions.layout`;
-so are other ways to write a rotation: :mod:`quatprop.conventions.representations`.
+because a JPL quaternion with components p rotates vectors as the Hamilton quaternion p* does. The
+order of the four numbers is a separate matter: :mod:`quatprop.conventions.layout`; so are other
+representations of a rotation: :mod:`quatprop.conventions.representations`.
 
 References
 ----------
@@ -39,22 +39,12 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64
 
 
-__all__ = [
-    "HAMILTON",
-    "REPRESENTATIONS",
-    "SIGNS",
-    "Meaning",
-    "Representation",
-    "Signs",
-]
-
-
 @dataclass(frozen=True, slots=True)
 class AttitudeConvention:
-    """Which rotation four numbers are, whatever their layout.
+    """The convention and the direction of a quaternion, independent of its layout.
 
     `convention`: ``"hamilton"`` or ``"jpl"``
-    `direction`: ``"body-to-ref"`` or ``"ref-to-body"``: which coordinates it turns into which
+    `direction`: ``"body-to-ref"`` or ``"ref-to-body"``: that of the coordinate transformation
     """
 
     convention: str = "hamilton"
@@ -68,21 +58,21 @@ class AttitudeConvention:
 
     @property
     def is_conjugate(self) -> bool:
-        """Whether the numbers are q* where q is the attitude Hamilton, body to reference."""
+        """Whether the numbers are q*, with q the attitude in Hamilton, body to reference."""
         return (self.convention == "jpl") != (self.direction == "ref-to-body")
 
     @property
     def description(self) -> str:
-        """How a vector is rotated by the numbers q, in one line."""
+        """The formula that rotates a vector by the numbers q, in one line."""
         source, target = ("body", "ref") if self.direction == "body-to-ref" else ("ref", "body")
         if self.convention == "jpl":
             return f"JPL, ij = -k: v_{target} = q v_{source} q* in its product"
         return f"Hamilton, ij = k: v_{target} = q v_{source} q*"
 
     def converted(self, wxyz: Float64) -> Float64:
-        """Return attitudes in these terms, or numbers in these terms as attitudes.
+        """Convert attitudes to this convention, or numbers in this convention to attitudes.
 
-        Conjugation is its own inverse, so one function goes both ways, without rounding.
+        Conjugation is its own inverse and exact, so both directions are the same function.
 
         `wxyz`: quaternions, shape ``(..., 4)``, scalar first
         `Returns`: shape ``(..., 4)``
@@ -91,15 +81,15 @@ class AttitudeConvention:
 
 
 HAMILTON = AttitudeConvention()
-"""What attitudes mean inside quatprop."""
+"""The convention of attitudes inside quatprop."""
 
 
 class Signs:
-    """The choice between q and -q, which are the same attitude, along a series.
+    """Chooses between q and -q, which are the same attitude, along a series.
 
-    `sign`: ``"keep"`` as they are; ``"positive"``, the first component that is not zero is
-        positive, so w >= 0; ``"continuous"``, every quaternion on the side of the one before it
-        (dot product >= 0), the first as it is
+    `sign`: ``"keep"``: no change; ``"positive"``: the first component that is not zero is positive,
+        so w >= 0; ``"continuous"``: a non-negative dot product with the previous quaternion; the
+        first is not changed
     """
 
     def __init__(self, sign: str) -> None:
@@ -110,7 +100,7 @@ class Signs:
         self._flip = 1.0
 
     def applied(self, wxyz: Float64) -> Float64:
-        """Return the next batch of the series, shape ``(N, 4)``."""
+        """Return the next batch of the series with its signs chosen, shape ``(N, 4)``."""
         if self._sign == "keep" or not len(wxyz):
             return wxyz
         if self._sign == "positive":
@@ -124,7 +114,7 @@ class Signs:
 
 
 def _positive(wxyz: Float64) -> Float64:
-    """Return of q and -q the one whose first component that is not zero is positive."""
+    """Return q or -q, such that the first component that is not zero is positive."""
     signed: Float64 = np.where(wxyz[:, :1] < 0, -wxyz, wxyz)
     (half_turns,) = np.nonzero(signed[:, 0] == 0)
     if len(half_turns):

@@ -1,8 +1,8 @@
-"""How four quaternion components are laid out in storage; nothing about what they mean.
+"""The storage order of quaternion components, independent of their convention.
 
-Inside quatprop there is one layout, ``wxyz``. Others exist only at the edge: in the columns of a
-file. A layout is an order of the same four numbers, never another rotation: conjugates and the
-JPL convention are not layouts.
+Inside quatprop there is one layout, ``wxyz``. Others exist only in the columns of files. A layout
+is an order of the same four numbers, never another rotation: conjugates and the JPL convention are
+not layouts.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from quatprop.text import listed, quoted
 class Layout(NamedTuple):
     """An order of the four components.
 
-    `name`: the name that is recorded: ``"scalar-first"`` or ``"scalar-last"``
-    `order`: for each stored place, the component of ``wxyz`` that stands there
+    `name`: ``"scalar-first"`` or ``"scalar-last"``, as in the provenance
+    `order`: for each stored column, the index of its component in ``wxyz``
     """
 
     name: str
@@ -37,7 +37,7 @@ _NAMED = dict(zip(LAYOUTS, (SCALAR_FIRST, SCALAR_LAST) * 2, strict=True))
 
 
 def layout_named(name: str) -> Layout:
-    """Return the layout of that name."""
+    """Return the layout of a name."""
     if name not in LAYOUTS:
         raise UsageError(f"no layout {quoted(name)}; choose one of {listed(LAYOUTS)}")
     return _NAMED[name]

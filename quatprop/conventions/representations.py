@@ -1,7 +1,7 @@
-"""Other ways to write a rotation than a quaternion, and the way back.
+"""Representations of a rotation other than a quaternion, and their inverses.
 
 Rotation vectors, Euler angles of every sequence, and matrices: each a set of columns whose names
-say what is in them, and in which unit.
+state their content and unit.
 """
 
 from __future__ import annotations
@@ -23,33 +23,31 @@ from quatprop.settings.choices import EULER_SEQUENCES
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from numpy.typing import NDArray
-
-    Float64 = NDArray[np.float64]
+    from quatprop.arrays import Float64
 
 QUATERNION = "quaternion"
 """The representation that is not converted."""
 
 NEAR_LOCK_DEG = 0.01
-"""deg: closer to gimbal lock than this, the first and third angle are hardly distinguishable."""
+"""deg: within this angle of gimbal lock the first and third angle are hardly distinguishable."""
 
 _ROUNDING = 1e-12
 _SKEWED = 0.5
-"""A matrix whose columns are off orthonormal by more than this is no rotation at all."""
+"""A matrix is no rotation if an element of R'R - 1 is larger than this."""
 
 
 def euler_angles(sequence: str, wxyz: Float64) -> Float64:
-    """Return the angles of intrinsic rotations about three axes, one after the other.
+    """Return the angles of intrinsic rotations about three axes.
 
     For the sequence ``"xyz"`` q = q_x(first) q_y(second) q_z(third): about x, then about the new
-    y, then about the newest z; scipy writes ``"XYZ"``. Extrinsic rotations, about axes that stay,
-    are the same angles in reversed order. From half sums and half differences of the first and the
-    third angle, of which one stays exact in gimbal lock, where the other is not determined: it is
-    what rounding leaves of it, and zero where nothing is left.
+    y, then about the newest z; scipy writes ``"XYZ"``. Extrinsic rotations, about fixed axes, have
+    the same angles in reversed order. The half sum and the half difference of the first and the
+    third angle are computed. In gimbal lock one of them is still exact; the other is undetermined,
+    and is a result of rounding, or zero.
 
-    `wxyz`: quaternions, shape ``(N, 4)``; their length does not matter
+    `wxyz`: quaternions, shape ``(N, 4)``, of any length
     `Returns`: shape ``(N, 3)``, rad: the first and the third from -pi to pi. The second is from
-        -pi/2 to pi/2 where all axes differ (Tait-Bryan angles), from 0 to pi where the first is the
+        -pi/2 to pi/2 if all axes differ (Tait-Bryan angles), from 0 to pi if the first axis is the
         third (proper Euler angles)
 
     References
@@ -61,8 +59,8 @@ def euler_angles(sequence: str, wxyz: Float64) -> Float64:
     is_proper, other = i == k, 6 - i - j
     sign = (i - j) * (j - other) * (other - i) / 2
     w, first, second, third = wxyz[:, 0], wxyz[:, i], wxyz[:, j], wxyz[:, other]
-    # Sine and cosine of half the sum and of half the difference, each pair times a length. Adding
-    # zero removes the sign of -0.0, which would turn an angle of 0 into half a turn.
+    # Sine and cosine of the half sum and of the half difference, each pair times a factor. Adding
+    # zero removes the sign of -0.0, which would change an angle of 0 to pi.
     if is_proper:
         half_sum, half_difference = (first, w), (sign * third, second)
     else:
@@ -86,7 +84,7 @@ def _within_half_turn(angle: Float64) -> Float64:
 
 
 def from_euler(sequence: str, angles: Float64) -> Float64:
-    """Return the quaternions of angles of any size: the way back from :func:`euler_angles`.
+    """Return the quaternions of angles of any size: the inverse of :func:`euler_angles`.
 
     `angles`: in the order of the sequence, shape ``(N, 3)``, rad
     `Returns`: unit quaternions, shape ``(N, 4)``
@@ -101,11 +99,11 @@ def from_euler(sequence: str, angles: Float64) -> Float64:
 def from_matrices(rows: Float64) -> Float64:
     """Return the quaternions of rotation matrices, with w >= 0.
 
-    What is no rotation is not made one: a matrix that is off orthonormal gives a quaternion whose
-    length is off by as much, and one that is no rotation at all, or a reflection, gives NaN.
+    Other matrices are not orthonormalised: the length of the quaternion differs from 1 as much as
+    R'R differs from 1, and reflections and matrices far from rotations give NaN.
 
     `rows`: matrices row by row, shape ``(N, 9)``
-    `Returns`: shape ``(N, 4)``; of unit length where the matrix is a rotation
+    `Returns`: shape ``(N, 4)``; of unit length if the matrix is a rotation
     """
     r = rows.reshape(-1, 3, 3)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -117,14 +115,13 @@ def from_matrices(rows: Float64) -> Float64:
 
 
 class Representation(NamedTuple):
-    """A way to write a rotation other than a quaternion.
+    """A representation of a rotation other than a quaternion.
 
-    `columns`: names of the columns, which say what is in them and in which unit
-    `values`: from unit quaternions, shape ``(N, 4)``, to the columns, shape ``(N, k)``
-    `attitudes`: from the columns to quaternions, of unit length where the columns are a rotation
-    `signed`: whether q and -q are written differently
-    `lock_deg`: the second of three angles, deg, where the first and the third cannot be
-        distinguished
+    `columns`: names of the columns, which state their content and unit
+    `values`: converts unit quaternions, shape ``(N, 4)``, to the columns, shape ``(N, k)``
+    `attitudes`: converts the columns to quaternions, of unit length if they are a rotation
+    `signed`: whether q and -q have different values
+    `lock_deg`: second angles, deg, at which the first and the third cannot be distinguished
     """
 
     columns: tuple[str, ...]
@@ -134,7 +131,7 @@ class Representation(NamedTuple):
     lock_deg: tuple[int, ...] = ()
 
     def locked(self, values: Float64) -> int:
-        """Return in how many rows of columns, shape ``(N, k)``, the angles are not unique."""
+        """Return the number of rows of columns, shape ``(N, k)``, whose angles are not unique."""
         if not self.lock_deg:
             return 0
         second = values[:, 1] if self.columns[1].endswith("_deg") else np.degrees(values[:, 1])
@@ -143,7 +140,7 @@ class Representation(NamedTuple):
 
 
 def _euler(sequence: str, unit: str) -> Representation:
-    """Return the angles of a sequence as columns in a unit."""
+    """Return the representation by angles of a sequence in a unit."""
     numbered = [f"euler_{sequence}_{place}" for place in (1, 2, 3)]
     names = ("yaw", "pitch", "roll") if sequence == "zyx" else numbered
 
@@ -174,4 +171,4 @@ REPRESENTATIONS: Mapping[str, Representation] = {
         from_matrices,
     ),
 }
-"""Every representation besides quaternions; rows of a matrix follow one another."""
+"""All representations besides quaternions; matrices are stored row by row."""

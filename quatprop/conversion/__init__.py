@@ -1,5 +1,5 @@
 """Convert one attitude series: layout, convention, direction, sign, representation, file format.
 
-Numbers are never computed anew where only their order or their sign changes, so that a conversion
-there and back gives the same bits.
+If only the order or the sign of numbers changes they are not recomputed, so that a conversion and
+its inverse give the same bits.
 """

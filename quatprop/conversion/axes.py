@@ -1,4 +1,4 @@
-"""Attitudes of other axes: of the reference, and of the body."""
+"""Change of the reference axes and of the body axes of attitudes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class AxisChange(NamedTuple):
-    """What takes old axes to new ones: v_new = M v_old.
+    """The rotations from old to new axes, v_new = M v_old.
 
     `reference`, `body`: rotation matrices M, shape ``(3, 3)``
     """
@@ -28,17 +28,17 @@ class AxisChange(NamedTuple):
 
     @classmethod
     def of(cls, left: str | None, right: str | None) -> AxisChange:
-        """Return the change that two settings ask for; None: those axes stay."""
-        stay = "1,0,0,0"
-        return cls(mounting(left or stay, "rotation"), mounting(right or stay, "rotation"))
+        """Return the change of axes of two settings; None for no change."""
+        unchanged = "1,0,0,0"
+        return cls(*(mounting(axes or unchanged, "rotation") for axes in (left, right)))
 
     def mixes(self, axes: str) -> bool:
-        """Tell whether a new axis of the ``"body"`` or the ``"reference"`` is along no old one."""
+        """Return whether a new axis of the ``"body"`` or ``"reference"`` is along no old one."""
         change: Float64 = self.body if axes == "body" else self.reference
         return bool((np.abs(change).max(axis=0) < 1 - 1e-12).any())
 
     def applied(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
-        """Yield attitudes q' = L q R*, with positions and covariances in the new axes."""
+        """Yield attitudes q' = L q R*, and positions and covariances in the new axes."""
         left, right = from_matrix(self.reference), conjugate(from_matrix(self.body))
         for series in batches:
             position, covariance = series.position, series.covariance

@@ -1,4 +1,4 @@
-"""Write an attitude series in other terms."""
+"""Convert an attitude series."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def convert(job: Conversion) -> ConversionReport:
-    """Write an attitude series in other terms."""
+    """Convert an attitude series, and return the report."""
     _refuse_contradictions(job)
     wanted, output = job.source, job.output
     read = [wanted.path, *([split_topic(job.relative_to)[0]] if job.relative_to else [])]
@@ -66,11 +66,11 @@ def _written(
     stored: str | None,
     target: AttitudeWriter,
 ) -> ConversionReport:
-    """Write the attitudes of a source and return the report on them."""
+    """Write the attitudes of a source, and return the report."""
     wanted, sigma = job.source, kept_sigma(job, source, stored)
     check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
-    order = _Order()
-    # A reference that is turned into the body is no place for a position.
+    order = _OrderCheck()
+    # Positions are only valid relative to the reference.
     is_absolute = source.meaning.direction == HAMILTON.direction and job.relative_to is None
     keeps = target.holds_positions and is_absolute
     relative = None if job.relative_to is None else RelativeTo(job.relative_to)
@@ -91,7 +91,7 @@ def _written(
         if resampling is not None:
             attitudes = resampling.applied(attitudes)
         written = 0
-        for series in _as_written(job, attitudes):
+        for series in _in_convention(job, attitudes):
             write(series)
             written += len(series)
         if not check.counts.used:
@@ -126,15 +126,15 @@ def _written(
         )
 
 
-class _Order:
-    """Counts where stamps of a series step back or are repeated, whatever they span."""
+class _OrderCheck:
+    """Counts timestamps that step back or are repeated."""
 
     def __init__(self) -> None:
         self._last = np.empty(0, np.int64)
         self._back = self._repeated = 0
 
     def counted(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
-        """Yield the batches as they are."""
+        """Yield the batches unchanged."""
         for series in batches:
             t_ns = np.concatenate([self._last, series.t_ns])
             self._back += int(np.count_nonzero(t_ns[1:] < t_ns[:-1]))
@@ -143,7 +143,7 @@ class _Order:
             yield series
 
     def remarks(self) -> Iterator[Remark]:
-        """Yield what was counted, if anything."""
+        """Yield a remark on what was counted, if there is anything."""
         if self._back or self._repeated:
             yield Remark(
                 "stamps-unordered",
@@ -154,17 +154,17 @@ class _Order:
 
 
 def _stored_sigma(source: AttitudeSignal) -> str | None:
-    """Return the axes of the standard deviations of a source, or of covariances that vary."""
+    """Return the axes of a source's standard deviations or covariances; None without any."""
     if source.sigma_axes is not None or not source.may_have_covariances:
         return source.sigma_axes
     first = next(source.read(covariances=True), None)
     return None if first is None or first[3] is None else "body"
 
 
-def _as_written(
+def _in_convention(
     job: Conversion, batches: Iterable[AttitudeSeries]
 ) -> Iterator[AttitudeSeries | GyroSeries]:
-    """Yield rates, or attitudes with the meaning and the signs that are written."""
+    """Yield rates, or attitudes in the convention and with the signs of the output."""
     if job.representation in RATES:
         yield from rate_batches(job.source.path, batches, RATES[job.representation])
         return

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 
 def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> str | None:
-    """Return the axes of the standard deviations that are kept, of those that are stored.
+    """Return the axes of the stored standard deviations if they are kept, else None.
 
-    They are kept where both sides have a place for them, and are Hamilton and body to reference:
-    another direction or convention changes what they are about. Three standard deviations say
-    nothing of axes between theirs.
+    They are kept if the output can store them, and both sides are Hamilton and body to reference:
+    another direction or convention has them about other axes, and those about rotated axes cannot
+    be computed from three standard deviations.
     """
     axes = source.sigma_axes
     mixes = job.axes is not None and axes is not None and job.axes.mixes(axes)
@@ -39,7 +39,7 @@ def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> s
 
 
 def open_destination(job: Conversion, log: Log, sigma: str | None) -> AttitudeWriter:
-    """Return the file to be committed, which takes attitudes, or rates where those are written."""
+    """Open the writer of the output, which takes attitudes, or rates if the output is rates."""
     output = job.output
     if job.representation == QUATERNION:
         if job.meaning == HAMILTON:
@@ -56,7 +56,7 @@ def open_destination(job: Conversion, log: Log, sigma: str | None) -> AttitudeWr
 
 
 def _refuse_other_conventions(job: Conversion) -> None:
-    """Refuse formats that define a convention themselves."""
+    """Refuse formats that prescribe a convention."""
     output, kind = job.output, job.output.kind
     if not WRITERS[kind].columns:
         raise OutputError(
@@ -81,7 +81,7 @@ def remarks_on(
     sigma_lost: bool,
     lost_columns: Sequence[str],
 ) -> Iterator[Remark]:
-    """Yield what a reader of the output should know.
+    """Yield remarks on the output.
 
     `positions_lost`: whether the source has positions and the output none
     `sigma_lost`: whether the source has standard deviations or covariances and the output none

@@ -1,4 +1,4 @@
-"""A conversion: what is to be done; what was done, and the provenance of its output."""
+"""The settings of a conversion, its report, and the provenance of its output."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """How to convert one attitude series.
+    """The settings of the conversion of one attitude series.
 
-    `output`: where they go, in which format and layout
+    `output`: target, format and layout
     `sign`: ``"keep"``, ``"continuous"`` or ``"positive"``. Rotation vectors of ``"keep"`` are the
         short ones, up to half a turn
     `representation`: ``"quaternion"``, a key of :data:`REPRESENTATIONS`, or of
         :data:`quatprop.conversion.rates.RATES`
-    `left`, `right`: what takes axes of the reference, and of the body, to those of the output, as
-        :func:`quatprop.conditioning.mounting.mounting` reads it; None: they stay
-    `rate`: interpolate attitudes at this rate, Hz; None: those of the source
-    `relative_to`: the attitudes of another body, in whose axes they are written, before axes change
+    `left`, `right`: rotations of the reference axes and of the body axes to those of the output, in
+        the notation of :func:`quatprop.conditioning.mounting.mounting`; None for no rotation
+    `rate`: rate of interpolated attitudes, Hz; None for the attitudes of the source
+    `relative_to`: the log of another body, to which attitudes are made relative before other steps
     """
 
     source: AttitudeInput
@@ -55,24 +55,24 @@ class Conversion:
 
     @property
     def axes(self) -> AxisChange | None:
-        """How the axes change; None: they stay."""
-        stay = self.left is None and self.right is None
-        return None if stay else AxisChange.of(self.left, self.right)
+        """The change of axes; None for no change."""
+        unchanged = self.left is None and self.right is None
+        return None if unchanged else AxisChange.of(self.left, self.right)
 
     @property
     def layout(self) -> Layout:
-        """The layout of quaternions, where those are written."""
+        """The layout of quaternions, if the output is quaternions."""
         return layout_of(self.output.kind, self.output.layout)
 
     @property
     def applied_sign(self) -> str:
-        """The sign that is applied: a rotation vector has none to keep, and is the short one."""
+        """The sign that is applied: a rotation vector has no sign to keep, and is the short one."""
         if self.representation in REPRESENTATIONS and self.sign == "keep":
             return "positive"
         return self.sign
 
     def columns(self, sigma: str | None) -> tuple[str, ...]:
-        """Return the names of what is written beside timestamps; `sigma` is None without sigmas."""
+        """Return the names of columns besides timestamps; `sigma` is None without sigmas."""
         if self.representation in RATES:
             return RATE_COLUMNS[self.representation]
         if self.representation != QUATERNION:
@@ -84,7 +84,7 @@ class Conversion:
 
 
 def terms_of(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return parameters of a :class:`Conversion` by settings: in which terms to write."""
+    """Return the parameters of a :class:`Conversion` on conventions and axes from settings."""
     meaning = AttitudeConvention(
         values.get("convention") or HAMILTON.convention,
         values.get("direction") or HAMILTON.direction,
@@ -95,28 +95,28 @@ def terms_of(values: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class ConversionReport:
-    """What a conversion read and wrote; the result of :func:`quatprop.convert`.
+    """The report on a conversion; the result of :func:`quatprop.convert`.
 
     Parameters
     ----------
     job
-        What was requested.
+        The settings of the conversion.
     path, kind, digest
-        The file that was read, its format, and its size and SHA-256.
+        The input file, its format, and its size and SHA-256.
     signal
-        Which attitudes of it, how they were stored there, and how they were made.
+        The attitudes in the file, their storage and their provenance.
     columns
-        Names of the columns that were written beside the timestamps.
+        Names of the output columns besides the timestamps.
     counts
-        Rows that were read, used, normalized, and left out, by reason.
+        Rows that were read, used, normalized, and omitted, by reason.
     written
         Rows of the output.
     outside
         Rows before and after the time range.
     losses
-        What of the file could not be read.
+        Parts of the file that could not be read.
     remarks
-        What else a reader should know.
+        Further remarks.
     """
 
     job: Conversion
@@ -137,7 +137,7 @@ class ConversionReport:
 
     @property
     def data_lost(self) -> bool:
-        """Whether something could not be read or was left out."""
+        """Whether data could not be read or were omitted."""
         return bool(self.losses or self.counts.invalid)
 
     def provenance(self) -> Mapping[str, Any]:

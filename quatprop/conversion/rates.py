@@ -1,4 +1,4 @@
-"""Attitudes as the rates that lead from each to the next."""
+"""Conversion of attitudes to the rates between them."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 RATES: Final = {"body-rates": "body", "inertial-rates": "inertial"}
-"""Name of a representation by rates -> where they are resolved."""
+"""Representation by rates -> the frame in which they are resolved."""
 
 RATE_COLUMNS: Final = {
     "body-rates": ("wx_rad_s", "wy_rad_s", "wz_rad_s"),
     "inertial-rates": ("wx_ref_rad_s", "wy_ref_rad_s", "wz_ref_rad_s"),
 }
-"""Columns by representation: inertial rates have names that are not taken for body rates."""
+"""Columns by representation: readers must not take inertial rates for body rates."""
 
 
 def rate_batches(path: str, batches: Iterable[AttitudeSeries], rates: str) -> Iterator[GyroSeries]:
-    """Yield the rates of attitudes, as many rows as there are attitudes.
+    """Yield the rates between attitudes, one row per attitude.
 
     The rate of row k is constant up to row k + 1, so that propagation by the method ``start`` from
-    the first attitude gives the attitudes back. What comes after the last one is not known: its
-    row repeats the rate before it, or is zero where there is none.
+    the first attitude reproduces the attitudes. The rate after the last attitude is unknown: its
+    row repeats the previous rate, or is zero if there is none.
 
     `rates`: ``"body"`` or ``"inertial"``
     """

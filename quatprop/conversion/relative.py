@@ -1,4 +1,4 @@
-"""Attitudes of a body in the axes of another one, such as the angle of a joint."""
+"""Attitudes of a body relative to another one, such as the angle of a joint."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class RelativeTo:
-    """Turns attitudes of one body into those relative to another, which it holds in memory."""
+    """Makes attitudes relative to those of another body, which are held in memory."""
 
     def __init__(self, source: str) -> None:
         path, topic = split_topic(source)
@@ -31,13 +31,13 @@ class RelativeTo:
         self.losses, steps = loaded.losses, np.diff(self._other.t_ns)
         if (steps <= 0).any():
             raise TimelineError(path, "its timestamps do not increase; write them in order")
-        # Of each attitude, whether there is no gap before it; the first has none before it.
+        # Whether the interval before each attitude is no gap; False for the first attitude.
         gap_ns = GAP_FACTOR * np.median(steps) if len(steps) else 0
         self._near = np.insert(steps <= gap_ns, 0, values=False)
         self._omitted = 0
 
     def applied(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
-        """Yield q_other* q where the other series has attitudes on both sides."""
+        """Yield q_other* q at times between attitudes of the other series."""
         t_ns, used = self._other.t_ns, 0
         for series in batches:
             after = np.searchsorted(t_ns, series.t_ns).clip(0, len(t_ns) - 1)
@@ -50,7 +50,7 @@ class RelativeTo:
             raise TimelineError(self._source, reason)
 
     def remarks(self) -> Iterator[Remark]:
-        """Yield what was omitted, if anything."""
+        """Yield a remark on the omitted rows, if there are any."""
         if self._omitted:
             where = "before, after or in a gap of the attitudes of"
             text = f"omitted {count_text(self._omitted, 'row')} {where} {plain(self._source)}"

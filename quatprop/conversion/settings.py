@@ -1,4 +1,4 @@
-"""In which terms attitudes are written: the keywords of a conversion."""
+"""The keywords of a conversion."""
 
 from collections.abc import Collection
 from fractions import Fraction
@@ -15,7 +15,7 @@ ROTATION = "W,X,Y,Z|x,-y,-z|rpy:R,P,Y|ned-to-enu|frd-to-flu"
 
 
 class ConvertOptions(AttitudeOptions, total=False):
-    """Keywords of :func:`quatprop.convert`, beside those of :class:`AttitudeOptions`."""
+    """Keywords of :func:`quatprop.convert` besides those of :class:`AttitudeOptions`."""
 
     # fmt: off
     convention: Annotated[Convention | None, Keyword(
@@ -49,7 +49,7 @@ class ConvertOptions(AttitudeOptions, total=False):
 
 
 CONVERT = keywords_of(ConvertOptions)
-"""How attitudes are read and converted: name -> its row."""
+"""All keywords of a conversion, with those of reading: name -> row."""
 
 TERMS = {name: row for name, row in CONVERT.items() if name not in keywords_of(AttitudeOptions)}
-"""How they are converted alone."""
+"""The keywords of the conversion only."""

@@ -1,7 +1,7 @@
-"""How the error of a bias grows to one of the attitude, where the bias is known from rests.
+"""Covariance of the attitude due to the error of a bias that is known from rests.
 
-A bias that was measured at rest has the error of that mean, and then walks away from it, to the
-next rest, where it is known again. Of a stretch of time the covariance is
+A bias that is measured at rest has the error of that mean, and then walks away from it until the
+next rest, where it is measured again. Over a stretch of time the covariance is
 
     since a rest       b^2 V V'                  +  K^2 (u S S' - S A' - A S' + B)
     until a rest       b^2 V V'                  +  K^2 ((T - u) S S' + B)
@@ -10,15 +10,16 @@ next rest, where it is known again. Of a stretch of time the covariance is
 
     S = int R dt     A = int S dt     B = int S S' dt     C = u S - A = int u R dt
 
-with the time u since the stretch of length T began, the rotation matrix R body -> reference, the
-errors b and b' of the means at both ends, and the rate random walk K; V is S with what the same
-mean has led to before. Between two rests the bias is interpolated, and what remains of the walk is
-a Brownian bridge. That is also what a bias leaves that jumps at any moment between two rests, with
-K^2 T the square of the jump. Before the first and after the last rest the bias walks as it did
-between them. A bias that was not measured at rest is known at the first sample.
+with the time u since the beginning of the stretch of length T, the rotation matrix R body ->
+reference, the errors b and b' of the means at both ends, and the rate random walk K; V is S plus
+the integral for the same mean over earlier stretches. Between two rests the bias is interpolated,
+and the rest of the walk is a Brownian bridge. The same covariance results from a bias that jumps at
+a random time between two rests, with K^2 T the square of the jump. Before the first and after the
+last rest the bias walks as it did between them. A bias that was not measured at rest is known at
+the first sample.
 
-While the sensor is at rest, the errors of its mean and of the rates cancel: the mean is that of the
-same rates. What is left on the way is a Brownian bridge of their noise.
+While the sensor is at rest, the errors of its mean and of the rates cancel, since the mean is that
+of the same rates. A Brownian bridge of their noise remains in between.
 """
 
 from __future__ import annotations
@@ -42,13 +43,14 @@ LAST_NS = np.iinfo(np.int64).max
 
 
 class RestErrors(NamedTuple):
-    """How well the bias is known from rests.
+    """The errors of biases that were measured at rests.
 
-    `first_ns`, `last_ns`: their first and last stamps in the order of time, ``(N,)``, ns
+    `first_ns`, `last_ns`: first and last timestamps of the rests in order of time, ``(N,)``, ns
     `sigma`: standard deviations of their mean rates, ``(N,)``, rad/s
-    `walk`: rate random walk that explains how neighbours differ, ``(N - 1,)``, rad/s/sqrt(s)
-    `interpolated`: whether the bias is interpolated between them, or that of the nearest
-    `interval_ns`: between samples: a mean is that of one more interval than there are in the rest
+    `walk`: rate random walk that explains the differences of neighbours, ``(N - 1,)``,
+        rad/s/sqrt(s)
+    `interpolated`: whether the bias is interpolated between rests, or that of the nearest one
+    `interval_ns`: sampling interval: a mean of n samples covers n intervals, a rest n - 1
     """
 
     first_ns: Int64
@@ -60,19 +62,20 @@ class RestErrors(NamedTuple):
 
     @property
     def mean_walk(self) -> float:
-        """The random walk that explains all differences together, rad/s/sqrt(s)."""
+        """The rate random walk that explains all differences together, rad/s/sqrt(s)."""
         times = self.first_ns[1:] - self.last_ns[:-1]
         return math.sqrt(np.average(self.walk**2, weights=times)) if times.sum() > 0 else 0.0
 
     def inside(self, before_ns: Int64, t_ns: Int64) -> Bool:
-        """Tell which intervals are within a rest."""
+        """Return which intervals are within a rest."""
         rest = np.searchsorted(self.first_ns, before_ns, side="right") - 1
         return np.asarray((rest >= 0) & (t_ns <= self.last_ns[rest]))
 
     def noise_ns(self, before_ns: Int64, t_ns: Int64, begin_ns: np.int64) -> Int64:
-        """Return how much longer noise has acted after intervals within rests, less the mean's, ns.
+        """Return the effective times of noise in intervals within rests, ns.
 
-        After the part L of a rest whose mean is that over the time T, it is L - L^2 / T.
+        Noise of the rates and of their mean partly cancels: after the part L of a rest with a mean
+        over the time T, the effective time is L - L^2 / T; the differences are returned.
         """
         rest = np.searchsorted(self.first_ns, before_ns, side="right") - 1
         first_ns = self.first_ns[rest]
@@ -85,7 +88,7 @@ class RestErrors(NamedTuple):
 class Stretch(NamedTuple):
     """A stretch of time over which the bias is known from the same rests.
 
-    `rest`: the number of the rest, of the one before where it is between two
+    `rest`: index of the rest, or of the first of two
     `kind`: ``"since"`` or ``"until"`` that rest, or ``"between"`` it and the next
     `walk`: rate random walk, rad/s/sqrt(s)
     """
@@ -98,10 +101,10 @@ class Stretch(NamedTuple):
 
 
 def stretches(rests: RestErrors, walk: float, begin_ns: int) -> Iterator[Stretch]:
-    """Yield the stretches of a log one after the other; a rest belongs to the one before it.
+    """Yield the stretches of a log in order; the time of a rest is part of the one before it.
 
-    `walk`: at least that, rad/s/sqrt(s)
-    `begin_ns`: where the log begins
+    `walk`: lower bound of the rate random walk, rad/s/sqrt(s)
+    `begin_ns`: first timestamp of the log, ns
     """
     first, last = rests.first_ns.tolist(), rests.last_ns.tolist()
     beyond = max(walk, rests.mean_walk)
@@ -126,11 +129,11 @@ class Integrals(NamedTuple):
     time: Float64
 
     def at(self, part: slice) -> Integrals:
-        """Return those of some samples."""
+        """Return the integrals at some samples."""
         return Integrals(*(each[:, part] for each in self))
 
     def since(self, begin: Integrals) -> Integrals:
-        """Return those from a sample on."""
+        """Return the integrals from a sample on."""
         s, a, time = self.s - begin.s, self.a - begin.a, self.time - begin.time
         b = self.b - begin.b - 2 * symmetric_product(a, np.broadcast_to(begin.s, a.shape))
         b += time * symmetric_product(begin.s, begin.s)
@@ -138,12 +141,12 @@ class Integrals(NamedTuple):
 
 
 class BiasGrowth:
-    """What the bias adds to the covariance, sample by sample.
+    """The contribution of the bias to the covariance, sample by sample.
 
     `sigma`, `walk`: standard deviation of a constant bias, rad/s, and rate random walk,
         rad/s/sqrt(s)
-    `rests`: where the bias is known from; None: at the first sample, to `sigma`
-    `variances`: what the bias and its random walk add to the trace at the last sample, rad^2
+    `rests`: rests from which the bias is known; None: it is known at the first sample, to `sigma`
+    `variances`: contributions of bias and random walk to the trace at the last sample, rad^2
     """
 
     def __init__(self, sigma: float, walk: float, rests: RestErrors | None) -> None:
@@ -159,12 +162,12 @@ class BiasGrowth:
     def add(
         self, step: Float64, span: Float64, t_ns: Int64, before_ns: Int64, rows: slice
     ) -> Float64:
-        """Return the covariance after the next intervals, ``(6, n)``, or after the last.
+        """Return the covariance after each of the next intervals, ``(6, n)``, or after the last.
 
-        `step`: integrals of R over them, ``(9, n)``
-        `span`: times over which rates are integrated, s
-        `t_ns`, `before_ns`: where each ends and begins
-        `rows`: all, or the last alone
+        `step`: integrals of R over the intervals, ``(9, n)``
+        `span`: integration times, s
+        `t_ns`, `before_ns`: ends and beginnings of the intervals, ns
+        `rows`: all, or only the last
         """
         h = (t_ns - before_ns) / NS_PER_S
         if self._rests is not None:
@@ -185,8 +188,8 @@ class BiasGrowth:
         last = Integrals(*(sums.last(name, count)[:, None] for name, count in rows))
         s = sums.after("S", step)
         twice = with_previous(s, last.s)
-        # S is linear within an interval: the integral of its square is that of the middle, and
-        # that of the deviation from it, R being orthogonal.
+        # S is linear within an interval: the integral of S S' is that of its mean, plus that of
+        # the deviation from it, as R is orthogonal.
         square = symmetric_product(twice, twice)
         square *= h / 4
         square[DIAGONAL] += h * span * span / 12
@@ -197,7 +200,7 @@ class BiasGrowth:
     def _in_stretches(
         self, last: Integrals, now: Integrals, before_ns: Int64, rows: slice
     ) -> Float64:
-        """Return the covariance of samples, each in the stretch in which its interval begins."""
+        """Return the covariance of samples, each by the stretch in which its interval begins."""
         if not self._stretches:
             known = np.array([self._sigma])
             at_first = RestErrors(before_ns[:1], before_ns[:1], known, np.zeros(0))
@@ -220,7 +223,7 @@ class BiasGrowth:
         return covariance[:, rows]
 
     def _enter(self, number: int, now: Integrals, t_ns: int) -> None:
-        """Begin another stretch, at a sample."""
+        """Begin another stretch at a sample."""
         stretch = self._stretches[number]
         if self._number >= 0:
             (carry, next_carry), (by_bias, by_walk) = self._added(now)
@@ -237,10 +240,10 @@ class BiasGrowth:
         self._begun_s = (t_ns - stretch.begin_ns) / NS_PER_S
 
     def _added(self, now: Integrals) -> tuple[tuple[Float64, Float64], Float64]:
-        """Return what this stretch has led to.
+        """Return the contributions of this stretch.
 
-        `Returns`: what the means at both its ends are multiplied by, ``(9, n)``, and the
-            covariances ``(2, 6, n)`` of their errors and of the walk
+        `Returns`: the factors of the means at both its ends, ``(9, n)`` each, and the covariances
+            ``(2, 6, n)`` by the errors of the means and by the walk
         """
         stretch = self._stretches[self._number]
         s, a, b, time = now.since(self._begin)

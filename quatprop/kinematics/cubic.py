@@ -1,17 +1,17 @@
-"""The cubic integration rule: the rate over an interval as a cubic through four samples.
+"""The cubic integration rule: the rate in an interval is a cubic through four samples.
 
 Between the samples k and k + 1, a time s after the first, the rate is the line through both plus
 
     s (s - h) (a + b s)
 
-with h the length of the interval. The cubic through the samples k - 1 to k + 2 is the blend of the
+with h the length of the interval. The cubic through the samples k - 1 to k + 2 is a blend of the
 two parabolas through three of them, so a and b follow from the second divided differences of the
 rate at the samples k and k + 1. The first two terms of the Magnus series (W. Magnus, Comm. Pure
 Appl. Math. 7, 1954) then give the rotation vector, with an error of fifth order in h.
 
-Where samples are averages over the intervals, or increments, it is the integral of the rate that is
-known at the samples. The cubic through four of its values has the same form, with the averages as
-slopes, and the rate is a parabola; of the Magnus series the second term is left to be added.
+If samples are averages over the intervals, or increments, the integral of the rate is known at the
+samples. The cubic through four of its values has the same form, with the averages as slopes, and
+the rate is a parabola; only the second term of the Magnus series must be added.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
 
 
 MAX_RATIO: Final = 4.0
-"""No cubic passes through samples whose neighbouring intervals differ by more than this factor: it
-would amplify noise, and a long interval is likely to be a gap."""
+"""Neighbouring intervals that differ by more than this factor are not used for one cubic: it would
+amplify noise, and a long interval is probably a gap."""
 
 MAX_RATIO_ONE_SIDED: Final = 2.0
-"""The same for a parabola through the samples of one side alone, which extrapolates more. Where
-samples are averages, only the coning depends on it: there too, the limit is :data:`MAX_RATIO`."""
+"""The same for a parabola through the samples of one side only, which extrapolates more. For
+averages the limit is :data:`MAX_RATIO` here too, since only the coning term depends on it."""
 
 MAX_SPAN_RATIO: Final = 1.5
-"""Stamps further apart than this many times the integration of an increment: one is missing."""
+"""Timestamps more than this many integration times apart: an increment is missing."""
 
 
 class Curvature(NamedTuple):
-    """What the neighbouring samples add to the line between two samples.
+    """The terms that neighbouring samples add to the line between two samples.
 
     `a`: shape ``(3, M)``, rad/s^3
     `b`: shape ``(3, M)``, rad/s^4
@@ -51,14 +51,14 @@ class Curvature(NamedTuple):
     h: Float64
 
     def rate(self, s: Float64) -> Float64:
-        """Return the difference of the rate from the line, ``(3, M)``, rad/s.
+        """Return the deviation of the rate from the line, ``(3, M)``, rad/s.
 
         `s`: time since the start of the interval, shape ``(M,)``, s
         """
         return s * (s - self.h) * (self.a + self.b * s)
 
     def rotation(self, s: Float64) -> Float64:
-        """Return what the method ``coning``, with the rate after the time s, leaves out.
+        """Return the correction of the method ``coning`` with the rate at the time s.
 
         `s`: time since the start of the interval, shape ``(M,)``, s
         `Returns`: to be added to the rotation vector, shape ``(3, M)``, rad. For a whole interval
@@ -68,7 +68,7 @@ class Curvature(NamedTuple):
         return weight * (self.a + self.b * (1.5 * s - self.h))
 
     def rotation_of_averages(self, average: Float64, s: Float64) -> Float64:
-        """Return what the average rate, multiplied by the time s, leaves out.
+        """Return the correction of the average rate multiplied by the time s.
 
         `average`: average rates over the intervals, shape ``(3, M)``, rad/s
         `s`: time since the start of the interval, shape ``(M,)``, s
@@ -92,13 +92,13 @@ class Curvature(NamedTuple):
 def curvature(t_ns: Int64, rate: Float64, gap_ns: int | None = None) -> Curvature:
     """Return the curvature of the rate in the intervals between samples.
 
-    `t_ns`: time stamps, shape ``(N,)``, int64, ns; N is at least 2
+    `t_ns`: timestamps, shape ``(N,)``, int64, ns; N is at least 2
     `rate`: angular rates, shape ``(3, N)``, rad/s
-    `gap_ns`: intervals longer than this are gaps; None: none is
+    `gap_ns`: intervals longer than this are gaps; None for no gaps
     """
     steps = np.diff(t_ns)
     h = steps / NS_PER_S
-    # In C order, which numpy then keeps: each component is contiguous.
+    # In C order, which NumPy then keeps: each component is contiguous.
     slope = np.diff(np.ascontiguousarray(rate), axis=1)
     slope /= np.where(h > 0, h, 1.0)
     return _of_slopes(slope, h, _no_gaps(steps, gap_ns))
@@ -114,18 +114,18 @@ def curvature_of_averages(
 ) -> Curvature:
     """Return the curvature of the integral of the rate in the intervals between samples.
 
-    `t_ns`: time stamps, shape ``(N,)``, int64, ns; N is at least 2
-    `rate`: average rates over the intervals that end at the stamps, shape ``(3, N)``, rad/s; that
-        of the first sample, whose interval begins earlier, does not count
-    `integration_time_ns`: for increments: the time over which each was integrated, shape ``(N,)``,
-        int64, ns
+    `t_ns`: timestamps, shape ``(N,)``, int64, ns; N is at least 2
+    `rate`: average rates over the intervals that end at the timestamps, shape ``(3, N)``, rad/s;
+        that of the first sample, whose interval begins earlier, is not used
+    `integration_time_ns`: for increments: the integration time of each, shape ``(N,)``, int64, ns
+    `causal`: use no later samples: a parabola through the sample before, for ``coning``
     """
     steps = np.diff(t_ns)
     valid = _no_gaps(steps, gap_ns)
     h = steps / NS_PER_S
     if integration_time_ns is not None:
         h = integration_time_ns[1:] / NS_PER_S
-        # A repeated message is no interval of its own; where one was lost, a rotation is missing.
+        # A repeated message has no interval; after a lost message a rotation is missing.
         moves = steps > 0
         follows = (moves & (steps <= MAX_SPAN_RATIO * integration_time_ns[1:]))[1:] & moves[:-1]
         valid &= follows
@@ -134,7 +134,7 @@ def curvature_of_averages(
 
 
 def _no_gaps(steps: Int64, gap_ns: int | None) -> Bool:
-    """Tell of each sample between two intervals whether neither is a gap."""
+    """Return for each sample between two intervals whether neither is a gap."""
     within = steps <= (np.iinfo(np.int64).max if gap_ns is None else gap_ns)
     return np.asarray(within[:-1] & within[1:])
 
@@ -147,7 +147,7 @@ def _of_slopes(
     *,
     causal: bool = False,
 ) -> Curvature:
-    """Return the curvature of values whose slopes over the intervals are known.
+    """Return the curvature of values with known slopes over the intervals.
 
     `slope`: differences of neighbouring values over the lengths of the intervals, ``(3, M)``
     `h`: lengths of the intervals, ``(M,)``, s
@@ -164,14 +164,14 @@ def _of_slopes(
     previous, following = np.zeros(len(h)), np.zeros(len(h))
     previous[1:], following[:-1] = before, after
     left, right = second[:, :-1], second[:, 1:]
-    # The first and the last interval have no sample on one side.
+    # The first and the last interval have neighbours on one side only.
     usable = np.zeros((2, len(h) + 1), np.bool_)
     usable[0, 1:-1] = wide
     np.logical_and(wide, longer <= max_ratio_one_sided * shorter, out=usable[1, 1:-1])
     lone = np.flatnonzero(~(usable[0, :-1] & usable[0, 1:]))
     b = right - left
     a = left.copy()
-    # There D_k and D_k+1 are each replaced by the other, where that may stand alone.
+    # There an unusable D_k or D_k+1 is replaced by the other, if that may be used alone.
     a[:, lone] = usable[1, lone] * left[:, lone] + usable[1, lone + 1] * right[:, lone]
     b[:, lone] = 0.0
     b /= previous + np.where(h > 0, h, 1.0) + following

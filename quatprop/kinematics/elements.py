@@ -1,7 +1,7 @@
-"""Matrices of many samples as rows of their elements: faster than small matrices one by one.
+"""Arithmetic on the matrices of many samples, stored by element: faster than small matrices.
 
-A matrix is nine rows, row by row, and a symmetric one six, those of its upper triangle. What is
-computed of a sample is rounded alike wherever it is in its batch.
+A matrix is nine arrays, in row-major order, and a symmetric one six, those of its upper triangle.
+The rounding for a sample does not depend on its position in the batch.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
 
 
 UPPER: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-"""Row and column of the elements of a symmetric matrix that are computed."""
+"""Row and column of the stored elements of a symmetric matrix."""
 
 FULL: Final = (0, 1, 2, 1, 3, 4, 2, 4, 5)
-"""Which of them the elements of the whole matrix are, row by row."""
+"""Indices of the stored elements for the whole matrix, in row-major order."""
 
 TRANSPOSED: Final = (0, 3, 6, 1, 4, 7, 2, 5, 8)
-"""Elements of a transposed matrix, row by row."""
+"""Indices of the elements of a matrix for its transpose, in row-major order."""
 
 DIAGONAL: Final = np.array([True, False, False, True, False, True])
-"""Which of them are on the diagonal."""
+"""Which stored elements of a symmetric matrix are on the diagonal."""
 
 
 def rotation_elements(wxyz: Float64) -> Float64:
-    """Return the elements of rotation matrices body -> reference, ``(9, n)``, row by row."""
+    """Return rotation matrices body -> reference by element, ``(9, n)``."""
     w, x, y, z = np.ascontiguousarray(wxyz.T)
     elements = np.empty((9, len(w)))
     xx, yy, zz = 2 * x * x, 2 * y * y, 2 * z * z
@@ -47,27 +47,27 @@ def rotation_elements(wxyz: Float64) -> Float64:
     return elements
 
 
-def mean_on_the_way(turn: Float64, rotvec: Float64) -> Float64:
-    """Return the mean of R exp([v] s), s from 0 to 1, of R ``(9, n)`` and v ``(3, n)``, not 0."""
+def mean_rotation(rotation: Float64, rotvec: Float64) -> Float64:
+    """Return the mean of R exp([v] s), s from 0 to 1, for R ``(9, n)`` and v ``(3, n)``, not 0."""
     angle = np.sqrt((rotvec**2).sum(axis=0))
     first, second = (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
     rows = []
-    for row in (turn[:3], turn[3:6], turn[6:]):
+    for row in (rotation[:3], rotation[3:6], rotation[6:]):
         once = cross(row, rotvec)
         rows.append(row + first * once + second * cross(once, rotvec))
     return np.concatenate(rows)
 
 
-def rotate_covariance(elements: Float64, turn: Float64, out: Float64) -> None:
+def rotate_covariance(elements: Float64, rotation: Float64, out: Float64) -> None:
     """Write R' P R as matrices ``(3, 3, n)``, from P ``(6, n)`` and R ``(9, n)``."""
     full = elements[FULL, :]
     term = np.empty(out.shape[-1])
     half = np.empty(out.shape)
     for column in range(3):
         for row in range(3):
-            _dot(full[3 * row : 3 * row + 3], turn[column::3], half[row, column], term)
+            _dot(full[3 * row : 3 * row + 3], rotation[column::3], half[row, column], term)
     for row, column in UPPER:
-        _dot(turn[row::3], half[:, column], out[row, column], term)
+        _dot(rotation[row::3], half[:, column], out[row, column], term)
         if row == column:
             np.maximum(out[row, row], 0.0, out=out[row, row])
         else:
@@ -82,7 +82,7 @@ def write_covariance(elements: Float64, out: Float64) -> None:
 
 
 def rotated(vectors: Float64, matrix: Float64) -> Float64:
-    """Return M' v of vectors ``(3, n)``, each rounded alike wherever it is."""
+    """Return M' v of vectors ``(3, n)``; the rounding does not depend on their positions."""
     x, y, z = vectors
     return np.stack([x * column[0] + y * column[1] + z * column[2] for column in matrix.T])
 

@@ -1,7 +1,7 @@
-"""Cosine and sine of half an angle, for steps of any size, rounded alike on every processor.
+"""Cosine and sine of half an angle of any size, rounded alike on every processor.
 
-Mathematical libraries give sines that differ in the last place from one processor to another, so
-there are only additions, multiplications, divisions and square roots here.
+The sines of math libraries differ in the last place between processors, so only additions,
+multiplications, divisions and square roots are used here.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ if TYPE_CHECKING:
 
 
 TERMS = 5
-"""Of the series for cosine and ratio: enough for steps of 11 degrees."""
+"""Number of terms of the series for cosine and ratio: enough for steps of 11 degrees."""
 
 _COSINE = [(-1) ** k / (4**k * factorial(2 * k)) for k in range(TERMS)]
 _RATIO = [(-1) ** k / (2 * 4**k * factorial(2 * k + 1)) for k in range(TERMS)]
 _REACH = 4 * (2.0**-55 * factorial(2 * TERMS)) ** (1 / TERMS)
-"""Square of the largest angle for which the series leave out less than a quarter ulp."""
+"""Square of the largest angle, rad^2, at which the series are exact to a quarter ulp."""
 
 _LONG_COSINE = [(-1) ** k / factorial(2 * k) for k in range(2, 9)]
 _LONG_SINE = [(-1) ** k / factorial(2 * k + 1) for k in range(1, 9)]
-"""Taylor coefficients of all but the leading terms. At an eighth of a turn the first one that is
-left out is 5e-19 and 3e-20."""
+"""Taylor coefficients of all but the leading terms. At an eighth of a turn the first omitted term
+is 5e-19 and 3e-20."""
 
 _QUARTER = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
-"""Quarter of a turn, rad, in parts: multiples of the first two, up to 2**20, are exact."""
+"""A quarter turn, rad, in parts: multiples of the first two, up to 2**20, are exact."""
 
 _MANY_TURNS = 2 * pi * 2**17
-"""Of longer steps whole turns are left out, which rounds no more than their angle is rounded."""
+"""Multiples of this angle, rad, are removed from longer ones, within their own rounding."""
 
 
 def half_angle(square: Float64) -> tuple[Float64, Float64]:
     """Return cos(a/2) and sin(a/2)/a from the squares of the angles a.
 
-    Both are power series in a squared, smooth through zero; beyond their reach, of what quarter
-    turns leave of the angle. Each result depends on its own angle only, to the bit.
+    Both are power series in a squared, smooth through zero; for larger angles, in the remainder of
+    quarter turns. Each result depends only on its own angle, to the bit.
 
     `square`: squares of angles, rad^2, any shape
     `Returns`: cos(a/2) and sin(a/2)/a, the latter 1/2 at zero; 1/rad
@@ -60,8 +60,8 @@ def _cosine_and_sine(angle: Float64) -> tuple[Float64, Float64]:
 
     References
     ----------
-    fdlibm, Sun Microsystems, 1993: what the leading terms are rounded by is added to the smaller
-    ones.
+    fdlibm, Sun Microsystems, 1993: the rounding errors of the leading terms are added to the
+    smaller ones.
     """
     angle = np.fmod(angle, _MANY_TURNS)
     quarters = np.rint(angle / (pi / 2))

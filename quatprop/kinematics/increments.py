@@ -1,11 +1,11 @@
-"""Rates and times to rotation vectors: the integration rules.
+"""The integration rules: from rates and times to rotation vectors.
 
-Interval k lies between the samples k and k + 1. Its rotation vector is the axis times the angle
-that the body turns in it, resolved in the body frame at its start.
+Interval k lies between the samples k and k + 1. Its rotation vector is the axis times the angle of
+the body's rotation in it, resolved in the body frame at its start.
 
-Sensors that integrate by themselves give the integral of the rate over an interval, or its average,
-instead. That is not integrated again: about a fixed axis it is the rotation vector, and elsewhere
-``coning`` and ``cubic`` add to it, from the neighbouring intervals, how the axis has turned.
+Sensors that integrate return the integral of the rate over an interval, or its average, instead.
+This is not integrated again: about a fixed axis it is the rotation vector, and in general
+``coning`` and ``cubic`` add the effect of the rotating axis, from the neighbouring intervals.
 """
 
 from __future__ import annotations
@@ -64,14 +64,14 @@ RULES: Final[dict[str, Rule]] = {
     "cubic": _coning,
     "quintic": _coning,
 }
-"""Integration rules. They take the rates at the start and at the end of intervals, ``(3, M)``,
-rad/s, and their lengths, ``(M,)``, s, and return rotation vectors, ``(3, M)``, rad. To that of
-``cubic``, :mod:`quatprop.kinematics.cubic` adds what the neighbouring samples say; ``quintic`` is
-``cubic`` where :mod:`quatprop.kinematics.quintic` has too few of them."""
+"""Integration rules. Arguments are the rates at the start and at the end of intervals, ``(3, M)``,
+rad/s, and their lengths, ``(M,)``, s; the result is rotation vectors, ``(3, M)``, rad. For
+``cubic``, :mod:`quatprop.kinematics.cubic` adds the terms of neighbouring samples; ``quintic`` is
+``cubic`` if :mod:`quatprop.kinematics.quintic` has too few of them."""
 
 
 def is_inertial(rates: str) -> bool:
-    """Tell whether rates are resolved in the inertial frame.
+    """Return whether rates are resolved in the inertial frame.
 
     `rates`: one of :data:`quatprop.settings.FRAMES`
     """
@@ -81,7 +81,7 @@ def is_inertial(rates: str) -> bool:
 
 
 def integration_rule(method: str) -> Rule:
-    """Return the function of a method."""
+    """Return the integration rule of a method."""
     if method not in RULES:
         raise UsageError(f"there is no method {quoted(method)}; choose one of {listed(RULES)}")
     return RULES[method]
@@ -97,8 +97,8 @@ def rotation_vectors(
 ) -> Float64:
     """Return the rotation vectors between neighbouring samples.
 
-    `t_ns`: time stamps, shape ``(N,)``, int64, ns. Intervals are differences of integers, so no
-        stamp is too large to be exact
+    `t_ns`: timestamps, shape ``(N,)``, int64, ns. Intervals are differences of integers, so they
+        are exact for any epoch
     `rate`: angular rates, shape ``(N, 3)``, rad/s, resolved in the body frame. For rates w resolved
         in the inertial frame, -w are body rates of the reference as seen from the body
     `method`: a key of :data:`RULES`: ``"start"``, the rate from k to k + 1 is that of sample k;
@@ -107,17 +107,17 @@ def rotation_vectors(
         second order elsewhere; ``"cubic"``, a cubic through the samples k - 1 to k + 2, of fourth
         order, see :func:`quatprop.kinematics.cubic.curvature`; ``"quintic"``, a quintic through
         the samples k - 2 to k + 3, of sixth order, see :mod:`quatprop.kinematics.quintic`
-    `integration_time_ns`: where samples are increments: the time over which the sensor integrated
-        each, shape ``(N,)``, int64, ns, as in :class:`quatprop.series.GyroSeries`. Interval k is
-        then the increment theta_k of sample k + 1, whatever its length; zero where no time passes,
-        because a repeated stamp is a repeated message
-    `is_interval_average`: whether rates are averages over the intervals that end at their stamps:
-        theta_k is then the rate of sample k + 1 times the length of the interval. Increments under
-        every method, and averages under ``"end"``, have the rotation vector theta_k. To it
-        ``"coning"`` adds theta_k-1 x theta_k / 12, which makes it of third order; ``"cubic"``
-        (theta_k-1 x theta_k + theta_k x theta_k+1) / 24, of fourth order. The weights are those of
-        equal intervals; see :func:`quatprop.kinematics.cubic.curvature_of_averages`.
-        ``"quintic"`` is of sixth order
+    `integration_time_ns`: for increments: the integration time of each, shape ``(N,)``, int64, ns,
+        as in :class:`quatprop.series.GyroSeries`. The rotation in interval k is then the increment
+        theta_k of sample k + 1, whatever the length of the interval; zero at a repeated timestamp,
+        which is that of a repeated message
+    `is_interval_average`: whether rates are averages over the intervals that end at their
+        timestamps: theta_k is then the rate of sample k + 1 times the length of the interval. For
+        increments with ``"start"``, ``"mean"`` and ``"end"``, and averages with ``"end"``, the
+        rotation vector is theta_k. ``"coning"`` adds theta_k-1 x theta_k / 12, and is of third
+        order; ``"cubic"`` adds (theta_k-1 x theta_k + theta_k x theta_k+1) / 24, and is of fourth
+        order. The weights are those of equal intervals; see
+        :func:`quatprop.kinematics.cubic.curvature_of_averages`. ``"quintic"`` is of sixth order
     `Returns`: rotation vectors, shape ``(N - 1, 3)``, rad; each of the three columns is contiguous
 
     References
@@ -139,7 +139,7 @@ def rotation_vectors(
 def _integrated(
     t_ns: Int64, rate: Float64, method: str, integration_time_ns: Int64 | None
 ) -> Float64:
-    """Return the rotation vectors where the sensor integrates, ``(3, N - 1)``, rad."""
+    """Return the rotation vectors of averages or increments, ``(3, N - 1)``, rad."""
     average = rate[:, 1:]
     dt = steps_and_lengths(t_ns, integration_time_ns)[1] / NS_PER_S
     rotvec = _end(rate[:, :-1], average, dt)
@@ -154,5 +154,5 @@ def _integrated(
 
 
 def _like(rows: Float64) -> Float64:
-    """Return an array ``(3, M)`` in C order; numpy would keep that of the transposed input."""
+    """Return an empty array ``(3, M)`` in C order, rather than that of the transposed input."""
     return np.empty(rows.shape)

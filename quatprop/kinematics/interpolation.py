@@ -1,10 +1,9 @@
-"""Attitudes between the samples of a series: a polynomial through the neighbours of each interval.
+"""Interpolation between the attitudes of a series, with a polynomial through the neighbours.
 
-At a constant rate from sample k to sample k + 1, and beyond, a body would have other attitudes at
-the samples before and behind than it has. Those deviations, as rotation vectors, are zero at k and
-k + 1, and a polynomial through all of them is added to the attitude at the constant rate. So the
-polynomial is of small rotations however far the body turns, and without neighbours the attitude is
-that of slerp.
+The rotation at the constant rate from sample k to sample k + 1 is extrapolated to the neighbouring
+samples. The deviations of their attitudes from it, as rotation vectors, are zero at k and k + 1; a
+polynomial through all of them is added to the rotation at the constant rate. So the polynomial is
+of small rotations, whatever the rate, and without neighbours the result is slerp.
 """
 
 from __future__ import annotations
@@ -31,11 +30,11 @@ if TYPE_CHECKING:
     from quatprop.series import AttitudeSeries
 
 MAX_DEVIATION: Final = 1.0
-"""Deviations above this, rad, are not those of smooth motion: then the rate is held constant."""
+"""Larger deviations, rad, are not of smooth motion: the rate is then held constant."""
 
 MAX_SPEED_RATIO: Final = 4.0
-"""Smooth motion is not faster in one interval than in its neighbours by more than this: it was up
-to 2.7 times in bands that reach to a third of the sample rate."""
+"""An interval in which the motion is faster than in its neighbours by a larger factor is a jump.
+Smooth motion had up to 2.7, with frequencies up to a third of the sample rate."""
 
 FAR_NS: Final = np.iinfo(np.int64).max
 
@@ -44,8 +43,8 @@ class Interpolated(NamedTuple):
     """Attitudes between samples.
 
     `wxyz`: unit quaternions, shape ``(N, 4)``
-    `floor_rad`: about the largest error that may be left: what two neighbours fewer would change;
-        where the rate is held constant, what a steady change of it leaves
+    `floor_rad`: estimate of the largest error: the difference from two neighbours fewer or, if the
+        rate is held constant, the effect of a steady change of the rate
     """
 
     wxyz: Float64
@@ -56,11 +55,11 @@ def interpolate(series: AttitudeSeries, t_ns: Int64) -> Interpolated:
     """Return the attitudes of a series at times within it.
 
     `t_ns`: times, shape ``(N,)``, int64 ns; outside the series the nearest interval is continued
-    `Returns`: at a stamp exactly the sample's attitude
+    `Returns`: the attitudes; at a timestamp exactly that of the sample
     """
     wxyz, floor = np.empty((len(t_ns), 4)), 0.0
     steps = np.diff(series.t_ns)
-    # To the polynomials, a jump is a gap: they end on both sides of it.
+    # For the polynomials a jump is a gap: they end on both sides of it.
     windows = windows_over(np.where(_jumps(series, steps), FAR_NS, steps), steps, FAR_NS - 1)
     for rows in blocks(len(t_ns)):
         wxyz[rows], part = _interpolated(series, windows, t_ns[rows])
@@ -69,7 +68,7 @@ def interpolate(series: AttitudeSeries, t_ns: Int64) -> Interpolated:
 
 
 def _jumps(series: AttitudeSeries, steps: Int64) -> Bool:
-    """Tell of each interval whether the body turns far faster than in two on either side."""
+    """Return which intervals are far faster than the two neighbours on either side."""
     speed = geodesic_angle(series.wxyz[:-1], series.wxyz[1:]) / steps
     near = np.pad(speed, 2)
     beside = np.max([near[k : k + len(speed)] for k in (0, 1, 3, 4)], axis=0)
@@ -80,65 +79,67 @@ def _interpolated(series: AttitudeSeries, windows: Windows, t_ns: Int64) -> Inte
     before = np.clip(np.searchsorted(series.t_ns, t_ns, side="right") - 1, 0, len(series) - 2)
     start, stop = series.t_ns[before], series.t_ns[before + 1]
     fraction = (t_ns - start) / (stop - start)
-    turn = _between(series.wxyz[before], series.wxyz[before + 1])
+    rotvec = _between(series.wxyz[before], series.wxyz[before + 1])
     inside = (fraction > 0) & (fraction < 1)
     chosen = np.flatnonzero(inside & windows.usable[before])
     six, four, smooth = _corrections(
-        series, before[chosen], windows.start[before[chosen]], fraction[chosen], turn[chosen]
+        series, before[chosen], windows.start[before[chosen]], fraction[chosen], rotvec[chosen]
     )
     correction = np.zeros((len(t_ns), 3))
     correction[chosen] = six
     left = np.linalg.norm(six - four, axis=1).max(initial=0.0)
     inside[chosen[smooth]] = False
     held = np.flatnonzero(inside)
-    bent = _bend(series, before[held], fraction[held], turn[held]).max(initial=0.0)
-    step = multiply(exp(fraction[:, None] * turn), exp(correction))
+    held_error = _constant_rate_error(series, before[held], fraction[held], rotvec[held])
+    step = multiply(exp(fraction[:, None] * rotvec), exp(correction))
     wxyz = normalize(multiply(series.wxyz[before], step))
     wxyz[t_ns == stop] = normalize(series.wxyz[before + 1][t_ns == stop])
-    return Interpolated(wxyz, float(max(left, bent)))
+    return Interpolated(wxyz, max(left, float(held_error.max(initial=0.0))))
 
 
-def _bend(series: AttitudeSeries, before: Intp, fraction: Float64, turn: Float64) -> Float64:
-    """Return what a constant rate leaves out, by the sample before and the one after, rad, (N,).
+def _constant_rate_error(
+    series: AttitudeSeries, before: Intp, fraction: Float64, rotvec: Float64
+) -> Float64:
+    """Return the error of a constant rate, estimated from both neighbouring samples, rad, (N,).
 
-    A rate that changes steadily leaves deviations that grow with the product of the times since
+    With a steadily changing rate, deviations are proportional to the product of the times since
     both ends of the interval.
     """
     begin, length = series.t_ns[before], series.t_ns[before + 1] - series.t_ns[before]
-    bend = np.zeros(len(before))
+    error = np.zeros(len(before))
     for beside in (-1, 2):
         node = np.clip(before + beside, 0, len(series) - 1)
         at = (series.t_ns[node] - begin) / length
-        held = multiply(series.wxyz[before], exp(at[:, None] * turn))
+        held = multiply(series.wxyz[before], exp(at[:, None] * rotvec))
         size = np.linalg.norm(_between(held, series.wxyz[node]), axis=1)
-        # At the ends of the series, the node is an end of the interval itself.
+        # At the ends of the series the node is an end of the interval itself.
         apart = np.where((at < 0) | (at > 1), at * (at - 1), np.inf)
-        bend = np.maximum(bend, size * fraction * (1 - fraction) / apart)
-    return bend
+        error = np.maximum(error, size * fraction * (1 - fraction) / apart)
+    return error
 
 
 def _corrections(
-    series: AttitudeSeries, before: Intp, start: Intp, fraction: Float64, turn: Float64
+    series: AttitudeSeries, before: Intp, start: Intp, fraction: Float64, rotvec: Float64
 ) -> tuple[Float64, Float64, Bool]:
-    """Return what neighbours add to attitudes at a constant rate, rotation vectors ``(N, 3)``.
+    """Return corrections of attitudes at a constant rate, as rotation vectors ``(N, 3)``.
 
-    `before`, `fraction`: the samples before the wanted times, and how far these are from them to
-        the next samples, ``(N,)``
-    `start`: the first of the six samples, ``(N,)``
-    `turn`: the rotation vectors from the samples before to the next, ``(N, 3)``
-    `Returns`: by all six samples, and by the four that are nearest; and whether the motion is
-        smooth, ``(N,)``: otherwise both are zero
+    `before`, `fraction`: indices of the samples before the wanted times, and the elapsed fractions
+        of the intervals, ``(N,)``
+    `start`: index of the first of the six samples, ``(N,)``
+    `rotvec`: the rotation vectors of the intervals, ``(N, 3)``
+    `Returns`: by all six samples, by the nearest four, and whether the motion is smooth, ``(N,)``;
+        otherwise both corrections are zero
     """
     begin, length = series.t_ns[before], series.t_ns[before + 1] - series.t_ns[before]
     at = [(series.t_ns[start + node] - begin) / length for node in range(SAMPLES)]
     inner = np.clip(before - 1, start, start + 2) - start
     near = [(inner <= node) & (node < inner + 4) for node in range(SAMPLES)]
-    six, four, smooth = np.zeros(turn.shape), np.zeros(turn.shape), np.ones(len(turn), np.bool_)
+    (six, four), smooth = np.zeros((2, *rotvec.shape)), np.ones(len(rotvec), np.bool_)
     for node in range(SAMPLES):
-        held = multiply(series.wxyz[before], exp(at[node][:, None] * turn))
+        held = multiply(series.wxyz[before], exp(at[node][:, None] * rotvec))
         deviation = _between(held, series.wxyz[start + node])
         smooth &= np.linalg.norm(deviation, axis=1) <= MAX_DEVIATION
-        weights = np.ones(len(turn)), near[node].astype(float)
+        weights = np.ones(len(rotvec)), near[node].astype(float)
         for other in set(range(SAMPLES)) - {node}:
             factor = (fraction - at[other]) / (at[node] - at[other])
             weights[0][:] *= factor
@@ -150,5 +151,5 @@ def _corrections(
 
 
 def _between(p: Float64, q: Float64) -> Float64:
-    """Return the rotation vectors from attitudes to others, ``(N, 3)``, the shorter way round."""
+    """Return the rotation vectors of the shorter rotations from p to q, ``(N, 3)``, rad."""
     return log(shorter(multiply(conjugate(p), q)))

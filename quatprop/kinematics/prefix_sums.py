@@ -1,4 +1,4 @@
-"""Sums over the samples so far, the same to the bit wherever batches end."""
+"""Sums over the samples so far, with bits that do not depend on batches."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ if TYPE_CHECKING:
 
 
 TILE: Final = 8192
-"""Samples computed together, from fixed sample indices: few enough for the caches."""
+"""Samples that are summed together, from fixed sample indices: few enough for the caches."""
 
 
 class PrefixSums(dict[str, "Float64"]):
-    """Sums by name, of rows of numbers: those up to the last sample so far."""
+    """Sums up to the last sample so far, by name, each of several rows."""
 
     def after(self, name: str, steps: Float64) -> Float64:
-        """Return a sum after each of its next terms ``(rows, n)``, n being at most a tile."""
+        """Return a sum after each of its next terms, ``(rows, n)``; n is at most a tile."""
         count = steps.shape[1]
         sums = steps
         if count < TILE:
-            # The same tree for a tile that the series does not fill.
+            # A partly filled tile is summed by the same tree.
             sums = np.zeros((len(steps), TILE))
             sums[:, :count] = steps
         sums[:, 0] += self.last(name, len(steps))
@@ -38,7 +38,7 @@ class PrefixSums(dict[str, "Float64"]):
 
 
 def with_previous(values: Float64, last: Float64) -> Float64:
-    """Return samples ``(rows, n)`` with the one before added to each: `last` to the first."""
+    """Return each sample, ``(rows, n)``, plus the previous one; `last` precedes the first."""
     sums = np.empty(values.shape)
     np.add(values[:, 1:], values[:, :-1], out=sums[:, 1:])
     np.add(values[:, :1], last, out=sums[:, :1])

@@ -1,16 +1,16 @@
 """The product of many quaternions, as a tree.
 
-A sequential loop of q[k+1] = q[k] dq[k] (eq. 36) is slow in numpy, one sample at a time. But the
+A sequential loop of q[k+1] = q[k] dq[k] (eq. 36) is slow in NumPy, one sample at a time. But the
 product is associative, so the steps of a tile are composed as a tree: neighbouring steps are
 multiplied to steps over two intervals, those to steps over four, and so on; then the attitudes in
-between are filled in on the way back. Every level is a handful of numpy calls, and rounding errors
-grow with the depth of the tree instead of its width.
+between are filled in from the top down. Every level is a few NumPy calls, and rounding errors grow
+with the depth of the tree instead of its width.
 
-Inside, a quaternion w + xi + yj + zk is a pair of complex numbers, a = w + xi and b = y + zi,
+A quaternion w + xi + yj + zk is stored as a pair of complex numbers, a = w + xi and b = y + zi,
 arrays ``(2, n)``: the product (a c - b d*, a d + b c*) then takes four complex multiplications.
-numpy fuses the multiplications and additions in them where the processor can, as those of x86 do
-since 2013 and those of 64-bit ARM: on older ones the last bits differ. Real arithmetic would not
-depend on it, but takes a third more time for all that leads from rates to attitudes.
+NumPy uses fused multiply-add in them if the processor has it (x86 since 2013, and 64-bit ARM); on
+others the last bits differ. Real arithmetic would not depend on it, but takes a third more time for
+all computations from rates to attitudes.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ if TYPE_CHECKING:
     Wxyz = tuple[float, float, float, float]
 
 LEVELS: Final = 8
-"""Of the tree: so often steps are composed in pairs. The few that are left are composed by a loop,
-which is faster than more levels."""
+"""Number of levels of the tree. The few steps that remain are composed by a loop, which is faster
+than more levels."""
 
 PADDING: Final = 2**LEVELS * 8
-"""The steps of a tile are padded to a multiple of this. Then arrays have a multiple of 8 elements
-on every level: numpy rounds the remainder of an array, which fills no register, in another way."""
+"""The steps of a tile are padded to a multiple of this, so that arrays have a multiple of 8
+elements on every level: NumPy rounds the remainder, which does not fill a register, differently."""
 
 
 def tile_steps(rotvec: Float64) -> Pairs:
-    """Return the unit quaternions of rotation vectors ``(n, 3)`` (eq. 35), for whole trees.
+    """Return the unit quaternions of rotation vectors ``(n, 3)`` (eq. 35), padded for a tree.
 
-    Identity steps follow, up to a multiple of :data:`PADDING`; products with them are exact.
+    They are padded with identities to a multiple of :data:`PADDING`; products with these are exact.
     """
     x, y, z = rotvec.T
     count = len(x)
@@ -57,7 +57,7 @@ def tile_steps(rotvec: Float64) -> Pairs:
 
 
 def product_scan(first: Wxyz, steps: Pairs, levels: int = LEVELS) -> Pairs:
-    """Return the attitudes ``(2, n + 1)`` that `n` steps lead through from the first."""
+    """Return the first attitude and those after each of `n` steps, ``(2, n + 1)``."""
     if not levels:
         return np.array(product_loop(first, steps)).view(np.complex128).T.copy()
     even = steps[:, 0::2]
@@ -68,7 +68,7 @@ def product_scan(first: Wxyz, steps: Pairs, levels: int = LEVELS) -> Pairs:
 
 
 def compose_pairs(steps: Pairs, levels: int) -> Pairs:
-    """Return the steps of a higher level of the tree, each the product of 2**levels."""
+    """Return the steps some levels higher in the tree, each a product of 2**levels steps."""
     for _ in range(levels):
         even, odd = steps[:, 0::2], steps[:, 1::2]
         steps = np.empty_like(odd)
@@ -77,8 +77,8 @@ def compose_pairs(steps: Pairs, levels: int) -> Pairs:
 
 
 def product_loop(first: Wxyz, steps: Pairs) -> list[Wxyz]:
-    """Return the same as :func:`product_scan`, one step after the other."""
-    # Real numbers: some interpreters are compiled to fuse the terms of a complex product.
+    """Return the same as :func:`product_scan`, computed one step after another."""
+    # Real numbers: some interpreters compute complex products with fused multiply-add.
     w, x, y, z = first
     attitudes = [first]
     for a, b, c, d in np.ascontiguousarray(steps.T).view(np.float64).tolist():
@@ -110,14 +110,14 @@ def write_rows(pairs: Pairs, rows: Float64) -> None:
     a, b = pairs
     components = (a.real, a.imag, b.real, b.imag)
     ww, xx, yy, zz = map(np.square, components)
-    # 1/sqrt(s), where s differs from 1 by rounding errors only.
+    # 1/sqrt(s) for an s that differs from 1 by rounding errors only.
     scale = 1.5 - 0.5 * (ww + xx + yy + zz)
     for component, column in zip(components, rows.T, strict=True):
         np.multiply(component, scale, out=column)
 
 
 def unit(wxyz: Wxyz) -> Wxyz:
-    """Return what :func:`write_rows` makes of one attitude."""
+    """Return an attitude of unit length, rounded as by :func:`write_rows`."""
     w, x, y, z = wxyz
     scale = 1.5 - 0.5 * (w * w + x * x + y * y + z * z)
     return w * scale, x * scale, y * scale, z * scale

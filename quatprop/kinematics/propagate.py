@@ -1,8 +1,8 @@
-"""Rates to attitudes: the steps of all intervals composed, tile by tile.
+"""Propagation: composes the steps of all intervals to attitudes, tile by tile.
 
-Tiles begin at fixed sample indices, and the tree is the same for a tile that the series does not
-fill, so the result is the same to the bit wherever batches end, and whatever follows: the
-attitudes of the first samples are those of the whole log.
+Tiles begin at fixed sample indices, and the tree is the same for a partly filled tile, so the bits
+of the result depend neither on batches nor on later samples: the attitudes of the first samples are
+those of the whole log.
 """
 
 from __future__ import annotations
@@ -37,7 +37,11 @@ if TYPE_CHECKING:
     from quatprop.kinematics.product import Pairs, Wxyz
 
 TILE: Final = BLOCK // 4
-"""Steps composed together: few enough for a large L2 cache, many enough to make calls cheap."""
+"""Steps composed together: few enough for a large L2 cache, many enough to amortise calls."""
+
+# The C library returns memory to the system after every tile and requests it again page by page,
+# until one large array was freed; its threshold adapts up to 32 MiB.
+np.empty(31 << 20, np.uint8)
 
 
 def attitudes(
@@ -48,9 +52,9 @@ def attitudes(
     method: str = "start",
     rates: str = "body",
 ) -> Float64:
-    """Return the attitudes that rates in memory lead to.
+    """Return the attitudes of rates in memory.
 
-    `t_ns`: time stamps, shape ``(N,)``, int64, ns
+    `t_ns`: timestamps, shape ``(N,)``, int64, ns
     `rate`: angular rates, shape ``(N, 3)``, rad/s
     `Returns`: unit quaternions wxyz body -> reference, shape ``(N, 4)``; the first is q0
 
@@ -62,7 +66,7 @@ def attitudes(
 
 
 class _Composition:
-    """Steps of tiles that follow one another, and the attitude reached.
+    """Computes the steps of consecutive tiles, and holds the current attitude.
 
     Notes
     -----
@@ -71,9 +75,6 @@ class _Composition:
     """
 
     def __init__(self, q0: ArrayLike, method: str, rates: str) -> None:
-        # The C library hands memory back to the system after every tile, and asks for it again page
-        # by page, until it has seen one large array freed; it takes note of up to 32 MiB.
-        np.empty(31 << 20, np.uint8)
         self._inertial = is_inertial(rates)
         integration_rule(method)
         self._method = method
@@ -84,12 +85,12 @@ class _Composition:
     def _steps(
         self, series: GyroSeries, following: GyroSeries | None
     ) -> Iterator[tuple[slice, Pairs]]:
-        """Yield where tiles are, and the steps that lead to their samples, ``(2, n)``."""
-        # Before the very first sample comes itself: a step of no time leads to it.
+        """Yield the slices of tiles, and the steps to their samples, ``(2, n)``."""
+        # The first sample is its own predecessor, so that the step to it has zero length.
         previous = GyroSeries.joined(self._before)[-BEFORE:] if self._before else series[:1]
         for start in range(0, len(series), TILE):
             stop = min(start + TILE, len(series))
-            # Of the neighbours of a tile, so many before it and after it count.
+            # The samples before and after a tile on which its steps depend.
             parts = [series[max(start - BEFORE, 0) : stop + AFTER]]
             first = BEFORE
             if not start:
@@ -140,10 +141,10 @@ class Propagation(_Composition):
     def advance(self, series: GyroSeries, following: GyroSeries | None = None) -> Float64:
         """Return the attitudes of the next samples, wxyz, shape ``(N, 4)``.
 
-        `following`: the samples after those, of which methods that look ahead take the first into
-            account; None: there are none
+        `following`: the samples after these, of which methods that look ahead use the first; None
+            if there are none
         """
-        rows = np.empty((4, len(series))).T  # which is faster by column, here and for writers
+        rows = np.empty((4, len(series))).T  # faster by column, here and in writers
         with np.errstate(over="ignore", invalid="ignore"):
             for tile, steps in self._steps(series, following):
                 self._fill_tile(steps, rows[tile])
@@ -152,7 +153,7 @@ class Propagation(_Composition):
     def _fill_tile(self, steps: Pairs, rows: Float64) -> None:
         write_rows(product_scan(self._attitude, steps)[:, 1 : len(rows) + 1], rows)
         self._attitude = tuple(rows[-1].tolist())
-        # What is not finite spreads to all components, and to all attitudes that follow.
+        # Values that are not finite spread to all components and to all later attitudes.
         if not np.isfinite(rows[-1, 0]):
             first = self._count + int(np.isfinite(rows[:, 0]).argmin())
             raise SeriesError(
@@ -162,19 +163,19 @@ class Propagation(_Composition):
         self._count += len(rows)
         if self._inertial:
             for component in rows.T[1:]:
-                # Not a negation: that would write zeros as -0.
+                # Not a negation, which would change 0.0 to -0.0.
                 np.subtract(0.0, component, out=component)
 
 
 class FinalAttitude(_Composition):
-    """The attitude at the last sample alone, for less than half the cost of all."""
+    """Computes only the attitude at the last sample, in less than half the time of all."""
 
     def __init__(self, q0: ArrayLike, method: str, rates: str) -> None:
         super().__init__(q0, method, rates)
         self._held: GyroSeries | None = None
 
     def add(self, series: GyroSeries) -> None:
-        """Take the next samples: a block, as for :meth:`Propagation.advance`."""
+        """Add the next samples: a block, as for :meth:`Propagation.advance`."""
         if not len(series):
             return
         if self._method not in LOOK_AHEAD:
@@ -193,7 +194,7 @@ class FinalAttitude(_Composition):
 
     def _advance(self, series: GyroSeries, following: GyroSeries | None) -> None:
         with np.errstate(over="ignore", invalid="ignore"):
-            # Many calls on short arrays take long: high in the tree, all tiles are one array.
+            # Many calls on short arrays are slow: high in the tree, all tiles are one array.
             parts = [compose_pairs(steps, 3) for _, steps in self._steps(series, following)]
             steps = compose_pairs(np.concatenate(parts, axis=1), LEVELS - 3)
             for start in range(0, steps.shape[1], TILE >> LEVELS):

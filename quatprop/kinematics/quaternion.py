@@ -1,6 +1,6 @@
 """Quaternion arithmetic on arrays ``(..., 4)`` in the order w, x, y, z.
 
-Hamilton product, ij = k, scalar first: q = w + x i + y j + z k (eq. 1). An attitude takes body
+Hamilton product, ij = k, scalar first: q = w + x i + y j + z k (eq. 1). An attitude transforms body
 coordinates to reference coordinates, v_ref = q v_body q* (eq. 3). Leading dimensions broadcast.
 
 Equation numbers here and in the other modules are those of the article "quaternion kinematics and
@@ -22,29 +22,26 @@ if TYPE_CHECKING:
 
 
 IDENTITY: Float64 = np.array([1.0, 0.0, 0.0, 0.0])
-"""The attitude of a body whose axes coincide with those of the reference."""
+"""The attitude of a body whose axes are those of the reference."""
 IDENTITY.setflags(write=False)
 
 UNIT_TOLERANCE = 1e-3
-"""Allowed difference of a length from 1: rounding to three decimals causes as much."""
+"""Maximum deviation of a length from 1, which rounding to three decimals can cause."""
 
 
 def multiply(p: ArrayLike, q: ArrayLike) -> Float64:
     """Return the Hamilton product p q.
 
     `p`, `q`: quaternions wxyz, shape ``(..., 4)``
-    `Returns`: shape ``(..., 4)``. As attitudes: first q, then p
+    `Returns`: shape ``(..., 4)``. As rotations: first q, then p
     """
     pw, px, py, pz = _components(p)
     qw, qx, qy, qz = _components(q)
-    return np.stack(
-        [
-            pw * qw - px * qx - py * qy - pz * qz,
-            pw * qx + px * qw + py * qz - pz * qy,
-            pw * qy - px * qz + py * qw + pz * qx,
-            pw * qz + px * qy - py * qx + pz * qw,
-        ],
-        axis=-1,
+    return _rows(
+        pw * qw - px * qx - py * qy - pz * qz,
+        pw * qx + px * qw + py * qz - pz * qy,
+        pw * qy - px * qz + py * qw + pz * qx,
+        pw * qz + px * qy - py * qx + pz * qw,
     )
 
 
@@ -58,20 +55,20 @@ def conjugate(q: ArrayLike) -> Float64:
 
 
 def normalize(q: ArrayLike) -> Float64:
-    """Return q at unit length.
+    """Return q scaled to unit length.
 
     `q`: quaternions wxyz, shape ``(..., 4)``, finite and not zero
     `Returns`: shape ``(..., 4)``
     """
     q = _array(q)
-    # Squares of very large or small components would overflow or vanish.
+    # Squares of very large or small components would overflow or underflow.
     scaled: Float64 = q / np.abs(q).max(axis=-1, keepdims=True)
     scaled /= np.sqrt((scaled**2).sum(axis=-1, keepdims=True))
     return scaled
 
 
 def shorter(q: ArrayLike) -> Float64:
-    """Return q or -q, ``(..., 4)``, with w >= 0: the same attitude, the shorter way round."""
+    """Return q or -q, ``(..., 4)``, with w >= 0: the same attitude by the shorter rotation."""
     q = _array(q)
     return np.asarray(np.where(q[..., :1] < 0, -q, q))
 
@@ -79,7 +76,7 @@ def shorter(q: ArrayLike) -> Float64:
 def exp(rotvec: ArrayLike) -> Float64:
     """Return the unit quaternion of a rotation vector (eq. 34).
 
-    Smooth through zero. The angle may be of any size; w is negative for angles between pi and
+    Smooth through zero, for angles of any size; w is negative for angles between pi and
     3 pi.
 
     `rotvec`: rotation vectors, shape ``(..., 3)``, rad: the axis times the angle
@@ -106,14 +103,14 @@ def log(q: ArrayLike) -> Float64:
     """
     q = _array(q)
     w, vector = q[..., :1], q[..., 1:]
-    sine = _length(vector)[..., None]
+    sine = _length(*_components(vector))[..., None]
     ratio = np.zeros_like(sine)
     np.divide(2 * np.arctan2(sine, w), sine, out=ratio, where=sine != 0)
     return vector * ratio
 
 
 def rotate(q: ArrayLike, v: ArrayLike) -> Float64:
-    """Return q v q*: a vector's body coordinates as reference coordinates (eq. 3).
+    """Return q v q*: vectors in reference coordinates from body coordinates (eq. 3).
 
     `q`: unit quaternions wxyz body -> reference, shape ``(..., 4)``
     `v`: vectors resolved in the body frame, shape ``(..., 3)``, any unit
@@ -121,8 +118,8 @@ def rotate(q: ArrayLike, v: ArrayLike) -> Float64:
     """
     q, v = _array(q), _array(v)
     w, vector = q[..., :1], q[..., 1:]
-    twice = 2 * np.cross(vector, v)
-    return np.asarray(v + w * twice + np.cross(vector, twice))
+    twice = 2 * _cross(vector, v)
+    return np.asarray(v + w * twice + _cross(vector, twice))
 
 
 def rotation_matrix(q: ArrayLike) -> Float64:
@@ -145,7 +142,7 @@ def from_matrix(matrix: ArrayLike) -> Float64:
     References
     ----------
     Shepperd, "Quaternion from rotation matrix", Journal of Guidance and Control 1(3), 1978: the
-    largest of the four squares is taken.
+    component with the largest square is used.
     """
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(_array(matrix), (-2, -1), (0, 1))
     # Four times the products of the components: each row is the quaternion times one of them.
@@ -166,29 +163,26 @@ def from_matrix(matrix: ArrayLike) -> Float64:
 def geodesic_angle(p: ArrayLike, q: ArrayLike) -> Float64:
     """Return the angle of the rotation between two attitudes.
 
-    The sign of either quaternion does not matter, nor does its length. Exact to rounding at any
-    angle: an arc cosine would lose everything below 1e-8 rad.
+    The signs and the lengths of the quaternions do not matter. Exact to rounding at any angle: an
+    arc cosine would lose angles below 1e-8 rad.
 
     `p`, `q`: attitudes wxyz, shape ``(..., 4)``
     `Returns`: angles, shape ``(...)``, rad, from 0 to pi
     """
     pw, px, py, pz = _components(p)
     qw, qx, qy, qz = _components(q)
-    # p* q, with its terms in pairs: of equal attitudes each pair, and so the angle, is exactly 0.
-    vector = np.stack(
-        [
-            (pw * qx - px * qw) - (py * qz - pz * qy),
-            (pw * qy - py * qw) - (pz * qx - px * qz),
-            (pw * qz - pz * qw) - (px * qy - py * qx),
-        ],
-        axis=-1,
+    # p* q, with its terms in pairs: each pair, and so the angle, is exactly 0 for equal attitudes.
+    length = _length(
+        (pw * qx - px * qw) - (py * qz - pz * qy),
+        (pw * qy - py * qw) - (pz * qx - px * qz),
+        (pw * qz - pz * qw) - (px * qy - py * qx),
     )
     scalar = pw * qw + px * qx + py * qy + pz * qz
-    return np.asarray(2 * np.arctan2(_length(vector), np.abs(scalar)))
+    return np.asarray(2 * np.arctan2(length, np.abs(scalar)))
 
 
 def slerp(p: ArrayLike, q: ArrayLike, fraction: ArrayLike) -> Float64:
-    """Return attitudes between two: on the shortest rotation from p to q, at a constant rate.
+    """Interpolate between two attitudes: the shortest rotation from p to q at a constant rate.
 
     `p`, `q`: unit quaternions wxyz, shape ``(..., 4)``; their signs do not matter
     `fraction`: elapsed fraction of the rotation, shape ``(...)``: 0 gives p, 1 gives q or -q
@@ -202,10 +196,23 @@ def _array(values: ArrayLike) -> Float64:
     return np.asarray(values, dtype=np.float64)
 
 
-def _components(q: ArrayLike) -> Float64:
-    return np.moveaxis(_array(q), -1, 0)
+def _components(q: ArrayLike) -> list[Float64]:
+    q = _array(q)
+    return [q[..., k] for k in range(q.shape[-1])]
 
 
-def _length(vector: Float64) -> Float64:
-    """Return the lengths of ``(..., 3)``; hypot, since squares of tiny components vanish."""
-    return np.asarray(np.hypot(np.hypot(vector[..., 0], vector[..., 1]), vector[..., 2]))
+def _rows(*components: Float64) -> Float64:
+    rows = np.empty((*np.shape(components[0]), len(components)))
+    for k, component in enumerate(components):
+        rows[..., k] = component
+    return rows
+
+
+def _cross(x: Float64, y: Float64) -> Float64:
+    (x0, x1, x2), (y0, y1, y2) = _components(x), _components(y)
+    return _rows(x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0)
+
+
+def _length(x: Float64, y: Float64, z: Float64) -> Float64:
+    """Return the lengths of vectors; by hypot, since squares of tiny components underflow."""
+    return np.asarray(np.hypot(np.hypot(x, y), z))

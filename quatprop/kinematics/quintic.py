@@ -1,12 +1,12 @@
-"""The quintic integration rule: the rate over an interval as a quintic through six samples.
+"""The quintic integration rule: the rate in an interval is a quintic through six samples.
 
 A polynomial through the samples k - 2 to k + 3 is evaluated at the three Gauss nodes of the
 interval from k to k + 1, and the Magnus series of sixth order (S. Blanes, F. Casas, J. Ros, BIT 40,
-2000) of the three rates gives the rotation vector. At ends and beside gaps the six samples lie more
-to one side. Where no six samples are alike in spacing, the rule is ``cubic``.
+2000) of the three rates gives the rotation vector. At ends and beside gaps more of the six samples
+are on one side. Without six samples of similar spacing the rule is ``cubic``.
 
-Where samples are averages over the intervals, or increments, the polynomial passes through six
-values of the integral of the rate, which is known at the samples, and its slope is the rate.
+If samples are averages over the intervals, or increments, the polynomial passes through six values
+of the integral of the rate, which is known at the samples, and its derivative is the rate.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
 
 SAMPLES: Final = 6
 CENTRED: Final = 2
-"""Samples of the polynomial before the interval, where it has as many on both sides."""
+"""Samples of the polynomial before the interval, if there are as many on both sides."""
 
 BEFORE, AFTER = SAMPLES - 1, SAMPLES - 2
-"""Samples on which the step to a sample may depend: so many before it, so many after it."""
+"""Numbers of samples before and after a sample on which the step to it may depend."""
 
 GAUSS: Final = (0.5 - math.sqrt(15) / 10, 0.5, 0.5 + math.sqrt(15) / 10)
 """Gauss nodes of the sixth order in the unit interval."""
 
 
 class Quintic(NamedTuple):
-    """Polynomials of the rate in intervals, in Newton's form.
+    """Polynomials of the rate in intervals, in Newton form.
 
     `nodes`: times of the first five of the six samples since the start of the interval, ``(5, M)``,
         s
-    `terms`: divided differences that begin with the first sample, the lowest first: of the rates,
-        or, where the integral is what is known, of that, without the value itself; each ``(3, M)``
+    `terms`: divided differences from the first sample on, the lowest order first: of the rates or,
+        without the order zero, of their integral; each ``(3, M)``
     `usable`: whether there are six samples, ``(M,)``
     `is_integral`: whether the polynomial is that of the integral of the rate
     """
@@ -57,12 +57,12 @@ class Quintic(NamedTuple):
         )
 
     def replace(self, rotvec: Float64, s: Float64) -> None:
-        """Put the rotation vectors in place of others, ``(3, M)``, where there are six samples."""
+        """Overwrite the rotation vectors, ``(3, M)``, of intervals that have six samples."""
         chosen = np.flatnonzero(self.usable)
         if 2 * len(chosen) < len(s):
             rotvec[:, chosen] = self.at(chosen).rotation(s[chosen])
             return
-        # Faster than to choose nearly all. Other polynomials may be far from where they are used.
+        # Faster than selecting nearly all. The unusable polynomials may overflow.
         with np.errstate(over="ignore", invalid="ignore"):
             np.copyto(rotvec, self.rotation(s), where=self.usable)
 
@@ -79,7 +79,7 @@ class Quintic(NamedTuple):
         a3 -= middle
         a3 -= middle
         a3 *= s * (10 / 3)
-        # For q' = q w / 2; where the rate is multiplied on the left, cross products change sign.
+        # For q' = q w / 2; with the rate on the left, cross products change sign.
         c1 = cross(a1, a2)
         a2 -= cross(a1, c1 - 2 * a3) / 60
         rotvec = cross(20 * a1 + a3 + c1, a2)
@@ -116,9 +116,9 @@ class Quintic(NamedTuple):
 def quintic(t_ns: Int64, rate: Float64, gap_ns: int | None = None) -> Quintic:
     """Return the polynomials through samples of the rate.
 
-    `t_ns`: time stamps, shape ``(N,)``, int64, ns; N is at least 2
+    `t_ns`: timestamps, shape ``(N,)``, int64, ns; N is at least 2
     `rate`: angular rates, shape ``(3, N)``, rad/s
-    `gap_ns`: intervals longer than this are gaps; None: none is
+    `gap_ns`: intervals longer than this are gaps; None for no gaps
     """
     steps = np.diff(t_ns)
     return _through(t_ns, np.ascontiguousarray(rate), windows_over(steps, steps, gap_ns))
@@ -132,10 +132,9 @@ def quintic_of_averages(
 ) -> Quintic:
     """Return the polynomials through the integral of the rate.
 
-    `rate`: average rates over the intervals that end at the stamps, shape ``(3, N)``, rad/s; that
-        of the first sample, whose interval begins earlier, does not count
-    `integration_time_ns`: for increments: the time over which each was integrated, shape ``(N,)``,
-        int64, ns
+    `rate`: average rates over the intervals that end at the timestamps, shape ``(3, N)``, rad/s;
+        that of the first sample, whose interval begins earlier, is not used
+    `integration_time_ns`: for increments: the integration time of each, shape ``(N,)``, int64, ns
     """
     steps, lengths = steps_and_lengths(t_ns, integration_time_ns)
     nodes_ns = np.concatenate([[0], np.cumsum(lengths)])
@@ -144,27 +143,27 @@ def quintic_of_averages(
 
 
 def steps_and_lengths(t_ns: Int64, integration_time_ns: Int64 | None) -> tuple[Int64, Int64]:
-    """Return the times between stamps, and those over which is integrated, ``(M,)``, ns."""
+    """Return the times between timestamps, and the integration times, ``(M,)``, ns."""
     steps = np.diff(t_ns)
     if integration_time_ns is None:
         return steps, steps
-    # A repeated message is no interval of its own.
+    # A repeated message has no interval.
     return steps, np.where(steps > 0, integration_time_ns[1:], 0)
 
 
 class Windows(NamedTuple):
-    """Where the six samples of each interval begin, and whether there are six, ``(M,)``."""
+    """Index of the first of six samples for each interval, and whether there are six, ``(M,)``."""
 
     start: Intp
     usable: Bool
 
 
 def windows_over(steps: Int64, lengths: Int64, gap_ns: int | None = None) -> Windows:
-    """Choose samples whose spacing is alike, as many on both sides if possible.
+    """Choose samples of similar spacing, as many on both sides if possible.
 
-    `steps`: between stamps, ``(M,)``, ns
-    `lengths`: of the intervals, which may be other than the steps, ``(M,)``, ns
-    `gap_ns`: steps longer than this are gaps; None: none is
+    `steps`: times between timestamps, ``(M,)``, ns
+    `lengths`: integration times of the intervals, which may differ from the steps, ``(M,)``, ns
+    `gap_ns`: steps longer than this are gaps; None for no gaps
     """
     first, count = np.arange(len(steps)), len(steps) - BEFORE + 1
     if count < 1:
@@ -174,7 +173,7 @@ def windows_over(steps: Int64, lengths: Int64, gap_ns: int | None = None) -> Win
     if gap_ns is not None:
         whole &= _over_windows(np.maximum, steps) <= gap_ns
     if lengths is not steps:
-        # Where a message was lost, a rotation is missing before the one that follows.
+        # After a lost message a rotation is missing.
         follows = np.lib.stride_tricks.sliding_window_view(
             steps <= MAX_SPAN_RATIO * lengths, BEFORE
         )
@@ -195,7 +194,7 @@ def windows_over(steps: Int64, lengths: Int64, gap_ns: int | None = None) -> Win
 
 
 def _over_windows(extreme: np.ufunc, lengths: Int64) -> Int64:
-    """Return the least or the largest length of each five neighbouring intervals."""
+    """Return the minimum or the maximum of each five consecutive lengths."""
     count = len(lengths) - BEFORE + 1
     result = lengths[:count].copy()
     for k in range(1, BEFORE):
@@ -206,7 +205,7 @@ def _over_windows(extreme: np.ufunc, lengths: Int64) -> Int64:
 def _through(
     nodes_ns: Int64, term: Float64, windows: Windows, *, is_integral: bool = False
 ) -> Quintic:
-    """Return the polynomials through values, or through a sum of which the slopes are known."""
+    """Return the polynomials through values, or through an integral with these slopes."""
     start, usable = windows
     count = len(nodes_ns) - SAMPLES + 1
     first = np.arange(len(start))

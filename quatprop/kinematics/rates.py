@@ -1,4 +1,4 @@
-"""Quaternion rates and body or inertial rates: the kinematic equation and its inverse.
+"""The kinematic equation and its inverse: quaternion rates and body or inertial rates.
 
 q' = q w_B / 2 = w_I q / 2 (eqs. 12 and 16), with a rate as a quaternion without scalar part.
 """
@@ -25,7 +25,7 @@ def quaternion_rate(q: ArrayLike, rate: ArrayLike, *, rates: str = "body") -> Fl
 
     `q`: attitudes wxyz body -> reference, shape ``(..., 4)``
     `rate`: angular rates, shape ``(..., 3)``, rad/s
-    `rates`: where the rates are resolved: ``"body"``, multiplied on the right of q, or
+    `rates`: frame in which the rates are resolved: ``"body"``, multiplied on the right of q, or
         ``"inertial"``, on its left
     `Returns`: shape ``(..., 4)``, 1/s
 
@@ -38,7 +38,7 @@ def quaternion_rate(q: ArrayLike, rate: ArrayLike, *, rates: str = "body") -> Fl
 
 
 def rate_matrix(q: ArrayLike, *, rates: str = "body") -> Float64:
-    """Return the matrix that takes angular rates to q': its transpose, times 4, takes them back.
+    """Return the matrix M with q' = M w and, with its transpose, w = 4 M^T q'.
 
     `Returns`: shape ``(..., 4, 3)``
 
@@ -54,7 +54,7 @@ def rate_matrix(q: ArrayLike, *, rates: str = "body") -> Float64:
 
 
 def omega_matrix(rate: ArrayLike, *, rates: str = "body") -> Float64:
-    """Return the skew-symmetric matrix with q' = Omega q / 2, q as a column w, x, y, z.
+    """Return the skew-symmetric matrix Omega with q' = Omega q / 2, q a column w, x, y, z.
 
     `Returns`: shape ``(..., 4, 4)``, rad/s
 
@@ -74,7 +74,7 @@ def rate_of(q: ArrayLike, q_rate: ArrayLike, *, rates: str = "body") -> Float64:
 
     `q`: unit quaternions wxyz body -> reference, shape ``(..., 4)``
     `q_rate`: their derivatives, shape ``(..., 4)``, 1/s
-    `rates`: where to resolve the rates: ``"body"``, 2 q* q', or ``"inertial"``, 2 q' q*
+    `rates`: frame in which to resolve the rates: ``"body"``, 2 q* q', or ``"inertial"``, 2 q' q*
     `Returns`: shape ``(..., 3)``, rad/s
     """
     inverse = conjugate(q)
@@ -83,14 +83,14 @@ def rate_of(q: ArrayLike, q_rate: ArrayLike, *, rates: str = "body") -> Float64:
 
 
 def rates_between(t_ns: Int64, wxyz: ArrayLike, *, rates: str = "body") -> Float64:
-    """Return the constant rates that lead from each attitude to the next, the shorter way round.
+    """Return the constant rates from each attitude to the next, by the shorter rotation.
 
-    Propagated by the method ``start`` from the first attitude, they give the attitudes back.
+    Propagation by the method ``start`` from the first attitude reproduces the attitudes.
 
-    `t_ns`: rising time stamps, shape ``(N,)``, int64, ns
+    `t_ns`: increasing timestamps, shape ``(N,)``, int64, ns
     `wxyz`: unit quaternions body -> reference, shape ``(N, 4)``
-    `rates`: where to resolve the rates: ``"body"`` or ``"inertial"``
-    `Returns`: shape ``(N - 1, 3)``, rad/s: row k holds from sample k to sample k + 1
+    `rates`: frame in which to resolve the rates: ``"body"`` or ``"inertial"``
+    `Returns`: shape ``(N - 1, 3)``, rad/s: row k is the rate from sample k to sample k + 1
 
     References
     ----------
@@ -103,7 +103,7 @@ def rates_between(t_ns: Int64, wxyz: ArrayLike, *, rates: str = "body") -> Float
 
 
 def rotation_vectors_between(wxyz: ArrayLike, *, rates: str = "body") -> Float64:
-    """Return the rotation vectors from each attitude to the next, the shorter way round.
+    """Return the rotation vectors from each attitude to the next, by the shorter rotation.
 
     `Returns`: shape ``(N - 1, 3)``, rad
     """

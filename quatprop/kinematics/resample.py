@@ -1,8 +1,7 @@
-"""Fewer attitudes, or attitudes at other times: exact under the integration rule that was used.
+"""Decimate attitudes, or compute them at other times, exactly by the integration rule.
 
-Nothing is interpolated between attitudes. Between two samples the rule says how the body rotates,
-so the attitude at a time in between is the one before it times the step over the elapsed part of
-the interval.
+Attitudes are not interpolated. The rule defines the rotation between two samples, so the attitude
+at a time in between is the previous one times the step over the elapsed part of the interval.
 """
 
 from __future__ import annotations
@@ -29,12 +28,12 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import Float64, Int64
 
-    # From body to reference axes, by attitudes; by their conjugates, back.
+    # From body to reference axes by attitudes; the inverse by their conjugates.
     Turn = Callable[[Float64, Float64], Float64]
 
 
 PIECE = 1 << 17
-"""Times at once: bounds memory, and products with the period of a regular rate fit in 64 bits."""
+"""Times in a batch: bounds memory, and keeps products with a regular period in 64 bits."""
 
 
 def every(series: Iterable[AttitudeSeries], step: int) -> Iterator[AttitudeSeries]:
@@ -48,16 +47,17 @@ def every(series: Iterable[AttitudeSeries], step: int) -> Iterator[AttitudeSerie
 
 
 MAX_ROWS = 10_000_000
-"""More times than this between two samples come from a wrong timestamp."""
+"""Maximum number of times between two samples; more are due to a wrong timestamp."""
 
 MAX_PER_SAMPLE = 10_000
-"""More times than this for each sample of a block come from a wrong rate."""
+"""Maximum number of times per sample of a block; more are due to a wrong rate."""
 
 
 class Steady:
-    """A fixed number of times a second, counted from the first sample.
+    """Times at a fixed rate, from the first sample on.
 
-    `rate`: times a second, Hz. The k-th time is k / rate, rounded to the nearest ns, without drift
+    `rate`: times per second, Hz. The k-th time is k / rate, rounded to the nearest ns, without
+        drift
     """
 
     def __init__(self, rate: Fraction) -> None:
@@ -66,7 +66,7 @@ class Steady:
         self._next = 0
 
     def up_to(self, first_ns: int, last_ns: int) -> Iterator[Int64]:
-        """Yield the wanted times from the last call's `last_ns` on, up to and with this one."""
+        """Yield the times after the previous call's `last_ns`, up to and including this one."""
         if self._origin is None:
             self._origin = first_ns
         first = max(self._next, regular_count(first_ns - self._origin - 1, self._rate))
@@ -75,8 +75,8 @@ class Steady:
             yield self._origin + regular_stamps(start, min(start + PIECE, stop), self._rate)
 
     def refuse_excess(self, t_ns: Int64) -> None:
-        """Refuse samples between which too many times lie: one of their stamps must be wrong."""
-        if len(t_ns) < 2:  # noqa: PLR2004  # ends of an interval
+        """Refuse samples with too many times in between: a timestamp must be wrong."""
+        if len(t_ns) < 2:  # noqa: PLR2004  # the ends of an interval
             return
         longest = int(np.argmax(np.diff(t_ns)))
         before, after = t_ns[longest : longest + 2].tolist()
@@ -98,9 +98,9 @@ class Steady:
 
 
 class Listed:
-    """Times that are given.
+    """A list of times.
 
-    `t_ns`: stamps, shape ``(N,)``, int64 ns, in order
+    `t_ns`: times in order, shape ``(N,)``, int64 ns
     """
 
     def __init__(self, t_ns: Int64) -> None:
@@ -111,12 +111,12 @@ class Listed:
         return len(self._t_ns)
 
     def count_outside(self, first_ns: int, last_ns: int) -> int:
-        """Return how many of the times are before or after a range."""
+        """Return the number of times before or after a range."""
         first = int(np.searchsorted(self._t_ns, first_ns))
         return len(self) - int(np.searchsorted(self._t_ns, last_ns, side="right")) + first
 
     def up_to(self, first_ns: int, last_ns: int) -> Iterator[Int64]:
-        """Yield the next times, as :meth:`Steady.up_to` does."""
+        """Yield the next times, as :meth:`Steady.up_to`."""
         first = max(self._next, int(np.searchsorted(self._t_ns, first_ns)))
         self._next = stop = max(first, int(np.searchsorted(self._t_ns, last_ns, side="right")))
         for start in range(first, stop, PIECE):
@@ -137,7 +137,7 @@ def at_times(
 ) -> Iterator[AttitudeSeries]:
     """Yield attitudes at the wanted times of one segment.
 
-    `gap_limit_ns`: in intervals longer than this no rotation is assumed; None: in none
+    `gap_limit_ns`: no rotation is assumed in longer intervals; None for no limit
     """
     first_ns = None
     last: tuple[GyroSeries, AttitudeSeries] | None = None
@@ -146,8 +146,8 @@ def at_times(
         first_ns = int(block.t_ns[0]) if first_ns is None else first_ns
         gyro, known = block, attitudes
         if last is not None:
-            # The interval between blocks begins with the last sample of the block before, and a
-            # polynomial through it with those before that.
+            # The interval between blocks begins with the last sample of the previous block, and a
+            # polynomial needs further samples of it.
             gyro = GyroSeries.joined([last[0], block])
             known = AttitudeSeries.joined([last[1], attitudes])
         wxyz = known.wxyz
@@ -156,12 +156,12 @@ def at_times(
             times.refuse_excess(gyro.t_ns)
         after = gyro[-1:] if following is None else following[0][:AFTER]
         if rates == "inertial":
-            # The conjugates turn by the opposite rates, on the right.
+            # The conjugates are propagated with the opposite rates on the right.
             gyro, after = gyro.with_rate(-gyro.rate), after.with_rate(-after.rate)
             wxyz = conjugate(wxyz)
-        shape = _shape(GyroSeries.joined([gyro, after]), method, gap_limit_ns)
+        polynomials = _rate_polynomials(GyroSeries.joined([gyro, after]), method, gap_limit_ns)
         for wanted in times.up_to(first_ns, int(gyro.t_ns[-1])):
-            between = _between(gyro, wxyz, wanted, method, shape)
+            between = _between(gyro, wxyz, wanted, method, polynomials)
             if gap_limit_ns is not None:
                 at = np.searchsorted(gyro.t_ns, wanted, side="right") - 1
                 inside = np.diff(gyro.t_ns, append=gyro.t_ns[-1])[at] > gap_limit_ns
@@ -172,11 +172,11 @@ def at_times(
 
 
 def with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64, rates: str) -> AttitudeSeries:
-    """Return attitudes between known ones, with what those have beside them.
+    """Return attitudes between known ones, with the other columns interpolated.
 
-    Rates are taken as linear in time in the axes in which they are resolved, and covariances in
-    the others, where they are sums of integrals. What is between two
-    samples is recorded as long after the first as it is, but not after the second.
+    Rates are linear in time in the axes in which they are resolved; covariances in the other axes,
+    in which they are sums of integrals. A log time is that of the sample before plus the elapsed
+    time, but not later than that of the sample after.
     """
     beside = known.covariance, known.rate, known.log_ns, known.position
     if all(values is None for values in beside):
@@ -208,15 +208,15 @@ def with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64, rates: str
     return AttitudeSeries(wanted, wxyz, position, covariance, rate, log_ns)
 
 
-class _Shape(NamedTuple):
-    """How the rate runs between samples, as far as the method says more than the samples do."""
+class _RatePolynomials(NamedTuple):
+    """The polynomials of the rate between samples, for methods that have some."""
 
     curvature: Curvature | None
     quintic: Quintic | None
 
 
-def _shape(gyro: GyroSeries, method: str, gap_ns: int | None) -> _Shape:
-    """Return how the rate runs between samples."""
+def _rate_polynomials(gyro: GyroSeries, method: str, gap_ns: int | None) -> _RatePolynomials:
+    """Return the polynomials of the rate between samples."""
     t_ns, rate, integration_time_ns = gyro.t_ns, gyro.rate.T, gyro.integration_time_ns
     if gyro.is_integrated(method) and method in CORRECT_CONING:
         causal = method == "coning"
@@ -224,25 +224,29 @@ def _shape(gyro: GyroSeries, method: str, gap_ns: int | None) -> _Shape:
             t_ns, rate, integration_time_ns, gap_ns=gap_ns, causal=causal
         )
         if method != "quintic":
-            return _Shape(curved, None)
-        return _Shape(curved, quintic_of_averages(t_ns, rate, integration_time_ns, gap_ns))
-    return _Shape(
+            return _RatePolynomials(curved, None)
+        return _RatePolynomials(
+            curved, quintic_of_averages(t_ns, rate, integration_time_ns, gap_ns)
+        )
+    return _RatePolynomials(
         curvature(t_ns, rate, gap_ns) if method in LOOK_AHEAD else None,
         quintic(t_ns, rate, gap_ns) if method == "quintic" else None,
     )
 
 
-def _between(gyro: GyroSeries, wxyz: Float64, wanted: Int64, method: str, shape: _Shape) -> Float64:
-    """Return the attitudes at wanted times within the samples, ``(M, 4)``."""
+def _between(
+    gyro: GyroSeries, wxyz: Float64, wanted: Int64, method: str, polynomials: _RatePolynomials
+) -> Float64:
+    """Return the attitudes at some times within the samples, ``(M, 4)``."""
     before = np.searchsorted(gyro.t_ns, wanted, side="right") - 1
     after = np.minimum(before + 1, len(gyro) - 1)
     elapsed = (wanted - gyro.t_ns[before]) / NS_PER_S
     interval = (gyro.t_ns[after] - gyro.t_ns[before]) / NS_PER_S
     fraction = np.divide(elapsed, interval, out=np.zeros_like(interval), where=interval > 0)
     first, second = gyro.rate[before].T, gyro.rate[after].T
-    curvature = None if shape.curvature is None else shape.curvature.at(before)
+    curvature = None if polynomials.curvature is None else polynomials.curvature.at(before)
     if gyro.is_integrated(method):
-        # An increment may have been integrated over more or less time than there is between stamps.
+        # The integration time of an increment may differ from the interval between timestamps.
         if gyro.integration_time_ns is not None:
             elapsed = fraction * (gyro.integration_time_ns[after] / NS_PER_S)
         rotvec = integration_rule("end")(first, second, elapsed)
@@ -250,15 +254,15 @@ def _between(gyro: GyroSeries, wxyz: Float64, wanted: Int64, method: str, shape:
             rotvec += curvature.rotation_of_averages(second, elapsed)
     else:
         if method != "end":
-            # A rate that is linear in time has got part of the way to the next sample's.
+            # The rate is linear between the samples.
             second = first + fraction * (second - first)
         if curvature is not None:
             second += curvature.rate(elapsed)
         rotvec = integration_rule(method)(first, second, elapsed)
         if curvature is not None:
             rotvec += curvature.rotation(elapsed)
-    if shape.quintic is not None:
-        shape.quintic.at(before).replace(rotvec, elapsed)
+    if polynomials.quintic is not None:
+        polynomials.quintic.at(before).replace(rotvec, elapsed)
     attitudes = multiply(wxyz[before], exp(rotvec.T))
-    # At a sample itself the attitude is the sample's, to the bit.
+    # At a sample the attitude is that of the sample, to the bit.
     return np.asarray(np.where((fraction == 0)[:, None], wxyz[before], attitudes))

@@ -1,8 +1,8 @@
-"""How far the final attitude depends on the integration rule, and on the sampling.
+"""Sensitivity of the final attitude to the integration rule and to the sampling.
 
-Two propagations more, of which only the end is computed: by the next better rule, and by the same
-rule with every second sample. The first says what the rule leaves out. The second does not reassure
-where the samples are too far apart for every rule, so that all rules agree on a wrong attitude.
+The final attitude is computed by two more propagations: with the next better rule, and with every
+second sample. The first shows the error of the rule. The second also reveals a sample rate that is
+too low for all rules, when they agree on a wrong attitude.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ NEXT_BETTER: Final = {
     "cubic": "coning",
     "quintic": "cubic",
 }
-"""The integration rule with which each is compared: of the next higher order, or the next lower."""
+"""The rule with which each is compared: of the next higher order, or else the next lower."""
 
 
 class Sensitivity:
-    """The final attitudes that another method, and every second sample, lead to.
+    """The final attitudes of another method, and with every second sample.
 
-    `next_method`: the method that is compared; known when the samples have passed
+    `next_method`: the other method; known after the last sample
     """
 
     def __init__(self, q0: Float64, method: str, rates: str) -> None:
@@ -47,14 +47,14 @@ class Sensitivity:
         self.next_method: str | None = None
 
     def begin(self, *, restart: bool) -> None:
-        """Begin a segment: at q0 again, or at the attitudes reached so far."""
+        """Begin a segment: at q0 again, or at the current attitudes."""
         self._starts = [self._q0, self._q0] if restart else self._ends
         self._is_quintic = self._is_quintic and not restart
         self._runs: list[FinalAttitude] | None = None
         self._sparse = Decimator()
 
     def add(self, block: GyroSeries) -> None:
-        """Take the next samples: a block of :func:`quatprop.series.blocks.reblock`."""
+        """Add the next samples: a block of :func:`quatprop.series.blocks.reblock`."""
         if self._runs is None:
             integrated = block.is_integrated(self._method)
             end = integrated and self._method not in CORRECT_CONING
@@ -79,18 +79,18 @@ class Sensitivity:
                 self.next_method = "cubic" if self._is_quintic else "coning"
 
     def angles(self, final: ArrayLike) -> tuple[float, float]:
-        """Return how far the final attitude is from those of the others, rad.
+        """Return the angles between the final attitude and the two others, rad.
 
-        `final`: the attitude at the last sample by the method itself, wxyz, shape ``(4,)``
+        `final`: the attitude of the method itself at the last sample, wxyz, shape ``(4,)``
         """
         method_rad, sampling_rad = geodesic_angle(np.asarray(final), np.array(self._ends)).tolist()
         return method_rad, sampling_rad
 
 
 class _BelowQuintic(FinalAttitude):
-    """The end by ``cubic``, but by ``coning`` over intervals at which ``quintic`` is ``cubic``.
+    """The final attitude by ``cubic``, or ``coning`` over intervals where ``quintic`` is ``cubic``.
 
-    `is_quintic`: whether it was anything else over any interval so far
+    `is_quintic`: whether ``quintic`` has differed from ``cubic`` over any interval so far
     """
 
     is_quintic = False
@@ -105,12 +105,12 @@ class _BelowQuintic(FinalAttitude):
 
 
 class Decimator:
-    """Leaves out every second sample of a segment, but not the last.
+    """Drops every second sample of a segment, but not the last.
 
-    Averages and increments over two intervals are joined: nothing of the motion is left out, but
-    how the axis turned within them.
+    Averages and increments are combined over two intervals: only the rotation of the axis within
+    them is lost.
 
-    `rest`: the last sample so far, where it was left out
+    `rest`: the last sample so far, if it was dropped; else empty
     """
 
     def __init__(self) -> None:
@@ -119,16 +119,16 @@ class Decimator:
         self.rest = GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))
 
     def kept(self, block: GyroSeries) -> GyroSeries:
-        """Return the samples of the next block that remain."""
+        """Return the samples of the next block that are kept."""
         if block.integration_time_ns is None and not block.is_interval_average:
-            # No sample depends on others, so none is copied.
+            # The samples are independent, so they are a view.
             sparse = block[self._count % 2 :: 2]
             self._count += len(block)
             self.rest = block[len(block) - (self._count + 1) % 2 :]
             return sparse
         samples, first = block, 0
         if self._held is not None:
-            # The first of these was returned before.
+            # The first of these was returned with the previous block.
             samples, first = GyroSeries.joined([self._held, block]), 2
         last = (len(samples) - 1) // 2 * 2
         self._held, self.rest = samples[last:], samples[last + 1 :]
@@ -136,7 +136,7 @@ class Decimator:
 
     @staticmethod
     def _joined(samples: GyroSeries, sparse: GyroSeries) -> GyroSeries:
-        """Return the sparse samples with the averages over both of their intervals."""
+        """Return the kept samples with the averages over both of their intervals."""
         lengths = (
             np.diff(samples.t_ns)
             if samples.integration_time_ns is None

@@ -1,7 +1,7 @@
-"""How the errors of a gyroscope grow to an error of the attitude: its covariance at every sample.
+"""Covariance of the attitude at every sample, due to the errors of a gyroscope.
 
-A body rate that is off by e turns the attitude by the integral of R e in reference axes, R being
-the rotation matrix body -> reference. So the covariance needs integrals of R alone, which are sums
+An error e of the body rate rotates the attitude by the integral of R e in reference axes, with R
+the rotation matrix body -> reference. So the covariance needs only integrals of R, which are sums
 over the samples:
 
     P = P0  +  N^2 t I  +  b^2 S S'  +  s^2 G0 G0'  +  m^2 (G1 G1' + G2 G2')
@@ -9,17 +9,16 @@ over the samples:
     S = int R dt     Gk = int R diag(w of the axes k further) dt
 
 with the covariance P0 of the first attitude, the angle random walk N, and the standard deviations b
-of the bias, s of the scale factors and m of the misalignments, alike and independent on all axes. A
-bias that walks is in :mod:`quatprop.kinematics.bias_growth`. P is the covariance of small rotations
-about reference axes, R' P R of the same rotations about body axes.
+of the bias, s of the scale factors and m of the misalignments, equal and independent on all axes. A
+bias with a random walk is in :mod:`quatprop.kinematics.bias_growth`. P is the covariance of small
+rotations about reference axes, R' P R that of the same rotations about body axes.
 
-Misalignments are the six small angles by which each sensitive axis leans to the two others: the
-rate is off by e_i = m_ij w_j + m_ik w_k. Where the whole sensor is turned by small angles, m_ij is
+Misalignments are the six small angles by which each sensitive axis is tilted towards the two
+others: e_i = m_ij w_j + m_ik w_k. If the whole sensor is rotated by small angles, m_ij is
 -m_ji; its errors are at most sqrt(2) times those of six angles of the same size.
 
-The error of a rate in reference axes rotates with the reference as seen from the body: it turns the
-attitude by the integral of R' e in body axes. With R' for R, P is then the covariance about body
-axes, and R P R' that about reference axes.
+An error e of an inertial rate rotates the attitude by the integral of R' e in body axes. With R' in
+place of R, P is then the covariance about body axes, and R P R' that about reference axes.
 
 References
 ----------
@@ -38,7 +37,7 @@ from quatprop.kinematics.bias_growth import BiasGrowth, RestErrors
 from quatprop.kinematics.elements import (
     TRANSPOSED,
     UPPER,
-    mean_on_the_way,
+    mean_rotation,
     rotate_covariance,
     rotated,
     rotation_elements,
@@ -57,19 +56,19 @@ if TYPE_CHECKING:
 
 
 LARGE_ANGLE: Final = 0.1
-"""rad: over an interval in which the body rotates further, R is integrated by its rotation, not as
-the mean of both ends; the mean is off by the square of the angle / 12."""
+"""rad: if the body rotates further in an interval, R is integrated along the rotation, instead of
+by the mean of both ends, whose relative error is the square of the angle / 12."""
 
 
 class SensorErrors(NamedTuple):
-    """Standard deviations of what is wrong with a gyroscope, the same on all axes.
+    """Standard deviations of the errors of a gyroscope, the same on all axes.
 
     `noise_density`: angle random walk N, the density of white noise, rad/s/sqrt(Hz), which is
         rad/sqrt(s)
     `bias_sigma`: constant bias, rad/s
     `random_walk`: rate random walk K of the bias, rad/s^2/sqrt(Hz), which is rad/s/sqrt(s)
     `scale_sigma`: scale factors, a ratio
-    `misalignment_sigma`: the angles by which each sensitive axis leans to the two others, rad
+    `misalignment_sigma`: angles by which each sensitive axis is tilted towards the two others, rad
     """
 
     noise_density: float = 0.0
@@ -80,30 +79,30 @@ class SensorErrors(NamedTuple):
 
 
 BY_RATE: Final = (("scale_sigma", (0,)), ("misalignment_sigma", (1, 2)))
-"""Errors in proportion to rates, and how many axes further the rates are than what they add to."""
+"""Errors proportional to rates, and the offsets from the affected axis to the axes of the rates."""
 
 
 class ErrorGrowth:
     """The covariance of the attitude, sample by sample.
 
     `rates`: ``"body"`` or ``"inertial"``: the axes in which rates and their errors are resolved
-    `method`: the integration rule: which samples a scale factor acts on in an interval
-    `mount`: sensor axes to body axes, shape ``(3, 3)``, for scale factors; None where they are the
+    `method`: the integration rule, which defines the rate of an interval for scale factors
+    `mount`: sensor axes to body axes, shape ``(3, 3)``, for scale factors; None if they are the
         same
     `q0`: covariance of the first attitude, about reference axes for body rates and about body axes
-        for inertial ones, shape ``(3, 3)``, rad^2; None if that is exact
-    `rests`: where the bias is known from; None: as it is at the first sample
+        for inertial ones, shape ``(3, 3)``, rad^2; None if it is exact
+    `rests`: rests from which the bias is known; None: it is known at the first sample
     `final`: the covariance at the last sample so far, shape ``(3, 3)``, rad^2
-    `variances`: what each error, by its name in :class:`SensorErrors`, and ``"q0_sigma"``, adds to
-        its trace, rad^2
+    `variances`: contributions to its trace, rad^2, by name of an error in :class:`SensorErrors` or
+        ``"q0_sigma"``
 
     Notes
     -----
-    Tiles begin at fixed sample indices, and sums up to a sample do not depend on later ones: the
+    Tiles begin at fixed sample indices, and sums up to a sample do not depend on later samples: the
     covariances of the first samples are those of the whole log, to the bit.
     """
 
-    def __init__(  # noqa: PLR0913  # all that the errors are and act on
+    def __init__(  # noqa: PLR0913  # all parameters of the error model
         self,
         errors: SensorErrors,
         rates: str = "body",
@@ -119,7 +118,7 @@ class ErrorGrowth:
         self.begin(restart=True)
 
     def begin(self, *, restart: bool) -> None:
-        """Begin a segment: at an attitude that is known, or at the last one, without rotation."""
+        """Begin a segment: at a known attitude, or at the last one, without rotation."""
         self._is_after_gap = not restart
         if not restart:
             return
@@ -135,7 +134,8 @@ class ErrorGrowth:
     def advance(self, gyro: GyroSeries, wxyz: Float64, *, to_end: bool = False) -> Float64:
         """Return the covariance of the next attitudes.
 
-        `wxyz`: their attitudes, body -> reference, shape ``(N, 4)``
+        `wxyz`: the attitudes, body -> reference, shape ``(N, 4)``
+        `to_end`: return only the covariance of the last one
         `Returns`: covariances of small rotations about body axes, shape ``(N, 3, 3)`` or ``(1, 3,
             3)``, rad^2
         """
@@ -150,27 +150,29 @@ class ErrorGrowth:
         integrated_ns = self._integrated_ns + np.cumsum(self._noisy_ns(spans_ns, gyro, before_ns))
         self._integrated_ns = integrated_ns[-1]
         noise = self._errors.noise_density**2 / NS_PER_S * integrated_ns[self._rows]
-        np.maximum(noise, 0.0, out=noise)  # after a rest it may be rounded to below 0
+        np.maximum(noise, 0.0, out=noise)  # rounding may make it negative after a rest
         self.variances = {"noise_density": 3 * float(noise[-1])}
         if self._q0 is not None or self._errors._replace(noise_density=0.0) != SensorErrors():
             for start in range(0, len(gyro), TILE):
                 tile = slice(start, start + TILE)
-                turn = rotation_elements(wxyz[tile])
+                rotation = rotation_elements(wxyz[tile])
                 if self._inertial:
-                    turn = turn[TRANSPOSED, :]
-                fixed = self._fixed(gyro[tile], turn, spans_ns[tile] / NS_PER_S, before_ns[tile])
+                    rotation = rotation[TRANSPOSED, :]
+                fixed = self._fixed(
+                    gyro[tile], rotation, spans_ns[tile] / NS_PER_S, before_ns[tile]
+                )
                 out = covariance if to_end else covariance[..., tile]
                 if self._inertial:
                     write_covariance(fixed, out=out)
                 else:
-                    rotate_covariance(fixed, turn[:, self._rows], out=out)
+                    rotate_covariance(fixed, rotation[:, self._rows], out=out)
         for axis in range(3):
             covariance[axis, axis] += noise
         self.final = covariance[..., -1].copy()
         return np.moveaxis(covariance, -1, 0)
 
     def _noisy_ns(self, spans_ns: Int64, gyro: GyroSeries, before_ns: Int64) -> Int64:
-        """Return for how long noise acts in each interval: in rests, less that of their mean."""
+        """Return the effective time of noise in each interval, ns; see `RestErrors.noise_ns`."""
         if self._rests is None or not (inside := self._rests.inside(before_ns, gyro.t_ns)).any():
             return spans_ns
         noisy_ns = spans_ns.copy()
@@ -180,7 +182,7 @@ class ErrorGrowth:
         return noisy_ns
 
     def _spans_ns(self, gyro: GyroSeries, before_ns: Int64) -> Int64:
-        """Return over how much time the interval that ends at each sample is integrated, ns."""
+        """Return the integration time of the interval that ends at each sample, ns."""
         spans_ns = gyro.t_ns - before_ns
         if gyro.integration_time_ns is not None:
             spans_ns = np.where(spans_ns > 0, gyro.integration_time_ns, 0)
@@ -188,26 +190,28 @@ class ErrorGrowth:
             spans_ns[0], self._is_after_gap = 0, False
         return spans_ns
 
-    def _fixed(self, gyro: GyroSeries, turn: Float64, span: Float64, before_ns: Int64) -> Float64:
-        """Return the covariance ``(6, n)`` where it is a sum of integrals, but for noise.
+    def _fixed(
+        self, gyro: GyroSeries, rotation: Float64, span: Float64, before_ns: Int64
+    ) -> Float64:
+        """Return the covariance without noise, ``(6, n)``, about the axes in which it is a sum.
 
-        That is about reference axes for body rates, and about body axes for inertial ones.
+        These are reference axes for body rates, and body axes for inertial ones.
         """
         rows = self._rows
         if self._previous is None:
-            self._previous = gyro[:1], turn[:, :1]
-        last, last_turn = self._previous
-        self._previous = gyro[-1:], turn[:, -1:].copy()
+            self._previous = gyro[:1], rotation[:, :1]
+        last, last_rotation = self._previous
+        self._previous = gyro[-1:], rotation[:, -1:].copy()
         # The integral of R over the interval that ends at each sample.
-        step = with_previous(turn, last_turn)
+        step = with_previous(rotation, last_rotation)
         step *= span / 2
-        # A bound of all angles: whether one of them is large does not depend on the others.
+        # A bound of all angles first; which intervals are large does not depend on others.
         extremes = [edge(one.rate) for one in (gyro, last) for edge in (np.max, np.min)]
         if math.sqrt(3) * np.abs(extremes).max() * span.max() > LARGE_ANGLE:
             rotvec = self._rate(gyro, last) * (-span if self._inertial else span)
             large = np.flatnonzero((rotvec**2).sum(axis=0) > LARGE_ANGLE**2)
-            begin = np.where(large > 0, turn[:, large - 1], last_turn)
-            step[:, large] = mean_on_the_way(begin, rotvec[:, large]) * span[large]
+            begin = np.where(large > 0, rotation[:, large - 1], last_rotation)
+            step[:, large] = mean_rotation(begin, rotvec[:, large]) * span[large]
         fixed = np.zeros((6, 1 if rows.start else len(gyro)))
         if self._q0 is not None:
             fixed += self._q0
@@ -221,7 +225,7 @@ class ErrorGrowth:
         return fixed
 
     def _by_rate(self, step: Float64, rate: Float64) -> Float64:
-        """Return what errors in proportion to the rates contribute."""
+        """Return the contributions of errors that are proportional to the rates."""
         rows_of_step = step.reshape(3, 3, -1)
         if (mount := self._mount) is not None:
             rate = rotated(rate, mount)
@@ -241,7 +245,7 @@ class ErrorGrowth:
 
     def _rate(self, gyro: GyroSeries, last: GyroSeries) -> Float64:
         """Return the rate in the interval that ends at each sample, by the method, ``(3, n)``."""
-        # In rows: an operation on columns would be slower than all that follows.
+        # In rows: one operation on columns would be slower than all others on rows.
         rate, before = np.ascontiguousarray(gyro.rate.T), last.rate.T
         if self._method == "end" or gyro.is_integrated(self._method):
             return rate
@@ -253,13 +257,13 @@ class ErrorGrowth:
 
 
 def reference_covariance(wxyz: Float64, covariance: Float64) -> Float64:
-    """Return covariances of rotations about body axes as of rotations about reference axes.
+    """Convert covariances of rotations about body axes to those about reference axes.
 
     `wxyz`: attitudes body -> reference, shape ``(N, 4)``
     `covariance`: shape ``(N, 3, 3)``, rad^2
     """
-    turn = rotation_matrix(wxyz)
-    turned = np.asarray(turn @ covariance @ turn.swapaxes(-1, -2))
+    rotation = rotation_matrix(wxyz)
+    turned = np.asarray(rotation @ covariance @ rotation.swapaxes(-1, -2))
     variances = np.einsum("...ii->...i", turned)
-    np.maximum(variances, 0.0, out=variances)  # rounding errors may have brought them below 0
+    np.maximum(variances, 0.0, out=variances)  # rounding may make them negative
     return turned

@@ -1,7 +1,7 @@
-"""Copies of a log to which its attitudes are added; everything else is kept as it is.
+"""Copy a log and add its attitudes; everything else is unchanged.
 
-Here the readers and writers of containers meet: the log's content is copied as bytes, attitudes
-are inserted in order of time, and indexes are written anew.
+The log's content is copied as bytes, the attitudes are inserted in order of time, and the indexes
+are rewritten.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ COPIERS: Mapping[str, tuple[str, str]] = {
     "db3": ("rosbag2", "rosbag2:Rosbag2CopyWriter"),
     "rosbag2": ("rosbag2", "rosbag2:Rosbag2CopyWriter"),
 }
-"""By the kind of log: the key of :data:`quatprop.writers.formats.WRITERS` of the copy, and
-``module:class`` of the writer, which is called with the log, the target and the message to add."""
+"""By kind of log: the copy's key in :data:`quatprop.writers.formats.WRITERS`, and ``module:class``
+of the writer, which is called with the log, the target and the message to add."""
 
 
 def copy_kind(log: Log, target: str, to: str | None = None) -> str:
-    """Return the key of :data:`quatprop.writers.formats.WRITERS` that a copy of a log has."""
+    """Return the key of a log's copy in :data:`quatprop.writers.formats.WRITERS`."""
     if log.kind not in COPIERS:
         raise UsageError(
             f"{plain(log.path)}: attitudes can be added to logs of kind {listed(COPIERS)}, and "
@@ -72,11 +72,10 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
     sigma: str | None = None,
     extra_columns: str | None = None,
 ) -> AttitudeWriter:
-    """Open a writer of a copy of a log to which attitudes are added, at their log times.
+    """Open a writer of a copy of a log to which attitudes are added at their log times.
 
-    Stamps and log times need not be of one clock: some devices count from when they were switched
-    on. Players and plots sort by log time, so attitudes logged at their stamps could be fifty years
-    away.
+    Timestamps and log times may be of different clocks: some devices count from power-on. Players
+    and plots sort by log time, so attitudes logged at their timestamps could be decades away.
     """
     kind = copy_kind(log, target)
     layout_of(kind, layout)

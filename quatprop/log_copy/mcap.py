@@ -1,4 +1,4 @@
-"""Copies of MCAP files to which attitudes are added."""
+"""Copy MCAP files and add attitudes."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     from quatprop.writers.messages.kinds import Message
 
 _CHUNK_BYTES = 1 << 17
-"""Small chunks, so that each is among those of its own time."""
+"""Bytes of a chunk of attitudes: small, so that it is near the log's chunks of its time."""
 
 
 class McapPart:
     """A copy of an MCAP file to which messages of one topic are added.
 
     `log`: the file to copy; it stays open until the part is finished
-    `place`: where the copy goes: a path where nothing is, or a stream
-    `encoder`: encodes attitudes as the messages of this file
+    `place`: the destination: a path that does not exist, or a stream
+    `encoder`: the encoder of attitudes for this file
     """
 
     def __init__(self, log: McapLog, place: Path | BinaryIO, message: Message) -> None:
@@ -57,14 +57,14 @@ class McapPart:
             self._resources = resources.pop_all()
 
     def write(self, log_ns: Int64, messages: Records) -> None:
-        """Append messages, after everything of the file that was logged before them."""
+        """Append messages, after the parts of the log that are earlier."""
         self._file.write(log_ns, messages)
         self.added.add(log_ns)
 
     def finish(
         self, extend: Callable[[str], str], provenance: Mapping[str, object] | None = None
     ) -> None:
-        """Copy the rest and finish the file."""
+        """Copy the rest of the log and finish the file."""
         self._file.flush()
         self._copy.up_to(None, self._file)
         if self._copy.bag_metadata is not None:
@@ -96,6 +96,6 @@ class McapCopyWriter(MessageWriter):
         part.finish(lambda text: extended_record(text, topic, [part.added]), provenance)
 
     def abort(self) -> None:
-        """Remove what was not committed."""
+        """Discard uncommitted output."""
         self._part.close()
         super().abort()

@@ -1,7 +1,7 @@
-"""Copies the records of an MCAP file, as they are and in order of the file.
+"""Copy the records of an MCAP file, unchanged and in their order.
 
-Chunks are decompressed only where their message index is missing and has to be made. Index
-records are not copied, since everything is at another place in the copy.
+Chunks are decompressed only if their message index is missing and must be rebuilt. Index records
+are not copied, since all offsets change.
 """
 
 from __future__ import annotations
@@ -45,23 +45,22 @@ if TYPE_CHECKING:
     Indexes = dict[int, Records]
 
 ROSBAG2, SERIALIZED = "rosbag2", "serialized_metadata"
-"""Name and key of the record that holds the metadata of a ROS 2 bag."""
+"""Name and key of the metadata record with the metadata of a ROS 2 bag."""
 
 _PIECE = 1 << 20
 _NAMES = 1 << 16
-"""Bytes of an attachment that are read for its name and type."""
+"""Maximum bytes of an attachment that are read for its name and type."""
 
 _COPIED = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA})
-"""Records of the format that are copied; messages are in chunks, and the rest is made anew."""
+"""Records that are copied besides chunks and private records; the others are rewritten."""
 
 
 class McapCopy:
-    """Copies a file step by step, up to a given time.
+    """Copies a file incrementally, up to a given time.
 
     `log`: the file, which stays open until the copy is finished
-    `contents`: its schemas and channels, and everything copied so far
-    `bag_metadata`: the metadata of a ROS 2 bag, if it holds them. They are not copied, since they
-        change
+    `contents`: its schemas and channels, and the records copied so far
+    `bag_metadata`: the metadata of a ROS 2 bag, if it has them; not copied, since they change
     """
 
     def __init__(self, log: McapLog) -> None:
@@ -91,7 +90,7 @@ class McapCopy:
         self._end = max([data_end, *(chunk.end for chunk in overview.chunks)])
 
     def up_to(self, first_ns: int | None, file: McapFile) -> None:
-        """Copy the records before the first chunk that begins after `first_ns`; with None all."""
+        """Copy the records before the first chunk that begins after `first_ns`, or all if None."""
         while self._position < self._end:
             chunk = self._chunks.get(self._position)
             if chunk is None:
@@ -102,16 +101,16 @@ class McapCopy:
             if chunk.is_chunk:
                 self._copy_chunk(chunk, file)
             else:
-                # Messages outside chunks go into one.
+                # Messages outside chunks are put into a chunk.
                 data = self._read(chunk.start, chunk.length)
                 if indexes := _indexes(data):
                     file.append_chunk(compressed_chunk("none", data, indexes))
             self._position = chunk.end
 
     def _copy_chunk(self, chunk: Chunk, file: McapFile) -> None:
-        """Copy a chunk and its message index, or make that."""
+        """Copy a chunk, and copy or rebuild its message index."""
         if chunk.start + chunk.length > self._source.size:
-            return  # the reader of its messages reports it
+            return  # the reader of its messages reports the loss
         head = chunk_head(self._read(chunk.start, min(PEEK, chunk.length)), chunk.length)
         if head is None:
             return
@@ -128,7 +127,7 @@ class McapCopy:
         )
 
     def _indexes_of(self, chunk: Chunk) -> Indexes:
-        """Return the message index of a chunk, made from its messages where it is damaged."""
+        """Return the message index of a chunk, rebuilt from its messages if it is damaged."""
         index = self._read(chunk.start + chunk.length, chunk.index_length)
         indexes = {
             id_: entries.view(INDEX_ENTRY).reshape(-1)
@@ -140,10 +139,10 @@ class McapCopy:
         try:
             return _indexes(load(self._source, chunk, self._budget).data)
         except UnreadableDataError:
-            return {}  # copied as it is; the reader of its messages reports it
+            return {}  # copied unchanged; the reader of its messages reports the loss
 
     def _copy_record(self, file: McapFile) -> int:
-        """Copy the next record, if it is one to be copied; return where it ends."""
+        """Copy the next record, unless it is of a kind that is rewritten; return its end."""
         at = self._position
         head = self._read(at, min(RECORD.size, self._end - at)).ljust(RECORD.size, b"\0")
         opcode, length = RECORD.unpack(head)
@@ -152,12 +151,14 @@ class McapCopy:
             after = bisect_right(self._starts, at)
             return self._starts[after] if after < len(self._starts) else self._end
         is_known = opcode <= Opcode.DATA_END
-        if not is_known or (opcode in _COPIED and self._note(opcode, at, length, file.size)):
+        if not is_known or (
+            opcode in _COPIED and self._add_to_contents(opcode, at, length, file.size)
+        ):
             self._copy_bytes(at, end - at, file)
         return end
 
-    def _note(self, opcode: int, at: int, length: int, place: int) -> bool:
-        """Add a record to the contents; return whether it is to be copied as it is."""
+    def _add_to_contents(self, opcode: int, at: int, length: int, place: int) -> bool:
+        """Add a record to the contents; return whether it is copied unchanged."""
         size = min(length, _NAMES) if opcode == Opcode.ATTACHMENT else length
         content = self._read(at + RECORD.size, size)
         total = RECORD.size + length
@@ -177,7 +178,7 @@ class McapCopy:
         return True
 
     def _copy_bytes(self, start: int, length: int, file: McapFile) -> None:
-        """Copy bytes as they are."""
+        """Copy bytes unchanged."""
         for begin in range(start, start + length, _PIECE):
             file.append(self._read(begin, min(_PIECE, start + length - begin)))
 
@@ -192,7 +193,7 @@ class McapCopy:
 
 
 def _header(source: FileSource) -> Header:
-    """Return the header of a file, or an empty one."""
+    """Return the header of a file; empty if it is damaged."""
     opcode, length = RECORD.unpack(source.read(len(MAGIC), RECORD.size).ljust(RECORD.size, b"\0"))
     with suppress(*MALFORMED):
         if opcode == Opcode.HEADER:
@@ -202,7 +203,7 @@ def _header(source: FileSource) -> Header:
 
 
 def _attachment(content: bytes, place: int, length: int) -> AttachmentIndex:
-    """Return the index record of an attachment, from the beginning of its content."""
+    """Return the index record of an attachment from the beginning of its content."""
     log_ns, made_ns = struct.unpack_from("<QQ", content)
     name, kind = prefixed(content, 16, 2)
     (size,) = struct.unpack_from("<Q", content, 24 + len(name) + len(kind))
@@ -210,7 +211,7 @@ def _attachment(content: bytes, place: int, length: int) -> AttachmentIndex:
 
 
 def _indexes(data: Buffer) -> Indexes:
-    """Return the message index of each channel in records, in order of log times."""
+    """Return the message index of each channel in some records, in order of log time."""
     messages = messages_at(data, walk_records(data).offsets)
     if messages is None:
         return {}

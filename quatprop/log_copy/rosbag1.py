@@ -1,7 +1,7 @@
-"""Copies of ROS 1 bags to which attitudes are added: chunks as they are, in order of the file.
+"""Copy ROS 1 bags and add attitudes; chunks are copied unchanged and in their order.
 
-Chunks are decompressed only where their index is missing or they are damaged. Those that are cut
-off are written anew with their complete messages.
+Chunks are decompressed only if they are damaged or their index is missing. Truncated chunks are
+rewritten with their complete messages.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     Indexes = dict[int, Records]
 
 _CHUNK_BYTES = 1 << 17
-"""Small chunks, so that each is among those of its own time."""
+"""Bytes of a chunk of attitudes: small, so that it is near the log's chunks of its time."""
 
 _PIECE = 1 << 20
 
@@ -68,10 +68,10 @@ class BagCopyWriter(BagWriter):
 
 
 class BagCopy:
-    """Copies a bag step by step, up to a given time.
+    """Copies a bag incrementally, up to a given time.
 
     `log`: the bag, which stays open until the copy is finished
-    `free_id`: a number that no connection has
+    `free_id`: an unused connection id
     """
 
     def __init__(self, log: Rosbag1Log) -> None:
@@ -94,7 +94,7 @@ class BagCopy:
         self.free_id = max(ids, default=-1) + 1
 
     def up_to(self, first_ns: int | None, bag: BagFile) -> None:
-        """Copy the chunks before the first that begins after `first_ns`; with None all."""
+        """Copy the chunks before the first that begins after `first_ns`, or all if None."""
         while self._next < len(self._chunks):
             chunk = self._chunks[self._next]
             if first_ns is not None and chunk.first_ns > first_ns:
@@ -103,9 +103,9 @@ class BagCopy:
             self._copy(chunk, bag)
 
     def _copy(self, chunk: BagChunk, bag: BagFile) -> None:
-        """Copy a chunk as it is, or the records in it where it lacks an index or is damaged."""
-        # The only chunk is split: the first and the last chunk of a bag tell when it starts and
-        # ends, and those of the attitudes may be shorter.
+        """Copy a chunk unchanged, or its records if it is damaged or has no index."""
+        # A single chunk is split: readers take a bag's start and end from its first and last
+        # chunk, and the attitudes may span less time.
         is_only = len(self._chunks) == 1
         try:
             record = None if chunk.is_unchunked else self._file.record(chunk.start)
@@ -114,13 +114,13 @@ class BagCopy:
                 return
             loaded = read_chunk(self._file, chunk)
         except UnreadableDataError:
-            return  # the reader of its messages reports it
+            return  # the reader of its messages reports the loss
         compression = "none"
         if record is not None and not loaded.damage:
             compression = record.fields[b"compression"].decode()
         indexes, end = _walked(loaded.data)
-        cut = _cut(indexes) if is_only else 0
-        for begin, stop in ((0, cut), (cut, end)):
+        split = _split_offset(indexes) if is_only else 0
+        for begin, stop in ((0, split), (split, end)):
             part = _part(indexes, begin, stop)
             if part:
                 data = loaded.data[begin:stop].tobytes()
@@ -128,7 +128,7 @@ class BagCopy:
                 bag.append_chunk([records.chunk(compression, len(data), packed)], part)
 
     def _index_of(self, chunk: BagChunk, record: Record) -> Indexes:
-        """Return the index of a chunk; empty where it has less than the bag's index says."""
+        """Return the index of a chunk; empty if its counts differ from the bag's index."""
         if record.op != OP_CHUNK or not record.end <= chunk.end <= self._file.size:
             return {}
         indexes, _ = index_data(self._file.at(record.end, chunk.end - record.end))
@@ -147,11 +147,11 @@ class BagCopy:
 
 
 _OF_HEAD = (b"op", b"conn")
-"""Fields of a connection record that are about the record, not the connection."""
+"""Fields of a connection record that describe the record, not the connection."""
 
 
-def _cut(indexes: Indexes) -> int:
-    """Return where to split a chunk so that the earliest and the latest message are parted."""
+def _split_offset(indexes: Indexes) -> int:
+    """Return the offset at which to split a chunk between its earliest and latest message."""
     entries = np.concatenate([np.zeros(0, records.ENTRY), *indexes.values()])
     entries = np.sort(entries, order="offset")
     log_ns = records.times(entries)
@@ -162,7 +162,7 @@ def _cut(indexes: Indexes) -> int:
 
 
 def _part(indexes: Indexes, begin: int, end: int) -> Indexes:
-    """Return the index of the messages from `begin` to `end`, as a chunk of its own."""
+    """Return the index of the messages from `begin` to `end`, as that of a separate chunk."""
     part = {}
     for id_, entries in indexes.items():
         kept = entries[(entries["offset"] >= begin) & (entries["offset"] < end)]
@@ -173,7 +173,7 @@ def _part(indexes: Indexes, begin: int, end: int) -> Indexes:
 
 
 def _walked(data: NDArray[np.uint8]) -> tuple[Indexes, int]:
-    """Return the index of each connection of a chunk, and where its last complete record ends."""
+    """Return the index of each connection of a chunk, and the end of its complete records."""
     rows: defaultdict[int, list[tuple[int, int, int]]] = defaultdict(list)
     end = 0
     try:

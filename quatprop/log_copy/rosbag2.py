@@ -1,4 +1,4 @@
-"""Copies of ROS 2 bags to which attitudes are added: folders of parts, and single databases."""
+"""Copy ROS 2 bags, folders or single databases, and add attitudes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _LATEST = int(np.iinfo(np.int64).max)
 
 
 class Rosbag2CopyWriter(MessageWriter):
-    """Copy a ROS 2 bag and add attitudes to it, each to the part of its time."""
+    """Copy a ROS 2 bag and add each attitude to the part of its time."""
 
     _output: OutputPath
 
@@ -56,7 +56,7 @@ class Rosbag2CopyWriter(MessageWriter):
             self._open_next()
 
     def _write(self, log_ns: Int64, messages: Records) -> None:
-        """Append messages, to one part or to several."""
+        """Append messages to one or several parts."""
         while len(log_ns):
             end = self._ends[len(self._parts) - 1]
             count = int(np.searchsorted(log_ns, end)) if end != _LATEST else len(log_ns)
@@ -68,7 +68,7 @@ class Rosbag2CopyWriter(MessageWriter):
                 self._open_next()
 
     def _finish(self, provenance: Mapping[str, object]) -> None:
-        """Copy the rest, finish the bag with its provenance."""
+        """Copy the rest of the log and finish the bag with its provenance."""
         custom = {f"quatprop {self.encoder.topic.name}": provenance_json(provenance)}
         while len(self._parts) < len(self._files):
             self._finish_part({})
@@ -77,16 +77,16 @@ class Rosbag2CopyWriter(MessageWriter):
         self._finish_part(custom)
 
     def abort(self) -> None:
-        """Remove what was not committed."""
+        """Discard uncommitted output."""
         for part in self._parts[-1:]:
             part.close()
         self._part_log.close()
         super().abort()
 
     def _write_metadata(self, custom: Mapping[str, str]) -> None:
-        """Write metadata.yaml where the bag has one.
+        """Write metadata.yaml if the bag has one.
 
-        Where it is damaged, which the reader reports, the copy has none: the names tell the parts.
+        If it is damaged, which the reader reports, it is omitted: parts are found by file name.
         """
         place = self._source / METADATA
         if place.is_file():
@@ -124,7 +124,7 @@ class Rosbag2CopyWriter(MessageWriter):
 
     @contextmanager
     def _errors(self) -> Iterator[None]:
-        """Turn errors of the system and of SQLite into an error that names the target."""
+        """Turn errors of the operating system and of SQLite into an OutputError."""
         with super()._errors():
             try:
                 yield
@@ -137,7 +137,7 @@ class Rosbag2CopyWriter(MessageWriter):
 
 
 def _files(path: Path) -> list[Path]:
-    """Return the files of a bag in order."""
+    """Return the files of a bag in their order."""
     if not path.is_dir():
         return [path]
     bag = folder(path)

@@ -1,7 +1,6 @@
-"""The metadata of a ROS 2 bag to which a topic is added.
+"""Add a topic to the metadata of a ROS 2 bag.
 
-rosbag2 keeps it in metadata.yaml, below a root key, and again inside each file of messages, without
-that key.
+rosbag2 stores them in metadata.yaml, below a root key, and in each storage file, without that key.
 """
 
 from __future__ import annotations
@@ -26,14 +25,14 @@ if TYPE_CHECKING:
 _ROOT = "rosbag2_bagfile_information"
 
 _WITH_CUSTOM_DATA = 6
-"""The first version of the metadata with a place for custom data."""
+"""The first version of the metadata with custom data."""
 
 
 @dataclass(slots=True)
 class Added:
     """The messages added to a part.
 
-    `first`, `last`: their first and last log time, ns; the other way around where there are none
+    `first`, `last`: their first and last log time, ns; if there are none, `first` > `last`
     """
 
     count: int = 0
@@ -56,12 +55,12 @@ def extended(
     *,
     has_root: bool = True,
 ) -> str | None:
-    """Return metadata to which a topic is added; None where they are damaged."""
+    """Return metadata with a topic added; None if they are damaged."""
     yaml = YAML(typ="safe", pure=True)
     yaml.default_flow_style = False
     try:
         content = read_yaml(text)
-        # Copies by earlier versions have the root inside files of messages, too.
+        # Copies by earlier versions of this package have the root key in storage files, too.
         bag = content[_ROOT] if has_root or _ROOT in content else content
         _extend(bag, topic, parts, custom)
     except (KeyError, TypeError, AttributeError, ValueError):
@@ -74,7 +73,7 @@ def extended(
 def extended_record(
     text: str, topic: Topic, parts: Sequence[Added], custom: Mapping[str, str] | None = None
 ) -> str:
-    """Return the metadata inside a file of messages, with a topic added; as is where damaged."""
+    """Return the metadata of a storage file with a topic added; unchanged if damaged."""
     return extended(text, topic, parts, custom or {}, has_root=False) or text
 
 
@@ -110,7 +109,7 @@ def _topic_metadata(topic: Topic, others: Sequence[YamlMapping]) -> YamlMapping:
 
 
 def _extend_span(entry: YamlMapping, parts: Sequence[Added]) -> None:
-    """Extend a start and a duration to the added messages."""
+    """Extend a start time and duration to include the added messages."""
     start = entry["starting_time"]["nanoseconds_since_epoch"]
     end = start + entry["duration"]["nanoseconds"]
     for part in parts:

@@ -1,4 +1,4 @@
-"""Copies of the SQLite storage of ROS 2 bags to which messages are added."""
+"""Copy the SQLite storage of ROS 2 bags and add messages."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import apsw
 
-from quatprop.containers.rosbag2.sqlite_files import files_beside, open_database
+from quatprop.containers.rosbag2.sqlite_files import journal_files, open_database
 from quatprop.log_copy.rosbag2_metadata import Added
 from quatprop.writers.rosbag2.writer import insert_messages
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from quatprop.writers.messages.topics import Topic
 
 _STEP = 1 << 12
-"""Pages that are copied at a time."""
+"""Number of pages that are copied at a time."""
 
 
 def first_ns(path: Path) -> int:
     """Return the earliest log time of a database, ns; 0 if there is none."""
-    with closing(open_database(path, files_beside(path))) as database:
+    with closing(open_database(path, journal_files(path))) as database:
         ((earliest,),) = database.execute("SELECT MIN(timestamp) FROM messages")
     return int(str(earliest)) if earliest else 0
 
@@ -33,7 +33,7 @@ def first_ns(path: Path) -> int:
 def _copy(source: Path, place: Path) -> None:
     """Copy a database with its write-ahead log."""
     with (
-        closing(open_database(source, files_beside(source))) as original,
+        closing(open_database(source, journal_files(source))) as original,
         closing(apsw.Connection(str(place))) as copy,
         copy.backup("main", original, "main") as backup,
     ):
@@ -45,7 +45,7 @@ class SqlitePart:
     """A copy of a database to which messages of one topic are added.
 
     `source`: the database to copy, with its write-ahead log
-    `place`: where the copy goes; nothing is there
+    `place`: the path of the copy, which does not exist
     """
 
     def __init__(self, source: Path, place: Path, topic: Topic) -> None:
@@ -75,14 +75,14 @@ class SqlitePart:
         )
 
     def write(self, log_ns: Int64, messages: Records) -> None:
-        """Append messages that all have one size, and when each was logged, ns."""
+        """Append messages, all of one size, with their log times, ns."""
         insert_messages(self._database, self._topic_id, log_ns, messages)
         self.added.add(log_ns)
 
     def finish(self, extend: Callable[[str], str]) -> None:
         """Finish the database."""
         if self._columns("metadata"):
-            # rosbag2 reads the newest.
+            # rosbag2 reads the newest row.
             newest = "SELECT id, metadata FROM metadata ORDER BY id DESC LIMIT 1"
             for id_, text in self._database.execute(newest).fetchall():
                 update = "UPDATE metadata SET metadata = ? WHERE id = ?"
@@ -95,7 +95,7 @@ class SqlitePart:
         self._database.close()
 
     def _no_profiles(self) -> str:
-        """Return the text for no profiles: a list since version 9, empty before."""
+        """Return the text for no profiles: an empty list since version 9, no text before."""
         rows = self._database.execute("SELECT * FROM topics LIMIT 1").fetchall()
         return "[]" if any("[]" in row for row in rows) else ""
 
@@ -103,7 +103,7 @@ class SqlitePart:
         return {row[1] for row in self._database.execute(f"PRAGMA table_info({table})")}
 
     def _insert(self, table: str, **values: str) -> int:
-        """Insert the values that this version of a table has columns for; return the row's id."""
+        """Insert the values for which a table has columns; return the row's id."""
         columns = self._columns(table)
         values = {name: value for name, value in values.items() if name in columns}
         if not values:

@@ -1,4 +1,4 @@
-"""From the bytes of messages to columns: definitions, decoding plans, and which field is what.
+"""Message decoding: from message bytes to NumPy columns, by the definitions that a log carries.
 
-Nothing here depends on containers: it takes the blocks that they give, and gives NumPy columns.
+Nothing here depends on containers: the input is the blocks of messages that they yield.
 """

@@ -1,4 +1,4 @@
-"""Binary messages (CDR, ROS 1, ULog), decoded some blocks at a time into columns."""
+"""Decode binary messages (CDR, ROS 1, ULog) into columns, several blocks at a time."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ ENCAPSULATIONS: Mapping[int, tuple[Placement, str]] = {
     0x0001: (XCDR1, "<"),
     0x0006: (XCDR2, ">"),
     0x0007: (XCDR2, "<"),
-    # As in the drafts of XTypes and in RTPS 2.3, which some writers follow.
+    # These are of the drafts of XTypes and of RTPS 2.3; some writers use them.
     0x0010: (XCDR2, ">"),
     0x0011: (XCDR2, "<"),
 }
 """Placement and byte order by the first two bytes of a CDR message, read as big endian.
 
-In the other encapsulations fields carry tags or sizes, which plans do not support.
+Fields of the other encapsulations have tags or sizes, which plans do not support.
 """
 
 
-def _identifiers(blocks: Sequence[MessageBlock]) -> Int64:
-    """Return the first two bytes of CDR messages as numbers; 0 for those without all four."""
+def encapsulations_of(blocks: Sequence[MessageBlock]) -> Int64:
+    """Return the encapsulation identifiers of CDR messages; 0 for those shorter than 4 bytes."""
     identifiers = []
     for block in blocks:
         starts = np.where(block.ends - block.starts < XCDR1.header, -1, block.starts)
@@ -51,32 +51,32 @@ def _identifiers(blocks: Sequence[MessageBlock]) -> Int64:
 
 
 class BinaryDecoder:
-    """Takes the same fields out of every message of a channel.
+    """Decodes the same fields of every message of a channel.
 
-    `channel`: whose messages, with their definition
-    `field_paths`: dotted paths of the wanted fields; a struct or fixed array of equal numbers is
-        one column of rows
+    `channel`: the channel to decode, with its definition
+    `field_paths`: dotted paths of the wanted fields; a struct or fixed array of numbers of one type
+        gives a column of rows
     """
 
     def __init__(self, channel: Channel, field_paths: Sequence[str], path: Path | str) -> None:
         self.channel = channel
         self.path = path
         self._root = message_type(channel, path)
-        self._ways = []
+        self._key_paths = []
         self._empty: list[AnyArray] = []
         for field_path in field_paths:
-            way, kind, number, count = numeric_layout_at(channel, self._root, field_path, path)
-            self._ways.append(way)
+            key_path, kind, number, count = numeric_layout_at(channel, self._root, field_path, path)
+            self._key_paths.append(key_path)
             empty_shape = (0,) if isinstance(kind, Primitive) else (0, count)
             self._empty.append(np.empty(empty_shape, number.code))
         self._plans: dict[Placement, Plan] = {}
-        # A definition without a plan is an error before the first message is read.
+        # Compiled here, so that a definition without a plan fails before a message is read.
         self._plan(ROS1 if channel.encoding in PACKED else XCDR1)
 
     def columns(self, *blocks: MessageBlock) -> list[AnyArray]:
-        """Return the wanted fields of all messages of blocks.
+        """Return the wanted fields of all messages in some blocks.
 
-        `Returns`: one for each path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`, of
+        `Returns`: one array per path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`, of
             the field's own type in native byte order. They may be strided, never views of a block
         """
         try:
@@ -85,21 +85,21 @@ class BinaryDecoder:
             raise self._too_short(blocks, error.positions) from None
 
     def _columns(self, blocks: Sequence[MessageBlock]) -> list[AnyArray]:
-        if not blocks or not self._ways:
+        if not blocks or not self._key_paths:
             return self._empty_columns(0)
         placement, order = self._encoding(blocks)
         messages = MessageBytes.of(blocks, order, placement.header)
         messages.require(placement.header)
         try:
-            return follow(self._plan(placement), messages, len(self._ways))
+            return follow(self._plan(placement), messages, len(self._key_paths))
         except MixedError:
             return self._mixed(blocks)
 
     def _mixed(self, blocks: Sequence[MessageBlock]) -> list[AnyArray]:
-        """Return the columns of messages in several encapsulations, each decoded by itself."""
-        identifiers = _identifiers(blocks)
+        """Decode messages of several encapsulations, one encapsulation after another."""
+        identifiers = encapsulations_of(blocks)
         if not set(identifiers.tolist()) <= ENCAPSULATIONS.keys():
-            raise self._not_plain(identifiers)
+            raise self._unsupported(identifiers)
         mixed = self._empty_columns(len(identifiers))
         for identifier in np.unique(identifiers):
             same = np.flatnonzero(identifiers == identifier)
@@ -115,7 +115,7 @@ class BinaryDecoder:
         return [np.empty((count, *empty.shape[1:]), empty.dtype) for empty in self._empty]
 
     def _encoding(self, blocks: Sequence[MessageBlock]) -> tuple[Placement, str]:
-        """Return how the first message is encoded."""
+        """Return the placement and the byte order of the first message."""
         if self.channel.encoding in PACKED:
             return ROS1, "<"
         first = blocks[0]
@@ -126,10 +126,10 @@ class BinaryDecoder:
         identifier = int(first.data[begin]) << 8 | int(first.data[begin + 1])
         if identifier in ENCAPSULATIONS:
             return ENCAPSULATIONS[identifier]
-        raise self._not_plain(_identifiers(blocks))
+        raise self._unsupported(encapsulations_of(blocks))
 
-    def _not_plain(self, identifiers: Int64) -> MessageError | UnsupportedLogError:
-        """Return the error for encapsulations that are not read: of some messages, or of all."""
+    def _unsupported(self, identifiers: Int64) -> MessageError | UnsupportedLogError:
+        """Return the error for unsupported encapsulations, of some messages or of all."""
         bad = np.flatnonzero(~np.isin(identifiers, list(ENCAPSULATIONS)))
         reason = (
             f"messages of topic {quoted(self.channel.topic)} are encapsulated as "
@@ -142,7 +142,7 @@ class BinaryDecoder:
     def _plan(self, placement: Placement) -> Plan:
         if placement not in self._plans:
             try:
-                self._plans[placement] = compile_plan(self._root, tuple(self._ways), placement)
+                self._plans[placement] = compile_plan(self._root, tuple(self._key_paths), placement)
             except NotPlannedError as error:
                 raise SchemaError(
                     self.path, f"topic {quoted(self.channel.topic)}: {error}"

@@ -1,4 +1,4 @@
-"""Encoded messages of a channel, as containers give them."""
+"""Channels and blocks of encoded messages, as containers yield them."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
 
 
 _GAP = 256
-"""Bytes between two messages that are copied with them: record heads and small other messages."""
+"""Gaps up to this many bytes are copied with the messages: record heads, small other messages."""
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A topic with one message type, in however many connections or files it was recorded.
+    """A topic with one message type; it may have several connections or files.
 
     `type_name`: message type as the log spells it, ROS names normalised to ``package/msg/Name``
-    `encoding`: how the messages are encoded: ``"cdr"``, ``"ros1"``, ``"json"``, ``"protobuf"``
+    `encoding`: message encoding: ``"cdr"``, ``"ros1"``, ``"ulog"``, ``"json"``, ``"protobuf"``
     `schema_encoding`: language of the definition: ``"ros1msg"``, ``"ros2msg"``, ``"ros2idl"``,
         ``"jsonschema"``, ``"protobuf"``, or ``""`` if the log has none
-    `schema`: the definition as the log has it; empty if it has none. Definitions of ROS that differ
-        only in comments and blanks are the same: recorders write what their own files say
-    `count`: number of messages, where it is known without reading them; not compared
+    `schema`: the definition as the log has it; empty if it has none. ROS definitions that differ
+        only in comments and white space are equal: recorders copy them from their own files
+    `count`: number of messages, if known without reading them; not compared
     `sample`: a message, for encodings whose messages name their fields; empty if none was read; not
         compared
     """
@@ -45,7 +45,7 @@ class Channel:
     _definition: bytes = field(init=False, repr=False, default=b"")
 
     def __post_init__(self) -> None:
-        """Keep the definition as it is compared."""
+        """Store the definition in the form that is compared."""
         is_lines = self.schema_encoding in {"ros1msg", "ros2msg"}
         definition = _without_comments(self.schema) if is_lines else self.schema
         object.__setattr__(self, "_definition", definition)
@@ -53,13 +53,13 @@ class Channel:
 
 @lru_cache(maxsize=256)
 def _without_comments(definition: bytes) -> bytes:
-    """Return the lines of a definition without comments and needless blanks."""
+    """Return the lines of a definition without comments and superfluous white space."""
     lines = (line.partition(b"#")[0].split() for line in definition.splitlines())
     return b"\n".join(b" ".join(line) for line in lines if line)
 
 
 def by_topic(channels: Iterable[Channel]) -> list[Channel]:
-    """Return channels in order of topic, then of type."""
+    """Return channels sorted by topic, then by type."""
     return sorted(channels, key=lambda channel: (channel.topic, channel.type_name))
 
 
@@ -70,13 +70,12 @@ class MessageBlock:
     Message ``k`` is ``data[starts[k]:ends[k]]``.
 
     `data`: the buffer, shape ``(B,)``, uint8
-    `starts`, `ends`: where each message begins and ends, shape ``(N,)``, int64
-    `log_ns`, `publish_ns`: when each was recorded and published, shape ``(N,)``, int64 ns.
-        Containers without publish times repeat the log times. Publish times are negative after the
-        year 2262; they may be a view of `data`
+    `starts`, `ends`: offsets of the first byte and behind the last byte, shape ``(N,)``, int64
+    `log_ns`, `publish_ns`: log and publish times, shape ``(N,)``, int64 ns. Containers without
+        publish times repeat the log times. Publish times are negative after the year 2262; they may
+        be a view of `data`
     `watermark_ns`: no later block of this iteration holds a message with an earlier log time
-    `stride`: bytes from each message to the next where all have one length and the same distance; 0
-        where that is not known
+    `stride`: distance between messages of one length, bytes, if it is known to be constant; else 0
     """
 
     data: NDArray[np.uint8]
@@ -91,7 +90,7 @@ class MessageBlock:
         return len(self.starts)
 
     def at(self, chosen: NDArray[np.generic]) -> MessageBlock:
-        """Return some of the messages, by their positions or a mask."""
+        """Return the messages at some positions, or those of a mask."""
         starts, ends = self.starts[chosen], self.ends[chosen]
         log_ns, publish_ns = self.log_ns[chosen], self.publish_ns[chosen]
         return MessageBlock(self.data, starts, ends, log_ns, publish_ns, self.watermark_ns)

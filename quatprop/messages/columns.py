@@ -1,8 +1,8 @@
-"""Follow a decoding plan through all messages of a block, or of several, at once.
+"""Run a decoding plan on all messages of one or several blocks at once.
 
-While all messages agree, the offset within a message is one integer; after a string or sequence of
-differing lengths it is an array, until an alignment makes the offsets equal again. Every segment is
-checked against the end of each message before a byte of it is fetched.
+As long as the offset within a message is the same for all messages, it is one integer; after a
+string or sequence of varying length it is an array, until an alignment makes the offsets equal
+again. Every segment is checked against the end of each message before its bytes are fetched.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ NATIVE = "<" if np.little_endian else ">"
 
 
 class TooShortError(Exception):
-    """Messages end before what the plan needs.
+    """Some messages are shorter than the plan requires.
 
-    `positions`: which of the messages, shape ``(K,)``
+    `positions`: positions of these messages, shape ``(K,)``
     """
 
     def __init__(self, positions: Intp) -> None:
@@ -38,19 +38,18 @@ class TooShortError(Exception):
 
 
 class MixedError(Exception):
-    """The messages are not all encapsulated like the first."""
+    """The messages have different encapsulations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MessageBytes:
-    """Encoded messages of one byte order, in one buffer or several.
+    """Encoded messages of one byte order, in one or several buffers.
 
     `blocks`: the messages of each buffer, at least one
     `order`: byte order, ``"<"`` or ``">"``
-    `origin`: where in each message alignment is counted from
+    `origin`: offset in each message from which alignment is counted
     `shortest`: bytes of the shortest message
-    `strides`: of each block the bytes from one message to the next where that is always the same,
-        else 0
+    `strides`: for each block the distance between messages, bytes, if it is constant; else 0
     """
 
     blocks: Sequence[MessageBlock]
@@ -61,7 +60,7 @@ class MessageBytes:
 
     @classmethod
     def of(cls, blocks: Sequence[MessageBlock], order: str, origin: int) -> MessageBytes:
-        """Return messages with the length of the shortest and their strides."""
+        """Return the messages of some blocks."""
         shortest = min(
             int(b.ends[0] - b.starts[0] if b.stride else (b.ends - b.starts).min()) for b in blocks
         )
@@ -72,11 +71,11 @@ class MessageBytes:
         return sum(map(len, self.blocks))
 
     def at(self, positions: Intp) -> MessageBytes:
-        """Return some of the messages, at ascending positions."""
+        """Return the messages at ascending positions."""
         return MessageBytes.of(take_messages(self.blocks, positions), self.order, self.origin)
 
     def require(self, ends: Offsets) -> None:
-        """Check that no message ends before an offset."""
+        """Raise TooShortError if a message ends before an offset."""
         if isinstance(ends, int) and ends <= self.shortest:
             return
         short = np.concatenate([block.ends - block.starts for block in self.blocks]) < ends
@@ -95,8 +94,8 @@ class MessageBytes:
                 own = np.ndarray((len(block),), kind, block.data, first, (stride,))
             else:
                 here = offset if isinstance(offset, int) else offset[begin:end]
-                # All windows of the buffer, one byte apart: indexing them copies each message's
-                # window in a single call.
+                # A window at every byte of the buffer: one indexing call copies those of all
+                # messages.
                 shape = (len(block.data) - window.size + 1,)
                 windows: Records = np.ndarray(shape, kind, block.data, 0, (1,))
                 own = windows[block.starts + (here + window.offset)]
@@ -120,7 +119,7 @@ class MessageBytes:
 
 
 def take_messages(blocks: Sequence[MessageBlock], positions: Intp) -> list[MessageBlock]:
-    """Return some messages of blocks, by their ascending positions among those of all blocks."""
+    """Return messages by ascending positions, counted through all blocks."""
     begins = np.cumsum([0, *map(len, blocks)])
     bounds = positions.searchsorted(begins)
     return [
@@ -131,9 +130,9 @@ def take_messages(blocks: Sequence[MessageBlock], positions: Intp) -> list[Messa
 
 
 def follow(plan: Plan, messages: MessageBytes, width: int) -> Columns:
-    """Return the columns that a plan takes.
+    """Return the columns that a plan fetches.
 
-    `Returns`: shape ``(N,)`` or ``(N, count)``, native byte order; views of memory of their own
+    `Returns`: shape ``(N,)`` or ``(N, count)``, native byte order; never views of a block
     """
     columns: Columns = [np.empty(0)] * width
     _walk(plan, messages, 0, columns)
@@ -141,7 +140,7 @@ def follow(plan: Plan, messages: MessageBytes, width: int) -> Columns:
 
 
 def _walk(plan: Plan, messages: MessageBytes, offset: Offsets, columns: Columns) -> Offsets:
-    """Follow a plan from an offset on, fill the columns, and return the offset behind it."""
+    """Run a plan from an offset on, fill the columns, and return the offset behind its end."""
     for segment in plan:
         if segment.alignment > 1:
             offset = offset + ((messages.origin - offset) & (segment.alignment - 1))
@@ -160,27 +159,27 @@ def _walk(plan: Plan, messages: MessageBytes, offset: Offsets, columns: Columns)
                     raise MixedError
         offset = offset + segment.size
         if isinstance(segment.ending, Skip):
-            offset = offset + _skipped(segment.ending, counts, offset - messages.origin)
+            offset = offset + _size_of_elements(segment.ending, counts, offset - messages.origin)
         elif isinstance(segment.ending, Repeat):
             if segment.ending.length is not None:
                 counts = segment.ending.length
-            offset = _repeated(segment.ending.element, messages, offset, counts)
+            offset = _skip_elements(segment.ending.element, messages, offset, counts)
     return offset
 
 
 def _stride(starts: Int64) -> int:
-    """Return the distance between neighbours where it is always the same, else 0."""
+    """Return the distance between neighbours if it is constant, else 0."""
     if len(starts) == 1:
         return 0
     step = int(starts[1] - starts[0])
-    # The ends tell quickly where it cannot be.
+    # A quick test by the first and the last.
     if int(starts[-1] - starts[0]) != step * (len(starts) - 1):
         return 0
     return 0 if np.count_nonzero(starts[1:] - starts[:-1] != step) else step
 
 
 def _common(values: int | AnyArray) -> Offsets:
-    """Return one integer where all messages agree."""
+    """Return one integer if all values are equal, else the array."""
     if isinstance(values, int):
         return values
     first = values[0]
@@ -189,19 +188,21 @@ def _common(values: int | AnyArray) -> Offsets:
     return int(first)
 
 
-def _skipped(skip: Skip, counts: Offsets, begin: Offsets) -> Offsets:
-    """Return the bytes of so many elements of fixed size."""
+def _size_of_elements(skip: Skip, counts: Offsets, begin: Offsets) -> Offsets:
+    """Return the bytes of `counts` elements of fixed size."""
     if skip.first is None:
         return counts * skip.further
     first = skip.first[begin & 7] if isinstance(begin, int) else np.array(skip.first)[begin & 7]
-    # Nothing is padded where there is nothing.
+    # An empty sequence has no padding.
     return (first + (counts - 1) * skip.further) * (counts != 0)
 
 
-def _repeated(element: Plan, messages: MessageBytes, offset: Offsets, counts: Offsets) -> Offsets:
-    """Return the offsets behind so many elements of varying size."""
+def _skip_elements(
+    element: Plan, messages: MessageBytes, offset: Offsets, counts: Offsets
+) -> Offsets:
+    """Return the offsets behind `counts` elements of varying size."""
     if isinstance(counts, int):
-        # Every element takes bytes, so a wrong count runs into the end of its message.
+        # Every element takes bytes, so a wrong count reaches the end of its message.
         for _ in range(counts):
             offset = _walk(element, messages, offset, [])
         return offset

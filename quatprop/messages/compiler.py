@@ -1,4 +1,4 @@
-"""From a message type and the wanted fields to a plan."""
+"""Compile a message type and the wanted fields into a decoding plan."""
 
 from __future__ import annotations
 
@@ -16,69 +16,69 @@ from quatprop.text import quoted
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.messages.schema import Steps, Type
+    from quatprop.messages.schema import KeyPath, Type
 
 MERGE_GAP = 64
-"""Wanted bytes this close together are fetched at once: copying the gap is cheaper than a call."""
+"""Wanted bytes this close together are fetched in one call: copying the gap costs less."""
 
 MAX_SEGMENTS = 10_000
-"""Longer plans are refused: types that share parts can multiply them without limit."""
+"""Longer plans are refused: nested types can multiply segments without limit."""
 
 MAX_SIZE = 1 << 30
-"""Types with more fixed bytes than this are refused: offsets stay far from overflow."""
+"""Types with more fixed bytes are refused, so that offsets cannot overflow."""
 
 _BYTE, _IDENTIFIER, _LENGTH = map(Primitive, ("u1", "u2", "u4"))
 
 
 class NotPlannedError(Exception):
-    """The definition does not determine where the wanted field is."""
+    """The definition does not determine the offset of a wanted field."""
 
 
 @dataclass(slots=True)
 class FieldTree:
-    """Which columns are taken at a place in a message, and below it."""
+    """The columns to be fetched from a field and from the fields below it."""
 
     columns: list[int] = field(default_factory=list)
     below: dict[str | int, FieldTree] = field(default_factory=dict)
 
     @classmethod
-    def at(cls, ways: Iterable[Steps]) -> FieldTree:
-        """Return the tree of the ways to columns 0, 1, 2..."""
+    def at(cls, key_paths: Iterable[KeyPath]) -> FieldTree:
+        """Return the tree of the key paths of columns 0, 1, 2..."""
         root = cls()
-        for column, way in enumerate(ways):
+        for column, key_path in enumerate(key_paths):
             here = root
-            for step in way:
-                here = here.below.setdefault(step, cls())
+            for key in key_path:
+                here = here.below.setdefault(key, cls())
             here.columns.append(column)
         return root
 
-    def under(self, step: str | int) -> FieldTree:
-        """Return the tree one step below."""
-        return self.below.get(step) or FieldTree()
+    def under(self, key: str | int) -> FieldTree:
+        """Return the tree of a field or element."""
+        return self.below.get(key) or FieldTree()
 
 
 @lru_cache(maxsize=256)
-def compile_plan(root: Struct, ways: tuple[Steps, ...], placement: Placement) -> Plan:
-    """Return how to fetch some fields of a message type."""
-    compiler = _Compiler(Extents(placement), itertools.count(), len(ways))
+def compile_plan(root: Struct, key_paths: tuple[KeyPath, ...], placement: Placement) -> Plan:
+    """Return the plan that fetches some fields of a message type."""
+    compiler = _Compiler(Extents(placement), itertools.count(), len(key_paths))
     compiler.begin()
-    compiler.walk(root, FieldTree.at(ways))
+    compiler.walk(root, FieldTree.at(key_paths))
     compiler.close()
     return tuple(compiler.segments)
 
 
 class _Compiler:
-    """Walks a type and writes down segments.
+    """Walks a type and collects segments.
 
-    The current position is `size` bytes behind the beginning of the open segment. That beginning,
-    counted from the origin of alignment, is `phase` plus a multiple of `aligned_to`.
+    The current position is `size` bytes behind the beginning of the open segment, whose offset from
+    the origin of alignment is `phase` plus a multiple of `aligned_to`.
     """
 
-    def __init__(self, extents: Extents, budget: Iterator[int], left: int) -> None:
+    def __init__(self, extents: Extents, budget: Iterator[int], fields_left: int) -> None:
         self.extents = extents
         self.placement = extents.placement
         self.budget = budget
-        self.left = left
+        self.fields_left = fields_left
         self.segments: list[Segment] = []
         self.pieces: list[Piece] = []
         self.phase = 0
@@ -95,28 +95,28 @@ class _Compiler:
             self.size = self.placement.header
 
     def walk(self, kind: Type, wanted: FieldTree) -> None:
-        """Take the wanted fields of a value and move behind it, unless no field is left to take."""
+        """Fetch the wanted fields of a value; move behind it if more fields are wanted."""
         if wanted.columns:
             self._take(kind, wanted.columns)
-        if not self.left:
+        if not self.fields_left:
             return
         if not wanted.below and 0 < self.extents.alignment(kind) <= self.aligned_to:
-            self._over(kind, 1)
+            self._skip(kind, 1)
         elif isinstance(kind, Struct):
             for name, part in kind.fields:
                 self.walk(part, wanted.under(name))
-                if not self.left:
+                if not self.fields_left:
                     return
         elif isinstance(kind, Array):
             self._array(kind, wanted)
         elif isinstance(kind, Sequence):
             self._refuse_delimited(kind.element)
-            self._counted(kind.element)
+            self._skip_sequence(kind.element)
         elif isinstance(kind, Primitive):
             self._align(kind.size)
             self.size += kind.size
         elif isinstance(kind, String) and not kind.wide:
-            self._counted(_BYTE)
+            self._skip_sequence(_BYTE)
         else:
             name = "wstring" if isinstance(kind, String) else kind.name
             raise NotPlannedError(
@@ -125,7 +125,7 @@ class _Compiler:
             )
 
     def close(self, ending: Skip | Repeat | None = None) -> None:
-        """End the open segment and begin another, with no known alignment."""
+        """End the open segment and begin another, of unknown alignment."""
         reach = max([self.size, *(piece.end for piece in self.pieces)])
         if reach > MAX_SIZE or next(self.budget) >= MAX_SEGMENTS:
             raise NotPlannedError("the definition is larger than any message")
@@ -143,26 +143,26 @@ class _Compiler:
         self._align(number.size)
         length = None if isinstance(kind, Primitive) else count
         self.pieces += [Piece(column, self.size, number, length) for column in columns]
-        self.left -= len(columns)
+        self.fields_left -= len(columns)
 
     def _array(self, kind: Array, wanted: FieldTree) -> None:
-        """Walk the elements with wanted fields, and move over the others."""
+        """Walk the elements that have wanted fields, and skip the others."""
         self._refuse_delimited(kind.element)
-        stops = {step for step in wanted.below if isinstance(step, int)}
+        stops = {key for key in wanted.below if isinstance(key, int)}
         if self.extents.alignment(kind) and kind.length:
-            # One element reaches the alignment that makes the others a fixed distance.
+            # Behind the first element the alignment is known: the others are equal distances apart.
             stops.add(0)
         passed = 0
         for stop in sorted(stops):
-            self._over(kind.element, stop - passed)
+            self._skip(kind.element, stop - passed)
             self.walk(kind.element, wanted.under(stop))
-            if not self.left:
+            if not self.fields_left:
                 return
             passed = stop + 1
-        self._over(kind.element, kind.length - passed)
+        self._skip(kind.element, kind.length - passed)
 
-    def _over(self, element: Type, count: int) -> None:
-        """Move over elements that are aligned already or vary in size."""
+    def _skip(self, element: Type, count: int) -> None:
+        """Skip elements of fixed size that are aligned already, or elements of varying size."""
         if not count:
             return
         if self.extents.alignment(element):
@@ -170,8 +170,8 @@ class _Compiler:
         else:
             self.close(Repeat(self._element(element), count))
 
-    def _counted(self, element: Type) -> None:
-        """Move over as many elements as each message counts."""
+    def _skip_sequence(self, element: Type) -> None:
+        """Skip a sequence, whose length each message states."""
         self._align(4)
         self.pieces.append(Piece(COUNT, self.size, _LENGTH))
         self.size += 4
@@ -182,16 +182,16 @@ class _Compiler:
         further = self.extents.size(element, first[0] % 8)
         if max(*first, further) > MAX_SIZE:
             raise NotPlannedError("the definition is larger than any message")
-        # The count ends at a multiple of 4 where anything is aligned at all.
+        # The count ends at a multiple of 4, unless the encoding is packed.
         ends = (0, 4) if self.placement.alignment > 1 else range(8)
         padded = any(first[end] != further for end in ends)
         self.close(Skip(first if padded else None, further))
-        # The same holds for the end of the sequence, with or without elements.
+        # So the alignment behind the sequence is known, with or without elements.
         self.aligned_to = math.gcd(4, further, *(end + first[end] for end in ends))
         self.aligned_to = min(self.aligned_to, self.placement.alignment)
 
     def _element(self, element: Type) -> Plan:
-        """Return the plan of one element that may begin anywhere."""
+        """Return the plan of one element at any offset."""
         inner = _Compiler(self.extents, self.budget, 1)
         inner.walk(element, FieldTree())
         inner.close()
@@ -201,7 +201,7 @@ class _Compiler:
         if self.placement.delimited and not isinstance(element, Primitive):
             raise NotPlannedError(
                 "a collection of strings or structs lies before the wanted field, which writers "
-                "of XCDR2 encode in different ways"
+                "of XCDR2 encode in different key_paths"
             )
 
     def _align(self, to: int) -> None:
@@ -214,7 +214,7 @@ class _Compiler:
 
 
 def _windows(pieces: list[Piece]) -> tuple[Window, ...]:
-    """Return windows over pieces: few, without copying large gaps."""
+    """Return few windows that contain all pieces and no large gaps."""
     windows: list[Window] = []
     for piece in sorted(pieces, key=lambda piece: piece.offset):
         if not windows or piece.offset > windows[-1].offset + windows[-1].size + MERGE_GAP:

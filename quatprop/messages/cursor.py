@@ -1,4 +1,4 @@
-"""A position in each of several messages, for values that plans do not reach: lists, strings."""
+"""Cursors over several messages, for values that plans do not reach: lists and strings."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.errors import UnsupportedLogError
-from quatprop.messages.binary import ENCAPSULATIONS
+from quatprop.messages.binary import ENCAPSULATIONS, encapsulations_of
 from quatprop.messages.columns import TooShortError
 from quatprop.messages.placement import ROS1, XCDR1, Placement
 from quatprop.messages.schema import Primitive, String, Struct, Type
@@ -20,27 +20,27 @@ if TYPE_CHECKING:
     from quatprop.messages.blocks import Channel, MessageBlock
 
 _FIRST = 200
-"""Messages that :func:`first_names` reads."""
+"""Number of messages that :func:`first_names` reads."""
 
 
 class SkipError(Exception):
-    """A value cannot be passed over: it is a list, or its type has no definition."""
+    """A value cannot be skipped: it is a list, or its type has no definition."""
 
 
 class Names(NamedTuple):
-    """Where a name is in each message, without the zero that may end it."""
+    """Offset and length of a string in each message, without a terminating zero."""
 
     begin: Int64
     length: Int64
 
     def text(self, block: MessageBlock, row: int) -> str:
-        """Return the name in one of the messages."""
+        """Return the string of one message."""
         begin = int(self.begin[row])
         name = bytes(block.data[begin : begin + int(self.length[row])])
         return name.decode(errors="surrogateescape")
 
     def are(self, name: str, block: MessageBlock, rows: Intp) -> Bool:
-        """Return in which of some messages the name is this one."""
+        """Return in which of some messages the string equals `name`."""
         wanted = np.frombuffer(name.encode(errors="surrogateescape"), np.uint8)
         same: Bool = self.length[rows] == len(wanted)
         text = block.data[self.begin[rows[same]][:, None] + np.arange(len(wanted))]
@@ -49,7 +49,7 @@ class Names(NamedTuple):
 
 
 class Cursor:
-    """A position in each of several messages, moved together; it differs after names."""
+    """A position in each of several messages, all at the same field."""
 
     def __init__(
         self, block: MessageBlock, messages: Int64, placement: Placement, order: str
@@ -70,7 +70,7 @@ class Cursor:
             self._ends = self._ends[chosen]
 
     def numbers(self, code: str, count: int = 1) -> AnyArray:
-        """Take numbers, shape ``(N,)``, or ``(N, count)`` for more than one."""
+        """Read a number, shape ``(N,)``, or several, ``(N, count)``."""
         kind = np.dtype(self._order + code)
         alignment = min(kind.itemsize, self.placement.alignment)
         self._at = self._at + (self._origin - self._at) % alignment
@@ -80,16 +80,16 @@ class Cursor:
         return taken[:, 0] if count == 1 else taken
 
     def name(self) -> Names:
-        """Take a string."""
+        """Read a string."""
         length = self.numbers("u4").astype(np.int64)
         begin = self._advance(length)
         if self.placement is not ROS1:
-            # CDR counts the zero at the end; some writers leave it out of an empty string.
+            # CDR counts the terminating zero; some writers omit it from an empty string.
             length = length - (length > 0)
         return Names(begin, length)
 
     def skip(self, kind: Type) -> None:
-        """Pass over a number, a string or a struct of them."""
+        """Skip a number, a string or a struct of them."""
         match kind:
             case Primitive():
                 self.numbers(kind.code)
@@ -111,13 +111,13 @@ class Cursor:
 
 
 def cursors_of(channel: Channel, block: MessageBlock, path: Path | str) -> list[Cursor]:
-    """Return a cursor for the messages of each encapsulation in a block."""
+    """Return one cursor per encapsulation in a block."""
     if channel.encoding == "ros1":
         return [Cursor(block, np.arange(len(block)), ROS1, "<")]
     short = np.flatnonzero(block.ends - block.starts < XCDR1.header)
     if len(short):
         raise TooShortError(short)
-    identifiers = block.data[block.starts].astype(np.int64) << 8 | block.data[block.starts + 1]
+    identifiers = encapsulations_of([block])
     cursors = []
     for identifier in sorted({*identifiers.tolist()}):
         placement, order = ENCAPSULATIONS.get(identifier, (None, ""))
@@ -135,18 +135,20 @@ def cursors_of(channel: Channel, block: MessageBlock, path: Path | str) -> list[
 def first_names(
     channel: Channel, block: MessageBlock, root: Struct, field_path: str, path: Path | str
 ) -> list[str]:
-    """Return what a string is in the first messages of a block; nothing if it cannot be reached.
+    """Return the distinct values of a string field in the first messages of a block.
 
-    `field_path`: dotted path of the string, such as ``"imu.header.frame_id"``; through structs only
+    Empty if the field is in or behind a list, or if messages are damaged.
+
+    `field_path`: dotted path, such as ``"imu.header.frame_id"``
     """
     try:
         cursor = cursors_of(channel, block.at(np.arange(min(len(block), _FIRST))), path)[0]
         here: Type = root
-        for step in field_path.split("."):
+        for key in field_path.split("."):
             if not isinstance(here, Struct):
                 return []
             for name, kind in here.fields:
-                if name == step:
+                if name == key:
                     here = kind
                     break
                 cursor.skip(kind)

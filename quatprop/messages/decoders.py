@@ -1,4 +1,4 @@
-"""The decoder of each message encoding."""
+"""Message encodings and their decoders."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ DECODERS: Final[dict[str, str]] = {
     "json": "quatprop.messages.json:JsonDecoder",
     "protobuf": "quatprop.messages.protobuf:ProtobufDecoder",
 }
-"""``"module:Class"`` by the encoding of messages, imported when a channel is decoded."""
+"""``"module:Class"`` of the decoder by message encoding; imported when a channel is decoded."""
 
 
 class FieldDecoder(Protocol):
-    """Takes the same fields out of every message of a channel."""
+    """Decodes the same fields of every message of a channel."""
 
     def columns(self, *blocks: MessageBlock) -> list[AnyArray]:
-        """Return the wanted fields of all messages of blocks.
+        """Return the wanted fields of all messages in some blocks.
 
-        `Returns`: one for each path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`
+        `Returns`: one array per path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`
         """
 
 
 def decoder_of(channel: Channel, field_paths: Sequence[str], path: Path | str) -> FieldDecoder:
-    """Return a decoder of some fields."""
+    """Return a decoder of some fields of a channel."""
     if channel.encoding not in DECODERS:
         raise UnsupportedLogError(
             path,

@@ -2,7 +2,7 @@
 
 References
 ----------
-ROS wiki, "roslib/gentools": comments and names of types that are in a definition do not count.
+ROS wiki, "roslib/gentools": comments and the names of nested types do not enter the sum.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ _MOST_TYPES = 1000
 
 
 def definition_of(connection: Mapping[bytes, bytes]) -> bytes | None:
-    """Return the message definition of a connection that has the MD5 sum it states.
+    """Return a connection's message definition, if it has the MD5 sum that the connection states.
 
-    That is its own, or the standard one where its own is damaged; None where neither has it.
+    If its own definition is damaged, the standard one is tried; None if neither has that sum.
 
-    `connection`: the fields ``type``, ``message_definition`` and ``md5sum``; a sum of ``*`` is of
+    `connection`: the fields ``type``, ``message_definition`` and ``md5sum``; a sum of ``*`` fits
         any type
     """
     definition = connection[b"message_definition"]
@@ -37,8 +37,8 @@ def definition_of(connection: Mapping[bytes, bytes]) -> bytes | None:
         connection.get(field, b"*").decode(errors="replace")
         for field in (b"type", b"message_definition", b"md5sum")
     )
-    summed = definition_md5(name, text)
-    if stated in {"*", summed}:
+    actual = definition_md5(name, text)
+    if stated in {"*", actual}:
         return definition
     from rosbags.typesys import Stores, get_typestore
     from rosbags.typesys.msg import normalize_msgtype
@@ -48,13 +48,13 @@ def definition_of(connection: Mapping[bytes, bytes]) -> bytes | None:
         standard, _ = store.generate_msgdef(kind, ros_version=1)
         if definition_md5(name, standard) == stated:
             return standard.encode()
-    # What lacks the definition of a type inside it has no sum.
-    return definition if summed is None else None
+    # A definition that lacks that of a nested type has no sum.
+    return definition if actual is None else None
 
 
 @lru_cache(maxsize=256)
 def definition_md5(type_name: str, definition: str) -> str | None:
-    """Return the MD5 sum of a type and of all types inside it; None where one is not defined.
+    """Return the MD5 sum of a type with all nested types; None if one is not defined.
 
     `type_name`: ``package/Name``
     """
@@ -91,7 +91,7 @@ def _constant(line: str, bare: str) -> str:
 
 
 def _summed(kind: str, within: str, texts: Mapping[str, str], known: dict[str, str]) -> str:
-    """Return a type as it counts: a number with the length of its array, a message as its sum."""
+    """Return the summed text of a field's type: of a message, its MD5 sum."""
     element = kind.partition("[")[0]
     if element in _BUILTIN:
         return kind

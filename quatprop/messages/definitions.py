@@ -1,9 +1,9 @@
-"""Message definitions as logs carry them, read into trees of types.
+"""Parse the message definitions that logs carry into trees of types.
 
-A .msg definition has a field on each line, and is read here: importing a parser would take longer
-than propagating a small log. rosbags reads IDL, and has the standard types. Two differences between
-the encodings are not in a definition: a ROS 1 ``time`` is unsigned, and an empty message takes a
-byte in CDR and none in ROS 1.
+A .msg definition has one field a line and is parsed here: importing a parser would take longer than
+propagating a small log. rosbags parses IDL and has the standard types. Two differences between the
+encodings are not in a definition: a ROS 1 ``time`` is unsigned, and an empty message takes a byte
+in CDR and none in ROS 1.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ NUMBERS: Mapping[str, Primitive] = {
     **{f"uint{bits}": Primitive(f"u{bits // 8}") for bits in (8, 16, 32, 64)},
     **{f"float{bits}": Primitive(f"f{bits // 8}") for bits in (32, 64)},
 }
-"""Names of numbers in definitions."""
+"""Number types by their names in definitions."""
 
 STRINGS = {"string", "wstring"}
 
@@ -54,30 +54,30 @@ ROS1_TIMES: Mapping[str, Struct] = {
         ("builtin_interfaces/msg/Duration", "int32"),
     )
 }
-"""``time`` and ``duration`` of ROS 1, under the names that the grammar gives them."""
+"""``time`` and ``duration`` of ROS 1, under their full names."""
 
 GRAMMARS: Mapping[str, str] = {
     "json": "quatprop.messages.json",
     "protobuf": "quatprop.messages.protobuf",
     "ulog": "quatprop.messages.ulog",
 }
-"""Modules that read the definitions of encodings other than those of ROS."""
+"""Modules that read the definitions of the other encodings."""
 
 PLACEHOLDER = "structure_needs_at_least_one_member"
 """The byte that stands for an empty message in CDR."""
 
 MAX_DEFINITION = 1 << 19
-"""Most bytes of a definition: parsing more takes seconds, and no real message needs it."""
+"""Maximum size of a definition, bytes: longer ones take seconds, and no real message has one."""
 
 BASE, NAME, ARRAY, SEQUENCE = 1, 2, 3, 4
-"""Kinds of types, as ``rosbags.interfaces.Nodetype`` numbers them."""
+"""Kinds of types, numbered as in ``rosbags.interfaces.Nodetype``."""
 
 _SHORT_NAMES = {
     "time": "builtin_interfaces/msg/Time",
     "duration": "builtin_interfaces/msg/Duration",
     "Header": "std_msgs/msg/Header",
 }
-"""Types that a .msg definition names without their package."""
+"""Types that .msg definitions name without their package."""
 
 _RULE = re.compile(r"^={20,}[ \t]*$", re.MULTILINE)
 _NO_FIELD = re.compile(r"[ \t]*(?:$|#|@[a-z]+[ \t]*$|\S+[ \t]+\w+[ \t]*=)")
@@ -87,7 +87,7 @@ _FIELD = re.compile(
     r"[ \t]+([A-Za-z]\w*)(?:[ \t#].*)?",
     re.ASCII,
 )
-"""Type, length of an array, and name; behind them a default or a comment."""
+"""Type, array length and name, then a default or a comment."""
 
 
 def message_type(channel: Channel, path: Path | str) -> Struct:
@@ -142,7 +142,7 @@ def _parsed(type_name: str, schema_encoding: str, schema: bytes) -> dict[str, Fi
 
 
 def _from_msg(text: str, type_name: str) -> dict[str, Fields]:
-    """Return the types of a .msg definition: its own, and those below rules and headings."""
+    """Return the types of a .msg definition: its own, and those behind ``MSG: name`` headings."""
     own, *others = _RULE.split(text)
     types = {type_name: _fields(type_name, own)}
     for part in others:
@@ -155,7 +155,7 @@ def _from_msg(text: str, type_name: str) -> dict[str, Fields]:
 
 
 def _fields(type_name: str, lines: str) -> Fields:
-    """Return name and type of each field in the lines of a .msg definition."""
+    """Return the names and types of the fields in the lines of a .msg definition."""
     fields: list[tuple[str, Kind]] = []
     for line in lines.split("\n"):
         if _NO_FIELD.match(line):
@@ -172,7 +172,7 @@ def _fields(type_name: str, lines: str) -> Fields:
 
 
 def _full_name(name: str, owner: str) -> str:
-    """Return the full name of a type that the definition of another one names."""
+    """Return the full name of a type that is named in the definition of `owner`."""
     *folders, own = name.split("/")
     if len(folders) > 1:
         return name
@@ -181,7 +181,7 @@ def _full_name(name: str, owner: str) -> str:
 
 
 def _from_idl(text: str) -> dict[str, Fields]:
-    """Return the types of IDL documents: one, or several with headings ``IDL: name``."""
+    """Return the types of one IDL document, or of several with headings ``IDL: name``."""
     from rosbags.typesys import TypesysError, get_types_from_idl
 
     types: dict[str, Fields] = {}
@@ -204,7 +204,7 @@ def _standard(ros1: bool) -> dict[str, Fields]:
 
 
 class TypeBuilder:
-    """Builds types from parsed definitions, each type once."""
+    """Builds types from parsed definitions, each once."""
 
     def __init__(self, own: Mapping[str, Fields], ros1: bool) -> None:
         self.own = own
@@ -213,7 +213,7 @@ class TypeBuilder:
         self.open: list[str] = []
 
     def struct(self, name: str) -> Struct:
-        """Return the message type of this name."""
+        """Return the message type of a name."""
         if name not in self.types:
             definition = self._definition(name)
             if definition is None:
@@ -239,7 +239,7 @@ class TypeBuilder:
         return Struct(name, parts)
 
     def _definition(self, name: str) -> Fields | None:
-        # A log's own definition comes first: another distribution's may differ.
+        # The log's own definition has priority: that of another distribution may differ.
         return self.own[name] if name in self.own else _standard(self.ros1).get(name)
 
     def _type(self, kind: Kind) -> Type:

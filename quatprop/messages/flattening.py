@@ -1,42 +1,41 @@
-"""Message definitions as the columns of a table."""
+"""Flatten message definitions to table columns."""
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.messages.schema import MAX_SEARCHED_ITEMS, Array, Primitive, Struct
 from quatprop.tables.model import Column, TablePart
 
 if TYPE_CHECKING:
-    import re
     from collections.abc import Iterator
 
     from quatprop.messages.schema import Type
 
 MAX_VISITS = 20_000
-"""A definition is flattened down to so many types: shared types multiply the paths."""
+"""Maximum number of fields visited: nested types can multiply the paths."""
 
 MAX_ELEMENTS = 64
-"""Arrays of more numbers are no columns unless one of their elements is named."""
+"""Longer arrays of numbers give no columns, unless one of their elements is named."""
 
 
 class Flat(NamedTuple):
-    """A definition as columns, and what was found in them."""
+    """The columns and parts of a definition, and a cache of searches in them."""
 
     columns: tuple[Column, ...]
     parts: tuple[TablePart, ...]
-    matches: dict[object, list[tuple[int, re.Match[str]]]]
+    matches: dict[object, Any]
 
 
 @lru_cache(maxsize=64)
 def flattened(root: Struct) -> Flat:
-    """Return the numbers and the structs that every message has at a fixed place.
+    """Return the numbers and structs outside sequences, as columns and parts.
 
-    Breadth first and bounded: types that double at every level have 2^50 leaves, and what is wanted
-    lies near the top. The columns are in the order of the definition, those of a struct together.
+    The search is breadth first and bounded: types that double at every level have 2^50 leaves, and
+    wanted fields are near the top. The columns are in the order of the definition.
     """
     leaves: list[tuple[tuple[int, ...], Column]] = []
     structs: list[tuple[tuple[int, ...], str, str]] = []
@@ -71,7 +70,7 @@ def flattened(root: Struct) -> Flat:
 def _below(
     place: tuple[int, ...], name: str, kind: Struct | Array
 ) -> Iterator[tuple[tuple[int, ...], str, Type]]:
-    """Yield what a struct or an array consists of: place, name and type of each."""
+    """Yield the place, name and type of each part of a struct or array."""
     if isinstance(kind, Struct):
         prefix = name and name + "."
         for number, (own, below) in enumerate(kind.fields):
@@ -82,7 +81,7 @@ def _below(
 
 
 def leaves_of(name: str, kind: Type) -> Iterator[tuple[str, Type]]:
-    """Yield the names and types of what a field consists of, in order."""
+    """Yield the names and types of the numbers and strings in a field, in order."""
     if isinstance(kind, Struct | Array):
         for _, own, below in _below((), name, kind):
             yield from leaves_of(own, below)

@@ -1,8 +1,8 @@
-"""JSON messages, defined by the first of them.
+"""Decode JSON messages, whose fields are those of the first messages.
 
 JSON schemas are optional and loose, so the first messages of a channel serve as its definition.
-Blocks of messages like it are parsed at once, as the lines of one document; others one by one, with
-the same result.
+Blocks that match it are parsed at once, as the lines of one document; others message by message,
+with the same result.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from quatprop.messages.schema import (
     String,
     Struct,
     Unknown,
-    steps,
+    key_path_of,
 )
 from quatprop.messages.times import NANOSECONDS, SECONDS
 from quatprop.messages.values import ValueDecoder, WantedColumn, raw_messages
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import AnyArray
     from quatprop.messages.blocks import Channel, MessageBlock
-    from quatprop.messages.schema import Steps, Type
+    from quatprop.messages.schema import KeyPath, Type
     from quatprop.provenance import JsonObject
 
 
@@ -53,16 +53,16 @@ INTEGER = Primitive("i8")
 MAX_INTEGER = int(np.iinfo(np.int64).max)
 
 SAMPLED, SAMPLED_BYTES = 50, 1 << 20
-"""How many messages, and of how many bytes, define the others."""
+"""Maximum number and bytes of the messages that define the others."""
 
 AXES = ("x", "y", "z", "w")
-"""The order of components; JSON objects have none."""
+"""The order of vector components: JSON objects have no order."""
 
 _MANY_PLACES = re.compile(rb"[eE]-\d{3}|\d{200}")
 
 
 def message_type(channel: Channel) -> Struct:
-    """Return the type of a channel's messages, from its sample."""
+    """Return the type of a channel's messages, from its sample message."""
     if not channel.sample:
         return Struct(channel.type_name, ())
     try:
@@ -75,10 +75,10 @@ def message_type(channel: Channel) -> Struct:
 
 
 def sample_of(messages: Iterable[bytes]) -> bytes:
-    """Return a message with the fields of all of some messages, whose first values count.
+    """Merge messages into one with the fields of all, each with its first value.
 
-    A value that is null, or an empty list, gives way to that of a later message. What is not a JSON
-    object counts only where nothing else is there.
+    Null and an empty list are replaced by the value of a later message. A message that is not a
+    JSON object is returned only if there are no others.
     """
     sample, other, room = None, b"", SAMPLED_BYTES
     for raw in islice(messages, SAMPLED):
@@ -105,11 +105,11 @@ def _merged(one: Any, other: Any) -> Any:
 
 
 def first_texts(block: MessageBlock, field_path: str) -> list[str]:
-    """Return what a text is in the first messages of a block, each once."""
+    """Return the distinct values of a text field in the first messages of a block."""
     texts: dict[str, None] = {}
     for raw in islice(raw_messages(block), SAMPLED):
         with suppress(LookupError, RecursionError, TypeError, ValueError):
-            value = reduce(getitem, steps(field_path) or (), json.loads(raw))
+            value = reduce(getitem, key_path_of(field_path) or (), json.loads(raw))
             if isinstance(value, str):
                 texts[value] = None
     return [*texts]
@@ -125,7 +125,7 @@ def _fields(sample: JsonObject) -> tuple[tuple[str, Type], ...]:
 
 
 def has_order(kind: Type) -> bool:
-    """Return whether the parts of a field have an order: objects have none, but for vectors."""
+    """Return whether the parts of a field are ordered: of objects, only vectors and times are."""
     if not isinstance(kind, Struct):
         return True
     return {name for name, _ in kind.fields} <= {*AXES, *SECONDS, *NANOSECONDS}
@@ -146,7 +146,7 @@ def _type(sample: Any) -> Type:
 
 
 def _is_time(text: str) -> bool:
-    """Tell RFC 3339 from other text."""
+    """Return whether a text is a time of RFC 3339."""
     try:
         return not text.isdecimal() and instant(text).origin == "clock"
     except UsageError:
@@ -154,10 +154,10 @@ def _is_time(text: str) -> bool:
 
 
 class JsonDecoder(ValueDecoder):
-    """Takes fields out of JSON messages.
+    """Decodes fields of JSON messages.
 
-    A number that is a column of its own may be a time: it is kept exact, as a decimal. Rates that
-    are null or missing are NaN.
+    A single number may be a time, so it is kept exact, as a decimal. Null and missing numbers are
+    NaN.
     """
 
     def __init__(self, channel: Channel, field_paths: Sequence[str], path: Path | str) -> None:
@@ -165,12 +165,12 @@ class JsonDecoder(ValueDecoder):
         self._schema = _schema(self.wanted)
 
     def columns(self, *blocks: MessageBlock) -> list[AnyArray]:
-        """Return the wanted fields of all messages of blocks, parsed at once where possible."""
+        """Return the wanted fields of all messages in some blocks, parsed at once if possible."""
         columns = self._at_once(blocks) if self._schema is not None and any(blocks) else None
         return super().columns(*blocks) if columns is None else columns
 
     def _at_once(self, blocks: Sequence[MessageBlock]) -> list[AnyArray] | None:
-        # A line break within a message is white space: in a string it would be escaped.
+        # A line break in a message is white space: in a string it would be escaped.
         document = b"\n".join(message.replace(b"\n", b" ") for message in raw_messages(*blocks))
         try:
             table = pyarrow_json.read_json(
@@ -183,7 +183,7 @@ class JsonDecoder(ValueDecoder):
             if len(table) != sum(map(len, blocks)):
                 return None
             columns = [_stacked(table, wanted) for wanted in self.wanted]
-        except (pa.ArrowException, _MisreadError):
+        except (pa.ArrowException, _MismatchError):
             return None
         exact = (c for c, wanted in zip(columns, self.wanted, strict=True) if _is_exact(wanted))
         # Arrow reads some decimals of more than 200 places as zero.
@@ -194,12 +194,12 @@ class JsonDecoder(ValueDecoder):
     def _parsed(self, raw: bytes) -> Any:
         return json.loads(raw, parse_float=Decimal)
 
-    def _value(self, message: Any, way: Steps, number: Primitive) -> Any:
+    def _value(self, message: Any, key_path: KeyPath, number: Primitive) -> Any:
         value = message
-        for step in way:
+        for key in key_path:
             if value is None:
                 break
-            value = value.get(step) if isinstance(value, dict) else value[step]
+            value = value.get(key) if isinstance(value, dict) else value[key]
         if number == TIME:
             return _time(value)
         if number == FLOAT and value is None:
@@ -207,7 +207,7 @@ class JsonDecoder(ValueDecoder):
         if isinstance(value, bool) != (number.code == "b1"):
             raise ValueError
         if number == INTEGER and isinstance(value, str):
-            value = int(value)  # as protobuf writes 64 bits in JSON
+            value = int(value)  # protobuf writes 64-bit integers so
         if not isinstance(value, int | float | Decimal):
             raise TypeError
         if number == INTEGER and (value != int(value) or not -MAX_INTEGER < value < MAX_INTEGER):
@@ -220,8 +220,8 @@ class JsonDecoder(ValueDecoder):
         return np.dtype(object if _is_exact(wanted) else wanted.number.code)
 
 
-class _MisreadError(Exception):
-    """Messages cannot be read as columns."""
+class _MismatchError(Exception):
+    """Arrow's columns are not the values that the messages have."""
 
 
 def _is_exact(wanted: WantedColumn) -> bool:
@@ -236,12 +236,12 @@ def _time(value: Any) -> int:
 
 
 def _schema(columns: Sequence[WantedColumn]) -> pa.Schema | None:
-    """Return the wanted columns as a schema, or None where columns cannot express them."""
+    """Return Arrow's schema of the wanted columns; None if it cannot express them."""
     fields: dict[tuple[Any, ...], pa.DataType] = {}
     for wanted in columns:
-        for way in wanted.ways:
-            is_list = isinstance(way[-1], int)
-            names = way[:-1] if is_list else way
+        for key_path in wanted.key_paths:
+            is_list = isinstance(key_path[-1], int)
+            names = key_path[:-1] if is_list else key_path
             kind = pa.list_(pa.float64()) if is_list else _leaf(wanted)
             if (
                 any(isinstance(name, int) for name in names)
@@ -255,26 +255,26 @@ def _leaf(wanted: WantedColumn) -> pa.DataType:
     if wanted.number == TIME:
         return pa.timestamp("ns", "UTC")
     if _is_exact(wanted):
-        # As precision + scale = 76, no number overflows.
+        # With precision + scale = 76 no number overflows.
         return pa.decimal256(46, 30)
     return {"f8": pa.float64(), "i8": pa.int64(), "b1": pa.bool_()}[wanted.number.code]
 
 
 def _stacked(table: pa.Table, wanted: WantedColumn) -> AnyArray:
-    parts = [_part(table, way, wanted) for way in wanted.ways]
+    parts = [_part(table, key_path, wanted) for key_path in wanted.key_paths]
     return parts[0] if wanted.single else np.stack(parts, axis=1)
 
 
-def _part(table: pa.Table, way: Steps, wanted: WantedColumn) -> AnyArray:
-    """Return one number of each message, shape ``(N,)``."""
-    column = table.column(way[0])
-    for step in way[1:]:
-        if isinstance(step, int):
-            column = pc.list_element(column, step)
+def _part(table: pa.Table, key_path: KeyPath, wanted: WantedColumn) -> AnyArray:
+    """Return one number per message, shape ``(N,)``."""
+    column = table.column(key_path[0])
+    for key in key_path[1:]:
+        if isinstance(key, int):
+            column = pc.list_element(column, key)
         else:
-            column = pc.struct_field(column, step)
+            column = pc.struct_field(column, key)
     if wanted.number != FLOAT and column.null_count:
-        raise _MisreadError
+        raise _MismatchError
     if wanted.number == TIME:
         column = column.cast(pa.int64())
     if pa.types.is_decimal(column.type):

@@ -1,8 +1,8 @@
-"""How the encodings place values: alignment, and the extent of values of fixed size.
+"""Alignment and size of values in each encoding.
 
-ROS 1 is packed. XCDR1 aligns every number to its size, counted from the end of the four bytes of
-encapsulation; XCDR2 does the same, but to 4 at most. A struct has no alignment of its own: its
-extent depends on where it begins.
+ROS 1 is packed. XCDR1 aligns every number to its size, counted from the end of the 4-byte
+encapsulation header; XCDR2 to 4 bytes at most. A struct has no alignment of its own: its size
+depends on its offset.
 
 References
 ----------
@@ -18,12 +18,12 @@ from quatprop.messages.schema import Array, Primitive, Struct, Type
 
 
 class Placement(NamedTuple):
-    """How an encoding places its values.
+    """The alignment rules of an encoding.
 
     `header`: bytes before the origin of alignment
-    `alignment`: largest alignment, bytes; 1 is packed
-    `delimited`: whether collections of strings or structs are preceded by their size in bytes, in
-        which writers differ
+    `alignment`: largest alignment, bytes; 1 if packed
+    `delimited`: whether the size in bytes precedes collections of strings or structs, in which
+        writers differ
     """
 
     header: int
@@ -37,7 +37,7 @@ XCDR2 = Placement(4, 4, delimited=True)
 
 
 class Extents:
-    """Alignments and sizes of the parts of a definition, each computed once."""
+    """Alignments and sizes of types, each computed once."""
 
     def __init__(self, placement: Placement) -> None:
         self.placement = placement
@@ -45,7 +45,7 @@ class Extents:
         self.size = cache(self._size)
 
     def _alignment(self, kind: Type) -> int:
-        """Return the largest alignment in a value of fixed size, or 0 where its size varies."""
+        """Return the largest alignment in a value of fixed size; 0 if its size varies."""
         match kind:
             case Primitive():
                 return min(kind.size, self.placement.alignment)
@@ -60,9 +60,9 @@ class Extents:
         return 0
 
     def _size(self, kind: Type, begin: int) -> int:
-        """Return the bytes of a value of fixed size, with the padding before it.
+        """Return the size of a value of fixed size with the padding before it, bytes.
 
-        `begin`: where it begins, modulo 8: of a type there are not more sizes than that
+        `begin`: offset behind the previous value, modulo 8, on which the padding depends
         """
         if isinstance(kind, Primitive):
             return -begin % self.alignment(kind) + kind.size
@@ -71,8 +71,8 @@ class Extents:
             for _, part in kind.fields:
                 end += self.size(part, end % 8)
         elif isinstance(kind, Array) and kind.length:
-            # From the second element on they lie equal distances apart, because every element
-            # ends equally far behind its first most aligned number.
+            # From the second element on all distances are equal: every element ends at the same
+            # distance from its first number of the largest alignment.
             end += self.size(kind.element, end % 8)
             end += (kind.length - 1) * self.size(kind.element, end % 8)
         return end - begin

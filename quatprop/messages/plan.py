@@ -1,9 +1,9 @@
-"""Decoding plans: which bytes of a message to fetch, and how far to move.
+"""Decoding plans: which bytes of a message to fetch and which to skip.
 
-A message consists of runs of fixed size, separated by strings and sequences whose length differs
-from message to message. A :class:`Segment` is one such run: what to fetch at fixed offsets from its
-beginning, and how to move from there to the next. :mod:`quatprop.messages.compiler` makes plans,
-:mod:`quatprop.messages.columns` follows them.
+A message consists of segments of fixed size, separated by strings and sequences whose length
+differs from message to message. A :class:`Segment` states what to fetch at fixed offsets from its
+beginning, and how to reach the next one. :mod:`quatprop.messages.compiler` makes plans,
+:mod:`quatprop.messages.columns` runs them.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ if TYPE_CHECKING:
     from quatprop.messages.schema import Primitive
 
 COUNT = -1
-"""Column number of a :class:`Piece` that is the number of elements that follow."""
+"""Column number of a :class:`Piece` that holds the number of elements that follow."""
 
 ENCAPSULATION = -2
-"""Column number of a :class:`Piece` that is the encapsulation identifier."""
+"""Column number of a :class:`Piece` that holds the encapsulation identifier."""
 
 
 class Piece(NamedTuple):
-    """Numbers within a window.
+    """One or several adjacent numbers in a window.
 
-    `offset`: where in the window, bytes
-    `length`: how many, or None for a single number (which is not a row of one)
+    `offset`: from the beginning of the window, bytes
+    `length`: number of numbers; None for a single number (rather than a row of one)
     """
 
     column: int
@@ -34,14 +34,14 @@ class Piece(NamedTuple):
 
     @property
     def end(self) -> int:
-        """Where the piece ends, bytes."""
+        """Offset behind the piece, bytes."""
         return self.offset + self.number.size * (1 if self.length is None else self.length)
 
 
 class Window(NamedTuple):
-    """Bytes fetched at once.
+    """Bytes that are fetched in one call.
 
-    `offset`: where it begins, bytes from the beginning of the segment
+    `offset`: from the beginning of the segment, bytes
     `size`: bytes
     """
 
@@ -51,10 +51,10 @@ class Window(NamedTuple):
 
 
 class Skip(NamedTuple):
-    """Move over the counted elements, of fixed size.
+    """Skip a counted number of elements of fixed size.
 
-    `first`: bytes of the first element, with the padding before it, by where the count ended modulo
-        8; None where it takes as many as the others
+    `first`: bytes of the first element with the padding before it, by the offset behind the count
+        modulo 8; None if always as many as `further`
     `further`: bytes of every other element
     """
 
@@ -63,9 +63,9 @@ class Skip(NamedTuple):
 
 
 class Repeat(NamedTuple):
-    """Move over elements of varying size, one after another in all messages at once.
+    """Skip elements of varying size, one after another, in all messages at once.
 
-    `length`: how many there are; None where the message counts them
+    `length`: number of elements; None if the message states it
     """
 
     element: Plan
@@ -73,12 +73,12 @@ class Repeat(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """A run of fixed size, and how to reach the next segment.
+    """A part of a message of fixed size, and how to reach the next segment.
 
-    `alignment`: the segment begins at the next multiple of this
+    `alignment`: the segment begins at the next multiple of this, bytes
     `reach`: bytes that every message must have from the beginning of the segment on
-    `size`: bytes to move on before `ending`
-    `ending`: how to move on from there
+    `size`: bytes before `ending`
+    `ending`: the elements to skip before the next segment, if any
     """
 
     alignment: int

@@ -1,7 +1,7 @@
-"""Protobuf messages, defined by the file descriptors that the log carries.
+"""Decode protobuf messages by the file descriptors that the log carries.
 
-Google's library, which is an extra, decodes one message of each layout; the numbers of others that
-share it are taken together.
+Google's library, an optional extra, decodes one message of each layout; the numbers of all others
+with that layout are read at once.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import AnyArray, Bool, Intp
     from quatprop.messages.blocks import Channel, MessageBlock
-    from quatprop.messages.schema import Steps, Type
+    from quatprop.messages.schema import KeyPath, Type
 
 NUMBERS: Mapping[int, Primitive] = {
     1: Primitive("f8"),  # double
@@ -52,16 +52,16 @@ NUMBERS: Mapping[int, Primitive] = {
     17: Primitive("i4"),  # sint32
     18: Primitive("i8"),  # sint64
 }
-"""Numbers by the type of a field in its descriptor."""
+"""Number types by the field type in a descriptor."""
 
 TEXTS = (9, 12)
-"""Types of strings and bytes."""
+"""Field types of strings and bytes."""
 
 MESSAGES = (10, 11)
-"""Types of groups and messages."""
+"""Field types of groups and messages."""
 
 _FEW, _LONGEST = 16, 1 << 12
-"""Fewer messages of a layout, and longer ones, are decoded one by one."""
+"""Fewer messages of a layout, and longer messages (bytes), are decoded one by one."""
 
 
 def message_type(channel: Channel) -> Struct:
@@ -95,10 +95,10 @@ def _message_class(type_name: str, schema: bytes) -> Any:
 
 
 def _add(pool: Any, files: Mapping[str, Any]) -> None:
-    """Add files to a pool, those that others import first, in whatever order the log has them."""
+    """Add files to a pool, imported files first, whatever their order in the log."""
     from google.protobuf import descriptor_pb2, duration_pb2, timestamp_pb2, wrappers_pb2
 
-    # Every program that reads protobuf has these, so some recorders omit them.
+    # Some recorders omit these, which every protobuf library has.
     known = (module.DESCRIPTOR for module in (duration_pb2, timestamp_pb2, wrappers_pb2))
     read = descriptor_pb2.FileDescriptorProto.FromString
     waiting = {file.name: read(file.serialized_pb) for file in known} | dict(files)
@@ -117,7 +117,7 @@ def _add(pool: Any, files: Mapping[str, Any]) -> None:
 def _struct(descriptor: Any, structs: dict[str, Struct]) -> Struct:
     name: str = descriptor.full_name
     if name not in structs:
-        # A type may contain itself, to any depth: it is not searched for rates.
+        # A type may contain itself, to any depth: the inner one gets no fields.
         structs[name] = Struct(name, ())
         structs[name] = Struct(name, tuple((f.name, _type(f, structs)) for f in descriptor.fields))
     return structs[name]
@@ -137,10 +137,10 @@ def _type(field: Any, structs: dict[str, Struct]) -> Type:
 
 
 class ProtobufDecoder(ValueDecoder):
-    """Takes fields out of protobuf messages.
+    """Decodes fields of protobuf messages.
 
-    Rates whose message is not set are NaN; other numbers that are not set have the default value
-    of protobuf.
+    Floats in a message that is not set are NaN; other numbers that are not set have protobuf's
+    default value.
     """
 
     def __init__(self, channel: Channel, field_paths: Paths[str], path: Path | str) -> None:
@@ -148,9 +148,9 @@ class ProtobufDecoder(ValueDecoder):
         self._class = _message_class(channel.type_name, channel.schema)
 
     def columns(self, *blocks: MessageBlock) -> list[AnyArray]:
-        """Return the wanted fields of all messages of blocks, those of a layout at once."""
+        """Return the wanted fields of all messages in some blocks, one layout at a time."""
         lengths = np.concatenate([block.ends - block.starts for block in blocks])
-        shapes = [() if wanted.single else (len(wanted.ways),) for wanted in self.wanted]
+        shapes = [() if wanted.single else (len(wanted.key_paths),) for wanted in self.wanted]
         columns = [
             np.empty((len(lengths), *shape), self._dtype(wanted))
             for wanted, shape in zip(self.wanted, shapes, strict=True)
@@ -171,7 +171,7 @@ class ProtobufDecoder(ValueDecoder):
     def _of_length(
         self, blocks: Paths[MessageBlock], rest: Intp, columns: list[AnyArray], others: Bool
     ) -> None:
-        """Fill in the messages at positions, which have one length, as far as many are alike."""
+        """Decode messages of one length, as long as many share a layout; clear them in `others`."""
         own = MessageBytes.of(take_messages(blocks, rest), "<", 0)
         messages = own.window(Window(0, own.shortest, ()), 0).view(np.uint8).reshape(len(rest), -1)
         while len(rest) >= _FEW:
@@ -182,14 +182,14 @@ class ProtobufDecoder(ValueDecoder):
                 values = [self._values(first, wanted) for wanted in self.wanted]
             except (LookupError, RecursionError, ValueError):
                 return
-            alike = layout.shared_by(messages)
+            alike = layout.is_shared_by(messages)
             taken, numbers = rest[alike], partial(layout.numbers, messages[alike])
             for column, wanted, value in zip(columns, self.wanted, values, strict=True):
                 column[taken] = value
-                for k, way in enumerate(wanted.ways):
-                    if way in layout.places:
-                        own_place = taken if wanted.single else (taken, k)
-                        column[own_place] = numbers(way, wanted.number.code)
+                for k, key_path in enumerate(wanted.key_paths):
+                    if key_path in layout.numeric_fields:
+                        cells = taken if wanted.single else (taken, k)
+                        column[cells] = numbers(key_path, wanted.number.code)
             others[taken] = False
             if len(taken) < _FEW:
                 return
@@ -203,12 +203,12 @@ class ProtobufDecoder(ValueDecoder):
         except DecodeError as error:
             raise ValueError from error
 
-    def _value(self, message: Any, way: Steps, number: Primitive) -> Any:
+    def _value(self, message: Any, key_path: KeyPath, number: Primitive) -> Any:
         value = message
-        for step in way[:-1]:
-            if not value.HasField(step):
+        for key in key_path[:-1]:
+            if not value.HasField(key):
                 if number.code[0] == "f":
                     return math.nan
                 raise LookupError
-            value = getattr(value, str(step))
-        return getattr(value, str(way[-1]))
+            value = getattr(value, str(key))
+        return getattr(value, str(key_path[-1]))

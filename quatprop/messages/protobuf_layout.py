@@ -1,7 +1,7 @@
-"""The layout of a protobuf message: where its numbers are, and what other messages share it.
+"""The layout of a protobuf message: the offsets of its numbers, shared by similar messages.
 
-Written by hand because the library gives one value of one message at a time. It still reads one
-message of each layout, and judges it; only the numbers of others like it are taken from the bytes.
+Written by hand because the library returns one value of one message at a time. It still decodes and
+checks one message of each layout; of the others, only the numbers are read from the bytes.
 
 References
 ----------
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.arrays import AnyArray, Bool
-    from quatprop.messages.schema import Steps
+    from quatprop.messages.schema import KeyPath
 
 _VARINT, _EIGHT_BYTES, _LENGTH, _FOUR_BYTES = 0, 1, 2, 5
-_WIRES = {
+_WIRE_TYPES = {
     **dict.fromkeys((1, 6, 16), _EIGHT_BYTES),
     **dict.fromkeys((2, 7, 15), _FOUR_BYTES),
-    # Not enums: unknown values of some are no values.
+    # Enums are excluded: the library drops unknown values of some.
     **dict.fromkeys((3, 4, 5, 8, 13, 17, 18), _VARINT),
     **dict.fromkeys((11, 12), _LENGTH),
 }
-"""How values are encoded, by the type of a field; of others, every byte counts."""
+"""Wire type by field type. Fields of other types are compared byte by byte, never read."""
 
 _MESSAGE, _ZIGZAG = 11, (17, 18)
 _EVERY_BIT, _CONTINUES = 0xFF, 0x80
@@ -36,7 +36,7 @@ _LONGEST_VARINT = 10
 
 
 class Place(NamedTuple):
-    """Where a value is, and the type of its field."""
+    """The offsets of a value and the type of its field."""
 
     begin: int
     end: int
@@ -44,22 +44,22 @@ class Place(NamedTuple):
 
 
 class ProtobufLayout:
-    """The layout of a message that the library has read.
+    """The layout of a message that the library has decoded.
 
-    `places`: where the numbers are that are set, by their ways
+    `numeric_fields`: places of the numbers that are set, by key path
 
-    Raises LookupError where a message has a group, or twice what it has once.
+    Raises LookupError if the message has a group, or a field twice that is not repeated.
     """
 
     def __init__(self, raw: bytes, message: Any) -> None:
-        self.places: dict[Steps, Place] = {}
+        self.numeric_fields: dict[KeyPath, Place] = {}
         self._raw = np.frombuffer(raw, np.uint8)
-        # All that another message must have in common: tags, lengths and texts.
+        # The bits that another message must have in common: tags, lengths and texts.
         self._common = np.full(len(raw), _EVERY_BIT, np.uint8)
         self._walk(0, len(raw), message, ())
 
-    def shared_by(self, messages: NDArray[np.uint8]) -> Bool:
-        """Return which messages of the same length have this layout, shape ``(N,)``.
+    def is_shared_by(self, messages: NDArray[np.uint8]) -> Bool:
+        """Return which messages of the same length have this layout, a mask of shape ``(N,)``.
 
         `messages`: their bytes, shape ``(N, length)``
         """
@@ -68,14 +68,14 @@ class ProtobufLayout:
         alike: Bool = np.logical_not(differs.any(axis=1))
         return alike
 
-    def numbers(self, messages: NDArray[np.uint8], way: Steps, code: str) -> AnyArray:
-        """Return a number of each message of this layout, shape ``(N,)``.
+    def numbers(self, messages: NDArray[np.uint8], key_path: KeyPath, code: str) -> AnyArray:
+        """Return one number of each message of this layout, shape ``(N,)``.
 
-        `code`: NumPy's, of the number
+        `code`: NumPy's type code of the number
         """
-        begin, end, kind = self.places[way]
+        begin, end, kind = self.numeric_fields[key_path]
         values: AnyArray
-        if _WIRES[kind] != _VARINT:
+        if _WIRE_TYPES[kind] != _VARINT:
             strides = messages.strides[:1]
             values = np.ndarray((len(messages),), f"<{code}", messages, begin, strides)
             return values
@@ -86,12 +86,12 @@ class ProtobufLayout:
         if kind in _ZIGZAG:
             bits = values.astype(f"u{code[1:]}")
             values = (bits >> 1 ^ -(bits & 1)).view(code)
-        # Numbers of fewer bits are cut; a truth value is whether there is any.
+        # Integers of fewer bits are truncated; a boolean is true unless it is zero.
         numbers: AnyArray = values.astype(code)
         return numbers
 
-    def _walk(self, at: int, end: int, message: Any, way: Steps | None) -> None:
-        """Note the values in a part of the message; `way` is None in what is repeated."""
+    def _walk(self, at: int, end: int, message: Any, key_path: KeyPath | None) -> None:
+        """Record the values in a part of the message; `key_path` is None inside repeated fields."""
         names: set[str] = set()
         while at < end:
             tag, at = self._varint(at)
@@ -100,41 +100,41 @@ class ProtobufLayout:
             if field is None:
                 continue
             if not field.is_repeated:
-                # Of several that exclude each other the last one counts; messages are merged.
+                # In a oneof the last field would count, and messages would be merged.
                 name = (field.containing_oneof or field).full_name
                 if name in names:
                     raise LookupError(name)
                 names.add(name)
-            if _WIRES.get(field.type) == tag & 7:
-                inner = None if way is None or field.is_repeated else (*way, field.name)
-                self._note(Place(begin, at, field.type), field, inner)
-            elif field.is_repeated and _WIRES.get(field.type) in {_EIGHT_BYTES, _FOUR_BYTES}:
-                self._common[begin:at] = 0  # packed
+            if _WIRE_TYPES.get(field.type) == tag & 7:
+                inner = None if key_path is None or field.is_repeated else (*key_path, field.name)
+                self._record(Place(begin, at, field.type), field, inner)
+            elif field.is_repeated and _WIRE_TYPES.get(field.type) in {_EIGHT_BYTES, _FOUR_BYTES}:
+                self._common[begin:at] = 0  # a packed field
 
-    def _note(self, place: Place, field: Any, way: Steps | None) -> None:
-        """Note where a value is, and which of its bits may differ."""
+    def _record(self, place: Place, field: Any, key_path: KeyPath | None) -> None:
+        """Record the place of a value, and exclude its bits from the comparison."""
         begin, end, kind = place
         if kind == _MESSAGE:
-            self._walk(begin, end, field.message_type, way)
+            self._walk(begin, end, field.message_type, key_path)
             return
-        if _WIRES[kind] == _VARINT:
-            # Of the last byte of the longest ones only one bit is of the number.
+        if _WIRE_TYPES[kind] == _VARINT:
+            # The last byte of the longest varints is compared: it has one bit of the number.
             self._common[begin : min(end, begin + _LONGEST_VARINT - 1)] = _CONTINUES
         else:
             self._common[begin:end] = 0
-        if way is not None:
-            self.places[way] = place
+        if key_path is not None:
+            self.numeric_fields[key_path] = place
 
-    def _value(self, at: int, wire: int) -> tuple[int, int]:
-        """Return where a value begins and ends; it has a number or a length before it."""
-        value, end = self._varint(at) if wire in {_VARINT, _LENGTH} else (0, at)
-        if wire == _VARINT:
+    def _value(self, at: int, wire_type: int) -> tuple[int, int]:
+        """Return the offsets of a value of a wire type, behind its length if it has one."""
+        value, end = self._varint(at) if wire_type in {_VARINT, _LENGTH} else (0, at)
+        if wire_type == _VARINT:
             return at, end
         sizes = {_EIGHT_BYTES: 8, _FOUR_BYTES: 4, _LENGTH: value}
-        return end, end + sizes[wire]
+        return end, end + sizes[wire_type]
 
     def _varint(self, at: int) -> tuple[int, int]:
-        """Return the number at a place, and where it ends."""
+        """Return the number at an offset, and the offset behind it."""
         value = shift = 0
         while True:
             byte = int(self._raw[at])

@@ -16,24 +16,24 @@ if TYPE_CHECKING:
     from quatprop.messages.blocks import Channel
 
 MAX_DEPTH = 50
-"""Definitions nested deeper than this are refused: none are in practice, and searches recurse."""
+"""Deeper nested definitions are refused: searches recurse, and real definitions are flatter."""
 
 MAX_SEARCHED_ITEMS = 16
-"""A search looks into the elements of fixed arrays up to this length."""
+"""Fixed arrays of structs or arrays are searched up to this length."""
 
 _NAME_PART = re.compile(r"[./]|::")
-_STEP = re.compile(r"(?:^|(?<=.)\.)([^.\[\]]+)|\[(\d+)\]", re.ASCII)
+_KEY = re.compile(r"(?:^|(?<=.)\.)([^.\[\]]+)|\[(\d+)\]", re.ASCII)
 
 
 class BadDefinitionError(Exception):
-    """A definition cannot be used; says why, without naming the log."""
+    """A definition cannot be used; the message states the reason but not the log."""
 
 
 @dataclass(frozen=True, slots=True)
 class Primitive:
-    """A number, of one size everywhere.
+    """A number.
 
-    `code`: numpy's type string without byte order: ``"f8"``, ``"u4"``, ``"b1"``
+    `code`: NumPy's type code without byte order: ``"f8"``, ``"u4"``, ``"b1"``
     `size`: bytes
     """
 
@@ -60,17 +60,17 @@ class String:
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """A type without a definition; an error only where a wanted field lies behind it."""
+    """A type without a definition; an error only if a wanted field follows it."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Struct:
-    """A message or a part of one; compared by identity, to be cheap as a dictionary key.
+    """A message or a nested message; compared by identity, which makes a fast dictionary key.
 
     `name`: type name, ``package/msg/Name``
-    `fields`: names and types, in the order of the bytes
+    `fields`: names and types, in the order of encoding
     """
 
     name: str
@@ -97,22 +97,23 @@ class Sequence:
 
 
 Type: TypeAlias = Primitive | String | Unknown | Struct | Array | Sequence
-Steps: TypeAlias = tuple[str | int, ...]
+KeyPath: TypeAlias = tuple[str | int, ...]
+"""A dotted path as field names and array indices."""
 
 
 @lru_cache(maxsize=1024)
 def ros_name(type_name: str) -> str:
-    """Return the name of a type in ROS; of other spellings, package and name count."""
+    """Return the ROS spelling of a type name, ``package/msg/Name``."""
     parts = [part for part in _NAME_PART.split(type_name) if part != "msg"]
     return "/msg/".join(parts[-2:])
 
 
 @lru_cache(maxsize=1024)
-def steps(field_path: str) -> Steps | None:
-    """Return the names and indices of a dotted path, or None for another text."""
+def key_path_of(field_path: str) -> KeyPath | None:
+    """Return the key path of a dotted path; None if the text is no dotted path."""
     names: list[str | int] = []
     end = 0
-    for match in _STEP.finditer(field_path):
+    for match in _KEY.finditer(field_path):
         if match.start() != end:
             return None
         end = match.end()
@@ -123,35 +124,35 @@ def steps(field_path: str) -> Steps | None:
 
 @lru_cache(maxsize=1024)
 def find(root: Struct, field_path: str) -> Type | None:
-    """Return the type that a dotted path leads to, or None where it leads nowhere."""
+    """Return the type of the field at a dotted path; None if there is none."""
     here: Type | None = root
-    for step in steps(field_path) or ("",):
-        here = None if here is None else _below(here, step)
+    for key in key_path_of(field_path) or ("",):
+        here = None if here is None else _child(here, key)
     return here
 
 
-def field_at(root: Struct, field_path: str, path: Path | str) -> tuple[Steps, Type]:
-    """Return where a dotted path leads.
+def field_at(root: Struct, field_path: str, path: Path | str) -> tuple[KeyPath, Type]:
+    """Return the key path and the type of a field.
 
     `field_path`: such as ``"header.stamp.sec"`` or ``"covariance[0]"``
     """
-    way = steps(field_path)
-    if way is None:
+    key_path = key_path_of(field_path)
+    if key_path is None:
         raise SchemaError(
             path, f"{quoted(field_path)} is not a field path; write it as a.b.c or a[0].b"
         )
     kind = find(root, field_path)
     if kind is None:
-        raise SchemaError(path, _dead_end(root, field_path, way))
-    return way, kind
+        raise SchemaError(path, _no_such_field(root, field_path, key_path))
+    return key_path, kind
 
 
 @lru_cache(maxsize=1024)
 def numeric_layout(kind: Type | None) -> tuple[Primitive, int] | None:
-    """Return the type and count of equal numbers that `kind` is made of, or None if it is not.
+    """Return the type and count of the numbers in `kind`; None if they are not of one type.
 
-    A struct such as ``geometry_msgs/Vector3`` is three float64; equal numbers lie without gaps in
-    every encoding, so they are fetched as one.
+    A struct such as ``geometry_msgs/Vector3`` is three float64. Numbers of one type have no gaps in
+    any encoding, so they are fetched at once.
     """
     if isinstance(kind, Primitive):
         return kind, 1
@@ -168,9 +169,9 @@ def numeric_layout(kind: Type | None) -> tuple[Primitive, int] | None:
 
 def numeric_layout_at(
     channel: Channel, root: Struct, field_path: str, path: Path | str
-) -> tuple[Steps, Type, Primitive, int]:
-    """Return where a dotted path leads, the field there, and the equal numbers it is made of."""
-    way, kind = field_at(root, field_path, path)
+) -> tuple[KeyPath, Type, Primitive, int]:
+    """Return key path, type, number type and number count of a field of numbers of one type."""
+    key_path, kind = field_at(root, field_path, path)
     shape = numeric_layout(kind)
     if shape is None:
         raise SchemaError(
@@ -178,29 +179,29 @@ def numeric_layout_at(
             f"field {quoted(field_path)} of {quoted(channel.type_name)} is not made of equal "
             "numbers; name a number, or a struct or fixed array of them",
         )
-    return way, kind, *shape
+    return key_path, kind, *shape
 
 
-def _below(kind: Type, step: str | int) -> Type | None:
-    if isinstance(kind, Struct) and isinstance(step, str):
-        return kind.field(step)
-    if isinstance(kind, Array) and isinstance(step, int) and step < kind.length:
+def _child(kind: Type, key: str | int) -> Type | None:
+    if isinstance(kind, Struct) and isinstance(key, str):
+        return kind.field(key)
+    if isinstance(kind, Array) and isinstance(key, int) and key < kind.length:
         return kind.element
     return None
 
 
-def _dead_end(root: Struct, field_path: str, way: Steps) -> str:
-    """Return where a dotted path leads nowhere, and what is there instead."""
+def _no_such_field(root: Struct, field_path: str, key_path: KeyPath) -> str:
+    """Return the sentence for a dotted path without a field, which lists the existing fields."""
     here: Type = root
-    for step in way:
-        below = _below(here, step)
-        if below is None:
+    for key in key_path:
+        child = _child(here, key)
+        if child is None:
             break
-        here = below
+        here = child
     no_field = f"{quoted(root.name)} has no field {quoted(field_path)}"
     if isinstance(here, Struct):
         names = [name for name, _ in here.fields]
-        hint = did_you_mean(str(step), names)
+        hint = did_you_mean(str(key), names)
         return f"{no_field}; {quoted(here.name)} has {listed(names)}{hint}"
     if isinstance(here, Array):
         return f"{no_field}; the array there takes an index from [0] to [{here.length - 1}]"

@@ -1,4 +1,4 @@
-"""Times inside messages: how they are named, and their exact int64 nanoseconds."""
+"""Times in messages: field names, and conversion to exact int64 nanoseconds."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ if TYPE_CHECKING:
 
 SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
-"""Names of the two parts of a time, in ROS 1, ROS 2 and related systems."""
+"""Names of the two fields of a time, in ROS 1, ROS 2 and related systems."""
 
 
 def to_ns(
     columns: Sequence[AnyArray], units: Sequence[str], names: Sequence[str], path: Path | str
 ) -> Int64:
-    """Return times of one column, or of whole seconds and nanoseconds, which may carry over.
+    """Return times in ns, shape ``(N,)``, from one column, or from seconds and nanoseconds.
 
-    `columns`: shape ``(N,)`` each: integers, float64, or objects that are integers and decimals
+    `columns`: shape ``(N,)`` each: integers, float64, or objects that are integers and decimals.
+        The nanoseconds may be more than a second
     `units`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"`` of each; ``"ns"`` of the second
     """
     first, scale = columns[0], NS_PER_UNIT[units[0]]
@@ -36,7 +37,7 @@ def to_ns(
     if first.dtype == np.object_:
         bad = [row for row, value in enumerate(first) if not -limit < value < limit]
     elif first.dtype.kind == "f" or first.dtype.itemsize == np.dtype(np.int64).itemsize:
-        # Written so that NaN is refused too.
+        # In this form the condition refuses NaN, too.
         bad = np.flatnonzero(~((first > -limit) & (first < limit))).tolist()
     if bad:
         raise MessageError(

@@ -1,8 +1,8 @@
-"""The transforms in TF messages: a list of any length in each, chosen by their frames.
+"""Decode TF messages: lists of transforms between named frames.
 
-Decoding plans reach fields that every message has, which elements of a list are not. So the lists
-are decoded here, the same element of all messages at a time. The message type has never changed;
-the definition that a log carries is checked against it.
+Decoding plans only reach fields that every message has, not the elements of a list. So the lists
+are decoded here: the first transform of all messages, then the second, and so on. The message type
+has never changed; the definition that a log carries is checked against it.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ _TRANSLATION_AND_ROTATION = Primitive("f8"), 3 + 4
 
 
 class Frames(NamedTuple):
-    """The two frames of a transform: the attitude of the child in the parent."""
+    """The two frames of a transform, which is the attitude of the child in the parent."""
 
     parent: str
     child: str
 
 
 class Transforms(NamedTuple):
-    """The transforms of a block, in the order of its messages and of the list in each.
+    """The transforms of a block, in the order of messages and, within each, of its list.
 
-    `message`: which message of the block each is in, shape ``(N,)``, int64
+    `message`: position of its message in the block, shape ``(N,)``, int64
     `t_ns`: header timestamps, shape ``(N,)``, int64 ns
-    `frames`: number of the pair of frames in :attr:`TransformDecoder.frames`, shape ``(N,)``, int64
+    `frames`: index of its frames in :attr:`TransformDecoder.frames`, shape ``(N,)``, int64
     `wxyz`: rotations child -> parent, shape ``(N, 4)``, float64
     `position`: positions of the child in the parent, shape ``(N, 3)``, float64, m
     """
@@ -56,9 +56,9 @@ class Transforms(NamedTuple):
 
 
 class TransformDecoder:
-    """Takes the transforms out of the messages of a channel.
+    """Decodes the transforms in the messages of a channel.
 
-    `frames`: every pair of frames met so far, in that order
+    `frames`: all pairs of frames so far, in order of appearance
     """
 
     def __init__(self, channel: Channel, path: Path | str) -> None:
@@ -93,10 +93,10 @@ class TransformDecoder:
         return Transforms(*(column[order] for column in columns))
 
     def _elements(self, cursor: Cursor) -> Iterator[Transforms]:
-        """Yield the first transform of every list, then the second, until all lists end."""
+        """Yield the first transform of every list, then the second, and so on."""
         left = cursor.numbers("u4").astype(np.int64)
         while True:
-            # A wrong count runs into the end of its message: every element takes bytes.
+            # Every element takes bytes, so a wrong count reaches the end of its message.
             cursor.keep(left > 0)
             left = left[left > 0] - 1
             if not len(left):
@@ -116,7 +116,7 @@ class TransformDecoder:
         return Transforms(cursor.messages, t_ns, frames, wxyz, position)
 
     def _frames(self, block: MessageBlock, parent: Names, child: Names) -> Int64:
-        """Return the number of each pair of names, adding new pairs."""
+        """Return the index of each pair of names, adding new pairs."""
         frames = np.full(len(parent.begin), -1)
         number = 0
         while len(waiting := np.flatnonzero(frames < 0)):

@@ -1,7 +1,7 @@
-"""Message definitions of PX4 ULog files, under the names that the same messages have in ROS 2.
+"""Message definitions of PX4 ULog files, with the type names of the same messages in ROS 2.
 
 A definition is one line, ``name:type field;type[3] field;``; fields are packed, little endian. The
-messages are those of px4_msgs, so one table serves both.
+messages are those of px4_msgs, so one vocabulary serves both.
 
 References
 ----------
@@ -30,7 +30,7 @@ _NUMBERS = {
     "bool": "bool",
     "char": "char",
 }
-"""Names of numbers in definitions, and in those of ROS."""
+"""ROS names of the number types, by their names in ULog definitions."""
 
 MESSAGE_OF_TOPIC: Mapping[str, str] = {
     **dict.fromkeys(
@@ -42,10 +42,10 @@ MESSAGE_OF_TOPIC: Mapping[str, str] = {
         "vehicle_odometry",
     ),
 }
-"""Topics with the message of another topic, as the TOPICS lines of PX4 declare."""
+"""Topics whose message is that of another topic, from the TOPICS lines of PX4."""
 
 _MOST_BYTES = 1 << 16
-"""A record has less."""
+"""Maximum size of a message, bytes: a record is shorter."""
 
 _FIELD = r"(?a)([\w/-]+)(?:\[(\d+)\])? ([\w\[\]]+)"
 
@@ -57,12 +57,12 @@ def px4_name(name: str) -> str:
 
 
 def is_secondary(channel: Channel) -> bool:
-    """Tell whether a topic of a ULog has the message of another, main topic."""
+    """Return whether a channel of a ULog has the message of another, main topic."""
     return channel.encoding == "ulog" and channel.topic.partition("/")[0] in MESSAGE_OF_TOPIC
 
 
 def definition_text(name: str, formats: Mapping[str, str]) -> bytes:
-    """Return the definitions of a message and of all types inside it, one a line."""
+    """Return the definitions of a message and of its nested types, one a line."""
     needed = [name] if name in formats else []
     for type_name in needed:
         words = dict.fromkeys(re.findall(r"\w+", formats[type_name]))
@@ -71,10 +71,7 @@ def definition_text(name: str, formats: Mapping[str, str]) -> bytes:
 
 
 def message_sizes(name: str, formats: Mapping[str, str]) -> tuple[int, int] | None:
-    """Return the bytes of a message without the padding at its end, and with it.
-
-    None where its format does not say that, or is of no message.
-    """
+    """Return the bytes of a message without and with the padding at its end; None if unknown."""
     sizes = {kind: NUMBERS[number].size for kind, number in _NUMBERS.items()}
     try:
         padded = _size(name, formats, sizes)
@@ -108,7 +105,7 @@ def message_type(channel: Channel) -> Struct:
 
 
 def _fields(name: str, texts: Mapping[str, str]) -> Fields:
-    """Yield name and type of each field in the definition of a type."""
+    """Yield the name and type of each field in a definition."""
     for match in _matches(name, texts):
         kind, length, own = match.groups()
         element: Kind = (NAME, px4_name(kind) if kind in texts else kind)
@@ -118,7 +115,7 @@ def _fields(name: str, texts: Mapping[str, str]) -> Fields:
 
 
 def _matches(name: str, texts: Mapping[str, str]) -> list[re.Match[str]]:
-    """Return type, length and name of each field in the definition of a type."""
+    """Return matches of the type, length and name of each field in a definition."""
     matches = []
     for text in filter(None, texts[name].split(";")):
         match = re.fullmatch(_FIELD, text.strip())

@@ -1,4 +1,4 @@
-"""Messages that a library decodes one at a time: the wanted values, gathered into columns."""
+"""Gather values of messages that a library decodes one at a time into columns."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from quatprop.errors import MessageError
 from quatprop.messages.columns import take_messages
 from quatprop.messages.definitions import message_type
-from quatprop.messages.schema import Array, Primitive, Steps, Struct, Type, numeric_layout_at
+from quatprop.messages.schema import Array, KeyPath, Primitive, Struct, Type, numeric_layout_at
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class WantedColumn:
-    """One column.
+    """A column of numbers, or of rows of numbers.
 
-    `ways`: where its numbers are: one, or those of a row
-    `single`: whether it is a number and not a row of one
+    `key_paths`: of the number, or of each number of a row
+    `single`: whether it holds numbers, rather than rows of one
     """
 
-    ways: tuple[Steps, ...]
+    key_paths: tuple[KeyPath, ...]
     number: Primitive
     single: bool
 
 
 class ValueDecoder(ABC):
-    """Takes fields out of messages, one message after the other.
+    """Decodes fields of messages, one message after another.
 
-    `channel`: whose messages, with their definition
+    `channel`: the channel to decode, with its definition
     `field_paths`: dotted paths of the wanted fields
     """
 
@@ -49,11 +49,11 @@ class ValueDecoder(ABC):
         self.wanted = [self._wanted(root, field_path) for field_path in field_paths]
 
     def _wanted(self, root: Struct, field_path: str) -> WantedColumn:
-        way, kind, number, _ = numeric_layout_at(self.channel, root, field_path, self.path)
-        return WantedColumn(tuple(_leaves(way, kind)), number, isinstance(kind, Primitive))
+        key_path, kind, number, _ = numeric_layout_at(self.channel, root, field_path, self.path)
+        return WantedColumn(tuple(_leaves(key_path, kind)), number, isinstance(kind, Primitive))
 
     def columns(self, *blocks: MessageBlock) -> list[AnyArray]:
-        """Return the wanted fields of all messages of blocks."""
+        """Return the wanted fields of all messages in some blocks."""
         values: list[list[Any]] = []
         bad: list[int] = []
         for position, raw in enumerate(raw_messages(*blocks)):
@@ -69,24 +69,24 @@ class ValueDecoder(ABC):
 
     @abstractmethod
     def _parsed(self, raw: bytes) -> Any:
-        """Return a message; ValueError where the bytes are none."""
+        """Return a parsed message; raise ValueError if it cannot be parsed."""
 
     @abstractmethod
-    def _value(self, message: Any, way: Steps, number: Primitive) -> Any:
-        """Return a number of a message; NaN for an optional one that is absent."""
+    def _value(self, message: Any, key_path: KeyPath, number: Primitive) -> Any:
+        """Return one number of a message; NaN for an optional one that is absent."""
 
     def _dtype(self, wanted: WantedColumn) -> np.dtype[Any]:
         return np.dtype(wanted.number.code)
 
     def _values(self, message: Any, wanted: WantedColumn) -> Any:
-        values = [self._value(message, way, wanted.number) for way in wanted.ways]
+        values = [self._value(message, key_path, wanted.number) for key_path in wanted.key_paths]
         if wanted.single:
             return values[0]
-        # Converted here, so that a number too large for its column counts against its message.
+        # Converted here, so that a number too large for its column is an error of its message.
         return np.array(values, wanted.number.code)
 
     def _column(self, wanted: WantedColumn, values: Sequence[Any]) -> AnyArray:
-        shape = (len(values),) if wanted.single else (len(values), len(wanted.ways))
+        shape = (len(values),) if wanted.single else (len(values), len(wanted.key_paths))
         return np.array(values, self._dtype(wanted)).reshape(shape)
 
     def _undecodable(self, blocks: Sequence[MessageBlock], bad: list[int]) -> MessageError:
@@ -109,13 +109,13 @@ def raw_messages(*blocks: MessageBlock) -> Iterator[bytes]:
             yield bytes(data[begin:end])
 
 
-def _leaves(way: Steps, kind: Type) -> Iterator[Steps]:
-    """Yield the ways to the numbers that a field is made of, in order."""
+def _leaves(key_path: KeyPath, kind: Type) -> Iterator[KeyPath]:
+    """Yield the key paths of the numbers in a field, in order."""
     if isinstance(kind, Struct):
         for name, part in kind.fields:
-            yield from _leaves((*way, name), part)
+            yield from _leaves((*key_path, name), part)
     elif isinstance(kind, Array):
         for position in range(kind.length):
-            yield from _leaves((*way, position), kind.element)
+            yield from _leaves((*key_path, position), kind.element)
     else:
-        yield way
+        yield key_path

@@ -170,7 +170,7 @@ def _given(wanted: InitialAttitude, context: LogContext, first_ns: int, logged_n
     return wxyz if mount is None else multiply(wxyz, conjugate(from_matrix(mount)))
 
 
-def level(force: Float64, heading: float = 0.0, *, down: bool = False) -> Float64:
+def level(force: Float64, heading: float, *, down: bool) -> Float64:
     """Return the attitude of a body at rest from the specific force it feels.
 
     `force`: specific force in body axes, shape ``(3,)``, any unit; at rest it points up

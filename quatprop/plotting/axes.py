@@ -48,13 +48,18 @@ def draw_panel(axes: Axes, panel: Panel, picture: Picture, place: int) -> list[t
             )
     for number, curve in enumerate(panel.curves):
         # Of lines that coincide, those below show on both sides.
-        wider = min(len(panel.curves) - 1 - number, WIDEST)
+        wider = 0.5 if picture.is_log else min(len(panel.curves) - 1 - number, WIDEST)
         _draw_curve(axes, curve, THIN + THICKER * wider, f"curve_{place}_{number}")
     axes.grid(visible=True)
     axes.set_axisbelow(True)
     unit = f"\n{panel.quantity.unit}" if panel.quantity.unit else ""
     axes.set_ylabel(panel.quantity.name.replace("norm error ", "norm error\n") + unit)
-    _set_value_axis(axes, panel)
+    if picture.is_log:
+        axes.set(xscale="log", yscale="log")
+        axes.xaxis.set_major_formatter(_tick_label)
+        axes.yaxis.set_major_formatter(_tick_label)
+    else:
+        _set_value_axis(axes, panel)
     explained: list[tuple[Artist, str]] = []
     if panel.level is not None:
         value, label = panel.level

@@ -129,7 +129,8 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
         explained += draw_panel(axes, panel, picture, number)
         axes.yaxis.set_label_coords(label, 0.5)
     result.axes[-1].set_xlabel("\n".join(time))
-    _set_time(result.axes[0], picture)
+    if not picture.is_log:
+        _set_time(result.axes[0], picture)
     if style.title:
         _write_text(result, page, notes, scale, room)
     if explained:

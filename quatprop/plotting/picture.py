@@ -101,6 +101,7 @@ class Picture(NamedTuple):
     `bin_s`: the time that was reduced to its extremes, mostly; 0 where samples are drawn as they
         are
     `legend`: names of the files where they are several
+    `is_log`: whether its axes are logarithmic
     """
 
     time: str
@@ -109,6 +110,7 @@ class Picture(NamedTuple):
     starts: tuple[int, ...]
     bin_s: float
     legend: tuple[str, ...] = ()
+    is_log: bool = False
 
 
 class Page(NamedTuple):

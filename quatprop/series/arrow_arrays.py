@@ -1,7 +1,7 @@
-"""Columns between NumPy and Arrow, as views of the same numbers.
+"""Conversion of columns between NumPy and Arrow, without copies where possible.
 
-Arrow's own conversions import pandas wherever it is installed, to see whether they were given a
-Series: a fifth of a second for every command.
+Arrow's own conversions import pandas if it is installed, to test whether the input is a Series:
+this would add a fifth of a second to every command.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ _DTYPES = {kind: dtype for dtype, kind in _TYPES.items()}
 
 
 def readable(data: bytes | memoryview) -> pa.BufferReader:
-    """Return bytes as a file that Arrow reads.
+    """Return bytes as a file for Arrow.
 
-    A thread of Arrow may be the last to let go of them. If the interpreter is shutting down then,
-    as after an interruption, the process would abort: so they are held here until others come.
+    A thread of Arrow may release the last reference to them. If the interpreter is shutting down
+    then, as after an interruption, the process would abort: so the latest two are kept here.
     """
     buffer = pa.py_buffer(data)
     _held.append(buffer)
@@ -35,7 +35,7 @@ def readable(data: bytes | memoryview) -> pa.BufferReader:
 
 
 def to_arrow(values: NDArray[Any]) -> pa.Array:
-    """Return a column as an Arrow array, without a copy where it is contiguous.
+    """Return a column as an Arrow array, without a copy if it is contiguous.
 
     `values`: numbers or booleans, shape ``(N,)``
     """
@@ -51,14 +51,14 @@ def to_arrow(values: NDArray[Any]) -> pa.Array:
 def series_schema(names: Iterable[str]) -> pa.Schema:
     """Return the schema of a series: ``t_ns`` int64, and float64 columns.
 
-    No value is ever missing, and to say so spares writers of Parquet a note on each.
+    No column is nullable, so Parquet files need not store which values are present.
     """
     types = {"t_ns": pa.int64(), **dict.fromkeys(names, pa.float64())}
     return pa.schema([pa.field(name, kind, nullable=False) for name, kind in types.items()])
 
 
 def nested_schema(fields: Mapping[tuple[str, ...], pa.DataType]) -> pa.Schema:
-    """Return the schema that has some fields, inside of each other as their paths say."""
+    """Return the schema of some fields, nested by their paths."""
     tree: dict[str, Any] = {}
     for path, kind in fields.items():
         place = tree
@@ -83,9 +83,9 @@ def text_scalar(text: str) -> pa.StringScalar:
 
 
 def to_numpy(column: pa.Array | pa.ChunkedArray) -> NDArray[Any]:
-    """Return a column of numbers or booleans as an array, read-only where it is a view.
+    """Return a column of numbers or booleans as an array, read-only if it is a view.
 
-    `column`: shape ``(N,)``; of floats, nulls become NaN; of others, there must be none
+    `column`: shape ``(N,)``; nulls of floats become NaN; columns of other types must have none
     """
     if isinstance(column, pa.ChunkedArray):
         parts = [to_numpy(chunk) for chunk in column.chunks]
@@ -106,7 +106,7 @@ def to_numpy(column: pa.Array | pa.ChunkedArray) -> NDArray[Any]:
 
 
 def _bits(data: pa.Buffer | None, column: pa.Array) -> NDArray[np.bool_]:
-    """Return the bits of a bitmap that belong to a column."""
+    """Return a column's part of a bitmap."""
     if data is None:
         return np.zeros(len(column), np.bool_)
     every = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little")

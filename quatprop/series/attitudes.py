@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
 
 SIGMA_COLUMNS = ("sigma_x", "sigma_y", "sigma_z")
-"""Names of the columns of standard deviations, rad."""
+"""Names of the columns of standard deviations (rad)."""
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class AttitudeSeries(Series):
-    """Attitudes of the body, in time.
+    """A time series of attitudes of the body.
 
-    Takes what :class:`GyroSeries` takes.
+    Accepts the same types as :class:`GyroSeries`.
 
     Parameters
     ----------
@@ -36,21 +36,19 @@ class AttitudeSeries(Series):
         Unit quaternions body -> reference (Hamilton, scalar first), shape ``(N, 4)``, kept as
         float64.
     position
-        Position of the body in the reference frame, shape ``(N, 3)``, m; None if it is not
-        known.
+        Position of the body in the reference frame, shape ``(N, 3)``, m; None if unknown.
     covariance
-        Covariance of small rotations about the body's axes, shape ``(N, 3, 3)``, rad^2; None where
-        it is not known.
+        Covariance of small rotations about the body axes, shape ``(N, 3, 3)``, rad^2; None if
+        unknown.
     rate
-        Angular rate of the body in its own axes, shape ``(N, 3)``, rad/s; None if it is not
-        known.
+        Angular rate of the body in body axes, shape ``(N, 3)``, rad/s; None if unknown.
     log_ns
         As for :class:`GyroSeries`.
 
     Raises
     ------
     SeriesError
-        The shapes or the types do not fit.
+        A shape or type is wrong.
     """
 
     _rows: ClassVar = "attitudes"
@@ -88,7 +86,7 @@ class AttitudeSeries(Series):
 
     @property
     def sigma(self) -> Float64 | None:
-        """Standard deviations of small rotations about the body's axes, ``(N, 3)``, rad."""
+        """Standard deviations of small rotations about the body axes, ``(N, 3)``, rad."""
         if self.covariance is None:
             return None
         variances: Float64 = np.einsum("...ii->...i", self.covariance)
@@ -100,8 +98,8 @@ class AttitudeSeries(Series):
         Parameters
         ----------
         scalar_first
-            Whether the columns are w, x, y, z; otherwise x, y, z, w, as
-            ``scipy.spatial.transform.Rotation.from_quat`` takes them.
+            Whether the columns are w, x, y, z; otherwise x, y, z, w, the order of
+            ``scipy.spatial.transform.Rotation.from_quat``.
 
         Returns
         -------
@@ -111,7 +109,7 @@ class AttitudeSeries(Series):
         Raises
         ------
         UsageError
-            The layout is not given: libraries differ in it, so there is no default.
+            The layout is not given: there is no default, since libraries differ in it.
         """
         if scalar_first is None:
             raise UsageError(
@@ -141,18 +139,18 @@ class AttitudeSeries(Series):
             The axes in capital letters, as scipy writes intrinsic rotations: ``"ZYX"`` is yaw,
             pitch and roll, about z, the new y and the newest x.
         degrees
-            Whether they are in deg; otherwise in rad.
+            Whether to return degrees instead of radians.
 
         Returns
         -------
         ndarray
             Shape ``(N, 3)``, in the order of the sequence. In gimbal lock only the sum or the
-            difference of the first and the third is determined.
+            difference of the first and the third angle is determined.
 
         Raises
         ------
         UsageError
-            There is no such sequence.
+            The sequence is unknown.
         """
         from quatprop.conventions.representations import euler_angles
         from quatprop.settings.choices import EULER_SEQUENCES
@@ -168,21 +166,21 @@ class AttitudeSeries(Series):
         return np.degrees(angles) if degrees else angles
 
     def inv(self) -> AttitudeSeries:
-        """Return the attitude of the reference frame relative to the body: the two change places.
+        """Return the attitude of the reference frame relative to the body.
 
-        Covariances go along; positions and rates are left out.
+        Covariances are converted; positions and rates are dropped.
         """
         from quatprop.kinematics.quaternion import conjugate
 
-        turn, covariance = self.as_matrix(), self.covariance
+        rotation, covariance = self.as_matrix(), self.covariance
         if covariance is not None:
-            covariance = turn @ covariance @ turn.swapaxes(-1, -2)
+            covariance = rotation @ covariance @ rotation.swapaxes(-1, -2)
         return AttitudeSeries(self.t_ns, conjugate(self.wxyz), covariance=covariance)
 
     def __mul__(self, other: AttitudeSeries) -> AttitudeSeries:
-        """Return self * other, row by row, of two series with the same stamps.
+        """Return self * other, row by row, for two series with the same timestamps.
 
-        The body of self is the reference of the other.
+        The body of self is the reference of other.
 
         Raises
         ------
@@ -201,18 +199,18 @@ class AttitudeSeries(Series):
         return AttitudeSeries(self.t_ns, multiply(self.wxyz, other.wxyz))
 
     def relative_to(self, other: AttitudeSeries) -> AttitudeSeries:
-        """Return the attitudes of this body in the axes of another, such as the angle of a joint.
+        """Return the attitudes of this body relative to another, such as the angle of a joint.
 
         Parameters
         ----------
         other
-            Attitudes of the other body against the same reference, at timestamps that do not step
-            back. Between two of them it is taken to turn about a fixed axis, on the shorter way.
+            Attitudes of the other body relative to the same reference, at non-decreasing
+            timestamps. Between two of them slerp is used: a fixed axis and the shorter rotation.
 
         Returns
         -------
         AttitudeSeries
-            q_other* q_self, at those timestamps of this series that are within the other.
+            q_other* q_self, at the timestamps of this series within the time range of the other.
         """
         from quatprop.kinematics.quaternion import conjugate, multiply, slerp
 
@@ -231,8 +229,8 @@ class AttitudeSeries(Series):
         ----------
         scalar_first
             Whether the columns are ``t_ns``, ``qw``, ``qx``, ``qy``, ``qz``; otherwise ``qw`` is
-            the last. Positions follow as ``px``, ``py``, ``pz`` and standard deviations about
-            body axes as ``sigma_x``, ``sigma_y``, ``sigma_z``, where the series has them.
+            the last. If the series has them, positions follow as ``px``, ``py``, ``pz`` and
+            standard deviations about body axes as ``sigma_x``, ``sigma_y``, ``sigma_z``.
         """
         names = ("qw", "qx", "qy", "qz") if scalar_first else ("qx", "qy", "qz", "qw")
         columns = dict(zip(names, self.as_quat(scalar_first=scalar_first).T, strict=True))

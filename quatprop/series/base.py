@@ -1,4 +1,4 @@
-"""What series of rates and of attitudes have in common."""
+"""The base class of series of rates and of attitudes."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Series:
-    """Columns with a row for each stamp."""
+    """Columns with one row per timestamp."""
 
     t_ns: Int64
     _rows: ClassVar[str]
 
     def _keep(self, **columns: AnyArray | None) -> None:
-        """Keep columns as read-only arrays."""
+        """Store columns as read-only arrays."""
         for name, values in columns.items():
             if values is not None:
                 view = values.view()
@@ -41,7 +41,7 @@ class Series:
         return len(self.t_ns)
 
     def __getitem__(self, chosen: SupportsIndex | slice | Bool | Intp) -> Self:
-        """Return some rows: a view of one or of a slice, copies for a mask or positions."""
+        """Return some rows: a view for an index or a slice, a copy for a mask or positions."""
         if not isinstance(chosen, slice | np.ndarray | list):
             row = range(len(self))[chosen]
             chosen = slice(row, row + 1)
@@ -58,29 +58,29 @@ class Series:
         return (self[row] for row in range(len(self)))
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether all columns of two series are the same; NaN is the same as NaN."""
+        """Return whether all columns of two series are equal; NaN equals NaN."""
         if not isinstance(other, Series) or self.__match_args__ != other.__match_args__:
             return NotImplemented
         pairs = ((getattr(self, name), getattr(other, name)) for name in self.__match_args__)
         return all(_same(mine, theirs) for mine, theirs in pairs)
 
-    __hash__ = None  # type: ignore[assignment]  # of arrays
+    __hash__ = None  # type: ignore[assignment]  # arrays are not hashable
 
     def between(
         self, start: str | int | datetime | None = None, end: str | int | datetime | None = None
     ) -> Self:
-        """Return the rows from one time to another, both included.
+        """Return the rows of a time range, both ends included.
 
         Parameters
         ----------
         start, end
             As for :func:`quatprop.propagate`: RFC 3339, ns, a date, ``"+10s"`` from the first or
-            ``"-30s"`` from the last row; None is all.
+            ``"-30s"`` from the last row; None for no limit.
 
         Raises
         ------
         UsageError
-            They are no times.
+            An argument is not a time.
         """
         chosen = np.ones(len(self), bool)
         for limit, keep in ((start, np.greater_equal), (end, np.less_equal)):
@@ -97,7 +97,7 @@ class Series:
         return np.array(values, dtype, copy=copy)
 
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
-        """Return the table of :meth:`to_arrow` for pandas, polars, DuckDB and others."""
+        """Export the table of :meth:`to_arrow` to pandas, polars, DuckDB and others."""
         return self.to_arrow().__arrow_c_stream__(requested_schema)
 
     def to_arrow(self) -> pa.Table:
@@ -121,7 +121,7 @@ class Series:
 
     @classmethod
     def _of(cls, columns: Iterable[Any]) -> Self:
-        """Return a series of columns that are known to fit each other."""
+        """Return a series of columns that are known to be valid."""
         series = object.__new__(cls)
         for name, values in zip(cls.__match_args__, columns, strict=True):
             if isinstance(values, np.ndarray):
@@ -131,7 +131,7 @@ class Series:
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
-        """Return series, at least one and all with the same columns, as one."""
+        """Concatenate series, at least one, that all have the same columns."""
         if len(parts) == 1:
             return parts[0]
 
@@ -143,9 +143,9 @@ class Series:
 
     @classmethod
     def gathered(cls, parts: Iterable[Self]) -> Self:
-        """Return a stream of series, at least one and all with the same columns, as one.
+        """Concatenate a stream of series, at least one, that all have the same columns.
 
-        Columns grow where they are: there is never room for all parts beside their sum.
+        The columns grow in place, so that all parts and the result are never in memory together.
         """
         stream = iter(parts)
         first, second = next(stream), next(stream, None)
@@ -185,7 +185,7 @@ class Series:
     @staticmethod
     def _data_frame(table: pa.Table) -> Any:
         try:
-            import pandas  # noqa: F401, ICN001  # only whether it is there
+            import pandas  # noqa: F401, ICN001  # only to test that it is installed
         except ImportError as error:
             raise UsageError(
                 "to_pandas() needs pandas; install it with pip install pandas"
@@ -194,7 +194,7 @@ class Series:
 
 
 def _resize(column: AnyArray, rows: int) -> None:
-    # Systems move large arrays by their pages, without a copy.
+    # Operating systems remap the pages of large arrays, without a copy.
     column.resize((rows, *column.shape[1:]), refcheck=False)
 
 

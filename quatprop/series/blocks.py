@@ -1,4 +1,4 @@
-"""Blocks of fixed size: what is computed of each does not depend on how samples arrived."""
+"""Blocks of fixed size, so that results do not depend on the sizes of batches."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 
 BLOCK = 131_072
-"""Samples in a block of :func:`reblock`: 4 MiB of rates, enough to make calls cheap."""
+"""Samples in a block of :func:`reblock`: 4 MiB of rates, enough to amortise calls."""
 
 
 def blocks(rows: int) -> Iterator[slice]:
-    """Yield slices of so many rows: what is computed of each needs no memory for all of them."""
+    """Yield slices of :data:`BLOCK` rows, to bound the memory of computations on them."""
     for start in range(0, rows, BLOCK):
         yield slice(start, start + BLOCK)
 
@@ -32,9 +32,9 @@ def rms(error: Float64) -> float:
 
 
 def reblock(batches: Iterable[GyroSeries], size: int = BLOCK) -> Iterator[GyroSeries]:
-    """Cut a stream of samples at fixed sample indices, wherever its batches ended.
+    """Split a stream of samples at fixed sample indices, whatever its batches.
 
-    What is computed block by block is then the same to the bit however the samples arrived.
+    Results of block-wise computations then have the same bits for all sizes of batches.
     """
     held: list[GyroSeries] = []
     count = 0
@@ -52,7 +52,7 @@ def reblock(batches: Iterable[GyroSeries], size: int = BLOCK) -> Iterator[GyroSe
 
 
 def with_next(items: Iterable[Item], *, look_ahead: bool) -> Iterator[tuple[Item, Item | None]]:
-    """Yield each item with the next one, which is None after the last.
+    """Yield each item with the next one; None after the last.
 
     `look_ahead`: whether to wait for the next one; otherwise it is always None
     """

@@ -1,7 +1,7 @@
-"""Stamps and numbers as NumPy arrays, whatever library they come from.
+"""Conversion of timestamps and numbers to NumPy arrays, from any library.
 
-Arrays, lists, and the columns and tables of pandas, polars and Arrow are taken; nothing is
-guessed: stamps are integers in ns or dates, never floats.
+Arrays, lists, and the columns and tables of pandas, polars and Arrow are accepted. Timestamps are
+integers in ns or dates, never floats, whose unit would have to be guessed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def stamps_of(name: str, values: object) -> NDArray[np.int64]:
 
     `values`: integers in ns, or dates of any resolution, shape ``(N,)``; dates without a zone are
         UTC
-    `Returns`: shape ``(N,)``, int64, ns; the same array where it is one already
+    `Returns`: shape ``(N,)``, int64, ns; the input itself if it is such an array
     """
     array = _as_array(name, values)
     if array.ndim != 1:
@@ -34,7 +34,7 @@ def stamps_of(name: str, values: object) -> NDArray[np.int64]:
         return array
     if array.dtype.kind == "M":
         return _dates_in_ns(name, array)
-    # Integers beyond 64 bits are floats to NumPy, or objects.
+    # NumPy converts integers beyond 64 bits to floats or objects.
     exact = values if isinstance(values, list | tuple) else array
     if array.dtype.kind == "O" and len(array) and all(isinstance(v, datetime) for v in array):
         return np.array([_ns_of(value) for value in array], np.int64)
@@ -56,7 +56,7 @@ def stamps_of(name: str, values: object) -> NDArray[np.int64]:
 
 
 def times_beside(t_ns: NDArray[np.int64], name: str, values: object) -> NDArray[np.int64] | None:
-    """Return times in ns of which there is one for each stamp, as :func:`stamps_of`, or None."""
+    """Return times in ns, one per timestamp, as :func:`stamps_of`; None if there are none."""
     if values is None:
         return None
     times = stamps_of(name, values)
@@ -85,11 +85,11 @@ def seconds_in_ns(t_s: object) -> NDArray[np.int64]:
 def rows_of(name: str, values: object, *shape: int) -> NDArray[np.float64]:
     """Return rows of numbers.
 
-    `shape`: the shape that is needed, such as ``len(t_ns), 4``
+    `shape`: the required shape, such as ``len(t_ns), 4``
     """
     array = _as_array(name, values)
     if array.dtype.kind == "O" and array.ndim == 1 and len(array):
-        # Rows as lists, as a column of lists gives them.
+        # A column of lists.
         try:
             array = np.stack([np.asarray(row) for row in array])
         except ValueError as error:
@@ -112,7 +112,7 @@ def _as_array(name: str, values: object) -> NDArray[Any]:
     if type(values) is np.ndarray:
         return values
     if isinstance(values, np.ndarray):
-        # Of a masked array, without importing what makes them.
+        # A masked array, tested without importing numpy.ma.
         if np.any(getattr(values, "mask", False)):
             raise SeriesError(f"`{name}` has missing values")
         return np.asarray(values)
@@ -121,10 +121,10 @@ def _as_array(name: str, values: object) -> NDArray[Any]:
         columns = [_as_array(name, column) for column in values.columns]
         return np.stack(columns, axis=1) if columns else np.zeros((0, 0))
     if getattr(getattr(values, "dtype", None), "tz", None) is not None:
-        # Dates of pandas with a zone, as UTC.
+        # Dates of pandas with a time zone are converted to UTC.
         return np.asarray(values.to_numpy(dtype="datetime64[ns]"))  # type: ignore[attr-defined]
     if hasattr(values, "to_numpy"):
-        # Arrow's columns, which have a type and no dtype, copy only if they are allowed to.
+        # Arrow's columns, which have a type and no dtype, only copy if this is allowed.
         options = {"zero_copy_only": False} if hasattr(values, "type") else {}
         return np.asarray(values.to_numpy(**options))
     try:
@@ -134,7 +134,7 @@ def _as_array(name: str, values: object) -> NDArray[Any]:
 
 
 def _ns_of(date: datetime) -> int:
-    """Return a date in ns; without a zone it is UTC."""
+    """Return a date in ns; UTC if it has no time zone."""
     since = date.replace(tzinfo=date.tzinfo or UTC) - datetime(1970, 1, 1, tzinfo=UTC)
     return since // timedelta(microseconds=1) * 1000
 

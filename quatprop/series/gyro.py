@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class GyroSeries(Series):
-    """Angular rates of the body relative to the reference, in time.
+    """A time series of angular rates of the body relative to the reference.
 
-    Arrays, lists, and columns or tables of pandas, polars and Arrow are taken, and kept as
+    Arrays, lists, and columns or tables of pandas, polars and Arrow are accepted, and stored as
     read-only NumPy arrays.
 
     Parameters
@@ -28,23 +28,23 @@ class GyroSeries(Series):
         Timestamps, shape ``(N,)``: int64 nanoseconds, or dates. For seconds as floats see
         :meth:`from_seconds`.
     rate
-        Angular rate, shape ``(N, 3)``, rad/s, kept as float64. Resolved in the body frame unless
-        the propagation is told ``rates="inertial"``.
+        Angular rate, shape ``(N, 3)``, rad/s, kept as float64. Resolved in the body frame, unless
+        it is propagated with ``rates="inertial"``.
     integration_time_ns
-        For samples that are increments, integrated by the sensor: the time over which each was,
-        shape ``(N,)``, int64, ns, ending at its timestamp. The increment is the rate times this,
-        and is used as it is, whatever lies between the timestamps. None for rates.
+        For samples that are increments, integrated by the sensor: the integration time of each,
+        shape ``(N,)``, int64, ns, ending at its timestamp. The increment is the rate times this
+        time, whatever the interval between the timestamps. None for rates.
     is_interval_average
         Whether each rate is the average over the interval that ends at its timestamp, instead of
         the rate at that moment. Then method ``"end"`` is the default, and exact about a fixed axis.
     log_ns
-        When the message of each sample was recorded, shape ``(N,)``, int64, ns; None if it is
-        not known or not needed.
+        Log time of the message of each sample, shape ``(N,)``, int64, ns; None if it is unknown
+        or not needed.
 
     Raises
     ------
     SeriesError
-        The shapes or the types do not fit.
+        A shape or type is wrong.
 
     Examples
     --------
@@ -59,7 +59,7 @@ class GyroSeries(Series):
     is_interval_average: bool = False
     log_ns: Int64 | None = None
 
-    if TYPE_CHECKING:  # what is taken, beside what is kept
+    if TYPE_CHECKING:  # the accepted types; the fields have the stored ones
 
         def __init__(
             self,
@@ -80,9 +80,9 @@ class GyroSeries(Series):
         )
 
     def is_integrated(self, method: str) -> bool:
-        """Tell whether a method takes each sample as the whole rotation since the one before.
+        """Return whether a method uses each sample as the integral over the interval before it.
 
-        Increments are that under every method, averages under those that know of intervals.
+        True for increments with every method, for averages with all but ``start`` and ``mean``.
 
         Parameters
         ----------
@@ -122,5 +122,5 @@ class GyroSeries(Series):
         return self._data_frame(self.to_arrow())
 
     def with_rate(self, rate: Float64) -> Self:
-        """Return the same samples with other rates, shape ``(N, 3)``, rad/s."""
+        """Return a copy of the series with other rates, shape ``(N, 3)``, rad/s."""
         return replace(self, rate=rate)

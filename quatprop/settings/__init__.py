@@ -8,7 +8,6 @@ as Python has it, and what help and documents say. Nothing heavy is imported, so
 """
 
 from collections.abc import Collection, Sequence
-from datetime import timedelta
 from fractions import Fraction
 from os import PathLike
 from typing import Annotated, Any, Literal
@@ -16,8 +15,16 @@ from typing import Annotated, Any, Literal
 from quatprop.settings.choices import FRAMES, LAYOUTS, METHODS, Frame, Layout, Method
 from quatprop.settings.error_options import ErrorOptions
 from quatprop.settings.keyword import Keyword, keywords_of
-from quatprop.settings.parsers import Choice, column_list, count, frequency, length, number, path
-from quatprop.settings.reading import End, RateOptions, RegularTime, Start
+from quatprop.settings.parsers import Choice, column_list, count, frequency, number, path
+from quatprop.settings.reading import (
+    End,
+    MaxGap,
+    OnBackwards,
+    OnNonfinite,
+    RateOptions,
+    RegularTime,
+    Start,
+)
 from quatprop.settings.rotations import Rotated, Timed, initial_attitude, mounting, place, times
 from quatprop.settings.static_bias import bias
 from quatprop.text import Setting
@@ -89,18 +96,10 @@ class RunOptions(RateOptions, total=False):
         "(deg, as in URDF); a name such as frd-to-flu; or a frame in the log's own /tf_static.",
         "the "
         "same", "W,X,Y,Z|x,-y,-z|rpy:R,P,Y|ned-to-enu|frd-to-flu|tf:FRAME", "Rates", common=True)]
-    on_backwards: Annotated[Literal["error", "drop", "sort"] | None, Keyword(
-        Choice("error", "drop", "sort"), "Timestamps that go backwards: refuse, drop until the "
-        "clock has caught up, or sort (holds the log in memory); drop and sort discard "
-        "timestamps that are far ahead of later ones.", "error", group="Timestamps",
-        common=True)]
-    on_nonfinite: Annotated[Literal["error", "drop", "hold"] | None, Keyword(
-        Choice("error", "drop", "hold"), "Rates that are NaN or infinite: refuse, drop, or hold "
-        "the previous rate.", "error", group="Timestamps")]
+    on_backwards: OnBackwards
+    on_nonfinite: OnNonfinite
     regular_time: RegularTime
-    max_gap: Annotated[str | int | timedelta | None, Keyword(
-        length, "Intervals longer than this count as gaps.", "10 median intervals", "DUR",
-        "Timestamps")]
+    max_gap: MaxGap
     on_gap: Annotated[Literal["hold", "zero", "split", "error"] | None, Keyword(
         Choice("hold", "zero", "split", "error"),
         "How gaps are handled: hold integrates across the gap like any other interval, by "

@@ -1,7 +1,7 @@
 """What a user may set about reading a log: every name, and how its value is read."""
 
 from collections.abc import Sequence
-from datetime import datetime
+from datetime import datetime, timedelta
 from fractions import Fraction
 from os import PathLike
 from typing import Annotated, Literal, TypedDict
@@ -23,7 +23,16 @@ from quatprop.settings.choices import (
     TimeUnit,
 )
 from quatprop.settings.keyword import Keyword, keywords_of
-from quatprop.settings.parsers import Choice, column_list, flag, frequency, moment, path, text
+from quatprop.settings.parsers import (
+    Choice,
+    column_list,
+    flag,
+    frequency,
+    length,
+    moment,
+    path,
+    text,
+)
 from quatprop.stores.kinds import READERS
 from quatprop.text import Setting
 
@@ -100,6 +109,21 @@ RegularTime = Annotated[bool | None, Keyword(
     "without such a clock are refused.", "timestamps as they are", group="Timestamps")]  # fmt: skip
 
 
+# fmt: off
+OnBackwards = Annotated[Literal["error", "drop", "sort"] | None, Keyword(
+    Choice("error", "drop", "sort"), "Timestamps that go backwards: refuse, drop until the "
+    "clock has caught up, or sort (holds the log in memory); drop and sort discard "
+    "timestamps that are far ahead of later ones.", "error", group="Timestamps",
+    common=True)]
+OnNonfinite = Annotated[Literal["error", "drop", "hold"] | None, Keyword(
+    Choice("error", "drop", "hold"), "Rates that are NaN or infinite: refuse, drop, or hold "
+    "the previous rate.", "error", group="Timestamps")]
+MaxGap = Annotated[str | int | timedelta | None, Keyword(
+    length, "Intervals longer than this count as gaps.", "10 median intervals", "DUR",
+    "Timestamps")]
+# fmt: on
+
+
 class ReadOptions(RateOptions, total=False):
     """Keywords of :func:`quatprop.read_rates`, beside those of :class:`RateOptions`."""
 
@@ -153,12 +177,25 @@ class AttitudeOptions(SeriesOptions, total=False):
     # fmt: on
 
 
+class NoiseOptions(RateOptions, total=False):
+    """Keywords of :func:`quatprop.noise`, beside those of :class:`RateOptions`."""
+
+    start: Start
+    end: End
+    on_backwards: OnBackwards
+    on_nonfinite: OnNonfinite
+    max_gap: MaxGap
+
+
 class PlotOptions(RateOptions, SeriesOptions, total=False):
     """Keywords of :func:`quatprop.plot`, beside those of both its bases."""
 
     start: Start
     end: End
 
+
+NOISE = keywords_of(NoiseOptions)
+"""Which samples of a log its noise is measured by: name -> its row."""
 
 PLOT = keywords_of(PlotOptions)
 """What is read of files that are drawn: name -> its row."""

@@ -1,8 +1,8 @@
-"""Logs whose true attitude is known: a motion, sampled by a gyroscope.
+"""Simulated logs with known true attitude: a motion, sampled by a gyroscope.
 
 ::
 
     motion.py     rest, spin, coning, tumbling, random walk: rate and attitude as functions of time
-    gyroscope.py  when samples are taken, and what noise and bias do to them
-    simulate.py   into any container that quatprop reads; the truth goes beside
+    gyroscope.py  sampling times, noise and bias
+    simulate.py   output in any container that quatprop reads, and a file with the truth
 """

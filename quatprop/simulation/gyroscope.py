@@ -1,4 +1,4 @@
-"""A motion sampled by a gyroscope: stamps, noise, bias; and the truth at the same stamps."""
+"""A motion sampled by a gyroscope with noise and bias, and the truth at the same times."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ if TYPE_CHECKING:
     from quatprop.simulation.motion import Motion
 
 START_NS = 1_700_000_000_000_000_000
-"""Default first stamp: 2023-11-14T22:13:20Z. Fixed, so that logs are reproducible."""
+"""Default first timestamp: 2023-11-14T22:13:20Z. Fixed, so that logs are reproducible."""
 
 BATCH = 1 << 16
-"""Samples made at a time."""
+"""Samples in a batch."""
 
 NOISE_DECIMALS = 9
-"""Noise is rounded to 1e-9 rad/s: its far tails go through a logarithm, which need not agree to
-the last place between machines."""
+"""Noise is rounded to 1e-9 rad/s: its far tails are computed with a logarithm, whose last bits may
+differ between machines."""
 
 
 @dataclass(frozen=True, slots=True)
 class Gyroscope:
-    """A gyroscope and how long it samples.
+    """A gyroscope, and the number of samples.
 
-    `sample_rate`: samples a second, Hz. Sample k is taken at the whole ns at or before ``k /
-        sample_rate``, and its stamp is true
-    `start_ns`: first stamp, ns
-    `noise`: angle random walk, rad/s/sqrt(Hz): each sample of each axis gets white noise of
-        standard deviation ``noise * sqrt(sample_rate)``
+    `sample_rate`: samples per second, Hz. Sample k is taken at the whole ns at or before ``k /
+        sample_rate``, and its timestamp is exact
+    `start_ns`: first timestamp, ns
+    `noise`: angle random walk, rad/s/sqrt(Hz): each sample of each axis has white noise of standard
+        deviation ``noise * sqrt(sample_rate)``
     `bias`: added to the rate, rad/s
     """
 
@@ -70,9 +70,9 @@ class Gyroscope:
 def record(
     motion: Motion, gyroscope: Gyroscope, q0: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
 ) -> Iterator[AttitudeSeries]:
-    """Yield the true attitudes with the measured rates, batch after batch.
+    """Yield batches of true attitudes with measured rates.
 
-    `q0`: true attitude at the first sample, body -> reference, wxyz; made unit length
+    `q0`: true attitude at the first sample, body -> reference, wxyz; it is normalised
     """
     if not 0 < np.linalg.norm(q0) < np.inf:
         raise UsageError("q0 must be four finite numbers W,X,Y,Z, not all zero")
@@ -96,7 +96,7 @@ def samples_in(duration_ns: int, sample_rate: Fraction) -> int:
 
 
 def _unit(wxyz: Float64) -> Float64:
-    """Return rows of unit length, and zeros without a sign."""
+    """Return rows scaled to unit length, with -0.0 replaced by 0.0."""
     w, x, y, z = wxyz.T
     length = np.sqrt(w * w + x * x + y * y + z * z)
     unit: Float64 = wxyz / length[:, None] + 0.0

@@ -1,11 +1,11 @@
-"""Motions whose attitude and body rate are both known, each from its own formula.
+"""Motions with closed formulas for both attitude and body rate.
 
-A motion is a function of time: elapsed ns in, body rate and attitude out. Convention: ``wxyz`` is
+A motion is a function from elapsed time, ns, to body rate and attitude. Convention: ``wxyz`` is
 body -> reference, so that ``q' = 1/2 q w_B`` (source article, equation 12); rates are resolved in
 the body frame, in rad/s. The attitude at time zero is the identity: the reference frame is the
 body frame at the first sample.
 
-Nothing here is shared with the propagation that these motions test.
+No code is shared with the propagation, which these motions test.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from quatprop.arrays import AnyArray, Float64, Int64
 
-    # Rate, shape (N, 3), rad/s, and wxyz, (N, 4), at ever later times since the first sample.
+    # Rate, shape (N, 3), rad/s, and wxyz, (N, 4), at increasing times since the first sample.
     Motion = Callable[[Int64], tuple[Float64, Float64]]
 
 
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
 class Shape:
     """The parameters of the motions; each uses its own.
 
-    `frequency`: turns a second, Hz: of the spin, of the coning, of the precession of a tumbling
-        body
-    `axis`: axis of the spin in the body, any length but zero
+    `frequency`: revolutions per second, Hz: of the spin, of the coning, of the precession of a
+        tumbling body
+    `axis`: axis of the spin in the body, of any length but zero
     `angle`: degrees: half-angle of the cone, or nutation angle of a tumbling body
-    `spin_frequency`: turns a second of a tumbling body about its own axis
+    `spin_frequency`: revolutions per second of a tumbling body about its own axis
     `walk`: strength of the random walk of the rate, rad/s/sqrt(s)
     """
 
@@ -80,7 +80,7 @@ def spin(axis: tuple[float, float, float], frequency: Fraction) -> Motion:
 
 
 def precession(angle: Fraction, frequency: Fraction, spin_frequency: Fraction) -> Motion:
-    """Return a regular precession: ``q = Rz(f) Rx(n) Rz(s)``, f and s growing steadily.
+    """Return a regular precession: ``q = Rz(f) Rx(n) Rz(s)``, f and s linear in time.
 
     The body's z axis is at the angle n to a fixed axis and rotates about it at ``f' = 2 pi
     frequency``; the body rotates about its z axis at ``s' = 2 pi spin_frequency``. The Euler angles
@@ -89,8 +89,8 @@ def precession(angle: Fraction, frequency: Fraction, spin_frequency: Fraction) -
         q = [c cos((f+s)/2), s_n cos((f-s)/2), s_n sin((f-s)/2), c sin((f+s)/2)]
         w_B = [f' sin(n) sin(s), f' sin(n) cos(s), f' cos(n) + s']
 
-    Two textbook motions are of this kind. A free symmetric body tumbles so when the ratio of its
-    transverse and axial moments of inertia is ``A / C = 1 + s' / (f' cos n)``. And with
+    Two textbook motions are special cases. A free symmetric body tumbles like this if the ratio of
+    its transverse and axial moments of inertia is ``A / C = 1 + s' / (f' cos n)``. With
     ``s' = -f'`` it is classical coning: the body axis describes a cone of half-angle n while the
     body does not rotate about it, and gyroscopes measure the z rate ``-f' (1 - cos n)``.
 
@@ -105,7 +105,7 @@ def precession(angle: Fraction, frequency: Fraction, spin_frequency: Fraction) -
     precessing = 2 * math.pi * float(frequency)
     axial = precessing * full_cosine + 2 * math.pi * float(spin_frequency)
     transverse = precessing * full_sine
-    # The formula starts at Rx(n): its conjugate on the left makes the start the identity.
+    # The formula begins at Rx(n): its conjugate on the left makes it begin at the identity.
     begin = np.array([half_cosine, -half_sine, 0.0, 0.0])
 
     def motion(elapsed_ns: Int64) -> tuple[Float64, Float64]:
@@ -132,12 +132,12 @@ def precession(angle: Fraction, frequency: Fraction, spin_frequency: Fraction) -
 def random_walk(walk: float, seed: int) -> Motion:
     """Return a rate that is a random walk, constant from each sample to the next.
 
-    The attitude is the product of the exact steps (source article, equation 36) in extended
-    precision where the machine has it.
+    The attitude is the product of the exact steps (source article, equation 36), in extended
+    precision if the machine has it.
 
     `walk`: strength, rad/s/sqrt(s): the rate's standard deviation after one second, on each axis
     """
-    # Not the numbers that the noise of the gyroscope is drawn from with the same seed.
+    # A different sequence from that of the gyroscope's noise with the same seed.
     random = np.random.default_rng((seed, 1))
     last = np.int64(0), np.zeros(3), np.array([1, 0, 0, 0], np.longdouble)
 
@@ -163,13 +163,13 @@ MOTIONS: Mapping[str, Callable[[Shape], Motion]] = {
     "tumbling": lambda shape: precession(shape.angle, shape.frequency, shape.spin_frequency),
     "random-walk": lambda shape: random_walk(shape.walk, shape.seed),
 }
-"""Every motion that can be simulated."""
+"""All motions by name."""
 
 
 def hamilton(left: AnyArray, right: AnyArray) -> AnyArray:
     """Return ``left right``, wxyz, ij = k; shapes ``(..., 4)`` broadcast.
 
-    Written out, because linear algebra libraries round sums differently on different processors.
+    Written out, since sums of linear algebra libraries are rounded differently by processor.
     """
     a, b, c, d = np.moveaxis(left, -1, 0)
     w, x, y, z = np.moveaxis(right, -1, 0)
@@ -185,7 +185,7 @@ def hamilton(left: AnyArray, right: AnyArray) -> AnyArray:
 
 
 def step(rotvec: AnyArray) -> AnyArray:
-    """Return the attitude steps of rotation vectors, rad: source article, equation 35.
+    """Return the unit quaternions of rotation vectors, rad: source article, equation 35.
 
     `rotvec`: shape ``(N, 3)``
     """

@@ -1,10 +1,10 @@
-"""Angles that are exact for any duration, and sines that are the same on every machine.
+"""Phases that are exact for any duration, and sines that are the same on every machine.
 
-The phase ``f t`` of a rational frequency and an integer time is a ratio of integers, so whole
-turns are removed without rounding: after a day the phase is as accurate as in the first second.
-The remainder, at most an eighth of a turn, goes through a polynomial of IEEE additions and
-multiplications. Those round the same everywhere; the sines of math libraries do not (they differ
-between processors in the last place), and sample logs must be reproducible to the byte.
+The phase ``f t`` of a rational frequency and an integer time is a ratio of integers, so whole turns
+are removed without rounding: after a day the phase is as accurate as in the first second. For the
+remainder, at most an eighth of a turn, a polynomial of IEEE additions and multiplications is used,
+which are rounded alike everywhere. The sines of math libraries differ between processors in the
+last place, and simulated logs must be reproducible to the byte.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 _COSINE = [(-1) ** k / math.factorial(2 * k) for k in range(9)]
 _SINE = [(-1) ** k / math.factorial(2 * k + 1) for k in range(9)]
-"""Taylor coefficients; at an eighth of a turn the first one left out is 5e-19 and 3e-20."""
+"""Taylor coefficients; at an eighth of a turn the first omitted term is 5e-19 and 3e-20."""
 
-# By quarter turn: cos = (c, -s, -c, s) and sin = (s, c, -s, -c).
+# By number of quarter turns: cos = (c, -s, -c, s) and sin = (s, c, -s, -c).
 _COSINE_SIGN = np.array([1.0, -1.0, -1.0, 1.0])
 _SINE_SIGN = np.array([1.0, 1.0, -1.0, -1.0])
 
@@ -36,7 +36,7 @@ def of_time(elapsed_ns: Int64, frequency: Fraction) -> tuple[Float64, Float64]:
     """Return cosine and sine of the angle ``2 pi f t``.
 
     `elapsed_ns`: times, any shape, int64, ns
-    `Returns`: of the shape of `elapsed_ns`, within 3e-16 of the true values
+    `Returns`: two arrays of the shape of `elapsed_ns`, within 3e-16 of the true values
     """
     period = frequency.denominator * NS_PER_S
     if period * max(8, abs(frequency.numerator)) > np.iinfo(np.int64).max:
@@ -56,13 +56,13 @@ def of_degrees(angle: Fraction) -> tuple[float, float]:
 
 def _of_ratio(turns: Int64, period: int) -> tuple[Float64, Float64]:
     """Return cosine and sine of ``2 pi turns / period`` for ``0 <= turns < period``."""
-    quarter = (8 * turns + period) // (2 * period)  # the nearest
+    quarter = (8 * turns + period) // (2 * period)  # nearest number of quarter turns
     angle = (4 * turns - quarter * period) / period * (math.pi / 2)
     square = angle * angle
     cosine, sine = _polynomial(_COSINE, square), angle * _polynomial(_SINE, square)
     odd, quarter = quarter % 2 == 1, quarter % 4
     return (
-        np.where(odd, sine, cosine) * _COSINE_SIGN[quarter] + 0.0,  # no zero keeps a sign
+        np.where(odd, sine, cosine) * _COSINE_SIGN[quarter] + 0.0,  # zeros lose their sign
         np.where(odd, cosine, sine) * _SINE_SIGN[quarter] + 0.0,
     )
 

@@ -1,4 +1,4 @@
-"""What is simulated: the keywords, their rows, and what they make."""
+"""The keywords of a simulation, and the motion and gyroscope that they define."""
 
 from collections.abc import Collection, Mapping
 from datetime import datetime, timedelta
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from quatprop.simulation.motion import Shape
 
 MotionName: TypeAlias = Literal["rest", "spin", "coning", "tumbling", "random-walk"]
-"""The keys of :data:`quatprop.simulation.motion.MOTIONS`; spelled out to keep help quick."""
+"""The keys of :data:`quatprop.simulation.motion.MOTIONS`; repeated, so that help is fast."""
 
 SHAPED_BY = {
     "frequency": ("spin", "coning", "tumbling"),
@@ -34,13 +34,13 @@ SHAPED_BY = {
     "spin_frequency": ("tumbling",),
     "walk": ("random-walk",),
 }
-"""The motions that each setting belongs to."""
+"""The motions to which each setting applies."""
 
 DEFAULT_DURATION_NS = 20_000_000_000
 
 
 def _exact(value: object) -> Fraction:
-    """Return an exact number: 0.1 is one tenth."""
+    """Return a number as an exact fraction: 0.1 is one tenth."""
     try:
         return Fraction(str(value))
     except (ValueError, ZeroDivisionError):
@@ -59,7 +59,7 @@ def _moment(value: object) -> int:
 
 
 def _in_radians(units: Mapping[str, float], noun: str, examples: str) -> Parser:
-    """Return a parser of a number with one of some units, or in the first of them."""
+    """Return a parser of a number with a unit, or without one in the first of the units."""
     parse = quantity_of(units, noun, examples)
 
     def parsed(value: object) -> Any:
@@ -75,7 +75,7 @@ def _in_radians(units: Mapping[str, float], noun: str, examples: str) -> Parser:
 
 
 def _seed(value: object) -> int:
-    """Return a whole number from 0 on."""
+    """Return an integer that is not negative."""
     if str(value) == "0":
         return 0
     try:
@@ -126,11 +126,11 @@ class SimulateOptions(TypedDict, total=False):
 
 
 SIMULATE = keywords_of(SimulateOptions)
-"""What is simulated: name -> its row."""
+"""The keywords of a simulation: name -> row."""
 
 
 def simulated(values: Mapping[str, Any]) -> "tuple[str, Shape, Gyroscope, tuple[float, ...]]":
-    """Return a motion, its shape, the gyroscope, and the first attitude, from parsed settings."""
+    """Return motion, its parameters, gyroscope and first attitude from parsed settings."""
     from quatprop.simulation.gyroscope import Gyroscope, samples_in
     from quatprop.simulation.motion import Shape
 

@@ -1,8 +1,8 @@
-"""One simulated recording: the log and, beside it, the truth.
+"""Write a simulated log and its true attitudes.
 
-Tables have stamps in ns and rates in rad/s as ``t_ns,wx,wy,wz``. Containers have
-``sensor_msgs/Imu`` on ``/imu``: the header stamp is when the sample was taken, the log time when
-it arrived, a little later.
+Tables have timestamps in ns and rates in rad/s as ``t_ns,wx,wy,wz``. Containers have
+``sensor_msgs/Imu`` on ``/imu``: the header timestamp is the sampling time, the log time the
+arrival, a little later.
 """
 
 from __future__ import annotations
@@ -35,11 +35,12 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
 def truth_beside(target: Path | str, kind: str | None = None) -> str | None:
-    """Return where the truth of a log goes by default: the log's name with ``.truth.csv``.
+    """Return the default path of the truth: the log's name with ``.truth.csv``.
 
-    Beside a Parquet log it is Parquet as well; beside stdout there is none.
+    The truth of a Parquet log is Parquet as well; that of stdout, or of a folder without a name, is
+    not written.
     """
-    if is_stdout(target):
+    if is_stdout(target) or not Path(target).name:
         return None
     kind = kind_of(target, kind, GENERAL_KINDS)
     suffix = ".truth.parquet" if kind == "parquet" else ".truth.csv"
@@ -47,7 +48,7 @@ def truth_beside(target: Path | str, kind: str | None = None) -> str | None:
     return str(path.with_name((path.name if kind.startswith("rosbag2") else path.stem) + suffix))
 
 
-def simulate(  # noqa: PLR0913  # a recording in full
+def simulate(  # noqa: PLR0913  # a complete recording
     target: Path | str,
     motion: str,
     shape: Shape,
@@ -58,9 +59,9 @@ def simulate(  # noqa: PLR0913  # a recording in full
     compression: str | None = None,
     truth: Path | str | None = None,
 ) -> None:
-    """Write a log of a motion, and its true attitude.
+    """Write a log of a motion, and its true attitudes.
 
-    `truth`: where the true attitudes go, scalar-first; None writes none
+    `truth`: path of the true attitudes, scalar-first; None to omit them
     """
     refuse_overlap([], [str(target), None if truth is None else str(truth)])
     provenance = _provenance(motion, shape, gyroscope, q0)
@@ -75,7 +76,7 @@ def simulate(  # noqa: PLR0913  # a recording in full
                 writer.write(series)
         for writer in attitudes:
             writer.finish(provenance)
-        # Recorders put no provenance into their messages.
+        # Logs of messages have no provenance, like those of recorders.
         log.finish({} if WRITERS[kind_of(target, kind)].encodings else provenance)
         for writer in (*attitudes, log):
             writer.publish()
@@ -84,7 +85,7 @@ def simulate(  # noqa: PLR0913  # a recording in full
 def _provenance(
     motion: str, shape: Shape, gyroscope: Gyroscope, q0: tuple[float, ...]
 ) -> dict[str, object]:
-    """Return what was simulated, JSON-ready. Without a version: the bytes depend on it alone."""
+    """Return the parameters, JSON-ready; without a version, so that the bytes are the same."""
     return {
         "simulated": motion,
         "motion": as_json(shape),
@@ -102,25 +103,25 @@ def _provenance(
 RATE_COLUMNS = ("wx", "wy", "wz")
 
 DEFAULT_COMPRESSIONS = {"rosbag2-mcap": "none"}
-"""Where a recorder's default is not that of the attitude writer."""
+"""Compressions of recorders that differ from the default of the attitude writer."""
 
 GRAVITY = 9.80665
 """Standard gravity, m/s^2."""
 
 _TRANSPORT_NS = 1_000_000
 _JITTER_NS = 100_000
-_SCRAMBLE = 0x9E3779B1
-"""Multiplier that spreads neighbouring integers (Knuth, The Art of Computer Programming, 6.4)."""
+_HASH_MULTIPLIER = 0x9E3779B1
+"""Multiplier of Fibonacci hashing (Knuth, The Art of Computer Programming, 6.4)."""
 
 
 class ImuEncoder(RosEncoder):
     """Encodes samples as messages on ``/imu``.
 
-    The orientation is marked absent; the acceleration is that of a sensor that only rotates, in a
-    reference frame whose z axis points up: the reaction to gravity.
+    The orientation is marked as unknown; the acceleration is the reaction to gravity of a sensor
+    that only rotates, in a reference frame whose z axis points up.
 
     `deviation`: standard deviation of the rates' noise, rad/s, for the covariance
-    `ros1`: whether they are encoded as in ROS 1 rather than in CDR, as in ROS 2
+    `ros1`: whether in the encoding of ROS 1 rather than CDR, of ROS 2
     """
 
     def __init__(self, deviation: float, *, ros1: bool) -> None:
@@ -138,12 +139,12 @@ class ImuEncoder(RosEncoder):
 
 
 def arrival_ns(t_ns: Int64) -> Int64:
-    """Return when each message arrives: 1 to 1.1 ms after its stamp, unevenly.
+    """Return the arrival time of each message: 1 to 1.1 ms after its timestamp, with jitter.
 
-    The jitter is a scrambled stamp, not a random number, so that it depends on neither seed nor
-    batches. Up to 10 kHz messages arrive in order.
+    The jitter is a hash of the timestamp, not a random number, so that it depends on neither seed
+    nor batches. Up to 10 kHz messages arrive in order.
     """
-    return t_ns + _TRANSPORT_NS + (t_ns * _SCRAMBLE & 0xFFFFFFFF) % _JITTER_NS
+    return t_ns + _TRANSPORT_NS + (t_ns * _HASH_MULTIPLIER & 0xFFFFFFFF) % _JITTER_NS
 
 
 def _reaction(wxyz: Float64) -> Float64:
@@ -162,10 +163,10 @@ def open_log_writer(
 ) -> AttitudeWriter:
     """Open a writer of a simulated log.
 
-    `target`: where to write; ``"-"`` is stdout
+    `target`: path, or ``"-"`` for stdout
     `kind`: one of :data:`quatprop.writers.GENERAL_KINDS`; None takes it from the suffix of `target`
     `deviation`: standard deviation of the rates' noise, rad/s, for the messages' covariance
-    `compression`: ``"none"``, ``"lz4"``, ``"zstd"`` or ``"bz2"``; None is the kind's default
+    `compression`: ``"none"``, ``"lz4"``, ``"zstd"`` or ``"bz2"``; None for the kind's default
     """
     kind = kind_of(target, kind, GENERAL_KINDS)
     if kind not in GENERAL_KINDS:

@@ -15,7 +15,7 @@ import time
 import weakref
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Generic, TypeVar
+from typing import TYPE_CHECKING, BinaryIO, Generic, NamedTuple, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -76,26 +76,28 @@ def temp_folder(place: Path | None = None) -> LockedTemp[None]:
     return LockedTemp(place, lambda path: path.mkdir(0o700))
 
 
-def temp_file(place: Path) -> LockedTemp[BinaryIO]:
-    """Return a new file beside a place, open for writing; only this user may read it."""
+class NewFile(NamedTuple):
+    """A file that only this user may read until it is complete.
 
-    def make(path: Path) -> BinaryIO:
-        return os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb")
+    `mode`: that of the file in whose place it will be, or of any new file there
+    """
+
+    stream: BinaryIO
+    mode: int
+
+
+def temp_file(place: Path) -> LockedTemp[NewFile]:
+    """Return a new file beside a place, open for writing."""
+
+    def make(path: Path) -> NewFile:
+        # What the umask and the folder's own rules make of a new file can only be tried.
+        replaced = place.stat().st_mode if place.exists() else None
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600 if replaced else 0o666)
+        mode = replaced or os.fstat(file).st_mode
+        path.chmod(0o600)
+        return NewFile(os.fdopen(file, "wb"), stat.S_IMODE(mode))
 
     return LockedTemp(place, make)
-
-
-def take_mode_of(path: Path, place: Path) -> None:
-    """Give a finished file the mode of the one that it replaces, or that of any new file."""
-    try:
-        mode = place.stat().st_mode
-    except FileNotFoundError:
-        # What the umask and the folder's own rules make of a new file can only be tried.
-        trial = LockedTemp(place, Path.touch)
-        mode = trial.path.stat().st_mode
-        trial.remove()
-    if path.stat().st_mode != mode:
-        path.chmod(stat.S_IMODE(mode))
 
 
 @contextmanager

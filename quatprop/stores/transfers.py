@@ -71,8 +71,8 @@ def move(source: str, target: str) -> None:
     import shutil
 
     if is_address(source):
-        names = [""] if exists(source) and find(source)[1].is_file else None
-        for name in names if names is not None else list_objects(source, missing_ok=True):
+        is_file = exists(source) and find(source)[1].is_file
+        for name in [""] if is_file else list_objects(source, missing_ok=True):
             one, other = (below(place, name) if name else place for place in (source, target))
             put(other, get(one))
             remove(one)

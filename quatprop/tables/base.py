@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from contextlib import suppress
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import chain, pairwise
-from typing import TYPE_CHECKING, NamedTuple, NoReturn, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, Self
 
 import numpy as np
 
@@ -36,6 +36,12 @@ _COUNTED = Stamp(sample_rate=1)
 """Times where nobody asks for them."""
 
 
+@lru_cache(maxsize=16)
+def _matches_of(_columns: tuple[Column, ...]) -> dict[object, Any]:
+    """Return what is found in columns, empty at first: many logs have the same."""
+    return {}
+
+
 class TimedColumns(NamedTuple):
     """Which columns of a file to read as numbers, and which as the time.
 
@@ -62,7 +68,6 @@ class TableLog(Log, Table):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self.matches = {}
         self._losses_at_opening: int | None = None
         self.other_rows = 0
 
@@ -86,6 +91,11 @@ class TableLog(Log, Table):
     def columns(self) -> Sequence[Column]:
         """The columns, by their names."""
         return tuple(map(parse_name, self.names))
+
+    @cached_property
+    def matches(self) -> dict[object, Any]:  # type: ignore[override]
+        """What was found in the columns of this table or of another one that has the same."""
+        return _matches_of(tuple(self.columns))
 
     @property
     def parts(self) -> Sequence[TablePart]:
@@ -148,6 +158,7 @@ class TableLog(Log, Table):
     ) -> Iterator[RowBatch]:
         """Yield times, ns, and groups of columns; rows that do not fit are left out and noted."""
         columns = TimedColumns(tuple(chain.from_iterable(groups)), stamp, parts)
+        self._forget_earlier_reading()
         batches = self._stored_rows(columns)
         if stamp.series:
             batches = self._of_series(batches, stamp)

@@ -103,7 +103,6 @@ class JsonLinesLog(TypedTable):
     def _stored_rows(self, columns: TimedColumns) -> Batches:
         """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         self._refuse_text(columns)
-        self._forget_earlier_reading()
         rows = JsonRows(self, columns, {k: self._leaves[k] for k in columns.used})
         with closing(open_text(self.path)) as text:
             yield from rows.batches(record_blocks(text, 1))

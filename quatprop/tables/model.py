@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
-    import re
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from fractions import Fraction
     from pathlib import Path
@@ -136,14 +135,15 @@ class Table(ABC):
     `is_decodable`: whether its rows can be read
     `is_typed`: whether its columns are of message types; else their names are all that there is
     `is_secondary`: whether it has the rows of another, main table
-    `matches`: the columns whose names fit a pattern, once somebody has requested them
+    `matches`: the columns whose names fit a pattern, and sets of them, once somebody has requested
+        them; tables with the same columns share it
     `first`: the first rows, held until rows are read for good
     """
 
     name: str
     type: str
     path: Path
-    matches: dict[object, list[tuple[int, re.Match[str]]]]
+    matches: dict[object, Any]
     first: object = None
     kind = ""
     log_clocks: tuple[str, ...] = ()

@@ -95,7 +95,6 @@ class TypedTable(TableLog):
     def _stored_rows(self, columns: TimedColumns) -> Batches:
         """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         self._refuse_text(columns)
-        self._forget_earlier_reading()
         first = 0
         for group in self._row_groups(columns):
             count = 0

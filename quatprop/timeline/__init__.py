@@ -1,8 +1,8 @@
-"""Timestamp handling: what is irregular in a stream of samples, and what is done about it.
+"""Timestamp handling: irregularities in a stream of samples, and the policy for each.
 
-A recorder promises nothing: time stamps repeat, step back and leap, rates are missing. Every such
-event is counted and located here; the user's policy says whether it is an error. Nothing is
-repaired silently: the counts say what a policy changed.
+In recordings timestamps repeat, step back and jump, and rates are missing. Every such event is
+counted and located here; the user's policy decides whether it is an error. Nothing is repaired
+silently: the counts include what a policy changed.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ if TYPE_CHECKING:
     from quatprop.timeline.stamps import Examined
 
     Numbered: TypeAlias = tuple[GyroSeries, Int64]
-    """A batch, and which of the samples that were read it holds."""
+    """A batch, and the indices of its samples among those that were read."""
 
 
 class Timeline(StampChecks):
-    """Applies a policy to a stream of samples and counts what it finds.
+    """Applies a policy to a stream of samples and counts irregularities.
 
-    `policy`: how each kind of irregularity is handled
-    `chosen_by`: the setting that chooses other stamps: ``"clock"``, or of a table ``"time_col"``
-    `method`, `rates`: how the samples are propagated, for what jitter of their stamps costs
+    `policy`: the handling of each kind of irregularity
+    `chosen_by`: the setting that chooses timestamps: ``"clock"``, or of a table ``"time_col"``
+    `method`, `rates`: those of the propagation, to estimate the attitude error by jitter
     """
 
-    def __init__(  # what is done to samples, and what will be
+    def __init__(  # the policy, and the later propagation
         self,
         policy: Policy,
         path: Path | str,
@@ -57,7 +57,7 @@ class Timeline(StampChecks):
 
     @property
     def first_stamp_ns(self) -> int | None:
-        """The stamp in the log of the first sample used, ns; None where it was not replaced."""
+        """The log's timestamp of the first sample used, ns; None if it was not replaced."""
         return self._regular_time.first_ns
 
     def apply(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
@@ -65,7 +65,7 @@ class Timeline(StampChecks):
         return self.measured(self.finite(self.ordered(batches)))
 
     def ordered(self, batches: Iterable[GyroSeries]) -> Iterator[Numbered]:
-        """Yield samples as the policy for stamps that go backwards leaves them."""
+        """Yield samples after applying the policy for backwards timestamps."""
         examined = self.examined(batches, attrgetter("t_ns"))
         if self.policy.on_backwards == "sort":
             yield from self._sorted(examined)
@@ -80,36 +80,34 @@ class Timeline(StampChecks):
     def looked_ahead(
         self, batches: Iterable[GyroSeries], note: Callable[[Int64], object]
     ) -> Iterator[GyroSeries]:
-        """Yield what the policy will leave of the samples of a log, before it is read for good.
+        """Yield the samples that the policy will keep, in a first pass over a log.
 
-        Nothing is counted or sorted. Stamps that are no outliers are noted.
+        Nothing is counted or sorted. `note` is called with the timestamps that are not outliers.
         """
-        # What is sorted is only looked at.
-        policy = self.policy._replace(on_nonfinite="keep")
         seen: list[tuple[Int64, Bool]] = []
-        checks = StampChecks(self.path, policy, self.chosen_by)
+        checks = StampChecks(self.path, self.policy, self.chosen_by)
         for each in checks.examined(batches, attrgetter("t_ns")):
             batch, wrong = each.batch, each.outliers
-            if policy.on_backwards == "sort":
+            if self.policy.on_backwards == "sort":
                 seen.append((batch.t_ns, wrong))
             else:
                 note(batch.t_ns[~wrong])
-            dropped = wrong | (each.back & (policy.on_backwards == "drop"))
+            dropped = wrong | (each.back & (self.policy.on_backwards == "drop"))
             yield batch[~dropped]
         if seen:
-            # Which stamps are wrong once they are sorted only all of them tell.
+            # After sorting, all timestamps are needed to find the outliers.
             t_ns, found = map(np.concatenate, zip(*seen, strict=True))
             note(t_ns[~outliers_in_order(t_ns, found)])
 
     def without(self, numbered: Iterable[Numbered], outside: Sequence[int]) -> Iterator[Numbered]:
-        """Yield samples in a range; those outside of it, counted as they pass, are not lost."""
+        """Yield samples of a range, and subtract those outside of it from the samples read."""
         yield from numbered
         self.counts.read -= sum(outside)
 
     def finite(self, numbered: Iterable[Numbered]) -> Iterator[GyroSeries]:
-        """Yield samples with finite rates: others are dropped, replaced or refused."""
+        """Yield samples with finite rates; others are dropped, replaced or refused."""
         for batch, rows in numbered:
-            # Where the sum is finite all are: one pass for the common case.
+            # If the sum is finite all are: one pass in the common case.
             with np.errstate(over="ignore", invalid="ignore"):
                 total = batch.rate.sum()
             if np.isfinite(total):
@@ -119,9 +117,9 @@ class Timeline(StampChecks):
                 yield self._finite(batch, rows)
 
     def measured(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield samples in blocks of fixed size, with their intervals counted.
+        """Yield samples in blocks of fixed size, and count their intervals.
 
-        Sums of floats depend on where they are cut: so they are cut at fixed sample indices.
+        Blocks begin at fixed sample indices, as the rounding of sums depends on the blocks.
         """
         regular = self._regular_time
         timed = regular.replaced if self.policy.regular_time else regular.observed
@@ -131,7 +129,7 @@ class Timeline(StampChecks):
         self.counts.steady_clock = regular.clock
 
     def segments(self, blocks: Iterable[GyroSeries]) -> Iterator[Iterator[GyroSeries]]:
-        """Cut samples at the gaps that are not propagated across."""
+        """Split samples at gaps, if the policy does not propagate across them."""
         if not self.policy.cuts_at_gaps:
             yield iter(blocks)
             return
@@ -139,7 +137,7 @@ class Timeline(StampChecks):
             yield (series for _, series in numbered)
 
     def _numbered(self, blocks: Iterable[GyroSeries]) -> Iterator[tuple[int, GyroSeries]]:
-        """Cut blocks at gaps and number the segments."""
+        """Split blocks at gaps and number the segments."""
         number, last_ns = 0, None
         for block in blocks:
             limit = LONGEST_NS if self.counts.gap_limit_ns is None else self.counts.gap_limit_ns
@@ -147,13 +145,13 @@ class Timeline(StampChecks):
             last_ns = block.t_ns[-1]
             starts = np.flatnonzero(np.diff(block.t_ns, prepend=before) > limit)
             for start, stop in pairwise([0, *starts.tolist(), len(block)]):
-                # Every edge but the block's own beginning is the end of a gap.
+                # All edges but the beginning of the block are ends of gaps.
                 number += start in starts
                 if stop > start:
                     yield number, block[start:stop]
 
     def _finite(self, batch: GyroSeries, rows: Int64) -> GyroSeries:
-        """Find rates that are not finite, and drop or replace them."""
+        """Count rates that are not finite, and drop or replace them."""
         good: Bool = np.logical_and.reduce(np.isfinite(batch.rate), axis=1)
         event = self.counts.nonfinite
         event.add(np.flatnonzero(~good), batch.t_ns, rows)
@@ -168,7 +166,7 @@ class Timeline(StampChecks):
         return self._hold(batch, good, rows) if self.policy.on_nonfinite == "hold" else batch
 
     def _hold(self, batch: GyroSeries, good: Bool, rows: Int64) -> GyroSeries:
-        """Replace each rate that is not finite by the last one before it that is."""
+        """Replace each rate that is not finite by the last finite one."""
         latest_good = np.maximum.accumulate(np.where(good, np.arange(len(good)), -1))
         rate = batch.rate[latest_good]
         if not good[0]:
@@ -184,7 +182,7 @@ class Timeline(StampChecks):
         return batch.with_rate(rate)
 
     def _sorted(self, examined: Iterable[Examined[GyroSeries]]) -> Iterator[Numbered]:
-        """Yield all samples but outliers in one batch, in order of time."""
+        """Yield one batch of all samples but outliers, in order of time."""
         parts = list(examined)
         if not parts:
             return
@@ -200,11 +198,11 @@ class Timeline(StampChecks):
         yield log[order], rows[order]
 
     def _measure(self, batch: GyroSeries, intervals: Int64) -> None:
-        """Measure the rates of a batch; the intervals end at its last samples."""
+        """Add a batch to the statistics of rates; the intervals end at its last samples."""
         counts = self.counts
-        # Not by einsum, which rounds in another way where the processor fuses multiply and add.
+        # Not einsum, whose rounding depends on whether the processor has fused multiply-add.
         x, y, z = batch.rate.T
-        with np.errstate(over="ignore", invalid="ignore"):  # of a damaged log
+        with np.errstate(over="ignore", invalid="ignore"):  # rates of a damaged log
             magnitude = np.sqrt(x * x + y * y + z * z)
         if not np.isfinite(magnitude.sum()):
             magnitude = np.where(np.isfinite(magnitude), magnitude, 0.0)
@@ -217,7 +215,7 @@ class Timeline(StampChecks):
             rate, duration = np.append(self._last_magnitude, magnitude[:-1])[first:], intervals
         if self.policy.cuts_at_gaps and counts.gap_limit_ns is not None:
             duration = np.where(intervals > counts.gap_limit_ns, 0, duration)
-        # Not by a dot product: how that adds up depends on the number of threads.
+        # Not a dot product, whose rounding depends on the number of threads.
         with np.errstate(over="ignore", invalid="ignore"):
             counts.path_angle_rad += float((rate * duration).sum()) * 1e-9
         self._last_magnitude = magnitude[-1]

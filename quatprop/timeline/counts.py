@@ -1,4 +1,4 @@
-"""How irregular timestamps and rates are handled, and what was observed of them."""
+"""Policy for irregular timestamps and rates, and counts of them."""
 
 from __future__ import annotations
 
@@ -15,43 +15,43 @@ if TYPE_CHECKING:
     from quatprop.arrays import Int64, Intp
 
 LISTED_GAPS = 1000
-"""The first gaps are listed one by one; all are counted."""
+"""Maximum number of listed gaps; all are counted."""
 
 INTEGRATED_SHARE = 0.001
-"""Increments that miss more than this share of the log's time are remarked on."""
+"""Increments that miss a larger share of the log's time cause a remark."""
 
 FASTEST = 50_000
-"""Hz: no gyroscope gives more samples a second."""
+"""Hz: no gyroscope has a higher sample rate."""
 
 EPOCH_US = (1_000_000_000_000_000, 2_000_000_000_000_000)
-"""Microseconds from 1970 to 2001 and to 2033: of a clock in ns, the 12th to 23rd day of its run."""
+"""us since 1970 in 2001 and in 2033; as ns these are day 12 and day 23 of 1970 or of a clock."""
 
 FASTEST_IN_US = 5_000
-"""Hz: with such stamps even 5 Hz would be as fast as this."""
+"""Hz: a rate above this with timestamps in that range indicates microseconds, at 5 Hz or more."""
 
 LONGEST_S = 2
-"""s: longer intervals are rather those of another unit of time."""
+"""s: a longer median interval indicates another unit of time."""
 
 COSTLY = math.radians(0.01)
-"""rad: jitter of the stamps that costs less is not remarked on."""
+"""rad: jitter that causes a smaller attitude error causes no remark."""
 
 MIN_SAMPLES = 20
-"""Fewer samples say nothing of the sample rate."""
+"""Minimum number of samples for remarks on the sample rate."""
 
 
 class Policy(NamedTuple):
-    """How each kind of irregularity is handled.
+    """The handling of each kind of irregularity.
 
-    `on_backwards`: timestamps earlier than one before, and outliers: ``"error"``; ``"drop"`` the
-        samples; ``"sort"`` all samples by time (keeps the whole log in memory) and drop outliers;
-        ``"keep"`` them, for inspection only
+    `on_backwards`: timestamps earlier than a previous one, and outliers: ``"error"``; ``"drop"``
+        the samples; ``"sort"`` all samples by time (keeps the whole log in memory) and drop
+        outliers; ``"keep"`` them, for inspection only
     `on_nonfinite`: rates that are NaN or infinite: ``"error"``; ``"drop"`` the samples; ``"hold"``
         the last finite rate; ``"keep"`` them, for inspection only
-    `on_gap`: intervals longer than `max_gap_ns`: ``"hold"`` propagates across them like any other;
-        ``"error"``; ``"zero"`` assumes no rotation; ``"split"`` restarts from q0
+    `on_gap`: intervals longer than `max_gap_ns`: ``"hold"`` propagates across them as across any
+        other; ``"error"``; ``"zero"`` assumes no rotation; ``"split"`` restarts from q0
     `max_gap_ns`: intervals longer than this count as gaps, ns; None means
         :data:`quatprop.timeline.stamps.GAP_FACTOR` median intervals
-    `regular_time`: whether timestamps that jitter about a steady clock are replaced by its times
+    `regular_time`: whether to replace timestamps that jitter about a steady clock by its times
     """
 
     on_backwards: Literal["error", "drop", "sort", "keep"] = "error"
@@ -62,7 +62,7 @@ class Policy(NamedTuple):
 
     @property
     def cuts_at_gaps(self) -> bool:
-        """Whether a gap is not propagated across."""
+        """Whether gaps are not propagated across."""
         return self.on_gap in {"zero", "split"}
 
 
@@ -72,14 +72,14 @@ OBSERVE = Policy(on_backwards="keep", on_nonfinite="keep")
 
 @dataclass(slots=True)
 class Event:
-    """How often something happened, and where first.
+    """The number of occurrences of an irregularity, and the first of them.
 
-    `count`: how often it happened
+    `count`: number of occurrences
     `first_index`: index of the first sample concerned, from 0: among the samples read for rates
         that are not finite, outliers and backwards timestamps; among those used for repeated
         timestamps and gaps
     `first_ns`: its timestamp, ns
-    `cause`: why it happened, if the timestamps around it show that; else ``""``
+    `cause`: the likely cause, if the neighbouring timestamps show it; else ``""``
     """
 
     count: int = 0
@@ -90,7 +90,7 @@ class Event:
     def add(self, where: Intp, t_ns: Int64, rows: Int64 | int) -> None:
         """Count the positions `where` in a batch of samples with the indices `rows`.
 
-        Indices in a row are given by the first.
+        `rows`: the indices, or only the first of consecutive indices
         """
         if len(where) and self.first_index is None:
             first = int(where[0])
@@ -100,16 +100,16 @@ class Event:
 
 
 class SteadyClock(NamedTuple):
-    """The steady clock that timestamps jitter about.
+    """The steady clock about which timestamps jitter.
 
     `rate_hz`: its rate, Hz; the mean over a log
     `offset_ns`: its first time, ns
     `residual_rms_ns`, `residual_max_ns`: RMS and largest difference between it and the timestamps,
         ns
-    `missing`: how many of its times have no sample, not counting pauses
-    `kept`: samples whose timestamps do not jitter, or that are too few between pauses to tell
-    `error_rad`: RMS over all samples of the angle between the attitudes that the timestamps and
-        the clock lead to, rad
+    `missing`: number of its times without a sample, not counting pauses
+    `kept`: samples whose timestamps do not jitter, or that are too few between pauses to decide
+    `error_rad`: RMS over all samples of the angle between the attitudes propagated with the
+        timestamps and with the clock, rad
     """
 
     rate_hz: float
@@ -123,12 +123,12 @@ class SteadyClock(NamedTuple):
 
 @dataclass(slots=True)
 class Counts:
-    """What was observed of timestamps and rates; complete when the last batch has passed.
+    """Counts and statistics of timestamps and rates; complete after the last batch.
 
     Parameters
     ----------
     read, used
-        Samples read, but for those outside of the range that is asked for, and samples used.
+        Samples read in the requested range, and samples used.
     first_ns, last_ns
         Timestamps of the first and last sample used, ns.
     median_dt_ns
@@ -136,10 +136,10 @@ class Counts:
     min_dt_ns, max_dt_ns
         Shortest and longest interval between samples used, ns.
     gap_limit_ns
-        Intervals longer than this were counted as gaps, ns.
+        Intervals longer than this count as gaps, ns.
     duplicates, backwards, outliers, gaps
-        Timestamps equal to the one before, earlier than one before, and ahead of those after them;
-        long intervals. A gap is located by the sample after it.
+        Timestamps equal to the previous one, earlier than a previous one, and ahead of those that
+        follow; long intervals. A gap is located by the sample after it.
     longest_gap
         The timestamps before and after the longest gap, ns.
     gap_list
@@ -150,7 +150,7 @@ class Counts:
         Total angle traversed, rad: the sum of abs(w) dt with the rate at the start of each
         interval, or of the increments.
     integrated_ns
-        For increments, the time over which the sensor integrated them in all intervals, ns.
+        For increments, their total integration time, ns.
     nonfinite
         Rates that are NaN or infinite.
     steady_clock
@@ -203,13 +203,13 @@ HANDLED = {
     ("on_gap", "zero"): "no rotation assumed",
     ("on_gap", "split"): "restarted from q0",
 }
-"""Setting and its value -> what was done to an event."""
+"""Setting and its value -> the handling of an event, for sentences."""
 
 
 def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterator[Remark]:
-    """Yield a sentence for every event that a reader of the result should know of.
+    """Yield a remark on every kind of event that occurred.
 
-    `chosen_by`: the setting that chooses other stamps, as of a timeline
+    `chosen_by`: the setting that chooses timestamps
     """
     limit = duration_text(counts.gap_limit_ns or 0)
     events = {
@@ -224,7 +224,7 @@ def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterato
             chosen = policy.on_backwards if setting == "outliers" else getattr(policy, setting, "")
             handled = HANDLED[setting, chosen]
             if event is counts.backwards and event.cause and chosen == "keep":
-                handled = "refused"  # neither drop nor sort mends the clock
+                handled = "refused"  # neither drop nor sort corrects the clock
             longest = _longest(counts) if event is counts.gaps else ""
             yield Remark(
                 code,
@@ -245,7 +245,7 @@ def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterato
 
 
 def _longest(counts: Counts) -> str:
-    """Return between which stamps the longest gap is: it may be a wrong stamp at an end."""
+    """Return the position of the longest gap, since a wrong timestamp at an end may cause it."""
     if counts.longest_gap is None:
         return ""
     before, after = counts.longest_gap
@@ -254,7 +254,7 @@ def _longest(counts: Counts) -> str:
 
 
 def _time_remarks(counts: Counts, chosen_by: str) -> Iterator[Remark]:
-    """Yield sentences about the time that the samples cover."""
+    """Yield remarks on the time span and rate of the samples."""
     if (
         counts.duplicates.count > counts.used / 2
         and (counts.first_ns or 0) % NS_PER_S == 0

@@ -1,7 +1,7 @@
-"""Outliers: samples whose stamps jump ahead, which the next stamps contradict.
+"""Find outliers: samples whose timestamps jump ahead and are contradicted by the next ones.
 
-A jump ahead that lasts is a pause. Which of the two it is only the next stamps tell, so each batch
-waits until :data:`LOOK_AHEAD` samples after it are known.
+A jump ahead that lasts is a pause. The next timestamps distinguish the two, so each batch waits
+until :data:`LOOK_AHEAD` samples after it are known.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from quatprop.arrays import Bool, Int64, Intp
 
     Ages = NDArray[np.uint64]
-    """Times since the earliest stamp, ns."""
+    """Times since the earliest timestamp, ns."""
 
 
 class Rows(Protocol):
-    """Rows that a mask selects from: stamps, or samples with them."""
+    """Rows that can be selected by a mask: timestamps, or samples with timestamps."""
 
     def __len__(self) -> int: ...
     def __getitem__(self, chosen: Bool, /) -> Self: ...
@@ -33,16 +33,16 @@ class Rows(Protocol):
 Batch = TypeVar("Batch", bound=Rows)
 
 LONGEST_RUN = 32
-"""So many outliers may follow one another, as where a message of a burst has a wrong stamp."""
+"""Maximum run of outliers, as in a message of a burst of samples with a wrong timestamp."""
 
 CONFIRMING = 8
-"""So many stamps after outliers tell whether they are; one more than them where they are more."""
+"""Number of timestamps that decide whether a run before them is outliers; more for long runs."""
 
 LOOK_AHEAD = 2 * LONGEST_RUN
-"""Whether a sample is an outlier depends on no more samples after it than this."""
+"""Maximum number of later samples on which the decision about a sample depends."""
 
 FAR = 10
-"""An outlier is ahead by more than this many intervals of the samples around it."""
+"""An outlier is ahead by more than this many intervals of the neighbouring samples."""
 
 
 LATEST = np.iinfo(np.uint64).max
@@ -51,11 +51,9 @@ LATEST = np.iinfo(np.uint64).max
 def marked(
     batches: Iterable[Batch], stamps_of: Callable[[Batch], Int64]
 ) -> Iterator[tuple[Batch, Bool, int]]:
-    """Yield each batch that is not empty with a mask of its outliers.
+    """Yield each non-empty batch, a mask of its outliers, and the jump of the first of them, ns.
 
-    With it comes by how much, ns, the first of them is ahead of those around it.
-
-    `stamps_of`: returns their stamps, shape ``(N,)``, int64 ns
+    `stamps_of`: returns the timestamps of a batch, shape ``(N,)``, int64 ns
     """
     stream = (batch for batch in batches if len(batch))
     waiting: deque[Batch] = deque()
@@ -73,7 +71,7 @@ def marked(
         after = [stamps_of(later)[:LOOK_AHEAD] for later in waiting]
         ahead = np.concatenate([t_ns[-1:], *after])[: LOOK_AHEAD + 1]
         mask, ahead_ns = np.zeros(len(t_ns), np.bool_), 0
-        # Mostly time steps back nowhere, and nothing has to be copied to see that.
+        # In the common case time never steps back, which is tested without a copy.
         if not all(map(_in_order, (behind, t_ns, ahead))) or (len(behind) and behind[-1] > t_ns[0]):
             stamps = np.concatenate([behind, t_ns, ahead[1:]])
             own = slice(len(behind), len(behind) + len(t_ns))
@@ -84,25 +82,25 @@ def marked(
 
 
 def outliers_in_order(t_ns: Int64, found: Bool) -> Bool:
-    """Return which samples of a log are outliers where all are put in order of time.
+    """Return which samples of a log are outliers if all are sorted by time.
 
-    Those that fit among the others came early, and are not wrong. A log that was written newest
-    first jumps ahead towards its beginning.
+    Outliers that fit between the others only arrived early, and are valid. A log that was written
+    newest first is examined in reverse.
 
-    `t_ns`: all stamps of the log, ns
+    `t_ns`: all timestamps of the log, ns
     """
     if not found.any():
         return found
     if np.sum(t_ns[1:] < t_ns[:-1]) > np.sum(t_ns[1:] > t_ns[:-1]):
         ((_, mask, _),) = marked([t_ns[::-1]], lambda stamps: stamps)
-        found = np.zeros(len(t_ns), np.bool_) if mask is None else mask[::-1]
+        found = mask[::-1]
     fits = np.zeros(len(t_ns), np.bool_)
     fits[found] = _fits(t_ns[found], np.sort(t_ns[~found]))
     return found & ~fits
 
 
 def _fits(t_ns: Int64, others: Int64) -> Bool:
-    """Return which stamps are in a gap of others, or follow the last ones as steadily as those."""
+    """Return which timestamps fill a gap of the others, or continue them at similar intervals."""
     intervals = np.diff(others)
     if not (intervals > 0).any():
         return np.zeros(len(t_ns), np.bool_)
@@ -111,7 +109,7 @@ def _fits(t_ns: Int64, others: Int64) -> Bool:
     room = np.append(np.append(0, intervals), 0)[after]
     longest = intervals[intervals <= FAR * median].max()
     later = np.sort(t_ns[t_ns > others[-1]])
-    # Exact, however far apart the stamps are.
+    # Unsigned, so that no difference overflows.
     steps = np.diff(later, prepend=others[-1]).view(np.uint64)
     is_steady = np.logical_and.accumulate(2 * steps <= max(3 * median, 2 * longest))
     last = later[is_steady][-1] if is_steady.any() else others[-1]
@@ -123,14 +121,13 @@ def _in_order(t_ns: Int64) -> bool:
 
 
 def _outliers(t_ns: Int64, own: slice, *, from_the_first: bool) -> tuple[Bool, int]:
-    """Return which of some stamps are outliers, and by how much the first is ahead, ns.
+    """Return which of some timestamps are outliers, and the jump of the first of them, ns.
 
-    `t_ns`: neighbouring stamps, ns
-    `from_the_first`: whether they begin with the first of the log, which has none before it to jump
-        from
+    `t_ns`: consecutive timestamps, ns
+    `from_the_first`: whether they begin with the first of the log, before which there is none
     """
     returns = np.flatnonzero(t_ns[1:] < t_ns[:-1]) + 1
-    # Exact, however far apart the stamps are.
+    # Unsigned, so that no difference overflows.
     since = (t_ns - t_ns.min()).view(np.uint64)
     first, last, before = _runs(since, returns, from_the_first=from_the_first)
     change = np.zeros(len(t_ns) + 1, np.int64)
@@ -145,8 +142,8 @@ def _outliers(t_ns: Int64, own: slice, *, from_the_first: bool) -> tuple[Bool, i
 
 
 def _runs(since: Ages, returns: Intp, *, from_the_first: bool) -> tuple[Intp, Intp, Ages]:
-    """Return where runs of outliers begin, where time goes on, and the stamps it goes on from."""
-    # The last stamp that is not after most of the next ones: all between are ahead of those.
+    """Return begin and end of runs of outliers, and the timestamps before each jump."""
+    # The last timestamp not later than most of the next ones: all between are ahead of these.
     place = returns[:, None] + np.arange(CONFIRMING)
     following = np.sort(np.where(place < len(since), since[place % len(since)], LATEST), axis=1)
     middle = (np.minimum(len(since) - returns, CONFIRMING) - 1) // 2
@@ -160,7 +157,7 @@ def _runs(since: Ages, returns: Intp, *, from_the_first: bool) -> tuple[Intp, In
     first = returns - length
     before = np.where(has_before, since[first - 1], resumed[found, 0])
     jump = since[first]
-    # Of the next stamps, those are back that are nearer to the stamp before than to the jump.
+    # The next timestamps have returned if they are nearer to the one before than to the jump.
     column = np.arange(LONGEST_RUN + 1)
     place = returns[:, None] + column
     known = (place < len(since)) & (column < np.maximum(length + 1, CONFIRMING)[:, None])

@@ -1,7 +1,7 @@
-"""Timestamps against steady clocks: found to jitter about one, or replaced by its times.
+"""Detect jitter of timestamps about a steady clock, or replace them by its times.
 
-The clock is found in each block of samples by itself, so that memory stays constant and a clock
-that drifts over hours is followed.
+The clock is fitted to each block of samples, so that memory use is constant and a clock that
+drifts over hours is followed.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
 
 _FASTEST = 1e4
-"""rad/s: larger rates are damaged, and would hide what the others show."""
+"""rad/s: larger rates are damaged, and are excluded."""
 
 
 @dataclass(slots=True)
 class _Sums:
-    """Sums over the stretches of a log, so far.
+    """Sums over the stretches of a log so far; stretches are the parts between pauses.
 
-    `fitted`: samples that jitter; `kept` those that do not, or are too few to tell
-    `judged`: whether there were samples enough to tell
-    `carried`: mean square of the error that earlier stretches leave, rad^2
+    `fitted`: samples that jitter; `kept`: samples that do not, or are too few to decide
+    `judged`: whether there were enough samples to decide
+    `carried`: square of the attitude error that earlier stretches leave, rad^2
     """
 
     fitted: int = 0
@@ -53,13 +53,13 @@ class _Sums:
     carried: float = 0.0
 
     def keep(self, samples: int, *, judged: bool) -> None:
-        """Add samples whose stamps are left as they are."""
+        """Add samples whose timestamps are not changed."""
         self.judged |= judged
         self.kept += samples
         self.error_squares += samples * self.carried
 
     def add(self, t_ns: Int64, clock: FittedClock, error: Float64) -> None:
-        """Add stamps that jitter about a clock, and the error of the attitudes for it, rad."""
+        """Add timestamps that jitter about a clock, and the attitude errors by jitter, rad."""
         rest = t_ns - clock.t_ns
         self.offset_ns = int(clock.t_ns[0]) if self.offset_ns is None else self.offset_ns
         self.judged = True
@@ -89,10 +89,10 @@ class _Sums:
 
 
 class RegularTime:
-    """Compares stamps with a steady clock, or replaces them by its times.
+    """Compares timestamps with a steady clock, or replaces them by its times.
 
-    `method`, `rates`: how the samples are propagated, for what jitter costs
-    `first_ns`: the first stamp before it was replaced, ns; None if it is not
+    `method`, `rates`: those of the propagation, to estimate the attitude error by jitter
+    `first_ns`: the first timestamp before it was replaced, ns; None if it was not
     """
 
     def __init__(self, path: Path | str, method: str, rates: str) -> None:
@@ -103,13 +103,13 @@ class RegularTime:
 
     @property
     def clock(self) -> SteadyClock | None:
-        """The clock about which the stamps jitter; None if they do not, or not throughout."""
+        """The clock about which all timestamps jitter; None if there is none."""
         return self._sums.clock() if self._sums is not None else None
 
     def observed(self, blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield blocks unchanged, and look for the clock while there may be one."""
+        """Yield blocks unchanged, and fit the clock as long as there may be one."""
         for block in blocks:
-            # Increments do not depend on their stamps.
+            # Increments do not depend on their timestamps.
             if self._sums is not None and block.integration_time_ns is None:
                 try:
                     self._times(block, self._sums)
@@ -118,16 +118,16 @@ class RegularTime:
             yield block
 
     def replaced(self, blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield blocks at the times of their clocks; refuse stamps that have none."""
+        """Yield blocks at the times of their clocks; refuse timestamps without a steady clock."""
         sums = self._sums = _Sums()
-        for block in _no_short_end(blocks):
+        for block in _with_long_end(blocks):
             self.first_ns = int(block.t_ns[0]) if self.first_ns is None else self.first_ns
             yield replace(block, t_ns=self._times(block, sums))
         if not sums.judged:
             raise self._refusal("of this log", f"no {SHORTEST} of them are without a pause")
 
     def _times(self, block: GyroSeries, sums: _Sums) -> Int64:
-        """Return the times of a block, and add to the sums."""
+        """Return the clock times of a block, and add it to the sums."""
         times = block.t_ns.copy()
         for samples, part, clock in _clocks(block):
             if clock is None or not clock.jitters:
@@ -141,8 +141,8 @@ class RegularTime:
         return times
 
     def _error_rad(self, samples: GyroSeries, clock: FittedClock) -> Float64:
-        """Return how far attitudes by the stamps are from those by the clock at the same times."""
-        rate = _undamaged(samples.rate)
+        """Return the angles between attitudes by the timestamps and by the clock, rad."""
+        rate = _without_damaged(samples.rate)
         by_stamps, by_clock = (self._propagated(t_ns, rate) for t_ns in (samples.t_ns, clock.t_ns))
         since = exp(rate * ((samples.t_ns - clock.t_ns) * 1e-9)[:, None])
         factors = (by_clock, since) if self._rates == "body" else (since, by_clock)
@@ -157,7 +157,7 @@ class RegularTime:
 
 
 def _clocks(block: GyroSeries) -> Iterator[tuple[GyroSeries, slice, FittedClock | None]]:
-    """Yield the stretches of a block with their clocks; None where the samples are too few."""
+    """Yield the stretches of a block with their clocks; None for too few samples."""
     intervals = np.diff(block.t_ns)
     if (intervals < 0).any():
         yield block, slice(None), FittedClock(0.0, block.t_ns, why_not="they step back")
@@ -168,17 +168,17 @@ def _clocks(block: GyroSeries) -> Iterator[tuple[GyroSeries, slice, FittedClock 
     for part in stretches(block.t_ns):
         samples = block[part]
         enough = len(samples) >= SHORTEST
-        rate = _undamaged(samples.rate)
+        rate = _without_damaged(samples.rate)
         yield samples, part, clock_of(samples.t_ns, rate) if enough else None
 
 
-def _undamaged(rate: Float64) -> Float64:
-    """Return rates with zeros for what is no rate."""
+def _without_damaged(rate: Float64) -> Float64:
+    """Return rates with zeros in place of damaged ones."""
     return np.where(np.abs(rate) < _FASTEST, rate, 0.0)
 
 
-def _no_short_end(blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-    """Yield blocks, the last with the one before it if it is short: few samples show no clock."""
+def _with_long_end(blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+    """Yield blocks; a short last one is joined to the previous, as few samples show no clock."""
     held: GyroSeries | None = None
     for block in blocks:
         if held is not None and len(block) < len(held) // 2:

@@ -1,4 +1,4 @@
-"""Time stamps by themselves: order, duplicates, gaps, intervals; and the choices for each."""
+"""Checks of timestamps: order, duplicates, gaps, intervals; and the policy for each."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ if TYPE_CHECKING:
 Batch = TypeVar("Batch", bound=Rows)
 
 GAP_FACTOR = 10
-"""Intervals longer than this many median intervals count as gaps, unless the policy says so."""
+"""Intervals longer than this many median intervals count as gaps by default."""
 
 LONGEST_NS = int(np.iinfo(np.int64).max)
-"""The longest interval that fits in 64 bits."""
+"""The longest interval in 64 bits, ns."""
 
 MEDIAN_WINDOW = 65_536
-"""The median interval is that of the first so many intervals: exact, in constant memory."""
+"""Number of first intervals whose median is taken: exact, in constant memory."""
 
 
 _FAR = 10
-"""A counter that has wrapped around goes on after at most so many intervals."""
+"""Maximum number of intervals at which a counter continues after it has wrapped around."""
 
 COUNTERS = {"ns": 2**32, "us": 2**32 * 1_000, "ms": 2**32 * 1_000_000}
-"""After how many ns a counter of 32 bits begins again, by its unit."""
+"""Period of a 32-bit counter, ns, by its unit."""
 
 
 class Examined(NamedTuple, Generic[Batch]):
-    """A batch, and what is irregular about its stamps.
+    """A batch, and the irregularities of its timestamps.
 
-    `rows`: which of the samples that were read they are, shape ``(N,)``
-    `outliers`, `back`: masks of outliers, and of stamps that are earlier than one before
+    `rows`: indices of its samples among those that were read, shape ``(N,)``
+    `outliers`, `back`: masks of outliers, and of timestamps earlier than a previous one
     """
 
     batch: Batch
@@ -52,9 +52,9 @@ class Examined(NamedTuple, Generic[Batch]):
 
 
 class StampChecks:
-    """Checks time stamps batch by batch, and counts what it finds.
+    """Checks timestamps batch by batch, and counts irregularities.
 
-    `chosen_by`: the setting that chooses other stamps: ``"clock"``, or of a table ``"time_col"``
+    `chosen_by`: the setting that chooses timestamps: ``"clock"``, or of a table ``"time_col"``
     """
 
     def __init__(
@@ -69,9 +69,9 @@ class StampChecks:
         self._last_two = np.empty(0, np.int64)
 
     def observe(self, batches: Iterable[Int64]) -> Iterator[Int64]:
-        """Yield stamps unchanged, and count them.
+        """Yield timestamps unchanged, and count them.
 
-        `batches`: stamps in the order of the log, each shape ``(N,)``, int64 ns
+        `batches`: timestamps in the order of the log, each shape ``(N,)``, int64 ns
         """
         checked = (t_ns for t_ns, *_ in self.examined(batches, lambda t_ns: t_ns))
         for t_ns in self.with_gap_limit(checked, lambda t_ns: t_ns):
@@ -81,9 +81,9 @@ class StampChecks:
     def examined(
         self, batches: Iterable[Batch], stamps_of: Callable[[Batch], Int64]
     ) -> Iterator[Examined[Batch]]:
-        """Yield batches that are not empty, with the outliers and steps back that are in them.
+        """Yield non-empty batches with masks of outliers and steps back.
 
-        `stamps_of`: returns their stamps, shape ``(N,)``, int64 ns
+        `stamps_of`: returns the timestamps of a batch, shape ``(N,)``, int64 ns
         """
         for batch, outliers, ahead_ns in marked(batches, stamps_of):
             t_ns = stamps_of(batch)
@@ -101,7 +101,7 @@ class StampChecks:
             yield Examined(batch, rows, outliers, back)
 
     def count_again(self, t_ns: Int64, outliers: Bool) -> None:
-        """Count outliers and steps back of a whole log, some of whose outliers are none."""
+        """Recount outliers and steps back of a whole log, with a corrected mask of outliers."""
         counts, rows = self.counts, np.arange(len(t_ns))
         counts.outliers, counts.backwards = Event(), Event()
         counts.outliers.add(np.flatnonzero(outliers), t_ns, rows)
@@ -110,7 +110,7 @@ class StampChecks:
         counts.backwards.add(back, kept, rows[~outliers])
 
     def _backward(self, t_ns: Int64, rows: Int64, outliers: Bool) -> Bool:
-        """Return which stamps are earlier than one before that is no outlier."""
+        """Return which timestamps are earlier than a previous one that is not an outlier."""
         found = np.zeros(len(t_ns), np.bool_)
         if outliers.any():
             t_ns, rows = t_ns[~outliers], rows[~outliers]
@@ -122,8 +122,8 @@ class StampChecks:
             self._latest = int(t_ns[-1])
             return found
         reached = np.maximum.accumulate(np.maximum(t_ns, latest))
-        # In inspection a backward stamp is one before its neighbour; a policy that drops samples
-        # must drop all up to the point where the clock has caught up again.
+        # For inspection, a timestamp earlier than its neighbour is backwards; a policy that drops
+        # samples must drop all until the clock has caught up again.
         if self.policy.on_backwards == "keep":
             back = np.diff(t_ns, prepend=latest) < 0
             self._latest = int(t_ns[-1])
@@ -141,7 +141,7 @@ class StampChecks:
         return found
 
     def _refuse(self) -> None:
-        """Refuse the first outlier or step back, whichever comes first in the log."""
+        """Raise an error for the first outlier or step back."""
         outliers, back = self.counts.outliers, self.counts.backwards
         another = f"another {Setting(self.chosen_by)}"
         ways_out = f"choose {Setting('on_backwards', 'drop|sort')}, or {another}"
@@ -154,11 +154,14 @@ class StampChecks:
             )
         if back.count:
             if back.cause:
-                # To drop or sort what a counter has begun again with would only spoil the data.
+                # Dropping or sorting samples after a wrap-around would damage the data.
                 ways_out = (
                     "log a wider counter, or add 2^32 to the column after each such step, or "
                     f"choose {another}"
                 )
+                if self.chosen_by == "time_col":
+                    column, rate = Setting("time_col", "COLUMN"), Setting("sample_rate", "HZ")
+                    ways_out += f"; if a column counts samples, use {column} and {rate}"
             elif self.chosen_by == "time_col":
                 sorts, series = Setting("on_backwards", "drop|sort"), Setting("series", "C=VALUE")
                 ways_out = (
@@ -193,9 +196,9 @@ class StampChecks:
         yield from stream
 
     def intervals(self, t_ns: Int64) -> Int64:
-        """Count the stamps as used and return the intervals that end at them.
+        """Count the timestamps as used and return the intervals that end at them.
 
-        `t_ns`: the next stamps, shape ``(N,)``, at least one, int64 ns
+        `t_ns`: the next timestamps, shape ``(N,)``, at least one, int64 ns
         `Returns`: shape ``(N,)``, int64 ns; ``(N - 1,)`` for the first batch
         """
         counts = self.counts
@@ -216,7 +219,7 @@ class StampChecks:
         return intervals
 
     def _count_intervals(self, intervals: Int64, ends: Int64) -> None:
-        """Count duplicates and gaps among intervals that end at the stamps `ends`."""
+        """Count duplicates and gaps among intervals that end at the timestamps `ends`."""
         counts = self.counts
         shortest, longest = int(intervals.min()), int(intervals.max())
         counts.min_dt_ns = min(shortest, shortest if counts.min_dt_ns is None else counts.min_dt_ns)
@@ -245,11 +248,8 @@ class StampChecks:
 
 
 def _cause_of_step(t_ns: Int64, first: int) -> str:
-    """Return the likely cause of a step back in time, if the stamps show one.
-
-    `t_ns`: stamps, ns
-    """
-    if first < 2:  # noqa: PLR2004  # it and two before
+    """Return the likely cause of a step back in time, if the timestamps (ns) show one."""
+    if first < 2:  # noqa: PLR2004  # two timestamps before it are needed
         return ""
     before, middle, after = t_ns[first - 2 : first + 1].tolist()
     for unit, period in COUNTERS.items():

@@ -1,10 +1,9 @@
-"""The steady clock that time stamps jitter about, as times of arrival and rounded stamps do.
+"""Fit the steady clock about which timestamps jitter, such as arrival times and rounded times.
 
-The stamps of one stretch, without a pause in it, are numbered: late samples are told from missing
-ones by the medians of short windows, since a late sample is followed by others in time. A line
-through them, robust against late ones, is the clock. Whether there is one shows in what is left:
-jitter comes and goes from sample to sample, neither drifts nor repeats, and the rates do not
-follow it.
+The samples of one stretch, without a pause, are numbered: medians of short windows distinguish late
+samples from missing ones, since a late sample is followed by punctual ones. A line through the
+timestamps, robust against late ones, is the clock. The residuals show whether there is one: jitter
+differs from sample to sample, neither drifts nor repeats, and the rates do not follow it.
 """
 
 from __future__ import annotations
@@ -20,53 +19,53 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
 
 SHORTEST = 256
-"""Fewer samples without a pause do not show a clock."""
+"""Minimum number of samples without a pause for a fit."""
 
 PAUSE = 10
-"""Intervals longer than so many usual ones are pauses: the clock may have been set anew."""
+"""Intervals longer than this many usual ones are pauses, in which the clock may have been set."""
 
 MOST_MISSING = 0.05
-"""Share of the samples that may be missing of a steady clock."""
+"""Maximum share of missing samples of a steady clock."""
 
 _STEADY = 2e-3
-"""Neighbouring intervals that differ by less than this share need no clock."""
+"""Timestamps are regular if neighbouring intervals differ by less than this share."""
 
 _WINDOW = 15
-"""Samples, an odd number, whose median tells late samples from missing ones."""
+"""Samples in a window, an odd number, whose median distinguishes late from missing samples."""
 
 _ENDS = 5
-"""The same at the first and the last samples."""
+"""The same at the first and last samples."""
 
-_HELD_UP = 8
-"""Samples are late, not missing before, where within so many windows others are in time again."""
+_DELAY_WINDOWS = 8
+"""Samples are late, rather than missing, if within this many windows others are punctual again."""
 
-_CLEAR = 0.3
-"""Intervals that a median may be off a whole number of them."""
+_MAX_PHASE_ERROR = 0.3
+"""Maximum deviation of a median from a whole number of intervals, in intervals."""
 
-_SHARP = 0.35
-"""Nothing arrives early: residuals end sharply below if the lowest tenth is this dense, which for
-the lower half is 1."""
+_SHARP_EDGE = 0.35
+"""Residuals have a sharp lower edge, as of arrival times, if the lowest tenth is at most this wide,
+relative to the rest of the lower half."""
 
 _PARTS = 16
-_SLOW = 0.5
-"""The medians of so many parts of the residuals scatter less than this share of the residuals."""
+_DRIFT = 0.5
+"""Medians of this many parts of the residuals scatter by less than this share of the residuals."""
 
-_SMOOTH = 0.2
-"""Neighbouring residuals differ by at least this share of the variance that independent ones do."""
+_ROUGHNESS = 0.2
+"""Minimum mean square of differences of neighbouring residuals, relative to independent ones."""
 
 _PATTERN = 8
 _REPEATED = 0.4
-"""Residuals that repeat after so many samples or fewer have this share of the variance."""
+"""Residuals repeat if a pattern of up to this many samples has this share of the variance."""
 
-_TONE = 0.8
-"""Those that swing at one frequency have this share of it. A sawtooth, as of polling, has 0.61."""
+_ONE_FREQUENCY = 0.8
+"""Residuals repeat if one frequency has this share of it; a sawtooth, as of polling, has 0.61."""
 
 _ROUNDED = 0.35
-"""Ticks by which rounding errors scatter at most; 0.29 where they are evenly distributed."""
+"""Maximum standard deviation of rounding errors, ticks; 0.29 for a uniform distribution."""
 
 _FOLLOWED = 0.9
-"""Rates that are this much closer to a straight line between their neighbours, by their squares,
-were taken at their stamps."""
+"""Rates were sampled at their timestamps if, with these, their mean square deviation from a line
+between their neighbours is below this share of that with the clock's times."""
 
 DRIFTS: Final = (
     "the deviations from the best one change slowly, as if a clock drifts or its rate changes"
@@ -75,7 +74,7 @@ REPEATS: Final = "the deviations repeat"
 UNCLEAR: Final = "they are too irregular to distinguish late samples from missing ones"
 MISSING: Final = f"more than {MOST_MISSING:.0%} of the samples would be missing"
 REASONS: Final = ("", REPEATS, DRIFTS, MISSING, UNCLEAR)
-"""Why there is no clock, the better estimates of the interval first."""
+"""Reasons why there is no clock, those of better estimates of the interval first."""
 
 FOLLOWED: Final = (
     "the rates change in step with the timestamps: the samples were taken at those times"
@@ -83,13 +82,13 @@ FOLLOWED: Final = (
 
 
 class FittedClock(NamedTuple):
-    """What the stamps of a stretch show.
+    """The clock that is fitted to the timestamps of a stretch.
 
-    `period_ns`: interval of the steady clock, ns
-    `t_ns`: the times of the samples by it, shape ``(N,)``, int64
-    `missing`: intervals of it without a sample
-    `why_not`: why there is no steady clock; ``""`` where there is
-    `jitters`: whether the stamps need one
+    `period_ns`: interval of the clock, ns
+    `t_ns`: clock times of the samples, shape ``(N,)``, int64
+    `missing`: number of its times without a sample
+    `why_not`: the reason why there is no steady clock; ``""`` if there is one
+    `jitters`: whether the timestamps are irregular
     """
 
     period_ns: float
@@ -100,12 +99,12 @@ class FittedClock(NamedTuple):
 
 
 def is_regular(intervals: Int64) -> bool:
-    """Tell whether all intervals are about the same."""
+    """Return whether all intervals are about equal."""
     return not len(intervals) or bool(np.ptp(intervals) <= _STEADY * intervals.min())
 
 
 def stretches(t_ns: Int64) -> Iterator[slice]:
-    """Yield the parts of stamps, in order, that no pause divides."""
+    """Yield the stretches of timestamps between pauses, in order."""
     limit = PAUSE * max(_periods(t_ns), default=np.inf)
     edges = np.flatnonzero(np.diff(t_ns) > limit) + 1
     for start, stop in pairwise([0, *edges.tolist(), len(t_ns)]):
@@ -115,7 +114,7 @@ def stretches(t_ns: Int64) -> Iterator[slice]:
 def clock_of(t_ns: Int64, rate: Float64) -> FittedClock:
     """Return the clock of a stretch of at least :data:`SHORTEST` samples.
 
-    `t_ns`: stamps that do not go backwards, shape ``(N,)``, int64
+    `t_ns`: non-decreasing timestamps, shape ``(N,)``, int64
     `rate`: shape ``(N, 3)``, any unit
     """
     periods = _periods(t_ns)
@@ -145,14 +144,14 @@ def _clock(t_ns: Int64, period: float) -> FittedClock:
     number = np.arange(len(t)) + missing
     slope, offset = _line(number, t)
     regular = t_ns[0] + np.rint(slope * number + offset).astype(np.int64)
-    why_not = _judged(t - slope * number, float(np.gcd.reduce(t_ns - t_ns[0])))
+    why_not = _fault_of(t - slope * number, float(np.gcd.reduce(t_ns - t_ns[0])))
     return FittedClock(slope, regular, int(missing[-1]), why_not)
 
 
 def _missing(t: Float64, period: float) -> Int64 | str:
-    """Return how many samples are missing before each, or why that cannot be told."""
+    """Return the number of missing samples before each sample, or why it cannot be determined."""
     phase = t / period - np.arange(len(t))
-    # Not the mean of the two in the middle: half of a missing sample.
+    # The window is odd: a mean of two middle values could be half a missing sample.
     whole = np.sort(phase[: len(t) // _WINDOW * _WINDOW].reshape(-1, _WINDOW), axis=1)
     middles = whole[:, _WINDOW // 2]
     steps = np.diff(middles)
@@ -161,12 +160,12 @@ def _missing(t: Float64, period: float) -> Int64 | str:
     middles -= drift * _WINDOW * np.arange(len(middles))
     first, last = (np.sort(part)[_ENDS // 2] for part in (phase[:_ENDS], phase[-_ENDS:]))
     levels = np.concatenate([[first], middles, [last]])
-    # Samples that were held up come in time again: what is missing stays so.
-    ahead = np.concatenate([levels, np.full(_HELD_UP - 1, np.inf)])
-    levels = np.lib.stride_tricks.sliding_window_view(ahead, _HELD_UP).min(axis=1)
+    # The minimum of later windows: delayed samples become punctual again, missing ones do not.
+    ahead = np.concatenate([levels, np.full(_DELAY_WINDOWS - 1, np.inf)])
+    levels = np.lib.stride_tricks.sliding_window_view(ahead, _DELAY_WINDOWS).min(axis=1)
     steps = np.diff(levels)
     before = np.concatenate([[0], np.cumsum(np.rint(steps))])
-    if (np.abs(steps - np.rint(steps)) > _CLEAR).any() or (np.diff(before) < 0).any():
+    if (np.abs(steps - np.rint(steps)) > _MAX_PHASE_ERROR).any() or (np.diff(before) < 0).any():
         return UNCLEAR
     if before[-1] > MOST_MISSING * len(t):
         return MISSING
@@ -177,22 +176,22 @@ def _missing(t: Float64, period: float) -> Int64 | str:
         part = slice(int(starts[k]), int(stops[k + 1]))
         part_phase = phase[part] - levels[k]
         for one in range(int(before[k + 1] - before[k])):
-            gains[part.start + _split(part_phase - one)] += 1
+            gains[part.start + _change_point(part_phase - one)] += 1
     return np.cumsum(gains)
 
 
-def _split(phase: Float64) -> int:
-    """Return from which sample on phases are rather 1 than 0."""
+def _change_point(phase: Float64) -> int:
+    """Return the index from which on phases are nearer to 1 than to 0."""
     late = np.concatenate([[0.0], np.cumsum(np.clip(phase, 0, 1))])
     early = np.concatenate([[0.0], np.cumsum(np.clip(1 - phase, 0, 1))])
     return min(int(np.argmin(late - early)), len(phase) - 1)
 
 
 def _line(number: Int64, t: Float64) -> tuple[float, float]:
-    """Return interval and offset of the clock, ns.
+    """Return the interval and the offset of the clock, ns.
 
-    Where the residuals end sharply below, as those of arrivals and of rounding do, the line is laid
-    against that end, which is known much better than the middle.
+    If the residuals have a sharp lower edge, as for arrival and rounded times, the line is fitted
+    to that edge, which is known much better than the centre.
     """
     half = len(t) // 2
     slope = float(np.median((t[half:] - t[:-half]) / (number[half:] - number[:-half])))
@@ -203,18 +202,18 @@ def _line(number: Int64, t: Float64) -> tuple[float, float]:
     rest -= tilt * number
     slope += float(tilt)
     lowest, low, middle, high, highest = np.quantile(rest, (0.005, 0.1, 0.5, 0.9, 0.995))
-    if low - lowest > _SHARP * (middle - low):
+    if low - lowest > _SHARP_EDGE * (middle - low):
         return slope, float(np.mean(rest[usual]))
     usual = rest >= middle - 1.5 * (middle - low)
     tilt, bottom = _lower_edge(number[usual], rest[usual])
-    if highest - high > _SHARP * (high - middle):
+    if highest - high > _SHARP_EDGE * (high - middle):
         return slope + tilt, bottom
-    # Sharp on both sides: rounded.
+    # Sharp edges on both sides: rounded times.
     return slope + tilt, float(np.median(rest - tilt * number))
 
 
 def _lower_edge(number: Int64, rest: Float64) -> tuple[float, float]:
-    """Return slope and offset of the highest line below points: the edge of their convex hull."""
+    """Return slope and offset of the highest line below all points: an edge of their hull."""
     size = -(-len(rest) // 2048)
     starts = np.arange(0, len(rest), size)
     lowest = [start + int(np.argmin(rest[start : start + size])) for start in starts]
@@ -231,10 +230,10 @@ def _lower_edge(number: Int64, rest: Float64) -> tuple[float, float]:
     return slope, begin[1] - slope * begin[0]
 
 
-def _judged(rest: Float64, tick: float) -> str:
-    """Return why residuals are not those of a steady clock; ``""`` where they are.
+def _fault_of(rest: Float64, tick: float) -> str:
+    """Return why residuals are not those of a steady clock; ``""`` if they are.
 
-    `tick`: ns, of which all stamps are multiples
+    `tick`: greatest common divisor of the timestamps, ns
     """
     rounded = 10.0 ** np.floor(np.log10(tick))
     if np.std(rest) < _ROUNDED * rounded and np.ptp(rest) < 1.1 * rounded:
@@ -245,7 +244,10 @@ def _judged(rest: Float64, tick: float) -> str:
     parts = np.median(rest[: size * _PARTS].reshape(_PARTS, size), axis=1)
     rest = rest - rest.mean()
     variance = float(np.mean(rest**2))
-    if np.var(parts) > _SLOW**2 * variance or np.mean(np.diff(rest) ** 2) < _SMOOTH * 2 * variance:
+    if (
+        np.var(parts) > _DRIFT**2 * variance
+        or np.mean(np.diff(rest) ** 2) < _ROUGHNESS * 2 * variance
+    ):
         return DRIFTS
     for count in range(2, _PATTERN + 1):
         pattern = rest[: len(rest) // count * count].reshape(-1, count).mean(axis=0)
@@ -253,11 +255,11 @@ def _judged(rest: Float64, tick: float) -> str:
             return REPEATS
     power = np.abs(np.fft.rfft(rest * np.hanning(len(rest)))) ** 2
     peak = max(int(np.argmax(power)), 2)
-    return REPEATS if power[peak - 2 : peak + 3].sum() > _TONE * power.sum() else ""
+    return REPEATS if power[peak - 2 : peak + 3].sum() > _ONE_FREQUENCY * power.sum() else ""
 
 
 def _follows(t_ns: Int64, regular: Int64, rate: Float64) -> bool:
-    """Tell whether rates change with their stamps rather than with regular times."""
+    """Return whether rates follow the timestamps rather than the clock's times."""
     errors = []
     for stamps in (t_ns, regular):
         before, whole = stamps[1:-1] - stamps[:-2], stamps[2:] - stamps[:-2]

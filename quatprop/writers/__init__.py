@@ -1,7 +1,7 @@
 """Writers of attitude series: a format is one module and one row of :data:`.formats.WRITERS`.
 
 A writer is opened on a target, takes batches in order, and is committed with the provenance of
-its content. What is not committed leaves no trace::
+its content. Without a commit nothing is left::
 
     with open_writer("attitude.parquet", layout="scalar-first") as writer:
         for series in attitudes:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from quatprop.writers.messages.topics import Topic
 
 
-def open_writer(  # noqa: PLR0913  # what is written, where and how
+def open_writer(  # noqa: PLR0913  # content, target and format
     target: Path | str,
     kind: str | None = None,
     *,
@@ -45,10 +45,10 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
     `target`: where to write; ``"-"`` is stdout
     `kind`: a key of :data:`WRITERS`; None takes it from the suffix of `target`. Stdout, pipes and
         devices get CSV; any other name without a suffix is a ROS 2 bag folder
-    `layout`: a name in :data:`quatprop.settings.LAYOUTS`; None is the layout that the
-        format prescribes, or scalar-first where there is a choice
+    `layout`: a name in :data:`quatprop.settings.LAYOUTS`; None is the layout that the format
+        prescribes, or else scalar-first
     `sigma`: ``"body"`` or ``"reference"``: add columns of standard deviations about these axes.
-        Messages with a covariance hold what the attitudes have, about reference axes, as ROS
+        Messages with a covariance always have that of the attitudes, about reference axes, as ROS
         defines it
     """
     from quatprop.conventions.representations import REPRESENTATIONS
@@ -73,14 +73,14 @@ def open_writer(  # noqa: PLR0913  # what is written, where and how
 
 
 def refuse_message(kind: str, message: Message | None) -> None:
-    """Refuse a description of messages where a format holds none."""
+    """Refuse message settings for a format without messages."""
     if message is not None and not WRITERS[kind].encodings:
         settings = f"{Setting('message')}, {Setting('out_topic')} and {Setting('frames')}"
         raise UsageError(f"{kind} holds no messages; omit {settings}")
 
 
 def holds_covariances(kind: str, message: Message | None) -> bool:
-    """Tell whether a format, or a message in it, has a place for covariances."""
+    """Return whether a format, or a message in it, can store covariances."""
     chosen = WRITERS[kind]
     has_covariance = (message or Message()).definition.has_covariance
     return bool(chosen.columns or (chosen.encodings and has_covariance))
@@ -89,7 +89,7 @@ def holds_covariances(kind: str, message: Message | None) -> bool:
 def refuse_columns(
     kind: str, message: Message | None, sigma: str | None, extra_columns: str | None
 ) -> None:
-    """Refuse standard deviations and angles where a format or a message has no place for them."""
+    """Refuse standard deviations and angles that a format or a message cannot store."""
     if extra_columns is None and sigma is None:
         return
     from quatprop.conventions.representations import REPRESENTATIONS
@@ -134,7 +134,7 @@ def open_messages(
 ) -> MessageWriter:
     """Open a container of messages of one topic.
 
-    `compression`: one of the compressions of the format; None is its default
+    `compression`: one of the format's compressions; None for its default
     """
     _refuse_stdout(target, kind)
     chosen = WRITERS[kind]
@@ -162,6 +162,6 @@ def _refuse_stdout(target: Path | str, kind: str) -> None:
 
 
 def refuse_comment(kind: str, *, comment: bool) -> None:
-    """Refuse a comment where a format has none."""
+    """Refuse a comment for a format without comments."""
     if comment and not WRITERS[kind].comments:
         raise UsageError(f"{kind} has no comments; omit {Setting('header_comment')}")

@@ -1,14 +1,15 @@
-"""Atomic output: a temporary file or folder that takes the target's place when it is complete.
+"""Atomic output: a temporary file or folder that replaces the target when it is complete.
 
-A failed run leaves the old file as it was and nothing beside it. There is no fsync: after a power
-cut a result can be computed again, and waiting for the disk would cost more than computing it.
-Pipes and devices are written to directly, as there is nothing to replace. What goes to an object
-store is made in the temporary folder, and becomes visible there when it is complete.
+A failed run leaves the old file unchanged and no other file. There is no fsync: after a power cut
+a result can be computed again, and waiting for the disk would take longer than computing it. Pipes
+and devices are written directly. Output to an object store is written to a temporary file, and
+uploaded when it is complete.
 """
 
 from __future__ import annotations
 
 import os
+import stat
 import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, BinaryIO, cast
 
 from quatprop.errors import OutputError
 from quatprop.stores.objects import exists, is_address, split_address, without_secret
-from quatprop.stores.temp_files import LockedTemp, take_mode_of, temp_file, temp_folder
+from quatprop.stores.temp_files import LockedTemp, NewFile, temp_file, temp_folder
 from quatprop.writers.targets import checked_place, is_stdout, is_stream, output_errors
 
 if TYPE_CHECKING:
@@ -26,20 +27,19 @@ if TYPE_CHECKING:
 class OutputFile:
     """A file being written, to be committed or discarded.
 
-    `target`: the file's path or address; ``"-"`` is stdout. Of a symbolic link, the file it points
-        to is replaced and the link stays
-    `stream`: binary stream. Buffered, since an unbuffered one may write only a part of what it is
-        given
+    `target`: the file's path or address; ``"-"`` is stdout. A symbolic link is followed: the file
+        is replaced and the link is kept
+    `stream`: binary stream, buffered, since an unbuffered one may write only a part of its input
     """
 
     def __init__(self, target: Path | str) -> None:
         self.target = without_secret(target)
-        self._temp: LockedTemp[BinaryIO] | None = None
+        self._temp: LockedTemp[NewFile] | None = None
         self._address = str(target) if is_address(target) else ""
         if self._address:
             with output_errors(self.target):
                 self._temp = temp_file(_scratch_place())
-            self.stream: BinaryIO = self._temp.made
+            self.stream: BinaryIO = self._temp.made.stream
         elif is_stdout(target):
             if sys.stdout is None:
                 raise OutputError(target, "standard output is closed; name a file")
@@ -47,38 +47,38 @@ class OutputFile:
             self.stream = sys.stdout.buffer
         elif is_stream(target):
             with output_errors(target):
-                # Appending: a file behind an open descriptor keeps what it has.
+                # Appended: a file behind an open descriptor keeps its content.
                 self.stream = Path(target).open("ab")  # noqa: SIM115  # closed by commit or discard
         else:
             self._place = checked_place(target)
             with output_errors(target):
                 self._temp = temp_file(self._place)
-            self.stream = self._temp.made
+            self.stream = self._temp.made.stream
 
     def finish(self) -> None:
-        """Close the stream; what is buffered is written, for which the disk may be too full."""
+        """Flush and close the stream, which may fail if the disk is full."""
         with output_errors(self.target):
             self._close()
 
     def publish(self) -> None:
-        """Put the finished file in its place."""
+        """Replace the target with the finished file."""
         try:
             with output_errors(self.target):
                 if self._temp is not None and self._address:
                     _upload(self._temp.path, self._address)
                 elif self._temp is not None:
-                    take_mode_of(self._temp.path, self._place)
+                    self._temp.path.chmod(self._temp.made.mode)
                     self._temp.path.replace(self._place)
         finally:
             self.discard()
 
     def commit(self) -> None:
-        """Close the stream and put the file in its place."""
+        """Close the stream and replace the target."""
         self.finish()
         self.publish()
 
     def discard(self) -> None:
-        """Remove what was not committed; may be called twice."""
+        """Discard uncommitted output; may be called twice."""
         with suppress(OSError):
             self._close()
         if self._temp is not None:
@@ -94,7 +94,7 @@ class OutputFile:
 
 @contextmanager
 def open_atomic(target: Path | str) -> Iterator[BinaryIO]:
-    """Open a binary stream whose bytes take the target's place at the end of the block."""
+    """Open a binary stream that replaces the target at the end of the block."""
     output = OutputFile(target)
     try:
         with output_errors(target):
@@ -105,7 +105,7 @@ def open_atomic(target: Path | str) -> Iterator[BinaryIO]:
 
 
 def scratch_file(target: Path | str) -> BinaryIO:
-    """Open a nameless temporary file for content whose beginning is not yet known."""
+    """Open an anonymous temporary file for content whose header is not known yet."""
     import tempfile  # brings in much that few runs need
 
     in_temp_folder = is_stdout(target) or is_stream(target) or is_address(target)
@@ -121,7 +121,7 @@ def _upload(path: Path, address: str) -> None:
 
 
 def _scratch_place() -> Path:
-    """Return beside what temporary files are made that belong to no place."""
+    """Return the path beside which temporary files of uploads are created."""
     import tempfile
 
     return Path(tempfile.gettempdir(), "outputs")
@@ -130,10 +130,10 @@ def _scratch_place() -> Path:
 class OutputPath:
     """A temporary path for libraries that create files or folders by name.
 
-    `target`: where the file or folder will be
-    `folder`: whether it will be a folder. An old file is replaced; an old folder is refused,
-        because replacing one cannot be done in one step
-    `path`: where to create it: with the target's name, inside a temporary folder
+    `target`: path or address of the file or folder
+    `folder`: whether it is a folder. An old file is replaced; an old folder is refused, because it
+        cannot be replaced atomically
+    `path`: where to create it: with the target's name, in a temporary folder
     """
 
     def __init__(self, target: Path | str, *, folder: bool = False) -> None:
@@ -151,21 +151,21 @@ class OutputPath:
         self.path = self._temp.path / self._place.name
 
     def finish(self) -> None:
-        """Do nothing: whoever has created it has closed it."""
+        """Do nothing: the library that created it has closed it."""
 
     def publish(self) -> None:
-        """Put the finished file or folder in its place."""
+        """Replace the target with the finished file or folder."""
         try:
             with output_errors(self.target):
                 if self._address:
                     _upload(self.path, self._address)
                     return
-                if self._place.exists():  # a file: folders replace nothing
-                    take_mode_of(self.path, self._place)
+                if self._place.exists():  # a file: folders are never replaced
+                    self.path.chmod(stat.S_IMODE(self._place.stat().st_mode))
                 self.path.replace(self._place)
         finally:
             self.discard()
 
     def discard(self) -> None:
-        """Remove what was not committed; may be called twice."""
+        """Discard uncommitted output; may be called twice."""
         self._temp.remove()

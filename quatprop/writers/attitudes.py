@@ -1,4 +1,4 @@
-"""Attitude series as rows of a table, or as messages."""
+"""Write attitude series as rows of a table, or as messages."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 
 class AttitudeWriter(Transaction):
-    """Takes batches of attitudes in order; the arrays must not change before the commit.
+    """Writes batches of attitudes in order; the arrays must not change before the commit.
 
-    `file`: the file whose rows or messages they become, and with which they are committed
-    `rows`: returns what a batch becomes: stamps in ns, and columns or messages
-    `holds_positions`: whether positions are written too; where a batch has none, they are zero
-    `locked_rows`: in how many rows the angles that are written are not unique
+    `file`: the file to which rows or messages are written
+    `rows`: converts a batch to timestamps in ns, and columns or messages
+    `holds_positions`: whether positions are written, too; zero if a batch has none
+    `locked_rows`: number of rows whose angles are not unique (gimbal lock)
     """
 
     def __init__(
@@ -47,15 +47,15 @@ class AttitudeWriter(Transaction):
         self._file.write(*self._rows(series))
 
     def finish(self, provenance: Mapping[str, object]) -> None:
-        """Write the file to its end."""
+        """Write the rest of the file."""
         self._file.finish(provenance)
 
     def publish(self) -> None:
-        """Put the finished file in its place."""
+        """Replace the target with the finished file."""
         self._file.publish()
 
     def abort(self) -> None:
-        """Remove what was not committed."""
+        """Discard uncommitted output."""
         self._file.abort()
 
 
@@ -65,11 +65,11 @@ def attitude_table(
     sigma: str | None = None,
     form: Representation | None = None,
 ) -> AttitudeWriter:
-    """Return a writer of attitudes as a table: stamps, four components, and more columns.
+    """Return a writer of attitudes as a table: timestamps, four components, and more columns.
 
     `table`: a table with the columns of `layout`, of `form` and of standard deviations
-    `sigma`: the axes of the columns of standard deviations at the end; None if there are none
-    `form`: what else to write of each attitude, such as its angles; None for nothing
+    `sigma`: the axes of the columns of standard deviations at the end; None for no such columns
+    `form`: another representation of each attitude to write, such as its angles; None for none
     """
 
     def columns(series: AttitudeSeries) -> Columns:
@@ -95,9 +95,10 @@ def column_table(
     values: Callable[[Any], Float64],
     locked: Callable[[Float64], int] = lambda _values: 0,
 ) -> AttitudeWriter:
-    """Return a writer of series as a table of numbers that are made of them.
+    """Return a writer of series as a table of numbers that are computed from them.
 
-    `values`: returns the columns of a series, shape ``(N, k)``
+    `values`: computes the columns of a series, shape ``(N, k)``
+    `locked`: counts the rows of gimbal lock in them
     """
 
     def columns(series: AttitudeSeries | GyroSeries) -> Columns:
@@ -117,7 +118,7 @@ def attitude_messages(
 ) -> AttitudeWriter:
     """Return a writer of attitudes as messages.
 
-    `log_times`: returns when attitudes are logged, ns
+    `log_times`: returns the log times of attitudes, ns
     """
 
     def messages(series: AttitudeSeries) -> tuple[Int64, Records]:

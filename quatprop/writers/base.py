@@ -1,4 +1,4 @@
-"""Interfaces of the writers of files: tables of columns, encoded messages."""
+"""Base classes of file writers: tables of columns, and encoded messages."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ if TYPE_CHECKING:
 
 
 def provenance_json(provenance: Mapping[str, object]) -> str:
-    """Return a provenance as it is kept in files: JSON on one line, plain ASCII."""
+    """Return a provenance as stored in files: JSON on one line, plain ASCII."""
     return json.dumps(provenance, sort_keys=True, default=as_json)
 
 
 def block_slices(rows: int, filled: int, size: int) -> Iterator[tuple[slice, slice]]:
-    """Yield how a batch of rows is distributed to blocks that all have one size.
+    """Yield slices of a batch of rows, and the slices of fixed-size blocks to which they go.
 
-    Blocks end at fixed rows, wherever a batch ends: the bytes do not depend on batches.
+    Blocks end at fixed rows, so the output does not depend on the sizes of batches.
+
+    `filled`: rows of the first block that are filled already
     """
     done = 0
     while done < rows:
@@ -38,10 +40,10 @@ def block_slices(rows: int, filled: int, size: int) -> Iterator[tuple[slice, sli
 
 
 class RecordBlock:
-    """Records of messages that all have one size, filled a column at a time.
+    """Records of messages of one size, filled a column at a time.
 
-    `empty`: returns the records of a block of messages of a size, whose field ``data`` is the last
-    `submit`: takes a full block, and at the end what is left
+    `empty`: returns a block of records for messages of a size, in bytes; the last field is ``data``
+    `submit`: called with each full block, and with the rest at the end
     """
 
     def __init__(self, empty: Callable[[int], Records], submit: Callable[[Records], None]) -> None:
@@ -63,45 +65,45 @@ class RecordBlock:
                 self.flush()
 
     def flush(self) -> None:
-        """Hand on the records that do not fill a block."""
+        """Submit the records of a partly filled block."""
         if self._filled and self._rows is not None:
             self._submit(self._rows[: self._filled].copy())
             self._filled = 0
 
 
 def empty_records(head: dict[str, str], size: int, block_bytes: int) -> Records:
-    """Return a block of about so many bytes of records: fields, and data of `size` bytes."""
+    """Return a block of about `block_bytes` of records: fields, and data of `size` bytes."""
     dtype = np.dtype([*head.items(), ("data", f"V{size}")])
     return np.zeros(max(1, block_bytes // dtype.itemsize), dtype)
 
 
 class Transaction(ABC):
-    """A context manager that removes what was not committed.
+    """A context manager that discards its output unless it is committed.
 
-    A commit has two steps, so that a run with several outputs writes all of them before it puts
-    the first in its place: :meth:`finish`, which may fail, and :meth:`publish`.
+    A commit has two steps, so that a run with several outputs writes all of them before it
+    publishes the first: :meth:`finish`, which may fail, and :meth:`publish`.
     """
 
     def commit(self, provenance: Mapping[str, object]) -> None:
-        """Finish the file and put it in its place; see :meth:`finish`."""
+        """Finish and publish the file; see :meth:`finish`."""
         self.finish(provenance)
         self.publish()
 
     @abstractmethod
     def finish(self, provenance: Mapping[str, object]) -> None:
-        """Write the file to its end.
+        """Write the rest of the file.
 
-        `provenance`: how the content came about: convention, layout, method, q0, source, counts,
-            versions; JSON-ready. Kept in the file where the format has a place for it. May be empty
+        `provenance`: convention, layout, method, q0, source, counts and versions behind the
+            content; JSON-ready. Stored in the file if the format can store it. May be empty
         """
 
     @abstractmethod
     def publish(self) -> None:
-        """Put the finished file in its place."""
+        """Replace the target with the finished file."""
 
     @abstractmethod
     def abort(self) -> None:
-        """Remove what was not committed; does nothing after a commit."""
+        """Discard uncommitted output; does nothing after a commit."""
 
     def __enter__(self) -> Self:
         return self
@@ -111,11 +113,11 @@ class Transaction(ABC):
 
 
 class FileWriter(Transaction):
-    """Writes a file or folder; errors of the system become errors that name it."""
+    """Writes a file or folder; errors of the operating system become OutputErrors."""
 
     _output: OutputFile | OutputPath
     _other_errors: tuple[type[Exception], ...] = ()
-    """What a library raises besides errors of the system."""
+    """Errors of a library that become OutputErrors, too."""
 
     def __init__(self, output: OutputFile | OutputPath) -> None:
         self._output = output
@@ -123,7 +125,7 @@ class FileWriter(Transaction):
     def write(self, t_ns: Int64, rows: Any) -> None:
         """Append a batch of rows; a closed pipe raises BrokenPipeError.
 
-        `t_ns`: the stamp of each, shape ``(N,)``, ns; of messages, when each was logged
+        `t_ns`: the timestamps, or the log times of messages, shape ``(N,)``, ns
         `rows`: the named columns of a table, all of that length; or encoded messages, shape
             ``(N,)``, always of the same item size
         """
@@ -135,21 +137,21 @@ class FileWriter(Transaction):
         """Append a batch of rows."""
 
     def finish(self, provenance: Mapping[str, object]) -> None:
-        """Write the file to its end."""
+        """Write the rest of the file."""
         with self._errors():
             self._finish(provenance)
             self._output.finish()
 
     @abstractmethod
     def _finish(self, provenance: Mapping[str, object]) -> None:
-        """Write what is left to write."""
+        """Write the rest of the content."""
 
     def publish(self) -> None:
-        """Put the finished file in its place."""
+        """Replace the target with the finished file."""
         self._output.publish()
 
     def abort(self) -> None:
-        """Remove what was not committed."""
+        """Discard uncommitted output."""
         self._output.discard()
 
     def _errors(self) -> AbstractContextManager[None]:
@@ -157,7 +159,7 @@ class FileWriter(Transaction):
 
     @contextmanager
     def _opening(self) -> Iterator[None]:
-        """Remove the file where it cannot even be begun."""
+        """Discard the output if opening the file fails."""
         try:
             with self._errors():
                 yield
@@ -167,7 +169,7 @@ class FileWriter(Transaction):
 
 
 class TableWriter(FileWriter):
-    """A file of named columns: int64 stamps ``t_ns`` first, then float64.
+    """A file of named columns: int64 timestamps ``t_ns`` first, then float64.
 
     `holds_positions`: whether three columns of positions may follow those of the quaternion
     """
@@ -178,4 +180,4 @@ class TableWriter(FileWriter):
 
 
 class MessageWriter(FileWriter):
-    """A container to which one topic is written whose messages all have one size."""
+    """A container for one topic, whose messages all have one size."""

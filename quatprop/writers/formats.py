@@ -1,4 +1,4 @@
-"""The formats of output: one row each, with what the format can hold and keep."""
+"""The table of output formats, and what each can store."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 class Format(NamedTuple):
     """One row of :data:`WRITERS`.
 
-    `suffixes`: file name endings that mean this format; ``""`` is a name without one
+    `suffixes`: file name suffixes of this format; ``""`` is a name without one
     `opener`: ``module:class`` of the writer, imported when it is needed. It is called with the
         target and, for columns, their names; for messages, a topic and a compression
     `columns`: whether it is a table of any columns
-    `encodings`: encodings of the messages that it holds; empty where it holds none
-    `layout`: the layout that the format's own definition prescribes; None where there is a choice
-    `is_text`: whether it may go to stdout
-    `comments`: whether it has comments, in which the provenance can be kept
-    `keeps_provenance`: whether it has a place of its own for the provenance, besides comments
-    `compressions`: what its content can be compressed with; the first is the default
+    `encodings`: encodings of its messages; empty for a format without messages
+    `layout`: the layout that the format prescribes; None if both are possible
+    `is_text`: whether it may be written to stdout
+    `comments`: whether it has comments, in which the provenance can be stored
+    `keeps_provenance`: whether it can store the provenance other than in comments
+    `compressions`: compressions of its content; the first is the default
     """
 
     suffixes: tuple[str, ...]
@@ -50,14 +50,14 @@ class Format(NamedTuple):
 
 
 def _text(suffixes: tuple[str, ...], opener: str, **options: Any) -> Format:
-    """Return a format of text."""
+    """Return a text format."""
     return Format(suffixes, opener, is_text=True, **options)
 
 
 def _messages(
     suffixes: tuple[str, ...], opener: str, encodings: tuple[str, ...], *compressions: str
 ) -> Format:
-    """Return a format of messages, whose quaternions are x, y, z, w."""
+    """Return a format of messages, which have quaternions x, y, z, w."""
     return Format(
         suffixes,
         opener,
@@ -96,10 +96,10 @@ WRITERS: Mapping[str, Format] = {
     "rosbag2": _messages(("",), "rosbag2.writer:SqliteBagWriter", ("cdr",), "none"),
     "rosbag2-mcap": _messages((), "rosbag2.writer:McapBagWriter", ("cdr",), "zstd", "none"),
 }
-"""Every kind of file that can be written; the keys are the choices of the setting ``to``."""
+"""All output formats by kind; the kinds are the choices of the setting ``to``."""
 
 GENERAL_KINDS = tuple(kind for kind, form in WRITERS.items() if form.columns or form.encodings)
-"""The kinds that can hold other series than attitudes."""
+"""The kinds that can store other series than attitudes."""
 
 DEFAULT_LAYOUT = "scalar-first"
 
@@ -107,7 +107,7 @@ DEFAULT_LAYOUT = "scalar-first"
 def layout_of(kind: str, layout: str | None = None) -> Layout:
     """Return the layout in which a kind of file is written.
 
-    `layout`: the layout asked for; None if none was
+    `layout`: the requested layout; None if none was requested
     """
     from quatprop.conventions.layout import layout_named
 
@@ -124,10 +124,7 @@ def layout_of(kind: str, layout: str | None = None) -> Layout:
 
 
 def kind_of(target: Path | str, kind: str | None = None, choices: Collection[str] = WRITERS) -> str:
-    """Return the kind of file to write: the given one, or that of the target's suffix.
-
-    `target`, `kind`: where to write, and the kind; None for that of the suffix
-    """
+    """Return the output kind: the given one, or that of the target's suffix if it is None."""
     if kind is not None:
         if kind not in WRITERS:
             raise OutputError(target, f"no output kind {quoted(kind)}; choose {'|'.join(choices)}")
@@ -155,7 +152,7 @@ def format_remarks(
     positions_lost: bool = False,
     sigma_lost: bool = False,
 ) -> Iterator[Remark]:
-    """Yield what a file has no place for.
+    """Yield remarks on the data that a format cannot store.
 
     `positions_lost`: whether the source has positions and the output none
     `sigma_lost`: whether the source has standard deviations or covariances and the output none
@@ -178,5 +175,5 @@ def format_remarks(
 
 
 def keeps_provenance(target: Path | str, kind: str | None = None, *, comment: bool = False) -> bool:
-    """Return whether a file keeps its provenance, in a comment or in a place of its own."""
+    """Return whether a file stores its provenance, in a comment or otherwise."""
     return comment or WRITERS[kind_of(target, kind)].keeps_provenance

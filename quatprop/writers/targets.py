@@ -1,4 +1,4 @@
-"""Where output may go: to a file or a stream, never over an input or another output of the run."""
+"""Checks of output targets: files or streams, never an input or another output of the run."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 STDOUT = ("-", "/dev/stdout")
 _DESCRIPTORS = ("/dev/stderr", "/dev/fd/", "/proc/self/fd/")
-"""Names of open files: behind them may be a regular file, which is not ours to replace."""
+"""Names of open descriptors, which may be those of a regular file that must not be replaced."""
 
 
 def is_stdout(target: Path | str) -> bool:
-    """Return whether the target means standard output."""
+    """Return whether the target is standard output."""
     return str(target) in STDOUT
 
 
@@ -38,7 +38,7 @@ def is_stream(target: Path | str) -> bool:
 
 
 def refuse_streams(target: Path | str, what: str) -> None:
-    """Refuse pipes and devices for a format whose beginning is written last."""
+    """Refuse pipes and devices for a format whose header is written last."""
     if is_stdout(target) or is_stream(target):
         raise OutputError(
             target,
@@ -63,10 +63,7 @@ def checked_place(target: Path | str) -> Path:
 
 
 def refuse_outside(target: Path | str, folder: Path | str) -> None:
-    """Refuse a target that does not lie in a folder, or that a link there leads out of.
-
-    The folder itself may be a link.
-    """
+    """Refuse a target outside a folder, also by way of a link in it; the folder may be a link."""
     place, root = os.path.realpath(target), os.path.realpath(folder)
     if os.path.commonpath([place, root]) != root:
         raise OutputError(
@@ -77,15 +74,15 @@ def refuse_outside(target: Path | str, folder: Path | str) -> None:
 
 
 def _has_write_bit(place: Path) -> bool:
-    """Return whether anybody may write: what is marked read-only is kept, for root too."""
+    """Return whether anybody may write: root must not replace read-only files either."""
     return bool(place.stat().st_mode & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH))
 
 
 @contextmanager
 def output_errors(target: Path | str, *others: type[Exception]) -> Iterator[None]:
-    """Turn errors of the system into an :class:`OutputError` that names the target.
+    """Turn errors of the operating system into an :class:`OutputError` that names the target.
 
-    A closed pipe passes as it is: it is no error that the reader of our output has gone.
+    BrokenPipeError is not changed: a reader may close the pipe early.
     """
     known: tuple[type[Exception], ...] = (OSError, *others)
     try:
@@ -100,10 +97,10 @@ def output_errors(target: Path | str, *others: type[Exception]) -> Iterator[None
 def refuse_overlap(inputs: Iterable[str | None], outputs: Iterable[str | None]) -> None:
     """Refuse outputs that would replace an input or another output of the run.
 
-    The time that it takes is linear in the number of names, of which a batch has many.
+    The time is linear in the number of names, since a batch has many.
 
-    `inputs`: files and folders that are read, with everything in the folders; None is skipped
-    `outputs`: where results go; None is skipped. Streams replace nothing
+    `inputs`: files and folders that are read, with all files in the folders; None is skipped
+    `outputs`: targets of results; None is skipped, and so are streams
     """
     targets = [name for name in outputs if name is not None]
     if sum(map(is_stdout, targets)) > 1:
@@ -111,7 +108,7 @@ def refuse_overlap(inputs: Iterable[str | None], outputs: Iterable[str | None]) 
     real_folder = cache(os.path.realpath)
 
     def real(name: str) -> str:
-        # Many names are in few folders, whose links are followed once.
+        # Many names are in few folders: the links of each folder are followed once.
         folder, file = os.path.split(name)
         if file in {"", os.curdir, os.pardir} or os.path.islink(name):  # noqa: PTH114
             return os.path.realpath(name)
@@ -149,12 +146,12 @@ def refuse_overlap(inputs: Iterable[str | None], outputs: Iterable[str | None]) 
 
 
 def _object(address: str) -> str:
-    """Return an address without its secrets and its parameters."""
+    """Return an address without secrets and parameters."""
     return split_address(without_secret(address))[0].rstrip("/")
 
 
 def _identity(name: str) -> tuple[int, int] | None:
-    """Return what identifies a file under all its names; None if there is none."""
+    """Return the identity of a file, the same for all its names; None if it does not exist."""
     try:
         status = os.stat(name)  # noqa: PTH116  # no object a name
     except OSError:

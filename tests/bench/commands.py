@@ -1,5 +1,7 @@
 """Whole commands on recordings, each against what users would take or a library needs."""
 
+import shutil
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -34,8 +36,12 @@ FLOORS = {
 """Log -> what its floor is called, and the script that does it."""
 
 
+SMALL_LOGS, SMALL_SAMPLES = 2000, 100
+
+
 def measure(folder: Path, samples: int) -> None:
     """Print one table a log, and one for each other command."""
+    _measure_small_logs()
     repeats = 3 if samples <= 10**6 else 1
     with tempfile.TemporaryDirectory() as scratch:
         a, b, out = (Path(scratch) / name for name in ("a.parquet", "b.parquet", "out.csv"))
@@ -70,3 +76,19 @@ def measure(folder: Path, samples: int) -> None:
             for name, words in rows.items():
                 seconds, megabytes = command(1 if "script" in name else repeats, words)
                 table.row(name, seconds, samples, megabytes)
+
+
+def _measure_small_logs() -> None:
+    """Print the CPU time of a batch, per log."""
+    table = Table(f"batch of {SMALL_LOGS:,} logs of {SMALL_SAMPLES} samples, CPU time per log")
+    for kind in ("csv", "mcap"):
+        with tempfile.TemporaryDirectory() as scratch:
+            one, logs = Path(scratch, f"one.{kind}"), Path(scratch, "logs")
+            options = ["--samples", str(SMALL_SAMPLES), "--noise", "1e-3", "--seed", "1", "-q"]
+            subprocess.run([*QUATPROP, "simulate", one, *options], check=True)
+            logs.mkdir()
+            for number in range(SMALL_LOGS):
+                shutil.copy(one, logs / f"{number}.{kind}")
+            words = [*QUATPROP, "batch", logs, "-o", Path(scratch, "out"), "-j", "1", "-q"]
+            seconds, megabytes = command(1, words, is_cpu=True)
+            table.row(f"quatprop, {kind}", seconds, SMALL_LOGS, megabytes)

@@ -44,12 +44,6 @@ def test_attitudes_of_a_time_range_are_read(truth):
     assert part == truth[100:800]
 
 
-def test_a_time_range_without_attitudes_is_refused(tmp_path):
-    """The sentence tells where the attitudes are."""
-    told = run("convert", TRUTH, tmp_path / "out.csv", "--start", "+1h", code=2).stderr
-    assert "between --start and --end: 1000 are before, 0 after; the log is 9.99 s long" in told
-
-
 def test_a_time_range_that_leaves_nothing_out_is_remarked_on(tmp_path):
     """An absolute time may be in other units than was meant."""
     told = run("convert", TRUTH, tmp_path / "out.csv", "--end", "1800000000000000000").stderr

@@ -85,7 +85,7 @@ def test_long_examples_go_on_in_a_second_line():
     assert f"\n{first} \\\n    sample_logs/tumbling.bag\n" in text
 
 
-@pytest.mark.parametrize("name", ["propagate", "batch", "convert", "compare", "plot"])
+@pytest.mark.parametrize("name", ["propagate", "batch", "convert", "compare", "plot", "noise"])
 def test_help_all_shows_every_option(name):
     """The common ones are among them, with their defaults unless there are none."""
     command = cli.get_command(None, name)

@@ -415,6 +415,15 @@ def test_what_is_lost_of_a_damaged_log_is_said(tmp_path, suffix):
         assert lost.removeprefix("warning: ")[:30] in target.read_text()
 
 
+def test_what_is_lost_is_told_by_the_exit_code_of_an_error(off, tmp_path):
+    """On either side, a row that is no quaternion is left out and makes it 3."""
+    new, truth = off
+    cut = tmp_path / "cut.csv"
+    cut.write_text(new.read_text() + "1,0,0,0,0\n")
+    for sides in ((cut, truth), (new, cut)):
+        run("plot", sides[0], "--reference", sides[1], "-o", tmp_path / "a.svg", code=3)
+
+
 def test_what_looks_wrong_with_rates_is_said_below_them(tmp_path):
     """The remarks of the other commands are those of a picture too."""
     still = write_rates(tmp_path / "a.csv", [(T0 + k * STEP, 0, 0, 0) for k in range(300)], RATES)

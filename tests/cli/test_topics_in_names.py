@@ -123,23 +123,6 @@ def test_parts_of_a_recording_name_one_topic(tmp_path):
     assert last[3] == pytest.approx(np.sin(0.25 * 0.395), abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["propagate", "log.bag:/imu/left", "-t", "/imu/right", "-o", "a.csv"],
-        ["propagate", "log.bag:/imu/right", "log.bag:/imu/left", "-o", "a.csv"],
-        ["info", "log.bag:/imu/left", "--topic", "/imu/right"],
-        ["plot", "log.bag:/imu/left", "-t", "/imu/right", "-o", "a.png"],
-        ["convert", "log.bag:/imu/left", "a.csv", "-t", "/imu/right"],
-        ["compare", "log.bag:/imu/left", "log.bag", "--topic-a", "/imu/right"],
-    ],
-)
-def test_two_topics_for_one_log_are_refused(words):
-    """None of them is ignored."""
-    said = run(*words, code=2).stderr
-    assert "log.bag:/imu/left: another topic is given, '/imu/right'; name one" in said
-
-
 def test_a_batch_reads_every_topic_with_rates(log, tmp_path):
     """Each into an output of its own; what is no log fails alone."""
     (tmp_path / "bad.bag").write_bytes(b"#ROSBAG V2.0\n")
@@ -154,9 +137,3 @@ def test_a_batch_reads_every_topic_with_rates(log, tmp_path):
     assert "0 of 1 logs done" in again, again
     entries = quatprop.batch([log], "python", topic="*", processes=1)
     assert [entry.output for entry in entries] == ["log/imu/left.parquet", "log/imu/right.parquet"]
-
-
-def test_a_dataset_has_one_topic_of_each_log():
-    """Rows of two topics would be mixed."""
-    sentence = "--topic * gives several series of a log, and --dataset has one; name a topic"
-    assert sentence in run("batch", "log.bag", "-o", "d", "-t", "*", "--dataset", code=2).stderr

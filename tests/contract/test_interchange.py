@@ -36,18 +36,6 @@ def test_a_trajectory_of_kitti_is_read_with_its_positions(tmp_path):
         np.testing.assert_array_equal(found.t_ns, [0, 100_000_000, 200_000_000])
 
 
-@pytest.mark.parametrize(
-    ("row", "sentence"),
-    [
-        ("1 0 0 0 0 1 0 0 0 0 1 0", "or --sample-rate HZ for rows at a steady rate"),
-        ("1 0 0 0", "it has 4 columns, and a KITTI trajectory has 12: r11 r12 r13 tx"),
-    ],
-)
-def test_a_trajectory_of_kitti_needs_a_rate_and_twelve_columns(tmp_path, row, sentence):
-    """What is missing is named."""
-    assert sentence in refused("convert", write_rates(tmp_path / "a.kitti", [], row), "-")
-
-
 def test_a_trajectory_is_written_as_kitti_has_them(tmp_path):
     """Evo reads it without an option, with the positions; so does quatprop, given a rate."""
     source, path = tmp_path / "poses.tum", tmp_path / "poses.kitti"

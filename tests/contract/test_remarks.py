@@ -20,6 +20,7 @@ from make.remarked import (
     T_NS,
     TURNED,
     TWENTY,
+    at_rest,
     attitudes_of,
     beside,
     biases,
@@ -447,7 +448,18 @@ COMPARISONS = {
     ),
     "sorted": (compared(TRUTH, TRUTH[np.r_[1, 0, 2:100]]), compared(TRUTH, TRUTH)),
 }
-TABLE = RATES | TIME | MESSAGES | TABLES | CONVERSIONS | COMPARISONS
+WHITE = noise(1e-3, 4000)
+EVERY = stamps(4000)
+NOISES = {
+    # A gap is longer than ten intervals.
+    "noise-gaps": (at_rest(WHITE, EVERY + (EVERY[2001] < EVERY) * 150 * MS),
+                   at_rest(WHITE, EVERY + (EVERY[2001] < EVERY) * 80 * MS)),
+    "noise-irregular": (at_rest(WHITE, np.repeat(EVERY[::2], 2)), at_rest(WHITE, EVERY)),
+    "noise-steps": (at_rest(integers(WHITE / 5, 1e-3)), at_rest(integers(WHITE, 1e-3))),
+    "noise-short-times": (at_rest((WHITE[2:] + WHITE[1:-1] + WHITE[:-2]) / 3), at_rest(WHITE)),
+    "noise-unexplained": (at_rest(WHITE * [1, 1, 0]), at_rest(WHITE * [1, 1, 0.01])),
+}  # fmt: skip
+TABLE = NOISES | RATES | TIME | MESSAGES | TABLES | CONVERSIONS | COMPARISONS
 NAMED = re.compile(r"(\w+)=('[^']*'(?: or '[^']*')*)")
 """A setting and the values that a remark names."""
 TOO_LARGE = of_messages(rate=swinging(count=200, peak=500))

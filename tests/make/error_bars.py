@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from make import oracle
 from make.motion import simulated
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from quatprop import GyroSeries, propagate
 from quatprop.errors import UsageError
@@ -89,7 +89,7 @@ class Ensemble(NamedTuple):
         e, p = self.errors, self.covariance * fault**2
         squares = np.einsum("in,ij,jn->", e, np.linalg.inv(p), e)
         tail = 0.001 / 2 / comparisons
-        low, high = chi2.ppf([tail, 1 - tail], e.size)
+        low, high = chdtri(e.size, [1 - tail, tail])
         return bool(low < squares < high)
 
     @property

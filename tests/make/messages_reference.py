@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quatprop.messages.blocks import Channel, MessageBlock
-from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct, steps
+from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct, key_path_of
 
 if TYPE_CHECKING:
     from random import Random
@@ -91,8 +91,8 @@ def _random_number(code, source):
 
 def look_up(value, field_path):
     """Return what a dotted path leads to, rows of numbers flattened."""
-    for step in steps(field_path):
-        value = value[step]
+    for key in key_path_of(field_path):
+        value = value[key]
     return flat(value)
 
 

@@ -44,6 +44,12 @@ def swinging_at(t_ns, peak=5.0, hertz=0.5):
     return peak * np.sin(angle * [1.0, 1.3, 0.7] + [0, 1, 2])
 
 
+def at_rest(rate, t_ns=None):
+    """Return what is said of the noise of rates in memory."""
+    t_ns = stamps(len(rate)) if t_ns is None else t_ns
+    return lambda _: quatprop.noise(GyroSeries(t_ns, rate)).remarks
+
+
 def with_value(array, at, value):
     """Return an array with another value in a place."""
     array = np.array(array, float if np.asarray(array).dtype.kind == "f" else np.int64)

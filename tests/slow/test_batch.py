@@ -133,9 +133,12 @@ def test_a_log_that_kills_its_process_fails_alone(tmp_path, processes):
 
 
 @posix
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
-    """Nothing that was done is done again, nothing half-written stays, and no process either."""
+    """Nothing that was done is done again, nothing half-written stays, and no process either.
+
+    At a SIGTERM, which schedulers send, it ended without a word.
+    """
     logs, out = logs_in(tmp_path / "in", 30), tmp_path / "out"
     command = [INSTALLED, "batch", logs, "-o", out, "-j", "2", "-q"]
     environment = {**os.environ, **hooked(tmp_path, HELD)}
@@ -147,7 +150,8 @@ def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
     process.send_signal(number)
     # To the end of stderr, which the processes of a killed batch hold as well: they remove what is
     # half-written.
-    process.communicate(timeout=120)
+    _, shown = process.communicate(timeout=120)
+    assert shown.endswith(b"Ended by SIGTERM.\n") == (number == signal.SIGTERM)
     assert not any(out.glob(".*"))
     before = len(entries(out))
     # What was complete an instant before it was recorded is done again.

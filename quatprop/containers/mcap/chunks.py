@@ -1,9 +1,9 @@
-"""The chunks of an MCAP file; a run of messages outside chunks is taken for one.
+"""The chunks of an MCAP file; a run of messages outside chunks is treated as a chunk.
 
 References
 ----------
-The MCAP format specification: every record is an opcode (1 byte), a length (8 bytes) and as many
-bytes of content, all little-endian.
+The MCAP format specification: every record has an opcode (1 byte), a length (8 bytes) and content
+of that length, all little-endian.
 """
 
 from __future__ import annotations
@@ -33,38 +33,37 @@ ATTACHMENT, METADATA, DATA_END = 9, 12, 15
 """Opcodes."""
 _COMPRESSIONS = frozenset({"", "lz4", "zstd"})
 RECORD = struct.Struct("<BQ")
-"""Opcode and length of the content: how every record begins."""
+"""The head of every record: opcode and length of the content."""
 CHUNK_HEAD = struct.Struct("<QQQII")
-"""Start time, end time, unpacked size, CRC, length of the compression's name."""
+"""Start time, end time, decompressed size, CRC, length of the compression's name."""
 PEEK = 128
-"""Bytes that hold the head of any record that is looked into."""
+"""Bytes that contain the head of any record that is read."""
 _UNCOMPRESSED_HEAD = RECORD.size + CHUNK_HEAD.size + 8
-"""Bytes of a chunk record before records that are not compressed."""
+"""Bytes of an uncompressed chunk record before its records."""
 _AT_ONCE = 1 << 26
-"""Bytes of a chunk that are read together with its head at most."""
+"""Chunks of up to this many bytes are read in one call with their head."""
 
 INDEX_HEAD = struct.Struct("<BQHI")
-"""Opcode, length, channel and size of the entries of a message index."""
+"""Opcode, length, channel and bytes of the entries of a message index."""
 INDEX_ENTRY = 16
-"""Bytes of one entry of a message index: log time and offset."""
+"""Bytes of a message index entry: log time and offset."""
 
 
 @dataclass(slots=True)
 class Chunk:
     """A chunk, or a run of messages outside chunks.
 
-    `start`, `length`: the chunk record, or the messages, in the file, bytes
-    `first_ns`, `last_ns`: its earliest and latest log time, ns; the latest is None if no index
-        states it
-    `index_length`: bytes of message index that follow it
-    `message_index_offsets`: where in the file the message index of each channel is, by channel id;
-        0 where it has none. None if it is unknown which channels the chunk has
-    `counts`: number of messages of each channel, by channel id, where they were counted
-    `id_offset`: what is added to its channel ids to tell them from those defined elsewhere in the
-        file
+    `start`, `length`: offset and length of the chunk record, or of the messages, bytes
+    `first_ns`, `last_ns`: earliest and latest log time, ns; the latest is None if no index states
+        it
+    `index_length`: bytes of the message indexes that follow it
+    `message_index_offsets`: file offset of each channel's message index, by channel id; 0 if it has
+        none. None if the channels of the chunk are unknown
+    `counts`: number of messages by channel id, if they were counted
+    `id_offset`: added to its channel ids, which may be defined otherwise elsewhere in the file
     `size`: bytes of its decompressed records by the index
-    `head_last_ns`: its latest log time by its head, ns, where no index states it; 0 if unknown. The
-        head has no checksum, so no chunk is skipped because of this time
+    `head_last_ns`: latest log time by the chunk's head, ns; 0 if unknown. The head has no checksum,
+        so no chunk is skipped because of this time
     """
 
     start: int
@@ -81,43 +80,43 @@ class Chunk:
 
     @property
     def end(self) -> int:
-        """Where the next record begins in the file."""
+        """Offset of the record behind the chunk and its message indexes."""
         return self.start + self.length + self.index_length
 
     @property
     def can_be_read_in_part(self) -> bool:
-        """Whether it is large, and its messages are indexed and in the file as they are."""
+        """Whether it is large, uncompressed and indexed."""
         is_uncompressed = self.is_chunk and self.size == self.length - _UNCOMPRESSED_HEAD
         return is_uncompressed and self.length >= LARGE and self.index_length > 0
 
     @property
     def place(self) -> str:
-        """Where it is, for a sentence."""
+        """Its position in the file, for sentences."""
         return f"{'chunk' if self.is_chunk else 'messages'} at byte {self.start}"
 
     @property
     def ids(self) -> list[int]:
-        """Ids in the index of the channels that it holds, if known."""
+        """Ids, in the index, of its channels; empty if unknown."""
         return [self.id_offset + id_ for id_ in self.message_index_offsets or ()]
 
     def may_have_logged(self, log_ns: NDArray[np.int64]) -> bool:
-        """Return whether log times are in the range that it states; True if it states none."""
+        """Return whether log times are in the chunk's stated range; True if it states none."""
         last_ns = self.last_ns or self.head_last_ns
         if not last_ns or not len(log_ns):
             return True
         return bool(self.first_ns <= log_ns.min() and log_ns.max() <= last_ns)
 
     def local_ids(self, ids: Sequence[int]) -> list[int]:
-        """Return the ids in its own records of channels of the index."""
+        """Return the ids in the chunk's records of channels, from their ids in the index."""
         own = (id_ - self.id_offset for id_ in ids)
         return [id_ for id_ in own if 0 <= id_ < 1 << 16]
 
     def listed(self) -> dict[int, int] | None:
-        """Return how many messages of each channel it holds; None if that is unknown."""
+        """Return the number of messages of each channel; None if unknown."""
         if self.counts is not None or self.message_index_offsets is None:
             return self.counts
         order = sorted(self.message_index_offsets.items(), key=itemgetter(1))
-        # Where the next index begins shows how many entries one has.
+        # The distance to the next index gives the number of entries.
         ends = [*(place for _, place in order[1:]), self.end]
         return {
             id_: max(0, end - place - INDEX_HEAD.size) // INDEX_ENTRY
@@ -125,20 +124,19 @@ class Chunk:
         }
 
     def count(self, channel: int) -> int | None:
-        """Return how many messages of a channel it holds; None if that is unknown."""
+        """Return the number of messages of a channel; None if unknown."""
         listed = self.listed()
         return None if listed is None else listed.get(channel, 0)
 
 
 class Loaded(NamedTuple):
-    """A chunk that was read.
+    """The content of a chunk.
 
-    `data`: its decompressed records, as far as they could be read
-    `damage`: why they end early, or ``""``
-    `has_checksum`: whether a checksum shows that it is as it was written
-    `is_readable`: whether anything of it can be read
-    `offsets`: where the wanted messages begin in `data`, which has little else; None if it is
-        whole
+    `data`: its decompressed records, as far as they can be read
+    `damage`: the reason why they are incomplete, or ``""``
+    `has_checksum`: whether a checksum was verified
+    `is_readable`: whether any record can be read
+    `offsets`: offsets of the wanted messages in `data`, if only these were read; None if all
     """
 
     data: Buffer = b""
@@ -149,13 +147,13 @@ class Loaded(NamedTuple):
 
 
 TORN = "the file ends inside it"
-"""The damage of a record that the recorder was writing when it died."""
+"""The damage of a record whose writing was interrupted."""
 
 
 def load(
     source: FileSource, chunk: Chunk, budget: DecompressionBudget, *, check: bool = True
 ) -> Loaded:
-    """Read a chunk and decompress it; `check` refuses a chunk whose checksum is wrong."""
+    """Read and decompress a chunk; with `check`, raise an error if its checksum is wrong."""
     try:
         return _load(source, chunk, budget, check=check)
     except OSError as error:
@@ -193,10 +191,10 @@ def _load(source: FileSource, chunk: Chunk, budget: DecompressionBudget, *, chec
 class ChunkHead(NamedTuple):
     """The fields of a chunk before its data.
 
-    `first_ns`, `last_ns`: earliest and latest log time, ns, without sign
+    `first_ns`, `last_ns`: earliest and latest log time, unsigned ns
     `size`: bytes of the decompressed data
     `crc`: checksum of the decompressed data; 0 if there is none
-    `begin`, `end`: where the compressed data is, from the beginning of the record
+    `begin`, `end`: offsets of the compressed data from the beginning of the record
     """
 
     first_ns: int
@@ -209,17 +207,17 @@ class ChunkHead(NamedTuple):
 
     @property
     def is_uncompressed(self) -> bool:
-        """Whether the records are in the file as they are."""
+        """Whether the records are not compressed."""
         return not self.compression and self.size == self.end - self.begin
 
 
 def head_of(source: FileSource, chunk: Chunk) -> ChunkHead | None:
-    """Return the head of a chunk; None if none of its length begins."""
+    """Return the head of a chunk; None if no chunk of this length begins there."""
     return chunk_head(source.read(chunk.start, PEEK), chunk.length)
 
 
 def chunk_head(record: Buffer, length: int) -> ChunkHead | None:
-    """Return the head of a chunk record."""
+    """Return the head of a chunk record; None if it is none."""
     fixed = RECORD.size + CHUNK_HEAD.size
     if len(record) < fixed + 8:
         return None
@@ -237,7 +235,7 @@ def chunk_head(record: Buffer, length: int) -> ChunkHead | None:
 
 
 def plausible_chunk(head: bytes, length: int) -> bool:
-    """Tell whether a chunk's content has consistent lengths, in all `length`; it may be torn."""
+    """Return whether the lengths in a chunk's head agree with the content's `length`."""
     stated = chunk_head(head, RECORD.size + length)
     return (
         stated is not None

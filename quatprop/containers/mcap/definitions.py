@@ -1,7 +1,7 @@
-"""Schemas and channels of an MCAP file, whose ids may be defined anew in the middle of it.
+"""Schemas and channels of an MCAP file, whose ids may be redefined in the middle of it.
 
-Files that were put one behind another have ids of their own, each counted from 1. So the ids of an
-index are those of the records plus :attr:`Chunk.id_offset`, which differs from part to part.
+Concatenated files have ids of their own, each counted from 1. So the ids of an index are those of
+the records plus :attr:`Chunk.id_offset`, which differs from part to part.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from quatprop.stores.file_source import FileSource
 
 IDS = 1 << 16
-"""Ids that the records of one part can have."""
+"""Number of ids that the records of one part can have."""
 
 _LEADING = 1 << 14
 """Bytes of a chunk that are read for the definitions at its beginning."""
@@ -35,10 +35,10 @@ _NOT_DEFINITIONS = frozenset(range(256)) - {SCHEMA, CHANNEL}
 
 
 class Definitions:
-    """Schema and channel records in order of the file.
+    """Schema and channel records in the order of the file.
 
-    `id_offset`: what is added to the ids of the current part
-    `records`: opcode, content, place and `id_offset` of each record
+    `id_offset`: added to the ids of the current part
+    `records`: opcode, content, position and `id_offset` of each record
     """
 
     def __init__(self) -> None:
@@ -47,12 +47,12 @@ class Definitions:
         self._current: dict[tuple[int, bytes], tuple[Buffer, str]] = {}
 
     def begin_file(self) -> None:
-        """Begin another file that follows in the same file; no id keeps its meaning."""
+        """Begin another of several concatenated files: no id keeps its meaning."""
         self.id_offset += IDS
         self._current.clear()
 
     def redefines(self, opcode: int, content: Buffer) -> bool:
-        """Tell whether a record gives an id another channel or schema than before."""
+        """Return whether a record gives an id a different channel or schema."""
         before = self._current.get((opcode, bytes(content[:2])))
         if before is None or before[0] == content:
             return False
@@ -60,7 +60,7 @@ class Definitions:
         return earlier is not None and later is not None and earlier != later
 
     def add(self, opcode: int, content: Buffer, place: str) -> None:
-        """Add a record; one that redefines an id begins another part."""
+        """Add a record; one that redefines an id begins a new part."""
         key = opcode, bytes(content[:2])
         if self.redefines(opcode, content):
             self.id_offset += IDS
@@ -73,7 +73,7 @@ class Definitions:
 
 
 def _identity(opcode: int, content: Buffer) -> tuple[str, str, int | bytes] | None:
-    """Return what a record says of a channel or schema; None if it is damaged."""
+    """Return the identity of the channel or schema in a record; None if it is damaged."""
     try:
         return (read_schema if opcode == SCHEMA else read_channel)(content).identity
     except MALFORMED:
@@ -93,7 +93,7 @@ def leading_definitions(
 def read_definitions(
     source: FileSource, index: McapIndex, *, is_complete: bool, is_closed: bool
 ) -> None:
-    """Read the chunks that may hold channels and schemas not yet defined."""
+    """Read the chunks that may have definitions of undefined channels and schemas."""
     suspect = []
     define = partial(_define_from, source, index, DecompressionBudget(source.size))
     for chunk in index.chunks:
@@ -102,7 +102,7 @@ def read_definitions(
         else:
             needed = not index.defines(chunk.ids)
         if needed and not define(chunk, check=True):
-            suspect.append(chunk)  # noted as a loss when its messages are read
+            suspect.append(chunk)  # its loss is recorded when its messages are read
     # Definitions in a chunk with a wrong checksum are better than none.
     for chunk in suspect:
         if not (is_complete and index.defines(index.channels)):
@@ -117,7 +117,7 @@ def _define_from(
     *,
     check: bool,
 ) -> bool:
-    """Add the definitions in a chunk; return whether it can be read."""
+    """Add the definitions in a chunk; return whether it is readable."""
     try:
         loaded = load(source, chunk, budget, check=check)
     except UnreadableDataError:
@@ -128,7 +128,7 @@ def _define_from(
         content = memoryview(data)[begin:stop]
         index.define(opcode, content, f"in the {chunk.place}", chunk.id_offset)
     if walked.end == len(data) and not loaded.damage:
-        # They count for more than an index, which may be damaged.
+        # Its records are more reliable than an index, which may be damaged.
         messages = messages_at(data, walked.offsets)
         chunk.counts = messages.counts() if messages else {}
         chunk.message_index_offsets = dict.fromkeys(chunk.counts, 0)
@@ -136,11 +136,11 @@ def _define_from(
 
 
 class DefinitionCheck:
-    """Compares definitions inside chunks, where the format forbids new ones, with the index.
+    """Compares the definitions in chunks, which the format forbids to differ, with the index.
 
-    So no message goes to a topic that it is not of.
+    So no message is assigned to a wrong topic.
 
-    `index`: the definitions by which its messages are read
+    `index`: the definitions with which messages are decoded
     """
 
     def __init__(self, index: McapIndex) -> None:
@@ -154,7 +154,7 @@ class DefinitionCheck:
         chunk: Chunk,
         ids: Sequence[int],
     ) -> None:
-        """Compare the definitions of a chunk: opcode, and begin and end of each in `data`."""
+        """Compare a chunk's definitions, given as opcode and begin and end of their content."""
         for opcode, begin, end in definitions:
             record = chunk.id_offset, opcode, bytes(data[begin:end])
             if record not in self._found:
@@ -166,7 +166,7 @@ class DefinitionCheck:
                 )
 
     def _redefined(self, id_offset: int, opcode: int, content: bytes) -> tuple[list[int], str, str]:
-        """Return which channels a record redefines, its id, and how it differs."""
+        """Return the channels that a record redefines, its kind and id, and the difference."""
         index, here = self.index, McapIndex()
         here.define(opcode, content, "", id_offset)
         for kind, earlier, later in (
@@ -184,7 +184,7 @@ class DefinitionCheck:
 
 
 def ids_by_channel(index: McapIndex) -> dict[Channel, list[int]]:
-    """Return the ids of each channel; MCAP gives every publisher an id of its own."""
+    """Return the ids of each channel: in MCAP every publisher has an id of its own."""
     ids: dict[Channel, list[int]] = {}
     for id_, record in sorted(index.channels.items()):
         schema = index.schemas.get(record.schema_id)
@@ -200,7 +200,7 @@ def ids_by_channel(index: McapIndex) -> dict[Channel, list[int]]:
 
 
 def _type_name(name: str, encoding: str) -> str:
-    """Return a ROS type as ``package/msg/Name``, any other as it is."""
+    """Return a ROS type as ``package/msg/Name``, and any other unchanged."""
     package, slash, rest = name.replace("::", "/").partition("/")
     if encoding not in _ROS_ENCODINGS or not slash:
         return name

@@ -1,4 +1,4 @@
-"""Read the messages of a channel in the chunks of an MCAP file, and note what is lost."""
+"""Read the messages of a channel from the chunks of an MCAP file, and record losses."""
 
 from __future__ import annotations
 
@@ -32,15 +32,14 @@ if TYPE_CHECKING:
 
 
 UNDEFINED = "no record defines it"
-"""Why the messages of a channel are lost."""
+"""The reason of loss of a channel without a definition."""
 
 
 class McapReader(ChunkReader[Chunk, Loaded]):
     """Reads the messages of one channel.
 
-    `definitions`: compares definitions inside chunks with those of the index, to which losses are
-        added
-    `unchecked`: where chunks begin of which only selected messages were read; grows
+    `definitions`: compares definitions in chunks with those of the index, to which losses are added
+    `unchecked`: offsets of the chunks of which only selected messages were read; grows
     """
 
     def __init__(
@@ -58,11 +57,11 @@ class McapReader(ChunkReader[Chunk, Loaded]):
         self.unchecked = unchecked
 
     def is_mixed(self, chunk: Chunk) -> bool:
-        """Return whether a chunk is known to hold other channels."""
+        """Return whether a chunk is known to have other channels."""
         return not {*chunk.ids} <= {*self.ids}
 
     def expected(self, chunk: Chunk, *, is_mixed: bool) -> list[tuple[int, int]]:
-        """Return the bytes of a chunk, or head and index of a chunk that is read in part."""
+        """Return the byte range of a chunk, or those of head and index if it is read in part."""
         head_end = chunk.start + PEEK
         if is_mixed and self._is_read_in_part(chunk):
             return [(chunk.start, head_end), (chunk.start + chunk.length, chunk.end)]
@@ -94,8 +93,8 @@ class McapReader(ChunkReader[Chunk, Loaded]):
     def _load_messages(self, chunk: Chunk) -> Loaded | None:
         """Return the wanted messages of a chunk; None if it is better read whole.
 
-        What precedes the first message is read, too, and the heads of all records, which show that
-        nothing is hidden between them. The checksum is that of the whole chunk.
+        The records before the first message are read, too, and the heads of all messages, to verify
+        that there are no others. The chunk's checksum is not verified.
         """
         own, index = chunk.local_ids(self.ids), index_of(self.source, chunk)
         wanted, every = indexed_offsets(index, chunk, own), indexed_offsets(index, chunk)
@@ -124,7 +123,7 @@ class McapReader(ChunkReader[Chunk, Loaded]):
         return Loaded(data, offsets=begins[is_wanted])
 
     def indexed(self, content: Loaded, chunk: Chunk) -> MessageBlock | None:
-        """Return the messages of a chunk by its index; None where its records say otherwise."""
+        """Return the messages of a chunk by its index; None if its records disagree."""
         ids, data = chunk.local_ids(self.ids), content.data
         if content.offsets is not None:
             selected = messages_at(data, content.offsets)
@@ -136,7 +135,7 @@ class McapReader(ChunkReader[Chunk, Loaded]):
         every, listed = indexed_offsets(index, chunk), indexed_offsets(index, chunk, ids)
         messages = None if every is None else messages_at(data, every)
         walked = walk_records(data, stop_at={MESSAGE})
-        # Among other records there may be messages that no index lists.
+        # Between other records there may be messages that no index lists.
         if listed is None or not messages or not messages.fill(data, walked.end):
             return None
         messages = messages.of(ids)
@@ -146,11 +145,11 @@ class McapReader(ChunkReader[Chunk, Loaded]):
             self.definitions.check(data, walked.definitions, chunk, ids)
             _check_times(content, chunk, messages)
         except UnreadableDataError:
-            return None  # it is raised again when the records are read
+            return None  # raised again when the records are read
         return messages.block
 
     def messages(self, content: Loaded, chunk: Chunk) -> MessageBlock | None:
-        """Return the messages of a chunk by its records, and note what is lost of them."""
+        """Return the messages of a chunk by its records, and record losses."""
         if content.offsets is not None:
             content = self._load_chunk(chunk)
         reason = content.damage
@@ -162,14 +161,14 @@ class McapReader(ChunkReader[Chunk, Loaded]):
                 reason = error.reason
             else:
                 return messages.block if messages else None
-        # An index that lists none may be damaged.
+        # An index without messages may be damaged.
         lost = message_count([chunk], self.ids) or None
         self.losses.note(chunk.place, reason, lost, self.topic)
         self.lost += lost or 0
         return None
 
     def _walked(self, loaded: Loaded, chunk: Chunk) -> LocatedMessages | None:
-        """Locate the messages of a chunk by its records; the index says what is lost."""
+        """Locate the messages of a chunk by its records, and losses by its index."""
         data, damage, ids = loaded.data, loaded.damage, chunk.local_ids(self.ids)
         index = index_of(self.source, chunk)
         listed, every = indexed_offsets(index, chunk, ids), indexed_offsets(index, chunk)
@@ -200,7 +199,7 @@ class McapReader(ChunkReader[Chunk, Loaded]):
         return wanted
 
     def _refuse_redefined(self, loaded: Loaded, chunk: Chunk, error: UnreadableDataError) -> None:
-        """Refuse a chunk that its checksum shows to be as it was written, not damaged."""
+        """Refuse the file if a checksum shows that the chunk is not damaged but written so."""
         if loaded.has_checksum:
             raise UnsupportedLogError(
                 self.source.path,
@@ -209,14 +208,14 @@ class McapReader(ChunkReader[Chunk, Loaded]):
             ) from error
 
     def _note_undefined(self, chunk: Chunk, messages: LocatedMessages) -> None:
-        """Note the messages of channels that no record defines."""
+        """Record messages of undefined channels as lost."""
         for id_, count in messages.counts().items():
             if chunk.id_offset + id_ not in self.index.channels:
                 self.losses.note(f"channel {id_}", UNDEFINED, count, chunk.start)
 
 
 def _check_times(loaded: Loaded, chunk: Chunk, messages: LocatedMessages) -> None:
-    """Refuse a chunk that no checksum shows to be whole, and whose times are not as stated."""
+    """Refuse a chunk without a checksum whose log times are outside its stated range."""
     if loaded.has_checksum or chunk.may_have_logged(messages.block.log_ns):
         return
     if checksums_matter():
@@ -227,6 +226,6 @@ def _check_times(loaded: Loaded, chunk: Chunk, messages: LocatedMessages) -> Non
 
 
 def message_count(chunks: Sequence[Chunk], ids: Sequence[int]) -> int | None:
-    """Return how many messages of some channels the chunks hold; None if that is unknown."""
+    """Return the number of messages of some channels in some chunks; None if unknown."""
     counts = [chunk.count(id_) for chunk in chunks for id_ in chunk.local_ids(ids)]
     return None if None in counts else sum(count for count in counts if count is not None)

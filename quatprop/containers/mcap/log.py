@@ -1,4 +1,4 @@
-"""MCAP files: profiles ros1, ros2 or any other, chunked or not, with or without summary."""
+"""MCAP files: any profile, chunked or not, with or without a summary."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _CLAMPED = Remark(
 class McapLog(ChunkedLog[Chunk]):
     """An MCAP file; see :class:`quatprop.containers.base.MessageLog`.
 
-    `is_zstd`: whether messages are known to be compressed one by one; those in CDR are recognised
+    `is_zstd`: whether messages are compressed one by one; for CDR this is detected, too
     """
 
     kind = "mcap"
@@ -53,7 +53,7 @@ class McapLog(ChunkedLog[Chunk]):
         super().__init__(log)
 
     def read_index(self) -> None:
-        """Read what the file holds and where."""
+        """Read the index of the file."""
         magic = self.source.read(0, len(MAGIC))
         if magic != MAGIC:
             self._refuse(magic)
@@ -81,22 +81,22 @@ class McapLog(ChunkedLog[Chunk]):
         )
 
     def channels(self) -> list[Channel]:
-        """Return every channel, in order of topic, with or without messages."""
+        """Return all channels in order of topic, with or without messages."""
         return by_topic(replace(c, count=self._count(ids)) for c, ids in self._ids.items())
 
     def _count(self, ids: Sequence[int]) -> int | None:
-        """Return how many messages the channels of these ids have; None if that is unknown."""
+        """Return the number of messages of some channel ids; None if unknown."""
         if self._are_accounted_for(ids):
             return self._stated_of(ids)
-        # A damaged index may list none.
+        # A damaged index may list no messages.
         return self._stated_of(ids) or self._listed_of(ids) or None
 
     def _stated_of(self, ids: Sequence[int]) -> int | None:
-        """Return how many messages of some channels the statistics state, if there are any."""
+        """Return the number of messages of some channels by the statistics; None without these."""
         return None if self._stated is None else sum(self._stated.get(id_, 0) for id_ in ids)
 
     def _listed_of(self, ids: Sequence[int]) -> int | None:
-        """Return how many messages of some channels the indexes of all chunks list."""
+        """Return the number of messages of some channels by the chunk indexes; None if unknown."""
         return None if self._listed is None else sum(self._listed[id_] for id_ in ids)
 
     @cached_property
@@ -111,28 +111,28 @@ class McapLog(ChunkedLog[Chunk]):
         return total
 
     def _are_accounted_for(self, ids: Sequence[int]) -> bool:
-        """Return whether the statistics show that the indexes list every message of some channels.
+        """Return whether the indexes list as many messages of some channels as the statistics.
 
-        Where a damaged index hides a channel, only they, or the chunk itself, tell.
+        Otherwise a damaged index may lack a channel that its chunk has.
         """
         stated = self._stated_of(ids)
         return stated is not None and stated == self._listed_of(ids)
 
     def chunks_of(self, channel: Channel) -> list[Chunk]:
-        """Return the chunks that may hold a channel, in order of time."""
+        """Return the chunks that may have messages of a channel, in order of time."""
         ids, chunks = self._ids.get(channel, []), self._chunks
         if self._are_accounted_for(ids):
             chunks = [chunk for chunk in chunks if not set(ids).isdisjoint(chunk.ids)]
         return sorted(chunks, key=lambda chunk: (chunk.first_ns, chunk.start))
 
     def blocks(self, channel: Channel, within: TimeRange | None = None) -> Iterator[MessageBlock]:
-        """Yield the messages of one channel, and compare the number of all with the file's."""
+        """Yield the messages of one channel, and compare their number with the statistics."""
         count = yield from self.read(channel, parts_within(self.chunks_of(channel), within))
         if within is None:
             self._check_count(channel.topic, self._ids.get(channel, []), count)
 
     def read(self, channel: Channel, chunks: Sequence[Chunk]) -> Generator[MessageBlock, None, int]:
-        """Yield the messages of one channel in some chunks; return how many are there or lost."""
+        """Yield the messages of one channel in some chunks; return the number read or lost."""
         ids = self._ids.get(channel, [])
         reader = McapReader(self.source, self._definitions, channel.topic, ids, self._unchecked)
         count = 0
@@ -140,12 +140,12 @@ class McapLog(ChunkedLog[Chunk]):
             count += len(block)
             self.unchecked_chunks = len(self._unchecked)
             self._remark_on_clamped(block)
-            whole, lost = decompressed(block, channel.encoding, is_known=self._is_zstd)
+            messages, lost = decompressed(block, channel.encoding, is_known=self._is_zstd)
             if lost:
                 place, reason = f"topic {quoted(channel.topic)}", "their zstd data is damaged"
                 self.losses.note(place, reason, lost, int(block.log_ns[0]))
-            if len(whole):
-                yield whole
+            if len(messages):
+                yield messages
         return count + reader.lost
 
     def complete(self, completed: Callable[[Channel], Channel]) -> None:
@@ -156,7 +156,7 @@ class McapLog(ChunkedLog[Chunk]):
         self._ids = ids_of
 
     def recorded_provenance(self) -> dict[str, str]:
-        """Return the provenance of each topic, which a metadata record may carry, as JSON."""
+        """Return the provenance of each topic as JSON, from the metadata records."""
         try:
             return read_provenance(self.source, self.index.metadata)
         except OSError as error:
@@ -167,24 +167,24 @@ class McapLog(ChunkedLog[Chunk]):
             self.remarks = [*self.remarks, _CLAMPED]
 
     def _check_count(self, topic: str, ids: Sequence[int], count: int) -> None:
-        """Note a loss if the file states more messages than were read or lost."""
+        """Record a loss if the statistics state more messages than were read or lost."""
         missing = (self._stated_of(ids) or 0) - count - self._undefined()
         if missing > 0:
             reason = f"it counts {missing} messages more than there are"
             self.losses.note("summary", reason, missing, topic)
 
     def _undefined(self) -> int:
-        """Return how many messages are lost since their channel is unknown: it may be any."""
+        """Return the number of lost messages of undefined channels, which may be any channel's."""
         stated = {f"channel {id_}" for id_ in self._stated or ()}
         lost = [loss for loss in self.losses if loss.reason == UNDEFINED]
         return sum(loss.messages or 0 for loss in lost if loss.place not in stated)
 
 
 def build_index(source: FileSource) -> McapIndex:
-    """Return what a file holds and where; its `losses` say what cannot be read.
+    """Return the index of a file, with `losses` for what cannot be read.
 
-    The summary at its end is used if it is whole and agrees with the file. What it does not cover,
-    or the whole file if it has none, is scanned record by record.
+    The summary at its end is used if it is intact and agrees with the file. Parts that it does not
+    cover, or the whole file if it has none, are scanned record by record.
     """
     footer = read_footer(source)
     summary = Summary() if footer is None else read_summary(source, footer)
@@ -193,7 +193,7 @@ def build_index(source: FileSource) -> McapIndex:
         end = footer.data_end if summary else footer.footer_start
     scan = _scanned(source, end, summary, is_closed=footer is not None)
     if footer is not None and not summary and scan.summary_start not in {0, footer.data_end}:
-        # Bytes are missing, or too many, before the summary: it is not where the footer says.
+        # Bytes are missing or inserted before the summary, so the footer's offset is wrong.
         summary = read_summary(source, footer._replace(summary_start=scan.summary_start))
     index = summary.index
     index.chunks, index.losses = scan.chunks, scan.losses
@@ -208,11 +208,11 @@ def build_index(source: FileSource) -> McapIndex:
 
 
 def _scanned(source: FileSource, end: int, summary: Summary, *, is_closed: bool) -> Scan:
-    """Scan the data section; what the summary says of its chunks is used where it fits the file."""
+    """Scan the data section, except for chunks of the summary that are where it states."""
     usable = _usable_chunks(source, summary)
     scan = Scan(source, end, dict(usable), summary.attachments)
     scan.run(is_closed=is_closed)
-    # Chunks that the scan did not come by, or records that do not begin where a chunk ends.
+    # The scan missed a chunk, or no record begins where one ends.
     if usable and (scan.indexed or scan.losses):
         scan = Scan(source, end, {}, summary.attachments)
         scan.run(is_closed=is_closed)
@@ -224,7 +224,7 @@ def _scanned(source: FileSource, end: int, summary: Summary, *, is_closed: bool)
 def _usable_chunks(source: FileSource, summary: Summary) -> dict[int, Chunk]:
     """Return the chunks of the summary; none if bytes are missing or inserted before the last one.
 
-    The definitions of the summary are used all the same.
+    The definitions in the summary are used in any case.
     """
     if not summary.chunks:
         return {}

@@ -1,7 +1,7 @@
 """Locate the messages of a decompressed chunk of an MCAP file.
 
-Where messages begin is taken from the message index, and checked; if there is no index, or it
-disagrees with the records, the records are walked.
+The offsets of messages are those of the message index, which are checked. If there is no index, or
+it disagrees with the records, the records are walked.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ if TYPE_CHECKING:
 _HEAD = MESSAGE_HEAD.itemsize
 _FIXED = _HEAD - RECORD.size
 _CHANNEL_BITS = (1 << 24) - 1
-"""Of the second 8 bytes of a message record: the end of its length, and its channel."""
+"""Mask of the second 8 bytes of a message record: the end of its length, and its channel."""
 
 
 @dataclass(slots=True)
 class LocatedMessages:
-    """Messages of several channels, and which channel each is of.
+    """Messages of several channels.
 
-    `block`: the messages. Unsigned times after the year 2262 are negative in its `publish_ns`, and
+    `block`: the messages. Times after the year 2262, unsigned, are negative in its `publish_ns` and
         clamped to :data:`~quatprop.times.LATEST` in `log_ns`
-    `channels`: channel ids, shape ``(N,)``; may be a view of the buffer
+    `channels`: channel id of each, shape ``(N,)``; may be a view of the buffer
     """
 
     block: MessageBlock
@@ -45,7 +45,7 @@ class LocatedMessages:
 
     def of(self, ids: Sequence[int]) -> LocatedMessages:
         """Return the messages of some channels."""
-        # Those at even distances are all of one channel.
+        # Evenly spaced messages are all of one channel.
         wanted = _is_one_of(self.channels[: 1 if self.block.stride else None], ids)
         if wanted.all():
             return self
@@ -57,19 +57,19 @@ class LocatedMessages:
         return len(self.channels)
 
     def fill(self, data: Buffer, begin: int) -> bool:
-        """Return whether nothing is between them, from `begin` to the end of the records."""
+        """Return whether these messages fill `data` from `begin` to its end without gaps."""
         starts, ends = self.block.starts, self.block.ends
         size = int((ends - starts).sum()) + len(starts) * _HEAD
         return int(starts[0]) - _HEAD == begin == len(data) - size
 
     def counts(self) -> dict[int, int]:
-        """Return how many messages each channel has."""
+        """Return the number of messages of each channel."""
         ids, counts = np.unique(self.channels, return_counts=True)
         return dict(zip(ids.tolist(), counts.tolist(), strict=True))
 
 
 def _is_one_of(channels: NDArray[np.uint16], ids: Sequence[int]) -> NDArray[np.bool_]:
-    # For a few ids this is several times quicker than np.isin.
+    # For a few ids this is several times faster than np.isin.
     matches = np.zeros(len(channels), np.bool_)
     for id_ in ids:
         matches |= channels == id_
@@ -77,9 +77,9 @@ def _is_one_of(channels: NDArray[np.uint16], ids: Sequence[int]) -> NDArray[np.b
 
 
 def messages_at(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | None:
-    """Return the messages at ascending offsets, or None where an offset is not a message's.
+    """Return the messages at ascending offsets; None if no message begins at one of them.
 
-    `offsets`: where message records begin, shape ``(N,)``, int64
+    `offsets`: offsets of message records, shape ``(N,)``, int64
     """
     if len(offsets) == 0:
         none = MessageBlock(np.empty(0, np.uint8), offsets, offsets, offsets, offsets)
@@ -99,12 +99,12 @@ def messages_past_damage(
 ) -> LocatedMessages | None:
     """Return the messages of a walk that ended at damage, and those after the damage.
 
-    `walked`: where the walk found messages, shape ``(N,)``, int64; the length of the last may be
-        damaged
-    `indexed`: where messages begin by the index, shape ``(M,)``, int64, ascending
+    `walked`: offsets of messages that the walk found, shape ``(N,)``, int64; the length of the last
+        may be damaged
+    `indexed`: offsets of messages by the index, shape ``(M,)``, int64, ascending
     """
     after = indexed[indexed > walked[-1]] if len(walked) else indexed
-    # The damaged message may be the last that was walked to, or the first after it.
+    # The damaged message may be the last of the walk, or the first behind it.
     for before, later in ((walked, after), (walked[:-1], after), (walked, after[1:])):
         messages = messages_at(data, np.concatenate([before, later])) if len(later) else None
         if messages is not None:
@@ -113,12 +113,12 @@ def messages_past_damage(
 
 
 def _evenly_spaced(data: Buffer, first: int, count: int) -> LocatedMessages | None:
-    """Return so many messages of one length and channel with no other records between them."""
+    """Return `count` adjacent messages of one length and channel; None if there are others."""
     opcode, length = RECORD.unpack_from(data, first)
     stride = RECORD.size + length
     if opcode != MESSAGE or length < _FIXED:
         return None
-    # The first 16 bytes have opcode, length and channel; copying them once is quicker than two
+    # The first 16 bytes have opcode, length and channel; one copy of them is faster than two
     # comparisons over the whole chunk.
     front = np.ndarray((count,), "V16", data, first, (stride,)).copy().view("<u8").reshape(-1, 2)
     back = front[:, 1] & _CHANNEL_BITS
@@ -131,14 +131,14 @@ def _evenly_spaced(data: Buffer, first: int, count: int) -> LocatedMessages | No
 
 
 def _anywhere(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | None:
-    """Return the messages at ascending offsets; other records may lie between them."""
+    """Return the messages at ascending offsets, with or without other records between them."""
     if (offsets[1:] <= offsets[:-1]).any():
         return None
     head = heads_at(data, offsets)
     if head is None:
         return None
     length = head["length"]
-    # A length below the minimum wraps to a very large one, as it has no sign.
+    # A length below the minimum wraps to a very large unsigned number.
     if (length - _FIXED > len(data)).any():
         return None
     ends = offsets + length.astype(np.int64) + RECORD.size
@@ -148,11 +148,11 @@ def _anywhere(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | Non
 
 
 def heads_at(data: Buffer, offsets: NDArray[np.int64]) -> NDArray[np.void] | None:
-    """Return the heads of the messages at ascending offsets; None where others begin there."""
+    """Return the heads of the messages at ascending offsets; None if one is no message."""
     if offsets[-1] > len(data) - _HEAD:
         return None
-    # One gather of whole heads is far cheaper than one of each field; a stride of 1 byte lets
-    # records begin anywhere.
+    # One gather of whole heads is far cheaper than one of each field; a stride of 1 byte allows
+    # any offset.
     every = np.ndarray((len(data) - _HEAD + 1,), f"V{_HEAD}", data, strides=(1,))
     head = every[offsets].view(MESSAGE_HEAD)
     return None if (head["opcode"] != MESSAGE).any() else head
@@ -165,7 +165,7 @@ def _block(
     head: NDArray[np.void],
     stride: int = 0,
 ) -> MessageBlock:
-    """Return messages with the times in their heads, of which the log times are clamped."""
+    """Return messages with the times in their heads; log times are clamped to int64."""
     log_ns = head["log"].copy()
     if log_ns.min() < 0:
         log_ns[log_ns < 0] = LATEST
@@ -174,7 +174,7 @@ def _block(
 
 
 def index_of(source: FileSource, chunk: Chunk) -> bytes:
-    """Return the message indexes that follow a chunk; empty where they cannot be read."""
+    """Return the bytes of a chunk's message indexes; empty if they cannot be read."""
     try:
         return source.read(chunk.start + chunk.length, chunk.index_length)
     except OSError:
@@ -184,7 +184,7 @@ def index_of(source: FileSource, chunk: Chunk) -> bytes:
 def indexed_offsets(
     index: Buffer, chunk: Chunk, ids: Sequence[int] | None = None
 ) -> NDArray[np.int64] | None:
-    """Return the offsets that the message indexes of some channels list, or those of all.
+    """Return the message offsets in a chunk's message indexes.
 
     `ids`: the channels; None for all
     `Returns`: shape ``(N,)``, int64, ascending; None if there is no index or it is damaged
@@ -206,7 +206,7 @@ def indexed_offsets(
 def index_entries(
     index: Buffer, chunk: Chunk, place: int, channel: int
 ) -> NDArray[np.int64] | None:
-    """Return the log times and offsets in the message index of a channel.
+    """Return the log times and message offsets in the message index of a channel.
 
     `Returns`: shape ``(N, 2)``, int64; None if it is damaged
     """

@@ -1,6 +1,6 @@
-"""The records of an MCAP file that name things: channels, schemas and metadata.
+"""Channel, schema and metadata records of an MCAP file.
 
-Read without the mcap library, which takes longer to be imported than a small log to be propagated.
+Importing the mcap library would take longer than propagating a small log.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from quatprop.stores.compression import Buffer
 
 MALFORMED = (ValueError, struct.error)
-"""Exceptions that are raised when a damaged record is read."""
+"""Exceptions that damaged records raise."""
 
 
 class SchemaRecord(NamedTuple):
@@ -28,7 +28,7 @@ class SchemaRecord(NamedTuple):
 
     @property
     def identity(self) -> tuple[str, str, bytes]:
-        """What makes it another schema: name, encoding and text."""
+        """Name, encoding and text: schemas with the same identity are equal."""
         return self.name, self.encoding, self.data
 
 
@@ -43,7 +43,7 @@ class ChannelRecord(NamedTuple):
 
     @property
     def identity(self) -> tuple[str, str, int]:
-        """What makes it another channel: topic, encoding and schema."""
+        """Topic, encoding and schema: channels with the same identity are equal."""
         return self.topic, self.message_encoding, self.schema_id
 
 
@@ -53,7 +53,7 @@ def read_schema(content: Buffer) -> SchemaRecord:
     name, encoding, data = prefixed(content, 2, 3)
     rest = bytes(content[2 + 3 * 4 + len(name) + len(encoding) + len(data) :])
     if rest.isascii() and rest.decode().strip().isprintable() and rest.strip():
-        raise ValueError  # more of the definition, whose length is damaged, and no new field
+        raise ValueError  # text behind the definition: its length is damaged
     return SchemaRecord(id_, name.decode(), encoding.decode(), data)
 
 
@@ -65,13 +65,13 @@ def read_channel(content: Buffer) -> ChannelRecord:
 
 
 def read_metadata(content: Buffer) -> tuple[str, dict[str, str]]:
-    """Return name and entries of a metadata record."""
+    """Return the name and entries of a metadata record."""
     name, entries = prefixed(content, 0, 2)
     return name.decode(), _mapping(entries)
 
 
 def prefixed(content: Buffer, begin: int, count: int) -> list[bytes]:
-    """Return parts of a record that stand behind their lengths, from an offset on."""
+    """Return the first `count` length-prefixed values of a record, from an offset on."""
     parts = list(islice(_parts(content, begin), count))
     if len(parts) < count:
         raise ValueError

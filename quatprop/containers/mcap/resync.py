@@ -1,16 +1,15 @@
-"""The record grammar of MCAP: what a record is, where it ends, and where the next one begins.
+"""Determine the kind and end of damaged MCAP records, and find the next record after damage.
 
-Of the first two there are two witnesses, the head of a record and its content. A damaged length
-leads into the middle of a later record, or into an MCAP file that is attached; a damaged opcode
-hides a record. Most contents say themselves how long they are; later versions of the format may
-add fields behind them.
+The kind and the length of a record are stated by its head and follow, for most kinds, from its
+content; later versions of the format may add fields behind it. A damaged length leads into the
+middle of a later record, or into an attached MCAP file; a damaged opcode hides a record.
 
 Any 9 bytes could be the head of a record. A candidate is accepted if its lengths are consistent, as
 those of a chunk must be, or if its length leads to a second record, and that to a third.
 
 References
 ----------
-The MCAP format specification, "Records": strings, maps and arrays stand behind their lengths.
+The MCAP format specification, "Records": strings, maps and arrays are length-prefixed.
 """
 
 from __future__ import annotations
@@ -43,31 +42,31 @@ if TYPE_CHECKING:
     from quatprop.stores.file_source import FileSource
 
 CHUNKS = frozenset({CHUNK})
-"""Opcodes to look for where the messages inside an uncompressed chunk would match, too."""
+"""Opcodes to search for where messages in an uncompressed chunk would match, too."""
 
 RECORDS = frozenset(
     {SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END}
 )
-"""Opcodes to look for elsewhere."""
+"""Opcodes to search for elsewhere."""
 
 _CHAIN = 3
-"""Records that must follow each other for the first to be accepted."""
+"""Number of consecutive records that are required to accept the first."""
 
 _TRIES = 200_000
-"""Candidates that are tried before the search is given up, so that it ends on hostile files."""
+"""Maximum number of candidates, so that the search ends on hostile files."""
 
 _HIGH = slice(5, RECORD.size)
-"""The bytes of a record head that are 0 in any record below a terabyte."""
+"""The bytes of a record head that are 0 in records below a terabyte."""
 
 _MESSAGE_FIXED = 22
 
 
 class _Form(NamedTuple):
-    """What the content of a record consists of.
+    """The layout of a record's content.
 
     `before`: bytes before the first length
-    `short`: how many parts there are behind lengths of 4 bytes
-    `long`: how many there are behind lengths of 8 bytes after them
+    `short`: number of values with lengths of 4 bytes
+    `long`: number of values with lengths of 8 bytes, behind them
     `after`: bytes at the end
     """
 
@@ -88,11 +87,11 @@ _FORMS = {
     DATA_END: _Form(4, 0),
 }
 FIRST_PRIVATE_OPCODE = 0x80
-"""Records with this opcode or a higher one are those of other programs."""
+"""This opcode and higher ones are reserved for other programs."""
 
 
 def length_by_content(source: FileSource, position: int, opcode: int, head: bytes) -> int | None:
-    """Return how long the content of a record says that it is."""
+    """Return the length of a record's content by the lengths in it; None if it has none."""
     form = _FORMS.get(opcode)
     if form is None:
         return None
@@ -107,11 +106,11 @@ def length_by_content(source: FileSource, position: int, opcode: int, head: byte
 
 
 def opcode_by_content(source: FileSource, position: int, head: bytes) -> int | None:
-    """Return of which kind a record is that is not of the kind that its opcode says.
+    """Return the opcode of a record whose stated opcode is damaged; None if it is unknown.
 
-    The content must be exactly as long as that of the other kind would be. Only one bit of the
-    opcode may differ, for programs may have records of their own; but none may write the opcodes
-    that are reserved. A data end has no lengths that could show that it is one.
+    The length must be exactly that of the content of the other kind. Only one bit of the opcode may
+    differ, since programs may write private records; any reserved opcode may be a damaged chunk. A
+    data end has no lengths by which to recognise it.
     """
     opcode, length = RECORD.unpack_from(head)
     others: list[int] = [opcode ^ 1 << bit for bit in range(8)]
@@ -124,7 +123,7 @@ def opcode_by_content(source: FileSource, position: int, head: bytes) -> int | N
 
 
 def attachment_end(source: FileSource, position: int, ends: list[int]) -> int | None:
-    """Return which of several places is the end of an attachment, by its checksum."""
+    """Return the offset, of several, at which an attachment ends by its checksum, or None."""
     for end in ends:
         stored = int.from_bytes(source.read(end - 4, 4), "little")
         actual = 0
@@ -138,7 +137,7 @@ def attachment_end(source: FileSource, position: int, ends: list[int]) -> int | 
 def next_record(
     source: FileSource, start: int, stop: int, end: int, kinds: Container[int]
 ) -> int | None:
-    """Return where the first record begins that can be accepted as one."""
+    """Return the offset of the first record that is accepted; None if there is none."""
 
     def found(window: bytes) -> list[int]:
         return _candidates(window, kinds)
@@ -150,7 +149,7 @@ def next_record(
 
 
 def _candidates(window: bytes, kinds: Container[int]) -> list[int]:
-    """Return where the bytes could be the head of a record."""
+    """Return the offsets of bytes that could be the head of a record."""
     count = len(window) - RECORD.size + 1
     if count <= 0:
         return []
@@ -163,7 +162,7 @@ def _candidates(window: bytes, kinds: Container[int]) -> list[int]:
 
 
 def is_record(source: FileSource, position: int, end: int) -> bool:
-    """Tell whether a record begins at a place, rather than bytes that look like one."""
+    """Return whether a record begins at `position`, rather than bytes that look like one."""
     for _ in range(_CHAIN):
         head = source.read(position, PEEK)
         if len(head) < RECORD.size:
@@ -181,7 +180,7 @@ def is_record(source: FileSource, position: int, end: int) -> bool:
 
 
 def _is_plausible(source: FileSource, position: int, head: bytes) -> bool:
-    """Tell whether a record of this kind can have this length."""
+    """Return whether a record of this kind can have this length."""
     opcode, length = RECORD.unpack_from(head)
     if opcode == MESSAGE:
         return bool(length >= _MESSAGE_FIXED)

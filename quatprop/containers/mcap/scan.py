@@ -1,7 +1,7 @@
 """A scan of the data section of an MCAP file, from record to record.
 
-The content of chunks and attachments is skipped. Where the records cannot be followed, the scan
-goes on at the next place that is certain to be a record.
+The content of chunks and attachments is skipped. After damage the scan resumes at the next record
+that is recognised with certainty.
 """
 
 from __future__ import annotations
@@ -51,18 +51,18 @@ if TYPE_CHECKING:
     from quatprop.stores.file_source import FileSource
 
 _LOOSE_SIZE = 1 << 22
-"""Bytes of messages outside chunks that are taken for one chunk."""
+"""Bytes of messages outside chunks that are treated as one chunk."""
 _NOT_MESSAGES = frozenset(range(256)) - {SCHEMA, CHANNEL, MESSAGE}
 
 
 class Scan:
     """A scan of the data section, from record to record.
 
-    `indexed`: chunks of the summary, which are not scanned, by where they begin. Those that the
-        scan comes by are removed
-    `attachments`: how long the attachments of the summary are, by where they begin
-    `summary_start`: where the first data end record ends; 0 while none was read
-    `is_ended`: whether a data end was read, so that nothing more is expected
+    `indexed`: chunks of the summary by offset, which are not scanned. Those that the scan reaches
+        are removed
+    `attachments`: lengths of the attachments in the summary by offset, bytes
+    `summary_start`: offset behind the first data end record; 0 before it is read
+    `is_ended`: whether a data end was read, so that no more records are expected
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class Scan:
         self.is_ended = False
 
     def run(self, *, is_closed: bool) -> None:
-        """Scan the data section; `is_closed` says whether the file has a footer."""
+        """Scan the data section; `is_closed` if the file has a footer."""
         position = len(MAGIC)
         while position < self.end:
             chunk = self.indexed.pop(position, None)
@@ -87,7 +87,7 @@ class Scan:
                 position = chunk.end
                 continue
             begin = position
-            opcode, position = self._step(position)
+            opcode, position = self._read_record(position)
             if opcode == DATA_END and not self.summary_start:
                 self.summary_start = position
                 self._check_data(begin)
@@ -100,18 +100,18 @@ class Scan:
             )
 
     def add_lost(self, chunks: Iterable[Chunk]) -> None:
-        """Add chunks that are not where the summary has them, so that what is lost is counted."""
+        """Add chunks of the summary that the scan did not find, so that their loss is counted."""
         starts = {chunk.start for chunk in self.chunks}
         for chunk in [chunk for chunk in chunks if chunk.start not in starts]:
             if all(chunk.end <= each.start or each.end <= chunk.start for each in self.chunks):
                 self.chunks.append(chunk)
         self.chunks.sort(key=lambda chunk: chunk.start)
 
-    def _step(self, position: int) -> tuple[int, int]:
-        """Process the record at `position`; return its opcode and where the next one begins."""
+    def _read_record(self, position: int) -> tuple[int, int]:
+        """Process the record at `position`; return its opcode and the offset of the next one."""
         head = self.source.read(position, min(PEEK, self.end - position))
         if head.startswith(MAGIC):
-            # Files that were put one behind another: a footer comes before, a header after.
+            # Between concatenated files the magic is repeated: a footer precedes, a header follows.
             if self.source.read(position + len(MAGIC), 8) == MAGIC:
                 self.definitions.begin_file()
                 self.is_ended = False
@@ -124,7 +124,7 @@ class Scan:
             self.chunks.append(Chunk(position, length, True, 0))
             return opcode, end
         if opcode == ATTACHMENT and end > self.end:
-            # What follows may be records of a file that is attached.
+            # The bytes that follow may be records of an attached file.
             self.losses.note(f"attachment at byte {position}", TORN)
             return opcode, self._next_indexed(position)
         if opcode in {0, CHUNK}:
@@ -139,7 +139,7 @@ class Scan:
         return opcode, end
 
     def _extent(self, position: int, head: bytes) -> tuple[int, int]:
-        """Return the opcode of the record at `position` and where it ends; 0 if it is damaged."""
+        """Return the opcode of the record at `position`, 0 if it is damaged, and its end."""
         opcode, length = RECORD.unpack_from(head)
         stated = position + RECORD.size + length
         by_content = length_by_content(self.source, position, opcode, head)
@@ -158,14 +158,14 @@ class Scan:
         if not followed:
             return (opcode if opcode == CHUNK else 0), stated
         if opcode == DATA_END and followed[0] == stated:
-            opcode = 0x7F  # any that is unknown: a data end is not as long
+            opcode = 0x7F  # an unknown opcode: a data end is shorter
         return opcode, followed[0]
 
     def _is_followed(self, end: int) -> bool:
         return end == self.end or (end < self.end and is_record(self.source, end, self.end))
 
     def _attachment_end(self, position: int, ends: list[int], followed: list[int]) -> int:
-        """Return where an attachment ends: its records may be those of another file."""
+        """Return the end of an attachment: records in it may be those of another file."""
         indexed = position + self.attachments.get(position, 0)
         if indexed in followed:
             return indexed
@@ -173,9 +173,9 @@ class Scan:
         return checked if checked in followed else max(followed)
 
     def _is_torn(self, position: int) -> bool:
-        """Tell whether the file ends inside a chunk, and note that; False where others follow.
+        """Return whether the file ends inside a chunk, and record the loss.
 
-        If bytes are missing in the middle of a chunk, it seems to end beyond the file, too.
+        If another chunk follows, bytes are missing in the middle of this one instead.
         """
         if (
             self.end < self.source.size
@@ -186,23 +186,23 @@ class Scan:
         return True
 
     def _damaged(self, position: int, opcode: int) -> int:
-        """Note that no record can be read at `position`; return where to go on."""
+        """Record that no record can be read at `position`; return where to resume."""
         limit = self._next_indexed(position)
         last = self.chunks[-1] if self.chunks else None
         resumed_at = None
         if last is not None and last.is_chunk and last.end == position:
-            # The length of the chunk before may be wrong.
+            # The length of the previous chunk may be wrong.
             resumed_at = next_record(self.source, last.start + 1, position, self.end, CHUNKS)
-            # The damage may have hit the message index of another channel of that chunk.
+            # The damaged record may be a message index of that chunk, of another channel.
             self.chunks[-1] = replace(last, message_index_offsets=None, index_length=0)
         if resumed_at is None:
             resumed_at = next_record(self.source, position + 1, limit, self.end, RECORDS)
             for begin, length in self.attachments.items():
                 if resumed_at is not None and begin <= resumed_at < begin + length <= limit:
-                    resumed_at = begin + length  # records in it are not of this file
+                    resumed_at = begin + length  # records in an attachment are not of this file
         skipped_to = limit if resumed_at is None else resumed_at
         if self.is_ended and resumed_at is None:
-            return skipped_to  # a damaged summary, which holds no messages
+            return skipped_to  # a damaged summary, which has no messages
         is_opcode = 0 < opcode <= DATA_END or opcode >= FIRST_PRIVATE_OPCODE
         if is_opcode and skipped_to == self.end == self.source.size:
             place = f"chunk at byte {position}" if opcode == CHUNK else f"byte {position}"
@@ -218,9 +218,9 @@ class Scan:
         return self.starts[after] if after < len(self.starts) else self.end
 
     def _check_data(self, end: int) -> None:
-        """Compare the checksum in the data end record, if there are no other checksums.
+        """Verify the checksum in the data end record, if there are no chunks.
 
-        Chunks have their own, and may be many gigabytes of which little is read.
+        Chunks have their own, and of many gigabytes of chunks little may be read.
         """
         record = self.source.read(end, RECORD.size + 4)
         crc = int.from_bytes(record[RECORD.size :], "little")
@@ -234,7 +234,7 @@ class Scan:
             self.losses.note("data section", reason)
 
     def _chunk(self, position: int, length: int, head: bytes) -> bool:
-        """Add a chunk; False where none begins there, or where it does not end in the file."""
+        """Add a chunk; return False if no chunk begins there or its end is not in the file."""
         stated = chunk_head(head, length)
         if stated is None or (position + length > self.end and not self._is_torn(position)):
             return False
@@ -257,7 +257,7 @@ class Scan:
         chunk.index_length += length
 
     def _messages(self, position: int, end: int) -> int:
-        """Add the messages outside chunks from `position` on; return where they end."""
+        """Add the messages outside chunks from `position` on; return the end of their run."""
         if end - position > MAX_SIZE:
             self.losses.note(f"message at byte {position}", "it is too large")
             return end
@@ -270,7 +270,7 @@ class Scan:
         end = walked.end
         for opcode, begin, stop in walked.definitions:
             if self.definitions.redefines(opcode, data[begin:stop]):
-                end = begin - RECORD.size  # what follows is another chunk
+                end = begin - RECORD.size  # a new run of messages begins
                 break
             place = f"at byte {position + begin - RECORD.size}"
             self.definitions.add(opcode, data[begin:stop], place)

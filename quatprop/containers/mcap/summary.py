@@ -1,4 +1,4 @@
-"""The footer and summary section of an MCAP file, and the metadata records that it lists."""
+"""Footer and summary section of an MCAP file, and the metadata records listed in it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from quatprop.stores.file_source import FileSource
 
 MAGIC = b"\x89MCAP0\r\n"
-"""The bytes with which every MCAP file begins and ends."""
+"""The first and the last bytes of every MCAP file."""
 _FOOTER, _CHUNK_INDEX, _ATTACHMENT_INDEX, _STATISTICS, _METADATA_INDEX = 2, 8, 10, 11, 13
 _LARGEST_METADATA = 1 << 24
 _FOOTER_FIELDS = struct.Struct("<QQI")
@@ -37,17 +37,17 @@ _CHUNK_INDEX_HEAD = struct.Struct("<QQQQI")
 _STATISTICS_HEAD = struct.Struct("<QHIIIIQQ")
 _LONGEST_DATA_END = 64
 _PLACE = struct.Struct("<QQ")
-"""Where a record begins, and its length."""
+"""Offset and length of a record."""
 
 
 @dataclass(slots=True)
 class McapIndex:
-    """The index of a file: what it holds and where.
+    """The index of a file.
 
-    `chunks`: where its messages are, in order of the file
+    `chunks`: its chunks, in the order of the file
     `channels`, `schemas`: the records by their ids
-    `counts`: number of messages of each channel id, where the file states them
-    `metadata`: where the metadata records with provenance begin, by the summary
+    `counts`: number of messages by channel id; None if the file does not state them
+    `metadata`: offsets of the metadata records with provenance, by the summary
     """
 
     chunks: list[Chunk] = field(default_factory=list)
@@ -58,7 +58,7 @@ class McapIndex:
     losses: Losses = field(default_factory=Losses)
 
     def define(self, opcode: int, content: Buffer, place: str, id_offset: int = 0) -> None:
-        """Add a schema or channel record; the first with an id counts."""
+        """Add a schema or channel record, unless its id is defined already."""
         try:
             if opcode == SCHEMA:
                 schema = read_schema(content)
@@ -80,7 +80,7 @@ class McapIndex:
 
 
 class Footer(NamedTuple):
-    """Where the data section ends and the summary begins (0 if there is none), and its CRC."""
+    """Offsets of the end of the data, the summary (0 if none) and the footer; summary CRC."""
 
     data_end: int
     summary_start: int
@@ -101,10 +101,10 @@ def read_footer(source: FileSource) -> Footer | None:
 
 
 def _ends_data(source: FileSource, place: int) -> bool:
-    """Tell whether the data section ends at a place, as it does before any summary."""
+    """Return whether a data end record, which precedes any summary, ends at an offset."""
     begin = max(0, place - _LONGEST_DATA_END)
     tail = source.read(begin, place - begin)
-    # Later versions of the format may add fields to it.
+    # Later versions of the format may add fields to the record.
     return any(
         RECORD.unpack_from(tail, at) == (DATA_END, len(tail) - at - RECORD.size)
         for at in reversed(range(len(tail) - RECORD.size - 3))
@@ -116,8 +116,8 @@ class Summary:
     """The content of the summary section.
 
     `index`: channels, schemas, counts and metadata records
-    `attachments`: how long each attachment is, by where it begins
-    `channel_count`: how many channels the statistics state; None if there are none
+    `attachments`: length of each attachment by offset, bytes
+    `channel_count`: number of channels by the statistics; None without statistics
     """
 
     index: McapIndex = field(default_factory=McapIndex)
@@ -174,7 +174,7 @@ def read_summary(source: FileSource, footer: Footer) -> Summary:
 
 
 def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Yield opcode and content of each record of the summary."""
+    """Yield the opcode and content of each record of the summary."""
     position = 0
     while position < len(data):
         opcode, length = RECORD.unpack_from(data, position)
@@ -188,7 +188,7 @@ def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
 def _indexed_chunk(content: memoryview, *, is_checked: bool) -> Chunk:
     """Return the chunk that a chunk index record describes.
 
-    Only times that a checksum shows to be right are a reason to leave it unread.
+    Its latest time is used to skip it only if a checksum was verified.
     """
     first, last, start, length, map_size = _CHUNK_INDEX_HEAD.unpack_from(content)
     begin = _CHUNK_INDEX_HEAD.size
@@ -206,7 +206,7 @@ def _indexed_chunk(content: memoryview, *, is_checked: bool) -> Chunk:
 
 
 def read_provenance(source: FileSource, offsets: Iterable[int]) -> dict[str, str]:
-    """Return the provenance of each topic, as JSON; under ``""`` that of all others."""
+    """Return the provenance of each topic as JSON; that of all other topics under ``""``."""
     entries = [_metadata_at(source, offset) for offset in offsets]
     return {
         entry.get("topic", ""): entry["provenance"] for entry in entries if "provenance" in entry
@@ -214,7 +214,7 @@ def read_provenance(source: FileSource, offsets: Iterable[int]) -> dict[str, str
 
 
 def _metadata_at(source: FileSource, offset: int) -> dict[str, str]:
-    """Return the entries of one record; none where it is damaged."""
+    """Return the entries of a metadata record; empty if it is damaged."""
     head = source.read(offset, RECORD.size)
     if len(head) < RECORD.size:
         return {}

@@ -1,4 +1,4 @@
-"""Walk over the records of a decompressed chunk, or of messages outside chunks."""
+"""Walk the records of a decompressed chunk, or of messages outside chunks."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ MESSAGE_HEAD = np.dtype(
 )
 _FIXED = MESSAGE_HEAD.itemsize - RECORD.size
 _LONG_RUN = 16
-"""Equal lengths in a row after which further records of that length are looked for in bulk."""
+"""Number of equal lengths in a row after which records of that length are searched in bulk."""
 
 
 @dataclass(slots=True)
 class WalkedRecords:
-    """The result of walking over records.
+    """The result of a walk.
 
-    `offsets`: where each message record begins, shape ``(N,)``, int64
+    `offsets`: offset of each message record, shape ``(N,)``, int64
     `definitions`: opcode, and begin and end of the content, of each schema and channel
-    `end`: where the walk ended: after the last whole record, or before one to stop at
-    `malformed`: message records too short to be messages
+    `end`: end of the walk: behind the last complete record, or before one to stop at
+    `malformed`: number of message records that are too short
     """
 
     offsets: NDArray[np.int64]
@@ -45,7 +45,7 @@ class WalkedRecords:
 
 
 def walk_records(data: Buffer, stop_at: Container[int] = frozenset({0})) -> WalkedRecords:
-    """Follow the records of `data` by their lengths."""
+    """Walk the records of `data` by their lengths, up to an opcode in `stop_at`."""
     result = WalkedRecords(np.empty(0, np.int64))
     parts: list[NDArray[np.int64]] = []
     single: list[int] = []
@@ -80,7 +80,7 @@ def walk_records(data: Buffer, stop_at: Container[int] = frozenset({0})) -> Walk
 
 
 def _run(data: Buffer, position: int, length: int) -> int:
-    """Return how many message records of one length follow each other from `position`."""
+    """Return the number of consecutive message records of one length from `position` on."""
     stride = RECORD.size + length
     possible = (len(data) - position) // stride
     done, ask = 0, 64

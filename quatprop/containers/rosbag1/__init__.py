@@ -1,1 +1,1 @@
-"""ROS 1 bags: records, chunks and indexes, whole or damaged."""
+"""ROS 1 bags: records, chunks and indexes, intact or damaged."""

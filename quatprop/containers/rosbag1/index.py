@@ -1,6 +1,6 @@
-"""The chunks of a ROS 1 bag, from its index or, if it has none, by walking its records.
+"""The chunks of a ROS 1 bag, from its index or, without one, from a walk over its records.
 
-A bag that was not closed (``.bag.active``, or cut off) has no index. Its records are walked from
+A bag that was not closed (``.bag.active``, or truncated) has no index. Its records are walked from
 the beginning: counts and times are in the index data that follows each chunk, and the connections
 are in the chunks themselves.
 """
@@ -34,28 +34,27 @@ if TYPE_CHECKING:
 MAGIC = b"#ROSBAG V2.0\n"
 
 _NUMBERS = 1 << 32
-"""Numbers that the connections of a bag can have."""
+"""Number of connection ids that a bag can have."""
 
 MAX_INDEX = 1 << 24
-"""Bytes of an index that are read at once."""
+"""Maximum bytes of an index that are requested in advance."""
 
 
 @dataclass(slots=True)
 class BagChunk:
     """A chunk, or a run of messages outside any chunk.
 
-    `start`: where its record begins
-    `end`: where its index data ends at the latest
-    `first_ns`: log time of its earliest message
+    `start`: offset of its record
+    `end`: upper bound of the end of its index data
+    `first_ns`, `last_ns`: earliest and latest log time, ns; the latest is None if unknown
     `counts`: number of messages of each connection
     `is_unchunked`: whether it is a run of messages outside any chunk
-    `id_offset`: what is added to the numbers of its connections: bags that were put one behind
-        another have numbers of their own, each counted from 0
-    `last_ns`: log time of its latest message; None if it is unknown
-    `is_checked`: whether it ends where the next chunk begins, or whatever is between them was read
-    `is_missing`: whether `counts` are what is missing of a chunk whose rest was found elsewhere
-    `is_proved`: whether `counts` are certain, so that it holds no other connection; None if that
-        was not looked at yet
+    `id_offset`: added to the ids of its connections: concatenated bags have ids of their own, each
+        counted from 0
+    `is_checked`: whether it ends where the next chunk begins, or all between them was read
+    `is_missing`: whether `counts` is the missing part of a chunk whose rest was found elsewhere
+    `is_proved`: whether `counts` is verified, so that it has no other connection; None if that was
+        not checked yet
     """
 
     start: int
@@ -72,23 +71,22 @@ class BagChunk:
 
     @property
     def place(self) -> str:
-        """Where it is, for a sentence."""
+        """Its position in the file, for sentences."""
         return f"{'messages' if self.is_unchunked else 'chunk'} at byte {self.start}"
 
     def local_ids(self, connections: AbstractSet[int]) -> set[int]:
-        """Return the numbers that some connections of the file have inside the chunk."""
+        """Return the ids in the chunk of connections, from their ids in the file."""
         return {conn - self.id_offset for conn in connections}
 
 
 @dataclass(frozen=True, eq=False)
 class ChunkRecords:
-    """What was loaded of a chunk.
+    """The content of a chunk.
 
-    `data`: its decompressed records, as far as they could be read, shape ``(B,)``
-    `damage`: why they end early, or ``""``
-    `read_index`: reads the index data that follow the chunk
-    `offsets`: where the wanted messages begin in `data`, which has little else; None if it is
-        whole
+    `data`: its decompressed records, as far as they can be read, shape ``(B,)``
+    `damage`: the reason why they are incomplete, or ``""``
+    `read_index`: reads the index data behind the chunk
+    `offsets`: offsets of the wanted messages in `data`, if only these were read; None if all
     """
 
     data: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
@@ -98,7 +96,7 @@ class ChunkRecords:
 
     @cached_property
     def entries(self) -> dict[int, NDArray[np.void]]:
-        """Index entries of each connection."""
+        """Index entries by connection."""
         try:
             return index_data(self.read_index())[0]
         except UnreadableDataError:
@@ -106,14 +104,14 @@ class ChunkRecords:
 
     @property
     def indexed_offsets(self) -> NDArray[np.int64]:
-        """Where messages begin by the index data, shape ``(N,)``, int64, ascending."""
+        """Offsets of messages by the index data, shape ``(N,)``, int64, ascending."""
         return np.unique(offsets_of(self.entries))
 
 
 def offsets_of(
     entries: dict[int, NDArray[np.void]], connections: Container[int] | None = None
 ) -> NDArray[np.int64]:
-    """Return where the messages of some connections begin, or of all, ascending."""
+    """Return the offsets of the messages of some or all connections, ascending."""
     parts = [
         rows["offset"].astype(np.int64)
         for conn, rows in entries.items()
@@ -126,10 +124,10 @@ def offsets_of(
 class BagIndex:
     """The connections and chunks of a bag.
 
-    `connections`: header and data fields of the connection records, by number
-    `id_offset`: what is added to the numbers of connections in the current bag of joined ones
-    `origin`: where the current bag begins, from which its own index counts
-    `infos`: what chunk infos say that were met among the records
+    `connections`: header and data fields of the connection records, by id
+    `id_offset`: added to connection ids in the current one of several concatenated bags
+    `origin`: offset of the current bag, from which its own index counts
+    `infos`: the chunks of the chunk infos that were found during a walk
     """
 
     connections: dict[int, dict[bytes, bytes]] = field(default_factory=dict)
@@ -141,17 +139,17 @@ class BagIndex:
     infos: list[BagChunk] = field(default_factory=list)
 
     def begin_bag(self, origin: int) -> None:
-        """Begin another bag that follows in the same file; no number keeps its meaning."""
+        """Begin another of several concatenated bags: no connection id keeps its meaning."""
         self.id_offset += _NUMBERS
         self.origin = origin
 
     def add_connection(self, record: Record, data: bytes) -> None:
-        """Add a connection record; the first of a connection counts, and later ones repeat it."""
+        """Add a connection record, unless its id is defined already: later records repeat it."""
         try:
             described = data_fields(data)
         except UnreadableDataError:
             described = {}
-        # Both have a topic; messages were recorded under the one in the header.
+        # Both have a topic; that of the header is the one that was recorded.
         number = record.number(b"conn") + self.id_offset
         self.connections.setdefault(number, described | record.fields)
 
@@ -183,15 +181,15 @@ def read_chunk(file: RecordFile, chunk: BagChunk, record: Record | None = None) 
 def index_reader(
     file: RecordFile, chunk: BagChunk, record: Record, size: int
 ) -> Callable[[], bytes]:
-    """Return what reads the index data behind a chunk.
+    """Return a function that reads the index data behind a chunk.
 
-    They have 12 bytes a message, less than the `size` of the records. Anything longer is damage.
+    It has 12 bytes per message, fewer than the `size` of the records: longer data are damaged.
     """
     return partial(file.at, record.end, max(0, min(chunk.end - record.end, size)))
 
 
 def read_index(file: RecordFile, header: Record) -> BagIndex | None:
-    """Return the index at the end of a bag."""
+    """Return the index at the end of a bag; None if there is none or it is damaged."""
     index = BagIndex()
     try:
         at = header.number(b"index_pos", 8)
@@ -201,7 +199,7 @@ def read_index(file: RecordFile, header: Record) -> BagIndex | None:
             OP_CONNECTION: header.number(b"conn_count"),
             OP_CHUNK_INFO: chunk_count,
         }
-        # Messages before the index that are in no chunk can only be found by walking.
+        # Messages outside chunks are only found by a walk.
         if not header.end <= at <= file.size or (at > header.end and chunk_count == 0):
             return None
         file.source.expect([at], [min(file.size, at + MAX_INDEX)])

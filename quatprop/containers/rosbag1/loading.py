@@ -1,7 +1,7 @@
-"""Read the messages of a channel in the chunks of a ROS 1 bag, and note what is lost.
+"""Read the messages of a channel from the chunks of a ROS 1 bag, and record losses.
 
-Bags have no checksums, but they say everything twice: chunk infos and the index data behind each
-chunk state how many messages every connection has, and chunks with their index data fill the file.
+Bags have no checksums but redundant counts: chunk infos and the index data behind each chunk state
+the number of messages of every connection, and chunks with their index data fill the file.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ if TYPE_CHECKING:
 
 
 _INDEX_HEAD = 55
-"""Bytes of an index data record before its entries, as recorders write it."""
+"""Usual bytes of an index data record before its entries."""
 
 
 class BagReader(ChunkReader[BagChunk, ChunkRecords]):
     """Reads the messages of one channel.
 
-    `topic`, `connections`: the channel, and the numbers of its connections
+    `topic`, `connections`: the topic of the channel, and the ids of its connections
     """
 
     def __init__(self, file: RecordFile, losses: Losses, topic: str, connections: set[int]) -> None:
@@ -54,12 +54,12 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         self._is_plain: bool | None = None
 
     def is_mixed(self, chunk: BagChunk) -> bool:
-        """Return whether a chunk holds other connections."""
+        """Return whether a chunk has other connections."""
         own = chunk.local_ids(self.connections)
         return not chunk.is_unchunked and not chunk.counts.keys() <= own
 
     def expected(self, chunk: BagChunk, *, is_mixed: bool) -> list[tuple[int, int]]:
-        """Return the bytes of a chunk, or of the head of one that is read in part."""
+        """Return the byte range of a chunk, or of its head if it is read in part."""
         head_end = chunk.start + HEAD
         if is_mixed and chunk.end - chunk.start >= LARGE:
             if self._is_plain is None:
@@ -69,7 +69,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         return [(chunk.start, max(chunk.end, head_end))]
 
     def size_of(self, chunk: BagChunk) -> int:
-        """Return the bytes of the records of a chunk by its head."""
+        """Return the bytes of the records of a chunk by its head; 0 if unknown."""
         if chunk.is_unchunked:
             return chunk.end - chunk.start
         record = record_of(self.file, chunk)
@@ -100,7 +100,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
     def _load_messages(self, chunk: BagChunk) -> ChunkRecords | None:
         """Return the wanted messages of a chunk; None if it is better read whole.
 
-        That is, if it is compressed or mostly wanted, or its index data is not what the bag says.
+        That is, if it is compressed or mostly wanted, or its index data and chunk info disagree.
         """
         record = record_of(self.file, chunk)
         if record is None or not _is_plain(record) or record.end > chunk.end:
@@ -121,7 +121,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         return ChunkRecords(data, offsets=begins - ranges.moved)
 
     def indexed(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
-        """Return the messages of a chunk by its index data; None where they are others."""
+        """Return the messages of a chunk by its index data; None if it is not reliable."""
         inside = chunk.local_ids(self.connections)
         if content.offsets is not None:
             return indexed_messages(content.data, content.offsets, inside)
@@ -132,7 +132,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         return indexed_messages(content.data, offsets_of(content.entries, inside), inside)
 
     def messages(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
-        """Return the messages of a chunk by its records, and note what is lost of them."""
+        """Return the messages of a chunk by its records, and record losses."""
         if content.offsets is not None:
             content = self._load_chunk(chunk)
         inside = chunk.local_ids(self.connections)
@@ -144,9 +144,9 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         return messages
 
     def _is_indexed(self, chunk: BagChunk, indexed: Collection[int]) -> bool:
-        """Return whether an index is sure to have all messages of the wanted connections.
+        """Return whether an index is certain to list all messages of the wanted connections.
 
-        Without chunk infos, a connection may have messages under the number of another one.
+        Without chunk infos, the index may list messages under the id of another connection.
         """
         return chunk.is_proved is not False or chunk.local_ids(self.connections) <= {*indexed}
 
@@ -156,7 +156,7 @@ def _is_plain(record: Record | None) -> bool:
 
 
 def _scanned(content: ChunkRecords, wanted: set[int]) -> tuple[MessageBlock, str]:
-    """Locate messages record by record; the string says why there may be more, or is ``""``."""
+    """Locate messages record by record; return them and the damage, or ``""``."""
     records, damage = surviving_records(content.data, content.indexed_offsets)
     rows = [
         (record.data, record.end, record.time(b"time"))
@@ -173,14 +173,14 @@ def accounts_for_all(file: RecordFile, chunks: Sequence[BagChunk]) -> bool:
     begins = [chunk.start for chunk in unchecked]
     file.source.expect(begins, [begin + HEAD for begin in begins])
     for chunk in unchecked:
-        chunk.is_checked = _fills_its_place(file, chunk)
+        chunk.is_checked = _has_no_gap_behind(file, chunk)
         if not chunk.is_checked:
             return False
     return True
 
 
 def prove(file: RecordFile, chunks: Sequence[BagChunk]) -> None:
-    """Note of which chunks the index data agree with the chunk infos."""
+    """Set `is_proved` of chunks: whether their index data agree with their chunk infos."""
     begins = [chunk.start for chunk in chunks]
     file.source.expect(begins, [begin + HEAD for begin in begins])
     ends = [record.end if (record := record_of(file, chunk)) else chunk.end for chunk in chunks]
@@ -188,11 +188,11 @@ def prove(file: RecordFile, chunks: Sequence[BagChunk]) -> None:
         ends, [max(pair) for pair in zip((c.end for c in chunks), ends, strict=True)]
     )
     for chunk in chunks:
-        chunk.is_proved = _is_indexed_alike(file, chunk)
+        chunk.is_proved = _matches_index(file, chunk)
 
 
 def record_of(file: RecordFile, chunk: BagChunk) -> Record | None:
-    """Return the record of a chunk; None if there is none that is whole."""
+    """Return the record of a chunk; None if it is missing or incomplete."""
     if chunk.record is None and not chunk.is_missing:
         try:
             record = file.record(chunk.start)
@@ -205,18 +205,18 @@ def record_of(file: RecordFile, chunk: BagChunk) -> Record | None:
     return chunk.record
 
 
-def _fills_its_place(file: RecordFile, chunk: BagChunk) -> bool:
+def _has_no_gap_behind(file: RecordFile, chunk: BagChunk) -> bool:
     record = record_of(file, chunk)
     if record is None:
         return False
     size = sum(_INDEX_HEAD + INDEX_ENTRY.itemsize * count for count in chunk.counts.values())
-    return record.end + size == chunk.end or _is_indexed_alike(file, chunk)
+    return record.end + size == chunk.end or _matches_index(file, chunk)
 
 
-def _is_indexed_alike(file: RecordFile, chunk: BagChunk) -> bool:
-    """Return whether index data fill the place behind a chunk, and state what its info does."""
+def _matches_index(file: RecordFile, chunk: BagChunk) -> bool:
+    """Return whether index data fill the space behind a chunk and agree with its chunk info."""
     record = record_of(file, chunk)
-    # They take less than the messages, but for a few that are empty.
+    # They are shorter than the messages, unless these are empty.
     if record is None or not 0 <= chunk.end - record.end <= 2 * record.number(b"size"):
         return False
     try:

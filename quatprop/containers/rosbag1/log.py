@@ -1,4 +1,4 @@
-"""ROS 1 bags, format 2.0: indexed or not, whole or cut off, plain, bz2 or lz4."""
+"""ROS 1 bags, format 2.0: indexed or not, complete or truncated, plain, bz2 or lz4."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _MAGIC = re.compile(rb"#ROS(?:BAG|RECORD) V(\d+\.\d+)\n")
 _VERSION = "2.0"
 _PLACE = 8
-"""Bytes of a place in the bag header."""
+"""Bytes of an offset in the bag header."""
 
 
 class Rosbag1Log(ChunkedLog[BagChunk]):
@@ -39,7 +39,7 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
     kind = "bag"
 
     def read_index(self) -> None:
-        """Read what the bag holds and where."""
+        """Read the index of the bag, or rebuild it."""
         self._file = RecordFile(self.source)
         self._use(self._index())
 
@@ -56,7 +56,7 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
         }
 
     def _index(self) -> BagIndex:
-        """Check magic and bag header, and return the index."""
+        """Check the magic and the bag header, and return the index."""
         line = self._file.at(0, 64).partition(b"\n")[0] + b"\n"
         magic = _MAGIC.fullmatch(line)
         if magic is None:
@@ -91,7 +91,7 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
         if index is None or self._file.at(index.end, len(MAGIC)) not in {b"", MAGIC}:
             return self._rebuilt()
         if index.end < self._file.size:
-            # Another bag was joined to it; its index counts from its own beginning.
+            # Another bag was appended; its index counts from its own beginning.
             index.begin_bag(index.end)
             rebuild_index(self._file, index)
         return index
@@ -102,7 +102,7 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
         return False
 
     def _rebuilt(self) -> BagIndex:
-        """Return the index of the records that are there."""
+        """Return an index that is built from the records of the file."""
         index = BagIndex(end=self._begin)
         rebuild_index(self._file, index)
         if self._index_place > self._file.size and not index.infos and not index.losses:
@@ -133,7 +133,7 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
         return channels
 
     def channels(self) -> list[Channel]:
-        """Return every channel, in order of topic, with its number of messages."""
+        """Return all channels in order of topic, with their number of messages."""
         totals = self._totals
         counts: Counter[Channel] = Counter()
         for conn, channel in self._channels.items():
@@ -141,7 +141,7 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
         return by_topic(replace(channel, count=count) for channel, count in counts.items())
 
     def chunks_of(self, channel: Channel) -> list[BagChunk]:
-        """Return the chunks that hold a channel, or that may as nothing proves what they hold."""
+        """Return the chunks that have a channel, or whose counts cannot be verified."""
         wanted = self._connections_of(channel)
         others = [each for each in self._chunks if not each.local_ids(wanted) & each.counts.keys()]
         prove(self._file, [chunk for chunk in others if chunk.is_proved is None])
@@ -162,10 +162,7 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
         return BagReader(self._file, self.losses, channel.topic, wanted).blocks(chunks)
 
     def check_index(self, chunks: Sequence[BagChunk]) -> bool:
-        """Return whether the index accounts for all of the file that some chunks take.
-
-        If not, another one is made of the records that are there.
-        """
+        """Return whether some chunks have no gaps behind them; if not, rebuild the index."""
         if accounts_for_all(self._file, chunks):
             return True
         self._use(self._rebuilt())
@@ -175,12 +172,12 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
         return {conn for conn, described in self._channels.items() if described == channel}
 
     def recorded_provenance(self) -> dict[str, str]:
-        """Return the provenance of each topic, which its connection may carry, as JSON."""
+        """Return the provenance of each topic as JSON, from its connection record."""
         return self._recorded
 
 
 def _totals(chunks: Sequence[BagChunk]) -> Counter[int]:
-    """Return how many messages each connection has."""
+    """Return the number of messages of each connection."""
     totals: Counter[int] = Counter()
     for chunk in chunks:
         totals.update({conn + chunk.id_offset: n for conn, n in chunk.counts.items()})

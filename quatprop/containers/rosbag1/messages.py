@@ -1,4 +1,4 @@
-"""Locate the messages of a connection in a decompressed chunk, by its index data."""
+"""Locate the messages of connections in a decompressed chunk by its index data."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 def indexed_messages(
     data: NDArray[np.uint8], offsets: NDArray[np.int64], connections: Iterable[int]
 ) -> MessageBlock | None:
-    """Locate the messages of some connections that the index points to.
+    """Return the indexed messages of some connections; None if the index is wrong.
 
-    All headers are compared with the first, so that a wrong index is detected.
+    All headers are compared with the first to detect a wrong index.
 
     `data`: the decompressed chunk, shape ``(B,)``
-    `offsets`: where their records begin by the index, shape ``(N,)``, ascending
+    `offsets`: offsets of their records by the index, shape ``(N,)``, ascending
     """
     if len(offsets) == 0:
         return None
@@ -38,8 +38,8 @@ def indexed_messages(
     if (offsets[1:] - offsets[:-1] == stride).all():
         every = np.ndarray((count,), f"V{size}", data, first, (stride,)).copy()
     else:
-        # An overlapping view gathers the heads with one copy of a few bytes a message; what
-        # follows then works in a small array instead of the whole chunk.
+        # An overlapping view gathers the heads in one copy of a few bytes per message, so that the
+        # operations below work on a small array instead of the whole chunk.
         every = np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))[offsets]
         stride = 0
     headers = every.view(layout)
@@ -57,7 +57,7 @@ def indexed_messages(
 
 
 def _are_of(headers: NDArray[np.void], connections: Iterable[int]) -> bool:
-    """Tell whether all headers are those of messages of some connections, and of one layout."""
+    """Return whether all headers are of messages of some connections, and of one layout."""
     count = sum(np.count_nonzero(headers["conn"] == conn) for conn in connections)
     wanted = {"length": headers.dtype.itemsize - 8, "op": OP_MESSAGE}
     return count == len(headers) and not any(
@@ -72,7 +72,7 @@ def _log_ns(headers: NDArray[np.void]) -> NDArray[np.int64]:
 
 
 def _message_layout(data: memoryview, at: int) -> np.dtype[np.void] | None:
-    """Return where the fields of the message header at `at` are, relative to `at`."""
+    """Return the layout of the message header at `at`, as offsets from `at`."""
     try:
         header_end = header_end_of(data, at)
         places = {name: (begin - at, end - begin) for name, begin, end in

@@ -1,9 +1,8 @@
-"""Build the index of a ROS 1 bag that has none, by walking its records beyond any damage."""
+"""Rebuild the index of a ROS 1 bag by walking its records, resuming after damage."""
 
 from __future__ import annotations
 
 from collections import Counter
-from itertools import zip_longest
 
 import numpy as np
 
@@ -25,48 +24,60 @@ from quatprop.stores.compression import UnreadableDataError
 from quatprop.times import NS_PER_S
 
 _LOOSE_SIZE = 1 << 20
-"""Bytes of messages outside chunks that are read together."""
+"""Maximum bytes of a run of messages outside chunks."""
 
 
 def rebuild_index(file: RecordFile, index: BagIndex) -> None:
-    """Complete an index by walking the records behind its end, beyond any damage."""
+    """Complete an index by walking the records behind its end, resuming after damage."""
     at, known = index.end, len(index.chunks)
     while at < file.size:
         try:
             record = file.record(at)
             _add(file, index, record)
         except UnreadableDataError as error:
-            at = _resumed(file, index, at, str(error))
+            at = _resume(file, index, at, str(error))
         else:
             at = record.end
     index.end = file.size
     chunks = index.chunks[known:]
     infos = {info.start: info for info in index.infos}
-    for chunk, after in zip_longest(chunks, chunks[1:]):
+    owner: BagChunk | None = None
+    missing = Counter[int]()
+    for chunk, after in zip(chunks, [*chunks, None][1:], strict=True):
         info = infos.pop(chunk.start, None)
+        if not chunk.is_unchunked:
+            owner, missing = chunk, Counter()
         chunk.is_checked, chunk.is_proved = True, info is not None and info.counts == chunk.counts
         # The index data of the last chunk may be incomplete, and that of others damaged.
         if (
             (info is not None and not chunk.is_proved)
             or after is None
+            or after.is_unchunked
             or after.id_offset != chunk.id_offset
             or chunk.is_unchunked
             or not chunk.counts
             or not chunk.counts.keys() <= chunk.local_ids(index.connections.keys())
         ):
             index.id_offset = chunk.id_offset
-            _read_inside(file, index, chunk, Counter(chunk.counts if info is None else info.counts))
+            stated = Counter(chunk.counts if info is None else info.counts)
+            found = _read_inside(file, index, chunk, stated)
+            if chunk is owner:
+                missing = Counter(chunk.counts) - found
+            elif owner is not None:
+                # What is outside of a damaged chunk is not missing in it.
+                owner.counts = dict(Counter(owner.counts) - (missing & found))
+                missing -= found
     _add_missing(index, chunks, sorted(infos.values(), key=lambda info: info.start))
 
 
 def _add_missing(index: BagIndex, chunks: list[BagChunk], infos: list[BagChunk]) -> None:
-    """Add chunks that were not found where their infos say, with what is missing of them."""
+    """Add chunks that are not at the offset in their chunk infos, with the missing counts."""
     begins = {info.start for info in index.infos} - {info.start for info in infos}
     ends = [*sorted(begins), index.end]
     others = [chunk for chunk in chunks if chunk.start not in begins]
     for info in infos:
         end = next((end for end in ends if end > info.start), info.start)
-        # Its place may be wrong, or a part of it was found there, outside any chunk.
+        # Its offset may be wrong, or a part of it was found there outside any chunk.
         parts = [each for each in others if each.counts == info.counts][:1] or [
             each for each in others if info.start <= each.start < end
         ]
@@ -81,15 +92,15 @@ def _add_missing(index: BagIndex, chunks: list[BagChunk], infos: list[BagChunk])
             index.chunks.append(info)
 
 
-def _resumed(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
-    """Note that no record can be read at a place; return where to go on."""
+def _resume(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
+    """Record that no record can be read at `at`; return where to resume."""
     if file.at(at, len(MAGIC)) == MAGIC:
         index.origin = at
-        return at + len(MAGIC)  # another bag, which its header begins
+        return at + len(MAGIC)  # the header of another bag follows
     last = index.chunks[-1] if index.chunks else None
     resumed_at = None
     if last is not None and not last.is_unchunked and last.end == at and not last.counts:
-        # The length of the chunk before may be wrong.
+        # The length of the previous chunk may be wrong.
         resumed_at = next_record(file, last.start + 1, at, CHUNKS)
     if resumed_at is None:
         resumed_at = next_record(file, at + 1, file.size, RECORDS)
@@ -102,7 +113,7 @@ def _resumed(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
 
 
 def _is_damaged_chunk(file: RecordFile, record: Record) -> bool:
-    """Tell whether a chunk cannot be followed to its end: its fields or what follows contradict."""
+    """Return whether a chunk's header is inconsistent, or its end is behind another chunk."""
     if not is_chunk(record):
         return True
     beyond = record.end > file.size
@@ -143,32 +154,41 @@ def _add(file: RecordFile, index: BagIndex, record: Record) -> None:
         info.end, info.id_offset = info.start, index.id_offset
         index.infos.append(info)
     elif record.op == OP_INDEX_DATA and index.chunks:
-        _add_times(index.chunks[-1], file.at(record.start, record.end - record.start))
-        index.chunks[-1].end = record.end
+        _add_times(index.chunks, file.at(record.start, record.end - record.start), record.end)
 
 
-def _add_times(chunk: BagChunk, record: bytes) -> None:
-    """Add counts and the earliest time from the index data of one connection."""
+def _add_times(chunks: list[BagChunk], record: bytes, end: int) -> None:
+    """Add counts and the earliest time from the index data of one connection.
+
+    Messages outside of chunks have none: behind them it is that of the chunk before.
+    """
+    owner = next((chunk for chunk in reversed(chunks) if not chunk.is_unchunked), None)
+    if owner is None:
+        return
+    is_behind = owner is chunks[-1]
+    owner.end = end if is_behind else owner.end
     for conn, entries in index_data(record)[0].items():
-        if len(entries):
+        if len(entries) and (is_behind or conn not in owner.counts):
             sec, nsec = (entries[name].astype(np.int64) for name in ("sec", "nsec"))
             earliest = int((sec * NS_PER_S + nsec).min())
-            chunk.first_ns = min(chunk.first_ns, earliest) if chunk.counts else earliest
-            chunk.counts[conn] = chunk.counts.get(conn, 0) + len(entries)
+            owner.first_ns = min(owner.first_ns, earliest) if owner.counts else earliest
+            owner.counts[conn] = owner.counts.get(conn, 0) + len(entries)
 
 
-def _read_inside(file: RecordFile, index: BagIndex, chunk: BagChunk, stated: Counter[int]) -> None:
-    """Walk the records of a chunk for its connections, counts and earliest time.
+def _read_inside(
+    file: RecordFile, index: BagIndex, chunk: BagChunk, stated: Counter[int]
+) -> Counter[int]:
+    """Walk the records of a chunk for its connections, counts and earliest time; return the counts.
 
-    What is stated of a damaged chunk and is not there is missing; else both statements must be of
-    it, as one of them may be damaged.
+    `stated`: counts by its chunk info, if there is one. A damaged chunk should have the messages
+        that it or the index data count; an intact one only those of both, as one may be wrong
     """
     indexed, chunk.counts = Counter(chunk.counts), dict(stated)
     try:
         loaded = read_chunk(file, chunk)
     except UnreadableDataError as error:
         index.losses.note(chunk.place, str(error))
-        return
+        return Counter()
     times: list[int] = []
     counts: Counter[int] = Counter()
     records, damage = surviving_records(loaded.data, loaded.indexed_offsets)
@@ -185,3 +205,4 @@ def _read_inside(file: RecordFile, index: BagIndex, chunk: BagChunk, stated: Cou
         stated &= indexed
     chunk.counts, chunk.first_ns = dict(counts | stated), min(times, default=chunk.first_ns)
     chunk.is_proved = True
+    return counts

@@ -1,8 +1,8 @@
 """The records of ROS 1 bags, format 2.0.
 
 A bag is a sequence of records: a header of ``name=value`` fields, then data, each preceded by its
-length. The data of a chunk record are records again, and it is followed by index data records that
-say where in it the messages of each connection are.
+length. The data of a chunk record are records. It is followed by index data records with the
+offsets of the messages of each connection.
 
 References
 ----------
@@ -39,10 +39,10 @@ OP_CHUNK_INFO = 6
 OP_CONNECTION = 7
 
 MAX_HEADER = 1 << 20
-"""Bytes that a record header may have; real ones have less than a thousand."""
+"""Maximum bytes of a record header; real ones have less than a thousand."""
 
 HEAD = 512
-"""Bytes that are read for a header whose length is unknown."""
+"""Bytes that are read for a header of unknown length."""
 
 INDEX_ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
 
@@ -53,9 +53,10 @@ Data = TypeVar("Data")
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """A record: its place in the file, and the fields of its header.
+    """A record: its position in the file and its header.
 
-    `start`, `data`, `end`: where the record begins, where its data begin, and where it ends
+    `start`, `data`, `end`: offsets of the record, of its data, and of its end
+    `fields`: the header
     """
 
     start: int
@@ -77,12 +78,12 @@ class Record:
 
     @property
     def op(self) -> int:
-        """What kind of record it is."""
+        """The kind of record."""
         return self.number(b"op", 1)
 
 
 class RecordFile:
-    """Reads records from a bag, and checks every length against the end of the file.
+    """Reads records from a bag.
 
     `size`: its length, bytes
     """
@@ -92,11 +93,11 @@ class RecordFile:
         self.size = source.size
 
     def at(self, start: int, size: int) -> bytes:
-        """Return `size` bytes, fewer at the end of the file."""
+        """Return `size` bytes at `start`, or fewer at the end of the file."""
         return _read(self.source.read, start, size)
 
     def at_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
-        """Return the bytes of some ranges, one after another."""
+        """Return the bytes of some ranges, concatenated."""
         return _read(self.source.read_ranges, begins, ends)
 
     def record(self, start: int) -> Record:
@@ -112,12 +113,12 @@ def _read(read: Callable[..., Data], *place: object) -> Data:
     try:
         return read(*place)
     except OSError as error:
-        # A worn memory card fails at one place; the rest of the bag is still good.
+        # A worn memory card fails at some positions only: the rest of the bag is still readable.
         raise UnreadableDataError(os_reason(error)) from error
 
 
 def record_at(data: Buffer, at: int, origin: int = 0) -> Record:
-    """Return the record at `at` of a buffer that begins at `origin`; its data may be beyond it."""
+    """Return the record at `at` of a buffer that begins at `origin`; its data may end behind it."""
     header_end = header_end_of(data, at)
     if header_end + 4 > len(data):
         raise UnreadableDataError("its record is cut off")
@@ -129,7 +130,7 @@ def record_at(data: Buffer, at: int, origin: int = 0) -> Record:
 
 
 def header_end_of(data: Buffer, at: int) -> int:
-    """Return where the header at `at` ends; it is whole."""
+    """Return the end of the header at `at`; raise an error if it is incomplete."""
     end = at + 4
     if end <= len(data):
         end += _LENGTH.unpack_from(data, at)[0]
@@ -139,14 +140,14 @@ def header_end_of(data: Buffer, at: int) -> int:
 
 
 def data_fields(data: bytes) -> dict[bytes, bytes]:
-    """Return the fields of a connection record's data, which are those of a header."""
+    """Return the fields in a connection record's data, which has the format of a header."""
     return {name: data[value:end] for name, value, end in fields_of(data, 0, len(data))}
 
 
 def fields_of(data: Buffer, at: int, stop: int) -> Iterator[tuple[bytes, int, int]]:
-    """Yield name, begin and end of the value of each field of a header."""
+    """Yield the name and the begin and end of the value of each field of a header."""
     while at < stop:
-        end = header_end_of(data, at)  # a field has its length before it as a header has
+        end = header_end_of(data, at)  # fields are length-prefixed as headers are
         name, equals, _ = bytes(data[at + 4 : min(end, stop)]).partition(b"=")
         if end > stop or not equals:
             raise UnreadableDataError("its header is damaged")
@@ -155,10 +156,10 @@ def fields_of(data: Buffer, at: int, stop: int) -> Iterator[tuple[bytes, int, in
 
 
 def index_data(data: bytes) -> tuple[dict[int, NDArray[np.void]], int]:
-    """Return the index entries of each connection from the records behind a chunk, and their end.
+    """Return the index entries by connection from the records behind a chunk, and their end.
 
-    Anything else, a record that is not whole, or a second of a connection ends the reading; the
-    messages are then found by walking the chunk.
+    Reading stops at another or an incomplete record, or a second one of a connection; the messages
+    are then found by walking the chunk.
     """
     entries: dict[int, NDArray[np.void]] = {}
     at = 0
@@ -177,10 +178,10 @@ def index_data(data: bytes) -> tuple[dict[int, NDArray[np.void]], int]:
 
 
 def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:
-    """Yield the records of a decompressed chunk, one after another."""
+    """Yield the records of a decompressed chunk."""
     at = 0
     while at < len(data):
-        record = _whole_record(data.data, at, len(data))
+        record = _complete_record(data.data, at, len(data))
         yield record
         at = record.end
 
@@ -188,11 +189,11 @@ def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:
 def surviving_records(
     data: NDArray[np.uint8], indexed: NDArray[np.int64]
 ) -> tuple[list[Record], str]:
-    """Return the intact records of a decompressed chunk, and what is damaged, or ``""``.
+    """Return the intact records of a decompressed chunk, and the damage, or ``""``.
 
     `data`: the chunk, shape ``(B,)``
-    `indexed`: where messages begin by the index data, shape ``(N,)``, ascending. The lengths of the
-        records come first; after damage the index says where to go on
+    `indexed`: offsets of messages by the index data, shape ``(N,)``, ascending, at which the walk
+        resumes after damage
     """
     records: list[Record] = []
     try:
@@ -203,21 +204,21 @@ def surviving_records(
 
 
 def _indexed_records(data: NDArray[np.uint8], indexed: NDArray[np.int64]) -> list[Record]:
-    """Follow records by their lengths, none of which leads beyond the next indexed one."""
+    """Walk records by their lengths, but never beyond the next indexed offset."""
     records: list[Record] = []
     at = 0
     while at < len(data):
         after = int(indexed.searchsorted(at, "right"))
         limit = min(int(indexed[after]), len(data)) if after < len(indexed) else len(data)
         try:
-            records.append(_whole_record(data.data, at, limit))
+            records.append(_complete_record(data.data, at, limit))
             at = records[-1].end
         except UnreadableDataError:
             at = limit
     return records
 
 
-def _whole_record(data: memoryview, at: int, limit: int) -> Record:
+def _complete_record(data: memoryview, at: int, limit: int) -> Record:
     record = record_at(data, at)
     if record.end > limit:
         raise UnreadableDataError("a record in it is damaged or cut off")

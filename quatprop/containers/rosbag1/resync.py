@@ -1,6 +1,6 @@
 """Find the next record of a ROS 1 bag after damage.
 
-Every record has a field ``op`` in its header. Around each such field a header is looked for; it is
+Every record has a field ``op`` in its header. Around each such field a header is searched; it is
 accepted if its fields and lengths are consistent, or if it leads to further records.
 """
 
@@ -29,31 +29,31 @@ if TYPE_CHECKING:
     from quatprop.containers.rosbag1.records import Record, RecordFile
 
 CHUNKS = frozenset({OP_CHUNK})
-"""Kinds of record to look for where messages inside an uncompressed chunk would match, too."""
+"""Kinds of record to search for where messages in an uncompressed chunk would match, too."""
 
 RECORDS = frozenset(
     {OP_MESSAGE, OP_BAG_HEADER, OP_INDEX_DATA, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION}
 )
-"""Kinds of record to look for elsewhere."""
+"""Kinds of record to search for elsewhere."""
 
 COMPRESSIONS = (b"none", b"bz2", b"lz4")
 
 _OP = rb"\x04\x00\x00\x00op=(.)"
 _OP_SIZE = 8
-"""Bytes of a field with the kind of a record."""
+"""Bytes of the field ``op``."""
 
 _REACH = 1 << 10
-"""Bytes of a header that may precede the field with its kind."""
+"""Maximum bytes of a header before its field ``op``."""
 
 _TRIES = 50_000
-"""Candidates that are tried before the search is given up, so that it ends on hostile files."""
+"""Maximum number of candidates, so that the search ends on hostile files."""
 
 _CHAIN = 2
-"""Messages that must follow each other for the first to be accepted."""
+"""Number of consecutive messages that are required to accept the first."""
 
 
 def next_record(file: RecordFile, start: int, stop: int, kinds: Container[int]) -> int | None:
-    """Return where the first record begins that can be accepted as one.
+    """Return the offset of the first record that is accepted; None if there is none.
 
     `kinds`: values of ``op`` that it may have
     """
@@ -62,7 +62,7 @@ def next_record(file: RecordFile, start: int, stop: int, kinds: Container[int]) 
         return [op.start() for op in re.finditer(_OP, window, re.DOTALL) if op[1][0] in kinds]
 
     def accepted(place: int) -> int | None:
-        record = _around(file, place, start)
+        record = _record_around(file, place, start)
         is_found = record is not None and record.start < stop and _is_record(file, record)
         return record.start if record and is_found else None
 
@@ -71,7 +71,7 @@ def next_record(file: RecordFile, start: int, stop: int, kinds: Container[int]) 
 
 
 def is_chunk(record: Record) -> bool:
-    """Tell whether the fields of a chunk header are consistent."""
+    """Return whether the fields of a chunk header are consistent."""
     try:
         size = record.number(b"size")
     except UnreadableDataError:
@@ -81,8 +81,8 @@ def is_chunk(record: Record) -> bool:
     return compression in COMPRESSIONS and (compression != b"none" or size == length)
 
 
-def _around(file: RecordFile, op: int, start: int) -> Record | None:
-    """Return the record whose kind is at a place; None if no header is around it."""
+def _record_around(file: RecordFile, op: int, start: int) -> Record | None:
+    """Return the record whose field ``op`` is at an offset; None if no header contains it."""
     first = max(start, op - _REACH)
     data = file.at(first, 2 * _REACH)
     for at in range(op - first - 4, -1, -1):
@@ -100,7 +100,7 @@ def _around(file: RecordFile, op: int, start: int) -> Record | None:
 
 
 def _is_record(file: RecordFile, record: Record) -> bool:
-    """Tell whether a candidate is a record, rather than bytes that look like one."""
+    """Return whether a candidate is a record, rather than bytes that look like one."""
     for _ in range(_CHAIN):
         try:
             if record.op != OP_MESSAGE:
@@ -116,7 +116,7 @@ def _is_record(file: RecordFile, record: Record) -> bool:
 
 
 def _is_plausible(file: RecordFile, record: Record) -> bool:
-    """Tell whether the fields of a record agree with its length."""
+    """Return whether the fields of a record agree with its length."""
     length = record.end - record.data
     if record.op == OP_CHUNK:
         return is_chunk(record)

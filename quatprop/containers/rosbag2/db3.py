@@ -1,4 +1,4 @@
-"""ROS 2 bags in SQLite (``.db3``), of every version of its tables."""
+"""ROS 2 bags in SQLite (``.db3``), all versions of the tables."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from quatprop.containers.rosbag2.db3_tables import check_indexes, columns_of, ha
 from quatprop.containers.rosbag2.fetches import ROWS, Fetch, combined, fetch_of, fetched, next_group
 from quatprop.containers.rosbag2.parts import custom_data
 from quatprop.containers.rosbag2.sqlite_files import (
-    files_beside,
+    journal_files,
     limit_steps,
     note_joined_bytes,
     open_database,
@@ -35,13 +35,13 @@ if TYPE_CHECKING:
 
 
 EVERY_TIME = TimeRange(-LATEST, LATEST)
-"""All log times: those of other rows are counted as lost then."""
+"""All log times: with this range, rows without a valid time are counted as lost."""
 
 
 class Db3Log(TopicLog):
     """A ROS 2 bag in an SQLite database.
 
-    `is_zstd`: whether each message is known to be compressed with zstd; in CDR that is recognised
+    `is_zstd`: whether messages are compressed one by one; for CDR this is detected, too
     """
 
     kind = "db3"
@@ -63,36 +63,36 @@ class Db3Log(TopicLog):
 
     def _connect(self) -> apsw.Connection:
         """Open the database, read-only, with the journal files beside it."""
-        beside = files_beside(self.path)
-        if beside:
+        journals = journal_files(self.path)
+        if journals:
             try:
-                database = open_database(self.path, beside)
+                database = open_database(self.path, journals)
                 database.execute("SELECT count(*) FROM sqlite_master").fetchall()
             except apsw.Error as error:
                 reason = f"it cannot be applied ({error}); the last messages may be missing"
-                self.losses.note(beside[0], reason)
+                self.losses.note(journals[0], reason)
             else:
-                self._note_unfinished(beside)
+                self._note_unfinished(journals)
                 return database
         database = open_database(self.path)
         note_joined_bytes(database, self.path, self.losses)
         return database
 
-    def _note_unfinished(self, beside: list[str]) -> None:
-        """Note the end of a write-ahead log that SQLite does not apply."""
-        if beside[0].endswith("-wal"):
-            with FileSource(self.path.with_name(beside[0])) as wal:
+    def _note_unfinished(self, journals: list[str]) -> None:
+        """Record the end of a write-ahead log that SQLite does not apply."""
+        if journals[0].endswith("-wal"):
+            with FileSource(self.path.with_name(journals[0])) as wal:
                 pages = read_wal(wal).unfinished
             if pages:
                 reason = f"{pages} pages of a transaction that was not finished are not read"
-                self.losses.note(beside[0], reason)
+                self.losses.note(journals[0], reason)
 
     def channels(self) -> list[Channel]:
-        """Return every channel, in order of topic; how many messages it has is not known."""
+        """Return all channels in order of topic; their numbers of messages are unknown."""
         return by_topic(set(self._topics.values()))
 
     def recorded_span(self, channel: Channel) -> TimeRange | None:  # noqa: ARG002  # of all topics
-        """Return when the bag was recorded; None where it has no sound index of the times."""
+        """Return the bag's range of log times; None without an intact index of the times."""
         try:
             check_indexes(self._database)
             indexed = self._database.execute(
@@ -112,7 +112,7 @@ class Db3Log(TopicLog):
         return TimeRange(first, last)
 
     def blocks(self, channel: Channel, within: TimeRange | None = None) -> Iterator[MessageBlock]:
-        """Yield the messages of one channel that were logged in a time range, in its order."""
+        """Yield the messages of one channel in a range of log times, in order of log time."""
         fetches = self._fetches(channel, within or EVERY_TIME)
         damaged = 0
         while group := next_group(fetches):
@@ -124,7 +124,7 @@ class Db3Log(TopicLog):
             self._lose(channel, "their zstd data is damaged", damaged)
 
     def _fetches(self, channel: Channel, within: TimeRange) -> Iterator[Fetch]:
-        """Fetch messages in time order, and read the pages themselves where SQLite cannot."""
+        """Fetch messages in time order; if SQLite fails, read the pages of the file instead."""
         ids = [id_ for id_, described in self._topics.items() if described == channel]
         count = 0
         limit_steps(self._database, self.path.stat().st_size)
@@ -139,7 +139,7 @@ class Db3Log(TopicLog):
     def _queried(
         self, channel: Channel, ids: list[SQLiteValue], within: TimeRange
     ) -> Iterator[Fetch]:
-        """Fetch messages with a query, and count the rows that are no messages."""
+        """Fetch messages with a query, and count rows that are not messages."""
         parameters = [*ids, *(id_ for id_ in self._topics if id_ not in ids)]
         marks = [f"?{k + 1}" for k in range(len(parameters))]
         this_topic = f"topic_id IN ({', '.join(marks[: len(ids)])})"
@@ -148,9 +148,9 @@ class Db3Log(TopicLog):
         in_range = ""
         if within != EVERY_TIME:
             in_range = f"timestamp BETWEEN {within.first_ns} AND {within.last_ns} AND "
-        # Bags have an index of the times: this order costs a tenth more than none, and no memory.
+        # Bags have an index of the times: ordering costs a tenth more time, and no memory.
         order = f"ORDER BY timestamp, {'rowid' if has_rowid(self._database) else 'timestamp'}"
-        # Rows of no topic come without a time: another scan for them would take longer.
+        # Rows without a topic are selected with a null time: a second scan would take longer.
         query = (
             f"SELECT CASE WHEN {this_topic} THEN timestamp END, data FROM messages "  # noqa: S608  # only question marks go in
             f"WHERE {in_range}({this_topic} OR {no_topic}) {order}"
@@ -163,10 +163,10 @@ class Db3Log(TopicLog):
                 count += len(fetch.times)
                 yield fetch
         except (TypeError, UnicodeDecodeError):
-            # An index may have other values than the rows.
+            # The index may differ from the rows.
             if self._database.execute("PRAGMA integrity_check(1)").fetchall() != [("ok",)]:
                 raise apsw.CorruptError("its index has values of another type") from None
-            # Columns of SQLite hold values of any type; to ask for that of each takes time.
+            # SQLite columns have values of any type; this slower query tests each.
             query = (
                 f"SELECT timestamp, data FROM messages WHERE {in_range}{is_message} {order} "  # noqa: S608  # only question marks go in
                 f"LIMIT -1 OFFSET {count}"
@@ -181,7 +181,7 @@ class Db3Log(TopicLog):
     def _count_others(
         self, channel: Channel, this_topic: str, condition: str, parameters: list[SQLiteValue]
     ) -> None:
-        """Count rows that are no messages: of this topic, and by the topic id that none has."""
+        """Count rows that are not messages: of this topic, and of each unknown topic id."""
         query = (
             f"SELECT {this_topic} AS is_this_, CASE WHEN {this_topic} THEN NULL "  # noqa: S608  # no text of others
             "WHEN typeof(topic_id) IN ('integer', 'null') THEN topic_id "
@@ -231,12 +231,12 @@ class Db3Log(TopicLog):
         self._topics = {id_: completed(channel) for id_, channel in self._topics.items()}
 
     def recorded_provenance(self) -> dict[str, str]:
-        """Return the provenance of each topic, which the metadata may carry, as JSON."""
+        """Return the provenance of each topic as JSON, from the metadata table."""
         try:
             rows = self._database.execute("SELECT metadata FROM metadata ORDER BY rowid DESC")
             (text,) = next(rows, ("",))
         except apsw.Error:
-            # Older bags have no such table.
+            # Older bags have no metadata table.
             text = ""
         custom = custom_data(text) if isinstance(text, str) else {}
         return of_all_topics(custom)

@@ -1,4 +1,4 @@
-"""The tables of a ROS 2 bag in SQLite: its topics, and whether indexes list each message once."""
+"""The tables of a ROS 2 bag in SQLite: topics, and a check of the indexes."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def columns_of(database: apsw.Connection, table: str) -> dict[str, None]:
 
 
 _TABLES = frozenset({"topics", "messages", "message_definitions", "metadata"})
-"""That are read."""
+"""The tables that are read."""
 
 
 def refuse_computed(database: apsw.Connection, path: Path) -> None:
-    """Refuse a database in which a table of bags computes what it holds."""
-    # As blobs, since text that is not UTF-8 is an error otherwise.
+    """Refuse a database in which one of these tables is a view or a virtual table."""
+    # Read as blobs: text that is not UTF-8 would be an error.
     rows = database.execute(
         "SELECT CAST(type AS BLOB), CAST(name AS BLOB), CAST(lower(tbl_name) AS BLOB), rootpage "
         "FROM sqlite_master"
@@ -59,7 +59,7 @@ def read_topics(database: apsw.Connection, path: Path) -> dict[SQLiteValue, Chan
             "name a database that `ros2 bag` recorded",
         )
     definitions = _definitions(database)
-    # As blobs, since text that is not UTF-8 is an error otherwise.
+    # Read as blobs: text that is not UTF-8 would be an error.
     rows = database.execute(
         "SELECT id, CAST(name AS BLOB), CAST(type AS BLOB), CAST(serialization_format AS BLOB)"
         "FROM topics WHERE id IS NOT NULL AND name IS NOT NULL AND type IS NOT NULL"
@@ -74,7 +74,7 @@ def read_topics(database: apsw.Connection, path: Path) -> dict[SQLiteValue, Chan
 
 
 def _definitions(database: apsw.Connection) -> dict[str, tuple[str, bytes]]:
-    """Return language and text of the definition of each type."""
+    """Return the language and text of each type's definition."""
     wanted = {"topic_type", "encoding", "encoded_message_definition"}
     if not columns_of(database, "message_definitions").keys() >= wanted:
         return {}
@@ -89,9 +89,9 @@ def _definitions(database: apsw.Connection) -> dict[str, tuple[str, bytes]]:
 
 
 def check_indexes(database: apsw.Connection) -> None:
-    """Raise an error of SQLite where an index does not list each row once.
+    """Raise an error of SQLite if an index does not list each row once.
 
-    That is told by how many there are, and by the sum of their numbers.
+    The number of rows and the sum of their row ids are compared.
     """
     indexes = _indexes(database)
     if not indexes and database.execute("PRAGMA quick_check(1)").fetchall() != [("ok",)]:
@@ -100,13 +100,13 @@ def check_indexes(database: apsw.Connection) -> None:
     for name in indexes:
         quoted_name = name.replace('"', '""')
         rows = _numbers(database, what, f'INDEXED BY "{quoted_name}"')
-        # Where no row number is left out these are all. Otherwise the whole table is counted.
+        # If the row ids are consecutive, these are all rows; else the whole table is counted.
         if rows != _consecutive(database) and rows != _numbers(database, what, "NOT INDEXED"):
             raise apsw.CorruptError(f"its index {quoted(name)} does not list all messages")
 
 
 def _consecutive(database: apsw.Connection) -> list[int]:
-    """Return how many rows there are, and the sum of their numbers, if none is left out."""
+    """Return number and sum of the row ids from the first to the last; empty without row ids."""
     if not has_rowid(database):
         return []
     first, last = _numbers(database, "min(rowid), (SELECT max(rowid) FROM messages)")
@@ -115,7 +115,7 @@ def _consecutive(database: apsw.Connection) -> list[int]:
 
 
 def _indexes(database: apsw.Connection) -> list[str]:
-    """Return the names of the indexes that list all rows."""
+    """Return the names of the indexes of all rows."""
     rows = database.execute("SELECT name FROM pragma_index_list('messages') WHERE partial = 0")
     return [str(name) for (name,) in rows]
 
@@ -126,7 +126,7 @@ def _numbers(database: apsw.Connection, expressions: str, how: str = "") -> list
 
 
 def has_rowid(database: apsw.Connection) -> bool:
-    """Return whether rows have numbers."""
+    """Return whether rows have row ids."""
     with suppress(apsw.SQLError):  # WITHOUT ROWID
         database.execute("SELECT rowid FROM messages LIMIT 0").fetchall()
         return True

@@ -1,4 +1,4 @@
-"""Rows of a query, fetched in groups and combined into blocks of messages."""
+"""Fetch the rows of a query in groups, and combine them into blocks of messages."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 ROWS = 256
-"""Rows that are fetched together: they fit the processor's cache."""
+"""Maximum number of rows that are fetched together: they fit the processor's cache."""
 
 FETCHES = 16
-"""Fetches in a block, so that decoding costs little per message."""
+"""Number of fetches in a block: large blocks cost less to decode."""
 
 BLOCK_BYTES = 4 << 20
-"""Bytes from which a block is complete, for large messages."""
+"""Bytes from which a block is complete, even of fewer fetches."""
 
 
 class Fetch(NamedTuple):
-    """Rows fetched together: log times, ns, and the lengths and bytes of the messages."""
+    """Rows that were fetched together: log times, ns, lengths and bytes of the messages."""
 
     times: NDArray[np.int64]
     lengths: NDArray[np.int64]
@@ -35,13 +35,13 @@ class Fetch(NamedTuple):
 
 
 def fetch_of(rows: Sequence[tuple[int | None, bytes]]) -> Fetch:
-    """Return rows of log time and bytes as arrays, without those that have no time."""
+    """Return rows of log time and bytes as arrays, without rows that have no time."""
     times, messages = zip(*rows, strict=True)
     if None in times:
         timed = [row for row in rows if row[0] is not None]
         times, messages = zip(*timed, strict=True) if timed else ((), ())
     return Fetch(
-        # Not numpy's conversion, which takes fractions.
+        # NumPy's conversion would accept fractions.
         np.frombuffer(array("q", times), np.int64),
         np.fromiter(map(len, messages), np.int64, len(messages)),
         b"".join(messages),
@@ -49,13 +49,13 @@ def fetch_of(rows: Sequence[tuple[int | None, bytes]]) -> Fetch:
 
 
 def fetched(cursor: Iterator[tuple[Any, ...]]) -> Iterator[tuple[int, Fetch]]:
-    """Yield what a query gives in groups: how many rows, and those that have a time."""
+    """Yield the rows of a query in groups: their number, and the fetch of those with a time."""
     size = 64
     damage = None
     while damage is None:
         rows: list[Any] = []
         try:
-            # What comes before an error stays in the list.
+            # Rows before an error stay in the list.
             rows.extend(islice(cursor, size))
         except apsw.Error as error:
             damage = error
@@ -69,7 +69,7 @@ def fetched(cursor: Iterator[tuple[Any, ...]]) -> Iterator[tuple[int, Fetch]]:
 
 
 def next_group(fetches: Iterator[Fetch]) -> list[Fetch]:
-    """Take the fetches of one block; none at the end."""
+    """Return the next fetches, enough for one block; empty at the end."""
     group: list[Fetch] = []
     size = 0
     for fetch in fetches:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 MAX_OPEN = 16
-"""So many parts are kept open; an open database takes some megabytes. Others are opened again."""
+"""Maximum number of parts kept open: a database takes some megabytes. Others are reopened."""
 
 
 class Rosbag2Log(TopicLog):
@@ -79,7 +79,7 @@ class Rosbag2Log(TopicLog):
         self._channels = self._unite_channels(found.counts)
 
     def _add(self, file: Path) -> None:
-        """Add a part, or note why it cannot be opened."""
+        """Add a part, or record why it cannot be opened."""
         part = Part(file)
         try:
             log = self._open(part)
@@ -98,7 +98,7 @@ class Rosbag2Log(TopicLog):
             log.close()
 
     def _open(self, part: Part) -> MessageLog:
-        """Open a part, whose content tells its compression and storage."""
+        """Open a part; its compression and storage are detected by content."""
         source = FileSource(part.copy.path) if part.copy else self._source_of_part(part.path)
         if part.copy is None and file_compression(source.read(0, MAGIC_BYTES)):
             source.close()
@@ -116,7 +116,7 @@ class Rosbag2Log(TopicLog):
         return McapLog(source, is_zstd=self._is_zstd)
 
     def _note(self, part: Part, losses: Iterable[Loss]) -> None:
-        """Note losses of a part."""
+        """Record losses of a part."""
         for loss in losses:
             place = f"{plain(part.path.name)}: {loss.place}"
             self.losses.note(place, loss.reason, loss.messages)
@@ -128,7 +128,7 @@ class Rosbag2Log(TopicLog):
     def _unite_channels(self, stated: dict[tuple[str, str], int]) -> list[Channel]:
         """Group the channels of the parts, and count their messages.
 
-        A part may lack the definition of a type that another part has.
+        A missing definition is taken from another part, if all others agree.
         """
         definitions: defaultdict[tuple[str, str], set[tuple[str, bytes]]] = defaultdict(set)
         for channel in (channel for part in self._parts for channel in part.channels):
@@ -151,11 +151,11 @@ class Rosbag2Log(TopicLog):
         )
 
     def channels(self) -> list[Channel]:
-        """Return every channel of any part, in order of topic."""
+        """Return the channels of all parts in order of topic."""
         return list(self._channels)
 
     def recorded_span(self, channel: Channel) -> TimeRange | None:
-        """Return when a channel was recorded; None where a part has no index of the times."""
+        """Return the range of log times of a channel; None if a part has no index of the times."""
         spans = []
         for part, own in self._holding(channel):
             if own.count != 0:
@@ -167,7 +167,7 @@ class Rosbag2Log(TopicLog):
         return TimeRange(min(ends[0]), max(ends[1])) if spans else None
 
     def _holding(self, channel: Channel) -> list[tuple[Part, Channel]]:
-        """Return the parts that have a channel, and what it is in each."""
+        """Return the parts that have a channel, and the part's own channel."""
         return [
             (part, own)
             for part in self._parts
@@ -178,8 +178,7 @@ class Rosbag2Log(TopicLog):
     def blocks(self, channel: Channel, within: TimeRange | None = None) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, always from the part with the earliest next block.
 
-        Parts that follow each other in time are read one after another; parts that overlap are
-        read alternately.
+        Consecutive parts are read one after another, overlapping parts alternately.
         """
         streams = [(part, own, within) for part, own in self._holding(channel)]
         waiting = [(NO_BOUND, 0)] if len(streams) == 1 else self._starts(streams)
@@ -193,7 +192,7 @@ class Rosbag2Log(TopicLog):
             if block is None:
                 continue
             running[k] = stream
-            # Not after the block's end, so that a part that has ended is closed at once.
+            # Not later than the block's end, so that a finished part is closed at once.
             watermark_ns = min(block.watermark_ns, int(block.log_ns.max()))
             heapq.heappush(waiting, (watermark_ns, k))
             count += len(block)
@@ -202,7 +201,7 @@ class Rosbag2Log(TopicLog):
             self._check_count(channel, count)
 
     def _check_count(self, channel: Channel, count: int) -> None:
-        """Note messages that metadata.yaml counts, and that are neither read nor noted as lost."""
+        """Record a loss if metadata.yaml counts more messages than were read or lost."""
         name = _name(channel)
         namesakes = sum(_name(each) == name for each in self._channels)
         lost = sum(loss.messages or 0 for loss in self.losses if loss.place != METADATA)
@@ -215,9 +214,9 @@ class Rosbag2Log(TopicLog):
     def _starts(
         self, streams: list[tuple[Part, Channel, TimeRange | None]]
     ) -> list[tuple[int, int]]:
-        """Return the number of each stream, after a time that none of its messages precedes.
+        """Return a lower bound of the log times of each stream, and the stream's number.
 
-        The times are those of the parts: the metadata of a recorder that died is stale.
+        The times are read from the parts: after a crash of the recorder the metadata are stale.
         """
         starts = []
         for k, stream in enumerate(streams):
@@ -247,7 +246,7 @@ class Rosbag2Log(TopicLog):
         self._channels = [completed(channel) for channel in self._channels]
 
     def recorded_provenance(self) -> dict[str, str]:
-        """Return the provenance of each topic, which metadata.yaml may carry, as JSON."""
+        """Return the provenance of each topic as JSON, from metadata.yaml."""
         return self._recorded
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""The parts of a ROS 2 bag folder, from its metadata.yaml or by their names."""
+"""The parts of a ROS 2 bag folder, from its metadata.yaml or by file name."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ METADATA = "metadata.yaml"
 _PART = re.compile(
     r"(?P<bag>.+?)(_(?P<number>\d+))?(?P<storage>\.mcap|\.db3)(\.zstd|\.lz4|\.gz|\.bz2)?"
 )
-"""Names of parts: the bag's name, a number if it was split, storage, compression."""
+"""File names of parts: the bag's name, a number if it was split, storage, compression."""
 
 _SCALAR = re.compile(r"^ {2,4}(compression_(?:mode|format)): *(\S*) *$", re.MULTILINE)
 _PATH_LIST = re.compile(
@@ -36,21 +36,21 @@ _PATH_LIST = re.compile(
 )
 
 _LARGE_METADATA = 1 << 18
-"""Characters of metadata.yaml from which only what is needed is read."""
+"""Characters of metadata.yaml from which only the needed fields are read."""
 
 MAX_METADATA = 1 << 22
-"""Bytes that metadata.yaml may have; that of thousands of parts is smaller."""
+"""Maximum bytes of metadata.yaml; that of thousands of parts is smaller."""
 
 
 MAX_COUNT = (1 << 63) - 1
-"""Messages that metadata may count: rosbag2 has 64 bits for it."""
+"""Maximum message count in metadata: rosbag2 uses 64 bits."""
 
 
 @dataclass(slots=True)
 class Folder:
     """The content of a bag folder.
 
-    `parts`: the files to read, in the order of the metadata or of their numbers
+    `parts`: the files to read, in order of the metadata or of their numbers
     `counts`: number of messages by topic and type, from the metadata
     `losses`: parts that are missing or not read
     `custom`: custom data in the metadata, by name
@@ -65,27 +65,27 @@ class Folder:
 
 def folder(path: Path) -> Folder:
     """Find the parts of a bag folder."""
-    # A pipe or a device with the name of a part would be read forever.
-    there = {
+    # A pipe or device with the name of a part could be read forever.
+    files = {
         file.name: file for file in path.iterdir() if _PART.fullmatch(file.name) and file.is_file()
     }
     losses = Losses()
     metadata = _metadata(path / METADATA, losses)
     found = Folder(losses=losses)
     if metadata is None:
-        found.parts = _numbered(path, there, losses)
+        found.parts = _numbered(path, files, losses)
     else:
-        _compare(metadata, there, found)
-        if there and not found.parts:
+        _compare(metadata, files, found)
+        if files and not found.parts:
             found = replace(found, losses=Losses())
             reason = "the parts that it names are not in the folder; they are found by their names"
             found.losses.note(METADATA, reason)
-            found.parts = _numbered(path, there, found.losses)
+            found.parts = _numbered(path, files, found.losses)
     return found
 
 
 def _metadata(path: Path, losses: Losses) -> JsonObject | None:
-    """Return the content of metadata.yaml; None if it is missing or not usable."""
+    """Return the content of metadata.yaml; None if it is missing or unusable."""
     if not path.exists():
         return None
     try:
@@ -102,9 +102,9 @@ def _metadata(path: Path, losses: Losses) -> JsonObject | None:
 
 
 def _skimmed(text: str) -> JsonObject:
-    """Return what is needed of large metadata; empty if it is not as recorders write it.
+    """Return the needed fields of large metadata; empty if they are not in the usual format.
 
-    A YAML library in Python takes seconds for each megabyte.
+    A YAML parser in Python takes seconds per megabyte.
     """
     metadata: JsonObject = {}
     for key, value in _SCALAR.findall(text):
@@ -119,7 +119,7 @@ def _skimmed(text: str) -> JsonObject:
 
 
 def _loaded(text: str) -> JsonObject:
-    """Return the content of a text in YAML; empty if it is damaged."""
+    """Return the content of a YAML text; empty if it is damaged."""
     try:
         loaded = read_yaml(text)
     except ContentError:
@@ -139,13 +139,13 @@ def _custom(metadata: JsonObject) -> dict[str, str]:
     return {_text(name): _text(value) for name, value in custom.items()}
 
 
-def _numbered(path: Path, there: dict[str, Path], losses: Losses) -> list[Path]:
-    """Return the parts in the folder in order of their numbers, and note which are missing."""
+def _numbered(path: Path, files: dict[str, Path], losses: Losses) -> list[Path]:
+    """Return the parts in the folder in order of their numbers, and record missing ones."""
     parts: dict[tuple[str, int], Path] = {}
-    for name, file in sorted(there.items()):
+    for name, file in sorted(files.items()):
         match = _PART.fullmatch(name)
         if match:
-            # A file decompressed by hand, beside the compressed one, is sorted first and read.
+            # Of a compressed file and its decompressed copy, the copy is sorted first and read.
             bag = match["bag"] + match["storage"]
             parts.setdefault((bag, int(match["number"] or 0)), file)
     bags = sorted({bag for bag, _ in parts})
@@ -167,8 +167,8 @@ def _numbered(path: Path, there: dict[str, Path], losses: Losses) -> list[Path]:
     return [parts[key] for key in sorted(parts)]
 
 
-def _compare(metadata: JsonObject, there: dict[str, Path], found: Folder) -> None:
-    """Look for every part that the metadata lists."""
+def _compare(metadata: JsonObject, files: dict[str, Path], found: Folder) -> None:
+    """Find the parts that the metadata lists, and copy its counts and settings to `found`."""
     sizes = {
         PurePosixPath(_text(entry.get("path"))).name: entry.get("message_count")
         for entry in _dicts(metadata.get("files"))
@@ -176,15 +176,15 @@ def _compare(metadata: JsonObject, there: dict[str, Path], found: Folder) -> Non
     listed_names: set[str] = set()
     for relative in _paths(metadata):
         name = PurePosixPath(relative).name
-        # Old metadata has the folder's name too. Nothing outside the folder is ever read.
-        file = next((there[name] for name in _spellings(name) if name in there), None)
+        # Old metadata include the folder's name. Nothing outside the folder is read.
+        file = next((files[name] for name in _spellings(name) if name in files), None)
         listed_names.update(_spellings(name))
         if file is None:
             count = sizes.get(name)
             found.losses.note(f"part {quoted(relative)}", "it is not in the folder", _count(count))
         elif file not in found.parts:
             found.parts.append(file)
-    for name in sorted(there.keys() - listed_names):
+    for name in sorted(files.keys() - listed_names):
         reason = "metadata.yaml does not name it and it is not read; name it by itself to read it"
         found.losses.note(f"part {quoted(name)}", reason)
     if _text(metadata.get("compression_mode")).lower() == "message":
@@ -203,12 +203,12 @@ def _paths(metadata: JsonObject) -> list[str]:
 
 
 def _text(value: object) -> str:
-    """Return a string; ``""`` for anything else, which may be nested without end."""
+    """Return a string; ``""`` for a value of another type."""
     return value if isinstance(value, str) else ""
 
 
 def _spellings(name: str) -> Iterator[str]:
-    """Yield the names of a part: a recorder that died may not have compressed the last one."""
+    """Yield possible file names of a part: after a crash the last one may not be compressed."""
     yield name
     yield name.removesuffix(".zstd")
     yield name + ".zstd"
@@ -237,7 +237,7 @@ class Part:
 
 
 def total_count(counts: list[int | None], stated: int | None) -> int | None:
-    """Return the number of messages as the parts count them, or else as the metadata states it."""
+    """Return the number of messages by the parts if all are known, else by the metadata."""
     known = [count for count in counts if count is not None]
-    # A recorder that died has stated nothing, or 0.
+    # After a crash of the recorder the metadata have no count, or 0.
     return sum(known) if len(known) == len(counts) else stated or None

@@ -1,4 +1,4 @@
-"""How the files of an SQLite database are opened without changing them."""
+"""Open the files of an SQLite database without changing them."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ if TYPE_CHECKING:
 _WAL_HEAD = struct.Struct(">8I")
 _FRAME_HEAD = struct.Struct(">6I")
 _WAL_MAGIC = 0x377F0682
-"""The last bit says whether checksums are of big-endian words."""
+"""The last bit is set if checksums are of big-endian words."""
 NO_LOCKS = "win32-none" if os.name == "nt" else "unix-none"
 """SQLite's file system without locks and shared memory."""
 
 
 _LEAST_LENGTH, _MOST_LENGTH = 1 << 20, 1 << 30
-"""Bytes of a value, whatever the size of the files."""
+"""Lower and upper bound of the limit on a value's bytes."""
 _STEP = 1 << 20
 _STEPS_PER_BYTE = 50
-"""A row takes six bytes at least, and a query up to a hundred steps to sort it and to give it."""
+"""A row has six bytes at least, and a query takes up to a hundred steps to sort and return it."""
 _LEAST_STEPS = 1 << 24
 _USUAL_PAGE = 4096
 _MOST_REST = 1 << 16
-"""Bytes behind a database that are looked at: SQLite may reserve space, which is zero."""
+"""Bytes behind a database that are inspected: space that SQLite reserves is zero."""
 
 
-def files_beside(path: Path) -> list[str]:
+def journal_files(path: Path) -> list[str]:
     """Return the names of the journal files with changes not yet in the database."""
     return [
         name
@@ -48,60 +48,60 @@ def files_beside(path: Path) -> list[str]:
     ]
 
 
-def read_only(path: Path, beside: Sequence[str] = ()) -> str:
-    """Return the URI that opens a database without changing it or leaving files beside it.
+def read_only(path: Path, journals: Sequence[str] = ()) -> str:
+    """Return the URI that opens a database without changing it or creating files beside it.
 
-    `beside`: the files of :func:`files_beside`, if they are to be read, too. Without shared memory
-        (``-shm``) beside the log, the connection must be set to ``locking_mode=EXCLUSIVE``, so that
-        it does not create that
+    `journals`: the files of :func:`journal_files`, if they are to be read, too. Without a shared
+        memory file (``-shm``), the connection must be set to ``locking_mode=EXCLUSIVE``, so that
+        it creates none
     """
     address = f"file:{quote(str(path.absolute()))}?mode=ro"
-    if not beside:
-        # Without this, files are created beside a database in write-ahead mode.
+    if not journals:
+        # Otherwise SQLite creates files beside a database in write-ahead mode.
         return f"{address}&immutable=1"
     return address if has_shared_memory(path) else f"{address}&vfs={NO_LOCKS}"
 
 
 def has_shared_memory(path: Path) -> bool:
-    """Tell whether a recorder is, or was, using the database in write-ahead mode."""
+    """Return whether there is a shared memory file: a recorder uses or used write-ahead mode."""
     return path.with_name(f"{path.name}-shm").exists()
 
 
-def open_database(path: Path, beside: Sequence[str] = ()) -> apsw.Connection:
+def open_database(path: Path, journals: Sequence[str] = ()) -> apsw.Connection:
     """Open a database, read-only; parameters as for :func:`read_only`.
 
-    Its schema is read even if it points to pages beyond the end of the file. No value may be longer
-    than the files, and no query takes more steps than their rows could need.
+    Its schema is read even if it refers to pages beyond the end of the file. No value may be longer
+    than the files, and no query may take more steps than their rows could need.
     """
     flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
-    database = apsw.Connection(read_only(path, beside), flags=flags)
-    if beside and not has_shared_memory(path):
+    database = apsw.Connection(read_only(path, journals), flags=flags)
+    if journals and not has_shared_memory(path):
         database.execute("PRAGMA locking_mode=EXCLUSIVE")
-    # Where nothing in a write-ahead log is intact, SQLite would delete it when it closes the file.
+    # SQLite would delete a write-ahead log without intact frames when it closes the database.
     database.config(apsw.SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1)
     database.execute("PRAGMA writable_schema=ON")
     database.config(apsw.SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0)
-    size = sum(file.stat().st_size for file in (path, *map(path.with_name, beside)))
+    size = sum(file.stat().st_size for file in (path, *map(path.with_name, journals)))
     database.limit(apsw.SQLITE_LIMIT_LENGTH, min(max(size, _LEAST_LENGTH), _MOST_LENGTH))
     limit_steps(database, size)
     return database
 
 
 def limit_steps(database: apsw.Connection, size: int) -> None:
-    """Interrupt a query that takes more steps than the rows in so many bytes could need.
+    """Interrupt a query that takes more steps than the rows of a file of `size` bytes could need.
 
-    Called again before each query, which has all the steps for itself.
+    To be called before each query, as the steps of all queries are counted.
     """
     left = iter(range((size * _STEPS_PER_BYTE + _LEAST_STEPS) // _STEP))
     database.set_progress_handler(lambda: next(left, None) is None, _STEP)
 
 
 class WalPages(NamedTuple):
-    """What a write-ahead log holds.
+    """The pages in a write-ahead log.
 
-    `offsets`: where in the log the newest committed content of each page is, by page number
-    `unfinished`: pages of a transaction that was not finished, or that is damaged; of a log whose
-        head is damaged, about how many it has
+    `offsets`: offset in the log of the newest committed content of each page, by page number
+    `unfinished`: number of pages of an unfinished or damaged transaction; approximate if the head
+        of the log is damaged
     """
 
     offsets: dict[int, int]
@@ -109,7 +109,7 @@ class WalPages(NamedTuple):
 
 
 def read_wal(source: FileSource) -> WalPages:
-    """Return which pages of a write-ahead log SQLite applies, and how many it does not."""
+    """Return the pages of a write-ahead log that SQLite applies, and the number of others."""
     head = source.read(0, _WAL_HEAD.size).ljust(_WAL_HEAD.size, b"\0")
     magic, _, page_size, _, *salts_and_sums = _WAL_HEAD.unpack(head)
     salts, sums = tuple(salts_and_sums[:2]), tuple(salts_and_sums[2:])
@@ -127,7 +127,7 @@ def read_wal(source: FileSource) -> WalPages:
         number, database_size, *rest = _FRAME_HEAD.unpack(
             frame[: _FRAME_HEAD.size].ljust(24, b"\0")
         )
-        # Frames of an earlier use of the log may follow; both their salts are others.
+        # Frames of an earlier use of the log may follow; both their salts differ.
         if len(frame) < stride or rest[0] == salts[0] or rest[1] == salts[1]:
             frames = count
         checked = np.frombuffer(frame[:8] + frame[_FRAME_HEAD.size :], np.uint8)
@@ -145,7 +145,7 @@ def read_wal(source: FileSource) -> WalPages:
 
 
 def _checksum(words: NDArray[np.uint32], sums: tuple[int, ...]) -> tuple[int, int]:
-    """Return SQLite's checksum of 32-bit words, from that of the frame before."""
+    """Return SQLite's checksum of 32-bit words, continued from the previous frame's."""
     first, second = sums
     for even, odd in zip(words[::2].tolist(), words[1::2].tolist(), strict=True):
         first = (first + even + second) & 0xFFFFFFFF
@@ -154,8 +154,8 @@ def _checksum(words: NDArray[np.uint32], sums: tuple[int, ...]) -> tuple[int, in
 
 
 def note_joined_bytes(database: apsw.Connection, path: Path, losses: Losses) -> None:
-    """Note bytes behind the last page of a database, which SQLite passes over."""
-    # Statements, since a view may have the name of a function.
+    """Record bytes behind the last page of a database, which SQLite ignores."""
+    # Pragma statements: a view may have the name of a pragma function.
     page_count, page_size = (
         int(str(database.execute(f"PRAGMA {name}").fetchall()[0][0]))
         for name in ("page_count", "page_size")

@@ -1,4 +1,4 @@
-"""Rows of a damaged SQLite table, read from the pages of the file.
+"""Read the rows of a damaged SQLite table from the pages of the file.
 
 Written by hand, since neither SQLite's recovery extension nor its page tables are part of apsw.
 
@@ -13,7 +13,7 @@ import struct
 from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.containers.rosbag2.sqlite_files import files_beside, read_wal
+from quatprop.containers.rosbag2.sqlite_files import journal_files, read_wal
 from quatprop.stores.file_source import FileSource
 
 if TYPE_CHECKING:
@@ -24,21 +24,21 @@ _LEAF = 0x0D
 _FILE_HEAD = 100
 _LEAF_HEAD = 8
 _SIZES = (0, 1, 2, 3, 4, 6, 8, 8, 0, 0)
-"""Bytes of a value by its serial type, of those below 12."""
+"""Bytes of a value by its serial type, for types below 12."""
 _INTEGERS = frozenset({1, 2, 3, 4, 5, 6, 8, 9})
 _FIRST_BLOB = 12
 _DAMAGE = (IndexError, struct.error, ValueError)
 
 
 class Cell(NamedTuple):
-    """A row of a table, of which the last column read is a blob.
+    """A row of a table with a topic id, a time and a blob.
 
-    `log_ns`: the time column
-    `group`: the column by which rows are selected
-    `place`: where its record begins in the file
-    `local`: bytes of the record that are there
+    `log_ns`: the time
+    `group`: the topic id
+    `place`: page number times page size, plus the offset of its record in the page
+    `local`: bytes of the record on the leaf page; the others are on overflow pages
     `size`: bytes of the record
-    `begin`, `end`: where in the record the blob is
+    `begin`, `end`: offsets of the blob in the record
     """
 
     log_ns: int
@@ -55,9 +55,9 @@ class Cell(NamedTuple):
 def open_pages(path: Path, columns: tuple[int, int, int]) -> Iterator[TablePages]:
     """Open the pages of a database and of the write-ahead log beside it."""
     wal_name = f"{path.name}-wal"
-    has_wal = wal_name in files_beside(path)
-    beside = FileSource(path.with_name(wal_name)) if has_wal else nullcontext()
-    with FileSource(path) as source, beside as wal:
+    has_wal = wal_name in journal_files(path)
+    wal_file = FileSource(path.with_name(wal_name)) if has_wal else nullcontext()
+    with FileSource(path) as source, wal_file as wal:
         yield TablePages(source, columns, read_wal(wal).offsets if wal else {}, wal)
 
 
@@ -65,7 +65,7 @@ class TablePages:
     """The leaf pages of a table, whether the tables and indexes above them are intact or not.
 
     `columns`: positions of the columns ``topic_id``, ``timestamp`` and ``data``
-    `overlay`: pages by number that a write-ahead log has newer: where they are in `wal`
+    `overlay`: offsets in `wal` of the pages that it has in a newer version, by page number
     `wal`: the write-ahead log; None if there is none
     """
 
@@ -85,7 +85,7 @@ class TablePages:
         self._count = max([source.size // self.page_size, *self._overlay])
 
     def cells(self, groups: Collection[object]) -> Iterator[Cell]:
-        """Yield the rows of some groups that are on intact pages, in no order."""
+        """Yield the rows of some groups on intact pages, unordered."""
         for number in range(1, self._count + 1):
             page = self._page(number)
             head = _FILE_HEAD if number == 1 else 0
@@ -103,7 +103,7 @@ class TablePages:
                     yield cell
 
     def blob(self, cell: Cell) -> bytes | None:
-        """Return the blob of a row; None where its overflow pages are not there."""
+        """Return the blob of a row; None if an overflow page is missing."""
         number, at = divmod(cell.place, self.page_size)
         local = self._page(number)[at : at + cell.local + 4]
         parts, missing = [local[: cell.local]], cell.size - cell.local
@@ -130,7 +130,7 @@ class TablePages:
             return b""
 
     def _cell(self, page: bytes, at: int, number: int) -> Cell | None:
-        """Return the row of a cell; None if it is not one of this table."""
+        """Return the row of a cell; None if it is not of this table."""
         size, at = _varint(page, at)
         rowid, at = _varint(page, at)
         local = self._local(size)
@@ -155,7 +155,7 @@ class TablePages:
         return Cell(log_ns, rowid, topic, place, local, size, data[1], data[2])
 
     def _local(self, size: int) -> int:
-        """Return how many bytes of a record of this size are on its leaf page."""
+        """Return the bytes of a record of a size that are on its leaf page."""
         most = self._usable - 35
         if size <= most:
             return size
@@ -165,12 +165,12 @@ class TablePages:
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:
-    """Return a number of 1 to 9 bytes, and where the next value begins."""
+    """Return a number of 1 to 9 bytes, and the offset behind it."""
     value = 0
     for k in range(8):
         byte = data[at + k]
         value = value << 7 | byte & 0x7F
-        if byte < 0x80:  # noqa: PLR2004  # the high bit says that more follow
+        if byte < 0x80:  # noqa: PLR2004  # the high bit is set if more bytes follow
             return value, at + k + 1
     value = value << 8 | data[at + 8]
     return value - (1 << 64) if value >> 63 else value, at + 9

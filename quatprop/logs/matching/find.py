@@ -74,11 +74,13 @@ def marks_of(found: Found) -> Group:
 
 def matching(table: Table, part: TablePart, pattern: str) -> Sequence[tuple[int, re.Match[str]]]:
     """Return the columns of a part whose names fit a pattern, and how."""
-    key = (part, pattern)
-    if pattern and key not in table.matches:
+    if not pattern:
+        return ()
+    found: list[tuple[int, re.Match[str]]] | None = table.matches.get((part, pattern))
+    if found is None:
         fits = re.compile(pattern).fullmatch
         begin = len(part.prefix)
-        table.matches[key] = [
+        found = table.matches[part, pattern] = [
             (k, match)
             for k, column in enumerate(table.columns[part.begin : part.end], part.begin)
             for match in [
@@ -87,7 +89,7 @@ def matching(table: Table, part: TablePart, pattern: str) -> Sequence[tuple[int,
             ]
             if match
         ]
-    return table.matches[key] if pattern else ()
+    return found
 
 
 def sets_of(
@@ -99,6 +101,10 @@ def sets_of(
 
     `components`: how the group ``part`` of the pattern spells each, with ``|`` between spellings
     """
+    key = (part, pattern, tuple(components))
+    known: tuple[Group, ...] | None = table.matches.get(key)
+    if known is not None:
+        return known
     number = {own: k for k, spellings in enumerate(components) for own in spellings.split("|")}
     found: dict[str, dict[int, list[int]]] = {}
     for k, match in matching(table, part, pattern):
@@ -108,12 +114,13 @@ def sets_of(
             rest = f"{name[: match.start('part')]}*{name[match.end('part') :]}"
             found.setdefault(rest, {}).setdefault(component, []).append(k)
     count = len(components)
-    return tuple(
+    known = table.matches[key] = tuple(
         tuple(places[component][: k + 1][-1] for component in range(count))
         for places in found.values()
         if len(places) == count
         for k in range(max(map(len, places.values())))
     )
+    return known
 
 
 def find(

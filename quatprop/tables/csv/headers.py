@@ -87,10 +87,8 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
     raw = _records(head.splitlines(keepends=True)[:_LINES])
     texts = [_text(line) for line in raw]
     _refuse_opensim(texts, path)
-    delimiter, rows = _delimiter(texts)
     # The provenance of our own files is JSON in a comment, full of numbers and commas.
-    rows = [[] if text.startswith(_OURS) else row for text, row in zip(texts, rows, strict=True)]
-    places = [k for k, row in enumerate(rows) if is_data(row)]
+    delimiter, rows, places = _delimiter(["" if text.startswith(_OURS) else text for text in texts])
     first = next(iter(places), len(rows))
     data = [rows[k] for k in places]
     width = len(data[0]) if data else max(map(len, rows), default=0)
@@ -164,22 +162,26 @@ def is_data(row: list[str]) -> bool:
     return len(row) >= RATES and len([*islice(filter(NUMBER.fullmatch, row), RATES)]) == RATES
 
 
-def _delimiter(texts: list[str]) -> tuple[str, list[list[str]]]:
-    """Return the separator with which most lines are rows of numbers, and the cells of the lines.
+def _delimiter(texts: list[str]) -> tuple[str, list[list[str]], list[int]]:
+    """Return the separator with which most lines are rows of numbers, their cells, and which.
 
     Of separators that are as good it is the first one.
     """
 
-    def fit(split: tuple[str, list[list[str]]]) -> tuple[int, bool, bool]:
-        _, rows = split
+    def fit(split: tuple[str, list[list[str]], list[int]]) -> tuple[int, bool, bool]:
+        _, rows, places = split
         widths = set(map(len, rows))
         # The last is for a table that is too narrow for rates: the error lists its columns.
-        return sum(map(is_data, rows)), max(widths) >= RATES, len(widths) == 1 < min(widths)
+        return len(places), max(widths) >= RATES, len(widths) == 1 < min(widths)
 
-    # Tabs and blanks are also between cells where no mark is.
     text = "".join(texts)
-    marks = [mark for mark in _DELIMITERS if mark.isspace() or mark in text]
-    return max(((mark, [split_cells(line, mark) for line in texts]) for mark in marks), key=fit)
+    # Tabs are blanks, too.
+    marks = [mark for mark in _DELIMITERS if mark in text or (mark == " " and "\t" in text)]
+    splits = ((mark, [split_cells(line, mark) for line in texts]) for mark in marks or _DELIMITERS)
+    return max(
+        ((mark, rows, [k for k, row in enumerate(rows) if is_data(row)]) for mark, rows in splits),
+        key=fit,
+    )
 
 
 def _decimal(data: list[list[str]], delimiter: str) -> str:

@@ -6,6 +6,7 @@ Trajectories of TUM RGB-D and of KITTI have no header, but columns that are know
 from __future__ import annotations
 
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -176,10 +177,11 @@ class CsvLog(TableLog):
         return block._replace(data=block.data[:begin])
 
     def _restart(self) -> TextStream:
-        """Return the text from its first row on, and forget what an earlier reading noted."""
-        self._forget_earlier_reading()
+        """Return the text from its first row on, and forget what an earlier reading remarked."""
         self.remarks.clear()
         if self._stream is None:
+            if len(self._head) < HEAD_BYTES and not self._text.damage:  # that was all of it
+                return TextStream(BytesIO(self._head[self._layout.body :]), may_be_compressed=False)
             rows = open_text(self.path)
             rows.read(self._layout.body)
             return rows

@@ -1,8 +1,8 @@
-"""Chunks of MCAP files: records, compressed, and the message index of each channel.
+"""Chunks of MCAP files: compressed records, and the message index of each channel.
 
-The record of a message is a head of 31 bytes and the message. A chunk of messages that all have one
-size is one array that is filled a column at a time, and its message index is two columns: the mcap
-package would take a call for each message.
+The record of a message has a head of 31 bytes. A chunk of messages of one size is one array that is
+filled a column at a time, and its message index is two columns: the mcap package would need a call
+for each message.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ if TYPE_CHECKING:
 
 
 CHUNK_BYTES = 1 << 20
-"""About how large a chunk is before it is compressed."""
+"""Approximate bytes of a chunk before compression."""
 
 INDEX_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
 """One message in a message index."""
 
 _RECORD_HEAD_BYTES = 9
 _ZSTD_LEVEL = -3
-"""Attitudes are mostly noise to a compressor: level 1 would save 3 % for half again the time."""
+"""Attitudes hardly compress: level 1 would save another 3 % for half again the time."""
 
 COMPRESSIONS: Mapping[str, Callable[[Buffer], Buffer]] = {
     "none": lambda data: data,
     "lz4": lz4.frame.compress,
     "zstd": lambda data: zstandard.ZstdCompressor(_ZSTD_LEVEL).compress(data),
 }
-"""What a chunk can be compressed with."""
+"""Compressions of chunks."""
 
 
 @dataclass(frozen=True, slots=True)
 class McapChunk:
-    """A chunk as it is written.
+    """A chunk to be written.
 
     `compression`: a key of :data:`COMPRESSIONS`
-    `first`, `last`: its earliest and latest log time, ns
+    `first`, `last`: earliest and latest log time, ns
     `size`, `crc`: bytes and checksum of the records before compression
     `indexes`: the message index of each channel, by id
     """
@@ -78,7 +78,7 @@ def compressed_chunk(
 
 
 def chunk_of_messages(compression: str, messages: Records) -> McapChunk:
-    """Return a chunk of the messages of one channel, as :func:`empty_messages` has them."""
+    """Return a chunk of messages of one channel, with the fields of :func:`empty_messages`."""
     index = np.empty(len(messages), INDEX_ENTRY)
     index["log"] = messages["log"]
     index["offset"] = np.arange(len(messages)) * messages.itemsize
@@ -87,7 +87,7 @@ def chunk_of_messages(compression: str, messages: Records) -> McapChunk:
 
 
 def empty_messages(channel: int, chunk_bytes: int, size: int) -> Records:
-    """Return the records of a chunk of messages of `size` bytes, without times and data."""
+    """Return records of messages of `size` bytes for one chunk, without times and data."""
     head = {
         "opcode": "u1",
         "length": "<u8",

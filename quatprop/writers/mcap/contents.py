@@ -1,4 +1,4 @@
-"""The contents of an MCAP file being written, from which its summary is made."""
+"""The contents of an MCAP file being written, and their summary section."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _CRC_BYTES = 4
 
 @dataclass(slots=True)
 class McapContents:
-    """What the summary of a file lists."""
+    """The records that the summary of a file lists."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
@@ -51,7 +51,7 @@ class McapContents:
                 parts.append(data)
                 offsets.append(SummaryOffset(opcode, place, len(data)))
                 place += len(data)
-        # The CRC is of the section and of the footer up to itself.
+        # The CRC covers the section, and the footer up to the CRC.
         section = b"".join([*parts, encoded(offsets)])
         footer = encoded([Footer(start, place, 0)])
         crc = crc32(footer[:-_CRC_BYTES], crc32(section))
@@ -66,7 +66,7 @@ class McapContents:
         yield Opcode.METADATA_INDEX, self.metadata
 
     def _statistics(self) -> Statistics:
-        # Without messages the times of a chunk are zero and mean nothing.
+        # The times of a chunk without messages are zero and meaningless.
         filled = [chunk for chunk in self.chunks if chunk.message_index_offsets]
         return Statistics(
             attachment_count=len(self.attachments),
@@ -82,7 +82,7 @@ class McapContents:
 
 
 def encoded(records: Iterable[McapRecord]) -> bytes:
-    """Return the bytes of records, one after the other."""
+    """Return the bytes of records, concatenated."""
     builder = RecordBuilder()
     for record in records:
         record.write(builder)

@@ -1,7 +1,7 @@
-"""MCAP files written by the chunk.
+"""Write MCAP files, a chunk at a time.
 
-Schemas and channels come first, then chunks of messages, then the summary. The records other than
-messages, chunks and message indexes, which are many, are encoded by the mcap package.
+Schemas and channels come first, then chunks of messages, then the summary. The mcap package encodes
+all records but messages, chunks and message indexes, which are many.
 """
 
 from __future__ import annotations
@@ -41,17 +41,17 @@ _RECORD_HEAD_BYTES = 9
 class McapFile:
     """An MCAP file being written.
 
-    Schemas and channels stand ahead of their chunks. The messages of a channel all have one size.
+    Schemas and channels precede their chunks. The messages of a channel all have one size.
 
-    `stream`: where the file goes, from its first byte; it need not be seekable
-    `header`: what the file begins with; or only its profile, ``"ros2"`` or nothing
+    `stream`: the output stream, from the first byte on; it need not be seekable
+    `header`: the header record, or only its profile, ``"ros2"`` or ``""``
     `compression`: a key of :data:`COMPRESSIONS`
-    `contents`: schemas and channels that the caller writes with :meth:`append`, so that the ids of
-        those that are added here do not clash
+    `contents`: schemas and channels that the caller writes with :meth:`append`, whose ids are not
+        used for others
     `before`: called with the first log time of a chunk, ns, before it is written, so that the
         caller can append earlier messages
-    `chunk_bytes`: about how large a chunk is before it is compressed
-    `contents`: what the file contains so far
+    `chunk_bytes`: approximate bytes of a chunk before compression
+    `contents`: the contents of the file so far
     `size`: bytes written so far
     """
 
@@ -92,16 +92,16 @@ class McapFile:
         self._channels.append(RecordBlock(empty, self._pool.submit))
 
     def write(self, log_ns: Int64, messages: Records, channel: int = 0) -> None:
-        """Append messages, shape ``(N,)``, logged and published at some times, ns, from 1970 on.
+        """Append messages, shape ``(N,)``, with their log and publish times, ns, from 1970 on.
 
-        `channel`: how many were declared before theirs
+        `channel`: index of their channel, in order of declaration
         """
         number = np.arange(self._written, self._written + len(messages), dtype=np.uint64)
         self._channels[channel].write(messages, sequence=number, log=log_ns, publish=log_ns)
         self._written += len(messages)
 
     def _schema_id(self, topic: Topic) -> int:
-        """Return the id of a topic's definition, which is declared unless it is there already."""
+        """Return the id of a topic's definition, which is declared if it is new."""
         wanted = topic.type_name, topic.schema_encoding, topic.schema
         for schema in self.contents.schemas.values():
             if (schema.name, schema.encoding, schema.data) == wanted:
@@ -117,14 +117,14 @@ class McapFile:
         return schema.id
 
     def add_metadata(self, name: str, content: Mapping[str, str]) -> None:
-        """Add metadata about the file as a whole, after the messages written so far."""
+        """Add a metadata record after the messages written so far."""
         self.flush()
         begin = self.size
         self._append_record(Metadata(name=name, metadata=dict(content)))
         self.contents.metadata.append(MetadataIndex(begin, self.size - begin, name))
 
     def finish(self) -> None:
-        """Write buffered messages, the summary and the end; the stream is left open."""
+        """Write buffered messages and the summary; the stream is left open."""
         self.flush()
         self._pool.shutdown()
         self._append_record(DataEnd(self._crc))
@@ -132,7 +132,7 @@ class McapFile:
         self.append(MAGIC)
 
     def abort(self) -> None:
-        """Drop buffered messages; does nothing after the end."""
+        """Drop buffered messages; does nothing after :meth:`finish`."""
         self._pool.shutdown()
 
     def flush(self) -> None:
@@ -142,7 +142,7 @@ class McapFile:
         self._pool.drain()
 
     def _append_own(self, chunk: McapChunk) -> None:
-        """Write a chunk of an added channel, after what is earlier."""
+        """Write a chunk of an added channel, after the caller's earlier messages."""
         self._before(chunk.first)
         self.append_chunk(chunk)
 
@@ -174,7 +174,7 @@ class McapFile:
         )
 
     def append_indexes(self, indexes: Mapping[int, Records]) -> dict[int, int]:
-        """Write the message indexes of a chunk; return the place of each, by channel id."""
+        """Write the message indexes of a chunk; return the offset of each by channel id."""
         offsets = {}
         for id_, index in indexes.items():
             offsets[id_] = self.size
@@ -185,7 +185,7 @@ class McapFile:
         return offsets
 
     def append(self, data: Buffer) -> None:
-        """Write whole records as they are."""
+        """Write complete records unchanged."""
         self._stream.write(data)
         self._crc = crc32(data, self._crc)
         self.size += len(data)
@@ -195,19 +195,19 @@ class McapFile:
 
 
 def _free_id(ids: Container[int]) -> int:
-    """Return the first id that is not taken; 0 means none."""
+    """Return the lowest unused id; 0 is not an id."""
     return next(id_ for id_ in range(1, 1 << 16) if id_ not in ids)
 
 
 METADATA = "quatprop"
-"""Name of the metadata record of a topic's provenance, with the keys ``provenance``, which is
+"""Name of the metadata record with a topic's provenance; keys are ``provenance``, which is
 JSON, and ``topic``."""
 
 
 class McapWriter(MessageWriter):
     """Write messages to an MCAP file.
 
-    `compression`: of the chunks: ``"zstd"``, ``"lz4"`` or ``"none"``
+    `compression`: compression of chunks: ``"zstd"``, ``"lz4"`` or ``"none"``
     """
 
     _output: OutputFile
@@ -227,7 +227,7 @@ class McapWriter(MessageWriter):
         finish_with_provenance(self._file, self._topic, provenance)
 
     def abort(self) -> None:
-        """Remove what was not committed."""
+        """Discard uncommitted output."""
         self._file.abort()
         super().abort()
 

@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from quatprop.writers.messages.ros_messages import RosEncoder
 
     AttitudeEncoder = RosEncoder | FoxgloveEncoder
-    """Encodes attitudes as one type of message: a topic, whether positions are written, and
+    """Encodes attitudes as messages of one type: has a topic, whether positions are written, and
     `encode`, which returns the messages of a batch."""
 
 
 def attitude_encoder(message: Message, encodings: Collection[str]) -> AttitudeEncoder:
     """Return the encoder of a message for a container.
 
-    `encodings`: what the container takes: ``"cdr"`` or ``"ros1"``, and ``"protobuf"``
+    `encodings`: encodings of the container: ``"cdr"`` or ``"ros1"``, and ``"protobuf"``
     """
     if message.definition.is_ros:
         from quatprop.writers.messages.ros_messages import RosEncoder

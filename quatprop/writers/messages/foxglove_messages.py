@@ -1,10 +1,10 @@
-"""Attitudes as Foxglove's own messages, encoded in protobuf by the block.
+"""Encode blocks of attitudes as Foxglove's own messages in protobuf.
 
-Protobuf encoders usually leave out numbers that are zero and use as few bytes as a number needs.
-Neither is required: here every number is written, and those of a time stamp in five bytes each, as
-most of them need. So every message has its fields in the same places, and a block is an array of
-records. The protobuf library, an optional dependency, would encode one message at a time; the tests
-compare the bytes of messages and descriptors with the library's.
+Protobuf encoders usually omit numbers that are zero and use as few bytes as a number needs. Neither
+is required: here every number is written, and those of a timestamp in five bytes each, as most of
+them need. So all messages have the same layout, and a block is an array of records. The protobuf
+library, an optional dependency, would encode one message at a time; the tests compare the bytes of
+messages and descriptors with the library's.
 
 References
 ----------
@@ -34,18 +34,18 @@ if TYPE_CHECKING:
 
 
 VARINT, FIXED64, LENGTH = 0, 1, 2
-"""Wire types: a number of 7 bits a byte, eight bytes, or bytes after their length."""
+"""Wire types: a number with 7 bits per byte, eight bytes, or length-prefixed bytes."""
 
 _TYPES = {"double": 1, "int64": 3, "int32": 5, "string": 9}
 _MESSAGE = 11
 _OPTIONAL = 1
-"""Numbers in ``descriptor.proto``: of types, and of the label of a field that is not a list."""
+"""Numbers in ``descriptor.proto`` of field types, and of the label of fields that are no lists."""
 
 CURVES: Mapping[str, tuple[str, ...]] = {
     "quatprop.Rates": ("x_rad_s", "y_rad_s", "z_rad_s"),
     "quatprop.Error": ("angle_deg", "x_deg", "y_deg", "z_deg"),
 }
-"""Messages of numbers alone, which viewers plot against their log times: names of the fields."""
+"""Messages with only numbers, which viewers plot against log time: names of the fields."""
 
 _DEFINITIONS: Mapping[str, Mapping[str, str]] = {
     **{name: dict.fromkeys(fields, "double") for name, fields in CURVES.items()},
@@ -66,31 +66,31 @@ _DEFINITIONS: Mapping[str, Mapping[str, str]] = {
         "pose": "foxglove.Pose",
     },
 }
-"""Names and types of the fields of each message, numbered from 1; each after those it uses."""
+"""Names and types of the fields of each message, numbered from 1; used types come first."""
 
 
 def varint(number: int) -> bytes:
-    """Return a number that is not negative, seven bits a byte, the lowest first."""
+    """Return a non-negative number as a varint: seven bits per byte, the lowest first."""
     parts = []
-    while number > 0x7F:  # noqa: PLR2004  # what fits seven bits
+    while number > 0x7F:  # noqa: PLR2004  # the largest number of seven bits
         parts.append(number & 0x7F | 0x80)
         number >>= 7
     return bytes([*parts, number])
 
 
 def tag(number: int, wire: int) -> bytes:
-    """Return the tag that a field begins with."""
+    """Return the tag of a field."""
     return varint(number << 3 | wire)
 
 
 def delimited(number: int, content: bytes | str) -> bytes:
-    """Return a field of bytes, text, or a message in a message."""
+    """Return a field of bytes, text, or a nested message."""
     data = content.encode() if isinstance(content, str) else content
     return tag(number, LENGTH) + varint(len(data)) + data
 
 
 def schema_of(name: str) -> bytes:
-    """Return the definition of a type with all that it uses, as a ``FileDescriptorSet``.
+    """Return the definitions of a type and of the types in it, as a ``FileDescriptorSet``.
 
     `name`: ``"foxglove.FrameTransform"``, ``"foxglove.PoseInFrame"`` or a key of :data:`CURVES`
     """
@@ -119,7 +119,7 @@ def _file(name: str) -> bytes:
 
 def _file_name(name: str) -> str:
     *folders, own = name.split(".")
-    # Google's files have names in lower case.
+    # The names of Google's files are in lower case.
     return "/".join([*folders, own.lower() if "google" in folders else own]) + ".proto"
 
 
@@ -135,7 +135,7 @@ def _field_descriptor(number: int, name: str, kind: str) -> bytes:
 
 
 def curve_messages(values: Float64) -> Records:
-    """Return messages of numbers alone, shape ``(N,)``, from values of shape ``(N, fields)``."""
+    """Return messages with only numbers, shape ``(N,)``, from values, shape ``(N, fields)``."""
     numbers = range(1, values.shape[1] + 1)
     fields = [field for n in numbers for field in ((f"tag {n}", "u1"), (f"{n}", "<f8"))]
     rows = np.empty(len(values), fields)
@@ -157,7 +157,7 @@ class FoxgloveEncoder:
     def __init__(self, message: Message) -> None:
         name = message.definition.name
         self.topic = Topic(message.topic_name, name, "protobuf", "protobuf", schema_of(name))
-        # Zeros stand for what differs from message to message.
+        # Values that differ from message to message are zero in the template.
         content: Mapping[str, bytes | str] = {
             "stamp": _STAMP,
             "frame": message.frame,
@@ -170,7 +170,7 @@ class FoxgloveEncoder:
             delimited(number, content[part])
             for number, part in enumerate(message.definition.parts, 1)
         )
-        # All of them begin with the stamp and end with the quaternion.
+        # All messages begin with the timestamp and end with the quaternion.
         doubles = len(template) - len(_ROTATION) + 1
         seconds = len(delimited(1, _STAMP)) - len(_STAMP) + 1
         self._dtype = np.dtype(
@@ -209,7 +209,7 @@ def _varints(numbers: Int64) -> NDArray[np.uint8]:
     spread = numbers & 0x7F
     for place in range(1, _VARINT_BYTES):
         spread |= numbers << place & 0x7F << 8 * place
-    # The high bit of all but the last says that more follow.
+    # The high bit of all bytes but the last is set.
     varints = (spread | 0x80808080).astype("<i8", copy=False)
     return varints.view(np.uint8).reshape(-1, varints.itemsize)[:, :_VARINT_BYTES]
 

@@ -1,10 +1,10 @@
-"""The messages that attitudes can be written as: types, topics, frames.
+"""Message types in which attitudes can be written: types, topics, frames.
 
-A position or translation is zero where the attitudes have none. The message's frame is the
-reference; the child of a transform is the body, so that it maps body to reference, as the attitude
-does, and so is the frame of an Imu. Covariances are about the axes of the reference, as ROS defines
-them; zeros say that one is not known, and -1 that the value itself is not. All of these types
-define the quaternion as x, y, z, w: there is no other layout.
+A position or translation is zero if the attitudes have none. The message's frame is the reference
+frame; the child frame of a transform is the body, so that it maps body to reference as the attitude
+does, and so is the frame of an Imu. Covariances are about reference axes, as ROS defines them;
+zeros mean an unknown covariance, -1 an unknown value. All of these types define the quaternion as
+x, y, z, w: there is no other layout.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 class MessageType(NamedTuple):
     """One row of :data:`MESSAGES`.
 
-    `name`: the type, as ROS 2 names it, or as Foxglove does
+    `name`: full name of the type in ROS 2 or Foxglove's schemas
     `parts`: its fields in order: ``stamp``, ``frame``, ``child``, the number of elements ``count``,
         ``position`` and ``xyzw``, or a ``pose`` of both; the ``covariance`` of the orientation, or
         ``pose_covariance`` with it; ``rate``, ``acceleration`` and the covariance of each
-    `topic`: the topic it is usually published under
+    `topic`: its usual topic
     """
 
     name: str
@@ -34,7 +34,7 @@ class MessageType(NamedTuple):
 
     @property
     def has_covariance(self) -> bool:
-        """Whether it has a place for the covariance of the orientation."""
+        """Whether it has a covariance of the orientation."""
         return not {"covariance", "pose_covariance"}.isdisjoint(self.parts)
 
     @property
@@ -69,16 +69,16 @@ MESSAGES: Mapping[str, MessageType] = {
     ),
     "PoseInFrame": MessageType("foxglove.PoseInFrame", ("stamp", "frame", "pose")),
 }
-"""Every message that attitudes can be written as."""
+"""All message types in which attitudes can be written."""
 
 
 class Message(NamedTuple):
-    """The message that attitudes are written as, and its topic and frames.
+    """The type, topic and frames of attitude messages.
 
-    `type`: a key of :data:`MESSAGES`, or its full name
-    `topic`: none is the usual one: ``/attitude``, or ``/tf`` for transforms
-    `frame`: name of the reference
-    `child`: name of the body
+    `type`: a key of :data:`MESSAGES`, or the full name of a type
+    `topic`: None is the usual one: ``/attitude``, or ``/tf`` for transforms
+    `frame`: name of the reference frame
+    `child`: name of the body frame
     """
 
     type: str = "QuaternionStamped"
@@ -98,11 +98,11 @@ class Message(NamedTuple):
 
     @property
     def topic_name(self) -> str:
-        """The topic, given or usual."""
+        """The given or the usual topic."""
         return self.topic or self.definition.topic
 
 
 def _names(name: str) -> tuple[str, ...]:
-    """Return the names of a type: short, in full, and as in ROS 1."""
+    """Return the short name, the full name and the ROS 1 name of a type."""
     package, _, short = name.replace(".", "/msg/").split("/")
     return short, name, f"{package}/{short}"

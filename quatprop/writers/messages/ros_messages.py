@@ -1,7 +1,7 @@
-"""Attitudes as ROS messages, encoded by the block: columns in, an array of encoded messages out.
+"""Encode blocks of attitudes as ROS messages.
 
-The strings are the same in every message, so every message has its fields in the same places: a
-block is an array of records. rosbags would encode one message at a time.
+The strings are the same in every message, so all messages have the same layout, and a block is an
+array of records. rosbags would encode one message at a time.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 ABSENT = (-1.0, *[0.0] * 8)
-"""The covariance of a part of an Imu message that is not known."""
+"""The covariance that marks an unknown part of an Imu message."""
 
 _CDR_LITTLE_ENDIAN = b"\0\1\0\0"
 _FORMATS = {
@@ -39,14 +39,14 @@ _FORMATS = {
     "acceleration": "3<f8",
     "acceleration_covariance": "9<f8",
 }
-"""NumPy formats of the parts of messages that are numbers."""
+"""NumPy formats of the numeric parts of messages."""
 
 
 class RosEncoder:
     """Encodes attitudes as a ROS message.
 
-    `ros1`: whether as in ROS 1 rather than in CDR, little-endian, as in ROS 2
-    `constants`: what parts are in every message; others are zero where they are not written
+    `ros1`: whether in the encoding of ROS 1 rather than CDR, little-endian, of ROS 2
+    `constants`: constant values of parts; other parts that are not written are zero
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class RosEncoder:
         self._ros1 = ros1
         self._written = 0
         fields = list(_fields(message, ros1=ros1))
-        # CDR begins with four bytes that state the encoding. After them it aligns each number to
+        # CDR begins with four bytes that state the encoding. Behind them it aligns each number to
         # its size, as C does; ROS 1 packs its fields.
         begin = b"" if ros1 else _CDR_LITTLE_ENDIAN
         body = np.dtype([(name, form) for name, form, _ in fields], align=not ros1)
@@ -80,7 +80,7 @@ class RosEncoder:
         for name, value in (constants or {"count": 1, "acceleration_covariance": ABSENT}).items():
             if name in self._names:
                 template[name] = value
-        # As bare bytes: NumPy need not copy the padding between fields.
+        # As plain bytes, so that NumPy copies all of it, with the padding, at once.
         self._template = template.view(f"V{self._dtype.itemsize}")
 
     def encode(self, series: AttitudeSeries, target: Path | str) -> Records:
@@ -103,7 +103,7 @@ class RosEncoder:
         return rows
 
     def _stamped(self, t_ns: Int64, target: Path | str) -> Records:
-        """Return messages with their stamps, ``(N,)``, whose other fields are to be filled."""
+        """Return messages with their timestamps, ``(N,)``, and other fields not filled yet."""
         seconds, nanoseconds = np.divmod(t_ns, NS_PER_S)
         outside = (seconds < 0) | (seconds > np.iinfo(np.int32).max)
         if outside.any():
@@ -121,16 +121,16 @@ class RosEncoder:
 
 
 def _fields(message: Message, *, ros1: bool) -> Iterator[tuple[str, str, object | None]]:
-    """Yield name, format and constant value of numbers, parts of stamps, and parts of strings."""
+    """Yield the name, format and constant value (or None) of each field, in order."""
     for part in message.definition.parts:
         if part == "stamp":
-            # In ROS 1 a sequence number is ahead of it.
+            # In ROS 1 a sequence number precedes it.
             for name in ("seq", "sec", "nanosec") if ros1 else ("sec", "nanosec"):
                 yield name, "<u4", None
         elif part in _FORMATS:
             yield part, _FORMATS[part], None
         else:
-            # In CDR strings end with a zero that counts.
+            # In CDR the length of a string includes its terminating zero.
             text = (message.frame if part == "frame" else message.child).encode()
             text += b"" if ros1 else b"\0"
             yield f"{part}_length", "<u4", len(text)

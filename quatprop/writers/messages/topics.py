@@ -1,4 +1,4 @@
-"""Topics to be written: their messages' type and definition, as the ROS releases have them."""
+"""Topics to be written, with the message types and definitions of ROS releases."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ PROFILES = {"cdr": "ros2", "ros1": "ros1"}
 class Topic:
     """A topic to be written.
 
-    `type_name`: message type, as the release names it: ``package/msg/Name`` in ROS 2,
+    `type_name`: message type in the release's spelling: ``package/msg/Name`` in ROS 2,
         ``package/Name`` in ROS 1
-    `encoding`: how the messages are encoded: ``"cdr"``, ``"ros1"`` or ``"protobuf"``
+    `encoding`: message encoding: ``"cdr"``, ``"ros1"`` or ``"protobuf"``
     `schema_encoding`, `schema`: the definition: ``"ros2msg"``, ``"ros1msg"`` or ``"protobuf"``, and
         its text or bytes
     `digest`: hash of the definition: MD5 in ROS 1, RIHS01 in ROS 2, otherwise empty
@@ -39,7 +39,7 @@ class Topic:
 
 @cache
 def ros1_types() -> Typestore:
-    """Return the definitions of ROS 1 Noetic, with that of transforms, which the library lacks."""
+    """Return the definitions of ROS 1 Noetic and TFMessage, which the library lacks."""
     types = get_typestore(Stores.ROS1_NOETIC)
     types.register(get_types_from_msg(_TRANSFORMS, "tf2_msgs/msg/TFMessage"))
     return types

@@ -1,9 +1,9 @@
-"""ROS 1 bags written by the block.
+"""Write ROS 1 bags, a block at a time.
 
-Where all messages have one size, so have their records: a chunk is one array that is filled a
-column at a time, and so is its index. rosbags would take a call for each message. Bags have no
-place of their own for provenance: it is a field of the connection, as the index repeats it. Readers
-ignore fields they do not know.
+Messages of one size have records of one size: a chunk is one array that is filled a column at a
+time, and so is its index. rosbags would need a call for each message. The provenance is stored as a
+field of the connection record in the index, since bags have no metadata, and readers ignore unknown
+fields.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ if TYPE_CHECKING:
 
 
 CHUNK_BYTES = 1 << 20
-"""About how large a chunk is before it is compressed."""
+"""Approximate bytes of a chunk before compression."""
 
 COMPRESSIONS: Mapping[str, Callable[[bytes], bytes]] = {
     "none": lambda data: data,
     "lz4": lz4.frame.compress,
     "bz2": bz2.compress,
 }
-"""What a chunk can be compressed with."""
+"""Compressions of chunks."""
 
 
 class BagFile:
     """A ROS 1 bag being written, with one topic whose messages all have one size.
 
-    `stream`: where the bag goes; seekable, since the place of the index stands at its beginning
+    `stream`: the output stream; seekable, since the bag begins with the offset of its index
     `compression`: a key of :data:`COMPRESSIONS`
     `before`: called with the first log time of a chunk, ns, before it is written, so that the
         caller can append earlier messages
-    `chunk_bytes`: about how large a chunk is before it is compressed
+    `chunk_bytes`: approximate bytes of a chunk before compression
     """
 
     def __init__(  # noqa: PLR0913  # a new bag needs the first three only
@@ -75,14 +75,14 @@ class BagFile:
         self._pool = OrderedThreadPool(partial(_compressed, compression), self._append_own)
         self._chunks: list[ChunkInfo] = []
         self._messages = RecordBlock(partial(_empty_rows, connection, chunk_bytes), self._submit)
-        # The first chunk begins with the connection, as other readers than ours may expect.
+        # The first chunk begins with the connection record, as some readers expect.
         self._prefix = records.connection(connection, self._fields)
         self._size = 0
         self._append(MAGIC)
         self._append(records.bag(0, 0, 0))
 
     def write(self, log_ns: Int64, messages: Records) -> None:
-        """Append messages, shape ``(N,)``, that arrived at some times, ns, from 1970 to 2106."""
+        """Append messages, shape ``(N,)``, with their log times, ns, from 1970 to 2106."""
         seconds, nanoseconds = np.divmod(log_ns, NS_PER_S)
         self._messages.write(messages, sec=seconds, nanosec=nanoseconds)
 
@@ -96,7 +96,7 @@ class BagFile:
         provenance: Mapping[str, object],
         others: Mapping[int, Mapping[str, bytes]] | None = None,
     ) -> None:
-        """Write buffered messages, the index and its place; the stream is left open."""
+        """Write buffered messages, the index and its offset; the stream is left open."""
         self.flush()
         self._pool.shutdown()
         index = self._size
@@ -112,7 +112,7 @@ class BagFile:
         self._stream.write(records.bag(index, len(connections), len(infos)))
 
     def abort(self) -> None:
-        """Drop buffered messages; does nothing after the end."""
+        """Drop buffered messages; does nothing after :meth:`finish`."""
         self._pool.shutdown()
 
     def append_chunk(self, chunk: Iterable[bytes], indexes: Mapping[int, Records]) -> None:
@@ -138,9 +138,9 @@ class BagFile:
 
 
 def _in_order(chunks: list[ChunkInfo]) -> list[ChunkInfo]:
-    """Return the index of all chunks, so that the bag starts with the first and ends with the last.
+    """Return the chunk infos with the earliest chunk first and the latest last.
 
-    Readers take the start and the end of a bag from them, and index the chunks in any order.
+    Readers take the start and the end of a bag from these two; the order of the others is free.
     """
     if len(chunks) < 2:  # noqa: PLR2004  # a first and a last
         return chunks
@@ -152,7 +152,7 @@ def _in_order(chunks: list[ChunkInfo]) -> list[ChunkInfo]:
 
 
 def _compressed(compression: str, prefix: bytes, rows: Records) -> tuple[int, bytes, Records]:
-    """Return the first log time, the record and the index of a chunk of a prefix and messages."""
+    """Return the first log time, record and index of a chunk of a prefix and messages."""
     index = np.empty(len(rows), records.ENTRY)
     index["sec"], index["nsec"] = rows["sec"], rows["nanosec"]
     index["offset"] = len(prefix) + np.arange(len(rows)) * rows.itemsize
@@ -163,7 +163,7 @@ def _compressed(compression: str, prefix: bytes, rows: Records) -> tuple[int, by
 
 
 def _empty_rows(connection: int, chunk_bytes: int, size: int) -> Records:
-    """Return the records of a chunk of messages of `size` bytes, without times and data."""
+    """Return records of messages of `size` bytes for one chunk, without times and data."""
     head = records.fields({"op": records.MESSAGE, "conn": u4(connection), "time": bytes(8)})
     # The time is the last field of the head.
     before = struct.pack("<I", len(head)) + head[:-8]
@@ -177,8 +177,8 @@ def _empty_rows(connection: int, chunk_bytes: int, size: int) -> Records:
 class BagWriter(MessageWriter):
     """Write messages to a ROS 1 bag.
 
-    `target`: a path; a bag begins with the place of its index, so it cannot be a pipe
-    `compression`: of the chunks: ``"none"``, ``"lz4"`` or ``"bz2"``
+    `target`: a path; not a pipe, since a bag begins with the offset of its index
+    `compression`: compression of chunks: ``"none"``, ``"lz4"`` or ``"bz2"``
     """
 
     _output: OutputFile
@@ -202,6 +202,6 @@ class BagWriter(MessageWriter):
         self._bag.finish(provenance)
 
     def abort(self) -> None:
-        """Remove what was not committed."""
+        """Discard uncommitted output."""
         self._bag.abort()
         super().abort()

@@ -1,4 +1,4 @@
-"""Records of ROS 1 bags as they are written: a head of named fields, then data.
+"""Encode records of ROS 1 bags: a head of named fields, then data.
 
 References
 ----------
@@ -25,14 +25,14 @@ MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = (bytes([op]) for op in (2, 
 """Kinds of records."""
 
 ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
-"""One message in the index data of a chunk."""
+"""An entry of index data: log time and offset of a message in its chunk."""
 
 _HEAD_BYTES = 4096
-"""Bytes of the bag's first record, padded, as it is written again at the end."""
+"""Bytes of the bag's first record; padded, since it is rewritten at the end."""
 
 
 def bag(index: int, connections: int, chunks: int) -> bytes:
-    """Return the bag's first record: the place and the counts of the index."""
+    """Return the bag's first record: the offset and the counts of the index."""
     head = {
         "index_pos": struct.pack("<Q", index),
         "conn_count": u4(connections),
@@ -43,17 +43,17 @@ def bag(index: int, connections: int, chunks: int) -> bytes:
 
 
 def connection(id_: int, values: Mapping[str, bytes]) -> bytes:
-    """Return the record of a connection: its number, its topic and all its fields."""
+    """Return the record of a connection: its id, its topic and all its fields."""
     return record(CONNECTION, {"conn": u4(id_), "topic": values["topic"]}, fields(values))
 
 
 def chunk(compression: str, size: int, data: bytes) -> bytes:
-    """Return a chunk of compressed records, which are `size` bytes before compression."""
+    """Return a chunk of compressed records of `size` bytes before compression."""
     return record(CHUNK, {"compression": compression.encode(), "size": u4(size)}, data)
 
 
 def index_data(id_: int, entries: Records) -> bytes:
-    """Return the index of the messages of a connection in the chunk before it."""
+    """Return the index of the messages of a connection in the preceding chunk."""
     head = {"ver": u4(1), "conn": u4(id_), "count": u4(len(entries))}
     return record(INDEX, head, entries.tobytes())
 
@@ -62,8 +62,9 @@ def index_data(id_: int, entries: Records) -> bytes:
 class ChunkInfo:
     """The index record of a chunk.
 
-    `start_ns`, `end_ns`: its earliest and latest log time, ns
-    `counts`: messages of each connection, by number
+    `place`: offset of the chunk
+    `start_ns`, `end_ns`: earliest and latest log time, ns
+    `counts`: number of messages by connection id
     """
 
     place: int
@@ -73,7 +74,7 @@ class ChunkInfo:
 
     @classmethod
     def from_indexes(cls, place: int, indexes: Mapping[int, Records]) -> ChunkInfo:
-        """Return what the index data of a chunk say of it."""
+        """Return the chunk info of a chunk with some index data."""
         log_ns = np.concatenate([np.zeros(0, np.int64), *map(times, indexes.values())])
         span = (int(log_ns.min()), int(log_ns.max())) if len(log_ns) else (0, 0)
         return cls(place, *span, {id_: len(entries) for id_, entries in indexes.items()})
@@ -104,7 +105,7 @@ def record(op: bytes, head: Mapping[str, bytes], data: bytes) -> bytes:
 
 
 def fields(values: Mapping[str, bytes]) -> bytes:
-    """Return named values, each after its length."""
+    """Return named values, each length-prefixed."""
     joined = (name.encode() + b"=" + value for name, value in values.items())
     return b"".join(u4(len(field)) + field for field in joined)
 

@@ -1,7 +1,7 @@
 """ROS 2 bag folders of one topic, with SQLite or MCAP storage.
 
-The rosbags library writes the tables and metadata.yaml; messages are stored by the block. The
-provenance is among the custom data of metadata.yaml, under the key ``quatprop``, as JSON.
+The rosbags library writes the tables and metadata.yaml; messages are stored a block at a time. The
+provenance is in the custom data of metadata.yaml, under the key ``quatprop``, as JSON.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _VERSION = (3_040_000).to_bytes(4, "big")
 def insert_messages(
     database: sqlite3.Connection, topic_id: int, log_ns: Int64, messages: AnyArray
 ) -> None:
-    """Append messages that all have one size to a database, and when each was logged, ns."""
+    """Append messages, all of one size, with their log times, ns, to a database."""
     rows = messages.view(f"V{messages.itemsize}").tolist()
     database.executemany(
         "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
@@ -44,12 +44,12 @@ def insert_messages(
 
 
 class ReproducibleSqlite(Sqlite3Writer):
-    """The library's SQLite storage, without what differs between builds of SQLite.
+    """The library's SQLite storage, with the same bytes from all builds of SQLite.
 
-    Builds differ in whether they clear the unused parts of a page: here they do, and the file is
-    rewritten once to remove what is left. On closing, the library lets SQLite optimise, which adds
-    tables of statistics in newer versions: left out. And the header states the version that wrote
-    last, which no program reads: a fixed number.
+    Some builds do not clear the unused parts of pages: here they are cleared, and the file is
+    rewritten once. On closing, the library lets SQLite optimise, which adds tables of statistics in
+    newer versions: omitted here. The header states the version that wrote last, which no program
+    reads: a fixed number here.
     """
 
     def write_block(self, connection: Connection, log_ns: Int64, messages: AnyArray) -> None:
@@ -71,9 +71,9 @@ class ReproducibleSqlite(Sqlite3Writer):
 
 
 class BulkMcap:
-    """MCAP storage in place of the library's.
+    """An MCAP storage that replaces the library's.
 
-    `compression`: ``STORAGE`` means chunks in zstd
+    `compression`: ``STORAGE`` means chunks compressed with zstd
     """
 
     def __init__(self, path: Path, compression: CompressionMode) -> None:
@@ -84,7 +84,7 @@ class BulkMcap:
         )
 
     def add_msgtype(self, connection: Connection) -> None:
-        """Types are declared with the topics."""
+        """Do nothing: types are declared with their topics."""
 
     def add_connection(self, connection: Connection, offered_qos_profiles: str) -> None:
         """Declare a topic."""
@@ -97,23 +97,23 @@ class BulkMcap:
         self._file.write(log_ns, messages)
 
     def write(self, connection: Connection, timestamp: int, data: bytes | memoryview) -> None:
-        """Messages are written by the block only."""
+        """Refuse single messages: only blocks are written."""
         raise NotImplementedError
 
-    def close(self, version: int, metadata: str) -> None:  # noqa: ARG002  # of the protocol
+    def close(self, version: int, metadata: str) -> None:  # noqa: ARG002  # of the library's protocol
         """Finish the file."""
         self._file.add_metadata("rosbag2", {"serialized_metadata": metadata})
         self._file.finish()
         self._stream.close()
 
     def abort(self) -> None:
-        """Close the file as it is."""
+        """Close the unfinished file."""
         self._file.abort()
         self._stream.close()
 
 
 class BulkWriter(Writer):
-    """The library's writer of bag folders, with storages that take blocks."""
+    """The library's writer of bag folders, with storages that write blocks."""
 
     STORAGE_PLUGINS = {  # noqa: RUF012  # declared by the library
         StoragePlugin.SQLITE3: ReproducibleSqlite,
@@ -133,7 +133,7 @@ class BulkWriter(Writer):
 class SqliteBagWriter(MessageWriter):
     """Write messages to a ROS 2 bag that stores them in SQLite.
 
-    `compression`: of the chunks of an MCAP file: ``"zstd"`` or ``"none"``
+    `compression`: compression of the chunks of an MCAP file: ``"zstd"`` or ``"none"``
     """
 
     _output: OutputPath
@@ -159,7 +159,7 @@ class SqliteBagWriter(MessageWriter):
         self._bag.close()
 
     def abort(self) -> None:
-        """Remove what was not committed."""
+        """Discard uncommitted output."""
         with suppress(OSError, sqlite3.Error):
             self._bag.abort()
         super().abort()

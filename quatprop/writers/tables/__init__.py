@@ -1,1 +1,1 @@
-"""Attitudes as columns of text, Arrow and NumPy files."""
+"""Writers of tables: text, Arrow and NumPy files."""

@@ -1,4 +1,4 @@
-"""Tables as Arrow writes them: groups of rows, provenance in the metadata; Arrow IPC files.
+"""Tables written by Arrow, in groups of rows with provenance in the metadata; Arrow IPC files.
 
 Arrow IPC files, also known as Feather, are not compressed: attitudes hardly shrink, and an
 uncompressed file can be memory-mapped.
@@ -34,7 +34,7 @@ def metadata(provenance: Mapping[str, object]) -> dict[bytes, bytes]:
 
 
 class ArrowTable(TableWriter):
-    """Collect rows and write them a group at a time.
+    """A table that is written in groups of rows.
 
     `names`: names of the float64 columns that follow ``t_ns``
     """
@@ -42,37 +42,32 @@ class ArrowTable(TableWriter):
     def __init__(self, target: Path | str, names: Sequence[str]) -> None:
         self._schema = series_schema(names)
         super().__init__(OutputFile(target))
-        self._t_ns = np.empty(GROUP, np.int64)
-        self._columns = np.empty((len(names), GROUP), np.float64)
+        self._parts: list[list[AnyArray]] = []
         self._filled = 0
 
     @abstractmethod
     def _write_group(self, group: pa.RecordBatch) -> None:
-        """Write a group; its memory is reused afterwards."""
+        """Write a group."""
 
     def _write(self, t_ns: AnyArray, columns: Sequence[AnyArray]) -> None:
         for rows, place in block_slices(len(t_ns), self._filled, GROUP):
-            self._t_ns[place] = t_ns[rows]
-            for buffer, column in zip(self._columns, columns, strict=True):
-                buffer[place] = column[rows]
+            self._parts.append([t_ns[rows], *(column[rows] for column in columns)])
             self._filled = place.stop
             if self._filled == GROUP:
                 self._flush()
 
     def _flush(self) -> None:
         """Write the collected rows."""
-        if not self._filled:
-            return
-        rows = slice(0, self._filled)
-        arrays = [to_arrow(self._t_ns[rows]), *(to_arrow(column[rows]) for column in self._columns)]
-        self._write_group(pa.record_batch(arrays, schema=self._schema))
-        self._filled = 0
+        if self._parts:
+            arrays = [to_arrow(np.concatenate(parts)) for parts in zip(*self._parts, strict=True)]
+            self._write_group(pa.record_batch(arrays, schema=self._schema))
+        self._parts, self._filled = [], 0
 
 
 class FeatherTable(ArrowTable):
-    """Write columns as an Arrow IPC file.
+    """An Arrow IPC file.
 
-    It begins with its metadata, which is complete only at the end: the rows are kept in a
+    It begins with its metadata, which are complete only at the end, so the rows are kept in a
     temporary file until then.
 
     `names`: names of the float64 columns that follow ``t_ns``
@@ -95,7 +90,7 @@ class FeatherTable(ArrowTable):
                     file.write(group.replace_schema_metadata(schema.metadata))
 
     def abort(self) -> None:
-        """Remove what was not committed."""
+        """Discard uncommitted output."""
         self._body.close()
         super().abort()
 

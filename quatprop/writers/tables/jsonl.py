@@ -1,7 +1,7 @@
-"""Tables as JSON Lines: one object a row, in the order of the columns.
+"""Tables as JSON Lines: one object per row, with keys in the order of the columns.
 
-Each number is the shortest decimal that reads back as the same float64; a number that is not
-finite, which JSON does not have, is null.
+Each number is the shortest decimal that reads back as the same float64; NaN and infinity, which
+JSON does not have, are null.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class JsonLinesTable(TextTable):
-    """Write columns as JSON Lines.
+    """A table in JSON Lines.
 
     `target`: a path, or ``"-"`` for stdout
     `names`: names of the float64 columns that follow ``t_ns``
@@ -37,7 +37,7 @@ class JsonLinesTable(TextTable):
 
 
 def _objects(names: Sequence[str]) -> Formatter:
-    """Return a formatter of columns as objects with these keys."""
+    """Return a formatter of columns as objects with some keys."""
     keys = [
         text_scalar(f"{',' if place else '{'}{json.dumps(name)}:")
         for place, name in enumerate(names)
@@ -47,7 +47,7 @@ def _objects(names: Sequence[str]) -> Formatter:
     def formatter(columns: list[AnyArray]) -> pa.Buffer:
         parts = chain.from_iterable(zip(keys, map(_numbers, columns), strict=True))
         lines = pc.binary_join_element_wise(*parts, end, no_separator)
-        # The strings of an array lie one after the other: that is the file.
+        # Arrow stores the strings of an array contiguously: that is the text.
         _, ends, text = lines.buffers()
         return text.slice(0, np.frombuffer(ends, np.int32, len(lines) + 1)[-1])
 
@@ -55,11 +55,11 @@ def _objects(names: Sequence[str]) -> Formatter:
 
 
 def _numbers(column: AnyArray) -> pa.Array:
-    """Return numbers as JSON writes them."""
+    """Return numbers as text in JSON."""
     text = pc.cast(to_arrow(column), pa.string())
     if column.dtype == np.int64:
         return text
-    # Without its point, minus zero would come back as the integer, which has no sign.
+    # Without a point, minus zero would be read as an integer, which has no sign.
     minus_zero = (column == 0) & np.signbit(column)
     if minus_zero.any():
         text = pc.if_else(to_arrow(minus_zero), text_scalar("-0.0"), text)

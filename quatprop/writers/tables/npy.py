@@ -1,6 +1,6 @@
-"""Tables as NumPy files: one structured array in ``.npy``, one array for each column in ``.npz``.
+"""Tables as NumPy files: a structured array in ``.npy``, an array per column in ``.npz``.
 
-A ``.npy`` file has no place for provenance; in ``.npz`` it is the string ``quatprop``, as JSON.
+A ``.npy`` file cannot store provenance; in ``.npz`` it is the string ``quatprop``, as JSON.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 PROVENANCE = "quatprop"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
-"""The time of an archive's members: the earliest that ZIP has, so that bytes are reproducible."""
+"""The time of an archive's members: fixed, at ZIP's earliest, so that bytes are reproducible."""
 
 
 class NpyTable(TableWriter):
-    """Write columns as one structured array with a field for each column.
+    """A table as a structured array with a field per column.
 
-    `target`: a path; the number of rows stands at its beginning, so it cannot be a pipe
+    `target`: a path; not a pipe, since the file begins with the number of rows
     `names`: names of the float64 columns that follow ``t_ns``
     """
 
@@ -48,7 +48,7 @@ class NpyTable(TableWriter):
         self._output.stream.write(rows.data)
         self._count += len(rows)
 
-    def _finish(self, provenance: Mapping[str, object]) -> None:  # noqa: ARG002  # no place for it
+    def _finish(self, provenance: Mapping[str, object]) -> None:  # noqa: ARG002  # cannot be stored
         self._output.stream.seek(0)
         self._write_header()
 
@@ -58,7 +58,7 @@ class NpyTable(TableWriter):
 
 
 class NpzTable(TableWriter):
-    """Write columns as an archive of arrays; each is kept in a temporary file until the commit.
+    """A table as an archive of arrays; each is kept in a temporary file until the commit.
 
     `names`: names of the float64 columns that follow ``t_ns``
     """
@@ -86,7 +86,7 @@ class NpzTable(TableWriter):
                 np.lib.format.write_array(member, provenance_array, allow_pickle=False)
 
     def abort(self) -> None:
-        """Remove what was not committed."""
+        """Discard uncommitted output."""
         for body in self._columns.values():
             body.close()
         super().abort()
@@ -97,5 +97,5 @@ def _header(dtype: np.dtype[Any], count: int) -> dict[str, object]:
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> BinaryIO:
-    """Open a member of an archive for writing, of any size."""
+    """Open a member of any size for writing."""
     return archive.open(zipfile.ZipInfo(f"{name}.npy", _EPOCH), "w", force_zip64=True)  # type: ignore[return-value]  # an IO[bytes]

@@ -1,10 +1,10 @@
-"""Tables as Parquet: ``t_ns`` int64, float64 columns, provenance beside them.
+"""Tables as Parquet: ``t_ns`` int64, float64 columns, provenance in the metadata.
 
 Attitudes change little from sample to sample: their sign, exponent and leading bits repeat, their
-trailing bits are noise. Byte-stream-split brings the repeating bytes together, and zstd at its
-level -1 compresses them as far as at level 1, in less time; dictionaries, Parquet's default, gain
-nothing on numbers that never recur and cost the most time. Regular stamps have nearly constant
-differences, hence the delta encoding. Only stamps have statistics: time ranges are found by them.
+trailing bits are noise. Byte-stream-split groups the repeating bytes, and zstd at level -1
+compresses them as well as at level 1, in less time; dictionaries, Parquet's default, gain nothing
+on numbers that never recur and cost the most time. Regular timestamps have nearly constant
+differences, hence the delta encoding. Only timestamps have statistics, for searches by time range.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 
 PAGE = 1 << 16
-"""Rows of a page: each page costs time of its own, and so do calls that write much at once."""
+"""Rows of a page: many small pages cost time, and so do calls that write many rows."""
 
 
 def parquet_writer(
     stream: BinaryIO, schema: pa.Schema, *, write_page_checksum: bool = False
 ) -> pyarrow.parquet.ParquetWriter:
-    """Return a writer of ``t_ns`` and numbers, and in a dataset of the name of their log."""
+    """Return a writer of ``t_ns``, numbers and, in a dataset, the name of the log."""
     names = [field.name for field in schema if field.name not in {"t_ns", "log"}]
     return pyarrow.parquet.ParquetWriter(
         stream,
@@ -49,7 +49,7 @@ def parquet_writer(
 
 
 class ParquetTable(ArrowTable):
-    """Write columns as Parquet.
+    """A table in Parquet.
 
     `names`: names of the float64 columns that follow ``t_ns``
     """
@@ -65,9 +65,9 @@ class ParquetTable(ArrowTable):
         self._parquet.close()
 
     def abort(self) -> None:
-        """Remove what was not committed."""
+        """Discard uncommitted output."""
         self._output.discard()
-        # pyarrow would write the end when it is garbage-collected: let that fail here.
+        # pyarrow would write the footer when it is garbage-collected: let that fail here.
         with suppress(Exception):
             self._parquet.close()
 

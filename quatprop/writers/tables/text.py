@@ -1,7 +1,7 @@
 """Tables as text, formatted in threads; CSV and TSV.
 
 Finding the shortest decimal of a float64 costs more than propagating it. pyarrow does it without
-holding the interpreter lock, so the next rows are propagated or formatted meanwhile.
+holding the interpreter lock, so other rows are propagated or formatted meanwhile.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ if TYPE_CHECKING:
     Formatter = Callable[[list[AnyArray]], pa.Buffer]
 
 PIECE = 1 << 14
-"""Rows that are formatted together: enough to make calls cheap, few enough for two threads."""
+"""Rows formatted in one call: enough to make calls cheap, few enough to keep threads busy."""
 
 
 class TextTable(TableWriter):
-    """Write columns as lines of text.
+    """A table of lines of text.
 
     `target`: a path, or ``"-"`` for stdout
-    `header`: what precedes the rows, such as a line of names. It is written with the first of them,
-        so that a run that fails earlier writes nothing to a pipe
-    `formatter`: returns the lines of some rows, given their stamps and columns
-    `comment`: begin with the provenance, in a comment. It is complete only at the end, so the rows
+    `header`: text before the rows, such as a line of names. It is written with the first rows, so
+        that a run that fails earlier writes nothing to a pipe
+    `formatter`: returns the lines of some rows, given their timestamps and columns
+    `comment`: begin with the provenance in a comment. It is complete only at the end, so the rows
         are kept in a temporary file until then
     """
 
@@ -66,7 +66,7 @@ class TextTable(TableWriter):
                 shutil.copyfileobj(body, self._output.stream, 1 << 20)
 
     def abort(self) -> None:
-        """Remove what was not committed."""
+        """Discard uncommitted output."""
         self._pool.shutdown()
         if self._body is not self._output.stream:
             self._body.close()
@@ -79,7 +79,7 @@ class TextTable(TableWriter):
 
 
 def delimited(separator: str) -> Formatter:
-    """Return a formatter of columns as values between separators.
+    """Return a formatter of columns as separated values.
 
     Each number is the shortest decimal that reads back as the same float64.
     """
@@ -98,7 +98,7 @@ def delimited(separator: str) -> Formatter:
 
 
 class CsvTable(TextTable):
-    """Write columns as CSV: one header line, no quotes, a newline after every row.
+    """A table in CSV: one header line, no quotes, a newline after every row.
 
     The provenance may be in a comment before the header line, for readers that skip comments.
 
@@ -114,6 +114,6 @@ class CsvTable(TextTable):
 
 
 class TsvTable(CsvTable):
-    """Write columns with tabs between them; parameters as above."""
+    """A table of tab-separated values; parameters as for CSV."""
 
     separator = "\t"

@@ -1,7 +1,7 @@
-"""Trajectories of TUM RGB-D, EuRoC and KITTI, as trajectory tools read them.
+"""Trajectories in the formats of TUM RGB-D, EuRoC and KITTI.
 
-The position is zero where the attitudes have none. Of EuRoC's ground truth velocities and biases
-are left out rather than invented; rows of KITTI are a matrix (R | t) and have no time.
+The position is zero if the attitudes have none. The velocities and biases of EuRoC's ground truth
+are omitted, as they are unknown; rows of KITTI are a matrix (R | t) without a time.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _DECIMALS = 9
 
 
 class TumTable(TextTable):
-    """``timestamp tx ty tz qx qy qz qw``: seconds with nine decimals, so that nothing is rounded.
+    """``timestamp tx ty tz qx qy qz qw``: seconds with nine decimals, which are exact.
 
-    Parameters are those of a CSV table; the names of columns are prescribed by the format.
+    Parameters are those of a CSV table; the format prescribes the names of columns.
     """
 
     holds_positions = True
@@ -54,12 +54,12 @@ class TumTable(TextTable):
 
     @staticmethod
     def values(t_ns: Column, quaternion: Columns, position: Columns) -> list[Any]:
-        """Return the columns of the file from stamps, components in its layout, and x, y, z."""
+        """Return the columns of the file from timestamps, components in its layout, and x, y, z."""
         return [seconds(t_ns), *position, *quaternion]
 
 
 class EurocTable(TumTable):
-    """Stamps in ns, position, quaternion: the first columns of EuRoC's ground truth."""
+    """Timestamps in ns, position, quaternion: the first columns of EuRoC's ground truth."""
 
     header = (
         "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], "
@@ -86,7 +86,7 @@ class KittiTable(TumTable):
 
 
 def seconds(t_ns: Int64) -> pa.Array:
-    """Return stamps as text: seconds with nine decimals, exact."""
+    """Return timestamps as text: seconds with nine decimals, exact."""
     digits = pc.utf8_lpad(pc.cast(to_arrow(np.abs(t_ns).view(np.uint64)), pa.string()), 10, "0")
     text = pc.binary_replace_slice(digits, -_DECIMALS, -_DECIMALS, ".")
     negative = t_ns < 0

@@ -25,7 +25,7 @@ from quatprop.comparison.settings import COMPARE
 from quatprop.conversion.settings import CONVERT
 from quatprop.errors import LogError, NoRatesError, SeriesError, UsageError
 from quatprop.settings import PROPAGATE
-from quatprop.settings.reading import RATES_IN_MEMORY, READ_ATTITUDES
+from quatprop.settings.reading import NOISE, RATES_IN_MEMORY, READ_ATTITUDES
 from quatprop.text import Setting
 
 T_NS = np.array([1_700_000_000_000_000_000, 1_700_000_000_010_000_000, 1_700_000_000_020_000_001])
@@ -321,6 +321,7 @@ def test_losses_are_warnings(tmp_path):
         (quatprop.read_rates, RATES_IN_MEMORY),
         (quatprop.read_attitudes, READ_ATTITUDES),
         (quatprop.propagate, PROPAGATE),
+        (quatprop.noise, NOISE),
         (quatprop.compare, COMPARE),
         (quatprop.convert, {"to", "layout", "extra_columns", "representation", *CONVERT}),
         (quatprop.write, {"to", "layout", "extra_columns"}),

@@ -6,6 +6,7 @@ import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from make.commands import run
 from make.places import SAMPLE_LOGS
 
 import quatprop
@@ -49,7 +50,10 @@ def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cut")
     attitudes = quatprop.propagate(BAG)
     quatprop.write(attitudes, folder / "whole.bag")
-    for path, name in ((BAG, "cut.bag"), (folder / "whole.bag", "cut_attitudes.bag")):
+    rest = folder / "rest.bag"
+    run("simulate", rest, "--motion", "rest", "--noise", "1e-4", "--truth", "none", code=0)
+    whole = {BAG: "cut.bag", folder / "whole.bag": "cut_attitudes.bag", rest: "cut_rest.bag"}
+    for path, name in whole.items():
         content = path.read_bytes()
         (folder / name).write_bytes(content[: len(content) * 2 // 3])
     return folder
@@ -58,6 +62,7 @@ def files(tmp_path_factory):
 LOSING = {
     "read_rates": lambda folder: quatprop.read_rates(folder / "cut.bag"),
     "propagate": lambda folder: quatprop.propagate(folder / "cut.bag"),
+    "noise": lambda folder: quatprop.noise(folder / "cut_rest.bag"),
     "read_attitudes": lambda folder: quatprop.read_attitudes(folder / "cut_attitudes.bag"),
     "compare": lambda folder: quatprop.compare(folder / "cut_attitudes.bag", TRUTH),
     "convert": lambda folder: quatprop.convert(folder / "cut_attitudes.bag", folder / "a.csv"),

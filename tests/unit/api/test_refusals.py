@@ -21,6 +21,7 @@ BAG, TRUTH = SAMPLE_LOGS / "tumbling.bag", SAMPLE_LOGS / "tumbling.truth.csv"
 SPIN = SAMPLE_LOGS / "spin.csv"
 RATES = GyroSeries(10**9 + np.arange(3) * 10_000_000, np.eye(3))
 STILL = AttitudeSeries([0, 1], [[1, 0, 0, 0]] * 2)
+SPANS = "Expected `integration_time_ns` of shape (2,), got (1,)"
 NOT_FINITE = GyroSeries([0, 1, 2], np.full((3, 3), np.nan))
 
 PROPAGATE = [
@@ -32,6 +33,16 @@ PROPAGATE = [
     ({"q0": STILL[:1]}, "q0: its last attitude is"),
     ({"bias": [np.nan, 0, 0]}, "bias: 'nan,0,0' is not X,Y,Z, 3 finite numbers"),
     ({"bias": STILL}, "a series of biases is a GyroSeries"),
+    ({"bias": "/imu/bias"}, "the log has no such topic"),
+    ({"metod": "end"}, "there is no setting 'metod'; did you mean 'method'"),
+    ({"heading": 5}, "heading requires q0='level'"),
+    ({"every": 2, "rate": 5}, "every, rate and at each say which attitudes to write"),
+    ({"earth_rate": 91}, "earth_rate: '91' is not a latitude: give -90 to 90 deg"),
+    ({"earth_rate": (1, 2, 3)}, "is not LAT,AZIMUTH, 2 finite numbers"),
+    ({"reference_z": "down"}, "reference_z requires q0='level' or earth_rate"),
+    ({"earth_rate": 90, "rates": "reference"}, "0,0,7.292115e-05 rad/s, with bias"),
+    ({"earth_rate": 45, "bias": "static"}, "give bias as numbers"),
+    ({"earth_rate": 45, "on_gap": "split"}, "choose on_gap='hold' or on_gap='error'"),
     ({"mount": "x,y,-z"}, "is left-handed, so it is not a rotation"),
     ({"start": dt.datetime(2024, 1, 1)}, "start: "),  # noqa: DTZ001  # no zone is the mistake
     ({"at": [0.5]}, "Expected `at` to be int64 nanoseconds or dates"),
@@ -50,7 +61,13 @@ COMPARE = [
     ({"tol": -1}, "tol: '-1' is below 0"),
     ({"tol": np.nan}, "tol: 'nan' is not a finite number"),
     ({"max_dt": -5}, "max_dt: '-5' is not a duration above 0"),
-    ({"align": "best"}, "align: 'best' is not one of"),
+    ({"align": "best"}, "align: 'best' is not one of 'none', 'first', 'yaw'"),
+    ({"match": "fuzzy"}, "match: 'fuzzy' is not one of 'exact', 'nearest', 'interpolate'"),
+    ({"min_matched": 101}, "min_matched: '101' is not a percentage from 0 to 100"),
+    ({"max_dt": "soon"}, "max_dt: 'soon' is not a duration; write a number with a unit"),
+    ({"size": 1}, "there is no setting 'size'; there are 'tol', 'rms_tol', 'final_tol'"),
+    ({"window_tol": "1deg"}, "window_tol needs windows; give their length with win"),
+    ({"align": "yaw", "drift_tol": "1deg/h"}, "an alignment by all pairs"),
     # They were refused with a list of the limits, without a way out.
     ({"topic_b": "x"}, "'topic_b'; give compare() what read_attitudes() returns with topic=..."),
     ({"from_layout_a": "x"}, "give compare() what read_attitudes() returns with from_layout=..."),
@@ -126,6 +143,7 @@ OTHERS = [
         "time_col and sample_rate contradict each other; give one",
     ),
     (lambda: quatprop.plot(STILL, RATES), "draw them apart, or choose with show"),
+    (lambda: GyroSeries([0, 1], np.zeros((2, 3)), [1]), SPANS),
     # Of what is no path the type is named, and no table is shown.
     (lambda: quatprop.propagate(RATES.to_pandas()), "is not a path; make a GyroSeries from arrays"),
     (
@@ -156,6 +174,7 @@ KINDS = {
         "Expected an AttitudeSeries, got GyroSeries",
         "Expected `at` to be int64 nanoseconds or dates",
         "Expected attitudes",
+        SPANS,
         "series 1 has no rows",
     ],
 }

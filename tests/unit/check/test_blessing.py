@@ -248,10 +248,11 @@ def test_no_update_where_nobody_reviews_it(folder, value):
         (["--interactive"], "--interactive requires --update"),
         (["--force"], "--force requires --update"),
         (["--update", "--interactive", "-j", "2"], "omit -j"),
+        (["--reference-log", "a.csv"], "--reference-log requires --init"),
     ],
 )
 def test_options_of_an_update_go_with_it(folder, options, words):
-    """Alone they would promise what does not happen."""
+    """Alone they would promise what does not happen; a series for limits is a key of a suite."""
     result = check(pinned(folder, stored()), *options)
     assert result.exit_code == 2
     assert words in result.stderr
@@ -293,46 +294,6 @@ def test_two_updates_at_once_lose_nothing(folder):
     assert len(lock_of(suite)) == 42
 
 
-def test_an_older_lock_is_named(folder):
-    """What another format pins is not known; an update compares with the references themselves."""
-    suite = pinned(folder, stored())
-    older(folder, suite)
-    result = check(suite)
-    words = "the lock was written by an older format; run check with --update, which lists what it"
-    assert (result.exit_code, words in result.stderr) == (2, True)
-
-
-def test_a_lock_that_is_an_lfs_pointer_is_named(folder):
-    """The advice was to remove it, and with it all that was pinned."""
-    suite = pinned(folder, stored())
-    lock = suite.with_suffix(".lock.json")
-    lock.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
-    for options in ((), ("--update",)):
-        result = check(suite, *options)
-        assert result.exit_code == 2
-        assert f"{lock}: it is a Git LFS pointer, not the file itself" in result.stderr
-        assert "remove" not in result.stderr
-
-
-def test_a_case_twice_in_the_lock_is_an_error(folder):
-    """A merge may leave both; the last one was taken."""
-    suite = pinned(folder, stored())
-    lock = suite.with_suffix(".lock.json")
-    entry = json.dumps(lock_of(suite)["spin"])
-    lock.write_text(f'{{"format": 1, "cases": {{"spin": {entry}, "spin": {entry}}}}}')
-    result = check(suite)
-    assert result.exit_code == 2
-    assert "'spin' is there twice" in result.stderr
-
-
-def test_conflict_markers_in_a_suite_are_named(folder):
-    """They were a sentence about TOML."""
-    suite = write_suite(folder, "<<<<<<< HEAD\n" + stored() + "=======\n>>>>>>> other\n")
-    result = check(suite)
-    assert result.exit_code == 2
-    assert f"Error: {suite}: line 1 is a conflict marker of a merge; keep one" in result.stderr
-
-
 def test_a_log_that_was_renamed_is_found(folder):
     """It has the SHA-256 that is pinned."""
     suite = pinned(folder, stored())
@@ -341,9 +302,3 @@ def test_a_log_that_was_renamed_is_found(folder):
     assert result.exit_code == 2
     words = f"{folder / 'logs' / 'flight.csv'} has the same content: name that as log"
     assert words in result.stdout
-
-
-def test_a_name_with_a_dot_is_to_be_quoted(folder):
-    """It was an unknown key 1."""
-    suite = write_suite(folder, stored("flight.1"))
-    assert 'if its name has a dot, quote it: [case."flight.1"]' in check(suite).stdout

@@ -155,11 +155,13 @@ def test_a_run_that_ends_at_once_leaves_no_older_results(folder, options):
 
 
 def test_a_run_that_ends_at_once_replaces_no_input(folder):
-    """Results of an error must not go where there is something else."""
+    """Results of an error must not go where there is something else; a new file is none."""
     suite = write_suite(folder, "<<<<<<< HEAD\n" + stored())
     before = suite.read_bytes()
     assert check(suite, "--junit", suite).exit_code == 2
     assert suite.read_bytes() == before
+    assert check(suite, "--junit", folder / "new.xml").exit_code == 2
+    assert 'errors="1"' in (folder / "new.xml").read_text()
 
 
 def test_advice_can_be_followed(folder):
@@ -184,16 +186,6 @@ def test_an_error_does_not_read_as_a_pass(folder):
     )
     assert second.endswith(" left")
     assert "pass   spin  would be updated  301 of" in check(suite, "--update", "--dry-run").stdout
-
-
-def test_conflict_markers_in_a_lock_are_named(folder):
-    """Indented by an editor, they were no JSON, and the advice was to remove what was pinned."""
-    suite = pinned(folder, stored())
-    lock = suite.with_suffix(".lock.json")
-    lock.write_text("{\n  <<<<<<< HEAD\n" + lock.read_text())
-    result = check(suite)
-    assert result.exit_code == 2
-    assert f"{lock}: line 2 is a conflict marker of a merge" in result.stderr
 
 
 def shorten(folder):

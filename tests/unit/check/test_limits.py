@@ -85,13 +85,6 @@ def test_frames_that_differ_are_aligned_and_said(drifting, folder, turned, align
     assert line.startswith(f'align = "{align}"  # {why}')
 
 
-def test_a_series_for_limits_goes_with_init(folder):
-    """In a suite that is there, it is a key."""
-    result = check(pinned(folder, TRUTH), "--reference-log", folder / "logs/coning.truth.csv")
-    assert result.exit_code == 2
-    assert "--reference-log requires --init" in result.stderr
-
-
 @pytest.mark.parametrize(("rows", "code"), [(slice(100), 1), (slice(600), 0)])
 @pytest.mark.parametrize("swapped", [False, True])
 def test_a_limit_holds_for_what_was_compared(folder, rows, code, swapped):
@@ -129,14 +122,6 @@ def test_what_an_alignment_takes_out_is_said(drifting, folder):
     )
     assert float(moved) == pytest.approx(20, abs=0.1)
     assert float(turned_by) == pytest.approx(180, abs=0.01)
-
-
-@pytest.mark.parametrize("key", ["skip", "xfail"])
-def test_no_default_leaves_out_all_cases(folder, key):
-    """One line in the defaults made every case green, also with `--strict`."""
-    result = check(write_suite(folder, f'[defaults]\n{key} = "later"\n{TRUTH}'), "--strict")
-    assert result.exit_code == 2
-    assert f"'defaults.{key}': the reason belongs to one case" in result.stderr
 
 
 def test_a_reference_of_another_origin_fails(folder):

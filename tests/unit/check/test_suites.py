@@ -116,6 +116,13 @@ def test_what_cannot_be_used_is_named(folder):
         ("[defaults]\nmethd = 1\n[case.a]\n", ", 'defaults.methd': no such key; did you mean "),
         ("[case.\udcff]", ": it is not UTF-8 text: byte 6"),
         (None, ": no such file or folder; check the path"),
+        # It was a sentence about TOML.
+        ("<<<<<<< HEAD\n[case.a]\n", ": line 1 is a conflict marker of a merge; keep one"),
+        # One line made every case green, also with --strict.
+        *(
+            (f'[defaults]\n{key} = "later"\n[case.a]\n', f", 'defaults.{key}': the reason belongs")
+            for key in ("skip", "xfail")
+        ),
     ],
 )
 def test_a_broken_suite_is_refused_at_once(folder, text, words):

@@ -159,6 +159,38 @@ def test_a_lock_that_is_none_is_refused(folder):
     assert words in check(suite).stdout
 
 
+OLDER = '{"cases": {"spin": {"final_wxyz": [1, 0, 0, 0]}}}'
+POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
+MARKER = "is a conflict marker of a merge; remove the markers, keeping one side of each case, and "
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (OLDER, "the lock was written by an older format; run check with --update, which lists"),
+        # The advice was to remove it, and with it all that was pinned.
+        (POINTER, "it is a Git LFS pointer, not the file itself"),
+        ("{{\n  <<<<<<< HEAD\n{entry}\n", f"line 2 {MARKER}check with --update\n"),
+        # The last one was taken.
+        (
+            '{{"format": 1, "cases": {{"a": {entry}, "a": {entry}}}}}',
+            "it is not the lock that --update writes ('a' is there twice); ",
+        ),
+    ],
+)
+def test_what_became_of_a_lock_is_named(folder, content, words):
+    """Another format pins what is not known; merges and Git LFS leave what is no lock."""
+    suite = pinned(folder, stored())
+    lock = suite.with_suffix(".lock.json")
+    entry = json.dumps(lock_of(suite)["spin"])
+    lock.write_text(content if content == OLDER else content.format(entry=entry))
+    for options in ((), *[("--update",)] * (content == POINTER)):
+        result = check(suite, *options)
+        assert result.exit_code == 2
+        assert f"{lock}: {words}" in result.stderr
+        assert content != POINTER or "remove" not in result.stderr
+
+
 def test_a_deleted_case_is_named(folder):
     """--strict fails on it; an update removes it from the lock, and names its reference."""
     suite = pinned(folder, stored() + stored("rest", "rest.parquet") + TRUTH)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from quatprop.comparison.compare import compare
 from quatprop.comparison.settings import ComparisonSettings, comparison_settings
-from quatprop.errors import ComparisonError, UsageError
+from quatprop.errors import ComparisonError
 from quatprop.series import AttitudeSeries
 from quatprop.series.blocks import BLOCK
 from quatprop.text import in_python
@@ -316,20 +316,3 @@ def test_settings_are_read_from_texts_and_numbers():
     assert comparison_settings(**numbers) == ComparisonSettings(**numbers)
     auto = comparison_settings(time_offset="auto", tol=None)
     assert auto == ComparisonSettings(time_offset="auto")
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "sentence"),
-    [
-        ("align", "best", "align: 'best' is not one of 'none', 'first', 'yaw'"),
-        ("match", "fuzzy", "match: 'fuzzy' is not one of 'exact', 'nearest', 'interpolate'"),
-        ("min_matched", 101, "min_matched: '101' is not a percentage from 0 to 100"),
-        ("max_dt", "soon", "max_dt: 'soon' is not a duration; write a number with a unit"),
-        ("size", 1, "there is no setting 'size'; there are 'tol', 'rms_tol', 'final_tol'"),
-    ],
-)
-def test_settings_that_make_no_sense_are_refused(name, value, sentence):
-    """The sentence says what could be written instead."""
-    with pytest.raises(UsageError) as error:
-        comparison_settings(**{name: value})
-    assert str(error.value).startswith(sentence)

@@ -120,12 +120,6 @@ def test_drifts_have_units():
         comparison_settings(drift_tol="10")
 
 
-def test_window_criteria_need_a_window():
-    """The sentence names both settings."""
-    with pytest.raises(UsageError, match=r"^window_tol needs windows; give their length with win"):
-        comparison_settings(window_tol="1deg")
-
-
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     """Return tables of RAMP and REST."""

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from quatprop import AttitudeSeries, compare
 from quatprop.comparison.alignment import align
-from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import exp, multiply
 
 T_NS = stamps(50, 4)
@@ -118,9 +117,3 @@ def test_the_command_line_shows_the_parts(tmp_path):
     assert "failed    error in inclination 0.0174533 rad (1 deg), at most" in result.stdout
     parts = json.loads(run("compare", a, b, *limits, "--json", code=1).stdout)["parts"]
     assert parts["inclination"]["max"] == pytest.approx(np.radians(1), abs=1e-12)
-
-
-def test_a_drift_is_not_judged_after_an_alignment_by_all():
-    """Part of it would be taken out."""
-    with pytest.raises(UsageError, match="an alignment by all pairs"):
-        compare(TRUTH, TRUTH, align="yaw", drift_tol="1deg/h")

@@ -5,7 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
-from make.commands import refused, run
+from make.commands import run
 from make.motion import SECOND, rotor, stamps
 from make.places import SAMPLE_LOGS
 from make.suites import TRUTH as TRUTH_CASE
@@ -109,9 +109,3 @@ def test_ranges_that_are_none(judge, error, message):
     """One sentence about the range."""
     with pytest.raises(error, match=message):
         compare(noisy(), TRUTH, judge=judge)
-
-
-def test_an_option_is_refused_by_its_name(tmp_path):
-    """As everywhere."""
-    a = write_attitudes(tmp_path / "a.csv", T_NS, TRUTH.wxyz)
-    assert "--judge" in refused("compare", a, a, "--judge", "+5s..+6s")

@@ -11,7 +11,6 @@ import zstandard
 from make.commands import refused, run
 from make.into_logs import START, write_bag, write_mcap, write_rosbag2
 from make.mcap_doctor import examine
-from make.tables import write_rates
 from rosbags.rosbag2 import StoragePlugin
 
 from quatprop.errors import OutputError, QuatpropError, UnreadableLogError, UsageError
@@ -164,37 +163,10 @@ def test_what_is_there_is_not_touched(tmp_path, log):
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--into", "a.mcap", "--to", "csv"], "--into copies the log in its own format; omit "),
-        (["--into", "a.mcap", "--layout", "wxyz"], "mcap is scalar-last by its own definition"),
-        (["--into", "a.mcap", "--header-comment"], "mcap has no comments; omit --header-comment"),
-        (["--into", "a.mcap", "-o", "a.csv"], "say where the attitudes go: -o OUT, or --into COP"),
-        ([], "say where the attitudes go: -o OUT, or --into COPY"),
-        (["--into", "-"], "standard output takes text only; name a file for the copy"),
-        (["--into", "a.bag"], "is mcap, whatever its name; name it .mcap"),
-        (["--into", "a.mcap.gz"], "is mcap, whatever its name; name it .mcap"),
-    ],
-)
-def test_options_that_do_not_go_with_a_copy_are_refused(mcap, monkeypatch, options, words):
-    """Each with its reason, and nothing is left behind."""
-    monkeypatch.chdir(mcap.parent)
-    assert words in refused("propagate", mcap, *options)
-    assert list(mcap.parent.iterdir()) == [mcap]
-
-
 def test_a_name_without_a_suffix_is_the_kind_of_the_log(mcap):
     """The copy is of the log's kind."""
     run("propagate", mcap, "--into", mcap.with_name("out"), "-q", code=0)
     examine(mcap.with_name("out"))
-
-
-def test_a_table_has_nothing_to_add_to(tmp_path):
-    """The error says where attitudes can go instead."""
-    table = write_rates(tmp_path / "log.csv", [(0, 0, 0, 1), (1, 0, 0, 1)])
-    words = "this one is 'csv'; write them to a file of their own with --output"
-    assert words in refused("propagate", table, "--into", tmp_path / "out.mcap")
 
 
 def test_packed_files_are_refused_with_the_way_out(tmp_path):

@@ -8,7 +8,7 @@ from itertools import permutations
 import numpy as np
 import pandas as pd
 import pytest
-from make.commands import run
+from make.commands import refused, run
 from make.table_rates import refusal, told
 
 from quatprop import propagate
@@ -355,7 +355,7 @@ def test_a_table_whose_times_say_little_is_told_of_another_column(tmp_path, stam
     (advice,) = (one for one in remarks if "time_col" in one)
     assert "other timestamps with time_col" in advice or "is there another time_col, or" in advice
     wrapped = table(tmp_path / "wrapped.csv", {"t_us": [2**32 - 20, 2**32 - 10, 3, 13]})
-    with pytest.raises(TimelineError, match=r"choose another time_col$"):
+    with pytest.raises(TimelineError, match=r"choose another time_col; if a column counts"):
         propagate(wrapped)
 
 
@@ -387,6 +387,20 @@ def test_a_counter_at_a_stated_rate_tells_of_lost_samples(tmp_path, bits, lost):
     path = xsens(tmp_path / "log.txt", [(2**bits - 150 + n) % 2**bits for n in numbers])
     said = f"{lost} sample{'s' * (lost > 1)} lost by the counter 'PacketCounter'"
     assert told(path, **DEGREES) == ([n * 10**7 for n in numbers], [said] * (lost > 0))
+
+
+def test_a_clock_that_wraps_around_is_refused_with_the_counter_beside_it(tmp_path):
+    """As that of a Movella DOT does; its counter of samples was not named as a way out."""
+    path = tmp_path / "dot.csv"
+    rows = [f"{k},{(2**32 - 50_000 + 16_667 * k) % 2**32},0,0,0,1,2,3" for k in range(6)]
+    names = "PacketCounter,SampleTimeFine,Euler_X,Euler_Y,Euler_Z,Gyr_X,Gyr_Y,Gyr_Z"
+    path.write_text("\n".join([names, *rows, ""]))
+    sentence = refused("propagate", path, "-o", "-")
+    assert sentence.endswith(
+        ", or choose another --time-col; if a column counts samples, use --time-col COLUMN "
+        "and --sample-rate HZ"
+    )
+    assert told(path, time_col="PacketCounter", sample_rate=100)[0] == STEADY[:6]
 
 
 def test_the_lost_samples_of_a_counter_are_a_gap(tmp_path):

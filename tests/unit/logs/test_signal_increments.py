@@ -5,7 +5,6 @@ import pytest
 from make.streams import propagated
 
 from quatprop.conditioning import conditioned
-from quatprop.errors import SeriesError
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, log, multiply
 from quatprop.series import GyroSeries
 from quatprop.timeline import Timeline
@@ -78,11 +77,3 @@ def test_the_timeline_keeps_increments_whole(backwards):
     assert found.integration_time_ns.tolist() == kept
     assert timeline.counts.integrated_ns == sum(kept[1:])
     assert timeline.counts.path_angle_rad == pytest.approx(3**0.5 * sum(kept[1:]) * 1e-9)
-
-
-def test_spans_have_one_row_a_sample():
-    """The series is validated at birth."""
-    with pytest.raises(
-        SeriesError, match=r"^Expected `integration_time_ns` of shape \(2,\), got \(1,\)$"
-    ):
-        GyroSeries(np.array([0, 1]), np.zeros((2, 3)), np.array([1]))

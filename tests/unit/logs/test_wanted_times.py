@@ -32,24 +32,6 @@ def test_a_file_of_stamps_alone(tmp_path, text):
     assert quatprop.propagate(BAG, at=frames).t_ns.tolist() == AT
 
 
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        (
-            "1700000001.5\n",
-            "line 1: '1700000001.5' is not a timestamp; write RFC 3339 or whole ns, or",
-        ),
-        ("t_ns\n1\nx\n", "line 3: 'x' is not a timestamp"),
-        ("t_ns\n", "it holds no timestamps"),
-    ],
-)
-def test_what_is_no_stamp_is_refused(tmp_path, text, reason):
-    """With its line."""
-    frames = tmp_path / "frames.csv"
-    frames.write_text(text)
-    assert reason in run("propagate", BAG, "-o", "-", "--at", frames, code=2).stderr
-
-
 IMAGE, STRING = "sensor_msgs/msg/CompressedImage", "std_msgs/msg/String"
 
 

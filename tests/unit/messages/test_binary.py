@@ -33,8 +33,8 @@ from quatprop.messages.schema import (
     Sequence,
     String,
     Struct,
+    key_path_of,
     numeric_layout,
-    steps,
 )
 from quatprop.messages.values import raw_messages
 
@@ -117,8 +117,8 @@ def test_columns_are_the_values_that_were_encoded_and_what_rosbags_decodes(case)
 
 
 def _found(value, path):
-    for step in steps(path):
-        value = value[step] if isinstance(step, int) else getattr(value, step)
+    for key in key_path_of(path):
+        value = value[key] if isinstance(key, int) else getattr(value, key)
     return value
 
 

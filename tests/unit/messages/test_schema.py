@@ -18,8 +18,8 @@ from quatprop.messages.schema import (
     Struct,
     Unknown,
     find,
+    key_path_of,
     numeric_layout,
-    steps,
 )
 
 RULE = "=" * 80
@@ -171,14 +171,14 @@ def test_types_that_multiply_by_sharing_are_refused_in_no_time():
 
 
 @pytest.mark.parametrize(
-    ("text", "way"),
+    ("text", "key_path"),
     [("a", ("a",)), ("a.b_2.c", ("a", "b_2", "c")), ("a[0]", ("a", 0)),
      ("a[12].b[3]", ("a", 12, "b", 3)), ("a b.c-d", ("a b", "c-d")),
      *((text, None) for text in ("", ".a", "a..b", "a[x]", "a.", "a[1]b"))],
 )  # fmt: skip
-def test_field_paths_are_names_with_dots_and_indices(text, way):
+def test_field_paths_are_names_with_dots_and_indices(text, key_path):
     """What is not a path is not taken for one."""
-    assert steps(text) == way
+    assert key_path_of(text) == key_path
 
 
 NO_FIELD = "'sensor_msgs/msg/Imu' has no field 'PATH'; "
@@ -225,3 +225,9 @@ def test_the_structs_of_a_message_come_outermost_first():
     parts = [part.prefix for part in flattened(message_type(IMU, "log")).parts]
     vectors = ["orientation.", "angular_velocity.", "linear_acceleration."]
     assert parts == ["", "header.", *vectors, "header.stamp."]
+
+
+def test_arrays_of_more_than_64_numbers_are_no_columns():
+    """Each would be a thousand columns that nobody asked for."""
+    columns = flattened(message_type(defined("int8[64] a\nint8[65] b\nint8 c\n"), "log")).columns
+    assert [column.text for column in columns] == [*(f"a[{k}]" for k in range(64)), "c"]

@@ -124,12 +124,6 @@ def test_what_is_no_series_of_biases_is_refused(name, table, reason, messages, t
     assert reason in str(refused.value)
 
 
-def test_rates_in_memory_have_no_topics():
-    """A name that is no file cannot be anything else."""
-    with pytest.raises(UsageError, match="the log has no such topic"):
-        propagate(SERIES, bias="/imu/bias")
-
-
 def test_a_file_of_biases_is_an_input_of_a_case(tmp_path):
     """A suite names it beside itself, and pins it; a topic is no input."""
     (tmp_path / "bias.csv").touch()

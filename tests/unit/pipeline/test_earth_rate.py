@@ -10,7 +10,6 @@ from make.commands import refused, run
 from make.places import SAMPLE_LOGS
 
 from quatprop import GyroSeries, propagate
-from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply, rotate
 
 RAD_S = 7.292115e-5
@@ -65,24 +64,6 @@ def test_a_turning_body_is_followed_against_the_ground():
     at_s = (at_times.t_ns - rates.t_ns[0]) * 1e-9
     expected = multiply(truth[0], exp(np.outer(at_s, [0.02, -0.05, 0.1])))
     assert geodesic_angle(at_times.wxyz, expected).max() < 1e-9
-
-
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        ({"earth_rate": 91}, "earth_rate: '91' is not a latitude: give -90 to 90 deg"),
-        ({"earth_rate": (1, 2, 3)}, "is not LAT,AZIMUTH, 2 finite numbers"),
-        ({"reference_z": "down"}, "reference_z requires q0='level' or earth_rate"),
-        ({"earth_rate": 90, "rates": "reference"}, "0,0,7.292115e-05 rad/s, with bias"),
-        ({"earth_rate": 45, "bias": "static"}, "give bias as numbers"),
-        ({"earth_rate": 45, "on_gap": "split"}, "choose on_gap='hold' or on_gap='error'"),
-    ],
-)
-def test_what_does_not_go_with_it_is_refused(options, sentence):
-    """In one sentence with the way out."""
-    with pytest.raises(UsageError) as caught:
-        propagate(GyroSeries([0, 1], np.zeros((2, 3))), **options)
-    assert sentence in str(caught.value)
 
 
 def test_output_and_summary_state_it(tmp_path):

@@ -66,29 +66,6 @@ def test_quantities_have_the_units_of_data_sheets(name, value, expected):
     assert PROPAGATE[name](value) == pytest.approx(expected, rel=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("noise_density", "0.2", "is not a noise density{}0.2deg/sqrt(h)"),
-        ("noise_density", "0.2deg/h", "is not a noise density{}0.2deg/sqrt(h)"),
-        ("bias_sigma", "20deg", "is not a rate{}20deg/h"),
-        ("random_walk", "1rad/s", "is not a rate random walk{}1e-5rad/s^2/sqrt(Hz)"),
-        ("scale_sigma", "5", "is not a ratio{}1000ppm or 0.1%"),
-        ("scale_sigma", -1, "is below 0"),
-        ("bias_sigma", "-1deg/h", "is not a rate{}20deg/h"),
-        ("misalignment_sigma", "5", "is not an angle{}5mrad"),
-        ("q0_sigma", "5", "is not an angle{}0.5deg or 5mrad"),
-        ("q0_sigma", "1deg,5deg", "is neither one angle nor ROLL,PITCH,YAW"),
-    ],
-)
-def test_other_quantities_are_refused(name, value, message):
-    """With an example of what is right."""
-    with pytest.raises(UsageError) as error:
-        PROPAGATE[name](value)
-    said = message.format("; write a number with its unit, such as ")
-    assert str(error.value) == f"'{value}' {said}"
-
-
 # --- files
 
 

@@ -137,12 +137,6 @@ def test_a_viewer_that_is_missing_is_named_before_the_log_is_read(tmp_path, monk
     assert "pip install rerun-sdk" in refused("compare", "a.csv", "b.csv", "--view", "rerun")
 
 
-def test_a_view_and_a_picture_are_two_runs():
-    """A run has one observer."""
-    said = refused("propagate", "no.csv", "-o", "a.csv", "--plot", "a.png", "--view", "rerun")
-    assert said.endswith("--view does not go with --plot; draw the picture in another run")
-
-
 @pytest.fixture
 def rerun(tmp_path, monkeypatch):
     """Have Rerun write what it would show to a file; return a function that reads it."""

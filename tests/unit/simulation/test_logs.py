@@ -8,7 +8,7 @@ from make.ros import IMU, ROS1, ROS2, encoded
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
-from quatprop.errors import OutputError, UsageError
+from quatprop.errors import OutputError
 from quatprop.series import AttitudeSeries
 from quatprop.simulation.gyroscope import Gyroscope, record
 from quatprop.simulation.motion import Shape, motion_named
@@ -130,29 +130,6 @@ def test_a_failed_log_leaves_nothing(tmp_path, kind):
     with pytest.raises(RuntimeError, match="midway"):
         fail_midway()
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "sentence"),
-    [
-        (
-            "a.bag",
-            {"compression": "zstd"},
-            "^a bag log cannot be compressed with 'zstd'; choose 'none', 'lz4', 'bz2'$",
-        ),
-        (
-            "a.db3",
-            {},
-            r": the suffix does not determine the output format; use one of \.csv, .*\.bag, ",
-        ),
-        ("a.tum", {}, "kind 'tum' holds attitudes only; choose 'csv', 'tsv',"),
-        (".", {}, "exists already; choose another name, with a suffix"),
-    ],
-)
-def test_what_is_no_log_is_refused(tmp_path, name, options, sentence):
-    """With what would do."""
-    with pytest.raises((UsageError, OutputError), match=sentence):
-        open_log_writer(tmp_path / name, **options)
 
 
 @pytest.mark.parametrize(

@@ -156,6 +156,7 @@ def header(descr, shape, *, fortran=False):
         (npy(header("<f8", (2, 3, 4))), "of shape (2, 3, 4"),
         (npy(header(DESCR, (2, 2))), "of shape (2, 2) is"),
         (npy(header("<f8", (200, 10**15))), "its rows have 8000"),
+        (npy(header("<f8", (200, 4097))), "its rows have 32776 bytes"),
         (npy(header("<f8", (2, 0), fortran=True)), "its rows have 8 bytes"),
     ],
 )

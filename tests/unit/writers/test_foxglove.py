@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
-from make.commands import run
 from make.mcap_doctor import examine
 from mcap.reader import make_reader
 
-from quatprop.errors import OutputError, UsageError
+from quatprop.errors import OutputError
 from quatprop.series import AttitudeSeries
 from quatprop.writers import open_writer
 from quatprop.writers.messages.foxglove_messages import FoxgloveEncoder, schema_of
@@ -150,28 +149,3 @@ def test_a_stamp_before_1970_is_refused(tmp_path, name):
     ):
         writer.write(series)
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("kind", ["bag", "rosbag2", "rosbag2-mcap"])
-def test_ros_bags_refuse_them(tmp_path, kind):
-    """Bags hold messages of ROS, and the error says what would do."""
-    words = (
-        "^'PoseInFrame' is Foxglove's own, in protobuf, and ROS bags hold ROS messages; write "
-        "mcap, or choose 'QuaternionStamped', 'PoseStamped', 'TFMessage', "
-        "'PoseWithCovarianceStamped', 'Imu'$"
-    )
-    with pytest.raises(UsageError, match=words):
-        open_writer(tmp_path / "a", kind, message=Message("PoseInFrame"))
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_what_was_written_is_read_back_to_the_bit(tmp_path, name):
-    """From a table to a Foxglove message and back again."""
-    table, log, again = (tmp_path / file for file in ("a.csv", "b.mcap", "c.csv"))
-    with open_writer(table) as writer:
-        writer.write(attitudes(STAMPS[:-1]))
-        writer.commit({})
-    assert run("convert", "-q", table, log, "--message", name, code=0).output == ""
-    assert run("convert", "-q", log, again, code=0).output == ""
-    assert again.read_bytes() == table.read_bytes()

@@ -1,0 +1,183 @@
+"""``quatprop noise`` writes what its options say, and refuses what is not at rest."""
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from make.commands import refused, run
+from make.gyro_noise import HZ, Truth, rates
+from make.places import SAMPLE_LOGS
+from PIL import Image
+
+from quatprop import GyroSeries, RemarkWarning, noise
+from quatprop.errors import UsageError
+
+TRUTH = Truth(N=1.7e-4, K=2e-4)
+
+
+def write(path, rate, t_ns=None):
+    """Write a table of rates, ``(N, 3)``; return its path."""
+    t_ns = np.arange(len(rate)) * (10**9 // HZ) if t_ns is None else t_ns
+    axes = dict(zip(("wx", "wy", "wz"), rate.T, strict=True))
+    pq.write_table(pa.table({"t_ns": t_ns, **axes}), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    """Write ten minutes of a gyroscope at rest, whose random walk shows."""
+    rate = rates(TRUTH, 60_000, np.random.default_rng(9)) + np.array([0.01, -0.02, 0.005])
+    return write(tmp_path_factory.mktemp("noise") / "rest.parquet", rate)
+
+
+def test_it_states_the_terms_of_each_axis(log):
+    """In a table: values with their standard deviations, bounds of what does not show."""
+    result = run("noise", log, code=0)
+    assert result.stderr == ""
+    rows = {line[:18].strip(): line[18:] for line in result.stdout.splitlines()}
+    assert rows["at rest"] == " 60,000 samples in 1 period: 599.99 s, 100 Hz on average"
+    for name, true in (("angle random walk", TRUTH.N), ("rate random walk", TRUTH.K)):
+        *values, unit = rows[name].replace("(", "").replace("%)", "").split()
+        assert unit.startswith("rad/s")
+        for value, percent in zip(values[::2], values[1::2], strict=True):
+            assert abs(float(value) / true - 1) < 4 * float(percent) / 100
+    assert rows["quantisation"].count("<") == rows["bias instability"].count("<") == 4
+    assert "angle random walk 0.5" in rows["data sheet"]
+    assert "rate random walk" in rows["data sheet"]
+
+
+def test_json_is_what_python_returns(log):
+    """Every number of it; of a series, too."""
+    told = json.loads(run("noise", log, "--json", code=0).stdout)
+    found = noise(log)
+    assert told["combined"]["rate_random_walk"]["value"] == found.combined.rate_random_walk.value
+    np.testing.assert_array_equal(told["deviation"], found.deviation)
+    table = pq.read_table(log)
+    rate = np.stack([table[name].to_numpy() for name in ("wx", "wy", "wz")], axis=1)
+    series = noise(GyroSeries(table["t_ns"].to_numpy(), rate))
+    assert series.axes == found.axes
+    assert (found.low < found.deviation).all()
+    assert (found.deviation < found.high).all()
+    freedoms = 2 * (found.deviation / (found.high - found.low) * 2) ** 2 / 4
+    assert freedoms[0].min() > 10_000
+
+
+def test_the_file_is_what_propagate_reads(log, tmp_path):
+    """Kalibr's keys, with the values that are shown; as options they give the same uncertainty."""
+    path, out = tmp_path / "imu.yaml", tmp_path / "out.csv"
+    run("noise", log, "-o", path, "-q", code=0)
+    terms = noise(log).combined
+    options = ("-o", out, "--sigma", "--report", "-", "--start", "+10s", "--end", "+20s")
+    told = json.loads(run("propagate", log, *options, "--imu", path, code=0).stdout)
+    errors = told["uncertainty"]["errors"]
+    assert errors["noise_density"] == pytest.approx(terms.angle_random_walk.value, rel=1e-4)
+    assert errors["random_walk"] == pytest.approx(terms.rate_random_walk.value, rel=1e-4)
+    with_options = ("--noise-density", f"{errors['noise_density']}rad/s/sqrt(Hz)",
+                    "--random-walk", f"{errors['random_walk']}rad/s^2/sqrt(Hz)")  # fmt: skip
+    first = out.read_bytes()
+    run("propagate", log, *options, *with_options, code=0)
+    assert out.read_bytes() == first
+    assert run("noise", log, "-o", "-", code=0).stdout == path.read_text()
+
+
+def test_what_is_not_shown_has_no_value_in_the_file(tmp_path):
+    """A short log says nothing of a random walk, and the file says so."""
+    path = tmp_path / "imu.yaml"
+    run("noise", SAMPLE_LOGS / "rest.parquet", "-o", path, code=0)
+    lines = path.read_text().splitlines()
+    assert any(line.startswith("# gyroscope_random_walk: at most ") for line in lines)
+    assert any(line.startswith("gyroscope_noise_density: 1.0") for line in lines)
+    out = tmp_path / "out.csv"
+    told = run("propagate", SAMPLE_LOGS / "spin.csv", "-o", out, "--imu", path, "--report", "-")
+    assert json.loads(told.stdout)["uncertainty"]["errors"]["random_walk"] == 0
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+def test_it_draws_the_deviation(log, tmp_path, suffix):
+    """With the slopes and their values in the legend."""
+    path = tmp_path / f"allan.{suffix}"
+    run("noise", log, "--plot", path, "-q", code=0)
+    if suffix == "png":
+        with Image.open(path) as image:
+            assert image.size[0] == 1500
+    if suffix == "svg":
+        text = path.read_text()
+        assert "averaging time, s" in text
+        assert "angle random walk 0.00017 rad/s/sqrt(Hz)" in text
+        assert "rate random walk 0.000" in text
+        assert "bias instability" not in text
+
+
+def test_rests_and_gaps_divide_the_samples(tmp_path):
+    """Two rests, one with a gap, about a motion: what is stated is that of the pieces alone."""
+    random = np.random.default_rng(10)
+    rate = rates(Truth(N=1e-4), 9000, random)
+    t_ns = np.arange(9000) * (10**9 // HZ)
+    moves = (t_ns >= 40e9) & (t_ns < 50e9)
+    rate[moves] += np.sin(t_ns[moves] * 3e-9)[:, None]
+    gap = (t_ns >= 20e9) & (t_ns < 20.2e9)
+    path = write(tmp_path / "rests.parquet", rate[~gap], t_ns[~gap])
+    found = json.loads((result := run("noise", path, "--json", code=0)).stdout)
+    assert len(found["rests"]) == 2
+    assert found["pieces"] == 3
+    assert "warning: gaps at rest, longer than 100 ms: 1; no difference is taken across one" in (
+        result.stderr
+    )
+    density = found["combined"]["angle_random_walk"]
+    assert abs(density["value"] - 1e-4) < 4 * density["sigma"]
+    part = json.loads(run("noise", path, "--json", "--start", "+51s", code=0).stdout)
+    assert len(part["rests"]) == part["pieces"] == 1
+    assert part["samples"] <= 3900
+
+
+def test_a_rest_with_a_drift_is_one(tmp_path):
+    """A gyroscope that warms up by 1 deg/s is found at rest in parts, which are one rest."""
+    rate = rates(Truth(N=1e-4, R=6e-5), 30_000, np.random.default_rng(11))
+    found = noise(write(tmp_path / "drift.parquet", rate))
+    assert len(found.rests) == found.pieces == 1
+    assert found.samples > 29_900
+    # The ramp is no random walk, which would explain as much at 100 s.
+    assert found.combined.rate_random_walk.value is None
+
+
+def test_remarks_are_warnings_of_python(tmp_path):
+    """Steps that hide the noise, repeated timestamps, an axis that does not change."""
+    random = np.random.default_rng(12)
+    rate = np.rint(rates(Truth(N=2e-5), 3000, random) / 1e-3) * 1e-3
+    t_ns = np.arange(3000) // 2 * 20_000_000
+    rate[:, 2] = 0.01
+    path = write(tmp_path / "odd.parquet", rate, t_ns)
+    with pytest.warns(RemarkWarning) as caught:
+        noise(path)
+    codes = {one.message.code for one in caught}
+    assert {"noise-irregular", "noise-steps", "noise-unexplained"} <= codes
+
+
+REFUSED = {
+    "moves": "the log has no stationary period (the quietest scatters by 1.",
+    "short": "samples at rest are too few to measure noise; record the sensor at rest",
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_log_that_moves_or_is_short_is_refused(tmp_path, name):
+    """With what to record instead, and without a file."""
+    k = np.arange(500)[:, None]
+    rate = {"moves": np.sin(k * [1, 2, 3]), "short": 1e-3 * np.sin(k[:10] ** 2 * [1, 2, 3])}[name]
+    t_ns = k[: len(rate), 0] * (10**7 if name == "moves" else 2 * 10**8)
+    path = write(tmp_path / "log.parquet", rate, t_ns)
+    said = refused("noise", path, "-o", tmp_path / "imu.yaml", "--plot", tmp_path / "a.png")
+    assert said.startswith(f"Error: {path}: ")
+    assert REFUSED[name] in said
+    assert [each.name for each in tmp_path.iterdir()] == ["log.parquet"]
+
+
+def test_other_refusals(log, tmp_path):
+    """Stdin, a page, an input as output; and no walk of something that shows no noise."""
+    assert "stdin and pipes can be read only once" in refused("noise", "-")
+    assert "use .png, .svg or .pdf" in refused("noise", log, "--plot", tmp_path / "a.html")
+    assert "this is an input of the run" in refused("noise", log, "-o", log)
+    with pytest.raises(UsageError, match="rate_unit is for logs"):
+        noise(GyroSeries([0, 1], np.zeros((2, 3))), rate_unit="deg/s")
