@@ -62,11 +62,13 @@ from quatprop.version import __version__ as __version__
 if TYPE_CHECKING:
     from quatprop.api.attitudes import compare, convert, write
     from quatprop.api.batch import batch
+    from quatprop.api.calibration import calibrate
     from quatprop.api.noise import noise
     from quatprop.api.propagation import PropagatedSeries, propagate
     from quatprop.api.reading import read_attitudes, read_rates
     from quatprop.api.tools import Simulation, info, plot, simulate
     from quatprop.batching.entries import ManifestEntry
+    from quatprop.calibration.result import GyroCalibration
     from quatprop.comparison.result import Comparison
     from quatprop.comparison.statistics import ErrorStatistics
     from quatprop.conversion.job import ConversionReport
@@ -84,6 +86,7 @@ __all__ = [
     "Counts",
     "DataLossWarning",
     "ErrorStatistics",
+    "GyroCalibration",
     "GyroSeries",
     "LogSurvey",
     "ManifestEntry",
@@ -97,6 +100,7 @@ __all__ = [
     "RunReport",
     "Simulation",
     "batch",
+    "calibrate",
     "compare",
     "convert",
     "info",
@@ -116,6 +120,7 @@ _MODULES = {
     "Counts": "quatprop.timeline.counts",
     "DataLossWarning": "quatprop.errors",
     "ErrorStatistics": "quatprop.comparison.statistics",
+    "GyroCalibration": "quatprop.calibration.result",
     "GyroSeries": "quatprop.series",
     "LogSurvey": "quatprop.pipeline.log_survey",
     "ManifestEntry": "quatprop.batching.entries",
@@ -129,6 +134,7 @@ _MODULES = {
     "RunReport": "quatprop.pipeline.report",
     "Simulation": "quatprop.api.tools",
     "batch": "quatprop.api.batch",
+    "calibrate": "quatprop.api.calibration",
     "compare": "quatprop.api.attitudes",
     "convert": "quatprop.api.attitudes",
     "info": "quatprop.api.tools",

@@ -160,7 +160,7 @@ def _on_grid(a: BodyAngle, b: BodyAngle, length: float, starts: Float64, turned:
     few = starts[:: max(len(starts) // GRID_WINDOWS, 1)]
     reach = min(MAX_OFFSET_S, float(few[0] - max(a.seconds[0], b.seconds[0])))
     y = a.over(few, length)
-    grid = np.linspace(-reach, reach, 2 * int(np.ceil(reach / (length / 8))) + 1)
+    grid = np.linspace(-reach, reach, 2 * int(np.ceil(reach / (length / 4))) + 1)
 
     def remaining(at: float) -> float:
         x = b.over(few - at, length)

@@ -82,7 +82,7 @@ def _claims(
         before = search.judged(())
         if not NO_ERROR < before < math.inf:
             return
-        search.run()
+        search.run(before)
         undone, after = _fewest(search, before)
         names = {each.name for each in undone}
         if not undone or names & {each.name for each in known}:

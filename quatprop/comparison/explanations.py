@@ -17,15 +17,7 @@ from quatprop.comparison.cause import NO_ERROR
 from quatprop.comparison.fits import Fits, rms_between
 from quatprop.comparison.integration_rules import integration_rules
 from quatprop.comparison.misreadings import axes, misreadings
-from quatprop.comparison.plans import (
-    CLOCKS,
-    CONTAINED,
-    MISREAD,
-    NOTHING,
-    RATE_REMEDIES,
-    READINGS,
-    Undoings,
-)
+from quatprop.comparison.plans import CLOCKS, CONTAINED, MISREAD, RATE_REMEDIES, READINGS, Undoings
 from quatprop.comparison.rate_mistakes import RATES
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply
@@ -70,24 +62,23 @@ class Search(Fits):
     `is_open`: whether kinds of mistakes were left out, since little of the error remains
     """
 
-    def run(self) -> None:
-        """Find the best explanation, and what else explains as much."""
-        before = self._fit(Undoings())
-        if before is NOTHING:
-            return
-        self._floor = max(NO_ERROR, NEGLIGIBLE * before.rms)
-        self._fits.clear()
-        sign, *others = misreadings()
-        readings = [sign, *axes(self._read(Undoings())), *others]
+    def run(self, before: float) -> None:
+        """Find the best explanation of an RMS error, rad, and what else explains as much."""
+        self._floor = max(NO_ERROR, NEGLIGIBLE * before)
         if not self._is_read:
+            opposite, others = misreadings(self._whole)
+            readings = [*opposite, *axes(self._read(Undoings())), *others]
             self._readings = {f"{number}": each for number, each in enumerate(readings)}
+        left = {key: self._over_windows(key) for key in ("", *self._readings)}
+        most = PROMISING * min(left.values())
+        self._promising = [key for key in left if not key or left[key] <= most]
         plan = self._least(Undoings(rates="rate bias", frames=frame) for frame in self._frames)
         for _ in range(ROUNDS):
             plan = last = self._read_and_aligned(plan)
-            self.is_open = self._fit(plan).rms <= ENOUGH * before.rms
+            self.is_open = self._fit(plan).rms <= ENOUGH * before
             if self.is_open and not plan.rates and plan.frames != "mount":
                 break
-            self._rules = integration_rules(self._read(last._replace(clock="")))
+            self._rules = integration_rules(self._read(last._replace(clock="", rates="method")))
             rules = self._varied(
                 [last], clock=[""], rates=["method"] if self._rules else [], frames=self._frames
             )
@@ -96,28 +87,31 @@ class Search(Fits):
             some = self._varied([last], clock=CLOCKS, rates=rates, frames=self._frames)
             plan = self._least([ruled, *some])
             # Where stamps are the same, the rule is the simpler reason for an interval or a half.
-            most = max(AS_GOOD * self._fit(plan).rms, ENOUGH * before.rms)
+            most = max(AS_GOOD * self._fit(plan).rms, ENOUGH * before)
             if self._same_stamps and ruled != last and self._fit(ruled).rms <= most:
                 plan = ruled
             if plan == last:
                 break
         of_b = self._of_b(plan)
-        if of_b and self._is_shown(of_b, before.rms):
+        if of_b and self._is_shown(of_b, before):
             self.best = self._fit(self._deliverable(of_b))
             self.others = self._alternatives(of_b)
 
     def _deliverable(self, plan: Undoings) -> Undoings:
         """Return a plan that leaves A's rates alone where A may be read the wrong way."""
         best = self._fit(plan)
+        keys = [key for key, each in self._readings.items() if each.name == "conjugate"]
+        opposite = [plan._replace(reading=key) for key in keys]
+        if plan.reading and self._readings[plan.reading].name == "rate sign":
+            read = min(opposite, key=lambda each: self._fit(each).rms)
+            if self._fit(read).rms <= AS_GOOD * (best.rms + self._floor):
+                plan, best = read, self._fit(read)
         names = {undoing.name for undoing in (*self._known, *best.undone)}
         if not RATE_REMEDIES & {undoing.name for undoing in best.undone}:
             return plan
         if not names & MISREAD:
-            opposite = [key for key, each in self._readings.items() if each.name == "conjugate"]
-            fits = [self._fit(plan._replace(reading=key)) for key in opposite]
-            if plan.reading or min((fit.rms for fit in fits), default=math.inf) > (
-                CLEARLY * (best.rms + self._floor)
-            ):
+            least = min((self._fit(each).rms for each in opposite), default=math.inf)
+            if plan.reading or least > CLEARLY * (best.rms + self._floor):
                 return plan
         return self._least(
             plan._replace(rates=rates) for rates in ("drift in body", "drift in reference", "")
@@ -158,7 +152,7 @@ class Search(Fits):
         near: dict[str, Undoings] = {}
         frames = self._frames[: 1 + ("mean" in self._frames)]
         for frame, rates in product(frames, dict.fromkeys(("", plan.rates))):
-            kinds = {"reading": ("", *self._readings), "rates": [rates], "frames": [frame]}
+            kinds = {"reading": self._promising, "rates": [rates], "frames": [frame]}
             tried = [*self._varied([plan], **kinds)]
             most = PROMISING * min(self._fit(each).score for each in tried)
             near |= {each.reading: each for each in tried if self._fit(each).score <= most}
@@ -181,8 +175,10 @@ class Search(Fits):
         names = {undoing.name for undoing in self.best.undone}
         found: dict[str, str] = {}
         most = AS_GOOD * (self.best.rms + self._floor) - self._floor
+        # A mounting that is named turns the reference frame too.
+        count = self._count(plan) + (plan.frames == "mount" and self._align != "mean")
         for other, fit in sorted(self._fits.items(), key=lambda tried: tried[1].rms):
-            if fit.rms <= most and self._count(other) <= self._count(plan):
+            if fit.rms <= most and self._count(other) <= count:
                 for undoing in fit.undone:
                     if not any((name, undoing.name) in CONTAINED for name in names):
                         found.setdefault(undoing.name, undoing.other)
@@ -206,8 +202,9 @@ class Search(Fits):
         return sorted({text for name, text in found.items() if name not in names})
 
     def _count(self, plan: Undoings) -> int:
-        # A mounting makes one misreading of another.
-        return len(self._fit(plan).undone) + (plan.frames == "mount" and plan.reading != "")
+        # A mounting turns two frames, and makes one misreading of another.
+        count = len(self._fit(plan).undone)
+        return count + (plan.frames == "mount" and count > 1)
 
     def _shows_mounting(self, plan: Undoings) -> bool:
         with suppress(ComparisonError):

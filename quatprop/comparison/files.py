@@ -7,6 +7,7 @@ stamps out of order) is done in memory.
 from __future__ import annotations
 
 from contextlib import closing, suppress
+from dataclasses import replace
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -115,7 +116,7 @@ class _Ordered:
         t_ns = batch.t_ns + self._offset_ns
         if (t_ns[1:] <= t_ns[:-1]).any() or (self.samples and t_ns[0] <= self.covered.last_ns):
             raise _NotStreamableError
-        self.held = AttitudeSeries(t_ns, unit(batch.wxyz))
+        self.held = replace(batch, t_ns=t_ns, wxyz=unit(batch.wxyz))
         self.samples += len(t_ns)
         self.covered.add(t_ns)
         if t_ns[0] < self.start_ns:

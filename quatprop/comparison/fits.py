@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.alignment import Alignment, align, find_mounting
+from quatprop.comparison.alignment import Alignment, align, find_mounting, kabsch
 from quatprop.comparison.association import associate
+from quatprop.comparison.cause import NO_ERROR
 from quatprop.comparison.clock_mistakes import clocks
 from quatprop.comparison.clocks import coarse_offset
 from quatprop.comparison.plans import (
@@ -23,9 +24,10 @@ from quatprop.comparison.plans import (
 )
 from quatprop.comparison.rate_mistakes import rate_mistake
 from quatprop.comparison.undoing import Sides, Undoing, frames
-from quatprop.comparison.windows import common_beginning
+from quatprop.comparison.windows import centred, common_beginning
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle, multiply
+from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.series import AttitudeSeries
 from quatprop.series.blocks import rms
 
@@ -35,8 +37,14 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64
     from quatprop.comparison.settings import ComparisonSettings
 
-SEARCHED = 1_000
-"""Pairs in which explanations are compared, about; what is claimed is measured in all."""
+SEARCHED = 500
+"""Pairs in which explanations are compared, at least; what is claimed is measured in all."""
+
+MAX_TURN = 0.1
+"""Rotation, rad, from one of these pairs to the next: rates are changed as if it were small."""
+
+WINDOWS = 40
+"""Windows, about, that follow one another where readings are compared by rotations over them."""
 
 MIN_SAMPLES = 100
 """Fewer samples show no clock."""
@@ -64,7 +72,14 @@ class Fits:
         same = np.isin(sides.a.t_ns, sides.b.t_ns)
         self._same_stamps = 2 * int(same.sum()) > len(same)
         self._sides = Sides(*common_beginning(*sides))
-        self._pairs: dict[tuple[str, str, bool], Sides] = {}
+        pairs = associate(*self._sides, settings)
+        self._full = Sides(*(AttitudeSeries(pairs.t_ns, q) for q in (pairs.a, pairs.b)))
+        turn = max(
+            float(np.percentile(geodesic_angle(q[1:], q[:-1]), 99)) for q in (pairs.a, pairs.b)
+        )
+        stride = int(max(1, min(len(pairs) / SEARCHED, MAX_TURN / max(turn, 1e-9))))
+        self._few = Sides(*(each[::stride] for each in self._full))
+        self._pairs: dict[tuple[str, str, bool, bool], Sides] = {}
         self._mounts: dict[tuple[str, str], Float64 | None] = {}
         self._clocks: dict[tuple[str, bool], tuple[Undoing | None, Undoing | None]] = {}
         self._fits: dict[Undoings, Explanation] = {}
@@ -88,18 +103,31 @@ class Fits:
 
     def _read(self, plan: Undoings) -> Sides:
         """Return pairs with a reading and a clock, as series of the same stamps."""
-        key = plan.reading, plan.clock, bool(plan.clock) and self._is_turned(plan)
+        is_full = plan.rates == "method"
+        key = plan.reading, plan.clock, bool(plan.clock) and self._is_turned(plan), is_full
         if key not in self._pairs:
-            # Where no clock is wrong, the pairs are read otherwise: they are interpolated once.
-            again = plan.clock or not plan.reading
-            sides = self._sides if again else self._read(Undoings())
+            sides = self._full if is_full else self._few
+            if plan.clock:
+                sides = Sides(sides.a, self._sides.b)
             for undoing in self._undone(plan):
                 sides = undoing.apply(sides)
-            if again:
-                pairs = associate(*sides, self._settings)
-                sides = Sides(*(AttitudeSeries(pairs.t_ns, q) for q in (pairs.a, pairs.b)))
+            if plan.clock:
+                sides = paired(sides, self._settings)
             self._pairs[key] = sides
         return self._pairs[key]
+
+    def _over_windows(self, reading: str) -> float:
+        """Return what a reading leaves of rotations over windows, rad, RMS.
+
+        Whatever the frames, the biases, and the mounting are.
+        """
+        sides = self._read(Undoings(reading))
+        length = max(len(sides.a) // WINDOWS, 1)
+        y, x = (
+            centred(total[length:] - total[:-length])
+            for total in (np.cumsum(rotation_vectors_between(q.wxyz), axis=0) for q in sides)
+        )
+        return rms(y - x @ kabsch(x, y)[0].T) + self._floor
 
     def _undone(self, plan: Undoings) -> Iterator[Undoing]:
         """Yield a reading and a clock."""
@@ -178,6 +206,19 @@ class Fits:
         else:
             alignment = align(name, a, b)
         return alignment, rms_between(a, alignment.apply(b))
+
+
+def paired(sides: Sides, settings: ComparisonSettings) -> Sides:
+    """Return both series at the stamps at which they are compared."""
+    pairs = associate(*sides, settings)
+    return Sides(*(AttitudeSeries(pairs.t_ns, wxyz) for wxyz in (pairs.a, pairs.b)))
+
+
+def thinned(sides: Sides) -> Sides:
+    """Return some of the pairs, no further apart than rotations are small."""
+    turns = [np.percentile(geodesic_angle(each.wxyz[1:], each.wxyz[:-1]), 99) for each in sides]
+    most = min(len(sides.a) / SEARCHED, MAX_TURN / max(*turns, NO_ERROR))
+    return Sides(*(each[:: max(int(most), 1)] for each in sides))
 
 
 def rms_between(a: Float64, b: Float64) -> float:

@@ -40,6 +40,9 @@ SAME = 2e-3
 SCREENED = 1_500
 """Samples from which the rules are told: those with the most motion."""
 
+MOST = 0.5
+"""Share of the error over which a rule must be able to lead away to be tried."""
+
 AS_GOOD = 2.0
 """Pairs of rules that leave less than this much more than the best explain the error as well: what
 several of them differ by is an interval, or half of one."""
@@ -51,12 +54,15 @@ def integration_rules(sides: Sides) -> Undoing | None:
     sums = np.add.reduceat(turns, np.arange(0, len(turns), SCREENED))
     begin = int(np.argmax(sums)) * SCREENED
     a, b = (series[begin : begin + SCREENED] for series in sides)
+    before = rms(geodesic_angle(a.wxyz, align("mean", a.wxyz, b.wxyz).apply(b.wxyz)))
     tried = {}
     for known in METHODS:
         if (rates := led_by(a, known)) is None:
             continue
         for other in METHODS:
             if other != known:
+                if rates.most(other) < MOST * before:
+                    continue
                 changed = rates.propagated(other)
                 aligned = align("mean", changed.wxyz, b.wxyz).apply(b.wxyz)
                 tried[known, other] = rms(geodesic_angle(changed.wxyz, aligned))
@@ -94,6 +100,12 @@ class Rates(NamedTuple):
     attitudes: AttitudeSeries
     rate: Float64
     beyond: Float64
+
+    def most(self, rule: str) -> float:
+        """Return how far another rule can lead from these attitudes at most, rad."""
+        steps = rotation_vectors(self.attitudes.t_ns, self.rate, rule)
+        change = self.beyond + steps - rotation_vectors_between(self.attitudes.wxyz)
+        return float(np.linalg.norm(change, axis=1).sum())
 
     @np.errstate(over="ignore", invalid="ignore")  # of rates that grow without bound
     def propagated(self, rule: str) -> AttitudeSeries:

@@ -30,9 +30,8 @@ CONJUGATE = (
     "them was not taken into account"
 )
 AS_READ = [0, 1, 2, 3]
-LAYOUTS = {"layout": [3, 0, 1, 2], "layout-first": [1, 2, 3, 0]}
-"""Which components, as they were read, are w, x, y and z of B, where it is scalar-last or A is
-scalar-first, and the other way round."""
+LAYOUTS = {"last": [3, 0, 1, 2], "first": [1, 2, 3, 0]}
+"""Where the scalar of a series is -> which components, as they were read, are w, x, y and z."""
 
 SIGNED_AXES = sorted(
     (
@@ -49,24 +48,36 @@ SAME_FIT = 1e-3
 """Orders and signs that fit as well, as a share: the motion does not show the axis of change."""
 
 
-def misreadings() -> Iterator[Undoing]:
-    """Yield wrong layouts, directions and conventions, and rates resolved in another frame."""
+def misreadings(read: Sides) -> tuple[list[Undoing], list[Undoing]]:
+    """Return wrong directions and signs, and wrong layouts and rates resolved in another frame.
+
+    Where the motion does not tell a direction from a sign of rates, the direction is named: reading
+    it otherwise changes the very numbers that are compared, and other rates lead to the opposite
+    ones only if nothing else was done to them.
+
+    `read`: the series as they were read: what is wrong with a layout is that it is not the other
+    """
     sign = "the rates of A and B have opposite signs"
-    yield Undoing("rate sign", "rates of the opposite sign", sign, scaled(-1), with_rates(-1.0))
-    for side in "ba":
-        yield from _misread(side)
-    for own, wanted in (("inertial", "body"), ("body", "inertial")):
-        yield Undoing(
+    rate_sign = Undoing(
+        "rate sign", "rates of the opposite sign", sign, scaled(-1), with_rates(-1.0)
+    )
+    of_sides = [[*_misread(side, getattr(read, side).layout)] for side in "ba"]
+    sides = [
+        Undoing(
             "side",
             "body rates treated as inertial rates",
             "one of A and B treats the rates as body-frame, the other as reference-frame",
             if_propagated("rates", wanted, own),
             _on_other_side(own, wanted),
         )
+        for own, wanted in (("inertial", "body"), ("body", "inertial"))
+    ]
+    opposite = [of_side[0] for of_side in of_sides]
+    return [*opposite, rate_sign], [*of_sides[0][1:], *of_sides[1][1:], *sides]
 
 
-def _misread(side: str) -> Iterator[Undoing]:
-    """Yield wrong layouts, directions and conventions of a series."""
+def _misread(side: str, layout: str | None) -> Iterator[Undoing]:
+    """Yield the other layout, direction and convention of a series, and both."""
 
     def read(order: list[int], *, opposite: bool) -> Callable[[Sides], Sides]:
         def apply(sides: Sides) -> Sides:
@@ -84,22 +95,21 @@ def _misread(side: str) -> Iterator[Undoing]:
     yield Undoing(
         "conjugate", other, CONJUGATE, way + direction, read(AS_READ, opposite=True), side=side
     )
-    for name, order in LAYOUTS.items():
-        last = (name == "layout") == (side == "b")
-        own, taken = ("last", "first") if last else ("first", "last")
-        said = f"{side.upper()} is scalar-{own} and was read as scalar-{taken}"
-        layout = Setting("from_layout", f"scalar-{own}", side)
-        numbers = order if side == "b" else np.argsort(order).tolist()
-        apply = read(numbers, opposite=False)
-        yield Undoing(name, "a wrong layout", said, way + layout, apply, side=side)
-        yield Undoing(
-            f"{name} and conjugate",
-            f"a wrong layout with {other}",
-            f"{said}; also, {CONJUGATE}",
-            f"{way}{layout} and {direction}",
-            read(numbers, opposite=True),
-            side=side,
-        )
+    # What was not read is scalar-first by definition.
+    own, taken = ("first", "last") if layout == "scalar-last" else ("last", "first")
+    name = "layout" if (own == "last") == (side == "b") else "layout-first"
+    said = f"{side.upper()} is scalar-{own} and was read as scalar-{taken}"
+    setting = Setting("from_layout", f"scalar-{own}", side)
+    apply = read(LAYOUTS[own], opposite=False)
+    yield Undoing(name, "a wrong layout", said, way + setting, apply, side=side)
+    yield Undoing(
+        f"{name} and conjugate",
+        f"a wrong layout with {other}",
+        f"{said}; also, {CONJUGATE}",
+        f"{way}{setting} and {direction}",
+        read(LAYOUTS[own], opposite=True),
+        side=side,
+    )
 
 
 def axes(sides: Sides) -> Iterator[Undoing]:

@@ -180,7 +180,7 @@ def with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64, rates: str
     """
     beside = known.covariance, known.rate, known.log_ns, known.position
     if all(values is None for values in beside):
-        return AttitudeSeries(wanted, wxyz)
+        return AttitudeSeries(wanted, wxyz, layout=known.layout)
     before = np.searchsorted(known.t_ns, wanted, side="right") - 1
     after = np.minimum(before + 1, len(known) - 1)
     interval = known.t_ns[after] - known.t_ns[before]
@@ -205,7 +205,7 @@ def with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64, rates: str
         covariance = between(known.covariance, None if inertial else reference_covariance)
     if known.rate is not None:
         rate = between(known.rate, rotate if inertial else None)
-    return AttitudeSeries(wanted, wxyz, position, covariance, rate, log_ns)
+    return AttitudeSeries(wanted, wxyz, position, covariance, rate, log_ns, known.layout)
 
 
 class _RatePolynomials(NamedTuple):

@@ -185,7 +185,7 @@ class AttitudeFile:
 
     def load(self, batches: Iterator[AttitudeSeries]) -> LoadedAttitudes:
         """Return the series in memory, from its batches."""
-        series = AttitudeSeries.gathered(batches)
+        series = replace(AttitudeSeries.gathered(batches), layout=self.signal.layout)
         facts = self.facts()
         named = {name: getattr(facts, name) for name in ReadAttitudes.__slots__}
         return LoadedAttitudes(**named, series=series)

@@ -44,6 +44,9 @@ class AttitudeSeries(Series):
         Angular rate of the body in body axes, shape ``(N, 3)``, rad/s; None if unknown.
     log_ns
         As for :class:`GyroSeries`.
+    layout
+        The layout in which they were read, ``"scalar-first"`` or ``"scalar-last"``: an explanation
+        of errors offers the other one. None if they were not read.
 
     Raises
     ------
@@ -58,6 +61,7 @@ class AttitudeSeries(Series):
     covariance: Float64 | None = None
     rate: Float64 | None = None
     log_ns: Int64 | None = None
+    layout: str | None = None
 
     if TYPE_CHECKING:
 
@@ -69,6 +73,7 @@ class AttitudeSeries(Series):
             covariance: ArrayLike | None = None,
             rate: ArrayLike | None = None,
             log_ns: ArrayLike | None = None,
+            layout: str | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:

@@ -58,7 +58,10 @@ class Series:
         return (self[row] for row in range(len(self)))
 
     def __eq__(self, other: object) -> bool:
-        """Return whether all columns of two series are equal; NaN equals NaN."""
+        """Return whether all columns of two series are equal; NaN equals NaN.
+
+        The layout in which they were read does not matter.
+        """
         if not isinstance(other, Series) or self.__match_args__ != other.__match_args__:
             return NotImplemented
         pairs = ((getattr(self, name), getattr(other, name)) for name in self.__match_args__)
@@ -199,6 +202,8 @@ def _resize(column: AnyArray, rows: int) -> None:
 
 
 def _same(mine: Any, theirs: Any) -> bool:
+    if isinstance(mine, str | None) and isinstance(theirs, str | None):
+        return True
     if isinstance(mine, np.ndarray) and isinstance(theirs, np.ndarray):
         return np.array_equal(mine, theirs, equal_nan=True)
     return bool(mine is theirs or (type(mine) is type(theirs) is bool and mine == theirs))

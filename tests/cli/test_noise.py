@@ -181,3 +181,13 @@ def test_other_refusals(log, tmp_path):
     assert "this is an input of the run" in refused("noise", log, "-o", log)
     with pytest.raises(UsageError, match="rate_unit is for logs"):
         noise(GyroSeries([0, 1], np.zeros((2, 3))), rate_unit="deg/s")
+
+
+def test_a_damaged_log_gives_exit_code_3(tmp_path):
+    """What is left of it is measured, and the loss is said."""
+    path = tmp_path / "rest.bag"
+    run("simulate", path, "--motion", "rest", "--noise", "1e-4", "--truth", "none", "-q", code=0)
+    path.write_bytes(path.read_bytes()[:-20_000])
+    result = run("noise", path, "-o", tmp_path / "imu.yaml", code=3)
+    assert "lost: " in result.stderr
+    assert 'rostopic: "/imu"' in (tmp_path / "imu.yaml").read_text()

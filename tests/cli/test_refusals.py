@@ -49,6 +49,8 @@ PROPAGATE = {
     "log.csv -o locked/out.csv": "locked is not permitted; choose another",
     "log.csv -o - --report -": "Error: -: two outputs of the run would go to stdout; name a file",
     "nan.csv -o old.csv": "not finite",
+    "huge.csv": "Error: huge.csv: the attitude of sample 1 is not finite; rates must be finite, "
+    "and their squares too; omit others with --start and --end",
     **{f"nan.csv -o - --to {kind}": "not finite" for kind in ("csv", "tsv", "jsonl", "tum")},
     "log.csv --heading 30": "--heading requires --q0",
     "log.csv --reference-z down": "--reference-z requires --q0",

@@ -135,15 +135,6 @@ def test_feather_buffers_too_large_for_any_memory_are_a_loss(tmp_path):
     )
 
 
-def test_rates_near_the_largest_number_are_refused_without_a_warning(tmp_path):
-    """Finite rates whose sum is not finite are told in a sentence, before which nothing warns."""
-    log = write_rates(tmp_path / "log.csv", ["0,1e308,1e308,0", "1,0,0,0"])
-    assert refused("propagate", log, "-o", tmp_path / "out.csv") == (
-        f"Error: {log}: the attitude of sample 1 is not finite; rates must be finite, and their "
-        "squares too; omit others with --start and --end"
-    )
-
-
 LAUGHS = "".join(
     f"b{k}: &b{k} [{', '.join([f'*b{k - 1}' if k else 'ha'] * 9)}]\n" for k in range(12)
 )

@@ -51,7 +51,7 @@ class Source:
             parquet.write_table(pa.table({"t": series.t_ns, **columns}), path)
             columns = {"time_col": "t", "time_unit": "ns", "quat_cols": "p,q,r,s"}
             found = quatprop.read_attitudes(path, **columns, **self.read)
-        return AttitudeSeries(found.t_ns, found.wxyz)
+        return AttitudeSeries(found.t_ns, found.wxyz, layout=found.layout)
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,6 @@ MOTIONS = {
     "spinning": lambda t: np.array([0, 0, np.pi]) + _waves(t, [1.0, 1.7, 0.3], [0.03, 0.03, 0.1]),
     "precession": lambda t: np.stack([np.cos(t / 2), np.sin(t / 2), 0 * t + 0.5], axis=1),
 }
-PLANAR = {"planar", "spinning", "husky", "vehicle"}
 
 
 def _waves(t, frequencies, sizes):

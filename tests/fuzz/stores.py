@@ -19,7 +19,7 @@ from pathlib import Path
 
 from make.batches import entries, spin
 from make.commands import run
-from make.store_server import StoreServer
+from make.store_server import RESET, StoreServer
 
 BURST_S, HANG_S = 5.0, 40.0
 
@@ -46,7 +46,8 @@ class Faults:
             return "503 Slow Down" if time.monotonic() - self._began < BURST_S else None
         if hit and self.kind in {"hang", "delay"}:
             time.sleep(HANG_S if self.kind == "hang" else 0.3)
-        return "503 Slow Down" if hit and self.kind == "refuse" else None
+        statuses = {"refuse": "503 Slow Down", "reset": RESET}
+        return statuses.get(self.kind) if hit else None
 
 
 def swapping(bucket, logs, stop):
@@ -96,7 +97,7 @@ def main(logs=200):
     server = StoreServer()
     os.environ.pop("AWS_MAX_ATTEMPTS")
     kinds = [("refuse", 0.01), ("refuse", 0.1), ("burst", 1), ("refuse", 0.3), ("swap", 0),
-             ("delay", 0.1), ("hang", 0.01)]  # fmt: skip
+             ("delay", 0.1), ("reset", 0.1), ("hang", 0.01)]  # fmt: skip
     results = [batch_with(server, kind, rate, logs) for kind, rate in kinds]
     return all(results)
 

@@ -37,6 +37,7 @@ TEXTS = {
     "at_seconds.csv": "0.5\n",
     "at_word.csv": "t_ns\n1\nx\n",
     "at_header.csv": "t_ns\n",
+    "huge.csv": "t_ns,wx_rad_s,wy_rad_s,wz_rad_s\n0,1e308,1e308,0\n1,0,0,0\n",
     "a.kitti": "1 0 0 0 0 1 0 0 0 0 1 0\n",
     "b.kitti": "1 0 0 0\n",
     "typo.toml": "metod = 'end'",

@@ -18,6 +18,9 @@ DENIED = (
     b"<Message>Access Denied</Message></Error>"
 )
 
+RESET = "000 Reset"
+"""A status for which the connection is dropped."""
+
 
 class StoreServer:
     """S3 on loopback, at `address`.
@@ -70,6 +73,8 @@ class StoreServer:
             start_response("403 Forbidden", [("Content-Type", "application/xml")])
             return [DENIED]
         if status := self.before(environment["REQUEST_METHOD"], path):
+            if status == RESET:
+                environment["werkzeug.socket"].shutdown(socket.SHUT_RDWR)
             start_response(status, [])
             return []
         answer = list(self._application(environment, start_response))

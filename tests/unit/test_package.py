@@ -93,7 +93,7 @@ LAYERS = (
     {"logs", "rendering"},
     {"writers"},
     {"log_copy", "simulation"},
-    {"comparison", "pipeline", "sensor_noise"},
+    {"comparison", "pipeline", "sensor_noise", "calibration"},
     {"conversion", "plotting"},
     {"api", "batching", "check"},
     {"cli", "pytest_plugin", "__main__"},

@@ -62,6 +62,9 @@ def files(tmp_path_factory):
 LOSING = {
     "read_rates": lambda folder: quatprop.read_rates(folder / "cut.bag"),
     "propagate": lambda folder: quatprop.propagate(folder / "cut.bag"),
+    "calibrate": lambda folder: quatprop.calibrate(
+        folder / "cut.bag", TRUTH, estimate="bias", window="50ms"
+    ),
     "noise": lambda folder: quatprop.noise(folder / "cut_rest.bag"),
     "read_attitudes": lambda folder: quatprop.read_attitudes(folder / "cut_attitudes.bag"),
     "compare": lambda folder: quatprop.compare(folder / "cut_attitudes.bag", TRUTH),

@@ -1,6 +1,7 @@
 """Mistakes put into series are named; where there is none, or none can be seen, none is."""
 
 import re
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -59,6 +60,11 @@ def turned(series):
     return changed(series, lambda q: multiply(TURN, q))
 
 
+def read_as_scalar_last(series):
+    """Return a scalar-first series as it is when it is read as scalar-last."""
+    return replace(changed(series, lambda q: q[:, [3, 0, 1, 2]]), layout="scalar-last")
+
+
 def about_z():
     """Return attitudes about one axis, and their conjugates."""
     a = attitudes(signs=(0, 0, 1))
@@ -79,7 +85,7 @@ NAMED = {
         "if it is B, read it with --from-layout-b scalar-last",
     ),
     "scalar-first read as last": (
-        lambda: noisy_with(lambda b: changed(b, lambda q: q[:, [3, 0, 1, 2]])),
+        lambda: noisy_with(read_as_scalar_last),
         "layout-first",
         "",
         "if it is B, read it with --from-layout-b scalar-first",
@@ -110,9 +116,9 @@ NAMED = {
     ),
     "motion about one axis leaves alternatives": (
         about_z,
-        "rate sign",
-        "not distinguish it from a wrong direction or JPL convention or swapped or reversed axes;",
-        "if A was propagated, multiply its rates by -1; if B was, multiply its rates by -1",
+        "conjugate",
+        "not distinguish it from rates of the opposite sign or swapped or reversed axes;",
+        "if it is B, read it with --from-direction-b ref-to-body or --from-convention-b jpl",
     ),
     "a bias explains the error, and a delay most of what is left": (
         lambda: noisy_with(lambda b: delayed(b, 30)),
@@ -153,6 +159,15 @@ def test_a_mounting_is_described_as_the_option_takes_it():
     for rate, mount, other in ((of_a, "-z,x,-y", b), (RATES, "y,-z,-x", a)):
         again = quatprop.propagate(GyroSeries(T_NS, rate), mount=mount)
         assert compare(again, other).error_rad.max < 1e-12
+
+
+@pytest.mark.parametrize("layout", ["scalar-first", "scalar-last"])
+def test_the_layout_that_was_read_is_not_offered(layout):
+    """In planar motion several layouts fit as well; one of them was on already."""
+    a, b = about_z()
+    wrong = changed(b, lambda q: q[:, [1, 2, 3, 0]])
+    cause = compare(a, replace(wrong, layout=layout), align="mean").likely_cause
+    assert f"from-layout-b {layout}" not in in_options(cause.remedy)
 
 
 @pytest.mark.parametrize("ppm", [-1000, 1500])

@@ -1,6 +1,7 @@
 """Errors that are put into a series come out as themselves, and so do their causes."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -216,7 +217,8 @@ NEARLY_EXACT = 1e-7
 @pytest.mark.parametrize(("wrong", "cause", "words"), MISREAD.values(), ids=MISREAD)
 def test_mistakes_are_named_and_their_error_is_the_angle(wrong, cause, words):
     """A conjugate (or JPL numbers), both wrong layouts, and what propagation may get wrong."""
-    found = compare(A, series(wrong))
+    layout = "scalar-last" if cause.startswith("layout-first") else None
+    found = compare(A, replace(series(wrong), layout=layout))
     errors = (TRUE.inv() * wrong).magnitude()
     assert found.error_rad.max == pytest.approx(errors.max(), abs=EXACT)
     assert found.error_rad.rms == pytest.approx(np.sqrt((errors**2).mean()), abs=EXACT)

@@ -49,6 +49,7 @@ def test_equality_is_that_of_all_columns(series):
     assert A != W
     assert AttitudeSeries([0], [[np.nan] * 4]) == AttitudeSeries([0], [[np.nan] * 4])
     assert AttitudeSeries(A.t_ns, A.wxyz, position=np.zeros((40, 3))) != A
+    assert AttitudeSeries(A.t_ns, A.wxyz, layout="scalar-last") == A
     averages = GyroSeries(W.t_ns, W.rate, is_interval_average=True)
     assert W != averages == GyroSeries(W.t_ns, W.rate, is_interval_average=True)
 

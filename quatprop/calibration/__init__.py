@@ -1,0 +1,1 @@
+"""Estimation of a gyroscope's calibration from a reference attitude."""

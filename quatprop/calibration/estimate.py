@@ -1,0 +1,200 @@
+"""Robust least squares over windows: parameters, what the motion shows of them, and how well."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from quatprop.calibration.model import LIMITS, OF_GROUP, PARAMETERS, Model
+from quatprop.calibration.windows import Errors, Windows, errors_of
+from quatprop.times import NS_PER_S
+
+if TYPE_CHECKING:
+    from quatprop.arrays import Bool, Float64
+    from quatprop.series import GyroSeries
+
+MAX_ROUNDS: Final = 20
+"""Rounds of least squares at most."""
+
+CONVERGED: Final = 1e-2
+"""Change, in standard deviations, below which there are no more of them."""
+
+LOOSE: Final = 3.0
+"""Limits by which parameters may differ from where they begin until it is known what is shown."""
+
+HUBER: Final = 2.0
+"""Errors, in standard deviations, that count less and less until then."""
+
+REJECTED: Final = 4.6
+"""Errors, in standard deviations, that do not count afterwards: one in 10,000 of normal noise."""
+
+BLOCKS: Final = 20
+"""Parts of the recording whose spread shows noise that is not white."""
+
+MAX_LOOKED_AT: Final = 100_000
+"""Samples from the start whose noise is estimated."""
+
+SIGNIFICANT: Final = 3.0
+"""Standard deviations by which blocks differ more than by white noise where they do."""
+
+ROUNDING: Final = 1e-12
+"""Noise, rad, below which errors are those of rounding."""
+
+
+class Fit(NamedTuple):
+    """Parameters that fit windows best.
+
+    `free`: which were estimated, shape ``(14,)``; the others are where they began
+    `covariance`: of those, shape ``(F, F)``
+    `noise`: variance of the errors over windows about each axis of the body, shape ``(3,)``, rad^2
+    `used`: which windows are no outliers, shape ``(M,)``
+    """
+
+    model: Model
+    free: Bool
+    covariance: Float64
+    noise: Float64
+    used: Bool
+
+
+def fit(rates: GyroSeries, windows: Windows, begin: Model, free: Bool) -> Fit:
+    """Estimate parameters by Gauss-Newton on the errors over windows.
+
+    `free`: which to estimate, where they are shown
+
+    References
+    ----------
+    Huber's estimator first, then least squares without outliers: Rousseeuw and Leroy, "Robust
+    regression and outlier detection", 1987.
+    """
+    blind = _blind(rates, windows, begin)
+    while True:
+        model, information, noise = _robust_fit(rates, windows, begin, free)
+        fewer = shown(information - np.diag(blind * (1 / noise).sum()), free)
+        if (fewer == free).all():
+            break
+        free = fewer  # once more from the beginning: what is not shown stays there
+    used = np.ones(len(windows), np.bool_)
+    for _ in range(MAX_ROUNDS):
+        errors = errors_of(rates, windows, model)
+        noise, used = _noise(errors.vectors, used, int(free.sum()))
+        information, scores = normal_equations(errors, noise, used)
+        power = information.sum(axis=0)[np.ix_(free, free)]
+        by = _step(power, scores.sum(axis=0), free)
+        if by[free] @ power @ by[free] < CONVERGED**2:
+            break
+        model = model.moved(by)
+    parts = information[:, free][..., free], scores[:, free]
+    degrees = float(used.sum() - free.sum() / 3)
+    return Fit(model, free, _covariance(*parts, degrees), noise, used)
+
+
+def _robust_fit(
+    rates: GyroSeries, windows: Windows, begin: Model, free: Bool
+) -> tuple[Model, Float64, Float64]:
+    """Return a model from any beginning, the information on each parameter, and the noise."""
+    prior = np.diag((LOOSE * LIMITS) ** -2.0)
+    model, total = begin, np.zeros(len(PARAMETERS))
+    for _ in range(MAX_ROUNDS):
+        errors = errors_of(rates, windows, model)
+        noise, weight = robust_noise(errors.vectors)
+        blocks, scores = normal_equations(errors, noise, weight)
+        information = blocks.sum(axis=0)
+        power = (information + prior)[np.ix_(free, free)]
+        by = _step(power, scores.sum(axis=0) + prior @ total, free)
+        model, total = model.moved(by), total + by
+        if by[free] @ power @ by[free] < CONVERGED**2:
+            break
+    return model, information, noise
+
+
+def _blind(rates: GyroSeries, windows: Windows, model: Model) -> Float64:
+    """Return twice what noise of the rates looks like: information on the clock that is none.
+
+    An offset changes the rotation over a window by the rates at its ends, and noise has such, too.
+    """
+    changes = np.diff(rates.rate[:MAX_LOOKED_AT], n=2, axis=0)
+    variance = (np.median(np.abs(changes)) / 0.6745) ** 2 / 6
+    since = (windows.t_ns - model.middle_ns) / NS_PER_S
+    blind = np.zeros(len(PARAMETERS))
+    blind[OF_GROUP == "offset"] = 2 * variance * since.size
+    blind[OF_GROUP == "drift"] = 2 * variance * (since**2).sum()
+    return blind
+
+
+def normal_equations(
+    errors: Errors, noise: Float64, weight: Float64 | Bool
+) -> tuple[Float64, Float64]:
+    """Return the information on all parameters, and the scores, of blocks of windows.
+
+    `Returns`: shapes ``(B, 14, 14)`` and ``(B, 14)``
+    """
+    # Of whitened errors, one row for each axis of a window.
+    whitener = np.sqrt(weight[:, None] / noise)
+    rows = (errors.slope * whitener[..., None]).reshape(-1, len(PARAMETERS))
+    left = (errors.vectors * whitener).ravel()
+    cuts = np.linspace(0, len(weight), min(BLOCKS, len(weight)) + 1).astype(int)[1:-1] * 3
+    blocks = [*zip(np.split(rows, cuts), np.split(left, cuts), strict=True)]
+    return np.stack([x.T @ x for x, _ in blocks]), np.stack([x.T @ y for x, y in blocks])
+
+
+def _step(power: Float64, score: Float64, free: Bool) -> Float64:
+    by = np.zeros(len(PARAMETERS))
+    by[free] = -np.linalg.solve(power, score[free])
+    return by
+
+
+def robust_noise(vectors: Float64) -> tuple[Float64, Float64]:
+    """Return variances by medians, ``(3,)``, and the weights of Huber's estimator, ``(M,)``."""
+    scale = np.maximum(np.median(np.abs(vectors), axis=0) / 0.6745, ROUNDING)
+    size = np.linalg.norm(vectors / scale, axis=1)
+    return scale**2, HUBER / np.maximum(size, HUBER)
+
+
+def _noise(vectors: Float64, used: Bool, parameters: int) -> tuple[Float64, Bool]:
+    """Return the variances of errors without outliers, and which are none."""
+    noise, _ = robust_noise(vectors)
+    for _ in range(MAX_ROUNDS):
+        before, used = used, (vectors**2 / noise).sum(axis=1) < REJECTED**2
+        degrees = max(used.sum() - parameters / 3, 1.0)
+        noise = np.maximum((vectors[used] ** 2).sum(axis=0) / degrees, ROUNDING**2)
+        if (before == used).all():
+            break
+    return noise, used
+
+
+def shown(information: Float64, free: Bool) -> Bool:
+    """Return which of the free parameters can be told better than their limits."""
+    free = free.copy()
+    while free.any():
+        scaled = LIMITS[free, None] * information[np.ix_(free, free)] * LIMITS[free]
+        values, vectors = np.linalg.eigh(scaled)
+        variance = (vectors**2 / np.maximum(values, ROUNDING)).sum(axis=1)
+        if variance.max() <= 1:
+            break
+        # Of those that are told equally badly, the last.
+        free[np.flatnonzero(free)[variance > variance.max() / 2][-1]] = False
+    return free
+
+
+def _covariance(information: Float64, scores: Float64, degrees: float) -> Float64:
+    """Return the covariance of parameters: by white noise, or by more where blocks differ more.
+
+    `information`, `scores`: of blocks, shapes ``(B, F, F)`` and ``(B, F)``
+    `degrees`: of freedom from which the noise about each axis is known
+
+    References
+    ----------
+    Bell and McCaffrey, "Bias reduction in standard errors for linear regression with multi-stage
+    samples", Survey Methodology 28(2), 2002: what the spread of blocks is by white noise, and its
+    degrees of freedom.
+    """
+    white = np.linalg.inv(information.sum(axis=0))
+    shares = information @ white  # of each block in what is known
+    adds, takes = np.trace(shares, axis1=1, axis2=2), np.einsum("bij,bji->b", shares, shares)
+    spread = np.einsum("bi,ij,bj->", scores, white, scores) / (adds - takes).sum()
+    by_chance = SIGNIFICANT * np.sqrt(2 * takes.sum()) / adds.sum()
+    # A normal error over an estimated variance has this mean square.
+    white *= degrees / max(degrees - 2, 1.0)
+    return np.asarray(white * spread if spread > 1 + by_chance else white)

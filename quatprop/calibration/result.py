@@ -1,0 +1,178 @@
+"""An estimated calibration: the values, how certain they are, and what they improve."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+from quatprop.rendering import degrees_text
+from quatprop.times import duration_text
+from quatprop.version import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from os import PathLike
+
+    from quatprop.arrays import Float64
+    from quatprop.rendering import Row
+    from quatprop.text import Remark
+
+SHOWN = {
+    "bias": (180 / math.pi, "deg/s"),
+    "scale": (100.0, "%"),
+    "misalignment": (180 / math.pi, "deg"),
+    "mount": (180 / math.pi, "deg"),
+    "offset": (1e3, "ms, added to the timestamps of the reference"),
+    "drift": (1e6, "ppm, by which that offset grows with time"),
+}
+"""Factor and unit in which parameters are shown."""
+
+SIGNIFICANT = 2.0
+"""Standard deviations by which an improvement must differ from none."""
+
+
+class CalibrationParameter(NamedTuple):
+    """One number that was asked for.
+
+    `group`, `axis`: such as ``"scale"`` and ``"x"``; the mounting is a rotation vector
+    `value`: rad/s, a ratio, rad or s
+    `sigma`: its standard deviation; None where the motion does not show it, and it was held
+    """
+
+    group: str
+    axis: str
+    value: float
+    sigma: float | None
+
+    @property
+    def phrase(self) -> str:
+        """What it is of: ``about x``."""
+        axes = " and ".join(self.axis)
+        return f" {'between' if self.group == 'misalignment' else 'about'} {axes}" if axes else ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroCalibration:
+    """A calibration of a gyroscope, estimated from a reference attitude.
+
+    Calibrated rates are w = M (w_raw - b), with M = R (I + U): the scale corrections are the
+    diagonal of U, those of misalignment the elements above it, and R is the mounting.
+
+    Parameters
+    ----------
+    matrix
+        M, shape ``(3, 3)``: raw rates to body axes.
+    bias_rad_s
+        b, shape ``(3,)``, rad/s, in the axes of the raw rates.
+    mount_wxyz
+        R as a unit quaternion, scalar first, v_body = m v_sensor m*, shape ``(4,)``.
+    time_offset_ns
+        What is to be added to the timestamps of the reference in its middle, ns.
+    clock_drift
+        What more is to be added, as a share of the time since its middle.
+    parameters
+        What was asked for, with its standard deviation; None where the motion does not show it.
+    covariance
+        Of the parameters that have a standard deviation, in their order; SI units.
+    window_ns
+        Length of the windows over which rotations were compared, ns.
+    used
+        Number of windows from which the parameters were estimated.
+    outliers
+        Number of further ones that were left out, since the reference jumps there.
+    held_out
+        Number of windows that were kept for the two errors.
+    before_rad, after_rad
+        RMS error of the rotations over those, as given and calibrated, rad.
+    gain_sigma_rad
+        Standard deviation of the difference of these two, rad.
+    remarks
+        What else a reader should know.
+    """
+
+    matrix: Float64
+    bias_rad_s: Float64
+    mount_wxyz: Float64
+    time_offset_ns: int
+    clock_drift: float
+    parameters: tuple[CalibrationParameter, ...]
+    covariance: Float64
+    window_ns: int
+    used: int
+    outliers: int
+    held_out: int
+    before_rad: float
+    after_rad: float
+    gain_sigma_rad: float
+    remarks: tuple[Remark, ...] = ()
+
+    @property
+    def is_better(self) -> bool:
+        """Whether the error over windows that were not used falls by more than two sigma."""
+        return self.before_rad - self.after_rad > SIGNIFICANT * self.gain_sigma_rad
+
+    def write(self, path: str | PathLike[str]) -> None:
+        """Write matrix and bias to a file, as `calibration` of :func:`quatprop.propagate` takes it.
+
+        Parameters
+        ----------
+        path
+            Where; YAML. It is replaced when the new content is complete.
+
+        Raises
+        ------
+        QuatpropError
+            The path is not writable.
+        """
+        from quatprop.writers.atomic import open_atomic
+
+        rows = [f"  - {list(map(float, row))}" for row in self.matrix]
+        lines = [
+            f"# quatprop {__version__}: rate = matrix (raw - bias), rad/s, body axes",
+            *(f"# {label:<12} {value}" for label, value in calibration_rows(self)),
+            "matrix:",
+            *rows,
+            f"bias: {list(map(float, self.bias_rad_s))}",
+        ]
+        with open_atomic(str(path)) as file:
+            file.write("".join(f"{line}\n" for line in lines).encode())
+
+
+def calibration_rows(result: GyroCalibration) -> Iterator[Row]:
+    """Yield the parameters, what they were estimated from, and what they improve."""
+    left_out = f", {result.outliers} more left out as outliers" if result.outliers else ""
+    yield "windows", f"{result.used} of {duration_text(result.window_ns)}{left_out}"
+    for group, (factor, unit) in SHOWN.items():
+        values = [
+            f"{one.axis} {factor * one.value:+.{_digits(factor * one.sigma)}f} +- "
+            f"{factor * one.sigma:.2g}".strip()
+            for one in result.parameters
+            if one.group == group and one.sigma is not None
+        ]
+        if values:
+            yield group, f"{'  '.join(values)} {unit}"
+    if held := _held([one for one in result.parameters if one.sigma is None]):
+        yield "held", f"{held}: not shown by this motion, so not corrected"
+    before, after = (degrees_text(angle, 4) for angle in (result.before_rad, result.after_rad))
+    yield "error", f"{before} RMS before, {after} after, over {result.held_out} windows not used"
+    gain = degrees_text(result.before_rad - result.after_rad, 3)
+    verdict = f"{gain} +- {degrees_text(result.gain_sigma_rad, 2)}"
+    yield "gain", verdict if result.is_better else f"{verdict}: nothing is to be gained"
+
+
+def _digits(sigma: float) -> int:
+    """Return the decimals of a value, so that two digits of its standard deviation show."""
+    return min(max(1 - math.floor(math.log10(sigma)), 0), 9) if sigma > 0 else 9
+
+
+def _held(held: Sequence[CalibrationParameter]) -> str:
+    """Return what was held, in words: ``scale about x and y, misalignment``."""
+    words = []
+    for group in SHOWN:
+        axes = [one.phrase for one in held if one.group == group]
+        every = 1 if group in {"offset", "drift"} else 3
+        first, *others = axes or [""]
+        some = first + "".join(f" and {other.split(' ', 2)[2]}" for other in others)
+        words += [group + ("" if len(axes) == every else some)] if axes else []
+    return ", ".join(words)
