@@ -109,7 +109,9 @@ def _rising(name: str, series: AnySeries, remarks: list[Remark]) -> AnySeries:
         text = f"{left_out} samples of the {name} were omitted: not finite, or of the same time"
         remarks.append(Remark("omitted", text))
     if len(t_ns) < MIN_WINDOWS:
-        raise ComparisonError(f"the {name} has only {len(t_ns)} samples; a calibration needs more")
+        raise ComparisonError(
+            f"the {name} has only {len(t_ns)} samples; a calibration needs {MIN_WINDOWS} at least"
+        )
     return series[finite[first]]
 
 
@@ -172,7 +174,7 @@ def _best(
         most = max(map(len, several.values()))
         raise ComparisonError(
             f"the log and the reference have {most} windows in common, and a calibration needs "
-            f"{MIN_WINDOWS}; record for longer, or see {Setting('window')}"
+            f"{MIN_WINDOWS}; record for longer, or choose a shorter {Setting('window')}"
         )
     first = max((length for length in enough if length <= FIRST_NS), default=min(enough))
     found = fit(rates, enough[first].where(_kept(enough[first])), begin, free)

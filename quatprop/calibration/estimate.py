@@ -8,6 +8,7 @@ import numpy as np
 
 from quatprop.calibration.model import LIMITS, OF_GROUP, PARAMETERS, Model
 from quatprop.calibration.windows import Errors, Windows, errors_of
+from quatprop.errors import ComparisonError
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -61,7 +62,10 @@ class Fit(NamedTuple):
 def fit(rates: GyroSeries, windows: Windows, begin: Model, free: Bool) -> Fit:
     """Estimate parameters by Gauss-Newton on the errors over windows.
 
-    `free`: which to estimate, where they are shown
+    Parameters that turn out not to be shown are held where they begin, and the others estimated
+    again.
+
+    `free`: which to estimate
 
     References
     ----------
@@ -70,11 +74,26 @@ def fit(rates: GyroSeries, windows: Windows, begin: Model, free: Bool) -> Fit:
     """
     blind = _blind(rates, windows, begin)
     while True:
+        if not free.any():
+            raise ComparisonError(
+                "the log shows nothing of what was to be estimated: the windows are too few, or "
+                "the motion is too small for the noise"
+            )
         model, information, noise = _robust_fit(rates, windows, begin, free)
         fewer = shown(information - np.diag(blind * (1 / noise).sum()), free)
         if (fewer == free).all():
-            break
-        free = fewer  # once more from the beginning: what is not shown stays there
+            found = _final_fit(rates, windows, model, free)
+            # Without outliers, or with noise that is not white, fewer may be shown.
+            information = np.zeros_like(information)
+            information[np.ix_(free, free)] = np.linalg.inv(found.covariance)
+            fewer = shown(information, free)
+            if (fewer == free).all():
+                return found
+        free = fewer
+
+
+def _final_fit(rates: GyroSeries, windows: Windows, model: Model, free: Bool) -> Fit:
+    """Return the least squares fit without outliers, from a model that is near."""
     used = np.ones(len(windows), np.bool_)
     for _ in range(MAX_ROUNDS):
         errors = errors_of(rates, windows, model)

@@ -1,10 +1,9 @@
-"""What is estimated: how body rates follow from raw ones, and one clock from the other.
+"""The model of a gyroscope and of two clocks, and its parameters.
 
-Calibrated rates are w = R (I + U) (w_raw - b), with the bias b in the axes of the raw rates, U
-upper triangular and R a rotation. The diagonal of U corrects the scale and the rest of it the
-angles between the axes of the sensor, of which z is taken to be right; R is the mounting, from the
-sensor to the body whose attitude the reference is. Every matrix of positive determinant is one such
-R (I + U).
+Calibrated rates are w = R (I + U) (w_raw - b). The bias b is in the axes of the raw rates. U is
+upper triangular: its diagonal corrects the scale, the elements above it the angles between the axes
+of the sensor, whose z axis defines the frame. R is the mounting: sensor to the body of the
+reference. Every matrix of positive determinant has exactly one such R and U.
 """
 
 from __future__ import annotations

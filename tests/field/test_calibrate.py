@@ -39,6 +39,23 @@ def test_no_recording_is_worse_by_more_than_its_sigma(shared_logs, name):
         assert found.is_better
 
 
+def test_the_bias_is_that_of_the_ground_truth(shared_logs):
+    """EuRoC's own estimate of it, by cameras and Vicon, stands beside its attitudes."""
+    folder = shared_logs / "csv/euroc_v102"
+    truth = folder / "state_groundtruth_data.csv"
+    rows = np.genfromtxt(truth, delimiter=",", skip_header=1)
+    found = calibrate(folder / "imu0_data.csv", truth, estimate="bias,offset")
+    np.testing.assert_allclose(found.bias_rad_s, rows[:, 11:14].mean(axis=0), atol=5e-4)
+
+
+def test_what_is_shown_is_shown_in_the_final_fit(shared_logs):
+    """Half of its windows were left out, and a scale was stated as 40 % +- 33 %."""
+    recording = Recording(shared_logs, "px4")
+    rates = GyroSeries(recording.t_ns, recording.rate)[:3000]
+    for one in calibrate(rates, recording.reference).parameters:
+        assert one.sigma is None or one.sigma <= {"mount": 0.02}.get(one.group, 0.01)
+
+
 def test_two_trials_of_one_sensor_have_the_same_bias(shared_logs):
     """Within four of their standard deviations, on each axis."""
     biases = []

@@ -1,27 +1,14 @@
-"""Hundreds of simulated gyroscopes: the errors of their calibrations are as large as stated."""
+"""Simulated gyroscopes: the errors of their calibrations are as large as stated."""
 
 import pytest
-from make.calibrations import MODELS, Ensemble, ensemble
+from make.calibrations import MODELS, ensemble
 
-RUNS = 400
-COMPARISONS = len(MODELS) + 1
-
-
-@pytest.fixture(scope="module")
-def ensembles():
-    """Return an ensemble of each model."""
-    return [ensemble(names, RUNS) for names in MODELS]
+RUNS = 60
+"""Of each model; ``fuzz/calibrations.py`` makes 400, which also notice sigmas that are wrong by 5 %."""
 
 
-def test_errors_are_as_large_as_stated(ensembles):
-    """The normalised squared error is in the 99.9 % band, of each model."""
-    for names, each in zip(MODELS, ensembles, strict=True):
-        assert each.is_exact(COMPARISONS), (names, each.squares / each.count)
-
-
-def test_sigmas_that_are_wrong_by_five_percent_are_noticed(ensembles):
-    """In all models together: those that are too small, and those that are too large."""
-    every = Ensemble(*map(sum, zip(*ensembles, strict=True)))
-    assert every.is_exact(COMPARISONS)
-    assert not every.is_exact(COMPARISONS, fault=1.05)
-    assert not every.is_exact(COMPARISONS, fault=0.95)
+@pytest.mark.parametrize("names", MODELS)
+def test_errors_are_as_large_as_stated(names):
+    """The normalised squared error is in the 99.9 % band, corrected for the number of models."""
+    each = ensemble(names, RUNS)
+    assert each.is_exact(len(MODELS)), each.squares / each.count

@@ -41,7 +41,7 @@ def write_log(path, rates):
 
 
 def test_errors_are_as_large_as_stated():
-    """Of a few runs here; of hundreds in slow/."""
+    """Of a few runs here; of more in slow/."""
     assert ensemble(EVERYTHING, 15).is_exact(1)
 
 
