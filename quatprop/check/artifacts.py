@@ -1,4 +1,4 @@
-"""Keep the evidence of a case: the attitudes that were judged, a page, and the commands."""
+"""Keep the evidence of a case: its attitudes, a page, and the commands that repeat it."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
 
 def write_artifacts(case: Case, judged: Judgement, folder: Path, *, strict: bool) -> Path:
-    """Write the evidence of a case, of the very series that were judged, and return its folder.
+    """Write the evidence of a judged case, and return its folder.
 
-    It has ``attitude.parquet``, and of a stored reference ``reference.parquet``, as they were
-    compared; ``error.html``, a page with the verdict and the error over time; and
+    The folder contains ``attitude.parquet`` and, for a stored reference, ``reference.parquet``, as
+    they were compared; ``error.html``, a page with the verdict and the error over time; and
     ``commands.txt``, the commands that repeat the case, its propagation and its comparison.
     """
     place = folder / quote(case.name, safe=" @+").replace(".", "%2E", case.name.startswith("."))
@@ -48,7 +48,7 @@ def write_artifacts(case: Case, judged: Judgement, folder: Path, *, strict: bool
     try:
         _write_page(judged, _moved(judged.run.attitudes, series), reference, page)
     except QuatpropError as error:
-        # No matplotlib: a page of this says so.
+        # Without matplotlib the page has this sentence instead of a picture.
         sentences = [f"{judged.result.verdict}: {judged.result.reason}", str(error)]
         text = "".join(f"<p>{escape(sentence, quote=False)}</p>\n" for sentence in sentences)
         with open_atomic(page) as stream:
@@ -63,7 +63,7 @@ def _moved(loaded: LoadedAttitudes, path: Path) -> LoadedAttitudes:
 def _write_page(
     judged: Judgement, series: LoadedAttitudes, reference: LoadedAttitudes | None, page: Path
 ) -> None:
-    """Write the page of a comparison, on which the verdict of the case is first."""
+    """Write the page of a comparison, which begins with the verdict of the case."""
     if reference is None or judged.comparison is None or judged.comparison.result is None:
         raise QuatpropError("there is nothing to draw, as nothing was compared")
     verdict = f"{judged.result.verdict}: {judged.result.reason}".removesuffix(": ")
@@ -75,7 +75,7 @@ def _write_page(
 def _commands(
     case: Case, judged: Judgement, series: str, reference: LoadedAttitudes | None, *, strict: bool
 ) -> str:
-    """Return the commands that judge the case again, propagate and compare as it does."""
+    """Return the commands that check the case again, and propagate and compare like it."""
     options = {key: case.inputs.get(key, value) for key, value in case.options.items()}
     if judged.run.every is not None:
         options["every"] = str(judged.run.every)
@@ -93,7 +93,7 @@ def _commands(
 
 
 def _arguments(options: Mapping[str, str]) -> list[str]:
-    """Return options as the command line has them."""
+    """Return options as command-line arguments."""
     return [
         f"--{key}" if value == "True" else f"--{key}={value}"
         for key, value in options.items()

@@ -18,21 +18,19 @@ Verdict = Literal["pass", "fail", "error", "skip", "xfail", "xpass", "deleted"]
 
 
 class Case(NamedTuple):
-    """A log, how it is propagated, and what the attitudes are compared with.
+    """A log, the settings of its propagation, and the reference of its attitudes.
 
     `comparison`: how the attitudes are compared, with the tolerance
-    `reference`: path of the stored reference, which an update writes; None where there is
-        `external`
+    `reference`: path of the stored reference, which an update writes; None with `external`
     `external`: an independent attitude series, such as motion capture, or a topic of a log
-    `options`: the propagation settings of the suite that are not the default, as text
+    `options`: the propagation settings that differ from the default, as text
     `comparison_options`: the settings of the comparison and of the reference, by key, as text
     `inputs`: the files that are read: key of the suite -> path
-    `strict`: whether the timestamps must be those of the reference, all of them and no others
-    `pins_log`: whether the log must be the same bytes; False where the system under test makes the
-        log
-    `in_degrees`: whether the limits are written in degrees; results are then shown in degrees
-    `xfail`: why the case is known to fail; empty where it must pass
-    `suite`, `line`: the suite, and its line where the case begins
+    `strict`: whether the timestamps must equal those of the reference
+    `pins_log`: whether the log must be the same bytes; False if the system under test makes it
+    `in_degrees`: whether the limits are in degrees; results are then shown in degrees
+    `xfail`: why the case is known to fail; empty if it must pass
+    `suite`, `line`: the suite, and the line where the case begins
     """
 
     name: str
@@ -57,9 +55,9 @@ class Case(NamedTuple):
 
 
 class CaseNotRun(NamedTuple):
-    """A case that is skipped, cannot be used as written, or is in the lock alone.
+    """A case that is skipped, invalid, or only in the lock.
 
-    `reason`: why it is skipped; or what is wrong, with the suite, the case and the key
+    `reason`: why it is skipped, or the error, with the suite, the case and the key
     `verdict`: ``"skip"``, ``"error"`` or ``"deleted"``
     """
 
@@ -70,10 +68,10 @@ class CaseNotRun(NamedTuple):
 
 
 class Limit(NamedTuple):
-    """A limit of a case, and what was measured, as text.
+    """A limit of a case and the measured value, as text.
 
-    `key`: the key of the suite that gives the limit, such as ``"window-rms-tol"``
-    `left`: what is left of it, such as ``"79 % left"``; empty where nothing is
+    `key`: the key of the limit in the suite, such as ``"window-rms-tol"``
+    `left`: the margin, such as ``"79 % left"``; empty if the limit is exceeded
     """
 
     key: str
@@ -90,22 +88,22 @@ class Limit(NamedTuple):
 class CaseResult(NamedTuple):
     """The result of a case.
 
-    `verdict`: ``"pass"``; ``"fail"``: above the tolerance, or not the samples that were pinned;
-        ``"error"``: there is no result, because an input is missing or something has changed;
-        ``"skip"``: it was not run; ``"xfail"``: it failed, as it is known to do; ``"xpass"``: it
-        passed, though it is known to fail; ``"deleted"``: it is pinned, and not in the suite
-    `reason`: why it did not pass; empty for a pass
-    `summary`: the worst error, the limits and where, or what an update wrote; may be empty
-    `error_rad`: the worst error, rad; None where nothing was compared
-    `limits`: each limit, with what was measured
+    `verdict`: ``"pass"``; ``"fail"``: above the tolerance, or another number of samples than was
+        pinned; ``"error"``: no result, because an input is missing or something pinned has changed;
+        ``"skip"``: not run; ``"xfail"``: failed as expected; ``"xpass"``: passed unexpectedly;
+        ``"deleted"``: pinned, but not in the suite
+    `reason`: why the case did not pass; empty for a pass
+    `summary`: the worst error, its time and the limits, or the output of an update; may be empty
+    `error_rad`: the worst error, rad; None if nothing was compared
+    `limits`: each limit with the measured value
     `notes`: remarks that do not change the verdict
-    `remarks`: on the log and an independent reference
-    `unpinned`: codes of those that are not pinned
-    `changes`: what an update replaces, and how far the new attitudes are from the old ones
-    `updated`: ``"new"``, ``"updated"`` or ``"kept"``; None if this was no update
-    `comparison`: the report of the comparison, JSON-ready; None where nothing was compared
-    `trace`: the error over time, rad, the largest of each of at most 64 parts
-    `evidence`: the folder with the evidence; None where none was kept
+    `remarks`: remarks on the log and on an independent reference
+    `unpinned`: codes of the remarks that are not pinned
+    `changes`: the changes of an update, and the distance of the new attitudes from the old ones
+    `updated`: ``"new"``, ``"updated"`` or ``"kept"``; None without an update
+    `comparison`: the report of the comparison, JSON-ready; None if nothing was compared
+    `trace`: the error over time, rad: the maximum of each of at most 64 parts
+    `evidence`: the folder with the evidence; None if none was kept
     """
 
     name: str
@@ -127,7 +125,7 @@ class CaseResult(NamedTuple):
     line: int = 1
 
     def report(self) -> dict[str, object]:
-        """Return the fields that are the same in every run, for JSON."""
+        """Return the fields that do not change from run to run, for JSON."""
         fields = self._asdict()
         for name in ("trace", "pin", "seconds", "line"):
             del fields[name]

@@ -31,22 +31,22 @@ if TYPE_CHECKING:
     from quatprop.series import AttitudeSeries
 
 MEASURE = ComparisonSettings(tol=math.inf, min_coverage=0.0)
-"""Measures and accepts everything: no causes are looked for."""
+"""Accepts every error, so that no causes are looked for."""
 
 ALL = 99.9999
-"""Percentage of a reference that is all of it, but for rounding."""
+"""Coverage of a reference, %, that counts as complete: less only by rounding."""
 
 SHOWN_DEG = 1e-6
-"""Angle, deg, up to which an alignment takes out nothing but rounding."""
+"""Smallest rotation of an alignment that is shown, deg; smaller ones are rounding errors."""
 
 TRACE_PARTS = 64
-"""Parts of a small plot of the error over time."""
+"""Number of points in a small plot of the error over time."""
 
 
 class CaseRun(NamedTuple):
-    """The attitudes of a case, and the file that they were written to.
+    """The attitudes of a case, and the file that contains them.
 
-    `every`: one of every N was kept; None where the case itself chooses them, or all are kept
+    `every`: every N-th attitude was kept; None if the case has settings for that, or all were kept
     """
 
     attitudes: LoadedAttitudes
@@ -65,13 +65,13 @@ class CaseRun(NamedTuple):
 
 
 class CaseComparison(NamedTuple):
-    """How the attitudes of a case differ from the reference.
+    """The comparison of the attitudes of a case with its reference.
 
-    `result`: None where they cannot be compared
-    `impossible`: why they cannot be; empty where they can
-    `summary`: the worst error, where, and what is left of each limit; empty where there is none
-    `failure`: why the error is not accepted; empty where it is
-    `cause`: the likely cause of the error; empty where none is known
+    `result`: None if they cannot be compared
+    `impossible`: why they cannot be compared; empty if they can
+    `summary`: the worst error, its time, and the margin of each limit; empty without a result
+    `failure`: why the error is not accepted; empty if it is accepted
+    `cause`: the likely cause of the error; empty if unknown
     """
 
     result: Comparison | None
@@ -83,7 +83,7 @@ class CaseComparison(NamedTuple):
 
     @property
     def trace(self) -> tuple[float, ...]:
-        """The error over time, rad: the largest of each part."""
+        """The error over time, rad: the maximum of each part."""
         if self.result is None:
             return ()
         parts = np.array_split(self.result.errors, min(TRACE_PARTS, len(self.result.errors)))
@@ -91,7 +91,7 @@ class CaseComparison(NamedTuple):
 
 
 def propagate_case(case: Case, every: int | None, folder: Path) -> CaseRun:
-    """Propagate the log of a case, into a file of a folder."""
+    """Propagate the log of a case to a file in a folder."""
     output = str(folder / f"attitude-{every}.parquet")
     settings = case.propagation
     if chooses_rows(case):
@@ -103,14 +103,14 @@ def propagate_case(case: Case, every: int | None, folder: Path) -> CaseRun:
 
 
 def propagate_all(case: Case, folder: Path) -> CaseRun:
-    """Propagate the log of a case with all of its attitudes, whatever rows the case chooses."""
+    """Propagate the log of a case, keeping all attitudes whatever its settings."""
     settings = replace(case.propagation, every=None, rate=None, at=None)
     (place := folder / "all").mkdir(exist_ok=True)
     return propagate_case(case._replace(propagation=settings), None, place)
 
 
 def chooses_rows(case: Case) -> bool:
-    """Return whether the case itself says which attitudes are kept."""
+    """Return whether the case has settings for the attitudes to keep."""
     settings = case.propagation
     return any(choice is not None for choice in (settings.every, settings.rate, settings.at))
 
@@ -130,21 +130,21 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
     if first is not None:
         failures.append(f"above the tolerance, first at {since(first.t_ns)} ({first.t_ns} ns)")
     limits, worst, left, others = [], [case.angle_text(result.worst.error_rad)], "", []
-    for one in result.criteria:
-        limits.append(limit := _limit(case, one))
-        if (one.setting, one.unit) == ("tol", "rad"):
-            # The summary begins with the worst error; where it is above, was said.
+    for criterion in result.criteria:
+        limits.append(limit := _limit(case, criterion))
+        if (criterion.setting, criterion.unit) == ("tol", "rad"):
+            # The summary begins with the worst error; `failures` has the first one above.
             worst.append(limit.limit)
             left = f", {limit.left}" if limit.left else ""
             continue
         others.append(str(limit))
-        if not one.passed:
-            failures.append(named(criterion_text(one, result)))
+        if not criterion.passed:
+            failures.append(named(criterion_text(criterion, result)))
     if {"match", "max-dt"} & case.comparison_options.keys():
         others.append(named(matching_text(result.association)))
     if judged := case.comparison_options.get("judge"):
         others.append(f"judged at {plain(judged)} alone")
-    others += _taken_out(result)
+    others += _alignment_texts(result)
     cause = result.likely_cause
     causes = cause.chain if cause else []
     return CaseComparison(
@@ -152,40 +152,41 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
         summary="; ".join([f"{' of '.join(worst)} at {since(result.worst.t_ns)}{left}", *others]),
         limits=tuple(limits),
         failure="; ".join(failures),
-        cause="; ".join(f"{named(one.sentence)} ({one.name})" for one in causes),
+        cause="; ".join(f"{named(step.sentence)} ({step.name})" for step in causes),
     )
 
 
-def _taken_out(result: Comparison) -> Iterator[str]:
-    """Yield what is not in the errors, since the reference was moved to the log's attitudes."""
+def _alignment_texts(result: Comparison) -> Iterator[str]:
+    """Yield the time offset and the rotations by which the reference was aligned."""
     if offset := result.time_offset.added_to_b_ns:
         yield f"with the reference timestamps shifted by {duration_text(offset)}"
-    for what, angle in (
+    for frame, angle in (
         ("reference frame", result.alignment.reference_rad),
         ("body frame", result.alignment.mount_rad),
     ):
         if math.degrees(angle) > SHOWN_DEG:
-            yield f"with the {what} of the reference attitudes rotated by {degrees_text(angle)}"
+            yield f"with the {frame} of the reference attitudes rotated by {degrees_text(angle)}"
 
 
-def _limit(case: Case, one: Criterion) -> Limit:
+def _limit(case: Case, criterion: Criterion) -> Limit:
     """Return a criterion as text."""
-    key = suite_key(one.setting)
-    if one.unit == "%":
-        label, limit = "reference covered", f"at least {one.limit:.6g} %"
-        return Limit(key, label, f"{one.value:.4g} %", limit, "")
-    if one.unit == "rad":
-        value, limit = case.angle_text(one.value), case.angle_text(one.limit)
+    key = suite_key(criterion.setting)
+    if criterion.unit == "%":
+        label, limit = "reference covered", f"at least {criterion.limit:.6g} %"
+        return Limit(key, label, f"{criterion.value:.4g} %", limit, "")
+    if criterion.unit == "rad":
+        value, limit = case.angle_text(criterion.value), case.angle_text(criterion.limit)
     else:
-        value, limit = f"{one.value:.3g}", f"{one.limit:.6g} {one.unit}"
-    left = f"{100 * (1 - abs(one.value) / one.limit):.0f} % left" if one.limit else "0 % left"
-    return Limit(key, one.label, value, limit, left if one.passed else "")
+        value, limit = f"{criterion.value:.3g}", f"{criterion.limit:.6g} {criterion.unit}"
+    used = abs(criterion.value) / criterion.limit if criterion.limit else 1.0
+    left = f"{100 * (1 - used):.0f} % left"
+    return Limit(key, criterion.label, value, limit, left if criterion.passed else "")
 
 
 def _no_overlap(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> str:
-    """Say that two series have no time in common; empty where they have.
+    """Return an error if two series have no time in common; empty if they overlap.
 
-    An offset between two runs would be another one tomorrow: the clocks are what to look at.
+    It does not suggest the offset between them, which would be different in the next run.
     """
     offset = case.comparison.time_offset
     t_a, t_b = a.t_ns, b.t_ns + (offset if isinstance(offset, int) else 0)
@@ -204,9 +205,9 @@ def _no_overlap(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> str:
 
 
 def distance_text(a: AttitudeSeries, b: AttitudeSeries) -> tuple[str, float]:
-    """Return how far attitudes are from others, in degrees, nothing aligned, or why unknown.
+    """Return the distance between attitudes, without alignment, as text, or why it is unknown.
 
-    The number is the percentage of `b` for which it is known.
+    The second value is the percentage of `b` that was compared.
     """
     try:
         result = compare(a, b, MEASURE)
@@ -214,7 +215,7 @@ def distance_text(a: AttitudeSeries, b: AttitudeSeries) -> tuple[str, float]:
         named = with_names(str(error), a="the new attitudes", b="the old reference")
         return f"not comparable with the old reference: {named}", 0.0
     sizes = zip(("max", "RMS", "final"), largest_errors(result), strict=True)
-    # Rounding errors are no change.
+    # Rounding errors are not a change.
     sentence = ", ".join(f"{name} {degrees_text(round(size, 12))}" for name, size in sizes)
     share = result.coverage.least
     part = "the old reference" if share > ALL else f"the {share:.4g} % of the old reference covered"
@@ -227,7 +228,7 @@ def largest_errors(result: Comparison) -> tuple[float, float, float]:
 
 
 def compare_timestamps(a: AttitudeSeries, b: AttitudeSeries) -> str:
-    """Return how timestamps differ from those of a reference; empty where they do not."""
+    """Return how timestamps differ from those of a reference; empty if they do not."""
     if len(a) != len(b):
         return f"there are {len(a)} attitudes, and {len(b)} reference attitudes"
     (differing,) = (a.t_ns != b.t_ns).nonzero()

@@ -1,8 +1,8 @@
 """Parse the tables of a suite into cases.
 
 The keys of a case are the settings of a propagation, of a comparison, and, with ``reference-``, of
-the attitudes that it is compared with. Their values are parsed as those of the library and of the
-command line are: a new setting is a key by itself.
+reading the reference. The parsers of their values are those of the library and of the command line:
+a new setting becomes a key without a change here.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ DEFAULT_TOLERANCE = "1e-9rad"
 """Tolerance for a stored reference, unless the case has its own."""
 
 LIMITS = {name.replace("_", "-") for name in ERROR_LIMITS}
-"""Keys of limits on the error, of which a case with an independent reference needs one."""
+"""Keys of limits on the error; a case with an independent reference needs at least one."""
 
 CRITERIA = LIMITS | {"drift-tol", "min-coverage"}
-"""Keys of all limits by which a case is judged."""
+"""Keys of all limits."""
 
 DEFAULT_COVERAGE = "99"
-"""Percentage of a reference that a log must cover which need not have the same bytes."""
+"""Percentage of the reference that the attitudes must cover if the log may change."""
 
 PROPAGATION_KEYS = {suite_key(name): name for name in PROPAGATE}
 # The time range and the rate of a case are those of the attitudes that are propagated.
@@ -51,15 +51,15 @@ PARSERS: Mapping[str, Callable[[object], Any]] = {
     **{key: COMPARE[name] for key, name in COMPARISON_KEYS.items()},
     **{key: READ_ATTITUDES[name] for key, name in REFERENCE_KEYS.items()},
 }
-"""Key of a case -> parser of its value."""
+"""Key of a setting -> parser of its value."""
 
 OWN_KEYS = {"log", "reference", "reference-log", "pin-log", "skip", "xfail"}
-"""Keys of a case that are no settings."""
+"""Keys of a case that are not settings."""
 
 
 @spelling(in_keys)
 def load_cases(path: Path | str) -> tuple[Suite, list[Case | CaseNotRun]]:
-    """Read a suite and make its cases."""
+    """Read a suite and parse its cases."""
     suite = read_suite(path)
     for name, value in suite.defaults.items():
         _refuse_unknown(suite, name, value, None)
@@ -87,7 +87,7 @@ def load_cases(path: Path | str) -> tuple[Suite, list[Case | CaseNotRun]]:
 
 
 def deleted_cases(cases: Iterable[Case | CaseNotRun], pinned: Iterable[str]) -> list[CaseNotRun]:
-    """Return the cases that the lock has and the suite has not."""
+    """Return the cases that are in the lock, but not in the suite."""
     names = {case.name for case in cases}
     reason = "it is pinned, but not in the suite; restore it, or remove it from the lock with "
     return [
@@ -98,7 +98,7 @@ def deleted_cases(cases: Iterable[Case | CaseNotRun], pinned: Iterable[str]) -> 
 
 
 def same_option(key: str, one: str | None, other: str | None) -> bool:
-    """Return whether two texts are the same value of a key, as ``50`` and ``50.0`` are."""
+    """Return whether two texts mean the same value of a key, such as ``50`` and ``50.0``."""
     if one is None or other is None or one == other:
         return one == other
     try:
@@ -139,26 +139,26 @@ class _CaseParser:
         log = self._inputs["log"] = self._path("log")
         parsed, texts = self._settings(PROPAGATION_KEYS)
         reference = self._reference()
-        given, reference_texts = self._settings(REFERENCE_KEYS)
+        reference_settings, reference_texts = self._settings(REFERENCE_KEYS)
         external = None
         if reference is None:
             path = self._path("reference-log") if "reference-log" in values else log
             if path != log:
                 self._inputs["reference-log"] = path
-            external = attitude_input(path, given, "b")
+            external = attitude_input(path, reference_settings, "b")
         try:
             propagation = propagation_settings(parsed)
         except UsageError as error:
             self._refuse(error.text)
         strict = pins_log and not {"time-offset", "match", "max-dt"} & values.keys()
-        stored, usual = reference is not None, {}
+        stored, defaults = reference is not None, {}
         if not strict and (stored or not pins_log):
-            usual["min-coverage"] = DEFAULT_COVERAGE
+            defaults["min-coverage"] = DEFAULT_COVERAGE
         if stored:
-            usual["tol"] = DEFAULT_TOLERANCE
+            defaults["tol"] = DEFAULT_TOLERANCE
         elif not LIMITS & values.keys():
             self._refuse('there is no tolerance; write tol = "0.5deg" or the like', "tol")
-        compared, comparison_texts = self._settings(COMPARISON_KEYS, usual)
+        compared, comparison_texts = self._settings(COMPARISON_KEYS, defaults)
         return Case(
             name=self._table.name,
             log=log,
@@ -172,7 +172,7 @@ class _CaseParser:
             strict=strict,
             pins_log=pins_log,
             xfail=self.reason("xfail"),
-            # A drift is in deg/h: no other angle of the case is in radians beside it.
+            # A drift is in deg/h, so angles beside it are shown in degrees.
             in_degrees="drift-tol" in comparison_texts
             or any(comparison_texts.get(key, "").strip().endswith("deg") for key in LIMITS),
             suite=str(self._suite.path),
@@ -180,7 +180,7 @@ class _CaseParser:
         )
 
     def reason(self, key: str) -> str:
-        """Return why the case is skipped or known to fail; empty where it is not."""
+        """Return the reason given for ``skip`` or ``xfail``; empty without that key."""
         if key not in self._values:
             return ""
         reason = self._values[key]
@@ -189,7 +189,7 @@ class _CaseParser:
         return reason
 
     def _reference(self) -> str | None:
-        """Return the path of the stored reference; None where the case names a series."""
+        """Return the path of the stored reference; None for an independent series."""
         values = self._values
         others = sorted(key for key in values if key.startswith("reference-"))
         if "reference" not in values:
@@ -224,14 +224,14 @@ class _CaseParser:
         return value if isinstance(value, bool) else str(value)
 
     def _settings(
-        self, keys: Mapping[str, str], usual: Mapping[str, str] | None = None
+        self, keys: Mapping[str, str], defaults: Mapping[str, str] | None = None
     ) -> tuple[dict[str, Any], dict[str, str]]:
         """Return the values of some keys by the name of their setting, and as text by their key.
 
-        Text is as on the command line: 5 is no duration; true and false stay.
+        Numbers are parsed as text, as on the command line: 5 is not a duration.
         """
         own = {key: self._text(key, value) for key, value in self._values.items() if key in keys}
-        texts, parsed = {**(usual or {}), **own}, {}
+        texts, parsed = {**(defaults or {}), **own}, {}
         for key, text in texts.items():
             value = text
             if isinstance(text, str):
@@ -249,13 +249,13 @@ class _CaseParser:
 
 
 def _options(parsed: Mapping[str, object], texts: Mapping[str, str]) -> dict[str, str]:
-    """Return the settings that are not the default, by key, as text."""
+    """Return the settings that differ from the default, by key, as text."""
     settings = propagation_settings(parsed)
 
-    def matters(name: str) -> bool:
+    def differs(name: str) -> bool:
         try:
             return propagation_settings({**parsed, name: None}) != settings
         except UsageError:
             return True
 
-    return {key: text for key, text in sorted(texts.items()) if matters(PROPAGATION_KEYS[key])}
+    return {key: text for key, text in sorted(texts.items()) if differs(PROPAGATION_KEYS[key])}

@@ -1,4 +1,4 @@
-"""What of a case is not as it was pinned: inputs, options, reference, results."""
+"""Differences between a case and its pin: inputs, options, reference, results."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ PLACES = 6
 
 
 def hash_inputs(case: Case, pin: Pin | None) -> dict[str, str]:
-    """Return the SHA-256 of every input that must not change, by key of the suite.
+    """Return the SHA-256 of every pinned input, by key of the suite.
 
-    Of a folder, that of each file which is read, by key and name: ``log/metadata.yaml``.
+    In a folder each file that is read has its own, by key and name: ``log/metadata.yaml``.
     """
     hashes = {}
     for key, path in case.inputs.items():
@@ -75,7 +75,7 @@ def differences(
 
 
 def option_differences(pin: Pin, case: Case) -> list[tuple[str, str | None, str | None]]:
-    """Return the options that have another value than the pinned one, however it is written."""
+    """Return the options whose values differ from the pinned ones, not just in spelling."""
     return [
         (key, old, new)
         for key, old, new in differences(pin.options, case.options)
@@ -84,25 +84,25 @@ def option_differences(pin: Pin, case: Case) -> list[tuple[str, str | None, str 
 
 
 def option_text(value: str | None) -> str:
-    """Return the value of an option in quotes; None is the default."""
+    """Return the value of an option in quotes; None means the default."""
     return DEFAULT if value is None else quoted(value)
 
 
 def obstacles(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> str:
-    """Return why a case cannot be judged by its pin, and the way out; empty where it can."""
-    found = [*_obstacles(case, pin, hashes)]
-    if not found:
+    """Return the differences from the pin that prevent a verdict, and the way out, or ``""``."""
+    differing = [*_obstacles(case, pin, hashes)]
+    if not differing:
         return ""
-    sentences, ways_out = zip(*found, strict=True)
+    sentences, ways_out = zip(*differing, strict=True)
     return spelled("; ".join([*sentences, ways_out[-1] + Setting("update")]))
 
 
 def _obstacles(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """Yield what is not as it was pinned, with its file, and the way out, which ends in update."""
+    """Yield each difference from the pin, with its file, and the way out before "update"."""
     about = plain(case.reference or case.inputs["log"])
-    there = case.reference is not None and Path(case.reference).exists()
+    has_file = case.reference is not None and Path(case.reference).exists()
     accept = "restore it, or accept it with "
-    if pin is None and there:
+    if pin is None and has_file:
         reason = "the reference file exists, but is not in the lock"
         yield f"{about}: {reason}", "restore the lock, or check with "
     elif pin is None:
@@ -113,7 +113,7 @@ def _obstacles(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> Iterat
     for key, old, new in differences(pin.inputs, hashes):
         base, _, name = key.partition("/")
         path = case.inputs.get(base)
-        # Which inputs there are depends on options, which are compared below.
+        # The set of inputs depends on options, which are compared below.
         if path is None or (not name and (old is None or new is None)):
             continue
         file = Path(path, name) if name else Path(path)
@@ -130,7 +130,7 @@ def _obstacles(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> Iterat
         yield f"{about}: the case has changed since it was pinned: {', '.join(changed)}", accept
     if others - {"log"} or (pin.reference is None) != (case.reference is None):
         yield f"{about}: the case was pinned with another kind of reference", accept
-    elif case.reference is not None and not there:
+    elif case.reference is not None and not has_file:
         yield f"{about}: the reference file is missing", "restore it, or write it with "
     elif case.reference is not None and (now := sha256_of(case.reference)) != pin.reference:
         digests = f"(SHA-256 {str(pin.reference)[:DIGITS]}, now {now[:DIGITS]})"
@@ -146,15 +146,15 @@ def make_pin(
     hashes: Mapping[str, str],
     remarks: Iterable[str],
 ) -> Pin:
-    """Return what to pin of a case, but for its stored reference."""
+    """Return the pin of a case, without its stored reference."""
     result = run.report.result
     measured = {}
     if case.external is not None and comparison is not None and comparison.result is not None:
         sizes = zip(("max", "rms", "final"), largest_errors(comparison.result), strict=True)
         measured = {name: _significant(math.degrees(size)) for name, size in sizes}
-        for limit, one in zip(comparison.limits, comparison.result.criteria, strict=True):
-            in_deg = math.degrees(one.value) if one.unit == "rad" else one.value
-            measured[limit.key] = _significant(in_deg)
+        for limit, criterion in zip(comparison.limits, comparison.result.criteria, strict=True):
+            value = math.degrees(criterion.value) if criterion.unit == "rad" else criterion.value
+            measured[limit.key] = _significant(value)
     return Pin(
         quatprop=__version__,
         inputs=hashes,
@@ -170,7 +170,7 @@ def make_pin(
 
 
 def _angles(final_wxyz: Float64, path_angle_rad: float) -> Any:
-    """Return the angles that a lock has, deg, by their fields."""
+    """Return the angles of a pin, deg, by its fields."""
     angles = np.degrees(euler_angles("zyx", final_wxyz[None])[0])
     rounded = (round(float(angle), PLACES) + 0.0 for angle in angles)  # no -0.0
     final = dict(zip(("yaw", "pitch", "roll"), rounded, strict=True))
@@ -181,16 +181,16 @@ def _angles(final_wxyz: Float64, path_angle_rad: float) -> Any:
 
 
 def pin_of_reference(path: Path) -> tuple[Pin | None, tuple[str, ...]]:
-    """Return what a stored reference says of its case, and the names of the case and its log."""
+    """Return the pin in the provenance of a reference, and the names of its case and log."""
     with suppress(QuatpropError, LookupError, TypeError, ValueError, AttributeError):
         provenance = provenance_of(str(path))
-        told, result = provenance[PROVENANCE_KEY], provenance["result"]
-        entry = {key: told[key] for key in ("inputs", "options", "every")}
+        check, result = provenance[PROVENANCE_KEY], provenance["result"]
+        entry = {key: check[key] for key in ("inputs", "options", "every")}
         entry |= {"quatprop": provenance["quatprop"], "reference": sha256_of(str(path))}
         entry |= {"samples": result["samples"], "span_s": result["span_s"]}
         entry |= _angles(np.array(result["final_wxyz"], float), result["path_angle_rad"])
         pin = pin_of({**entry, "remarks": [], "measured": {}})
-        return pin, (str(told["case"]), str(provenance["source"]["path"]))
+        return pin, (str(check["case"]), str(provenance["source"]["path"]))
     return None, ()
 
 
@@ -199,36 +199,36 @@ def _significant(value: float) -> float:
 
 
 def change_lines(case: Case, old: Pin, new: Pin, run: CaseRun) -> list[str]:
-    """Return what differs between two pins, but for references and remarks."""
+    """Return the differences between two pins, except references and remarks."""
     lines = [
-        f"{key}: SHA-256 {(was or 'none')[:DIGITS]} -> {(now or 'none')[:DIGITS]}"
-        for key, was, now in differences(old.inputs, new.inputs)
+        f"{key}: SHA-256 {(before or 'none')[:DIGITS]} -> {(after or 'none')[:DIGITS]}"
+        for key, before, after in differences(old.inputs, new.inputs)
     ]
     lines += [
-        f"{key}: {option_text(was)} -> {option_text(now)}"
-        for key, was, now in option_differences(old, case)
+        f"{key}: {option_text(before)} -> {option_text(after)}"
+        for key, before, after in option_differences(old, case)
     ]
     if old.quatprop != new.quatprop:
         lines.append(f"quatprop: {old.quatprop} -> {new.quatprop}")
     if old.samples != new.samples:
         lines.append(f"samples: {old.samples} -> {new.samples}")
-    turned = f"{old.total_angle_deg:.9g} deg -> {new.total_angle_deg:.9g} deg"
+    total_angles = f"{old.total_angle_deg:.9g} deg -> {new.total_angle_deg:.9g} deg"
     if old.final_deg != new.final_deg or old.total_angle_deg != new.total_angle_deg:
-        # As exact as the angles of a lock.
+        # Rounded like the angles of a lock.
         apart = degrees_text(round(final_distance(old, run.report.result.final_wxyz), 8))
-        lines.append(f"final attitude: {apart} from the one pinned; total angle: {turned}")
+        lines.append(f"final attitude: {apart} from the one pinned; total angle: {total_angles}")
     for name in ("max", "rms", "final"):
-        was_error, now_error = old.measured.get(name), new.measured.get(name)
-        if was_error != now_error and now_error is not None:
-            was_text = "none" if was_error is None else f"{was_error} deg"
-            lines.append(f"{name} error: {was_text} -> {now_error} deg")
+        old_error, new_error = old.measured.get(name), new.measured.get(name)
+        if old_error != new_error and new_error is not None:
+            old_text = "none" if old_error is None else f"{old_error} deg"
+            lines.append(f"{name} error: {old_text} -> {new_error} deg")
     return lines
 
 
 def final_distance(pin: Pin, final_wxyz: Float64) -> float:
     """Return the angle between the pinned attitude at the last sample and another, rad.
 
-    Of angles near a pitch of 90 deg, neither roll nor yaw tells how far two attitudes are apart.
+    Near a pitch of 90 deg the differences of roll and yaw do not show the distance.
     """
     angles = np.radians([[pin.final_deg[name] for name in ("yaw", "pitch", "roll")]])
     return float(geodesic_angle(from_euler("zyx", angles)[0], final_wxyz))

@@ -1,4 +1,4 @@
-"""Explain a case: what it depends on, what is pinned, and how it is judged; nothing is run."""
+"""Explain a case without running it: its inputs, its pin, and how it is judged."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 @spelling(in_keys)
 def explain(case: Case | CaseNotRun, pin: Pin | None) -> str:
-    """Return what a case depends on, what is pinned, and how it is judged.
+    """Return the inputs of a case, its pin, and how it is judged, as text.
 
-    `pin`: what the lock has of it; None if nothing
+    `pin`: None if the lock has no entry for the case
     """
     lines = [f"{plain(case.name)} (line {case.line} of the suite)"]
     facts = [("", plain(case.reason))] if isinstance(case, CaseNotRun) else [*_facts(case, pin)]
@@ -33,7 +33,7 @@ def explain(case: Case | CaseNotRun, pin: Pin | None) -> str:
 
 
 def is_usable(case: Case | CaseNotRun) -> bool:
-    """Return whether a case can be run: it is as it should be written, and its files are there."""
+    """Return whether a case can be run: it is valid, and its files exist."""
     if isinstance(case, CaseNotRun):
         return case.verdict != "error"
     files = [*case.inputs.values(), *filter(None, [case.reference])]
@@ -61,7 +61,7 @@ def _facts(case: Case, pin: Pin | None) -> Iterator[tuple[str, str]]:
     for key in sorted(CRITERIA & case.comparison_options.keys()):
         measured = pin.measured.get(key) if pin else None
         limit = f"{key} {plain(case.comparison_options[key])}"
-        yield "", limit if measured is None else f"{limit}: {_left(case, key, measured)}"
+        yield "", limit if measured is None else f"{limit}: {_margin(case, key, measured)}"
     if case.external is None:
         yield "", "equal timestamps" if case.strict else "timestamps may differ"
     if pin is not None and (case.strict or case.pins_log):
@@ -77,21 +77,22 @@ def _facts(case: Case, pin: Pin | None) -> Iterator[tuple[str, str]]:
         yield "remark", plain(code)
 
 
-def _left(case: Case, key: str, measured: float) -> str:
-    """Return what was measured when a case was pinned, and what that leaves of its limit."""
+def _margin(case: Case, key: str, measured: float) -> str:
+    """Return the value measured when a case was pinned, and its margin below the limit."""
     limit = getattr(case.comparison, key.replace("-", "_"))
     if isinstance(limit, Sigmas):
-        unit, most = "sigma", limit.count
+        unit, maximum = "sigma", limit.count
     elif key in LIMITS:
-        unit, most = "deg", math.degrees(limit)
+        unit, maximum = "deg", math.degrees(limit)
     else:
-        unit, most = "deg/h" if key == "drift-tol" else "%", limit
-    share = "" if unit == "%" or not most else f", {100 * (1 - abs(measured) / most):.0f} % left"
+        unit, maximum = "deg/h" if key == "drift-tol" else "%", limit
+    used = abs(measured) / maximum if maximum else 1.0
+    share = f", {100 * (1 - used):.0f} % left" if maximum and unit != "%" else ""
     return f"{measured:g} {unit} when it was pinned{share}"
 
 
 def _state(path: str, pinned: Mapping[str, str]) -> str:
-    """Return a path, and how its files, by name, differ from those that were pinned."""
+    """Return a path, and how its files, by name, differ from the pinned ones."""
     if not pinned:
         return f"{plain(path)}: not pinned"
     try:

@@ -1,4 +1,4 @@
-"""Judge a case: propagate its log, compare the attitudes, and say what is not as it was pinned."""
+"""Judge a case: propagate its log, compare the attitudes, and check them against the pin."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from quatprop.check.case_run import (
     propagate_case,
 )
 from quatprop.check.changes import final_distance, hash_inputs, make_pin, obstacles
-from quatprop.check.reference import MAX_ROWS, final_of, read_reference, thin
+from quatprop.check.reference import MAX_ROWS, final_of, read_reference, too_sparse
 from quatprop.check.remarks import loss_notes, remarks_of
 from quatprop.errors import QuatpropError
 from quatprop.kinematics.quaternion import geodesic_angle
@@ -33,35 +33,35 @@ if TYPE_CHECKING:
 
 
 SAME_DEG = 1e-5
-"""Angle, deg, which the rounding of the angles in a lock stays below."""
+"""Upper bound on the rounding of the angles in a lock, deg."""
 
 
 class Judgement(NamedTuple):
-    """A case with all that its verdict was made of; whatever is shown of it is made of this.
+    """The result of a case, and the data it is based on.
 
-    `reference`, `comparison`: None where there is nothing to compare with
-    `found`: what an update would pin, but for the stored reference
-    `remarks`: what was remarked on the log and the reference, by its code
+    `reference`, `comparison`: None if there is no reference
+    `new_pin`: the pin of an update, without its stored reference
+    `remarks`: remarks on the log and the reference, by code
     """
 
     result: CaseResult
     run: CaseRun
     reference: LoadedAttitudes | None
     comparison: CaseComparison | None
-    found: Pin
+    new_pin: Pin
     remarks: dict[str, Remark]
 
 
 def judge(case: Case, pin: Pin | None, folder: Path) -> Judgement:
-    """Compare a case with its reference, also where something is not as it was pinned.
+    """Compare a case with its reference, even if it does not match its pin.
 
-    `pin`: what it depended on when it was last updated; None if it never was
-    `folder`: takes the attitudes
+    `pin`: None if the case was never updated
+    `folder`: for the file of attitudes
     """
     hashes = hash_inputs(case, pin)
     changed = obstacles(case, pin, hashes)
     try:
-        run = propagate_case(case, _rows(case, pin), folder)
+        run = propagate_case(case, _decimation(case, pin), folder)
         reference = _reference(case, may_be_broken=bool(changed))
     except QuatpropError as error:
         if changed:
@@ -72,8 +72,8 @@ def judge(case: Case, pin: Pin | None, folder: Path) -> Judgement:
         raise
     comparison = None
     if reference is not None and case.external is None and pin is not None:
-        # An earlier version has pinned such references.
-        changed = changed or thin(case, reference.series, pin.samples, pin.span_s)
+        # References pinned by an earlier version may be too sparse.
+        changed = changed or too_sparse(case, reference.series, pin.samples, pin.span_s)
     if reference is not None:
         comparison = compare_case(case, run.series, reference.series)
     remarks = remarks_of(case, run, reference, comparison)
@@ -87,8 +87,8 @@ def judge(case: Case, pin: Pin | None, folder: Path) -> Judgement:
     failures = [*filter(None, _failures(case, pin, run, reference, comparison))]
     result = result_of(case, comparison, changed, failures, notes)
     result = result._replace(remarks=tuple(remarks.values()), unpinned=tuple(unpinned))
-    found = make_pin(case, run, comparison, hashes, remarks)
-    return Judgement(result, run, reference, comparison, found, remarks)
+    new_pin = make_pin(case, run, comparison, hashes, remarks)
+    return Judgement(result, run, reference, comparison, new_pin, remarks)
 
 
 def result_of(
@@ -100,7 +100,7 @@ def result_of(
 ) -> CaseResult:
     """Return the result of a case.
 
-    `changed`: what is not as it was pinned, and the way out; empty where all is
+    `changed`: differences from the pin, and the way out; empty if there are none
     `failures`: why the attitudes are not accepted
     """
     impossible = comparison.impossible if comparison else ""
@@ -121,10 +121,10 @@ def result_of(
     )
 
 
-def _rows(case: Case, pin: Pin | None) -> int | None:
-    """Return N, where one of every N attitudes is needed to judge a case; None for all."""
+def _decimation(case: Case, pin: Pin | None) -> int | None:
+    """Return N, where judging a case needs every N-th attitude; None if it needs all."""
     if case.reference is None or not case.strict:
-        # Samples that are missing move the others: all are needed to find those of the reference.
+        # Missing samples shift the decimation: find the reference timestamps among all samples.
         return None
     if pin is not None:
         return pin.every
@@ -132,9 +132,9 @@ def _rows(case: Case, pin: Pin | None) -> int | None:
 
 
 def _reference(case: Case, *, may_be_broken: bool) -> LoadedAttitudes | None:
-    """Return what a case is compared with; None where there is none yet.
+    """Return the reference of a case; None if there is none yet.
 
-    `may_be_broken`: the stored reference is not the one that was pinned, of which is said enough
+    `may_be_broken`: return None for an unreadable reference, whose change is reported already
     """
     if case.external is not None:
         return load_attitudes(case.external)
@@ -156,7 +156,7 @@ def _failures(
     reference: LoadedAttitudes | None,
     comparison: CaseComparison | None,
 ) -> Iterator[str]:
-    """Yield why the attitudes are not accepted; empty sentences, too."""
+    """Yield why the attitudes are not accepted; some sentences may be empty."""
     if pin is not None and run.samples != pin.samples and case.pins_log:
         yield f"{run.samples} samples were propagated, and {pin.samples} when pinned"
     if comparison is None or reference is None:

@@ -1,8 +1,8 @@
 """The lock of a suite: a JSON file that pins the inputs, options and results of its cases.
 
-It is text, so that a review shows which log, option or reference has changed, and by how much. A
-reference is binary, and an independent series has no place for such a record. Files are pinned by
-their digests; why one has changed is found out here, too.
+It is text, so that a review shows which log, option or reference has changed, and by how much: a
+reference is binary, and an independent series cannot hold such a record. Files are pinned by their
+digests; this module also finds out why a digest has changed.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
 
 FORMAT = 1
-"""Number of the format of a lock."""
+"""Version of the format of a lock."""
 
 MAX_LOCK = 1 << 27
-"""Bytes of a lock, which has about a thousand for each case."""
+"""Largest lock that is read, bytes; a case needs about a thousand."""
 
 _CONFLICT = re.compile("(<{7}|={7}|>{7})( .*)?")
-"""A line that an unfinished merge leaves."""
+"""A conflict marker of a merge."""
 
 
 class Pin(NamedTuple):
-    """What a case depended on, and what came out, when it was last updated.
+    """Inputs and results of a case when it was last updated.
 
     `quatprop`: the version that did the update
-    `inputs`: key of the suite -> SHA-256 of the file that it names; of a folder, of each of its
-        files that is read, by key and name
+    `inputs`: key of the suite -> SHA-256 of the file that it names; in a folder each file that is
+        read has its own, by key and name
     `span_s`: time from the first sample to the last, s
     `final_deg`: roll, pitch and yaw of the attitude at the last sample, deg
     `total_angle_deg`: total angle traversed, deg
     `remarks`: codes of the remarks on the log and the reference, sorted
-    `every`: the reference holds every N-th attitude; None where the case itself chooses them
-    `reference`: SHA-256 of the stored reference; None where there is none
-    `measured`: the errors against an independent series, deg, and what else a limit is on, by the
-        key of the limit; empty for a stored reference
+    `every`: the reference holds every N-th attitude; None if the case has settings for that
+    `reference`: SHA-256 of the stored reference; None if there is none
+    `measured`: the errors against an independent series, deg, and the value of each limit, by its
+        key; empty for a stored reference
     """
 
     quatprop: str
@@ -95,9 +95,9 @@ IS_VALID: Mapping[str, Callable[[Any], bool]] = {
 
 
 def read_lock(path: Path, *, anew: bool = False) -> dict[str, Pin]:
-    """Return the pin of each case; empty where there is no lock yet.
+    """Return the pin of each case; empty if there is no lock yet.
 
-    `anew`: empty, too, where another version has written the lock: it is about to be replaced
+    `anew`: also return nothing for a lock in another format, since it is about to be replaced
     """
     if not path.exists():
         return {}
@@ -125,7 +125,7 @@ def read_lock(path: Path, *, anew: bool = False) -> dict[str, Pin]:
 
 
 def conflict_line(content: bytes) -> int | None:
-    """Return the first line that an unfinished merge has left, from 1; None where there is none."""
+    """Return the line of the first conflict marker, from 1; None if there is none."""
     lines = content.decode(errors="replace").splitlines()
     return next(
         (number for number, line in enumerate(lines, 1) if _CONFLICT.fullmatch(line.strip())), None
@@ -133,7 +133,7 @@ def conflict_line(content: bytes) -> int | None:
 
 
 def pin_of(entry: JsonObject) -> Pin:
-    """Return the pin that an entry of a lock is."""
+    """Return an entry of a lock as a pin."""
     if entry.keys() != IS_VALID.keys() or not all(IS_VALID[key](entry[key]) for key in IS_VALID):
         raise ValueError(entry)
     return Pin(**{**entry, "remarks": tuple(entry["remarks"])})
@@ -142,12 +142,12 @@ def pin_of(entry: JsonObject) -> Pin:
 def merge_into_lock(
     suite: Path, path: Path, pins: Mapping[str, Pin], deleted: Collection[str]
 ) -> None:
-    """Write the pins of cases into the lock, in which the others stay as they are by now.
+    """Write the pins of cases into the lock, and keep the other pins.
 
-    Another update may have written it meanwhile. Each case is a block of lines, so that changes of
-    two cases merge.
+    The lock is read again, since another update may have written it meanwhile. Each case is a
+    block of lines, so that changes of two cases merge.
     """
-    with _alone(suite):
+    with _exclusive(suite):
         old = read_lock(path, anew=True)
         kept = {name: pin for name, pin in old.items() if name not in deleted}
         cases = dict(sorted({**kept, **pins}.items()))
@@ -160,10 +160,10 @@ def merge_into_lock(
 
 
 @contextmanager
-def _alone(suite: Path) -> Iterator[None]:
-    """Let one update after the other write, where the system can lock the suite."""
+def _exclusive(suite: Path) -> Iterator[None]:
+    """Exclude other updates, where the system can lock the suite."""
     with suite.open("rb") as stream:
-        with suppress(ImportError, OSError):  # Windows, and some file systems of a network
+        with suppress(ImportError, OSError):  # Windows, and some network file systems
             import fcntl
 
             fcntl.flock(stream, fcntl.LOCK_EX)
@@ -174,25 +174,25 @@ DIGITS = 12
 """Digits of a SHA-256 that are shown."""
 
 MAX_SEARCHED = 1 << 32
-"""Bytes of the files beside a missing one that are read: it may be one of them, renamed."""
+"""Most bytes that are hashed to find a missing file under another name."""
 
 MAX_TEXT = 1 << 28
-"""Bytes of a file up to which it is looked at whether only its line ends changed."""
+"""Largest file that is checked for changed line ends, bytes."""
 
 _BAG_FILE = re.compile(r"metadata\.yaml|[^.].*\.(mcap|db3)(-wal|-journal|\.\w+)?|[^.].*\.(msg|idl)")
-"""Names of the files of a bag that are read: parts, also compressed, journals and definitions;
-desktops leave others there."""
+"""Files of a bag that are hashed: parts, also compressed, journals and message definitions;
+file managers add others, such as thumbnails."""
 
 LFS_POINTER = b"version https://git-lfs"
-"""How a Git LFS pointer begins: the small file in place of one that was not downloaded."""
+"""First bytes of a Git LFS pointer, the small file in place of one that was not downloaded."""
 
 
 def digests_of(path: str) -> dict[str, str]:
-    """Return the SHA-256 of a file, under ``""``, or of each file of a folder that is read."""
+    """Return the SHA-256 of a file, under ``""``, or of the files of a bag, by name."""
     place = Path(path)
     if not place.is_dir():
         return {"": sha256_of(path)}
-    # Definitions of messages may be in packages below.
+    # Message definitions may be in packages below.
     return {
         file.relative_to(place).as_posix(): sha256_of(str(file))
         for file in sorted({*place.iterdir(), *place.rglob("*.msg")})
@@ -201,16 +201,16 @@ def digests_of(path: str) -> dict[str, str]:
 
 
 def describe_change(file: Path, old: str | None, new: str | None) -> str:
-    """Return how a pinned file has changed, and the cause where it is known.
+    """Return how a pinned file has changed, and the cause if known.
 
-    `old`, `new`: its SHA-256 when it was pinned, and now; None where there was or is none
+    `old`, `new`: the pinned and the current SHA-256; None if there was or is no file
     """
     if old is None:
         return "it did not exist when the reference file was made"
     if new is None:
         return "it existed when the reference file was made, and is missing"
     changed = "since the reference file was made"
-    if (ends := _line_ends_for(file, old)) is not None:
+    if (ends := _line_end_change(file, old)) is not None:
         return (
             f"only its line ends changed {changed}, {ends}: Git converts them; keep them with a "
             f"line '{file.name} -text' in .gitattributes, and check the file out again"
@@ -218,8 +218,8 @@ def describe_change(file: Path, old: str | None, new: str | None) -> str:
     return f"its content changed {changed} (SHA-256 {old[:DIGITS]}, now {new[:DIGITS]})"
 
 
-def _line_ends_for(file: Path, digest: str) -> str | None:
-    """Return which line ends of a text changed; None where not only they did."""
+def _line_end_change(file: Path, digest: str) -> str | None:
+    """Return the change of line ends; None if anything else changed."""
     if file.stat().st_size > MAX_TEXT:
         return None
     content = file.read_bytes()
@@ -241,12 +241,12 @@ def sha256_of(path: str) -> str:
 
 
 def with_content(folder: Path, pattern: str, digest: str | None) -> Path | None:
-    """Return the first file of a folder that has some content; None where there is none."""
-    left = MAX_SEARCHED
+    """Return the first matching file of a folder with a given SHA-256; None if there is none."""
+    remaining = MAX_SEARCHED
     with suppress(OSError):
         for other in filter(Path.is_file, sorted(folder.glob(pattern))):
-            left -= other.stat().st_size
-            if left > 0 and digest_of(other).sha256 == digest:
+            remaining -= other.stat().st_size
+            if remaining > 0 and digest_of(other).sha256 == digest:
                 return other
     return None
 

@@ -1,4 +1,4 @@
-"""All cases of a suite at a glance: one HTML file with a row and a small plot for each."""
+"""Overview of a suite: an HTML file with a row and a small plot for each case."""
 
 from __future__ import annotations
 
@@ -87,14 +87,14 @@ def _row(result: CaseResult, order: int, folder: Path) -> str:
 
 
 def _plot(result: CaseResult) -> str:
-    """Return the error over time as a line, from 0 to the largest."""
-    most = max(result.trace, default=0.0)
-    if not math.isfinite(most) or most <= 0.0:
+    """Return a line plot of the error over time, scaled from 0 to its maximum."""
+    largest = max(result.trace, default=0.0)
+    if not math.isfinite(largest) or largest <= 0.0:
         return ""
     last = max(len(result.trace) - 1, 1)
     points = " ".join(
-        f"{158 * k / last + 1:.1f},{31 - 30 * error / most:.1f}"
+        f"{158 * k / last + 1:.1f},{31 - 30 * error / largest:.1f}"
         for k, error in enumerate(result.trace)
     )
-    label = f"error over time, at most {math.degrees(most):.4g} deg"
+    label = f"error over time, at most {math.degrees(largest):.4g} deg"
     return f'<svg role="img" aria-label="{label}"><polyline points="{points}"/></svg>'

@@ -1,4 +1,4 @@
-"""Propose how a log is judged by an independent series, from what is measured."""
+"""Propose the limits of a case with an independent series, from the measured errors."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ if TYPE_CHECKING:
     from quatprop.series import AttitudeSeries
 
 MARGIN = 1.5
-"""Limit over what was measured: the share that a change may add before somebody looks at it."""
+"""Ratio of a proposed limit to the measured error."""
 
-LEAST_TURN = math.radians(2.0)
-"""Angle between two frames, rad, below which it is rather an error."""
+MIN_FRAME_ANGLE = math.radians(2.0)
+"""Angle between two frames, rad; a smaller one is taken for an error and not aligned."""
 
 WINDOW_NS = 1_000_000_000
 PARTS = 5
-"""A window is a second, or of a short log this part of its time."""
+"""A window is a second, or in a short log a fifth of its length."""
 
 LEAST_DEG = 1e-6
-"""Smallest limit that is proposed, deg: below are rounding errors."""
+"""Smallest limit that is proposed, deg; smaller errors are rounding errors."""
 
 
 def propose_limits(log: str, reference: str) -> Iterator[str]:
-    """Yield the lines of a case that say how it is aligned and judged, and why."""
+    """Yield the alignment and the limits as lines of a case, with the reasons as comments."""
     with TemporaryDirectory(prefix="quatprop-") as folder:
         output = str(Path(folder, "attitude.parquet"))
         run(Job(log, OutputSettings(output, to="parquet")))
@@ -73,13 +73,13 @@ def _limit(key: str, error: float, reason: str) -> str:
 
 
 def _alignment(a: AttitudeSeries, b: AttitudeSeries) -> tuple[str, str]:
-    """Return the alignment that takes out a turn of frames, not an error, and why."""
-    # A body that turns about one axis only shows nothing of how it is mounted.
+    """Return the alignment for a rotation between the frames, and the reason for it."""
+    # The mounting cannot be determined if the body turns about one axis only.
     with suppress(ComparisonError):
-        turn = compare(a, b, replace(MEASURE, align="mount")).alignment.mount_rad
-        if turn > LEAST_TURN:
-            return "mount", f"the body frames are {math.degrees(turn):.3g} deg apart"
-    turn = compare(a, b, replace(MEASURE, align="mean")).alignment.reference_rad
-    if turn > LEAST_TURN:
-        return "mean", f"the reference frames are {math.degrees(turn):.3g} deg apart"
+        angle = compare(a, b, replace(MEASURE, align="mount")).alignment.mount_rad
+        if angle > MIN_FRAME_ANGLE:
+            return "mount", f"the body frames are {math.degrees(angle):.3g} deg apart"
+    angle = compare(a, b, replace(MEASURE, align="mean")).alignment.reference_rad
+    if angle > MIN_FRAME_ANGLE:
+        return "mean", f"the reference frames are {math.degrees(angle):.3g} deg apart"
     return "none", "both are relative to the same frames"

@@ -25,25 +25,25 @@ if TYPE_CHECKING:
     from quatprop.series import AttitudeSeries
 
 REFERENCES = "**/*.[pP][aAqQ]*"
-"""Names of references in and below the folder of a suite."""
+"""Glob pattern for references in and below the folder of a suite."""
 
 MAX_FOOTER = 1 << 20
-"""Bytes at the end of a Parquet file among which its provenance is."""
+"""Bytes at the end of a Parquet file that are searched for its provenance."""
 
 PROVENANCE_KEY = "check"
 """Key of the provenance that only stored references have."""
 
 CONVENTION_KEYS = ("product", "attitude")
-"""Entries of the convention that are the same in every reference."""
+"""Entries of the convention that are equal in all references."""
 
 DEFAULT = "the default"
-"""How an option that is not set is shown."""
+"""Text for an option that is not set."""
 
 MAX_ROWS = 1000
-"""Most attitudes in a reference, unless the case itself chooses them."""
+"""Most attitudes in a reference, unless the case has settings for that."""
 
 LEAST_ROWS = 10
-"""Fewest attitudes in a reference of a log that has as many."""
+"""Fewest attitudes in a reference, unless the log has fewer samples."""
 
 
 def decimation(samples: int) -> int:
@@ -61,7 +61,7 @@ def read_reference(path: str) -> LoadedAttitudes:
 
 
 def final_of(reference: LoadedAttitudes) -> Any:
-    """Return the attitude at the last sample of a stored reference, wxyz; None if not known."""
+    """Return the attitude at the last sample, wxyz, from the provenance; None if unknown."""
     return reference.signal.provenance.get("result", {}).get("final_wxyz")
 
 
@@ -84,7 +84,7 @@ def write_reference(
 
 
 def _with_names(value: Any, names: Mapping[str, str]) -> Any:
-    """Return JSON with the paths of inputs as the suite has them."""
+    """Replace paths in JSON by their names in the suite."""
     if isinstance(value, dict):
         return {names.get(key, key): _with_names(item, names) for key, item in value.items()}
     if isinstance(value, list):
@@ -92,10 +92,10 @@ def _with_names(value: Any, names: Mapping[str, str]) -> Any:
     return names.get(value, value) if isinstance(value, str) else value
 
 
-def thin(case: Case, series: AttitudeSeries, samples: int, span_s: float) -> str:
-    """Return why a reference has so few attitudes of a log that a change would not be seen.
+def too_sparse(case: Case, series: AttitudeSeries, samples: int, span_s: float) -> str:
+    """Return an error if a reference has too few attitudes to detect a change; else ``""``.
 
-    `samples`, `span_s`: of the log; empty where there are enough
+    `samples`, `span_s`: number of samples and length of the log, s
     """
     count, t_ns = len(series), series.t_ns
     covered = float(t_ns.max() - t_ns.min()) * 1e-9 if count else 0.0
@@ -111,10 +111,9 @@ def thin(case: Case, series: AttitudeSeries, samples: int, span_s: float) -> str
 
 
 def refuse_replacing(target: Path) -> None:
-    """Refuse to replace a file that is no stored reference.
+    """Refuse to replace a file that is not a stored reference.
 
-    A stored reference can be made again; an independent series under this name may be the only
-    copy.
+    A stored reference can be made again; this file may be the only copy of an independent series.
     """
     with suppress(QuatpropError):
         if not target.exists() or PROVENANCE_KEY in provenance_of(str(target)):
@@ -127,7 +126,7 @@ def refuse_replacing(target: Path) -> None:
 
 
 def describe_provenance(case: Case, pin: Pin) -> str:
-    """Return how the provenance of a file that is not the pinned reference differs."""
+    """Return how the provenance of a changed reference file differs from the pin."""
     try:
         provenance = provenance_of(str(case.reference))
     except QuatpropError:
@@ -160,12 +159,12 @@ def describe_provenance(case: Case, pin: Pin) -> str:
 
 
 def provenance_of(path: str) -> Mapping[str, Any]:
-    """Return what a stored reference says of itself."""
+    """Return the provenance of a stored reference."""
     return read_reference(path).signal.provenance
 
 
 def stray_references(folder: Path, cases: Iterable[Case | CaseNotRun]) -> Iterator[Path]:
-    """Yield the stored references below a folder that no case has."""
+    """Yield the stored references below a folder that belong to no case."""
     valid = [case for case in cases if isinstance(case, Case)]
     used = {os.path.realpath(path) for case in valid for path in (case.reference, case.log) if path}
     for path in sorted(folder.glob(REFERENCES)):

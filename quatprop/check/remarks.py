@@ -1,4 +1,4 @@
-"""Remarks on the log and the reference of a case, and the codes by which they are pinned."""
+"""Remarks on the log and the reference of a case, by the codes that a lock pins."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
 def remarks_of(
     case: Case, run: CaseRun, reference: LoadedAttitudes | None, comparison: CaseComparison | None
 ) -> dict[str, Remark]:
-    """Return what was remarked on the log and on an independent reference, by its code."""
-    found = [remark.spelled(spelled) for remark in run.report.remarks]
+    """Return the remarks on the log and on an independent reference, by code."""
+    remarks = [remark.spelled(spelled) for remark in run.report.remarks]
     if case.external is not None and reference is not None:
         result = comparison and comparison.result
         for remark in (*reference.signal.remarks, *(result.remarks if result else ())):
             text = with_names(spelled(remark), a="the log's attitudes", b="the reference series")
-            found.append(Remark(f"reference: {remark.code}", text))
-    found += loss_notes(case, run, reference)
-    return {remark.code: remark for remark in found}
+            remarks.append(Remark(f"reference: {remark.code}", text))
+    remarks += loss_notes(case, run, reference)
+    return {remark.code: remark for remark in remarks}
 
 
 def loss_notes(case: Case, run: CaseRun, reference: LoadedAttitudes | None) -> Iterator[Remark]:
-    """Yield a note where data of the log or of the reference were lost."""
+    """Yield a note if data of the log or of the reference were lost."""
     lost = "data of {} were lost or omitted, see {}"
     if run.report.data_lost:
         yield Remark("data-lost", lost.format(plain(case.log), "propagate"))

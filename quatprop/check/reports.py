@@ -1,4 +1,4 @@
-"""Results of cases as text, as JUnit XML, and as GitHub shows them.
+"""Results of cases as text, as JUnit XML, and as GitHub annotations and summaries.
 
 References
 ----------
@@ -6,8 +6,8 @@ References
 which ten of a kind are shown for a step, and Markdown appended to the file that
 ``GITHUB_STEP_SUMMARY`` names, 1 MiB at most.
 
-junit-10.xsd of the xUnit plugin of Jenkins, by which pytest tests its own: no lines nor files of
-cases, no count of skipped ones over all suites.
+junit-10.xsd of the xUnit plugin of Jenkins, which pytest also conforms to: cases have no line and
+no file, and the root element has no count of skipped cases.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ VERDICTS: Mapping[Verdict, tuple[str, str, str]] = {
     "xpass": ("XPASS", "passed unexpectedly", ":warning: passed unexpectedly"),
     "deleted": ("gone", "deleted", ":warning: deleted"),
 }
-"""Verdict -> how it is written before a case, after a count, and on GitHub."""
+"""Verdict -> its text before a case, after a count, and on GitHub."""
 
 JUNIT_ELEMENTS: Mapping[Verdict, str] = {
     "fail": "failure", "error": "error", "skip": "skipped", "xfail": "skipped",
@@ -44,20 +44,20 @@ JUNIT_ELEMENTS: Mapping[Verdict, str] = {
 """Verdict -> element of JUnit XML."""
 
 NEEDS_ATTENTION: frozenset[Verdict] = frozenset({"fail", "error", "xpass", "deleted"})
-"""Verdicts that somebody has to look at."""
+"""Verdicts that need attention."""
 
 MAX_ANNOTATIONS = 10
 """Annotations of a kind that GitHub shows for a step."""
 
 MAX_SUMMARY = 1_000_000
-"""Bytes of a summary; GitHub shows none of more than 1 MiB."""
+"""Most bytes of a summary; GitHub does not show one above 1 MiB."""
 
 WIDTH = max(len(shown) for shown, *_ in VERDICTS.values())
 
 
 def result_text(result: CaseResult, width: int) -> str:
-    """Return the result of a case: one line, and its reason and changes below."""
-    # The summary of an error, such as a small angle, reads as that of a pass.
+    """Return the result of a case in one line, with its reason and changes below."""
+    # The summary of an error, such as a small angle, would look like that of a pass.
     summary = "" if result.verdict == "error" else result.summary
     if result.updated is not None and result.verdict != "error":
         planned = result.pin is None and result.updated != "kept"
@@ -70,9 +70,9 @@ def result_text(result: CaseResult, width: int) -> str:
 
 
 def note_lines(results: Sequence[CaseResult], *, remarks: bool = False) -> Iterator[str]:
-    """Yield each note once, with the number of its cases; those of a failure are in its reason.
+    """Yield each note once, with the number of its cases; a failure has them in its reason.
 
-    `remarks`: whether those on logs are notes, too, also where they are pinned
+    `remarks`: whether to include all remarks on logs, even pinned ones
     """
     names: dict[str, list[str]] = {}
     for result in results:
@@ -84,7 +84,7 @@ def note_lines(results: Sequence[CaseResult], *, remarks: bool = False) -> Itera
 
 
 def worst_first(results: Iterable[CaseResult]) -> list[CaseResult]:
-    """Return results in the order in which somebody should look at them."""
+    """Return results in the order of their urgency."""
     order: list[Verdict] = ["error", "fail", "xpass", "deleted", "xfail", "pass", "skip"]
     return sorted(
         results, key=lambda result: (order.index(result.verdict), -(result.error_rad or 0.0))
@@ -132,17 +132,17 @@ def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) 
 
 
 def append_github_summary(target: str, suite: Path, results: Sequence[CaseResult]) -> None:
-    """Append a table of results to the summary of a step on GitHub."""
+    """Append a table of results to the summary of a GitHub step."""
     text = f"### {_markdown(suite.as_posix())}: {totals(results)}\n\n"
     text += "| case | verdict | worst error | why |\n|---|---|---|---|\n"
     with output_errors(target), Path(target).open("a", encoding="utf-8") as stream:
-        left = MAX_SUMMARY - stream.tell() - len(text.encode())
+        remaining = MAX_SUMMARY - stream.tell() - len(text.encode())
         for number, result in enumerate(worst_first(results)):
             why = result.reason or "; ".join([*result.changes, *result.notes])
             cells = [result.name, VERDICTS[result.verdict][2], result.summary, why]
             row = f"| {' | '.join(map(_markdown, cells))} |\n"
-            left -= len(row.encode())
-            if left < 0:
+            remaining -= len(row.encode())
+            if remaining < 0:
                 more = count_text(len(results) - number, "more case")
                 text += f"\n{more} for which there is no room here; see JUnit or the log\n"
                 break
@@ -151,7 +151,7 @@ def append_github_summary(target: str, suite: Path, results: Sequence[CaseResult
 
 
 def github_annotations(suite: Path, results: Sequence[CaseResult]) -> Iterator[str]:
-    """Yield a line for each case to look at, worst first, which GitHub shows beside the suite."""
+    """Yield annotations on the suite, for each case that needs attention, worst first."""
     kinds: dict[str, list[str]] = {"error": [], "warning": []}
     for result in worst_first(results):
         if result.verdict in NEEDS_ATTENTION or result.unpinned:
@@ -171,7 +171,7 @@ def github_annotations(suite: Path, results: Sequence[CaseResult]) -> Iterator[s
 
 
 def _markdown(text: str) -> str:
-    """Return text that a cell of a Markdown table shows as it is."""
+    """Escape text for a cell of a Markdown table."""
     text = plain(text)
     for mark in "\\`*_[]<>|":
         text = text.replace(mark, "\\" + mark)

@@ -1,4 +1,4 @@
-"""Run cases, one after the other or in processes; results come in the order of the suite."""
+"""Run cases, one after another or in processes, with results in the order of the suite."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from quatprop.check.case import Case, CaseNotRun, CaseResult
 from quatprop.check.judge import Judgement, judge
 from quatprop.check.lock import Pin, merge_into_lock
-from quatprop.check.update import Former, propose, put_in_place, refuse_target
+from quatprop.check.update import Baseline, propose, put_in_place, refuse_target
 from quatprop.concurrency.processes import KILLED, in_order, map_processes
 from quatprop.errors import QuatpropError
 from quatprop.errors.third_party import as_user_error
@@ -31,18 +31,18 @@ if TYPE_CHECKING:
 class CheckOptions(NamedTuple):
     """How cases are run.
 
-    `suite`: update: the suite whose references and lock are written; None judges
-    `former`: what was pinned, or is told by references, and the suite has no more
+    `suite`: the suite whose references and lock an update writes; None to judge only
+    `orphans`: pins and stored references of no case in the suite
     `removed`: cases that the update removes from the lock
-    `dry_run`: show what an update would do, and write nothing
-    `force`: accept a change that cannot be measured, too
-    `confirm`: asks whether a change is accepted; None: all are
-    `artifacts`: where to keep the evidence of failures; None: nowhere
-    `strict`: a case fails that is deleted, passes unexpectedly, or has a remark that is not pinned
+    `dry_run`: list the changes of an update without writing anything
+    `force`: also accept changes that cannot be measured
+    `confirm`: asks whether to accept a change; None to accept all
+    `artifacts`: folder for the evidence of failures; None to keep none
+    `strict`: deleted cases, unexpected passes and unpinned remarks are failures
     """
 
     suite: Suite | None = None
-    former: Sequence[Former] = ()
+    orphans: Sequence[Baseline] = ()
     removed: Collection[str] = ()
     dry_run: bool = False
     force: bool = False
@@ -58,7 +58,7 @@ def run_case(pinned: PinnedCase, options: CheckOptions) -> CaseResult:
     began = time.perf_counter()
     if isinstance(case, CaseNotRun):
         result = CaseResult(case.name, case.verdict, case.reason)
-        result = _strictly(result) if options.strict else result
+        result = _apply_strict(result) if options.strict else result
     else:
         try:
             with TemporaryDirectory(prefix="quatprop-") as scratch:
@@ -78,14 +78,14 @@ def _run(case: Case, pin: Pin | None, options: CheckOptions, scratch: Path) -> C
     judged = judge(case, pin, scratch)
     if suite is not None:
         judged = judged._replace(result=_updated(case, pin, judged, options, scratch))
-    result = _expected(case, judged.result)
+    result = _apply_xfail(case, judged.result)
     if result.verdict == "error" and options.suite is not suite:
         reason = spelled(f"{result.reason}; {Setting('update')} leaves it as it is, because of")
         result = result._replace(
             reason=f"{reason} xfail, so that no failure is pinned: take it out"
         )
     if options.strict:
-        result = _strictly(result)
+        result = _apply_strict(result)
     if options.artifacts is not None and result.verdict in {"fail", "error", "xfail"}:
         return _with_evidence(case, judged._replace(result=result), options)
     return result
@@ -95,9 +95,9 @@ def _updated(
     case: Case, pin: Pin | None, judged: Judgement, options: CheckOptions, scratch: Path
 ) -> CaseResult:
     """Update a case, unless the change is not accepted."""
-    proposal = propose(case, pin, judged, scratch, options.former)
-    if proposal.unknown and not options.force:
-        return CaseResult(case.name, "error", proposal.unknown, changes=proposal.result.changes)
+    proposal = propose(case, pin, judged, scratch, options.orphans)
+    if proposal.unmeasured and not options.force:
+        return CaseResult(case.name, "error", proposal.unmeasured, changes=proposal.result.changes)
     if options.dry_run:
         return proposal.result._replace(pin=None)
     is_change = proposal.result.updated != "kept" or proposal.result.changes
@@ -107,8 +107,8 @@ def _updated(
     return proposal.result
 
 
-def _expected(case: Case, result: CaseResult) -> CaseResult:
-    """Return the result of a case that may be known to fail."""
+def _apply_xfail(case: Case, result: CaseResult) -> CaseResult:
+    """Return the result of a case, allowing for a known failure."""
     if case.xfail and result.verdict == "fail":
         return result._replace(verdict="xfail", reason=f"{case.xfail}: {result.reason}")
     if case.xfail and result.verdict == "pass":
@@ -116,8 +116,8 @@ def _expected(case: Case, result: CaseResult) -> CaseResult:
     return result
 
 
-def _strictly(result: CaseResult) -> CaseResult:
-    """Return the result of a case where nothing passes that somebody has to look at."""
+def _apply_strict(result: CaseResult) -> CaseResult:
+    """Return a result under ``--strict``: one that needs attention is a failure."""
     strict = spelled(f"with {Setting('strict')} this is a failure")
     if result.verdict in {"xpass", "deleted"}:
         return result._replace(verdict="fail", reason=f"{result.reason}; {strict}")
@@ -128,7 +128,7 @@ def _strictly(result: CaseResult) -> CaseResult:
 
 
 def _with_evidence(case: Case, judged: Judgement, options: CheckOptions) -> CaseResult:
-    """Keep the evidence of a failure; say where it is, or why it is not there."""
+    """Keep the evidence of a failure, and add its folder, or why it is missing, to the reason."""
     from quatprop.check.artifacts import write_artifacts  # matplotlib, for failures only
 
     result, folder = judged.result, Path(str(options.artifacts))
@@ -146,9 +146,9 @@ def run_cases(
     options: CheckOptions,
     processes: int = 1,
 ) -> Generator[CaseResult]:
-    """Yield the result of each case, in their order, as soon as those before are done.
+    """Yield the result of each case in the order of the suite, as soon as possible.
 
-    At the end of an update the lock is written anew, without the cases that it removes.
+    An update writes the lock at the end, without the removed cases.
     """
     new_pins: dict[str, Pin] = {}
 

@@ -23,9 +23,9 @@ SHAPE = "a suite has a table [defaults] and one table [case.NAME] for each case"
 
 
 class CaseTable(NamedTuple):
-    """A case as it is written.
+    """The table of a case.
 
-    `values`: key -> value, as TOML has them, with the defaults
+    `values`: key -> TOML value, with the defaults
     `line`: line of the suite where its table begins, from 1
     """
 
@@ -38,7 +38,7 @@ class Suite(NamedTuple):
     """A suite of cases.
 
     `path`: the file, as the user named it
-    `defaults`: values of every case that has no own
+    `defaults`: values of the keys that a case does not have
     `tables`: the cases, in the order of the file
     """
 
@@ -83,9 +83,9 @@ def read_suite(path: Path | str) -> Suite:
 
 
 def write_suite(path: Path | str, logs: Iterable[str], series: str | None = None) -> None:
-    """Write a new suite with a case for each log, whose references are still to be made.
+    """Write a new suite with a case for each log; an update has to write the references.
 
-    `series`: an independent one, with which each log is compared in a second case
+    `series`: an independent series, with which a second case compares each log
     """
     path = Path(path)
     if path.exists():
@@ -121,6 +121,6 @@ def _quoted(text: str) -> str:
 
 
 def _line_of(name: str, lines: Iterable[str]) -> int:
-    """Return the line where a case's table begins, from 1; 1 where its header is unusual."""
+    """Return the line where the table of a case begins, from 1; 1 if its header is unusual."""
     header = re.compile(rf"\s*\[\s*case\s*\.\s*([\"']?){re.escape(name)}\1\s*\]")
     return next((k for k, line in enumerate(lines, 1) if header.match(line)), 1)

@@ -1,4 +1,4 @@
-"""Update a case: make its reference anew, and list what changes, with the angle."""
+"""Update a case: make a new reference, and list the changes, with their size."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from quatprop.check.reference import (
     read_reference,
     refuse_replacing,
     stray_references,
-    thin,
+    too_sparse,
     write_reference,
 )
 from quatprop.check.remarks import loss_notes
@@ -40,18 +40,21 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from quatprop.check.judge import Judgement
+    from quatprop.logs.attitude_input import LoadedAttitudes
 
 LEAST_COVERED = 50.0
 """Percentage of the old reference with which the new attitudes must be compared."""
 
 
-class Former(NamedTuple):
-    """What was pinned, or is told by a reference, and may be a new case under another name.
+class Baseline(NamedTuple):
+    """An earlier pin with which an update compares a new one: that of the case, or of an orphan.
 
-    `names`: of the case, and of the log where that is known
-    `label`: how it is named before what changes; empty where it is the case itself
-    `way_out`: what to do where a new case is another one
-    `is_pinned`: whether the lock has it
+    An orphan is a pin or a stored reference of no case in the suite: perhaps a renamed case.
+
+    `names`: of the case, and of its log if that is known
+    `label`: the line above the changes of an orphan; empty if it is the case itself
+    `way_out`: what to do with an orphan that is a different case
+    `is_pinned`: whether the orphan is in the lock
     """
 
     pin: Pin
@@ -61,39 +64,40 @@ class Former(NamedTuple):
     is_pinned: bool = False
 
 
-def former_cases(
+def find_orphans(
     suite: Path, cases: Sequence[Case | CaseNotRun], pins: Mapping[str, Pin]
-) -> Iterator[Former]:
-    """Yield what new cases may be, renamed: the pins and references that the suite has no more."""
-    names = {case.name for case in cases}
-    told: dict[str | None, tuple[str, ...]] = {}
-    pinned = {pin.reference for pin in pins.values()}
-    for path in [] if names <= pins.keys() else stray_references(suite.parent, cases):
-        pin, names_of = pin_of_reference(path)
-        if pin is not None and pin.reference in pinned:
-            told[pin.reference] = names_of
+) -> Iterator[Baseline]:
+    """Yield the pins and the stored references of no case in the suite."""
+    case_names = {case.name for case in cases}
+    names_by_digest: dict[str | None, tuple[str, ...]] = {}
+    pinned_digests = {pin.reference for pin in pins.values()}
+    has_new_case = not case_names <= pins.keys()
+    for path in stray_references(suite.parent, cases) if has_new_case else []:
+        pin, names = pin_of_reference(path)
+        if pin is not None and pin.reference in pinned_digests:
+            names_by_digest[pin.reference] = names
         elif pin is not None:
             label = f"compared with {plain(path)}, which no case has"
-            yield Former(pin, names_of, label, "remove that file first")
-    for name in [name for name in pins if name not in names]:
+            yield Baseline(pin, names, label, "remove that file first")
+    for name in [name for name in pins if name not in case_names]:
         label = f"compared with {quoted(name)}, which is pinned, but not in the suite"
         way_out = f"{Setting('update')} -k {shlex.quote(plain(name))}"
         way_out = f"remove that from the lock first, with {way_out}"
-        known = (name, *told.get(pins[name].reference, ()))
-        yield Former(pins[name], known, label, way_out, is_pinned=True)
+        names = (name, *names_by_digest.get(pins[name].reference, ()))
+        yield Baseline(pins[name], names, label, way_out, is_pinned=True)
 
 
 class Proposal(NamedTuple):
-    """What an update of a case would do.
+    """The proposed update of a case.
 
-    `result`: the result with what would change, and what would be pinned
-    `reference`: the new reference, to be put in its place; None where it stays
-    `unknown`: why nobody knows how far the attitudes have changed; empty where that is listed
+    `result`: the result, with the changes and the new pin
+    `reference`: the new reference, not yet in its place; None to keep the old one
+    `unmeasured`: why the change of the attitudes cannot be measured; empty if it can
     """
 
     result: CaseResult
     reference: Path | None = None
-    unknown: str = ""
+    unmeasured: str = ""
 
 
 def refuse_target(case: Case, pin: Pin | None, folder: Path) -> None:
@@ -107,59 +111,54 @@ def refuse_target(case: Case, pin: Pin | None, folder: Path) -> None:
 
 
 def propose(
-    case: Case, pin: Pin | None, judged: Judgement, folder: Path, former: Sequence[Former]
+    case: Case, pin: Pin | None, judged: Judgement, folder: Path, orphans: Sequence[Baseline]
 ) -> Proposal:
-    """Return what an update of a case that was judged would do.
+    """Return the proposed update of a judged case.
 
     A case that passes keeps its reference: references that moved a little at every update would
-    drift. It was found to be what this version gives, too.
+    drift. Its attitudes were compared with the reference, so this version has confirmed it.
 
     `folder`: takes the new reference until it is accepted
-    `former`: what the suite has no more, and was pinned: a new case may be that, renamed
     """
-    lasting = tuple(loss_notes(case, judged.run, judged.reference))
-    remarks = tuple(
+    losses = tuple(loss_notes(case, judged.run, judged.reference))
+    new_remarks = tuple(
         f"remark: {text}"
         for code, text in judged.remarks.items()
-        if (pin is None or code not in pin.remarks) and text not in lasting
+        if (pin is None or code not in pin.remarks) and text not in losses
     )
     if pin is not None and judged.result.verdict == "pass":
-        kept = pin._replace(quatprop=__version__, remarks=judged.found.remarks)
-        result = judged.result._replace(notes=lasting, unpinned=(), changes=remarks)
+        kept = pin._replace(quatprop=__version__, remarks=judged.new_pin.remarks)
+        result = judged.result._replace(notes=losses, unpinned=(), changes=new_remarks)
         return Proposal(result._replace(updated="kept", pin=kept))
-    found, target, changes, unknown = judged.found, None, list[str](), ""
-    there = digest_of(case.reference).sha256 if case.reference else None
-    before = [Former(pin)] if pin else _former(case, found, former, there)
+    baselines = [Baseline(pin)] if pin else _baselines_of_new_case(case, judged.new_pin, orphans)
     if case.reference is None:
+        new_pin, target = judged.new_pin, None
         failures = filter(None, [judged.comparison and judged.comparison.failure])
-        result = result_of(case, judged.comparison, "", [*failures], lasting)
+        result = result_of(case, judged.comparison, "", [*failures], losses)
     else:
-        run, every = _rerun(case, judged, folder)
-        if reason := thin(case, run.series, run.samples, run.report.result.span_s):
-            raise QuatpropError(reason)
-        # What cannot be aligned even with itself would never pass.
-        fits = case.comparison.align == "none" and case.comparison.time_offset != "auto"
-        if not fits and (reason := compare_case(case, run.series, run.series).impossible):
-            raise QuatpropError(reason)
         target = folder / "reference.parquet"
-        write_reference(case, run, found.inputs, every, target)
-        found = found._replace(every=every, reference=sha256_of(str(target)))
-        written = f"{len(run.series)} of {run.samples} attitudes in {plain(case.reference)}"
-        result = CaseResult(case.name, "pass", summary=written, notes=lasting)
-    for one in before:
-        changes += [*filter(None, [one.label]), *change_lines(case, one.pin, found, judged.run)]
-        unchanged = pin is not None and pin.reference == found.reference == there
-        if case.reference is not None and not unchanged:
-            lines, why = _of_reference(case, one, judged, found, folder)
-            changes, unknown = [*changes, *lines], unknown or why
-    updated = "updated" if changes else "kept" if before else "new"
-    result = result._replace(updated=updated, changes=(*changes, *remarks))
-    result = result._replace(remarks=tuple(judged.remarks.values()))
-    return Proposal(result._replace(pin=found), target if updated != "kept" else None, unknown)
+        new_pin, summary = _make_reference(case, judged, target)
+        result = CaseResult(case.name, "pass", summary=summary, notes=losses)
+    changes, unmeasured = list[str](), ""
+    is_unchanged = pin is not None and pin.reference == new_pin.reference == _digest_on_disk(case)
+    for baseline in baselines:
+        changes += filter(None, [baseline.label])
+        changes += change_lines(case, baseline.pin, new_pin, judged.run)
+        if case.reference is not None and not is_unchanged:
+            lines, reason = _reference_changes(case, baseline, judged, new_pin, folder)
+            changes, unmeasured = [*changes, *lines], unmeasured or reason
+    updated = "updated" if changes else "kept" if baselines else "new"
+    result = result._replace(
+        updated=updated,
+        changes=(*changes, *new_remarks),
+        remarks=tuple(judged.remarks.values()),
+        pin=new_pin,
+    )
+    return Proposal(result, None if updated == "kept" else target, unmeasured)
 
 
 def put_in_place(case: Case, proposal: Proposal) -> None:
-    """Replace the reference of a case by the one that was proposed."""
+    """Replace the reference of a case by the proposed one."""
     if proposal.reference is not None:
         target = Path(str(case.reference))
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -167,8 +166,22 @@ def put_in_place(case: Case, proposal: Proposal) -> None:
             stream.write(proposal.reference.read_bytes())
 
 
-def _rerun(case: Case, judged: Judgement, folder: Path) -> tuple[CaseRun, int | None]:
-    """Return the run of a case with at most as many attitudes as a reference has, and N."""
+def _make_reference(case: Case, judged: Judgement, target: Path) -> tuple[Pin, str]:
+    """Write a new reference, and return the new pin of the case and a summary."""
+    run, every = _decimated_run(case, judged, target.parent)
+    if reason := too_sparse(case, run.series, run.samples, run.report.result.span_s):
+        raise QuatpropError(reason)
+    # A series that cannot be aligned even with itself would never pass.
+    is_aligned = case.comparison.align != "none" or case.comparison.time_offset == "auto"
+    if is_aligned and (reason := compare_case(case, run.series, run.series).impossible):
+        raise QuatpropError(reason)
+    write_reference(case, run, judged.new_pin.inputs, every, target)
+    pin = judged.new_pin._replace(every=every, reference=sha256_of(str(target)))
+    return pin, f"{len(run.series)} of {run.samples} attitudes in {plain(case.reference)}"
+
+
+def _decimated_run(case: Case, judged: Judgement, folder: Path) -> tuple[CaseRun, int | None]:
+    """Return a run that keeps every N-th attitude, few enough for a reference, and N."""
     if chooses_rows(case):
         return judged.run, None
     # The number of samples is known only after the run.
@@ -177,57 +190,58 @@ def _rerun(case: Case, judged: Judgement, folder: Path) -> tuple[CaseRun, int | 
     return (judged.run if as_judged else propagate_case(case, every, folder)), every
 
 
-def _former(case: Case, found: Pin, former: Sequence[Former], there: str | None) -> list[Former]:
-    """Return with what a new case is compared: what it most likely was, and what it replaces.
+def _baselines_of_new_case(case: Case, new_pin: Pin, orphans: Sequence[Baseline]) -> list[Baseline]:
+    """Return the orphan that the new case most likely is, and the reference file it replaces.
 
-    What has neither its log nor a name in common may be any of those that are pinned.
-
-    `there`: SHA-256 of the file that is where its reference goes
+    If no orphan shares its log or a name with the case, every pinned one is a baseline.
     """
     names = {case.name, Path(case.log).name}
 
-    def likeness(one: Former) -> tuple[bool, bool, bool, float]:
-        old = one.pin
-        same_log = old.inputs.get("log", "") == found.inputs.get("log")
-        same_name = SequenceMatcher(None, one.names[0], case.name).ratio()
-        return same_log, bool(names & {*one.names}), old.options == found.options, same_name
+    def similarity(orphan: Baseline) -> tuple[bool, bool, bool, float]:
+        old = orphan.pin
+        same_log = old.inputs.get("log", "") == new_pin.inputs.get("log")
+        name_ratio = SequenceMatcher(None, orphan.names[0], case.name).ratio()
+        return same_log, bool(names & {*orphan.names}), old.options == new_pin.options, name_ratio
 
-    like = [one for one in former if any(likeness(one)[:2])]
-    chosen = [max(like, key=likeness)] if like else [one for one in former if one.is_pinned]
-    if there is not None and all(one.pin.reference != there for one in chosen):
-        told = pin_of_reference(Path(str(case.reference)))[0] or found
-        chosen.append(Former(told._replace(reference=there)))
+    similar = [orphan for orphan in orphans if any(similarity(orphan)[:2])]
+    if similar:
+        chosen = [max(similar, key=similarity)]
+    else:
+        chosen = [orphan for orphan in orphans if orphan.is_pinned]
+    on_disk = _digest_on_disk(case)
+    if on_disk is not None and all(orphan.pin.reference != on_disk for orphan in chosen):
+        pin = pin_of_reference(Path(str(case.reference)))[0] or new_pin
+        chosen.append(Baseline(pin._replace(reference=on_disk)))
     return chosen
 
 
-def _of_reference(
-    case: Case, before: Former, judged: Judgement, found: Pin, folder: Path
-) -> tuple[list[str], str]:
-    """Return how a new reference differs from the old one, and why that is not known, if it is not.
+def _digest_on_disk(case: Case) -> str | None:
+    """Return the SHA-256 of the reference file of a case; None if there is no file."""
+    return digest_of(case.reference).sha256 if case.reference else None
 
-    `before`: the case as it was pinned, or what it was before it was renamed
-    """
-    path, new, pinned = Path(str(case.reference)), str(found.reference), before.pin.reference
-    there = digest_of(path).sha256
-    was = there if there != new else pinned
-    was_text = f"SHA-256 {was[:DIGITS]}" if was else "missing"
-    lines = [f"reference: {was_text} -> SHA-256 {new[:DIGITS]}"]
-    if pinned == new and there is None:
+
+def _reference_changes(
+    case: Case, baseline: Baseline, judged: Judgement, new_pin: Pin, folder: Path
+) -> tuple[list[str], str]:
+    """Return the changes of a reference, and why they cannot be measured; empty if they can."""
+    path, new, pinned = Path(str(case.reference)), str(new_pin.reference), baseline.pin.reference
+    on_disk = _digest_on_disk(case)
+    replaced = on_disk if on_disk != new else pinned
+    replaced_text = f"SHA-256 {replaced[:DIGITS]}" if replaced else "missing"
+    lines = [f"reference: {replaced_text} -> SHA-256 {new[:DIGITS]}"]
+    if pinned == new and on_disk is None:
         return lines, ""
-    run, old = judged.run, judged.reference
-    if pinned not in {there, new}:
-        suite = Path(case.suite).parent
-        moved = with_content(suite, REFERENCES, pinned) if pinned else None
-        old = read_reference(str(moved)) if moved else None
+    in_place = pinned in {on_disk, new}
+    old = judged.reference if in_place else _find_moved_reference(case, pinned)
     if old is None:
-        why = "could not be read" if pinned == there else "is gone"
-        old_one = f"the old reference {why}" if pinned else "no reference was stored before"
-        distance, share = f"not comparable: {old_one}", 0.0
+        why = "could not be read" if pinned == on_disk else "is gone"
+        reason = f"the old reference {why}" if pinned else "no reference was stored before"
+        distance, share = f"not comparable: {reason}", 0.0
+    elif chooses_rows(case) or not in_place:
+        # The attitude that changed most need not be among those that the case keeps.
+        distance, share = distance_text(propagate_all(case, folder).series, old.series)
     else:
-        if chooses_rows(case) or pinned not in {there, new}:
-            # Of fewer attitudes than there were, the largest change is not the largest.
-            run = propagate_all(case, folder)
-        distance, share = distance_text(run.series, old.series)
+        distance, share = distance_text(judged.run.series, old.series)
     cause = judged.comparison.cause if judged.comparison else ""
     lines.append(f"attitudes: {distance}" + (f"; likely cause: {cause}" if cause else ""))
     if share >= LEAST_COVERED:
@@ -235,9 +249,15 @@ def _of_reference(
     way_out = (
         f"restore the old one, or accept it unseen with {Setting('update')} {Setting('force')}"
     )
-    if before.way_out:
-        way_out += f"; if this is another case, {before.way_out}"
+    if baseline.way_out:
+        way_out += f"; if this is another case, {baseline.way_out}"
     return lines, spelled(
         f"{plain(path)}: the largest change of the attitudes cannot be measured: {distance}; "
         f"{way_out}"
     )
+
+
+def _find_moved_reference(case: Case, digest: str | None) -> LoadedAttitudes | None:
+    """Return the reference with a SHA-256, wherever it is in the folder of the suite."""
+    path = with_content(Path(case.suite).parent, REFERENCES, digest) if digest else None
+    return read_reference(str(path)) if path else None

@@ -112,7 +112,7 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
     from quatprop.check.cases import deleted_cases, load_cases
     from quatprop.check.explain import explain, is_usable
     from quatprop.check.lock import read_lock
-    from quatprop.check.update import former_cases
+    from quatprop.check.update import find_orphans
     from quatprop.cli.check_results import (
         json_report,
         report_deleted,
@@ -132,10 +132,10 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
         pins = read_lock(loaded.lock, anew=updating)
         gone = deleted_cases(all_cases, pins)
         cases = _selected([*all_cases, *gone], options, suite)
-        removed, former = {}, []
+        removed, orphans = {}, []
         if updating:
             removed = _removed(cases, pins, options)
-            former = [*former_cases(loaded.path, all_cases, pins)]
+            orphans = [*find_orphans(loaded.path, all_cases, pins)]
             cases = [case for case in cases if getattr(case, "verdict", "") != "deleted"]
         if options["explain"]:
             click.echo("\n\n".join(explain(case, pins.get(case.name)) for case in cases))
@@ -143,7 +143,7 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
         _refuse_overlap(loaded, all_cases, options["junit"])
         if updating:
             refuse_outside(loaded.lock, loaded.lock.parent)
-        results = run_and_show(loaded, cases, pins, (former, removed), options)
+        results = run_and_show(loaded, cases, pins, (orphans, removed), options)
     code = exit_code(results)
     if options["as_json"]:
         click.echo(json.dumps(json_report(loaded, results, passed=not code), indent=2))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from quatprop.check.case import Case, CaseNotRun, CaseResult
     from quatprop.check.lock import Pin
     from quatprop.check.suite import Suite
-    from quatprop.check.update import Former
+    from quatprop.check.update import Baseline
 
 
 MAX_LISTED = 8
@@ -31,12 +31,12 @@ def run_and_show(
     suite: Suite,
     cases: Sequence[Case | CaseNotRun],
     pins: Mapping[str, Pin],
-    gone: tuple[Sequence[Former], Mapping[str, Pin]],
+    not_in_suite: tuple[Sequence[Baseline], Mapping[str, Pin]],
     options: Any,
 ) -> list[CaseResult]:
     """Run cases, show their results, failures last, and return them.
 
-    `gone`: what the suite has no more, and the pins of that which an update removes
+    `not_in_suite`: orphans, and the pins that an update removes
     """
     from quatprop.check.case import CaseResult
     from quatprop.check.reports import note_lines, totals
@@ -46,8 +46,8 @@ def run_and_show(
     width = max((len(plain(case.name)) for case in cases), default=0)
     run_options = CheckOptions(
         suite=suite if updating else None,
-        former=gone[0],
-        removed=gone[1],
+        orphans=not_in_suite[0],
+        removed=not_in_suite[1],
         dry_run=options["dry_run"],
         force=options["force"],
         confirm=partial(_confirmed, width) if options["interactive"] else None,

@@ -1,1 +1,1 @@
-"""One log from opening it to the committed output and its report."""
+"""Process one log: open it, propagate it, and write the output and a report."""

@@ -1,4 +1,4 @@
-"""The attitudes of one log as a stream, and the report on what happened on the way."""
+"""The attitudes of one log as a stream, and the report on the run."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ if TYPE_CHECKING:
     from quatprop.tables.log import Log
 
     class Observer(Protocol):
-        """Looks at the series that pass, such as a picture in the making."""
+        """Receives the rates and attitudes of a run, for example to plot them."""
 
         def rates(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
             """Yield the rates unchanged, bias and mounting applied."""
 
         def attitudes(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
-            """Yield the attitudes unchanged, at all samples or at the times asked for."""
+            """Yield the attitudes unchanged, at all samples or at the requested times."""
 
         def draw(self, report: RunReport) -> None:
-            """Draw what has passed, with the report on it."""
+            """Draw the data received, with the report."""
 
 
 class AttitudeStream:
@@ -56,8 +56,8 @@ class AttitudeStream:
 
     `path`: the log, for errors and the report
     `log`: the open log, which can be read again; None for rates in memory
-    `observer`: looks at rates and attitudes as they pass
-    `sensitivity`: whether to compute how far the final attitude can be trusted
+    `observer`: receives the rates and the attitudes
+    `sensitivity`: whether to compute the sensitivity and the error of the final attitude
     """
 
     def __init__(  # noqa: PLR0913  # a log, what to do with it, and who looks on
@@ -74,7 +74,7 @@ class AttitudeStream:
         self._path, self._log, self._source, self._settings = path, log, source, settings
         self._observer, self._sensitivity, self._rate = observer, sensitivity, rate
         self._rows = 0
-        # First, since the beginning of the log may be kept until it is read for good.
+        # First, since the beginning of the log may be cached until the main pass.
         read_once = log is not None and str(log.path) == "-"
         self._log_remarks = [] if read_once else log_remarks(log, source, settings.rates)
         chosen_by = "time_col" if isinstance(log, TableLog) else "clock"
@@ -89,7 +89,7 @@ class AttitudeStream:
             settings.conditioning,
             RATES[source.unit],
             conditioning_inputs(log, source, settings.selection, settings.conditioning),
-            # Sorted, samples may belong to the range wherever they are in the log.
+            # With sorting, samples of the range may be anywhere in the log.
             part_reader=None if settings.policy.on_backwards == "sort" else source.part_reader,
             begun=self._checks.begun,
         )
@@ -143,7 +143,7 @@ class AttitudeStream:
             )
 
     def _begin(self, first: GyroSeries) -> Segments:
-        """Return the propagation from the first samples used, at their attitude."""
+        """Return the propagation, which starts at the first of these samples."""
         settings = self._settings
         context = LogContext(
             self._log,
@@ -166,7 +166,7 @@ class AttitudeStream:
         )
 
     def _growth(self) -> ErrorGrowth | None:
-        """Return the growth of the errors, where they are known and wanted."""
+        """Return the growth of the errors; None if they are unknown or not requested."""
         settings, q0 = self._settings, self._q0_covariance
         if self._errors is None or not (self._sensitivity or settings.errors.sigma):
             return None
@@ -185,7 +185,7 @@ class AttitudeStream:
         )
 
     def report(self, *, layout: str | None = None, digest: Digest | None = None) -> RunReport:
-        """Return the report, when all attitudes have passed."""
+        """Return the report, after all attitudes were yielded."""
         settings, source, log = self._settings, self._source, self._log
         counts = self._timeline.counts
         span_s = counts.span_ns * 1e-9
@@ -194,7 +194,7 @@ class AttitudeStream:
             (None, None) if sensitivity is None else sensitivity.angles(final)
         )
         if (earth := settings.earth_rate) is not None:
-            # Of one attitude; the method makes the same difference against either reference.
+            # Only the final attitude: the sensitivities do not depend on the reference frame.
             (final,) = earth.against_ground(
                 final[None], np.array([counts.last_ns]), counts.first_ns or 0
             )
@@ -261,7 +261,7 @@ class AttitudeStream:
         yield from () if self._log is None else self._log.remarks
 
     def _times_left_out(self) -> str:
-        """Say how many of the times asked for have no attitude, and why; nothing if all have."""
+        """Return how many requested times have no attitude, and why; empty if all have one."""
         times, counts = self._times, self._timeline.counts
         if not isinstance(times, Listed) or len(times) <= self._rows:
             return ""
@@ -284,7 +284,7 @@ class AttitudeStream:
 
 
 def _times(settings: PropagationSettings, log: Log | None) -> Times | None:
-    """Return when attitudes are wanted; None is at the samples."""
+    """Return the requested times; None for the times of the samples."""
     if isinstance(settings.at, InMemory):
         at = settings.at.value
         return Listed(np.sort(stamps_of("at", getattr(at, "t_ns", at))))

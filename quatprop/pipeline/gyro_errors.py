@@ -1,4 +1,4 @@
-"""The errors of a gyroscope: from settings, from a file, and from rest; and what they lead to."""
+"""Gyroscope errors from settings, a file and periods at rest, and the resulting uncertainty."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ rad/s^2/sqrt(Hz), and what they are here."""
 
 
 BY_ACCELEROMETER: Final = "accelerometer noise, without its bias and without that of the heading"
-"""Where the standard deviation of a levelled attitude comes from."""
+"""Origin of the standard deviation of a levelled attitude."""
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorSettings:
-    """What is known of a gyroscope's errors, and whether their growth is wanted.
+    """The known errors of a gyroscope, and whether to compute their growth.
 
-    `q0_sigma`: of the first attitude, rad: one number for all axes, or those of roll, pitch, yaw
+    `q0_sigma`: of the first attitude, rad: one number for all axes, or roll, pitch and yaw
     `imu`: a file in YAML with the keys of :data:`IMU_KEYS`; what is given goes before it
-    `sigma`: whether every attitude is to have its standard deviations
+    `sigma`: whether to compute the standard deviations of every attitude
     `sigma_axes`: ``"body"`` or ``"reference"``: the axes of the columns of standard deviations
     """
 
@@ -63,7 +63,7 @@ class ErrorSettings:
             raise UsageError(f"{Setting('sigma_axes')} requires {Setting('sigma')}")
 
     def refuse_unknown_errors(self) -> None:
-        """Refuse to give standard deviations where nothing is known of the gyroscope's errors."""
+        """Refuse to compute standard deviations if no error of the gyroscope is known."""
         known = (self.imu, self.q0_sigma, *(getattr(self, name) for name in SensorErrors._fields))
         if self.sigma and all(value is None for value in known):
             raise UsageError(
@@ -75,7 +75,7 @@ class ErrorSettings:
 
     @property
     def columns_axes(self) -> str | None:
-        """The axes of the columns of standard deviations; None where there are to be none."""
+        """The axes of the columns of standard deviations; None without such columns."""
         return (self.sigma_axes or "body") if self.sigma else None
 
 
@@ -103,10 +103,10 @@ class UncertaintyReport(NamedTuple):
 
 
 class KnownErrors(NamedTuple):
-    """What is known of a gyroscope's errors.
+    """The known errors of a gyroscope.
 
     `origins`: where each of them comes from, as in :class:`UncertaintyReport`
-    `rests`: where the bias is known from; None where it was not taken from a rest
+    `rests`: errors of the bias at rest; None if the bias was not measured at rest
     """
 
     errors: SensorErrors
@@ -117,18 +117,18 @@ class KnownErrors(NamedTuple):
     def of(
         cls, found: Mapping[str, tuple[float, str]], rests: RestErrors | None = None
     ) -> KnownErrors:
-        """Return what was found, as values with their origins."""
+        """Return the errors given by pairs of value and origin."""
         errors = SensorErrors(**{name: value for name, (value, _) in found.items()})
         return cls(errors, {name: origin for name, (_, origin) in found.items()}, rests)
 
 
 def known_errors(settings: ErrorSettings, report: GyroCorrectionReport) -> KnownErrors | None:
-    """Return what is known of a gyroscope's errors; None if that is nothing.
+    """Return the known errors of a gyroscope; None if there are none.
 
-    `report`: has the rests from which the bias was taken. The scatter of n rates over the time T is
-        the noise density N, and N / sqrt(T) what is left of the bias, with what the step of
-        quantised rates hides; where rests differ, it is what they differ by. A rest of one value
-        tells none of it where that step is not known
+    `report`: has the rests that the bias was measured at. The scatter of their rates gives the
+        noise density N; the error of the bias over the time T is N / sqrt(T), with the error due
+        to quantisation, or the difference between rests if that is larger. A rest of one value
+        shows neither, unless the quantisation step is known
     """
     given = {name: getattr(settings, name) for name in SensorErrors._fields}
     found = {name: (value, "given") for name, value in given.items() if value is not None}
@@ -167,15 +167,15 @@ def known_errors(settings: ErrorSettings, report: GyroCorrectionReport) -> Known
 
 
 def noise_density_of(rests: Sequence[StaticPeriod]) -> float:
-    """Return the noise density that rests show, rad/s/sqrt(Hz)."""
+    """Return the noise density at rest, rad/s/sqrt(Hz)."""
     squares = sum(rest.samples * rest.noise_density**2 for rest in rests)
     return math.sqrt(squares / sum(rest.samples for rest in rests))
 
 
 def _walk(rest: StaticPeriod, after: StaticPeriod, sigma: float, sigma_after: float) -> float:
-    """Return the random walk that explains what the means of neighbours differ by, rad/s/sqrt(s).
+    """Return the random walk that explains the difference of two means, rad/s/sqrt(s).
 
-    `sigma`, `sigma_after`: their standard deviations by noise, rad/s
+    `sigma`, `sigma_after`: standard deviations of the means due to noise, rad/s
     """
     apart = float(np.abs(after.mean_rad_s - rest.mean_rad_s).max())
     between_s = (after.first_ns - rest.last_ns) / NS_PER_S
@@ -188,10 +188,10 @@ def uncertainty_report(
     growth: ErrorGrowth,
     settings: ErrorSettings,
 ) -> UncertaintyReport:
-    """Return what known errors have led to at the last sample.
+    """Return the uncertainty of the attitude at the last sample.
 
-    `q0`: covariance of the initial attitude about body axes, shape ``(3, 3)``, rad^2, where it is
-        known
+    `q0`: covariance of the initial attitude about body axes, shape ``(3, 3)``, rad^2; None if
+        unknown
     """
     errors, origins = known.errors, dict(known.origins)
     walk = 0.0 if known.rests is None else float(known.rests.walk.max(initial=0.0))
@@ -213,10 +213,10 @@ def uncertainty_report(
 
 
 def read_imu(path: str) -> dict[str, float]:
-    """Return the errors that a file states, by their names in :class:`ErrorSettings`.
+    """Return the errors listed in a file, by their names in :class:`ErrorSettings`.
 
-    `path`: a file as Kalibr's ``imu.yaml`` or EuRoC's ``sensor.yaml``, its keys at the top or, as
-        in Kalibr's results, below the name of the only IMU
+    `path`: a file like Kalibr's ``imu.yaml`` or EuRoC's ``sensor.yaml``; its keys may be below
+        the name of a single IMU, as in the results of Kalibr
     """
     content = read_yaml("imu", path)
     blocks = [content, *content.values()]

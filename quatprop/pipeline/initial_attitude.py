@@ -1,4 +1,4 @@
-"""The attitude to begin from: given, from gravity, from the log itself, or from another series."""
+"""The initial attitude: given, from gravity, from the log itself, or from another series."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ LEVEL_NS = 1_000_000_000
 """Gravity is averaged over this time from the first sample on."""
 
 ROUNDING = 1e-12
-"""A scatter of this share of the mean is none."""
+"""Scatter relative to the mean that is due to rounding alone."""
 
 STEADY = 0.05
-"""Specific force that scatters by more than this share of its mean is not gravity alone."""
+"""Largest scatter of the specific force at rest, relative to its mean."""
 
 
 @dataclass(frozen=True, slots=True)
 class InitialAttitude:
-    """Where a propagation begins.
+    """The initial attitude of a propagation, or its source.
 
     `source`: ``"level"``, ``"log"``, or an attitude series: a path, a topic of the log or a series
         in memory; ``""`` for `wxyz`
-    `wxyz`: the attitude body -> reference, where it is given
+    `wxyz`: the attitude body -> reference, if it is given
     `heading`: for ``"level"``: rotation about the z axis of the reference frame, rad
     `down`: for ``"level"``: whether the reference's z axis points down, as in north-east-down
     """
@@ -58,7 +58,7 @@ class InitialAttitude:
 
     @property
     def origin(self) -> str:
-        """Where the attitude comes from, for the report."""
+        """The origin of the attitude, for the report."""
         if self.source == "level":
             axis = "down" if self.down else "up"
             return f"level, reference z {axis}, heading {math.degrees(self.heading):.6g} deg"
@@ -77,14 +77,14 @@ class InitialAttitude:
 
 
 class LogContext(NamedTuple):
-    """The log that is propagated, and how.
+    """The log of a propagation, and its settings.
 
     `log`: open, and able to be read again; None for rates in memory
-    `mount`: sensor axes to body axes, shape ``(3, 3)``, for accelerometer and orientation too; None
-        for the same
-    `in_order`: whether samples are used in the order of the log, not sorted
-    `first_ns`: the stamp in the log of the first sample that is propagated, ns; None where it has
-        kept it
+    `mount`: sensor axes to body axes, shape ``(3, 3)``, also for accelerations and orientations;
+        None if they are equal
+    `in_order`: whether samples are used in the order of the log, without sorting
+    `first_ns`: the original timestamp of the first sample that is propagated, ns; None if it was
+        not changed
     """
 
     log: Log | None
@@ -96,11 +96,11 @@ class LogContext(NamedTuple):
 
 
 class FirstAttitude(NamedTuple):
-    """The attitude to begin from.
+    """The initial attitude and its uncertainty.
 
     `wxyz`: unit quaternion body -> reference, shape ``(4,)``
-    `noise`: variances of roll, pitch and yaw by the noise of what it was measured with, rad^2; None
-        where that is not known
+    `noise`: variances of roll, pitch and yaw due to measurement noise, rad^2; None if they are not
+        known
     """
 
     wxyz: Float64
@@ -109,8 +109,8 @@ class FirstAttitude(NamedTuple):
     def covariance(self, sigma: tuple[float, ...] | None) -> Float64 | None:
         """Return the covariance of small rotations about body axes, ``(3, 3)``, rad^2, if known.
 
-        `sigma`: standard deviation about every axis, or those of roll, pitch and yaw, rad, where
-            they are given
+        `sigma`: standard deviation about every axis, or those of roll, pitch and yaw, rad; None
+            if not given
         """
         if sigma is not None and len(sigma) == 1:
             return sigma[0] ** 2 * np.eye(3)
@@ -119,7 +119,7 @@ class FirstAttitude(NamedTuple):
             return None
         turn = rotation_matrix(self.wxyz)
         roll = math.atan2(turn[2, 1], turn[2, 2])
-        # The axes of roll, pitch and yaw as seen from the body.
+        # The axes of roll, pitch and yaw in body axes.
         axes = np.array([[1, 0, 0], [0, math.cos(roll), -math.sin(roll)], turn[2]])
         return np.asarray(axes.T * variances @ axes)
 
@@ -129,27 +129,27 @@ def first_attitude(
 ) -> FirstAttitude:
     """Return the attitude at the first sample that is propagated.
 
-    `first`: the first samples that are propagated, in body axes: those that the timestamp handling
-        leaves, so that the attitude is that of the first one
+    `first`: the first samples that are propagated, in body axes, after the handling of their
+        timestamps
     """
     first_ns = int(first.t_ns[0])
-    # What is beside the rates has their stamps.
+    # Other data in the messages of the rates have the original timestamps.
     logged_ns = first_ns if context.first_ns is None else context.first_ns
     if wanted.source == "level" and context.log is not None:
         _refuse_motion(first, context.log)
         force, variance = _force(context.log, context, logged_ns)
         force = force if context.mount is None else context.mount @ force
         wxyz = level(force, wanted.heading, down=wanted.down)
-        # Accelerations that do not change are those of a coarse sensor, not of an exact one.
+        # Constant accelerations are due to a coarse sensor, not an exact one.
         known = variance > ROUNDING**2 * float(force @ force)
         return FirstAttitude(wxyz, _level_noise(force, variance) if known else None)
     return FirstAttitude(_given(wanted, context, first_ns, logged_ns))
 
 
 def _given(wanted: InitialAttitude, context: LogContext, first_ns: int, logged_ns: int) -> Float64:
-    """Return an attitude that is given, or that the log or another series has at a stamp.
+    """Return the given attitude, or that of the log or of another series at a timestamp.
 
-    `logged_ns`: that stamp in the log
+    `logged_ns`: the original timestamp in the log
     """
     if not wanted.source:
         return unit_q0(wanted.wxyz)
@@ -171,12 +171,12 @@ def _given(wanted: InitialAttitude, context: LogContext, first_ns: int, logged_n
 
 
 def level(force: Float64, heading: float, *, down: bool) -> Float64:
-    """Return the attitude of a body at rest from the specific force it feels.
+    """Return the attitude of a body at rest from its specific force.
 
     `force`: specific force in body axes, shape ``(3,)``, any unit; at rest it points up
     `heading`: rotation about the z axis of the reference frame, rad, applied last
-    `Returns`: wxyz, body -> reference, shape ``(4,)``: the shortest turn that brings the force
-        upright in roll and pitch, then the heading
+    `Returns`: wxyz, body -> reference, shape ``(4,)``: the roll and pitch that bring the force
+        upright, then the heading
     """
     x, y, z = -force if down else force
     roll, pitch = math.atan2(y, z), math.atan2(-x, math.hypot(y, z))
@@ -188,10 +188,10 @@ def _level_noise(force: Float64, variance: float) -> tuple[float, float, float]:
     """Return the variances of roll, pitch and yaw of :func:`level`, rad^2.
 
     `force`: mean specific force in body axes, shape ``(3,)``, any unit
-    `variance`: of each of its components, by noise
+    `variance`: of each of its components, due to noise
     """
     _, y, z = force
-    # Where the x axis is upright, any roll is as good.
+    # With the x axis upright the roll is undetermined.
     roll = variance / max(y * y + z * z, variance * 3 / math.pi**2) if variance else 0.0
     return roll, variance / float(force @ force), 0.0
 
@@ -210,9 +210,9 @@ def _refuse_motion(first: GyroSeries, log: Log) -> None:
 
 
 def _force(log: Log, context: LogContext, first_ns: int) -> tuple[Float64, float]:
-    """Return the mean specific force over the first second from a stamp on, shape ``(3,)``.
+    """Return the mean specific force over the second from a timestamp on, shape ``(3,)``.
 
-    And the variance of its components by noise.
+    The second value is the variance of its components due to noise.
     """
     from quatprop.logs.beside_rates import specific_forces
 

@@ -1,4 +1,4 @@
-"""One log to one attitude file; the command line, batches and suites all come through here."""
+"""Make one attitude file from one log, for the command line, batches and suites alike."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ if TYPE_CHECKING:
 
 
 ATTEMPTS = 3
-"""How often a log is read that is replaced meanwhile."""
+"""How often a log is read if it is replaced meanwhile."""
 
 SMALL_BYTES = 1 << 18
-"""A smaller log is not worth a thread."""
+"""Logs below this size, bytes, are processed without further threads."""
 
 
 class Job(NamedTuple):
-    """What to do with one log.
+    """A log, the settings of its propagation, and its output.
 
     `log`: path of the log, or ``"-"`` for CSV on stdin
     `more`: further files of the same recording, read as one log with it
-    `known_as`: returns what the output calls some files, the first of which is the log, so that it
-        has the same bytes wherever it is made; None for their paths, with digests
+    `known_as`: returns the names of files in the output, the first of which is the log, so that
+        the output does not depend on their location; None for their paths, with digests
     """
 
     log: str
@@ -64,12 +64,12 @@ class Job(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What errors and reports call the log."""
+        """The name of the log in errors and reports."""
         return " + ".join(self.paths)
 
 
 def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> RunReport:
-    """Propagate one log and write its attitude series; one that is replaced meanwhile, again."""
+    """Propagate one log and write its attitude series; try again if it is replaced meanwhile."""
     for _ in range(ATTEMPTS - 1):
         with suppress(ReplacedError):
             return _run(job, observer, summary=summary)
@@ -105,7 +105,7 @@ def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
             open_output(output, log, settings.errors.columns_axes) as writer,
         ):
             report = _written(stream, writer, job, log)
-            # Everything that can fail comes before the first output is put in its place.
+            # Everything that can fail precedes the publication of the first output.
             writer.finish(_provenance(report, job))
             report = replace(report, seconds=time.perf_counter() - began)
             if output.report is not None:
@@ -119,7 +119,7 @@ def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
 
 
 def _provenance(report: RunReport, job: Job) -> JsonObject:
-    """Return what the output says of how it was made."""
+    """Return the provenance that the output contains."""
     if job.known_as is None:
         return report.as_json()
     named = filter(None, [*job.settings.inputs.values(), job.settings.selection.msg_path])
@@ -152,7 +152,7 @@ def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log)
 
 
 def _as_logged(attitudes: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
-    """Yield sorted attitudes in the order in which their messages were logged, all at once."""
+    """Yield all attitudes as one series, in the order in which their messages were logged."""
     parts = list(attitudes)
     if parts:
         series = AttitudeSeries.joined(parts)
@@ -160,7 +160,7 @@ def _as_logged(attitudes: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
 
 
 def with_format(output: OutputSettings, log: Log) -> OutputSettings:
-    """Return where attitudes of a log go, with the format and the order of its columns."""
+    """Return the settings of an output with its format and the order of its columns."""
     if output.into:
         from quatprop.log_copy import copy_kind
 
@@ -171,7 +171,7 @@ def with_format(output: OutputSettings, log: Log) -> OutputSettings:
 
 
 def _is_small(log: str) -> bool:
-    """Tell whether a log is read before other threads would have started."""
+    """Return whether reading a log takes less time than starting threads."""
     return os.path.isfile(log) and os.path.getsize(log) < SMALL_BYTES  # noqa: PTH113, PTH202
 
 
@@ -180,7 +180,7 @@ def open_output(
     log: Log,
     sigma: str | None = None,
 ) -> AttitudeWriter:
-    """Open a file of attitudes, or a copy of the log to which they are added."""
+    """Open a file of attitudes, or a copy of the log that they are added to."""
     if output.into:
         from quatprop.log_copy import open_into
 
@@ -200,7 +200,7 @@ def _refuse_contradictions(job: Job) -> None:
     settings, output = job.settings, job.output
     if not output.into:
         layout_of(output.kind, output.layout)
-    if job.known_as is None:  # a batch has looked at all its logs and outputs together
+    if job.known_as is None:  # a batch has checked all its logs and outputs together
         refuse_overlap([*job.paths, *settings.inputs.values()], [output.path, output.report])
     if settings.needs_second_read and is_stream(job.log):
         raise UsageError(

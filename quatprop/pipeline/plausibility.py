@@ -1,7 +1,7 @@
-"""Plausibility of rates: what looks wrong is reported, never corrected.
+"""Plausibility of rates: implausible data are reported, never corrected.
 
 Rates in the wrong unit, frozen, or clipped by the sensor's range give a series of wrong attitudes
-that looks right. Nothing here changes a sample; each finding is one sentence with the way out.
+that looks right. No sample is changed here; each finding is one sentence with the way out.
 """
 
 from __future__ import annotations
@@ -34,31 +34,31 @@ if TYPE_CHECKING:
 Series = TypeVar("Series", GyroSeries, AttitudeSeries)
 
 COMPARED_SAMPLES = 20_000
-"""Rates are compared with the log's own orientation over so many samples from its beginning."""
+"""Samples from the beginning of the log that are compared with its own orientation."""
 
 AGREEING_SAMPLES = 2_000
-"""So many are enough where both move and agree, or where there is no valid orientation."""
+"""Enough samples if both move and agree, or if no orientation is valid."""
 
 COMPARED_SPAN_NS = 1_000_000_000
 """Rotations are compared over this time: long enough for noise, short enough for drift."""
 
 MOVING = math.radians(1.0)
-"""rad: an orientation that rotates less than this in that time shows nothing."""
+"""rad: an orientation that rotates less than this in that time is not compared."""
 
 OFF_SCALE = 20.0
-"""A factor beyond this between rates and orientation is a unit (180/pi = 57.3), not a drift."""
+"""A larger ratio of rates and orientation is due to the unit (180/pi = 57.3), not to drift."""
 
 FARTHEST = 57.3**2 / OFF_SCALE
-"""So far beyond 180/pi as :data:`OFF_SCALE` is below it; beyond that, it is no unit."""
+"""As far above 180/pi as :data:`OFF_SCALE` is below it; a larger ratio is not due to the unit."""
 
 OTHER_CLOCK_NS = 3_600_000_000_000
-"""Stamps further from the time of recording are of another clock, not delayed."""
+"""Timestamps further from the time of recording are of another clock, not delayed."""
 
 
 def log_remarks(log: Log | None, source: RateSignal, rates: str = "body") -> list[Remark]:
     """Return remarks on the stamps, the frames, and the orientation beside the rates.
 
-    `log`: None for rates in memory, beside which there is nothing
+    `log`: None for rates in memory
     `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
     """
     if log is None:
@@ -71,11 +71,11 @@ def log_remarks(log: Log | None, source: RateSignal, rates: str = "body") -> lis
 
 
 def frame_remarks(source: RateSignal) -> list[Remark]:
-    """Return a remark if the frames of the first messages are those of several sensors."""
+    """Return a remark if the first messages have the frames of several sensors."""
     try:
         frames = [*dict.fromkeys(sensor_frames(source))]
     except QuatpropError:
-        return []  # of messages that are encapsulated in a way of which no names are read
+        return []  # for encapsulations whose names cannot be read
     if len(frames) < 2:  # noqa: PLR2004  # several
         return []
     said = (
@@ -107,7 +107,7 @@ def stamp_remarks(source: RateSignal) -> list[Remark]:
 
 
 def orientation_remarks(log: Log, source: RateSignal, rates: str = "body") -> list[Remark]:
-    """Return remarks on the rates, compared with the orientation beside them, if there is one."""
+    """Return remarks on a comparison of the rates with the orientation in the log, if any."""
     topic = next((match.table.name for match in source.matches), None) or None
     try:
         own = choose_attitudes(log, AttitudeSelection(topic=topic))
@@ -136,7 +136,7 @@ def against_orientation(
 
     `batches`: rates from the beginning of the log, rad/s
     `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved
-    `unit`: in which they are stored
+    `unit`: their unit in the log
     """
     gyro: list[GyroSeries] = []
     own: list[AttitudeSeries] = []
@@ -151,7 +151,7 @@ def against_orientation(
         by_rates, by_orientation = moved
         if min(moved) > MOVING and max(moved) < OFF_SCALE * min(moved):
             return None
-    # Of rates that are all zero that is what is said. An orientation that stands still was never
+    # Rates that are all zero have their own remark. An orientation that never changes was not
     # estimated: many drivers leave it at identity.
     if by_rates and by_orientation > MOVING and by_orientation > OFF_SCALE * by_rates:
         times, what = by_orientation / by_rates, "the log's own orientation rotates {} its rates"
@@ -166,7 +166,7 @@ def against_orientation(
 
 
 def _rotations(gyro: GyroSeries, own: AttitudeSeries, rates: str) -> tuple[float, float]:
-    """Return how far rates and orientations rotate in the time compared, RMS, rad; 0 if unknown."""
+    """Return RMS rotations of rates and orientations in the time compared, rad; 0 if unknown."""
     stamps, places, own_places = np.intersect1d(gyro.t_ns, own.t_ns, return_indices=True)
     if not np.isfinite(gyro.rate).all() or (np.diff(gyro.t_ns) < 0).any():
         return 0.0, 0.0
@@ -179,7 +179,7 @@ def _rotations(gyro: GyroSeries, own: AttitudeSeries, rates: str) -> tuple[float
 
 
 def _extend(read: list[Series], batches: Iterator[Series], samples: int) -> None:
-    """Read batches until there are so many samples."""
+    """Read batches until they have a number of samples."""
     while sum(map(len, read)) < samples and (batch := next(batches, None)) is not None:
         read.append(batch)
 
@@ -187,7 +187,7 @@ def _extend(read: list[Series], batches: Iterator[Series], samples: int) -> None
 def _beginning(
     batches: Iterable[tuple[Int64, Float64]], checked: QuaternionCounts
 ) -> Iterator[tuple[Int64, Float64]]:
-    """Yield the rows that are compared: few where none of them is valid."""
+    """Yield the rows that are compared, fewer if none of them is valid."""
     for batch in batches:
         yield batch
         if checked.read >= (COMPARED_SAMPLES if checked.used else AGREEING_SAMPLES):

@@ -1,7 +1,7 @@
-"""Plausibility of rates as they pass: units, frozen, held or saturated samples, slow sampling.
+"""Plausibility of rates: units, frozen, held or saturated samples, and a low sample rate.
 
 Rates in the wrong unit, frozen, or clipped by the sensor's range give attitudes that look right.
-Nothing here changes a sample; each finding is one sentence.
+No sample is changed here; each finding is one sentence.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ WIDEST_RANGE = math.radians(4000.0)
 """rad/s: no common gyroscope measures more."""
 
 FROZEN_SAMPLES = 100
-"""This many equal rates come from no working sensor: it would have noise."""
+"""This many equal rates do not come from a working sensor, which would have noise."""
 
 STEP_LIMIT = math.radians(30.0)
 """rad: a larger rotation between two samples is too large for any integration rule."""
 
 UNRESOLVED = 0.15
-"""Share of the variance by which neighbouring samples differ: the motion between them is unknown.
-White noise has 1."""
+"""Variance of the difference of neighbouring samples, relative to white noise, above which the
+motion between them is unknown."""
 
 UNRESOLVED_STEP = math.radians(1.0)
-"""rad: RMS difference between neighbouring rates, times their interval, that is not just noise."""
+"""rad: RMS difference of neighbouring rates, times their interval, that exceeds mere noise."""
 
 MIN_NEIGHBOURS = 20
-"""Fewer samples say nothing of the motion between them."""
+"""Fewest samples for a remark on the motion between them."""
 
 LARGEST_SUM = 1e100
-"""Larger sums of squares, (rad/s)^2, come from damaged numbers, and would hide all others."""
+"""Larger sums of squares, (rad/s)^2, come from damaged numbers and are left out."""
 
 AT_REST = 0.2
 """rad/s: the largest rate that may be the bias of a sensor at rest."""
@@ -55,31 +55,31 @@ TURNING = 0.1
 """rad/s: a body that turns faster has no two equal rates in a row, unless samples are held."""
 
 MAYBE_HELD = 0.05
-"""Share of equal neighbours on one axis from which all three are compared."""
+"""Share of equal neighbours on one axis above which all three are compared."""
 
 HELD = 0.2
-"""Share of rows that repeat the row before, while the body turns, that is remarked on."""
+"""Smallest share of repeated rows, while the body turns, that causes a remark."""
 
 MOST_JUMPS = 1000
-"""So many changes after a repeated row are looked at."""
+"""Most changes after a repeated row that are examined."""
 
 FEW_JUMPS = 27
-"""Rounded rates change by a step up, down or not at all on each of three axes."""
+"""Ways in which rounded rates change: a step up, down or none on each of three axes."""
 
 DISTINCT = 0.2
-"""Share of those changes, beyond :data:`FEW_JUMPS`, that differ where samples are held."""
+"""Share of distinct changes, beyond :data:`FEW_JUMPS`, above which samples are held."""
 
 LONGEST_HOLD = 20
-"""Rows, on average: rates that stay the same for longer are constant, not held."""
+"""Rows, on average: rates that do not change for longer are constant, not held."""
 
 MIN_HELD = 100
-"""Fewer repeated rows are not remarked on."""
+"""Fewest repeated rows that cause a remark."""
 
 _COLUMN = 16_384
 """Samples checked together."""
 
 _OVERLAP = HAS_RUN - 1
-"""Samples that are looked at again with those that follow."""
+"""Samples that are checked again with those that follow."""
 
 
 SENSITIVITIES = (
@@ -87,24 +87,24 @@ SENSITIVITIES = (
     *(1 / per_deg_s for per_deg_s in (131, 131.2, 65.5, 65.6, 32.8, 16.4)),
     *(0.004375, 0.00875, 0.0175, 0.035, 0.07),
 )
-"""deg/s in a step of common gyroscopes: of a range in 16 bits, InvenSense's and ST's."""
+"""Steps of common gyroscopes, deg/s: a range in 16 bits, then those of InvenSense and of ST."""
 
 SAME_STEP = 2e-4
-"""Steps that differ by less than this share are the same: sensitivities are given in few digits."""
+"""Largest relative difference of equal steps: data sheets give few digits."""
 
 STEPPED = 10_000
-"""Samples whose step is looked at."""
+"""Number of samples whose step is determined."""
 
 _DEG = math.radians(1.0)
 
 
 class RateChecks:
-    """Checks rates as they pass.
+    """Checks rates while they are read.
 
     The findings do not depend on where batches end.
 
-    `unit`: of the rates in the log, in which they are shown
-    `is_given`: whether it is the user who says so
+    `unit`: unit of the rates in the log and in remarks
+    `is_given`: whether the user gave the unit
     """
 
     def __init__(self, unit: str = "rad/s", *, is_given: bool = False) -> None:
@@ -114,14 +114,14 @@ class RateChecks:
         self._saturation = Saturation()
         self._samples = 0
         self._last = np.empty((3, 0))
-        # Sums over neighbouring samples, per axis: rate, square, product; and how many.
+        # Sums over neighbouring samples, per axis: rate, square, product; and their number.
         self._sums, self._neighbours = np.zeros((3, 3)), 0
         self._repeated = self._different = 0
         self._jumps = np.empty((3, 0))
         self._stored = np.empty((3, 0))
 
     def begun(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield the samples as the log has them, and hold the first, whose steps are looked at."""
+        """Yield the samples of the log, and keep the first, whose steps are determined."""
         for batch in batches:
             if (room := STEPPED - self._stored.shape[1]) > 0:
                 self._stored = np.concatenate([self._stored, batch.rate[:room].T], axis=1)
@@ -166,7 +166,7 @@ class RateChecks:
     def _add_motion(self, columns: Float64) -> None:
         before, after = columns[:, :-1], columns[:, 1:]
         # einsum does not start threads, as dot would for so many.
-        # Rates that are not finite, or whose squares are not, are left out below.
+        # Rates that are not finite, or whose squares overflow, are left out below.
         with np.errstate(invalid="ignore", over="ignore"):
             squares, products = (np.einsum("ij,ij->i", rows, after) for rows in (after, before))
             sums = np.stack([after.sum(axis=1), squares, products], axis=1)
@@ -175,14 +175,14 @@ class RateChecks:
             self._neighbours += after.shape[1]
 
     def _repeats(self, columns: Float64, begin: int) -> Bool | None:
-        """Return which rows repeat the row before; None where hardly any does."""
+        """Return which rows repeat the row before; None if hardly any does."""
         equal = columns[0, 1:] == columns[0, :-1]
         if np.count_nonzero(equal) <= MAYBE_HELD * len(equal):
             return None
         for column in columns[1:]:
             equal &= column[1:] == column[:-1]
         counted = np.abs(columns).max(axis=0) > TURNING
-        # Rates that are clipped stay the same as well.
+        # Clipped rates do not change, either.
         for limit in (self._highest, self._lowest):
             wide = np.abs(limit) >= SMALLEST_RANGE
             counted &= (columns[wide] != limit[wide, None]).all(axis=0)
@@ -234,7 +234,7 @@ class RateChecks:
         return [*remarks, *saturated]
 
     def _beyond_range(self, largest: float) -> str:
-        """Return what is said of rates that are too large: another unit is advised once."""
+        """Return the remark on rates that are too large, with advice on the unit."""
         name, factor = self._unit
         question = f", in {name} as given: is that right?"
         if not self._is_given:
@@ -244,10 +244,10 @@ class RateChecks:
         return f"rates up to {largest / factor:.4g} {name} are beyond any gyroscope{question}"
 
     def _hold(self) -> float:
-        """Return for how many rows a sample is held, on average; 1 where none is."""
+        """Return the mean number of rows for which a sample is held; 1 if none is."""
         hold = 1 + self._repeated / max(self._different, 1)
         enough = self._repeated >= MIN_HELD and 1 - 1 / hold >= HELD
-        # Of rounded rates many are equal, too: what tells them is by how much the others change.
+        # Rounded rates are often equal, too, but have few distinct changes.
         sizes = np.abs(self._jumps)
         step = np.where(sizes > 0, sizes, np.inf).min(axis=1, initial=np.inf, keepdims=True)
         ways = len({*zip(*np.rint(2 * self._jumps / step).tolist(), strict=True)})
@@ -255,7 +255,7 @@ class RateChecks:
         return hold if enough and hold <= LONGEST_HOLD else 1.0
 
     def _slow(self, largest_step: float, interval: float) -> Iterator[Remark]:
-        """Yield a remark where the motion between samples is unknown."""
+        """Yield a remark if the motion between samples is unknown."""
         if largest_step > STEP_LIMIT:
             yield Remark(
                 "too-slow",
@@ -279,14 +279,14 @@ class RateChecks:
 
 
 def _interval_s(counts: Counts) -> float | None:
-    """Return the usual interval, s: where several samples share a stamp, that of the samples."""
+    """Return the usual interval, s; the mean one if several samples share a timestamp."""
     if counts.median_dt_ns is None:
         return None
     return min(counts.median_dt_ns, counts.span_ns / max(counts.used - 1, 1)) / NS_PER_S
 
 
 def other_unit(unit: str, *, are_too_large: bool) -> str:
-    """Return which unit rates are in that are too large or too small by 180/pi."""
+    """Return the likely unit of rates that are too large or too small by 180/pi, as advice."""
     other, scale = ("deg/s", "180/pi") if are_too_large else ("rad/s", "pi/180")
     if other == unit:
         return f"were they scaled by {scale} once too often?"

@@ -1,4 +1,4 @@
-"""What a run reports: the summary, the JSON report and the metadata of outputs are made from it."""
+"""The report of a run, for the summary, the JSON report and the metadata of outputs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CONVENTION = {
     "inertial": "rates resolved in the reference frame; q[k+1] = dq[k] * q[k]",
     "step": "dq = cos(|w| dt / 2) + w/|w| sin(|w| dt / 2)",
 }
-"""The convention as every output states it."""
+"""The convention in every output."""
 
 
 class SourceReport(NamedTuple):
@@ -56,9 +56,9 @@ class SourceReport(NamedTuple):
 
 
 def digests_of_inputs(inputs: Mapping[str, str], log: Log | None) -> dict[str, Digest]:
-    """Return what the files held that were read beside a log, by path.
+    """Return the digests of the files that were read besides a log, by path.
 
-    `log`: says where it has message definitions from; None for rates in memory
+    `log`: has the source of its message definitions; None for rates in memory
     """
     definitions = () if log is None else map(str, log.definition_files)
     paths = sorted((*inputs.values(), *definitions))
@@ -183,7 +183,7 @@ class RunReport:
     seconds: float | None = None
 
     def __repr__(self) -> str:
-        # All of it is pages long; as_json() has it.
+        # The whole report is pages long; as_json() has it.
         result, method = self.result, self.convention.method
         noted = f", {len(self.remarks)} remarks" * bool(self.remarks)
         lost = ", data lost" * self.data_lost
@@ -219,7 +219,7 @@ class RunReport:
 
 
 def _renamed(value: Any, names: Sequence[tuple[str, str]]) -> Any:
-    """Return JSON in which files have other names, in sentences, too."""
+    """Return JSON in which files are renamed, even in sentences."""
     if isinstance(value, dict):
         return {_renamed(key, names): _renamed(item, names) for key, item in value.items()}
     if isinstance(value, list):
@@ -231,14 +231,14 @@ def _renamed(value: Any, names: Sequence[tuple[str, str]]) -> Any:
 
 
 def convention_of(layout: str) -> JsonObject:
-    """Return the metadata of attitudes of which nothing is known but what their numbers mean."""
+    """Return the metadata of attitudes of which only the convention is known."""
     stated = ("product", "attitude")
     convention = {name: CONVENTION[name] for name in stated} | {"layout": layout}
     return {"quatprop": __version__, "convention": convention}
 
 
 class ReportFile:
-    """A report as JSON, put in its place only when everything else is.
+    """A report as JSON, published only after everything else.
 
     `target`: a path, ``"-"`` for stdout, or None for nowhere
     """
@@ -254,7 +254,7 @@ class ReportFile:
             self._output.finish()
 
     def publish(self) -> None:
-        """Put the report in its place."""
+        """Publish the report."""
         if self._output is not None:
             self._output.publish()
 

@@ -1,4 +1,4 @@
-"""Saturated rates: samples at the end of a sensor's range, also where a calibration spread them."""
+"""Saturated rates: samples at the end of a sensor's range, even if a calibration spread them."""
 
 from __future__ import annotations
 
@@ -19,40 +19,40 @@ SMALLEST_RANGE = math.radians(125.0)
 """rad/s: the narrowest range of common gyroscopes; smaller extremes are not saturation."""
 
 HAS_RUN = 3
-"""This many neighbouring samples at exactly the same extreme are no coincidence."""
+"""This many neighbouring samples at exactly the same extreme are not a coincidence."""
 
 HIGHEST = 64
-"""Values next to the extreme that are counted, to tell saturation from a rounded peak."""
+"""Values next to the extreme that are counted, to distinguish saturation from a peak."""
 
 NEXT_STEPS = 10.5
-"""A smooth peak of quantised values has more samples within so many steps below its top than at its
-top: of the parabola y = -x^2, 2.3 times as many are from -11 to -1 as are above -1. Where at least
-half as many are there as at the extreme, with :data:`HAS_RUN` more or less by noise, it is one."""
+"""A quantised smooth peak has more samples within this many steps below its top than at the top:
+the parabola y = -x^2 has 2.3 times as many from -11 to -1 as above -1. An extreme with at least
+half as many there, allowing :data:`HAS_RUN` samples for noise, is such a peak."""
 
 TOP = 0.95
 """Samples above this share of the extreme are at the end of the range. Calibration with scale
-factors and misalignments spreads what the sensor clipped over a few percent."""
+factors and misalignments spreads clipped samples over a few percent."""
 
 BELOW = 0.75
 """Samples between this share and :data:`TOP` are below it. A stay at the end lasts until a sample
 is further below."""
 
 PILED_UP = 1.8
-"""So many more samples at the end than below it are piled up there: a smooth motion whose peaks
-are all equal, as a sine's, has fewer at the end, 0.8 times as many."""
+"""Ratio of samples at the end to those below it above which they are piled up: a smooth motion
+with equal peaks, such as a sine, has 0.8."""
 
 MIN_AT_END = 20
-"""Fewer samples at the end are not piled up."""
+"""Fewest samples at the end that count as piled up."""
 
 MIN_STAYS = 2
-"""Fewer stays at the end are not remarked on, unless they are short: the body may have turned
+"""Fewest stays at the end that cause a remark, unless they are short: the body may have turned
 steadily there."""
 
 MIN_PLATEAU = 3.0
 """Samples, on average, of such a stay."""
 
 SHORT_S = 0.1
-"""No stay that is as short as this is a steady rotation."""
+"""Shorter stays are not a steady rotation."""
 
 LONGEST_S = 2.0
 """Longer stays, on average, are a steady rotation."""
@@ -62,26 +62,26 @@ MOST_AT_END = 0.5
 
 
 class Saturation:
-    """Counts samples at the ends of the range of each axis, as they pass."""
+    """Counts samples at the ends of the range of each axis."""
 
     def __init__(self) -> None:
-        # Sides in rows: + and -, as the largest of the rates and of their negatives.
+        # Rows: the maxima of the rates, then of the negated rates.
         self._limits = np.full((2, 3), -np.inf)
-        # With held samples, and without what repeats the sample before.
+        # With and without repeated samples.
         self._runs = np.zeros((2, 2, 3), dtype=np.bool_)
-        # At the end, below it, stays at the end; and whether the last sample is of a stay.
+        # Samples at the end and below it, and stays; whether the last sample is in a stay.
         self._counts = np.zeros((2, 3, 3), dtype=np.int64)
         self._stays = np.zeros((2, 3), dtype=np.bool_)
-        # The highest values, rising, and how many samples have each.
+        # The highest values, ascending, and the number of samples with each.
         self._highest = {(side, axis): np.zeros((2, 0)) for side in (0, 1) for axis in range(3)}
 
     def add(
         self, columns: Float64, old: int, reached: tuple[Float64, Float64], repeats: Bool | None
     ) -> None:
-        """Look at samples that follow.
+        """Add samples.
 
         `columns`: rates of the three axes, shape ``(3, N)``, rad/s, the first `old` seen before
-        `repeats`: which samples repeat the one before on all axes; None where hardly any does
+        `repeats`: which samples repeat the one before on all axes; None if hardly any does
         """
         for side, largest in enumerate(reached):
             near = largest >= np.maximum(BELOW * self._limits[side], 0)
@@ -101,7 +101,7 @@ class Saturation:
     def _look(
         self, values: Float64, old: int, place: tuple[int, int], repeats: Bool | None
     ) -> None:
-        """Count samples near the limit of a place, where it is the largest of the values."""
+        """Count samples near the limit of a side and axis."""
         limit, new = float(self._limits[place]), values[old:]
         at_end, low = new >= TOP * limit, new < BELOW * limit
         count = int(np.count_nonzero(at_end))
@@ -117,7 +117,7 @@ class Saturation:
         weights = np.concatenate([numbers, np.ones(len(high))])
         self._highest[place] = np.stack([each, np.bincount(places, weights)])[:, -HIGHEST:]
         hits = values == limit
-        # A held sample is no new one.
+        # A held sample is not a new one.
         for kept, chosen in enumerate((hits, hits if repeats is None else hits[~repeats])):
             self._runs[(kept, *place)] |= _has_run(chosen)
 
@@ -131,9 +131,9 @@ class Saturation:
     ) -> Iterator[Remark]:
         """Yield a sentence for each end of an axis that is saturated.
 
-        `moving`: which axes do not have one rate throughout
+        `moving`: which axes do not have a constant rate
         `interval`: between rows, s
-        `unit`: in which rates are shown: its name, and how many rad/s it is
+        `unit`: name of the unit in which rates are shown, and its size, rad/s
         """
         runs = self._runs[int(hold > 1)]
         for side, sign in enumerate("+-"):
@@ -160,7 +160,7 @@ class Saturation:
                     )
 
     def _may_be_clipped(self, place: tuple[int, int], samples: int, interval: float | None) -> bool:
-        """Tell whether the samples at the end are no steady rotation."""
+        """Return whether the samples at the end are not a steady rotation."""
         at_end, _, stays = (int(count) for count in self._counts[place])
         if not stays or at_end > MOST_AT_END * samples:
             return False
@@ -168,7 +168,7 @@ class Saturation:
         return mean_s <= (LONGEST_S if stays >= MIN_STAYS else SHORT_S)
 
     def _is_rounded(self, place: tuple[int, int]) -> bool:
-        """Tell whether the highest values are those of a smooth peak, rounded to steps."""
+        """Return whether the highest values are a smooth peak, rounded to steps."""
         values, numbers = self._highest[place]
         if len(values) < 2:  # noqa: PLR2004  # of which one is next to the extreme
             return False
@@ -187,7 +187,7 @@ class Saturation:
 
 
 def _has_run(hit: Bool) -> bool:
-    """Tell whether :data:`HAS_RUN` neighbouring samples are hits."""
+    """Return whether :data:`HAS_RUN` neighbouring samples are hits."""
     run = hit
     for shift in range(1, HAS_RUN):
         run = run[:-1] & hit[shift:]

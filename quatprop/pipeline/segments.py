@@ -1,4 +1,4 @@
-"""A log propagated segment by segment: across gaps, at the times that are wanted.
+"""Propagate a log segment by segment, at the samples or at the requested times.
 
 A gap that is not propagated across ends a segment. The next one begins with the attitude before the
 gap, if no rotation is assumed in between, or with q0 again.
@@ -31,10 +31,10 @@ class Segments:
 
     `timeline`: cuts the samples into segments; its policy says how one continues from another
     `q0`: attitude at the first sample, wxyz, unit length
-    `times`: when attitudes are wanted; None is at every sample
+    `times`: requested times; None for every sample
     `final`: the attitude at the last sample so far, wxyz
-    `sensitivity`: how far it depends on method and sampling; None if that was not asked for
-    `growth`: the growth of its error; None where the errors of the gyroscope are not known
+    `sensitivity`: its sensitivity to method and sampling; None if not requested
+    `growth`: the growth of its error; None if the errors of the gyroscope are unknown
     """
 
     def __init__(  # noqa: PLR0913  # all that determines the attitudes
@@ -62,7 +62,7 @@ class Segments:
         covariance: bool = False,
         rate: bool = False,
     ) -> Iterator[AttitudeSeries]:
-        """Return the attitudes at every sample, or at the times that are wanted."""
+        """Return the attitudes at every sample, or at the requested times."""
         self._covariance, self._rate = covariance, rate
         if sensitivity:
             self.sensitivity = Sensitivity(self._q0, self._method, self._rates)
@@ -78,7 +78,7 @@ class Segments:
     def _resampled(
         self, propagated: Iterator[tuple[GyroSeries, AttitudeSeries]], times: Times
     ) -> Iterator[AttitudeSeries]:
-        """Yield the attitudes at the wanted times; inside gaps too, where they are known."""
+        """Yield the attitudes at the requested times, also inside gaps if they are known there."""
         first = next(propagated)
         zero = self._timeline.policy.on_gap == "zero"
         yield from at_times(
@@ -92,7 +92,7 @@ class Segments:
     def _propagated(
         self, segment: Iterable[GyroSeries]
     ) -> Iterator[tuple[GyroSeries, AttitudeSeries]]:
-        """Yield samples with their attitudes; after a gap from q0, or from the one before it."""
+        """Yield samples and attitudes, which begin with q0 or the last one before the gap."""
         restart = self._timeline.policy.on_gap == "split"
         propagation = Propagation(self._q0 if restart else self.final, self._method, self._rates)
         if self.sensitivity is not None:

@@ -1,4 +1,4 @@
-"""What is to be done with one log, as typed values: which rates, how they are propagated, where to.
+"""Typed settings for one log: which rates, how they are propagated, and the output.
 
 :func:`propagation_settings` makes them of the names and values in :mod:`quatprop.settings`, for the
 library, the command line and suites alike.
@@ -43,15 +43,15 @@ class PropagationSettings:
     `method`: integration rule: one of :data:`quatprop.settings.METHODS`; None: what
         the log says of its samples, or else ``"start"``
     `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved
-    `earth_rate`: the rotation of the reference that is taken off; None where it does not turn
-    `q0`: attitude body -> reference at the first sample, or where to take it from
+    `earth_rate`: the rotation of the reference that is removed; None if it is inertial
+    `q0`: attitude body -> reference at the first sample, or its source
     `conditioning`: bias, mounting and the part of the log to use
-    `every`: keep every N-th attitude; None is all
-    `rate`: attitudes at this rate, Hz, exact at those times; None is at the samples
-    `at`: attitudes at the stamps of this series, exact at those times; None is at the samples
+    `every`: keep every N-th attitude; None for all
+    `rate`: attitudes at this rate, Hz, exact at those times; None for the samples
+    `at`: attitudes at the stamps of this series, exact at those times; None for the samples
     `threads`: how many threads compute at a time; None is as many as there are cores. The result is
         the same, so that settings that differ in it alone are equal
-    `errors`: what is known of the gyroscope's errors
+    `errors`: the known errors of the gyroscope
     `given`: the settings that were given, by name, as text: what is needed to make an output again
     """
 
@@ -119,7 +119,7 @@ class PropagationSettings:
 
     @property
     def inputs(self) -> Mapping[str, str]:
-        """Files that are read beside the log, but for message definitions: setting -> path."""
+        """Files that are read besides the log, except message definitions: setting -> path."""
         named = {
             "at": self.at,
             "bias": self.conditioning.bias_from,
@@ -137,11 +137,11 @@ class PropagationSettings:
 
 
 class OutputSettings(NamedTuple):
-    """Where attitudes go, and as what.
+    """The output of attitudes.
 
     `path`: path of the attitude series, or ``"-"`` for CSV on stdout
     `into`: the output is a copy of the log with the attitudes added as messages
-    `to`: format, a key of :data:`quatprop.writers.formats.WRITERS`; None: told by the suffix
+    `to`: format, a key of :data:`quatprop.writers.formats.WRITERS`; None: detected from the suffix
     `layout`: ``"scalar-first"`` or ``"scalar-last"``: the order of the columns written; None is
         what the format prescribes, or scalar-first where it leaves the choice
     `message`: what to write the attitudes as, where they are written as messages
@@ -167,7 +167,7 @@ class OutputSettings(NamedTuple):
 
     @property
     def keeps_provenance(self) -> bool:
-        """Whether the file of attitudes says how they were made."""
+        """Whether the file of attitudes contains their provenance."""
         return keeps_provenance(self.path, self.to, comment=self.comment)
 
     @property
@@ -227,7 +227,7 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
 
 
 def _named(record: type, values: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the values that are given of the settings that a record has as fields."""
+    """Return the given values of the settings that are fields of a record."""
     return {name: values[name] for name in record.__annotations__ if name in values}
 
 

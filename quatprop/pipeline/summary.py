@@ -1,4 +1,4 @@
-"""What a run read, did and found, in words: the summary and the page of a picture show it."""
+"""The report of a run in words, for the summary and the HTML page of a plot."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def facts(report: RunReport) -> Iterator[Row]:
-    """Yield what was read, done and found, as labels and texts."""
+    """Yield the source, the processing and the result, as labels and texts."""
     source, counts, result = report.source, report.counts, report.result
     convention = report.convention
     name = source_text(source.name, source.type)
@@ -76,7 +76,7 @@ def facts(report: RunReport) -> Iterator[Row]:
 
 
 def _clock(clock: SteadyClock | None) -> str:
-    """Return which steady clock took the place of the timestamps."""
+    """Return the steady clock that replaced the timestamps."""
     if clock is None:
         return "the timestamps already follow a steady clock: used unchanged"
     text = (
@@ -90,7 +90,7 @@ def _clock(clock: SteadyClock | None) -> str:
 
 
 def _sensitivity(result: ResultReport, convention: ConventionReport) -> str:
-    # Rounding errors are no sensitivity.
+    # Rounding errors are not a sensitivity.
     by_method, by_sampling = (
         degrees_text(round(angle or 0.0, 12), 3)
         for angle in (result.method_sensitivity_rad, result.sampling_sensitivity_rad)
@@ -111,7 +111,7 @@ ERRORS = {
     "misalignment_sigma": ("misalignments", "mrad", 1e3),
     "q0_sigma": ("q0", "deg", 180 / math.pi),
 }
-"""What each error of a gyroscope is called, its usual unit, and how many of it one SI unit is."""
+"""Name of each error of a gyroscope, its usual unit, and the factor from SI units to it."""
 
 
 def _uncertainty(uncertainty: UncertaintyReport) -> Iterator[Row]:

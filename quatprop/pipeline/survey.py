@@ -1,6 +1,6 @@
 """Survey a log: every signal of body rates and of attitudes, with its counts and remarks.
 
-A signal that cannot be read without more settings is listed too, with the settings it needs.
+A signal that cannot be read without more settings is listed with the settings that it needs.
 """
 
 from __future__ import annotations
@@ -59,15 +59,15 @@ _ASSUMED: tuple[tuple[dict[str, Any], tuple[str, ...]], ...] = (
     ({"time_unit": "ns"}, _TIMING),
     ({"rate_unit": "rad/s", "time_unit": "ns"}, (*_RATES, *_TIMING)),
 )
-"""Units with which a table is read that declares none, and the facts that are unknown then."""
+"""Units assumed for a table that declares none, and the facts that are then unknown."""
 
 
 def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
     """Read every signal of a log once.
 
-    `kind`: its kind, or None: by its content
+    `kind`: its kind; None to detect it from the content
     """
-    # Nothing is propagated or written: all cores but one unpack what is checked next.
+    # Nothing is propagated or written, so all cores but one decompress data in advance.
     threads = thread_count()
     with (
         use_threads(threads + 1 if threads > 1 else 1),
@@ -92,7 +92,7 @@ def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
 
 
 class _AttitudeReading:
-    """Attitudes of a log, and what is found in them while they are read."""
+    """Attitudes of a log, and the findings while they are read."""
 
     def __init__(self, log: Log, signal: AttitudeSignal) -> None:
         self.signal = signal
@@ -109,7 +109,7 @@ class _AttitudeReading:
 def _reading_beside(
     log: Log, selection: RateSelection, rates: RateSignal, seen: Seen
 ) -> _AttitudeReading | None:
-    """Return and note the only attitudes in the messages of rates, if they can be read as is."""
+    """Return and note the only attitudes in the messages of rates, if no settings are missing."""
     try:
         wanted = replace(AttitudeSelection.like(selection), topic=rates.name)
         (candidate,) = attitude_candidates(log, wanted)
@@ -134,7 +134,7 @@ def _rates(
         beside = None
         if seen is not None and candidate.found.table.is_typed:
             beside = _reading_beside(log, selection, signal, seen)
-        # First, while the beginning is held.
+        # First, while the beginning is cached.
         more = [READ_ONCE] if read_once else [] if missing else log_remarks(log, signal)
         surveyed = _survey_rates(signal, log, beside)
         remarks = (*surveyed.remarks, *more, *log.remarks) if missing is None else ()
@@ -148,7 +148,7 @@ def _declared(
     selection: SelectionT,
     assumed: Iterable[tuple[dict[str, Any], tuple[str, ...]]],
 ) -> tuple[SignalT, tuple[str, ...], str | None]:
-    """Return a signal; where units are not declared, read by assumed ones."""
+    """Return a signal, in assumed units if they are not declared."""
     try:
         return candidate.signal(), (), None
     except UndeclaredError as error:
@@ -166,7 +166,7 @@ def _declared(
 
 
 def _in_step(batches: Iterator[GyroSeries], beside: _AttitudeReading) -> Iterator[GyroSeries]:
-    """Yield batches, and let another reading of the same messages go on beside them."""
+    """Yield batches, and read attitudes in the same messages in parallel."""
     other = beside.stamps.observe(beside)
     for batch in batches:
         next(other, None)
@@ -209,7 +209,7 @@ def _attitudes(log: Log, selection: RateSelection, seen: Seen) -> Iterator[Attit
     except (NoAttitudesError, NoSuchTopicError):
         return
     except LogError as error:
-        # A topic that cannot be read here does not hide the others.
+        # A topic that cannot be read must not hide the others.
         topics = {table.name: table for table in log.tables(selection.topic)}
         if selection.topic is not None or len(topics) <= 1:
             made = [_made(table, wanted) for table in topics.values()]
@@ -239,7 +239,7 @@ def _attitudes(log: Log, selection: RateSelection, seen: Seen) -> Iterator[Attit
 
 
 def _made(table: Table, wanted: AttitudeSelection) -> AttitudeSurvey:
-    """Return what the metadata of a table say about its attitudes; nothing where they are none."""
+    """Return the facts about attitudes in the metadata of a table, if there are any."""
     with suppress(LogError, UsageError):
         made = table.provenance()
         meaning = meaning_of(table.path, wanted, recorded_convention(made))

@@ -1,4 +1,4 @@
-"""Rates, attitudes and errors, accumulated as far as a picture needs them."""
+"""Accumulate the rates, attitudes and errors of a picture while they are read."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ ZERO = 1e-6
 """Norms below this are zero: no rotation can be computed from them."""
 
 SMALL = 1e-6
-"""Rotation, rad, whose effect on what is drawn is proportional to it."""
+"""Rotation for numerical derivatives, rad; its effect is linear."""
 
 
 class Quantity(NamedTuple):
-    """What one panel of a picture shows against time.
+    """A quantity that a panel of a picture shows over time.
 
     `name`, `unit`: label of its axis; no unit is ``""``
     `axis`: its colour in a picture of one file: ``"x"``, ``"y"``, ``"z"``, ``"w"``, or ``""``
     `wraps`: whether it is an angle, in deg, that wraps at half a turn
     `least`: a series that varies by less is drawn as a constant
-    `scale`: range of its axis in either direction where the series is zero
+    `scale`: range of its axis in either direction if the series is zero
     `is_error`: whether it should be zero: its standard deviation is drawn about zero
-    `shown_above`: it has no panel unless it is larger than this somewhere; None: it always has one
+    `shown_above`: it has a panel only if it exceeds this value; None for always
     """
 
     name: str
@@ -54,7 +54,7 @@ ROUNDING_DEG = 1e-6
 MINUS = "\N{MINUS SIGN}"
 
 NORM_DIGITS = 1e-6
-"""Norm errors up to this are those of printed digits."""
+"""Norm errors up to this are due to rounding in text files."""
 
 NORM_ERROR = Quantity(
     f"norm error |q| {MINUS} 1", "", least=1e-15, scale=1e-15, shown_above=NORM_DIGITS
@@ -85,10 +85,10 @@ ERROR = (
 
 
 class Group(NamedTuple):
-    """Quantities that share their stamps.
+    """Quantities with the same timestamps.
 
-    `reduced`: their reduced samples, and then their standard deviations, where those are known
-    `gap_limit_ns`: intervals longer than this are gaps, ns; None: there are none
+    `reduced`: their reduced samples, then their standard deviations, if known
+    `gap_limit_ns`: intervals longer than this are gaps, ns; None for no gaps
     """
 
     quantities: tuple[Quantity, ...]
@@ -97,9 +97,9 @@ class Group(NamedTuple):
 
 
 class Accumulator:
-    """Quantities of a picture, reduced while samples pass.
+    """Quantities of a picture, reduced while samples are read.
 
-    `has_sigmas`: whether standard deviations are kept too
+    `has_sigmas`: whether there are standard deviations
     """
 
     def __init__(self, quantities: tuple[Quantity, ...], *, has_sigmas: bool = False) -> None:
@@ -112,7 +112,7 @@ class Accumulator:
         self._reduction.add(t_ns, values if sigmas is None else np.concatenate([values, sigmas]))
 
     def group(self, gap_limit_ns: int | None) -> Group:
-        """Return what was added, with the longest interval that is no gap, ns."""
+        """Return the reduced quantities; longer intervals than this are gaps, ns."""
         return Group(self.quantities, self._reduction.result(), gap_limit_ns)
 
 
@@ -124,7 +124,7 @@ class RateAccumulator(Accumulator):
         self._scale = 1.0 / RATES[unit]
 
     def passing(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield the batches as they are, having accumulated them."""
+        """Accumulate batches, and yield them unchanged."""
         for batch in batches:
             with np.errstate(over="ignore", invalid="ignore"):  # numbers of a damaged log
                 drawn = batch.rate.T * self._scale
@@ -135,12 +135,12 @@ class RateAccumulator(Accumulator):
 class AttitudeAccumulator(Accumulator):
     """Attitudes, as angles or as components, and their norm error.
 
-    `components`: draw the components of the quaternion, of q and -q the one nearer to the one
-        before, instead of yaw, pitch and roll
-    `unwrap`: draw yaw and roll beyond half a turn, instead of cut there
-    `invalid`: invalid quaternions: zero, or not finite
-    `knows_sigmas`: whether a standard deviation above zero was among them
-    `norm_error`: largest difference from unit length
+    `components`: draw the components of the quaternion, with a continuous sign, instead of yaw,
+        pitch and roll
+    `unwrap`: draw yaw and roll beyond half a turn, without wrapping
+    `invalid`: number of invalid quaternions: zero, or not finite
+    `knows_sigmas`: whether any standard deviation was above zero
+    `norm_error`: largest deviation from unit length
     """
 
     def __init__(
@@ -177,13 +177,13 @@ class AttitudeAccumulator(Accumulator):
         self.add(t_ns, values, sigmas)
 
     def _drawn(self, wxyz: Float64) -> Float64:
-        """Return components, or angles in deg, each on its own, shape ``(values, N)``."""
+        """Return components, or angles in deg, without continuity, shape ``(values, N)``."""
         if self._signs is not None:
             return wxyz.T
         return np.degrees(euler_angles("zyx", wxyz)).T
 
     def _sigmas(self, wxyz: Float64, covariance: Float64) -> Float64:
-        """Return standard deviations of what is drawn, to first order, shape ``(values, N)``."""
+        """Return standard deviations of these values, to first order, shape ``(values, N)``."""
         drawn, change = self._drawn(wxyz), []
         for axis in np.eye(3):
             steps = self._drawn(multiply(wxyz, exp(SMALL * axis))) - drawn
@@ -193,7 +193,7 @@ class AttitudeAccumulator(Accumulator):
             return np.asarray(np.sqrt(np.minimum(variance, (TURN / 2) ** 2)))
 
     def passing(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
-        """Yield attitudes of any norm as they are, having accumulated them."""
+        """Accumulate attitudes of any norm, and yield them unchanged."""
         for batch in batches:
             self._add_attitudes(batch.t_ns, batch.wxyz, batch.covariance)
             yield batch

@@ -1,4 +1,4 @@
-"""A picture of the Allan deviation: the measured one of each axis, and the slopes of the terms."""
+"""A picture of the Allan deviation of each axis, with the slopes of the noise terms."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class AllanPicture(PictureFile):
         super().__init__(target, inputs, **options)
 
     def draw(self, noise: Noise) -> None:
-        """Draw the picture and put it in its place."""
+        """Draw the picture and publish it."""
         tau = noise.tau_s
         curves = [
             Curve(

@@ -1,4 +1,4 @@
-"""Draw one panel of a picture: lines, gaps, tolerance, marks; its range and ticks."""
+"""Draw one panel of a picture: lines, gaps, tolerance, marks, range and ticks."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from quatprop.plotting.picture import Curve, Mark, Panel, Picture
 
 THIN, THICKER, WIDEST = 0.8, 0.9, 3
-"""Points: a line, and what each line below another has more, so many times at most."""
+"""Line width, points; the increment for each line below another; most increments."""
 
 FLAT = 1e-9
-"""Share of its size below which a series counts as constant: its rounding is not drawn large."""
+"""Relative range below which a series counts as constant, so that rounding is not magnified."""
 
 SMALLEST, LARGEST = 1e-2, 1e5
-"""Values between are written out on an axis, others with an exponent each."""
+"""Tick labels outside this range have an exponent."""
 
 WIDE_ANGLE = 150.0
-"""deg: angles that reach further have the full circle as their axis."""
+"""deg: angles with a larger range are drawn on an axis of a full circle."""
 
 LEVEL_SHARE = 100.0
 """An error this many times above or below its tolerance has a logarithmic axis."""
@@ -47,7 +47,7 @@ def draw_panel(axes: Axes, panel: Panel, picture: Picture, place: int) -> list[t
                 zorder=0.5,
             )
     for number, curve in enumerate(panel.curves):
-        # Of lines that coincide, those below show on both sides.
+        # Of coinciding lines, the lower ones are wider, so that they can be seen.
         wider = 0.5 if picture.is_log else min(len(panel.curves) - 1 - number, WIDEST)
         _draw_curve(axes, curve, THIN + THICKER * wider, f"curve_{place}_{number}")
     axes.grid(visible=True)
@@ -70,7 +70,7 @@ def draw_panel(axes: Axes, panel: Panel, picture: Picture, place: int) -> list[t
 
 
 def draw_together(axes: Axes, picture: Picture) -> None:
-    """Draw what a picture is about on one pair of axes: an axis has a colour, a file a stroke."""
+    """Draw the main quantities on one pair of axes, with a colour by axis and a stroke by file."""
     first, *others = picture.panels
     alike = [one for one in others if (one.quantity.is_error, one.quantity.shown_above) == _MAIN]
     for panel in (first, *alike):
@@ -95,7 +95,7 @@ def draw_together(axes: Axes, picture: Picture) -> None:
 
 
 _MAIN = False, None
-"""Of a quantity that has its panel in every picture: not an error about one axis."""
+"""`is_error` and `shown_above` of the main quantities: not an error about one axis."""
 
 
 def _draw_curve(axes: Axes, curve: Curve, width: float, name: str) -> None:
@@ -169,7 +169,7 @@ def _tick_label(value: float, _position: float = 0) -> str:
 
 
 def _set_error_scale(axes: Axes, panel: Panel, high: float) -> None:
-    """Show an error from zero; where it is far from its tolerance, on a logarithmic axis."""
+    """Show an error from zero, or on a logarithmic axis if it is far from its tolerance."""
     level = panel.level[0] if panel.level else high
     top = max(high, level)
     if level > 0 and high > 0 and not 1 / LEVEL_SHARE <= high / level <= LEVEL_SHARE:

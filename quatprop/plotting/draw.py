@@ -1,7 +1,7 @@
 """Draw a picture with matplotlib: PNG, SVG, PDF.
 
-Only figures are used, no pyplot: no state is kept between pictures. The same picture gives the same
-bytes: no dates, no random names.
+Without pyplot no state is kept between pictures. Equal pictures give equal bytes, without dates or
+random names.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from quatprop.plotting.picture import Page
 
 MIN_ZOOM_BINS = 150
-"""Least of the bins of a long series that a page zooms to."""
+"""Fewest bins of a long series that a page can zoom to."""
 
 SETTINGS: dict[Any, Any] = {
     "font.family": ["DejaVu Sans"],
@@ -37,7 +37,7 @@ SETTINGS: dict[Any, Any] = {
     "xtick.color": INK,
     "ytick.color": INK,
     "text.color": INK,
-    # Names may look like mathematics.
+    # Names may look like mathematical notation.
     "text.parse_math": False,
     "grid.color": GRID,
     "grid.linewidth": 0.5,
@@ -50,11 +50,11 @@ METADATA: dict[str, dict[str, str | None]] = {
     "svg": {"Date": None, "Creator": None, "Format": None, "Type": None},
     "pdf": {"CreationDate": None, "ModDate": None, "Creator": "quatprop", "Producer": None},
 }
-"""Metadata of a file: nothing that changes from run to run."""
+"""Metadata of a file, without anything that changes from run to run."""
 
 
 def require_matplotlib() -> None:
-    """Make sure that pictures can be drawn."""
+    """Raise an error if matplotlib is missing."""
     try:
         import matplotlib as mpl  # noqa: F401  # checked before anything is read
     except ImportError as error:
@@ -91,11 +91,11 @@ def render(page: Page, kind: str, style: Style = STYLE) -> bytes:
 def inline_svg(page: Page) -> tuple[str, str]:
     """Return the picture of a page as an SVG element, and the limits of its axes as JSON.
 
-    Its text is text, its background is clear, and its lines have all their points.
+    Text is not converted to paths, the background is transparent, and lines are not simplified.
     """
     stream = BytesIO()
     settings = {"svg.fonttype": "none", "path.simplify": False}
-    # Title, facts and notes stand on the page already.
+    # Title, facts and notes are on the page already.
     with _figure_of(page, settings, STYLE._replace(title=False)) as drawn:
         drawn.savefig(stream, format="svg", metadata=METADATA["svg"], transparent=True)
         limits = {
@@ -106,12 +106,12 @@ def inline_svg(page: Page) -> tuple[str, str]:
         }  # fmt: skip
     text = stream.getvalue().decode()
     text = text[text.index("<svg") :]
-    # A page needs no namespaces, and they look like addresses.
+    # HTML does not need namespaces, which look like addresses.
     text = re.sub(r' xmlns(:\w+)?="[^"]*"', "", text, count=2)
-    # A rule for all elements would be one for all of the page.
+    # A rule for all elements would apply to the whole page.
     text = text.replace('<style type="text/css">*{', '<style type="text/css">figure svg *{', 1)
     text = re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    # Ten thousandths of a point are enough for a zoom of hundreds.
+    # Four decimals of a point are enough to zoom in by hundreds.
     path = re.compile(r'<path[^>]* d="[^"]*"')
     return path.sub(lambda found: re.sub(r"(\.\d{4})\d+", r"\1", found[0]), text), dumps(limits)
 
@@ -122,6 +122,6 @@ def _figure_of(page: Page, settings: dict[Any, Any], style: Style) -> Iterator[F
     import matplotlib as mpl
 
     with mpl.rc_context({**SETTINGS, **settings}), warnings.catch_warnings():
-        # Letters that the font does not have are drawn as boxes.
+        # Characters missing in the font are drawn as boxes.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         yield figure(page, style)

@@ -1,4 +1,4 @@
-"""The error between attitude series in time: tolerance, first sample above it, worst sample."""
+"""The error between attitude series over time, with the tolerance and the worst sample."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from quatprop.logs.attitude_input import ReadAttitudes
 
 DIGITS = 4
-"""Of the angles in a picture."""
+"""Significant digits of the angles in a picture."""
 
 MATCHES = {
     "exact": "pairs of equal timestamps",
     "nearest": "pairs nearest in time",
     "interpolate": "pairs, interpolated in time",
 }
-"""How attitudes were matched -> what the pairs are."""
+"""How attitudes were matched -> description of the pairs."""
 
 
 class ComparedFile(NamedTuple):
@@ -88,7 +88,7 @@ def errors_over_time(name: str, comparison: Comparison) -> PlottedFile:
 
 
 def _expected_and_windows(comparison: Comparison) -> Iterator[PlottedFile]:
-    """Yield the error over windows, if any, and the size that the series expect of the error."""
+    """Yield the expected size of the error and the error over windows, if any."""
     if (window := comparison.window) is not None:
         text = f"max {degrees_text(window.max_rad, DIGITS)}, from where each begins"
         name = f"over {duration_text(window.window_ns)}"
@@ -119,7 +119,7 @@ def _plotted_line(
 
 
 def _with_tolerance_and_marks(drawn: Picture, files: Sequence[ComparedFile]) -> Picture:
-    """Draw the tolerance; for a single series also the first sample above it, and the worst."""
+    """Draw the tolerance; for one series also the first sample above it and the worst one."""
     comparison = files[0].comparison
     tolerance, first = comparison.tolerance_rad, comparison.first_exceeding
     worst = comparison.worst

@@ -1,4 +1,4 @@
-"""The figure of a picture: where panels, legend and text stand, and how large they are."""
+"""The figure of a picture: position and size of panels, legend and text."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ LONGEST_NAME, TWO_COLUMNS_FROM = 54, 0.7
 """Characters in two columns of a legend; share of the usual width below which it has one."""
 
 MIN_HEIGHT_SHARE = 0.8
-"""Least share of its usual height that a panel has, for letters of the usual size."""
+"""Smallest height of a panel relative to the usual one, for letters of the usual size."""
 
 MIN_PANEL_HEIGHT, MIN_PANEL_WIDTH = 0.4, 1.15
 """Inches: least height of one of several panels, and least width, for letters of the usual size."""
@@ -70,12 +70,12 @@ MORE = " \N{HORIZONTAL ELLIPSIS}"
 
 
 class Style(NamedTuple):
-    """How large a picture and its letters are.
+    """Size of a picture and of its letters.
 
-    `width`, `height`: inches; no height is that which the panels need
+    `width`, `height`: inches; without a height, that of the panels
     `dpi`: dots per inch of a PNG
     `font`: size of the letters, points
-    `title`: whether title, facts and notes stand around the panels
+    `title`: whether to draw title, facts and notes around the panels
     `sheet`: settings of matplotlib that replace those of quatprop
     """
 
@@ -198,7 +198,7 @@ def _write_legend(
 
 
 def notes_of(warnings: Sequence[str]) -> tuple[str, ...]:
-    """Return the warnings that stand below a picture; a page has all of them."""
+    """Return the warnings below a picture; a page has all of them."""
     if len(warnings) <= MAX_NOTES:
         return tuple(warnings)
     shown = warnings[: MAX_NOTES - 1]
@@ -206,7 +206,7 @@ def notes_of(warnings: Sequence[str]) -> tuple[str, ...]:
 
 
 def shortened(text: str, longest: int) -> str:
-    """Return a text with its middle left out where it is too long."""
+    """Return a text, without its middle if it is too long."""
     text = plain(text)
     if len(text) <= longest:
         return text

@@ -1,4 +1,4 @@
-"""Read files for a picture: once from beginning to end, in constant memory."""
+"""Read files for a picture in one pass and in constant memory."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ if TYPE_CHECKING:
 class View(NamedTuple):
     """What to draw of files.
 
-    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: by content and suffix
-    `show`: none: the rates of a file that has some, else its attitudes
-    `components`: draw quaternions as they are instead of as angles
+    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: detected from content and suffix
+    `show`: None: the rates of a file, or its attitudes if it has no rates
+    `components`: draw the components of quaternions instead of angles
     `unwrap`: draw angles beyond half a turn
     `part`: start and end of the part to draw, ends included
     """
@@ -71,19 +71,19 @@ class View(NamedTuple):
     part: GyroCorrection = GyroCorrection()
 
     def of(self, topic: str | None) -> Self:
-        """Return the same of a topic."""
+        """Return the same view of a topic."""
         return self._replace(
             rates=replace(self.rates, topic=topic), attitudes=replace(self.attitudes, topic=topic)
         )
 
 
 class FileView(NamedTuple):
-    """What is shown of one file.
+    """The content of one file in a picture.
 
-    `plotted`: what is drawn of it, labelled with its path
+    `plotted`: its reduced samples, labelled with its path
     `source`: the topic, or the columns
     `meaning`: unit and clock of its numbers, or convention and method
-    `remarks`: what a reader should know
+    `remarks`: remarks for the reader
     """
 
     plotted: PlottedFile
@@ -99,7 +99,7 @@ DRAWN_AS = {
     False: "yaw, pitch and roll, q = q_z(yaw) q_y(pitch) q_x(roll), deg",
     True: "components, of q and -q those nearer to the row before",
 }
-"""Whether components are drawn -> what is drawn of an attitude."""
+"""Whether components are drawn -> description of the drawing."""
 
 
 def view_file(path: str, view: View) -> FileView:
@@ -115,7 +115,7 @@ def view_file(path: str, view: View) -> FileView:
 
 
 def view_series(name: str, series: GyroSeries | AttitudeSeries, view: View) -> FileView:
-    """Return what is shown of a series in memory."""
+    """Return the content of a series in memory."""
     if not len(series):
         raise SeriesError(f"{name} has no rows to draw")
     holds = "rates" if isinstance(series, GyroSeries) else "attitude"
@@ -143,7 +143,7 @@ def view_series(name: str, series: GyroSeries | AttitudeSeries, view: View) -> F
 
 
 def _choose(log: Log, view: View) -> RateSignal | AttitudeSignal:
-    """Return the rates to draw, or else the attitudes."""
+    """Return the rates to draw, or the attitudes if there are none."""
     if view.show == "attitude":
         return choose_attitudes(log, view.attitudes)
     try:

@@ -1,7 +1,7 @@
 """Lines from reduced series: seconds, values, and breaks.
 
-A line is broken by a NaN at gaps in time and where an angle wraps: it leaves at one edge of the
-picture and comes back at the other, without a line across.
+A NaN breaks a line at gaps in time and where an angle wraps: the line leaves the picture at one
+edge and enters at the other, without a line across.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class Line(NamedTuple):
 
 
 class Unwrap:
-    """Unwrapping of angles: without jumps from one end of their range to the other.
+    """Unwraps angles, which then do not jump from one end of their range to the other.
 
     Whole turns are added so that every angle is within half a turn of the one before it. The turns
-    are counted in integers: no rounding accumulates.
+    are counted as integers, so no rounding errors accumulate.
     """
 
     def __init__(self, traces: int) -> None:
@@ -67,12 +67,12 @@ def line(reduced: Reduced, trace: int, start_ns: int, limit_ns: int | None = Non
     `start_ns`: the stamp at which the seconds begin, ns
     `limit_ns`: intervals longer than this are gaps, ns
     """
-    # Differences are formed before they are floats: stamps are too large for those.
+    # Subtract as integers: timestamps are too large for exact floats.
     begin, end = (reduced.first_ns - start_ns) * 1e-9, (reduced.last_ns - start_ns) * 1e-9
     middle, breaks = (begin + end) / 2, np.full(len(reduced), np.nan)
     first, last = reduced.first[trace], reduced.last[trace]
     low, high = reduced.low[trace], reduced.high[trace]
-    # An extreme that is also the first or last value would turn a slope into a step.
+    # Drawing an extreme that is the first or last value again would make a slope a step.
     drawn = [
         np.ones(len(reduced), dtype=np.bool_),
         ~(low >= np.fmin(first, last)) & ~np.isnan(low),
@@ -88,7 +88,7 @@ def line(reduced: Reduced, trace: int, start_ns: int, limit_ns: int | None = Non
 
 
 def folded(continuous: Line) -> Line:
-    """Return a line of angles, deg, within half a turn of zero, cut where it leaves that range."""
+    """Return a line of angles, deg, wrapped to half a turn about zero and broken there."""
     seconds, values = continuous
     turns = np.floor((values + TURN / 2) / TURN)
     inside = values - TURN * turns
@@ -104,7 +104,7 @@ def folded(continuous: Line) -> Line:
     left = seconds[before] + (leaving - values[before]) * slope
     entered = seconds[before] + (entering - values[before]) * slope
     edge, breaks = up * TURN / 2, np.full(len(before), np.nan)
-    # A line of more than one turn crosses the whole range.
+    # A step of more than one turn crosses the whole range.
     whole = np.abs(crossed[before]) > 1
     both = np.ones(len(before), dtype=np.bool_)
     inserted = np.stack([both, both, whole, whole, whole, both], axis=1)
@@ -115,7 +115,7 @@ def folded(continuous: Line) -> Line:
 
 
 def lone_points(drawn: Line) -> Line:
-    """Return the points of a line that have no neighbour, which a line does not show."""
+    """Return the points of a line without neighbours, which the line does not show."""
     finite = np.isfinite(drawn.values)
     padded = np.concatenate([[False], finite, [False]])
     lone = finite & ~padded[:-2] & ~padded[2:]

@@ -1,4 +1,4 @@
-"""A page around a picture as one HTML file: loads nothing; for light and dark screens and print."""
+"""A report with a picture as one self-contained HTML file, for light and dark screens and print."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ HINT = (
     "Drag over a time range to zoom in, double-click to see all; drag with Shift or use the arrow "
     "keys to pan, + and \N{MINUS SIGN} to zoom."
 )
-"""How to use the picture of a page."""
+"""How to zoom into the picture of a page."""
 
 REDUCED = (
     " Only the extremes of each short interval are drawn: plot a part of it to zoom in further."
 )
-"""What else to know of a long series."""
+"""Additional hint for a long series."""
 
 
 def html(page: Page, made_by: str, inputs: Iterable[Row]) -> str:
     """Return a report as the text of an HTML file.
 
-    Everything that comes from files is text in it, never markup. Browsers run its own script, and
+    Text from files is escaped, so it is never markup. Browsers run only the script of the page, and
     load nothing.
     """
     svg, numbers = inline_svg(page)
@@ -95,6 +95,6 @@ def _table(heading: str, facts: Iterable[Row]) -> list[str]:
 
 
 def _description(page: Page) -> str:
-    """Return what the picture shows, for screen readers."""
+    """Return a description of the picture, for screen readers."""
     names = ", ".join(panel.quantity.name for panel in page.picture.panels)
     return _text(f"{page.title}: {names} against time")

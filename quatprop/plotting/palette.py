@@ -1,4 +1,4 @@
-"""Colours that people with any colour vision tell apart.
+"""Colours that can be distinguished with any colour vision.
 
 References
 ----------
@@ -19,15 +19,15 @@ VERMILION = "#D55E00"
 PURPLE = "#CC79A7"
 
 AXES = {"x": VERMILION, "y": GREEN, "z": BLUE, "w": PURPLE, "": BLACK}
-"""Colours of axes; black where there is no axis."""
+"""Colours of axes; black for no axis."""
 
 FILES = (BLUE, ORANGE, GREEN, PURPLE, SKY_BLUE, VERMILION, BLACK)
-"""Colours of files laid over one another, in their order."""
+"""Colours of overlaid files, in their order."""
 
 Stroke = Literal["solid", "dashed", "dotted", "dashdot"]
 
 STROKES: tuple[Stroke, ...] = ("solid", "dashed", "dotted", "dashdot")
-"""How lines of files are drawn, in their order: below a dashed one, another is visible."""
+"""Line styles of files, in their order: a line below a dashed one stays visible."""
 
 INK = "#222222"
 """Text and axes."""
@@ -38,16 +38,16 @@ SHADE = "#BBBBBB"
 """Gaps."""
 
 ALARM = VERMILION
-"""Tolerances and what is above them."""
+"""Tolerances, and errors above them."""
 
 
 def colour_of(key: str | int) -> str:
-    """Return the colour of an axis or of the file with a number."""
+    """Return the colour of an axis, or of a file by its number."""
     return AXES[key] if isinstance(key, str) else FILES[key % len(FILES)]
 
 
 def stroke_of(key: str | int) -> Stroke:
-    """Return how the line of an axis or of the file with a number is drawn."""
+    """Return the line style of an axis, or of a file by its number."""
     if isinstance(key, str):
         return STROKES[0]
     return STROKES[key % len(STROKES)]

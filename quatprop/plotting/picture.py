@@ -1,4 +1,4 @@
-"""What a picture and its page show, before anything is drawn: panels over one time axis."""
+"""The content of a picture and its page, independent of drawing: panels over one time axis."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Mark(NamedTuple):
 class Panel(NamedTuple):
     """One pair of axes.
 
-    `level`: a horizontal line and what it is, such as a tolerance
+    `level`: a horizontal line and its label, such as a tolerance
     """
 
     quantity: Quantity
@@ -60,10 +60,10 @@ class Panel(NamedTuple):
 
 
 class PlottedFile(NamedTuple):
-    """What is drawn of one file.
+    """The data of one file in a picture.
 
-    `groups`: what is drawn of it; the gaps are those of the first
-    `detail`: what else stands in the legend
+    `groups`: its quantities; the gaps are those of the first group
+    `detail`: further text in the legend
     """
 
     label: str
@@ -77,7 +77,7 @@ class PlottedFile(NamedTuple):
 
     @property
     def traces(self) -> dict[Quantity, tuple[Group, int]]:
-        """What is drawn of it: the group of each quantity, and its place there."""
+        """The group of each quantity, and its place in the group."""
         return {
             quantity: (group, place)
             for group in self.groups
@@ -86,7 +86,7 @@ class PlottedFile(NamedTuple):
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """Its first and its last stamp, ns."""
+        """Its first and last timestamp, ns."""
         return (
             min(int(group.reduced.first_ns.min()) for group in self.groups),
             max(int(group.reduced.last_ns.max()) for group in self.groups),
@@ -97,10 +97,10 @@ class Picture(NamedTuple):
     """The content of a picture.
 
     `gaps`: for each file: first and last second of each gap, shape ``(G, 2)``
-    `starts`: for each file: the stamp at which its seconds begin, ns
-    `bin_s`: the time that was reduced to its extremes, mostly; 0 where samples are drawn as they
-        are
-    `legend`: names of the files where they are several
+    `starts`: for each file: the timestamp from which its seconds count, ns
+    `bin_s`: the usual width of the bins that were reduced to their extremes, s; 0 if samples were
+        not reduced
+    `legend`: names of the files if there are several
     `is_log`: whether its axes are logarithmic
     """
 
@@ -117,8 +117,8 @@ class Page(NamedTuple):
     """A picture, and the text around it.
 
     `facts`: lines below the title of a picture: convention, method, counts
-    `lead`: the same on a page: the result, in a line or two
-    `warnings`: what a reader should know
+    `lead`: the lines below the title of a page: the result
+    `warnings`: warnings for the reader
     `tables`: details: headings, and rows of labels and texts
     """
 
@@ -131,7 +131,7 @@ class Page(NamedTuple):
 
 
 def picture(files: Sequence[PlottedFile]) -> Picture:
-    """Return the picture of files, overlaid."""
+    """Return the picture of overlaid files."""
     first, several = files[0], len(files) > 1
     for file in files[1:]:
         if not file.traces.keys() <= first.traces.keys():
@@ -164,7 +164,7 @@ def picture(files: Sequence[PlottedFile]) -> Picture:
 
 
 def _bin_ns(reduced: Reduced) -> float:
-    """Return the usual time that was reduced to its extremes, ns; 0 for one or two samples."""
+    """Return the usual width of a bin, ns; 0 if bins have only one or two samples."""
     width = float(np.median(reduced.last_ns - reduced.first_ns))
     between = np.median(reduced.first_ns[1:] - reduced.last_ns[:-1]) if len(reduced) > 1 else 0.0
     return width if width > 1.5 * between else 0.0
@@ -178,7 +178,7 @@ def _curve(file: PlottedFile, quantity: Quantity, colour: str | int, start_ns: i
 
 
 def _band(group: Group, place: int, start_ns: int) -> tuple[Float64, ...] | None:
-    """Return the area within a standard deviation of a trace, or, of an error, of zero."""
+    """Return the area within a standard deviation of a trace, or of zero for an error."""
     quantity, reduced = group.quantities[place], group.reduced
     sigmas = reduced.high[len(group.quantities) :]
     if not np.isfinite(sigmas[place : place + 1]).any():
@@ -201,7 +201,7 @@ def _content(file: PlottedFile) -> str:
 
 
 def _time_axis(files: Sequence[PlottedFile]) -> tuple[list[int], str]:
-    """Return the stamp at which the seconds of each file begin, and the label of the axis."""
+    """Return the timestamp from which the seconds of each file count, and the axis label."""
     firsts, lasts = zip(*(file.span_ns for file in files), strict=True)
     if max(firsts) > min(lasts):
         return list(firsts), "time since the start of each file, s"

@@ -35,7 +35,7 @@ def plot(  # noqa: PLR0913  # what the command line gives
     """Draw files into a picture.
 
     `files`: paths, at least one, and what to draw of each; ``"-"`` is CSV on stdin
-    `reference`: draw the error of each file against this series instead; None: what is in the files
+    `reference`: draw the error of each file against this series; None to draw the files
     """
     inputs = [*(path for path, _ in files), None if reference is None else reference.path]
     with PictureFile(output, inputs, style=style, command=command) as target:
@@ -60,7 +60,7 @@ def read_picture(
 ) -> tuple[Picture, Sequence[str], bool]:
     """Return a picture of files and of series, remarks, and whether data is lost.
 
-    `reference`: draw the error of each against these attitudes instead
+    `reference`: draw the error of each against these attitudes
     """
     labels = [
         one if isinstance(one, str) else f"series {number}" for number, one in enumerate(sources, 1)
@@ -82,7 +82,7 @@ def read_picture(
 
 
 def _attitudes(source: object, view: View) -> tuple[AttitudeSeries, bool]:
-    """Return attitudes of a file or in memory, and whether some are lost."""
+    """Return attitudes of a file or in memory, and whether data were lost."""
     if isinstance(source, str):
         loaded = load_attitudes(AttitudeInput(source, view.kind, view.attitudes, drop=True))
         return loaded.series, loaded.data_lost
@@ -92,11 +92,11 @@ def _attitudes(source: object, view: View) -> tuple[AttitudeSeries, bool]:
 
 
 def _page(views: list[FileView]) -> Page:
-    """Return the page on files, each as it is."""
+    """Return the page on files, without a reference."""
     several = len(views) > 1
     names = file_names((view.plotted.label, view.source) for view in views)
     files = [
-        # Its detail has the topic.
+        # The detail contains the topic.
         view.plotted._replace(label=name.removesuffix(f" {view.source}"))
         for view, name in zip(views, names, strict=True)
     ]

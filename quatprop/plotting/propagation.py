@@ -1,4 +1,4 @@
-"""A picture of a propagation: the rates that were used and the resulting attitudes."""
+"""A picture of a propagation: the rates used and the resulting attitudes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class PropagationPicture(PictureFile):
-    """Accumulates a run as it passes, and draws it when it is done."""
+    """Accumulates the data of a run, and draws them at its end."""
 
     def __init__(self, target: str, job: Job, *, command: str = "") -> None:
         settings, output = job.settings, job.output
@@ -26,11 +26,11 @@ class PropagationPicture(PictureFile):
         self._rates = RateAccumulator("rad/s")
         self._attitudes = AttitudeAccumulator(has_sigmas=settings.errors.sigma)
         self.rates, self.attitudes = self._rates.passing, self._attitudes.passing
-        # Attitudes at other times than those of the samples have other intervals.
+        # Attitudes at times other than those of the samples have different intervals.
         self._resampled = settings.rate is not None or settings.at is not None
 
     def draw(self, report: RunReport) -> None:
-        """Draw the picture and put it in its place."""
+        """Draw the picture and publish it."""
         limit_ns = report.counts.gap_limit_ns
         groups = [self._rates.group(limit_ns)]
         if report.result.rows:

@@ -2,12 +2,12 @@
 
 Time is cut into bins whose widths are powers of two of a nanosecond. How long the series will be
 is not known beforehand, so the bins begin narrow, and neighbours are merged whenever there are too
-many. Of every bin are kept the first, lowest, highest and last value of each trace: drawn at the
-resolution of the bins this is the same line as that of all samples, so a spike of one sample
-stands out as it should.
+many. Every bin keeps the first, lowest, highest and last value of each trace: drawn at the
+resolution of the bins, this line equals that of all samples, so that a spike of one sample is
+visible.
 
-Bins sit at fixed times, not where the first sample or a batch happened to be, so the result does
-not depend on how the samples arrived.
+The edges of bins do not depend on the first sample or on batches, so the result does not depend on
+how the samples arrived.
 
 References
 ----------
@@ -33,7 +33,7 @@ BINS = 2048
 """Most bins that are kept; they cover at least half as many dots of a printed page."""
 
 LARGEST = 1e300
-"""Values from here on are infinite for a picture: matplotlib cannot lay out an axis for them."""
+"""Values from here on are treated as infinite: matplotlib cannot lay out an axis for them."""
 
 PENDING = 65_536
 """Samples that are collected before they are put into bins."""
@@ -41,12 +41,12 @@ PENDING = 65_536
 
 @dataclass(frozen=True, slots=True)
 class Reduced:
-    """A reduced series: bins in order of time, only those that hold samples.
+    """A reduced series: the bins that contain samples, in order of time.
 
-    `first_ns`, `last_ns`: stamps of the first and the last sample of each bin in time, shape
+    `first_ns`, `last_ns`: timestamps of the first and the last sample of each bin in time, shape
         ``(M,)``, int64 ns
     `first`, `low`, `high`, `last`: values of each trace, shape ``(traces, M)``. NaN where a sample
-        is missing; `low` and `high` only where all are
+        is missing; `low` and `high` only if all are
     """
 
     first_ns: Int64
@@ -60,7 +60,7 @@ class Reduced:
         return len(self.first_ns)
 
     def gaps(self, limit_ns: int | None) -> Bool:
-        """Return after which bins there is a gap, longer than a limit, ns, shape ``(M - 1,)``.
+        """Return which bins are followed by a gap above a limit, ns, shape ``(M - 1,)``.
 
         Gaps inside a bin are narrower than a dot. No limit means no gaps.
         """
@@ -69,9 +69,9 @@ class Reduced:
 
 
 class Reduction:
-    """Reduces a series, batch after batch.
+    """Reduces a series batch by batch.
 
-    `bins`: most bins to keep, at least 2: stamps on both sides of zero never share one
+    `bins`: most bins to keep, at least 2: times on both sides of zero never share one
     """
 
     def __init__(self, traces: int, bins: int = BINS) -> None:
@@ -88,7 +88,7 @@ class Reduction:
         """Add the next samples.
 
         `t_ns`: stamps, shape ``(N,)``, int64 ns, in any order
-        `values`: of each trace, shape ``(traces, N)``; NaN, infinite or huge where there is none
+        `values`: of each trace, shape ``(traces, N)``; NaN, infinite or huge for none
         """
         if not len(t_ns):
             return
@@ -109,7 +109,7 @@ class Reduction:
         t_ns = np.concatenate([stamps for stamps, _ in self._pending])
         values = np.concatenate([rows for _, rows in self._pending], axis=1)
         self._pending, self._waiting = [], 0
-        with np.errstate(invalid="ignore"):  # NaNs that signal
+        with np.errstate(invalid="ignore"):  # signalling NaNs
             values[~(np.abs(values) < LARGEST)] = np.nan
         low_ns, high_ns = int(t_ns.min()), int(t_ns.max())
         if len(self._index):
@@ -131,7 +131,7 @@ def _merge(index: Int64, parts: Reduced) -> tuple[Int64, Reduced]:
 
     `index`: the bin of each part, shape ``(N,)``, N at least 1
     """
-    # Stamps of one bin lie together in both orders, and bins are in order of their stamps.
+    # The samples of a bin are contiguous in both orders, and bins are in order of time.
     by_first, by_last = _rising(parts.first_ns), _rising(parts.last_ns)
     index = index[by_first]
     starts = np.flatnonzero(np.concatenate([[True], index[1:] != index[:-1]]))
@@ -148,7 +148,7 @@ def _merge(index: Int64, parts: Reduced) -> tuple[Int64, Reduced]:
 
 
 def _rising(t_ns: Int64) -> slice | Intp:
-    """Return the index that sorts stamps; a slice, which copies nothing, where they are sorted."""
+    """Return the index that sorts timestamps; a slice, without a copy, if they are sorted."""
     if (t_ns[1:] >= t_ns[:-1]).all():
         return slice(None)
     return np.argsort(t_ns, kind="stable")

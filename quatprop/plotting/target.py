@@ -1,4 +1,4 @@
-"""The file of a picture: its kind by the suffix, in its place only when it is complete."""
+"""The file of a picture: its suffix gives the kind, and it is published only when complete."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class PictureFile:
     """A picture or a page that is being written to a file.
 
     `target`: the file; the suffix determines the kind
-    `inputs`, `outputs`: what else the run reads and writes: refused as the target
-    `style`: how large the picture is; a page has its own size
-    `command`: what a page says that it was made by
+    `inputs`, `outputs`: other files that the run reads and writes, refused as the target
+    `style`: size of the picture; a page has its own size
+    `command`: the command that a page names as its origin
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class PictureFile:
         self._output = OutputFile(target)
 
     def commit(self, page: Page) -> None:
-        """Draw the picture, or the page around it, and put it in its place."""
+        """Draw the picture, or the page around it, and publish it."""
         if self._kind == "html":
             content = html(page, self._command, map(_contents, self._inputs)).encode()
         else:
@@ -68,7 +68,7 @@ class PictureFile:
 
 
 def _contents(path: str) -> Row:
-    """Return the name of a file, and what tells whether it has changed since."""
+    """Return the name of a file, and its size and digests."""
     facts = as_json(digest_of_input(path))
     named = (("sha256", "SHA-256"), ("etag", "ETag"))
     known = [f"{name} {facts[key]}" for key, name in named if facts.get(key)]

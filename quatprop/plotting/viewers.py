@@ -1,7 +1,7 @@
 """Show a result in Rerun or Foxglove: attitudes as axes, rates or errors as plots.
 
-Times are those of the log. Rerun is open while a run goes on; Foxglove is given an MCAP file at the
-end. Batches are handed on as arrays, and none is kept.
+Times are those of the log. Rerun is open during a run; Foxglove opens an MCAP file at the end.
+Batches are passed on as arrays, and none is kept.
 """
 
 from __future__ import annotations
@@ -47,19 +47,19 @@ if TYPE_CHECKING:
 RATES, ERROR = CURVES
 
 CONNECT_S = 10.0
-"""How long Rerun may take to open."""
+"""Longest time for Rerun to open, s."""
 
 EYE = (2.2, 1.6, 1.2)
-"""From where axes of length 1 are seen."""
+"""Position of the camera, for axes of length 1."""
 
 SHORTER = 0.6
-"""The axes of B are shorter than those of A, so that both are seen."""
+"""Length of the axes of B relative to those of A, so that both are visible."""
 
 
 class Viewer(ABC):
-    """Hands what it is given to a viewer; of a propagation, as its observer.
+    """Sends data to a viewer; it can observe a propagation.
 
-    `said`: what a user should know once it is shown
+    `said`: message to the user once the data are shown
     """
 
     said = ""
@@ -74,24 +74,24 @@ class Viewer(ABC):
 
     @abstractmethod
     def show(self) -> None:
-        """Have all shown that was handed over."""
+        """Show all data that were sent."""
 
     def rates(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield the rates unchanged, having plotted them."""
+        """Plot the rates, and yield them unchanged."""
         for batch in batches:
             if len(batch):
                 self.plot(RATES, batch.t_ns, batch.rate)
             yield batch
 
     def attitudes(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
-        """Yield the attitudes unchanged, having shown them."""
+        """Show the attitudes, and yield them unchanged."""
         for batch in batches:
             if len(batch):
                 self.axes("body", batch)
             yield batch
 
     def draw(self, _report: object) -> None:
-        """Have all shown that has passed."""
+        """Show all data of the run."""
         self.show()
 
     def compared(self, a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison) -> None:
@@ -111,7 +111,7 @@ class Viewer(ABC):
 
     @abstractmethod
     def __exit__(self, *_error: object) -> None:
-        """Let go of the viewer; leave nothing behind of what is not shown."""
+        """Release the viewer, and remove files that are not shown."""
 
 
 def open_viewer(name: str) -> Viewer:
@@ -120,7 +120,7 @@ def open_viewer(name: str) -> Viewer:
 
 
 class RerunViewer(Viewer):
-    """Sends everything to Rerun, which is open from the beginning."""
+    """Sends data to Rerun, which is open from the beginning."""
 
     def __init__(self) -> None:
         try:
@@ -134,7 +134,7 @@ class RerunViewer(Viewer):
         self._stream = rerun.RecordingStream("quatprop")
         self._declared: list[str] = []
         self._unit = ""
-        # Beside Python, where an environment that is not activated has it.
+        # Beside Python, where an environment that is not activated keeps it.
         places = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
         try:
             rerun.spawn(
@@ -183,13 +183,13 @@ class RerunViewer(Viewer):
         )
 
     def _times(self, t_ns: Int64) -> Any:
-        """Return times as instants, or as durations where the clock does not count from 1970."""
+        """Return times as instants, or as durations if the clock does not count from 1970."""
         self._unit = self._unit or ("timestamp" if t_ns[0] >= GPS_EPOCH_NS else "duration")
         form = "datetime64[ns]" if self._unit == "timestamp" else "timedelta64[ns]"
         return self._rerun.TimeColumn("log_time", **{self._unit: t_ns.astype(form)})
 
     def show(self) -> None:
-        """Wait until Rerun has everything, unless it was closed."""
+        """Wait until Rerun has received everything, unless it was closed."""
         with suppress(RuntimeError):
             self._stream.flush()
 
@@ -261,5 +261,5 @@ def _foxglove() -> list[str]:
 
 
 def _place(type_name: str) -> str:
-    """Return where numbers are found in a viewer: ``"rates"`` or ``"error"``."""
+    """Return the path of numbers in a viewer: ``"rates"`` or ``"error"``."""
     return type_name.rpartition(".")[2].lower()

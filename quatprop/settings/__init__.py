@@ -1,10 +1,10 @@
-"""What a user may set about reading and propagating a log: every name, and how its value is read.
+"""The settings for reading and propagating a log: their names, and how their values are parsed.
 
 The names are those of the library's keywords. The command line spells them as options
 (``on_gap`` is ``--on-gap``), a suite as keys (``on-gap``). Each has one row in a class of keywords
-here: the types that the library takes, the parser, which takes a value as text, as TOML has it, or
-as Python has it, and what help and documents say. Nothing heavy is imported, so that ``quatprop
---help`` is quick.
+here: the types that the library accepts, the parser, which accepts text, TOML values and Python
+values, and the text for help and documents. Nothing heavy is imported, so that ``quatprop --help``
+is quick.
 """
 
 from collections.abc import Collection, Sequence
@@ -31,7 +31,7 @@ from quatprop.text import Setting
 
 
 class RunOptions(RateOptions, total=False):
-    """Keywords that determine attitudes, beside those of :class:`RateOptions`."""
+    """Keywords that determine attitudes, besides those of :class:`RateOptions`."""
 
     # fmt: off
     start: Start
@@ -128,5 +128,4 @@ class PropagateOptions(RunOptions, ErrorOptions, total=False):
 
 
 PROPAGATE = keywords_of(PropagateOptions)
-"""Everything that determines the attitudes of a log, and how many threads compute them: name ->
-its row."""
+"""Everything that determines the attitudes of a log, and the number of threads: name -> its row."""

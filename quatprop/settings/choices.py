@@ -1,4 +1,4 @@
-"""Names that settings choose from, for users' type checkers and for parsers."""
+"""Names that settings accept, for the type checkers of users and for parsers."""
 
 from typing import Literal, TypeAlias, get_args
 
@@ -13,12 +13,12 @@ CLOCKS: tuple[str, ...] = get_args(ClockName)
 Method: TypeAlias = Literal["start", "end", "mean", "coning", "cubic", "quintic"]
 METHODS: tuple[str, ...] = get_args(Method)
 LOOK_AHEAD = {"cubic", "quintic"}
-"""Methods for which samples after an interval count."""
+"""Methods that use samples after an interval."""
 CORRECT_CONING = {"coning", *LOOK_AHEAD}
-"""Methods that add to averages and increments how the axis has turned."""
+"""Methods that correct averages and increments for coning."""
 Frame: TypeAlias = Literal["body", "inertial"]
 FRAMES: tuple[str, ...] = get_args(Frame)
-"""Where rates may be resolved: body rates multiply on the right, inertial rates on the left."""
+"""Frames of rates: steps of body rates multiply on the right, of inertial rates on the left."""
 EulerSequence: TypeAlias = Literal[
     "zyx", "xyz", "xzy", "yxz", "yzx", "zxy", "zxz", "zyz", "xyx", "xzx", "yxy", "yzy"
 ]

@@ -1,4 +1,4 @@
-"""What a user may say of the errors of a gyroscope, and of what they lead to."""
+"""Settings for the errors of a gyroscope and the resulting uncertainty."""
 
 from collections.abc import Collection
 from os import PathLike

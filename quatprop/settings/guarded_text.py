@@ -1,8 +1,7 @@
 """Content of YAML, TOML and JSON, read within limits.
 
-Few bytes may stand for gigabytes, and their nesting, numbers or characters may be what nothing
-after this expects. All that is wrong with a text is a :class:`ContentError`; whoever knows where
-the text comes from says so.
+Few bytes may expand to gigabytes, and their nesting, numbers or characters may be unusable.
+Every error in a text is a :class:`ContentError`; the caller, which knows the source, adds it.
 """
 
 from __future__ import annotations
@@ -21,26 +20,26 @@ if TYPE_CHECKING:
     from ruamel.yaml.nodes import Node
 
 MAX_BYTES = 1 << 24
-"""Bytes of a file, where nothing says less."""
+"""Default limit for the size of a file, bytes."""
 
 MAX_DEPTH = 64
-"""Levels of lists and tables."""
+"""Most levels of nested lists and tables."""
 
 MAX_VALUES = 1 << 18
-"""Values of a text in YAML, those of aliases wherever they stand for something."""
+"""Most values of a text in YAML, with every alias expanded."""
 
 MAX_DIGITS = 300
-"""Digits of a whole number: all fit into a float."""
+"""Most digits of a whole number, so that it fits into a float."""
 
 _LONG_NUMBER = re.compile(rf"\d[\d_]{{{MAX_DIGITS},}}", re.ASCII)
 
 
 class ContentError(ValueError):
-    """What is wrong with a text, as the end of a sentence about it."""
+    """An error in a text, as the end of a sentence about it."""
 
 
 def read_bytes(source: Path | str | IO[bytes], limit: int = MAX_BYTES) -> bytes:
-    """Return the content of a file, or of an open one, which is closed."""
+    """Return the content of a file; an open one is closed."""
     try:
         with Path(source).open("rb") if isinstance(source, Path | str) else source as stream:
             data = stream.read(limit + 1)
@@ -58,7 +57,7 @@ def read_toml(text: bytes) -> dict[str, Any]:
     decoded = _decoded(text)
     _refuse_long_numbers(decoded)
     for number, line in enumerate(decoded.split("\n"), 1):
-        # The time that the library takes for a key goes with the square of its parts.
+        # The library takes quadratic time in the number of parts of a key.
         if max(part.count(".") for part in re.split(r"[,={}]", line)) > MAX_DEPTH * 4:
             raise ContentError(f"line {number}: {_too_deep()}")
     try:
@@ -72,7 +71,7 @@ def read_toml(text: bytes) -> dict[str, Any]:
 
 
 def read_json(text: bytes | str) -> Any:
-    """Return the content of JSON, which has no NaN and no name twice in an object."""
+    """Return the content of JSON, without NaN and without repeated names in an object."""
     decoded = _decoded(text, "surrogateescape")
     try:
         content = _JSON.decode(decoded)
@@ -87,7 +86,7 @@ def read_json(text: bytes | str) -> Any:
 
 
 def read_yaml(text: bytes | str) -> Any:
-    """Return the content of YAML; tags make plain values only, whatever they ask for."""
+    """Return the content of YAML; tags give plain values only."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
@@ -134,14 +133,14 @@ def _decoded(text: bytes | str, errors: str = "strict") -> str:
 
 
 def _refuse_long_numbers(text: str) -> None:
-    """Refuse numbers that take long to convert, and that nothing can calculate with."""
+    """Refuse numbers that take long to convert and are useless."""
     if found := _LONG_NUMBER.search(text):
         line = text.count("\n", 0, found.start()) + 1
         raise ContentError(f"line {line}: a number of more than {MAX_DIGITS} digits")
 
 
 def _refuse_deep_brackets(text: str) -> None:
-    """Refuse what takes the library seconds to find too deep."""
+    """Refuse nesting so deep that the library would take seconds to refuse it."""
     depth = 0
     for bracket in re.finditer(r"[][{}]", text):
         depth = depth + 1 if bracket[0] in "[{" else max(depth - 1, 0)
@@ -155,7 +154,7 @@ def _too_deep() -> str:
 
 
 def _count_values(node: Node, counts: dict[int, int]) -> int:
-    """Return how many values a node stands for, each alias counted as what it repeats."""
+    """Return the number of values of a node, with its aliases expanded."""
     if id(node) in counts:
         if not counts[id(node)]:
             raise ContentError(f"line {node.start_mark.line + 1}: a value contains itself")
@@ -196,7 +195,7 @@ _JSON = json.JSONDecoder(
 
 
 def _check(content: object) -> None:
-    """Refuse values that nothing after this can use, with their place."""
+    """Refuse values that other code cannot use, and name their place."""
     waiting: list[tuple[object, tuple[object, ...]]] = [(content, ())]
     while waiting:
         value, place = waiting.pop()
@@ -213,7 +212,7 @@ def _check(content: object) -> None:
 
 
 def _parts(value: object, place: tuple[object, ...]) -> Iterator[tuple[object, tuple[object, ...]]]:
-    """Yield what a list or a table consists of, the names too."""
+    """Yield the items of a list, or the names and values of a table."""
     if isinstance(value, dict):
         yield from ((key, place) for key in value)
         yield from ((part, (*place, key)) for key, part in value.items())
@@ -222,7 +221,7 @@ def _parts(value: object, place: tuple[object, ...]) -> Iterator[tuple[object, t
 
 
 def _is_unicode(text: str) -> bool:
-    """Return whether text can be written: bytes of file names that are not UTF-8 can."""
+    """Return whether text can be encoded; surrogates for bytes of file names are allowed."""
     try:
         text.encode("utf-8", "surrogateescape")
     except UnicodeEncodeError:

@@ -1,4 +1,4 @@
-"""A setting in one row: how its value is read, and what help, options and documents say of it."""
+"""A setting in one row: how its value is parsed, and its text for help, options and documents."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ PYTHON_TYPES = {
     "Rotated": "Rotation",
     "Timed": "series",
 }
-"""What documents call types, where that is not their own name."""
+"""Names of types in documents, if different from their own."""
 
 
 @dataclass(frozen=True, slots=True)
 class Keyword:
-    """A keyword of the library, which is an option and a key of a suite too.
+    """A keyword of the library, which is also an option and a key of a suite.
 
     `says`: one or more sentences; settings in them are marks (:class:`quatprop.text.Setting`),
-        ``{log}`` is what the interface calls the input, ``{signal}`` what is read of it
-    `takes`: what help calls the value; of a choice it lists the names
-    `common`: whether help shows it without being asked for all
-    `preset`: whether the default is a value, which is read like one that was given
+        ``{log}`` is the name of the input in the interface, ``{signal}`` that of its data
+    `takes`: the name of the value in help, which lists the names of a choice instead
+    `common`: whether the short help shows it
+    `preset`: whether the default is a value, which is parsed like a given one
     """
 
     parse: Callable[..., Any]
@@ -48,7 +48,7 @@ class Keyword:
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """The names that it takes; none of other parsers."""
+        """The names that it accepts; empty for other parsers."""
         return self.parse.names if isinstance(self.parse, Choice) else ()
 
 
@@ -77,7 +77,7 @@ def parameters(options: type, signal: str = "rates", log: str = "the log") -> st
 
 
 def _type(hint: Any) -> str:
-    """Return what numpydoc calls a type: ``"str or float"``."""
+    """Return the name of a type in numpydoc: ``"str or float"``."""
     names = [
         getattr(one, "__name__", str(one))
         for one in get_args(hint) or [hint]

@@ -1,6 +1,6 @@
-"""Parsers of values that users give: as text, as TOML has them, or as Python has them.
+"""Parsers of values from users: text, TOML values or Python values.
 
-Each returns the value in the type that the program uses, takes what it has returned before, and
+Each returns the value in the type that the program uses, accepts its own results, and
 raises a :class:`quatprop.errors.UsageError` that does not name the setting.
 """
 
@@ -51,7 +51,7 @@ def path(value: object) -> str:
 
 
 def choice_named(value: str, names: Iterable[str]) -> str:
-    """Return the one of some names that is meant, in capitals or not; else the value itself."""
+    """Return the matching name, ignoring case; else the value itself."""
     name = value.lower()
     if name not in names:
         name = {"dps": "deg/s", "reference": "inertial"}.get(name, name)
@@ -59,7 +59,7 @@ def choice_named(value: str, names: Iterable[str]) -> str:
 
 
 class Choice:
-    """A parser that takes one of a few names."""
+    """A parser that accepts one of a few names."""
 
     def __init__(self, *names: str) -> None:
         self.names = names
@@ -77,7 +77,7 @@ class Choice:
 def column_list(names: str) -> Callable[[object], tuple[str, ...]]:
     """Return a parser of as many columns as `names` has, such as ``"X,Y,Z"``.
 
-    What stands in brackets may be left out: ``"A,B,C[,D]"``.
+    Names in brackets are optional: ``"A,B,C[,D]"``.
     """
     counts = range(names.partition("[")[0].count(",") + 1, names.count(",") + 2)
 
@@ -132,8 +132,8 @@ def count(value: object) -> int:
 
 
 def frequency(value: object) -> Fraction:
-    """Return a frequency in Hz as the decimal or the fraction it is written as."""
-    # By its text: 29.97 is meant, not the binary fraction nearest to it.
+    """Return a frequency in Hz as an exact decimal or fraction."""
+    # By its text: 29.97 means the decimal, not the nearest binary fraction.
     text = str(value).removesuffix("Hz").strip()
     numerator, _, denominator = text.partition("/")
     try:
@@ -150,7 +150,7 @@ def frequency(value: object) -> Fraction:
 def duration(value: object) -> int:
     """Return a duration in ns: text with units, whole nanoseconds, or a timedelta."""
     if isinstance(value, timedelta):
-        # Those of pandas have nanoseconds too.
+        # Those of pandas also have nanoseconds.
         return value // timedelta(microseconds=1) * 1000 + getattr(value, "nanoseconds", 0)
     if (whole := _whole(value)) is not None:
         return whole
@@ -196,7 +196,7 @@ def parts_of(value: object) -> list[object]:
 
 
 def _whole(value: object) -> int | None:
-    """Return a whole number of any type, NumPy's too; None for others, and for truth values."""
+    """Return a whole number of any type, also of NumPy; None for other values and for booleans."""
     try:
         return None if str(value) in {"True", "False"} else index(value)  # type: ignore[arg-type]
     except TypeError:

@@ -33,7 +33,7 @@ SCALED_RATE_UNITS = {
     "\u00b0/h": ("deg/s", 1 / 3600),
     "rpm": ("deg/s", 6.0),
 }
-"""Units that are read as another one, and what they are multiplied by."""
+"""Units that are converted to another one, and their factors."""
 
 _DEG = math.pi / 180
 
@@ -70,7 +70,7 @@ RATE_WALKS = {
 """rad/s^2/sqrt(Hz) in each unit of a rate random walk."""
 
 RATIOS = {"ppm": 1e-6, "%": 1e-2}
-"""The ratio that each unit is."""
+"""Value of each unit of a ratio."""
 
 _QUANTITY = r"(?a)((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\D.*)"
 
@@ -92,7 +92,7 @@ def quantity(value: object, units: Mapping[str, float], noun: str, examples: str
     if not match or match[2] not in units or math.isinf(float(match[1])):
         sentence = f"{shown(value)} is not {noun}; write a number with its unit, such as"
         raise UsageError(f"{sentence} {examples}")
-    # Degrees as by everyone else, to the last bit.
+    # Degrees as in other programs, to the last bit.
     if match[2] == "deg":
         return math.radians(float(match[1]))
     return float(match[1]) * units[match[2]]
@@ -113,7 +113,7 @@ def angles(value: object) -> tuple[float, ...]:
 
 
 def picture_size(value: object) -> tuple[float, float | None]:
-    """Return the width and height of a picture in inches; the height None if it is not given."""
+    """Return the width and height of a picture in inches; the height is None if not given."""
     number = r"(\d+\.?\d*)"
     found = re.fullmatch(rf"{number}(?:x{number})?(mm|cm|in)", str(value), re.ASCII)
     if found is not None:

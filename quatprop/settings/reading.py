@@ -1,4 +1,4 @@
-"""What a user may set about reading a log: every name, and how its value is read."""
+"""The settings for reading a log: their names, and how their values are parsed."""
 
 from collections.abc import Sequence
 from datetime import datetime, timedelta
@@ -37,7 +37,7 @@ from quatprop.stores.kinds import READERS
 from quatprop.text import Setting
 
 OPTION_NAMES = {"kind": "from", "representation": "as", "extra_columns": "with"}
-"""Settings whose name as an option or a key of a suite is a word of Python -> that name."""
+"""Settings whose name as an option or a key of a suite is a Python keyword -> that name."""
 
 
 Start = Annotated[
@@ -90,7 +90,7 @@ class SelectOptions(TypedDict, total=False):
 
 
 class RateOptions(SelectOptions, total=False):
-    """Keywords that say which rates to read, beside those of :class:`SelectOptions`."""
+    """Keywords that select the rates to read, besides those of :class:`SelectOptions`."""
 
     # fmt: off
     rate_field: Annotated[str | None, Keyword(
@@ -125,13 +125,13 @@ MaxGap = Annotated[str | int | timedelta | None, Keyword(
 
 
 class ReadOptions(RateOptions, total=False):
-    """Keywords of :func:`quatprop.read_rates`, beside those of :class:`RateOptions`."""
+    """Keywords of :func:`quatprop.read_rates`, besides those of :class:`RateOptions`."""
 
     regular_time: RegularTime
 
 
 class SeriesOptions(SelectOptions, total=False):
-    """Keywords that say which attitudes to read, beside those of :class:`SelectOptions`."""
+    """Keywords that select the attitudes to read, besides those of :class:`SelectOptions`."""
 
     # fmt: off
     quat_field: Annotated[str | None, Keyword(
@@ -163,7 +163,7 @@ class SeriesOptions(SelectOptions, total=False):
 
 
 class AttitudeOptions(SeriesOptions, total=False):
-    """Keywords of :func:`quatprop.read_attitudes`, beside those of :class:`SeriesOptions`."""
+    """Keywords of :func:`quatprop.read_attitudes`, besides those of :class:`SeriesOptions`."""
 
     # fmt: off
     normalize: Annotated[bool | None, Keyword(
@@ -178,7 +178,7 @@ class AttitudeOptions(SeriesOptions, total=False):
 
 
 class NoiseOptions(RateOptions, total=False):
-    """Keywords of :func:`quatprop.noise`, beside those of :class:`RateOptions`."""
+    """Keywords of :func:`quatprop.noise`, besides those of :class:`RateOptions`."""
 
     start: Start
     end: End
@@ -188,29 +188,29 @@ class NoiseOptions(RateOptions, total=False):
 
 
 class PlotOptions(RateOptions, SeriesOptions, total=False):
-    """Keywords of :func:`quatprop.plot`, beside those of both its bases."""
+    """Keywords of :func:`quatprop.plot`, besides those of both base classes."""
 
     start: Start
     end: End
 
 
 NOISE = keywords_of(NoiseOptions)
-"""Which samples of a log its noise is measured by: name -> its row."""
+"""Settings of a measurement of noise: name -> its row."""
 
 PLOT = keywords_of(PlotOptions)
-"""What is read of files that are drawn: name -> its row."""
+"""Settings for reading the files of a picture: name -> its row."""
 
 READ_RATES = keywords_of(RateOptions)
-"""How rates are read: name -> its row."""
+"""Settings for reading rates: name -> its row."""
 
 RATES_IN_MEMORY = keywords_of(ReadOptions)
-"""The same, and what is done to their stamps where nothing else is done to them."""
+"""The same, and the handling of timestamps of rates that are only read."""
 
 ONE_SERIES = keywords_of(SeriesOptions)
-"""What has to be known of each series where several are read: name -> its row."""
+"""Settings of each series if several are read: name -> its row."""
 
 READ_ATTITUDES = keywords_of(AttitudeOptions)
-"""How attitudes are read: name -> its row."""
+"""Settings for reading attitudes: name -> its row."""
 
 CHECKS = {name: READ_ATTITUDES[name] for name in ("normalize", "on_invalid")}
-"""How attitudes are checked, those of several series alike: name -> its row."""
+"""Settings for checking attitudes, common to several series: name -> its row."""

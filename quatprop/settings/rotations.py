@@ -14,20 +14,20 @@ from quatprop.stores.log_names import split_topic
 from quatprop.text import shown
 
 FROM_THE_LOG = ("level", "log")
-"""Initial attitudes that are taken from the log itself."""
+"""Initial attitudes from the log itself."""
 
 FILE_SETTINGS = frozenset({"at", "bias", "calibration", "imu", "msg_path", "q0"})
 """Settings whose value is, or may be, the name of a file."""
 
 STATIC = "static"
-"""The bias is the mean rate at rest."""
+"""Value for a bias that is the mean rate at rest."""
 
 
 class Rotated(Protocol):
-    """A rotation, such as scipy's."""
+    """A rotation, such as that of scipy."""
 
     def as_matrix(self) -> Any:
-        """Return its matrix, shape ``(3, 3)``."""
+        """Return the rotation matrix, shape ``(3, 3)``."""
 
 
 class Timed(Protocol):
@@ -35,22 +35,22 @@ class Timed(Protocol):
 
     @property
     def t_ns(self) -> Any:
-        """Its stamps, shape ``(N,)``, ns."""
+        """The timestamps, shape ``(N,)``, ns."""
 
 
 class InMemory:
-    """A value that has no text: times, or a series, in a program that uses the library."""
+    """A value without text: times or a series in a program that uses the library."""
 
     def __init__(self, value: Any) -> None:
         self.value = value
 
     def __str__(self) -> str:
-        """Return it as it is recorded."""
+        """Return the text for reports."""
         return "in memory"
 
 
 def place(value: object) -> tuple[float, ...]:
-    """Return a latitude, and the azimuth of the reference's x axis where it is given, deg."""
+    """Return a latitude, and the azimuth of the reference's x axis if given, deg."""
     names = "LAT,AZIMUTH" if len(parts_of(value)) > 1 else "LAT"
     numbers = number_list(names)(value)
     if abs(numbers[0]) > 90:  # noqa: PLR2004  # the poles
@@ -59,18 +59,18 @@ def place(value: object) -> tuple[float, ...]:
 
 
 def file_beside(name: str, text: str, folder: Path) -> Path | None:
-    """Return the file that a setting names, relative to a folder; None where it names none."""
+    """Return the file that a setting names, relative to a folder; None if it names none."""
     path = folder / text
     words = {"bias": (STATIC,), "q0": FROM_THE_LOG}.get(name, ())
     if name not in FILE_SETTINGS or "://" in text or re.split("[:@]", text)[0].strip() in words:
         return None
-    # It may as well be a topic or numbers.
+    # It may also be a topic or numbers.
     is_there = Path(split_topic(str(path))[0]).exists()
     return path if is_there or not (words or name == "at" or "," in text) else None
 
 
 def files_beside(values: Mapping[str, object], folder: Path) -> dict[str, object]:
-    """Return settings in which the files that they name are relative to a folder."""
+    """Return settings with the paths of their files relative to a folder."""
     texts = {name: str(one) for name, one in values.items() if isinstance(one, str | PathLike)}
     files = {name: file_beside(name, text, folder) for name, text in texts.items()}
     return {**values, **{name: str(file) for name, file in files.items() if file is not None}}
@@ -106,7 +106,7 @@ def initial_attitude(value: object) -> tuple[float, ...] | str | InMemory:
 
 
 def mounting(value: object) -> str:
-    """Return axes, a name or a quaternion as text, for the conditioning to read.
+    """Return axes, a name or a quaternion as text, which the conditioning parses.
 
     `value`: text, four numbers, a matrix of shape ``(3, 3)``, or a rotation of scipy
     """
@@ -114,13 +114,13 @@ def mounting(value: object) -> str:
         return value
     as_matrix = getattr(value, "as_matrix", None)
     parts = parts_of(value if as_matrix is None else as_matrix())
-    # The rows of a matrix one after the other.
+    # The rows of a matrix in sequence.
     rows = [parts_of(part) if not isinstance(part, str) else [part] for part in parts]
     return ",".join(str(part) for row in rows for part in row)
 
 
 def is_name(value: object) -> TypeGuard[str | PathLike[str]]:
-    """Tell whether a value may be a file or a topic: text that is not numbers."""
+    """Return whether a value may be a file or a topic: text that is not numbers."""
     if not isinstance(value, str) or not value:
         return isinstance(value, PathLike)
     try:

@@ -36,7 +36,7 @@ class SignalSelection:
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Self:
-        """Return a selection by those values that are about it; what is not there is not given."""
+        """Return a selection from the values for its fields; missing ones are not given."""
         return cls(**{field.name: values.get(field.name) for field in fields(cls)})
 
 
@@ -86,5 +86,5 @@ class AttitudeSelection(SignalSelection):
 
     @classmethod
     def like(cls, other: SignalSelection) -> Self:
-        """Return the attitudes with the topic and the time base of another selection."""
+        """Return a selection of attitudes with the topic and the time base of another one."""
         return cls(**{f.name: getattr(other, f.name) for f in fields(SignalSelection)})

@@ -1,7 +1,7 @@
 """How interfaces spell settings: as options, ``--clock log``, or as keys of a suite.
 
-Text that leaves the program has gone through :func:`quatprop.text.spelled`; the command line sets
-:func:`in_options` for that, a suite :func:`in_keys`. As keywords they are what they are.
+Output passes through :func:`quatprop.text.spelled`, for which the command line sets
+:func:`in_options` and a suite :func:`in_keys`. Keywords of the library are not changed.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from quatprop.settings.reading import ONE_SERIES, OPTION_NAMES, READ_ATTITUDES, 
 from quatprop.text import said_once, with_settings
 
 LOOKUPS = {"at": {"start"}, "q0": {"start"}, "info": READ_RATES.keys()}
-"""Sides whose attitudes are only looked up, and what the command has itself of their settings;
-quatprop convert can say everything about them."""
+"""Sides whose attitudes are only looked up, and the settings that the command itself has for them;
+quatprop convert has all settings."""
 
 FLAGS = {name for name, row in {**PROPAGATE, **READ_ATTITUDES}.items() if row.parse is flag}
 """Settings that are on or off."""
 
 OF_CHECK = {"update", "strict", "force"}
-"""Options of the command check, which are no keys of a case."""
+"""Options of the command check that are not keys of a case."""
 
 _ELSEWHERE = " of quatprop convert"
 
@@ -37,7 +37,7 @@ def suite_key(name: str, side: str = "") -> str:
 
 
 def in_options(text: str, side: str = "") -> str:
-    """Return a sentence with options; whose they are is said once, after the last."""
+    """Return a sentence with options; their command is named once, after the last."""
 
     def spell(name: str, value: str, own: str) -> str:
         about = own or side
@@ -55,7 +55,7 @@ def in_keys(text: str, side: str = "") -> str:
     def spell(name: str, value: str, own: str) -> str:
         about = own or side
         if name not in LOOKUPS.get(about, (name,)):
-            # Attitudes of a file that is only looked up have no keys of their own.
+            # Attitudes that are only looked up have no keys of their own.
             return f"{option(name)} {value}".rstrip() + _ELSEWHERE
         if name in OF_CHECK:
             return option(name)

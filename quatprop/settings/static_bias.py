@@ -1,4 +1,4 @@
-"""The parser of a bias, and of the rests of a log from which it may be taken."""
+"""The parser of a bias, and of the periods at rest that it may be measured at."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from quatprop.text import did_you_mean, shown
 from quatprop.times import Instant, duration_ns
 
 BETWEEN_RESTS = ("nearest", "interpolate")
-"""How the bias follows from several rests."""
+"""How to combine several rests into a bias."""
 
 
 class StaticBias(NamedTuple):
     """Take the mean rate at rest as the bias.
 
-    `window_ns`: rest is looked for in windows of this length, ns
-    `start`, `end`: where the rest is, ends included; None: it is looked for
-    `between`: how the bias follows from several rests, one of :data:`BETWEEN_RESTS`; None: it is
-        that of one
+    `window_ns`: length of the windows in which rest is searched for, ns
+    `start`, `end`: the period at rest, ends included; None to search for it
+    `between`: how to combine several rests, one of :data:`BETWEEN_RESTS`; None to use a single
+        rest
     """
 
     window_ns: int = 1_000_000_000
@@ -30,7 +30,7 @@ class StaticBias(NamedTuple):
     between: str | None = None
 
     def __str__(self) -> str:
-        """Return it as :func:`bias` reads it."""
+        """Return the text that :func:`bias` parses."""
         if self.start is not None:
             return f"{STATIC}@{self.start}..{self.end}"
         way = f"{self.between}:" if self.between else ""

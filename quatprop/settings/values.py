@@ -1,4 +1,4 @@
-"""Values of settings: parsed all together, and as a configuration has them."""
+"""Values of settings: parse them together, and write them for a configuration."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def parse_all(
 
 
 def refuse_unknown(options: Iterable[str], names: Collection[str]) -> None:
-    """Refuse keywords that a function has not, and name the one that was probably meant."""
+    """Refuse unknown keywords of a function, and suggest the likely one."""
     keywords = {option: keyword for keyword, option in OPTION_NAMES.items()}
     for name in options:
         if name in names:
@@ -48,7 +48,7 @@ def refuse_unknown(options: Iterable[str], names: Collection[str]) -> None:
 
 
 def as_text(name: str, value: object, parsed: object) -> str | bool:
-    """Return the value of a setting as a configuration has it."""
+    """Return the value of a setting in the form for a configuration."""
     if isinstance(value, str | bool):
         return value
     if type(parsed) is tuple:
@@ -66,4 +66,4 @@ SI_UNITS = {
     "misalignment_sigma": "rad",
     "q0_sigma": "rad",
 }
-"""Units of settings whose values are written with one."""
+"""Units of settings whose values are written with a unit."""

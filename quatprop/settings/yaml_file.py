@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MAX_BYTES = 1_000_000
-"""A larger file describes no sensor."""
+"""Largest file that may describe a sensor, bytes."""
 
 
 def read_yaml(setting: str, path: Path | str) -> Mapping[str, object]:
     """Return the content of a file, by name."""
     try:
-        # How OpenCV begins a file is not YAML.
+        # The first line of files from OpenCV is not YAML.
         text = read_bytes(path, MAX_BYTES).removeprefix(b"%YAML:1.0")
         content = guarded_text.read_yaml(text)
     except ContentError as error:
@@ -31,5 +31,5 @@ def read_yaml(setting: str, path: Path | str) -> Mapping[str, object]:
 
 
 def unusable(setting: str, path: Path | str, reason: str) -> UsageError:
-    """Return the error of a file that a setting names."""
+    """Return the error for the file of a setting."""
     return UsageError(f"{Setting(setting)} {plain(path)}: {reason}")
