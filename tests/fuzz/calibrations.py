@@ -1,4 +1,4 @@
-"""Hundreds of simulated gyroscopes: are the errors of their calibrations as large as stated?
+"""Hundreds of simulated gyroscopes, and whether their calibrations err as much as stated.
 
 ``python -m fuzz.calibrations`` (in ``tests/``) prints the mean of squared errors over their
 covariance of each model, and of all; standard deviations wrong by 5 % have to be noticed.
