@@ -106,7 +106,7 @@ def stamp_remarks(source: RateSignal) -> list[Remark]:
     return [Remark("other-clock", text)]
 
 
-def orientation_remarks(log: Log, source: RateSignal, rates: str = "body") -> list[Remark]:
+def orientation_remarks(log: Log, source: RateSignal, rates: str) -> list[Remark]:
     """Return remarks on a comparison of the rates with the orientation in the log, if any."""
     topic = next((match.table.name for match in source.matches), None) or None
     try:

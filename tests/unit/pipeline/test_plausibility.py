@@ -127,5 +127,5 @@ def test_only_the_beginning_is_searched_for_an_orientation(monkeypatch):
     monkeypatch.setattr("quatprop.pipeline.plausibility.choose_attitudes", lambda *_: absent)
     rates = GyroSeries(np.arange(10), np.ones((10, 3)))
     source = SimpleNamespace(unit="rad/s", matches=(), batches=lambda **_: iter([rates]))
-    assert orientation_remarks(SimpleNamespace(path="log.bag"), source) == []
+    assert orientation_remarks(SimpleNamespace(path="log.bag"), source, "body") == []
     assert len(read) == 2

@@ -2,6 +2,7 @@
 
 import datetime as dt
 import json
+import math
 import re
 from fractions import Fraction
 from pathlib import Path
@@ -59,6 +60,7 @@ from quatprop.times import Instant
         ("every", ["3", 3], 3),
         ("heading", ["-90", -90, -90.0], -90.0),
         ("rate_unit", ["deg/s", "dps", "Deg/s", "DPS"], "deg/s"),
+        ("bias_sigma", ["3600deg/h", "1 deg/s", "1000mdeg/s", math.radians(1)], math.radians(1)),
     ],
 )
 def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expected):

@@ -156,6 +156,30 @@ def test_ranges_are_put_together_in_requests_of_bounded_size(tmp_path, monkeypat
     assert max(fetched) <= 2 << 20
 
 
+def test_the_parts_that_were_read_last_are_kept(tmp_path, monkeypatch):
+    """Beyond the bound the oldest are given up, and no more than that."""
+    path = tmp_path / "bytes"
+    size, count = 100_000, 8
+    with path.open("wb") as file:
+        file.truncate(count << 22)
+    fetched, fetch = [], RemoteSource._fetch  # noqa: SLF001
+    monkeypatch.setattr(
+        RemoteSource,
+        "_fetch",
+        lambda self, begin, end: fetched.append(begin >> 22) or fetch(self, begin, end),
+    )
+    begins = [k << 22 for k in range(count)]
+    with RemoteSource(path.as_uri(), path) as source:
+        source.expect(begins, [begin + size for begin in begins])
+        for begin in begins:
+            source.read(begin, size)
+        assert sorted(fetched) == [*range(count)]
+        monkeypatch.setattr("quatprop.stores.remote.KEPT_BYTES", 4 * size)
+        for k in (7, 4, 5, 6, 0, 7):
+            source.read(begins[k], size)
+    assert fetched[count:] == [0, 7]
+
+
 def test_a_time_range_is_all_that_is_read(tmp_path, bucket, store_server):
     """Of a long log with an index, --end moves little of what comes after it."""
     path, address = tmp_path / "ride.mcap", f"{bucket}/ride.mcap"
