@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     Within: TypeAlias = "TimeRange | frozenset[int] | None"
 
 Group: TypeAlias = tuple[int, ...]
-"""RowBatch that are read together: rows ``(N, k)`` of float64; of one column ``(N,)`` as stored."""
+"""Columns that are read together, by number: rows ``(N, k)`` of float64; of one column ``(N,)`` as stored."""
 
 
 class Column(NamedTuple):

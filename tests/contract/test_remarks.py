@@ -25,6 +25,7 @@ from make.remarked import (
     beside,
     biases,
     by_file,
+    calibrated,
     clipped_and_calibrated,
     compared,
     converted,
@@ -446,6 +447,7 @@ COMPARISONS = {
         lambda _: compare_series(TRUTH, AttitudeSeries(T_NS, 2 * TURNED)).remarks,
         lambda _: compare_series(TRUTH, AttitudeSeries(T_NS, (1 + 1e-9) * TURNED)).remarks,
     ),
+    "omitted": (calibrated(np.sort(np.append(stamps(2000), EPOCH))), calibrated(stamps(2000))),
     "sorted": (compared(TRUTH, TRUTH[np.r_[1, 0, 2:100]]), compared(TRUTH, TRUTH)),
 }
 WHITE = noise(1e-3, 4000)

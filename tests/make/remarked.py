@@ -50,6 +50,13 @@ def at_rest(rate, t_ns=None):
     return lambda _: quatprop.noise(GyroSeries(t_ns, rate)).remarks
 
 
+def calibrated(t_ns):
+    """Return what is said of a calibration of swinging rates at given times."""
+    rates = GyroSeries(t_ns, swinging_at(t_ns))
+    reference = quatprop.propagate(rates[np.unique(t_ns, return_index=True)[1]], method="coning")
+    return lambda _: quatprop.calibrate(rates, reference, estimate="bias").remarks
+
+
 def with_value(array, at, value):
     """Return an array with another value in a place."""
     array = np.array(array, float if np.asarray(array).dtype.kind == "f" else np.int64)

@@ -86,7 +86,7 @@ def _holds_text(matcher: ColumnMatcher, time: Group) -> bool:
 
 
 def _needs_rate(matcher: ColumnMatcher, k: int) -> bool:
-    """Return whether a column counts samples, and is no time by itmatcher."""
+    """Return whether a column counts samples, and is no time by itself."""
     is_counter = re.fullmatch(clocks.COUNTER, matcher.columns[k].key) is not None
     return is_counter and not (matcher.selection.time_unit or matcher.declared((k,)))
 
