@@ -10,7 +10,6 @@ import numpy as np
 
 from quatprop.comparison.alignment import Alignment, align, find_mounting, kabsch
 from quatprop.comparison.association import associate
-from quatprop.comparison.cause import NO_ERROR
 from quatprop.comparison.clock_mistakes import clocks
 from quatprop.comparison.clocks import coarse_offset
 from quatprop.comparison.plans import (
@@ -212,13 +211,6 @@ def paired(sides: Sides, settings: ComparisonSettings) -> Sides:
     """Return both series at the stamps at which they are compared."""
     pairs = associate(*sides, settings)
     return Sides(*(AttitudeSeries(pairs.t_ns, wxyz) for wxyz in (pairs.a, pairs.b)))
-
-
-def thinned(sides: Sides) -> Sides:
-    """Return some of the pairs, no further apart than rotations are small."""
-    turns = [np.percentile(geodesic_angle(each.wxyz[1:], each.wxyz[:-1]), 99) for each in sides]
-    most = min(len(sides.a) / SEARCHED, MAX_TURN / max(*turns, NO_ERROR))
-    return Sides(*(each[:: max(int(most), 1)] for each in sides))
 
 
 def rms_between(a: Float64, b: Float64) -> float:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     Within: TypeAlias = "TimeRange | frozenset[int] | None"
 
 Group: TypeAlias = tuple[int, ...]
-"""Columns that are read together, by number: rows ``(N, k)`` of float64; of one column ``(N,)`` as stored."""
+"""Numbers of columns that are read together: ``(N, k)`` of float64; one alone ``(N,)`` as stored."""
 
 
 class Column(NamedTuple):
