@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     Within: TypeAlias = "TimeRange | frozenset[int] | None"
 
 Group: TypeAlias = tuple[int, ...]
-"""Numbers of columns that are read together: ``(N, k)`` of float64; one alone ``(N,)`` as stored."""
+"""Columns read together, by number: ``(N, k)`` of float64; a single one ``(N,)`` as stored."""
 
 
 class Column(NamedTuple):
