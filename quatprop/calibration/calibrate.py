@@ -1,4 +1,4 @@
-"""Estimate a calibration from rates and a reference attitude, and try it where it was not made."""
+"""Estimate a calibration from rates and a reference, and validate it on held-out windows."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 import numpy as np
 
-from quatprop.calibration.estimate import REJECTED, Fit, fit, normal_equations, robust_noise
+from quatprop.calibration.estimate import REJECTED, Estimate, fit, normal_equations, robust_noise
 from quatprop.calibration.model import OF_GROUP, PARAMETERS, Model
 from quatprop.calibration.result import CalibrationParameter, GyroCalibration
 from quatprop.calibration.settings import DEFAULT, ESTIMATED
-from quatprop.calibration.windows import METHOD, Windows, covered, errors_of, windows_of
+from quatprop.calibration.windows import METHOD, RotationWindows, covered, errors_of, windows_of
 from quatprop.comparison.alignment import find_mounting
 from quatprop.comparison.clocks import coarse_offset
 from quatprop.conditioning.mounting import mounting
@@ -32,29 +32,29 @@ if TYPE_CHECKING:
 AnySeries = TypeVar("AnySeries", GyroSeries, AttitudeSeries)
 
 LENGTHS_NS: Final = tuple(int(1e8 * length) for length in (1, 2, 5, 10, 20, 50))
-"""Lengths of windows. Over short ones the noise of the reference counts most, and over long ones
-that of the rates: the length is taken that leaves the smallest volume of uncertainty."""
+"""Candidate lengths of windows. Noise of the reference dominates short ones, noise of the rates
+long ones: the length with the smallest determinant of the covariance is used."""
 
 FIRST_NS: Final = 1_000_000_000
-"""The length with which it is found out."""
+"""Length of the windows of the first estimate, with which the lengths are compared."""
 
 MIN_WINDOWS: Final = 60
-"""Windows at least."""
+"""Minimum number of windows."""
 
 PARTS: Final = 30
-"""Parts of the recording; of every three one is not used for the estimate."""
+"""Parts of the recording, of which every third is held out of the estimate."""
 
 SPARE_NS: Final = 200_000_000
-"""Clocks may be off by so much without windows that lose their rates."""
+"""Margin around each window for a clock offset that is still unknown."""
 
 NEAR_NS: Final = 100_000_000
-"""Offset from which windows show the rest."""
+"""Clock offsets below this need no coarse search: least squares converges."""
 
 NEAR_RAD: Final = 0.2
-"""The same of a mounting."""
+"""The same for the mounting."""
 
 MAX_PAIRS: Final = 20_000
-"""Attitudes, about, from which the first mounting is estimated."""
+"""Approximate number of attitudes from which the first mounting is estimated."""
 
 
 def calibrate(
@@ -70,7 +70,9 @@ def calibrate(
     given, begin = _beginnings(rates, reference, settings, estimate)
     free = np.isin(OF_GROUP, estimate)
     windows, length_ns, found = _best(rates, reference, begin, free, settings.get("window"))
-    tried = _try(rates, windows.where(~_kept(windows)), (given, found.model), found.noise)
+    validation = _validate(
+        rates, windows.where(~_is_used(windows)), (given, found.model), found.noise
+    )
     model, used = found.model, int(found.used.sum())
     sigma = np.full(len(PARAMETERS), np.nan)
     sigma[found.free] = np.sqrt(found.covariance.diagonal())
@@ -95,13 +97,13 @@ def calibrate(
         window_ns=length_ns,
         used=used,
         outliers=len(found.used) - used,
-        **tried._asdict(),
+        **validation._asdict(),
         remarks=tuple(remarks),
     )
 
 
 def _rising(name: str, series: AnySeries, remarks: list[Remark]) -> AnySeries:
-    """Return the finite rows of a series in order of time, and remark on what is left out."""
+    """Return the finite samples of a series in order of time; add a remark on omitted ones."""
     (finite,) = np.nonzero(np.isfinite(np.asarray(series)).all(axis=1))
     t_ns, first = np.unique(series.t_ns[finite], return_index=True)
     if len(t_ns) < len(series):
@@ -121,7 +123,7 @@ def _beginnings(
     settings: Mapping[str, Any],
     estimate: tuple[str, ...],
 ) -> tuple[Model, Model]:
-    """Return the model as it is given, and one that is near enough for least squares."""
+    """Return the model that the user gave, and one close enough for least squares to converge."""
     mount = settings.get("mount")
     given = Model(
         mount=IDENTITY if mount is None else from_matrix(mounting(mount)),
@@ -155,16 +157,16 @@ def _beginnings(
     return given, begin
 
 
-def _kept(windows: Windows) -> Bool:
-    """Return which windows are for the estimate; the others try it."""
+def _is_used(windows: RotationWindows) -> Bool:
+    """Return which windows are used for the estimate; the others are held out."""
     part = np.arange(len(windows)) * PARTS // len(windows)
     return np.asarray(part % 3 != 1)
 
 
 def _best(
     rates: GyroSeries, reference: AttitudeSeries, begin: Model, free: Bool, length_ns: int | None
-) -> tuple[Windows, int, Fit]:
-    """Return the windows that show the parameters best, their length, and what fits them."""
+) -> tuple[RotationWindows, int, Estimate]:
+    """Return the windows with the smallest uncertainty, their length, and the estimate."""
     several = {
         length: covered(rates, windows_of(reference, length), begin, SPARE_NS)
         for length in ([length_ns] if length_ns else LENGTHS_NS)
@@ -177,23 +179,23 @@ def _best(
             f"{MIN_WINDOWS}; record for longer, or choose a shorter {Setting('window')}"
         )
     first = max((length for length in enough if length <= FIRST_NS), default=min(enough))
-    found = fit(rates, enough[first].where(_kept(enough[first])), begin, free)
+    found = fit(rates, enough[first].where(_is_used(enough[first])), begin, free)
     if len(enough) == 1:
         return enough[first], first, found
 
-    def volume(windows: Windows) -> float:
+    def volume(windows: RotationWindows) -> float:
         errors = errors_of(rates, windows, found.model)
         information, _ = normal_equations(errors, *robust_noise(errors.vectors))
         return -float(np.linalg.slogdet(information.sum(axis=0)[np.ix_(found.free, found.free)])[1])
 
     best = min(enough, key=lambda length: volume(enough[length]))
     if best != first:
-        found = fit(rates, enough[best].where(_kept(enough[best])), begin, free)
+        found = fit(rates, enough[best].where(_is_used(enough[best])), begin, free)
     return enough[best], best, found
 
 
-class Trial(NamedTuple):
-    """RMS errors over windows that were not used, as in :class:`GyroCalibration`."""
+class Validation(NamedTuple):
+    """RMS errors over the held-out windows, as in :class:`GyroCalibration`."""
 
     held_out: int
     before_rad: float
@@ -201,14 +203,16 @@ class Trial(NamedTuple):
     gain_sigma_rad: float
 
 
-def _try(rates: GyroSeries, windows: Windows, models: tuple[Model, Model], noise: Float64) -> Trial:
-    """Return the errors over windows of two models; outliers are those of both."""
+def _validate(
+    rates: GyroSeries, windows: RotationWindows, models: tuple[Model, Model], noise: Float64
+) -> Validation:
+    """Return the errors of two models over windows; outliers of both are omitted."""
     squares = np.stack([errors_of(rates, windows, model).vectors ** 2 for model in models])
     usual = ((squares / noise).sum(axis=2) < REJECTED**2).any(axis=0)
     before, after = squares.sum(axis=2)[:, usual]
     rms_before, rms_after = (rms(np.sqrt(each)) for each in (before, after))
     parts = [part.mean() for part in np.array_split(before - after, PARTS // 3) if len(part)]
     spread = float(np.std(parts, ddof=1)) / np.sqrt(len(parts))
-    # Of a difference of squares, that of the roots is this share.
+    # sigma(a - b) = sigma(a^2 - b^2) / (a + b)
     total = max(rms_before + rms_after, np.finfo(float).tiny)
-    return Trial(int(usual.sum()), rms_before, rms_after, spread / total)
+    return Validation(int(usual.sum()), rms_before, rms_after, spread / total)

@@ -1,4 +1,4 @@
-"""Robust least squares over windows: parameters, what the motion shows of them, and how well."""
+"""Robust least squares over windows: parameters, their observability and their covariance."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from quatprop.calibration.model import LIMITS, OF_GROUP, PARAMETERS, Model
-from quatprop.calibration.windows import Errors, Windows, errors_of
+from quatprop.calibration.windows import Errors, RotationWindows, errors_of
 from quatprop.errors import ComparisonError
 from quatprop.times import NS_PER_S
 
@@ -16,38 +16,38 @@ if TYPE_CHECKING:
     from quatprop.series import GyroSeries
 
 MAX_ROUNDS: Final = 20
-"""Rounds of least squares at most."""
+"""Maximum number of iterations."""
 
 CONVERGED: Final = 1e-2
-"""Change, in standard deviations, below which there are no more of them."""
+"""Iterations end at a change below this, in standard deviations."""
 
 LOOSE: Final = 3.0
-"""Limits by which parameters may differ from where they begin until it is known what is shown."""
+"""Width of the prior that keeps unobservable parameters bounded, in multiples of their limits."""
 
 HUBER: Final = 2.0
-"""Errors, in standard deviations, that count less and less until then."""
+"""Threshold of Huber's weights, in standard deviations."""
 
 REJECTED: Final = 4.6
-"""Errors, in standard deviations, that do not count afterwards: one in 10,000 of normal noise."""
+"""Outliers of the final fit, in standard deviations: 1 in 10,000 of normal noise."""
 
 BLOCKS: Final = 20
-"""Parts of the recording whose spread shows noise that is not white."""
+"""Number of parts of the recording whose scatter shows noise that is not white."""
 
 MAX_LOOKED_AT: Final = 100_000
-"""Samples from the start whose noise is estimated."""
+"""Samples, from the start, from which the noise of the rates is estimated."""
 
 SIGNIFICANT: Final = 3.0
-"""Standard deviations by which blocks differ more than by white noise where they do."""
+"""Noise is not white if the blocks scatter by this many standard deviations more."""
 
 ROUNDING: Final = 1e-12
-"""Noise, rad, below which errors are those of rounding."""
+"""Minimum noise, rad: rounding errors."""
 
 
-class Fit(NamedTuple):
-    """Parameters that fit windows best.
+class Estimate(NamedTuple):
+    """A least squares estimate of the parameters.
 
-    `free`: which were estimated, shape ``(14,)``; the others are where they began
-    `covariance`: of those, shape ``(F, F)``
+    `free`: which were estimated, shape ``(14,)``; the others keep their initial values
+    `covariance`: of the estimated ones, shape ``(F, F)``
     `noise`: variance of the errors over windows about each axis of the body, shape ``(3,)``, rad^2
     `used`: which windows are no outliers, shape ``(M,)``
     """
@@ -59,11 +59,10 @@ class Fit(NamedTuple):
     used: Bool
 
 
-def fit(rates: GyroSeries, windows: Windows, begin: Model, free: Bool) -> Fit:
+def fit(rates: GyroSeries, windows: RotationWindows, begin: Model, free: Bool) -> Estimate:
     """Estimate parameters by Gauss-Newton on the errors over windows.
 
-    Parameters that turn out not to be shown are held where they begin, and the others estimated
-    again.
+    Unobservable parameters are held at their initial values, and the others estimated again.
 
     `free`: which to estimate
 
@@ -80,20 +79,20 @@ def fit(rates: GyroSeries, windows: Windows, begin: Model, free: Bool) -> Fit:
                 "the motion is too small for the noise"
             )
         model, information, noise = _robust_fit(rates, windows, begin, free)
-        fewer = shown(information - np.diag(blind * (1 / noise).sum()), free)
+        fewer = observable(information - np.diag(blind * (1 / noise).sum()), free)
         if (fewer == free).all():
             found = _final_fit(rates, windows, model, free)
-            # Without outliers, or with noise that is not white, fewer may be shown.
+            # Without outliers, or with noise that is not white, fewer may be observable.
             information = np.zeros_like(information)
             information[np.ix_(free, free)] = np.linalg.inv(found.covariance)
-            fewer = shown(information, free)
+            fewer = observable(information, free)
             if (fewer == free).all():
                 return found
         free = fewer
 
 
-def _final_fit(rates: GyroSeries, windows: Windows, model: Model, free: Bool) -> Fit:
-    """Return the least squares fit without outliers, from a model that is near."""
+def _final_fit(rates: GyroSeries, windows: RotationWindows, model: Model, free: Bool) -> Estimate:
+    """Return the least squares estimate without outliers, starting close to it."""
     used = np.ones(len(windows), np.bool_)
     for _ in range(MAX_ROUNDS):
         errors = errors_of(rates, windows, model)
@@ -106,13 +105,13 @@ def _final_fit(rates: GyroSeries, windows: Windows, model: Model, free: Bool) ->
         model = model.moved(by)
     parts = information[:, free][..., free], scores[:, free]
     degrees = float(used.sum() - free.sum() / 3)
-    return Fit(model, free, _covariance(*parts, degrees), noise, used)
+    return Estimate(model, free, _covariance(*parts, degrees), noise, used)
 
 
 def _robust_fit(
-    rates: GyroSeries, windows: Windows, begin: Model, free: Bool
+    rates: GyroSeries, windows: RotationWindows, begin: Model, free: Bool
 ) -> tuple[Model, Float64, Float64]:
-    """Return a model from any beginning, the information on each parameter, and the noise."""
+    """Return Huber's estimate, the information matrix, and the variances of the errors."""
     prior = np.diag((LOOSE * LIMITS) ** -2.0)
     model, total = begin, np.zeros(len(PARAMETERS))
     for _ in range(MAX_ROUNDS):
@@ -128,10 +127,11 @@ def _robust_fit(
     return model, information, noise
 
 
-def _blind(rates: GyroSeries, windows: Windows, model: Model) -> Float64:
-    """Return twice what noise of the rates looks like: information on the clock that is none.
+def _blind(rates: GyroSeries, windows: RotationWindows, model: Model) -> Float64:
+    """Return the spurious information on the clock that noise of the rates contributes, doubled.
 
-    An offset changes the rotation over a window by the rates at its ends, and noise has such, too.
+    A clock offset changes the rotation over a window by the rates at its ends, including their
+    noise.
     """
     changes = np.diff(rates.rate[:MAX_LOOKED_AT], n=2, axis=0)
     variance = (np.median(np.abs(changes)) / 0.6745) ** 2 / 6
@@ -145,11 +145,11 @@ def _blind(rates: GyroSeries, windows: Windows, model: Model) -> Float64:
 def normal_equations(
     errors: Errors, noise: Float64, weight: Float64 | Bool
 ) -> tuple[Float64, Float64]:
-    """Return the information on all parameters, and the scores, of blocks of windows.
+    """Return the information matrices and the scores of blocks of windows, for all parameters.
 
     `Returns`: shapes ``(B, 14, 14)`` and ``(B, 14)``
     """
-    # Of whitened errors, one row for each axis of a window.
+    # Whitened errors: one row for each axis of a window.
     whitener = np.sqrt(weight[:, None] / noise)
     rows = (errors.slope * whitener[..., None]).reshape(-1, len(PARAMETERS))
     left = (errors.vectors * whitener).ravel()
@@ -165,14 +165,14 @@ def _step(power: Float64, score: Float64, free: Bool) -> Float64:
 
 
 def robust_noise(vectors: Float64) -> tuple[Float64, Float64]:
-    """Return variances by medians, ``(3,)``, and the weights of Huber's estimator, ``(M,)``."""
+    """Return variances from medians, ``(3,)``, and Huber's weights, ``(M,)``."""
     scale = np.maximum(np.median(np.abs(vectors), axis=0) / 0.6745, ROUNDING)
     size = np.linalg.norm(vectors / scale, axis=1)
     return scale**2, HUBER / np.maximum(size, HUBER)
 
 
 def _noise(vectors: Float64, used: Bool, parameters: int) -> tuple[Float64, Bool]:
-    """Return the variances of errors without outliers, and which are none."""
+    """Return the variances of errors without outliers, and which windows are not outliers."""
     noise, _ = robust_noise(vectors)
     for _ in range(MAX_ROUNDS):
         before, used = used, (vectors**2 / noise).sum(axis=1) < REJECTED**2
@@ -183,8 +183,8 @@ def _noise(vectors: Float64, used: Bool, parameters: int) -> tuple[Float64, Bool
     return noise, used
 
 
-def shown(information: Float64, free: Bool) -> Bool:
-    """Return which of the free parameters can be told better than their limits."""
+def observable(information: Float64, free: Bool) -> Bool:
+    """Return which of the free parameters have standard deviations below their limits."""
     free = free.copy()
     while free.any():
         scaled = LIMITS[free, None] * information[np.ix_(free, free)] * LIMITS[free]
@@ -192,16 +192,16 @@ def shown(information: Float64, free: Bool) -> Bool:
         variance = (vectors**2 / np.maximum(values, ROUNDING)).sum(axis=1)
         if variance.max() <= 1:
             break
-        # Of those that are told equally badly, the last.
+        # Of those that are about equally uncertain, the last in order.
         free[np.flatnonzero(free)[variance > variance.max() / 2][-1]] = False
     return free
 
 
 def _covariance(information: Float64, scores: Float64, degrees: float) -> Float64:
-    """Return the covariance of parameters: by white noise, or by more where blocks differ more.
+    """Return the covariance for white noise, enlarged if the blocks scatter more than that.
 
     `information`, `scores`: of blocks, shapes ``(B, F, F)`` and ``(B, F)``
-    `degrees`: of freedom from which the noise about each axis is known
+    `degrees`: degrees of freedom of the noise about each axis
 
     References
     ----------
@@ -210,7 +210,7 @@ def _covariance(information: Float64, scores: Float64, degrees: float) -> Float6
     degrees of freedom.
     """
     white = np.linalg.inv(information.sum(axis=0))
-    shares = information @ white  # of each block in what is known
+    shares = information @ white  # of each block in the information
     adds, takes = np.trace(shares, axis1=1, axis2=2), np.einsum("bij,bji->b", shares, shares)
     spread = np.einsum("bi,ij,bj->", scores, white, scores) / (adds - takes).sum()
     by_chance = SIGNIFICANT * np.sqrt(2 * takes.sum()) / adds.sum()

@@ -31,7 +31,7 @@ class Parameter(NamedTuple):
     """One number that can be estimated.
 
     `group`, `axis`: what it is, and of which axes
-    `limit`: standard deviation above which it is not shown: rad/s, a ratio, rad or s
+    `limit`: standard deviation above which it counts as unobservable: rad/s, a ratio, rad or s
     """
 
     group: str
@@ -47,8 +47,8 @@ GROUPS: Final = {
     "scale": (("x", "y", "z"), 0.01),
     "misalignment": (("xy", "xz", "yz"), 0.01),
 }
-"""What can be estimated: its parameters, and their limits, by which MEMS gyroscopes and crystals
-are mostly better. Those that cannot be told apart from others are held in reverse order."""
+"""Groups of parameters, with axes and limits: errors of usual MEMS gyroscopes and crystals are
+smaller. Of parameters that cannot be separated, the later ones are held."""
 
 PARAMETERS: Final = tuple(
     Parameter(group, axis, limit) for group, (axes, limit) in GROUPS.items() for axis in axes
@@ -57,7 +57,7 @@ LIMITS: Final = np.array([parameter.limit for parameter in PARAMETERS])
 OF_GROUP: Final = np.array([parameter.group for parameter in PARAMETERS])
 PLACES: Final = np.cumsum([len(axes) for axes, _ in GROUPS.values()])[:-1]
 UPPER: Final = np.triu_indices(3, 1)
-"""Rows and columns of the misalignment."""
+"""Rows and columns of the misalignment in U."""
 
 
 class Model(NamedTuple):
@@ -86,7 +86,7 @@ class Model(NamedTuple):
         return np.asarray(rotation_matrix(self.mount) @ self.shape)
 
     def moved(self, by: Float64) -> Model:
-        """Return the model with something added to all parameters, ``(14,)``; a mounting turned."""
+        """Return the model with increments of all parameters, ``(14,)``, in their order."""
         bias, offset, mount, drift, scale, misalignment = np.split(by, PLACES)
         shape = self.shape + np.diag(scale)
         shape[UPPER] += misalignment
@@ -100,7 +100,7 @@ class Model(NamedTuple):
 
     @property
     def values(self) -> Float64:
-        """All parameters, ``(14,)``; of the mounting its rotation vector."""
+        """All parameters, ``(14,)``; the mounting as a rotation vector."""
         offset, drift = [self.offset], [self.drift]
         scale = self.shape.diagonal() - 1
         turn = log(shorter(self.mount))
@@ -113,7 +113,7 @@ class Model(NamedTuple):
         return np.asarray(t_ns + self.added_ns + moved)
 
     def by_rate(self) -> Float64:
-        """Return what a change of each parameter but those of the clock does to calibrated rates.
+        """Return the derivatives of calibrated rates by the parameters; 0 for the clock.
 
         `Returns`: shape ``(14, 3, 4)``: times 1 and the three components of the rate
         """

@@ -1,7 +1,7 @@
-"""Rotations over windows by rates and by a reference, and how they depend on a calibration.
+"""Rotations over windows, from rates and from a reference, and their derivatives.
 
-The rotation over a window is free of the reference frame. Windows end at samples of the reference
-and the next begins at the sample after that, so that no noise is in two of them.
+The rotation over a window does not depend on the reference frame. Windows end at samples of the
+reference and the next one begins at the sample after that, so that no two share its noise.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ METHOD: Final = "coning"
 """The rule by which rates are integrated."""
 
 LONGEST: Final = 1.5
-"""Windows that gaps of the reference make longer than so many usual ones are left out."""
+"""Windows longer than this many times the nominal length, because of gaps, are omitted."""
 
 
-class Windows(NamedTuple):
-    """Windows of a reference, in the order of time.
+class RotationWindows(NamedTuple):
+    """Windows of a reference in order of time.
 
-    `t_ns`: when they begin and end, in the clock of the reference, shape ``(M, 2)``, int64 ns
-    `turn`: the rotation over each, resolved in the body at its begin, wxyz, shape ``(M, 4)``
+    `t_ns`: first and last time of each, in the clock of the reference, shape ``(M, 2)``, int64 ns
+    `turn`: the rotation over each, in the body axes at its beginning, wxyz, shape ``(M, 4)``
     """
 
     t_ns: Int64
@@ -51,13 +51,13 @@ class Windows(NamedTuple):
     def __len__(self) -> int:
         return len(self.t_ns)
 
-    def where(self, chosen: Bool) -> Windows:
+    def where(self, chosen: Bool) -> RotationWindows:
         """Return some of the windows."""
-        return Windows(self.t_ns[chosen], self.turn[chosen])
+        return RotationWindows(self.t_ns[chosen], self.turn[chosen])
 
 
-def windows_of(reference: AttitudeSeries, length_ns: int) -> Windows:
-    """Return windows of about a length, of which none overlap."""
+def windows_of(reference: AttitudeSeries, length_ns: int) -> RotationWindows:
+    """Return consecutive windows of about a length."""
     t_ns = reference.t_ns
     edges = np.searchsorted(t_ns, np.arange(t_ns[0], t_ns[-1], length_ns))
     begin, end = edges[:-1], edges[1:] - 1
@@ -65,33 +65,35 @@ def windows_of(reference: AttitudeSeries, length_ns: int) -> Windows:
     usual = (span_ns > 0) & (span_ns <= LONGEST * length_ns) & (2 * span_ns >= length_ns)
     begin, end = begin[usual], end[usual]
     turn = multiply(conjugate(reference.wxyz[begin]), reference.wxyz[end])
-    return Windows(np.stack([t_ns[begin], t_ns[end]], axis=1), turn)
+    return RotationWindows(np.stack([t_ns[begin], t_ns[end]], axis=1), turn)
 
 
 class Errors(NamedTuple):
-    """How the rotations by calibrated rates differ from those of the reference.
+    """Differences between the rotations of calibrated rates and those of the reference.
 
-    `vectors`: what takes the rotation by the rates to that of the reference, rotation vectors in
-        the body at the ends of windows, shape ``(M, 3)``, rad
-    `slope`: how they change with each parameter, shape ``(M, 3, 14)``
+    `vectors`: rotation vectors from the rates' rotation to the reference's, in the body axes at the
+        ends of windows, shape ``(M, 3)``, rad
+    `slope`: derivatives with respect to each parameter, shape ``(M, 3, 14)``
     """
 
     vectors: Float64
     slope: Float64
 
 
-def covered(rates: GyroSeries, windows: Windows, model: Model, spare_ns: int) -> Windows:
-    """Return the windows that have rates from begin to end, also if the clock is off a bit."""
+def covered(
+    rates: GyroSeries, windows: RotationWindows, model: Model, spare_ns: int
+) -> RotationWindows:
+    """Return the windows that rates cover without a gap, with a margin of `spare_ns`."""
     t_ns = model.times_of(windows.t_ns) + np.array([-spare_ns, spare_ns])
     steps = np.diff(rates.t_ns)
     gaps = np.flatnonzero(steps > GAP_FACTOR * np.median(steps))
-    # The number of gaps before a time is another behind it, and inside.
+    # A window has no gap if as many gaps begin before its end as end before its beginning.
     begun, ended = (np.searchsorted(rates.t_ns[at], t_ns) for at in (gaps, gaps + 1))
     inside = (t_ns[:, 0] >= rates.t_ns[0]) & (t_ns[:, 1] <= rates.t_ns[-1])
     return windows.where(inside & (begun[:, 1] == ended[:, 0]))
 
 
-def errors_of(rates: GyroSeries, windows: Windows, model: Model) -> Errors:
+def errors_of(rates: GyroSeries, windows: RotationWindows, model: Model) -> Errors:
     """Return the errors of rates over windows.
 
     `rates`: raw rates in order of time
@@ -114,7 +116,7 @@ def errors_of(rates: GyroSeries, windows: Windows, model: Model) -> Errors:
 
 
 def _reached(rates: GyroSeries, t_ns: Int64) -> tuple[Float64, Float64, Float64]:
-    """Return where rates lead to at some times, beginning anywhere.
+    """Return the attitudes and integrals that rates lead to at some times, from any initial one.
 
     `t_ns`: rising times within those of the rates, shape ``(K,)``
     `Returns`: attitudes, ``(K, 4)``; rates, ``(K, 3)``; and the integral of R times 1 and times
@@ -141,5 +143,5 @@ def _reached(rates: GyroSeries, t_ns: Int64) -> tuple[Float64, Float64, Float64]
         at = before[here] - rows.start
         sums[here] = (so_far[:, at] + part[here] * each[:, at]).T
         total = so_far[:, -1:]
-    # Rows of R, its columns, and by what it is multiplied.
+    # rows of R, factors, columns of R
     return q, rate, sums.reshape(-1, 3, 3, 4).swapaxes(2, 3)

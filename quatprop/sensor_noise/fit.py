@@ -45,7 +45,7 @@ WHITE: Final = 0.5
 """Share of it that is white noise, if it is at short times alone that something else was."""
 
 
-class Fit(NamedTuple):
+class TermFit(NamedTuple):
     """The terms of one axis.
 
     `terms`: their squares in units of samples, ``(5,)``; any may be below 0 by chance; NaN where it
@@ -63,7 +63,7 @@ class Fit(NamedTuple):
     freedoms: Float64
 
 
-def fit(variances: Float64, covariances: Covariances) -> Fit | None:
+def fit(variances: Float64, covariances: Covariances) -> TermFit | None:
     """Return the terms that explain variances, ``(T,)``; None if none do.
 
     Variances at the shortest times are left out where they follow no slope. Of what a filter or a
@@ -77,7 +77,7 @@ def fit(variances: Float64, covariances: Covariances) -> Fit | None:
     return None
 
 
-def _fit_from(first: int, variances: Float64, covariances: Covariances) -> Fit | None:
+def _fit_from(first: int, variances: Float64, covariances: Covariances) -> TermFit | None:
     """Return the terms that explain the variances from one on; None if they do not."""
     count = len(variances) - first
     chosen = sorted(PRIORITY[: count - SPARE])
@@ -102,7 +102,7 @@ def _fit_from(first: int, variances: Float64, covariances: Covariances) -> Fit |
         solved[0] = sigmas[0] = np.nan
     model, scatter = covariances.laws @ terms, np.sqrt(covariances.of(terms).diagonal())
     above = (variances > model + UNLIKELY * scatter)[:first].any()
-    return Fit(solved, sigmas, first, bool(above), 2 * (model / scatter) ** 2)
+    return TermFit(solved, sigmas, first, bool(above), 2 * (model / scatter) ** 2)
 
 
 def _solved(

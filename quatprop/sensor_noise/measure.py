@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64
     from quatprop.conditioning.static_period import StaticPeriod
     from quatprop.logs.signals.signal import RateSignal
-    from quatprop.sensor_noise.fit import Fit
+    from quatprop.sensor_noise.fit import TermFit
     from quatprop.series import GyroSeries
     from quatprop.tables.log import Log
     from quatprop.timeline.counts import Counts
@@ -242,7 +242,7 @@ def _remarks(
         )
 
 
-def _fit_remarks(fits: Sequence[Fit | None], tau_s: Float64) -> Iterator[Remark]:
+def _fit_remarks(fits: Sequence[TermFit | None], tau_s: Float64) -> Iterator[Remark]:
     """Yield what a reader should know of the terms."""
     for axis, found in zip("xyz", fits, strict=True):
         if found is None:

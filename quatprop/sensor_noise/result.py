@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.arrays import Float64
-    from quatprop.sensor_noise.fit import Fit
+    from quatprop.sensor_noise.fit import TermFit
     from quatprop.tables.log import Loss
     from quatprop.text import Remark
 
@@ -127,7 +127,7 @@ class Noise(NamedTuple):
     losses: tuple[Loss, ...] = ()
 
 
-def terms_of(fits: Sequence[Fit | None], interval_s: float, tau_s: Float64) -> NoiseTerms:
+def terms_of(fits: Sequence[TermFit | None], interval_s: float, tau_s: Float64) -> NoiseTerms:
     """Return the root mean square of the terms of some axes, or the terms of one."""
     found = [each for each in fits if each is not None]
     if not found:
