@@ -1,4 +1,4 @@
-"""Overlapping Allan variance of samples that pass, in constant memory.
+"""Overlapping Allan variance of a stream of samples, in constant memory.
 
 Of the angle S, the sum of the rates, the variance over m samples is the mean of
 (S[k + 2m] - 2 S[k + m] + S[k])^2 / (2 m^2) over all k, or, for large m, over every (m / 16)-th k,
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
 
 OVERLAP: Final = 16
-"""Differences over m samples begin at least so often within m samples."""
+"""Minimum number of differences that begin within m samples."""
 
 LEVELS: Final = 40
-"""Octaves of m: more than any log has."""
+"""Maximum number of octaves of m: more than any log has."""
 
 ROWS: Final = 1 << 15
-"""Samples that are worked on at a time: what is made of them stays in the processor's cache."""
+"""Samples processed at a time, so that intermediate results stay in the cache."""
 
 
 def stride(m: int) -> int:
-    """Return how many samples lie between the beginnings of differences over m samples."""
+    """Return the number of samples between the beginnings of differences over m samples."""
     return max(m // OVERLAP, 1)
 
 
 class AllanSums:
-    """The squared second differences of the angle, summed up while samples pass.
+    """Running sums of the squared second differences of the angle.
 
-    `lengths`: samples of each piece; no difference reaches from one piece into another
+    `lengths`: samples of each piece; differences do not extend across pieces
     """
 
     def __init__(self) -> None:
@@ -48,7 +48,7 @@ class AllanSums:
         self.begin_piece()
 
     def begin_piece(self) -> None:
-        """Begin a piece that has no relation to what was before."""
+        """Begin a new piece, after a gap."""
         self._angles: list[Float64] = [np.zeros((3, 0))] * LEVELS
         self._last = np.zeros((3, 1))
         self._seen = 0
@@ -60,7 +60,7 @@ class AllanSums:
 
     def _add(self, rate: Float64) -> None:
         if not self._seen:
-            # What is constant makes no difference, but rounding.
+            # A constant rate cancels in the differences, but would add rounding errors.
             self._first = rate[:1].T
             self.lengths.append(0)
         self.lengths[-1] += len(rate)
@@ -73,14 +73,14 @@ class AllanSums:
         for level in range(LEVELS):
             m = 1 << level
             if stride(m) > step:
-                # Every second one, those whose number is a multiple of the longer stride.
+                # Every second one: those at multiples of the longer stride.
                 angles = angles[:, (-first) % (2 * step) // step :: 2]
                 step *= 2
                 first = -(-first // step) * step
             self._add_level(level, m // step, angles)
 
     def _add_level(self, level: int, width: int, angles: Float64) -> None:
-        """Add angles to the sums of a level, whose differences are over so many of them."""
+        """Add angles to the sums of a level with differences over this many of them."""
         if not angles.shape[1]:
             return
         angles = np.hstack([self._angles[level], angles])

@@ -1,4 +1,4 @@
-"""How far estimates of the Allan variance scatter, and together: their covariance.
+"""The covariance of estimates of the Allan variance.
 
 Of Gaussian noise the covariance of two such means of squares is 2 / (N1 N2) times the sum of
 R(i - k)^2 over all pairs of second differences that they are made of. R follows from the
@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
 
 RELATED: Final = 8
-"""Variances more octaves apart than this are as good as independent."""
+"""Variances more octaves apart than this count as independent."""
 
 RANDOM: Final = 4
-"""Terms that are random; the last, the ramp, is none."""
+"""Number of random terms; the last term, the ramp, is deterministic."""
 
 SECOND: Final = ((0, 1), (1, -2), (2, 1))
 """The second difference: multiples of m, and their weights."""
@@ -42,7 +42,7 @@ SECOND: Final = ((0, 1), (1, -2), (2, 1))
 class Covariances(NamedTuple):
     """The covariance of variances as a quadratic form of the terms of noise.
 
-    `m`: samples over which they are, ``(T,)``
+    `m`: numbers of averaged samples, ``(T,)``
     `laws`: the variance at each m for a term of size 1, ``(T, 5)``: quantisation, angle random
         walk, bias instability, rate random walk, ramp; for a time of 1 between samples
     `forms`: shape ``(5, 5, T, T)``
@@ -53,18 +53,18 @@ class Covariances(NamedTuple):
     forms: Float64
 
     def of(self, terms: Float64) -> Float64:
-        """Return the covariance, ``(T, T)``, for terms of a size, ``(5,)``, none below 0."""
+        """Return the covariance, ``(T, T)``, for the sizes of the terms, ``(5,)``, not negative."""
         return np.asarray(np.einsum("i,j,ijkl->kl", terms, terms, self.forms))
 
 
 def laws(m: Float64) -> Float64:
-    """Return the variances that each term leads to, ``(T, 5)``; IEEE Std 952-2020, Annex C."""
+    """Return the variances due to each term, ``(T, 5)``; IEEE Std 952-2020, Annex C."""
     flat = np.full(len(m), 2 * math.log(2) / math.pi)
     return np.stack([3 / m**2, 1 / m, flat, m / 3, m**2 / 2], axis=1)
 
 
 def covariances(m: Int64, lengths: Sequence[int]) -> Covariances:
-    """Return the covariances of variances over pieces of so many samples."""
+    """Return the covariances for pieces with these numbers of samples."""
     room = _Room(lengths)
     forms = np.zeros((RANDOM + 1, RANDOM + 1, len(m), len(m)))
     for one in range(len(m)):
@@ -75,14 +75,14 @@ def covariances(m: Int64, lengths: Sequence[int]) -> Covariances:
 
 
 class _Room:
-    """Counts the places in pieces: each piece of N samples has N + 1 angles."""
+    """Counts positions in pieces: a piece of N samples has N + 1 angles."""
 
     def __init__(self, lengths: Sequence[int]) -> None:
         self._sizes = np.sort(np.array(lengths, np.float64)) + 1
         self._totals = np.append(np.cumsum(self._sizes[::-1])[::-1], 0.0)
 
     def of(self, span: Float64) -> Float64:
-        """Return how many places there are for something that spans so many samples."""
+        """Return the number of positions for an interval of this many samples."""
         first = np.searchsorted(self._sizes, span, side="right")
         return np.asarray(self._totals[first] - span * (len(self._sizes) - first))
 

@@ -1,4 +1,4 @@
-"""What is written of the noise: a table for people, and the file that other programs read."""
+"""The noise as a table for people, and as the YAML file for kalibr and ``--imu``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DATA_SHEET = {
     "bias_instability": ("deg/h", RATES),
     "rate_random_walk": ("deg/h/sqrt(h)", RATE_WALKS),
 }
-"""The units of data sheets."""
+"""Units that data sheets use."""
 
 NOTE = "in brackets 1 sigma; < is a bound with 95 % confidence on what the recording does not show"
 
@@ -37,7 +37,7 @@ HEAD = """\
 
 
 def imu_yaml(noise: Noise) -> str:
-    """Return what Kalibr and ``--imu`` read, with no value for what is not known."""
+    """Return the YAML for kalibr and ``--imu``, without values that are unknown."""
     terms = noise.combined
     if terms.angle_random_walk.value is None:
         raise UsageError("no angle random walk is shown that could be written; see the warnings")

@@ -1,7 +1,7 @@
 """The terms of noise that explain Allan variances: generalised least squares.
 
-The variances are a sum of terms, each with a slope of its own. All of them are fitted together, so
-that no term takes what is another's; the weights are those of the fit itself. A term counts as
+The variances are a sum of terms with different slopes. All terms are fitted together, so that none
+absorbs another; the weights are those of the fit itself. A term counts as
 shown if chance explains it in one of a hundred cases; of others there is a bound.
 """
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from quatprop.sensor_noise.covariance import Covariances
 
 SHOWN: Final = 2.33
-"""Standard deviations from which a term is shown: by chance, one in a hundred is."""
+"""Significance, in standard deviations, from which a term is stated: 1 in 100 by chance."""
 
 BOUND: Final = 1.645
-"""Standard deviations of the bound that holds in 95 % of all cases."""
+"""Standard deviations of a one-sided 95 % bound."""
 
 UNLIKELY, DOUBTFUL = 3.09, 2.33
 """Residuals beyond this quantile of the normal distribution, one in a thousand, show that the terms
@@ -28,21 +28,21 @@ do not explain all variances; beyond this one, one in a hundred, not those that 
 ROUNDS: Final = 20
 
 SMALLEST: Final = 0.01
-"""Eigenvalue of the correlations; smaller ones are neglected covariances."""
+"""Minimum eigenvalue of the correlations: smaller ones come from neglected covariances."""
 
 PRIORITY: Final = (1, 0, 3, 2, 4)
-"""Which terms are fitted where the variances are few."""
+"""Order in which terms are fitted if there are few variances."""
 
 SPARE: Final = 2
-"""Variances beyond the number of terms, for the residuals to tell something."""
+"""Minimum degrees of freedom of the residuals."""
 
 
 LEFT: Final = 0.3
-"""Share of the first variance that may be left of what a filter or a vibration does."""
+"""Share of the first variance that the effect of a filter or a vibration may leave."""
 
 
 WHITE: Final = 0.5
-"""Share of it that is white noise, if it is at short times alone that something else was."""
+"""Share of it that is white noise if only short times were affected."""
 
 
 class TermFit(NamedTuple):

@@ -1,4 +1,4 @@
-"""The noise of one log: where the sensor was at rest, and the Allan variance of its rates there.
+"""The noise of one log: find where the sensor is at rest, and fit the Allan variance there.
 
 Samples are taken as equally spaced, by their mean interval: timestamps jitter more than sensors.
 Gaps and the ends of rests divide them into pieces, which the variances are means over.
@@ -48,19 +48,19 @@ if TYPE_CHECKING:
     from quatprop.timeline.counts import Counts
 
 REST: Final = StaticBias(between="nearest")
-"""All rests are looked for, in windows of this length."""
+"""All stationary periods are used, found in windows of the default length."""
 
 FEWEST: Final = 3
-"""Averaging times that tell something."""
+"""Minimum number of averaging times."""
 
 IRREGULAR: Final = 0.05
-"""The mean interval differs by more than this share of the median where intervals are irregular."""
+"""Intervals are irregular if their mean differs from the median by more than this share."""
 
 HIDDEN: Final = 0.03
-"""A mean is off by this share of the step of the rates where their noise is a third of a step."""
+"""Error of a mean, as a share of the step of the rates, if their noise is a third of a step."""
 
 OF_ATTITUDE: Final = {"gaps", "jitter", "repeated-stamps"}
-"""Codes of remarks on what timestamps do to an attitude."""
+"""Codes of remarks that concern attitudes only."""
 
 
 class NoiseSettings(NamedTuple):
@@ -72,7 +72,7 @@ class NoiseSettings(NamedTuple):
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Self:
-        """Return them from parsed settings."""
+        """Return the settings from parsed values."""
         policy = {name: values[name] for name in ("on_backwards", "on_nonfinite") if name in values}
         return cls(
             RateSelection.of(values),
@@ -162,7 +162,7 @@ def _rests(
     log: Log | None,
     timeline: Timeline,
 ) -> Sequence[StaticPeriod]:
-    """Return where the sensor was at rest, in the order of time."""
+    """Return the stationary periods in order of time."""
     finder = EndsFinder(earliest=settings.policy.on_backwards == "sort")
     inputs = conditioning_inputs(log, source, settings.selection, settings.part)
 
@@ -179,7 +179,7 @@ def _rests(
 
 
 def _joined(rests: Sequence[StaticPeriod]) -> list[tuple[int, int]]:
-    """Return first and last stamp of each rest, ns; a rest with a slow drift was found in parts."""
+    """Return the first and last timestamp of each rest, ns, with the parts of slow drifts joined."""
     ends = [(rest.first_ns, rest.last_ns) for rest in rests[:1]]
     for before, rest in pairwise(rests):
         apart = np.abs(rest.mean_rad_s - before.mean_rad_s).max()
@@ -191,11 +191,11 @@ def _joined(rests: Sequence[StaticPeriod]) -> list[tuple[int, int]]:
 
 
 def _add(segment: Iterator[GyroSeries], ends: list[tuple[int, int]], sums: AllanSums) -> int:
-    """Add those samples of a segment without gaps that are at rest; return their time, ns."""
+    """Add the samples at rest of a segment without gaps; return their duration, ns."""
     bounds = np.array(ends) + np.array([0, 1])
     at, first_ns, last_ns, total = -1, 0, 0, 0
     for block in segment:
-        # Even places are before a rest, or between two; odd ones in one.
+        # Even positions are outside of rests, odd ones inside.
         cuts = np.searchsorted(block.t_ns, bounds.ravel())
         for place in range(np.searchsorted(cuts, 0, side="right"), len(cuts) + 1):
             start = cuts[place - 1] if place else 0
