@@ -179,7 +179,7 @@ def _rests(
 
 
 def _joined(rests: Sequence[StaticPeriod]) -> list[tuple[int, int]]:
-    """Return the first and last timestamp of each rest, ns, with the parts of slow drifts joined."""
+    """Return the first and last timestamp of each rest, ns; parts of slow drifts are joined."""
     ends = [(rest.first_ns, rest.last_ns) for rest in rests[:1]]
     for before, rest in pairwise(rests):
         apart = np.abs(rest.mean_rad_s - before.mean_rad_s).max()
