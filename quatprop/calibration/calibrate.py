@@ -19,6 +19,7 @@ from quatprop.errors import ComparisonError
 from quatprop.kinematics.interpolation import interpolate
 from quatprop.kinematics.propagate import Propagation
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, from_matrix, geodesic_angle
+from quatprop.rendering import count_text
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.series.blocks import rms
 from quatprop.text import Remark, Setting
@@ -112,7 +113,8 @@ def _rising(name: str, series: AnySeries, remarks: list[Remark]) -> AnySeries:
         remarks.append(Remark("omitted", text))
     if len(t_ns) < MIN_WINDOWS:
         raise ComparisonError(
-            f"the {name} has only {len(t_ns)} samples; a calibration needs {MIN_WINDOWS} at least"
+            f"the {name} has {count_text(len(t_ns), 'sample')}; a calibration needs at least "
+            f"{MIN_WINDOWS}: record for longer"
         )
     return series[finite[first]]
 
@@ -142,8 +144,8 @@ def _beginnings(
     if not common.any():
         raise ComparisonError(
             f"the log, {rates.t_ns[0]} to {rates.t_ns[-1]} ns, and the reference, "
-            f"{reference.t_ns[0]} to {reference.t_ns[-1]} ns, have no time in common; see "
-            f"{Setting('time_offset')}"
+            f"{reference.t_ns[0]} to {reference.t_ns[-1]} ns, have no time in common; add their "
+            f"difference with {Setting('time_offset')}"
         )
     if "mount" in estimate:
         (some,) = np.nonzero(common)

@@ -75,8 +75,8 @@ def fit(rates: GyroSeries, windows: RotationWindows, begin: Model, free: Bool) -
     while True:
         if not free.any():
             raise ComparisonError(
-                "the log shows nothing of what was to be estimated: the windows are too few, or "
-                "the motion is too small for the noise"
+                "the log shows nothing of what was to be estimated: its motion is too small for "
+                "the noise, or the clocks differ; record for longer, or estimate less"
             )
         model, information, noise = _robust_fit(rates, windows, begin, free)
         fewer = observable(information - np.diag(blind * (1 / noise).sum()), free)

@@ -153,12 +153,15 @@ def calibration_rows(result: GyroCalibration) -> Iterator[Row]:
         if values:
             yield group, f"{'  '.join(values)} {unit}"
     if held := _held([one for one in result.parameters if one.sigma is None]):
-        yield "held", f"{held}: not shown by this motion, so not corrected"
+        yield "held", f"{held}: this motion does not show it, so it is not corrected"
     before, after = (degrees_text(angle, 4) for angle in (result.before_rad, result.after_rad))
-    yield "error", f"{before} RMS before, {after} after, over {result.held_out} windows not used"
+    yield (
+        "error",
+        f"{before} RMS before, {after} after, over {result.held_out} windows kept for validation",
+    )
     gain = degrees_text(result.before_rad - result.after_rad, 3)
     verdict = f"{gain} +- {degrees_text(result.gain_sigma_rad, 2)}"
-    yield "gain", verdict if result.is_better else f"{verdict}: nothing is to be gained"
+    yield "improvement", verdict if result.is_better else f"{verdict}: nothing is to be gained"
 
 
 def _digits(sigma: float) -> int:

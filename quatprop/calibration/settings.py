@@ -49,7 +49,7 @@ class CalibrateOptions(TypedDict, total=False):
         "the one of 0.1 to 5 s that shows the parameters best", "DUR", "Options")]
     time_offset: Annotated[int | str | None, Keyword(
         offset_ns, "Added to the timestamps of the reference beforehand; the estimate is beyond "
-        "it.", "0, or by the angular speeds", "DUR", "Options")]
+        "it.", "0; if the offset is estimated, found from the angular speeds", "DUR", "Options")]
     mount: Annotated[str | Collection[float] | Rotated | None, Keyword(
         mounting, f"Sensor-to-body rotation that is known beforehand, as for {Setting('mount')} of "
         "propagate; the estimate begins there.", "the same axes", "W,X,Y,Z|x,-y,-z|...",

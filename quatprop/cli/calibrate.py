@@ -58,13 +58,15 @@ def command(
     from quatprop.logs.joined import open_logs
     from quatprop.logs.signals.rates import choose_rates
     from quatprop.provenance import as_json as to_json
-    from quatprop.rendering import lines_of, loss_lines
+    from quatprop.rendering import count_text, lines_of, loss_lines
     from quatprop.series import GyroSeries
     from quatprop.settings.selection import RateSelection
     from quatprop.stores.log_names import split_topic
+    from quatprop.writers.targets import is_stdout, refuse_overlap
 
     refuse_stdin_twice(log, reference)
     path, chosen["topic"] = split_topic(log, chosen["topic"])
+    refuse_overlap([path, split_topic(reference, None)[0]], [output])
     settings = {name: chosen[name] for name in CALIBRATE if chosen[name] is not None}
     with (
         progress(quiet=quiet),
@@ -80,9 +82,13 @@ def command(
         result.write(output)
     if as_json:
         click.echo(json.dumps(to_json(result, spelled), indent=2))
-    elif not quiet:
+    elif not (quiet or (output is not None and is_stdout(output))):
+        show(lines_of(calibration_rows(result), width=12), indent=13, err=False)
+    if not quiet:
         remarks = [*signal.remarks, *opened.remarks, *loaded.signal.remarks, *result.remarks]
-        lines = lines_of(calibration_rows(result), width=12)
-        lines += [f"remark: {plain(spelled(remark))}" for remark in remarks]
-        show([*lines, *loss_lines([*opened.losses, *loaded.losses])], indent=13, err=False)
+        lines = [f"warning: {spelled(remark)}" for remark in remarks]
+        if dropped := loaded.counts.invalid:
+            lines.append(f"lost: {count_text(dropped, 'invalid quaternion')} of REFERENCE")
+        for line in [*lines, *loss_lines([*opened.losses, *loaded.losses])]:
+            click.echo(plain(line), err=True)
     return 3 if opened.losses or loaded.data_lost else 0

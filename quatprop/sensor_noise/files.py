@@ -40,7 +40,9 @@ def imu_yaml(noise: Noise) -> str:
     """Return the YAML for kalibr and ``--imu``, without values that are unknown."""
     terms = noise.combined
     if terms.angle_random_walk.value is None:
-        raise UsageError("no angle random walk is shown that could be written; see the warnings")
+        raise UsageError(
+            "the recording shows no angle random walk to write; record the sensor at rest longer"
+        )
     lines = [HEAD.format(version=__version__, source=plain(noise.source))]
     named = {
         "gyroscope_noise_density": (terms.angle_random_walk, UNITS["angle_random_walk"]),

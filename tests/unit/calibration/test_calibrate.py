@@ -163,7 +163,7 @@ def test_what_is_printed(tmp_path):
     other = write_attitudes(tmp_path / "reference.csv", reference.t_ns, reference.wxyz)
     lines = run("calibrate", log, other, code=0).stdout.splitlines()
     labels = [line.split()[0] for line in lines]
-    assert [*labels[:2], *labels[-3:]] == ["windows", "bias", "held", "error", "gain"]
+    assert [*labels[:2], *labels[-3:]] == ["windows", "bias", "held", "error", "improvement"]
     assert "scale about x and y" in lines[labels.index("held")]
 
 
