@@ -25,7 +25,7 @@ DATA_SHEET = {
 }
 """Units that data sheets use."""
 
-NOTE = "in brackets 1 sigma; < is a bound with 95 % confidence on what the recording does not show"
+NOTE = "in brackets: 1 sigma; <: 95 % upper bound, not shown by the recording; -: not determined"
 
 TOO_SHORT = "the recording is too short to show it"
 
