@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.rendering import degrees_text
+from quatprop.rendering import degrees_text, lines_of
 from quatprop.times import duration_text
 from quatprop.version import __version__
 
@@ -106,6 +106,9 @@ class GyroCalibration:
     after_rad: float
     gain_sigma_rad: float
     remarks: tuple[Remark, ...] = ()
+
+    def __str__(self) -> str:
+        return "\n".join(lines_of(calibration_rows(self), width=12))
 
     @property
     def is_better(self) -> bool:

@@ -165,6 +165,8 @@ def test_what_is_printed(tmp_path):
     labels = [line.split()[0] for line in lines]
     assert [*labels[:2], *labels[-3:]] == ["windows", "bias", "held", "error", "improvement"]
     assert "scale about x and y" in lines[labels.index("held")]
+    # print() showed every number of the covariance.
+    assert str(quatprop.calibrate(log, other)).splitlines() == lines
 
 
 @pytest.mark.parametrize(
