@@ -6,7 +6,7 @@ from typing import Annotated, TypedDict
 
 from quatprop.errors import UsageError
 from quatprop.settings.keyword import Keyword, keywords_of
-from quatprop.settings.parsers import duration, length, moment, parts_of
+from quatprop.settings.parsers import length, moment, parts_of, signed_duration
 from quatprop.settings.rotations import Rotated, mounting
 from quatprop.text import Setting, did_you_mean, listed, shown
 
@@ -28,13 +28,6 @@ def estimated(value: object) -> tuple[str, ...]:
     return tuple(name for name in ESTIMATED if name in names)
 
 
-def offset_ns(value: object) -> int:
-    """Return a signed duration in ns."""
-    if isinstance(value, str) and value.startswith("-"):
-        return -duration(value[1:])
-    return duration(value.removeprefix("+") if isinstance(value, str) else value)
-
-
 class CalibrateOptions(TypedDict, total=False):
     """Keywords of :func:`quatprop.calibrate`."""
 
@@ -48,8 +41,9 @@ class CalibrateOptions(TypedDict, total=False):
         length, "Length of the windows over which rotations are compared.",
         "the one of 0.1 to 5 s that shows the parameters best", "DUR", "Options")]
     time_offset: Annotated[int | str | None, Keyword(
-        offset_ns, "Added to the timestamps of the reference beforehand; the estimate is beyond "
-        "it.", "0; if the offset is estimated, found from the angular speeds", "DUR", "Options")]
+        signed_duration, "Added to the timestamps of the reference beforehand; the estimate is "
+        "beyond it.", "0; if the offset is estimated, found from the angular speeds", "DUR",
+        "Options")]
     mount: Annotated[str | Collection[float] | Rotated | None, Keyword(
         mounting, f"Sensor-to-body rotation that is known beforehand, as for {Setting('mount')} of "
         "propagate; the estimate begins there.", "the same axes", "W,X,Y,Z|x,-y,-z|...",

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypedDict, Un
 
 from quatprop.errors import UsageError
 from quatprop.settings.keyword import Keyword, keywords_of
-from quatprop.settings.parsers import Choice, duration, frequency, length, moment, number
+from quatprop.settings.parsers import Choice, frequency, length, moment, number, signed_duration
 from quatprop.settings.quantities import RAD_PER_UNIT, quantity, quantity_of
 from quatprop.settings.values import parse_all
 from quatprop.text import Setting, quoted, shown
@@ -158,9 +158,7 @@ def time_offset_ns(value: object) -> int | Literal["auto"]:
     """Return a signed duration in ns: whole ns, text such as ``"-12ms"``, or ``"auto"``."""
     if value == "auto":
         return "auto"
-    if isinstance(value, str) and value.startswith("-"):
-        return -duration(value[1:])
-    return duration(value.removeprefix("+") if isinstance(value, str) else value)
+    return signed_duration(value)
 
 
 def _percentage(value: object) -> float:

@@ -159,6 +159,13 @@ def duration(value: object) -> int:
     raise UsageError(f"{shown(value)} is not a duration; write text such as '20ms', or whole ns")
 
 
+def signed_duration(value: object) -> int:
+    """Return a duration in ns that may be negative, such as ``"-12ms"``."""
+    if isinstance(value, str) and value.startswith("-"):
+        return -duration(value[1:])
+    return duration(value.removeprefix("+") if isinstance(value, str) else value)
+
+
 def length(value: object) -> int:
     """Return a duration above zero, in ns."""
     parsed = duration(value)
