@@ -1,12 +1,12 @@
 """What is estimated, and from what: the settings of a calibration."""
 
 from collections.abc import Collection
-from datetime import datetime
 from typing import Annotated, TypedDict
 
 from quatprop.errors import UsageError
 from quatprop.settings.keyword import Keyword, keywords_of
-from quatprop.settings.parsers import length, moment, parts_of, signed_duration
+from quatprop.settings.parsers import length, parts_of, signed_duration
+from quatprop.settings.reading import End, Start
 from quatprop.settings.rotations import Rotated, mounting
 from quatprop.text import Setting, did_you_mean, listed, shown
 
@@ -48,12 +48,9 @@ class CalibrateOptions(TypedDict, total=False):
         mounting, f"Sensor-to-body rotation that is known beforehand, as for {Setting('mount')} of "
         "propagate; the estimate begins there.", "the same axes", "W,X,Y,Z|x,-y,-z|...",
         "Options")]
-    start: Annotated[str | int | datetime | None, Keyword(
-        moment, "Use the log from here: RFC 3339, ns, +10s from its first or -30s from its last "
-        "sample.", "all", "TIME", "Time range")]
-    end: Annotated[str | int | datetime | None, Keyword(
-        moment, f"Use the log up to here; as {Setting('start')}.", "all", "TIME", "Time range")]
     # fmt: on
+    start: Start
+    end: End
 
 
 CALIBRATE = keywords_of(CalibrateOptions)
