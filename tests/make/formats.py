@@ -337,8 +337,10 @@ def _packed(name, suffix):
     return FORMATS[name]._replace(write=write, checked=suffix in {"gz", "bz2"})
 
 
-PACKED = ("commas.csv", "none.mcap", "none.bag")
-FORMATS |= {f"{name}.{suffix}": _packed(name, suffix) for name in PACKED for suffix in PACK}
+PACKED = {"commas.csv": PACK, "none.mcap": ("gz", "lz4"), "none.bag": ("zst", "bz2")}
+"""Files are unpacked alike whatever they hold: each is packed as what is read from end to end, and
+as what is read here and there."""
+FORMATS |= {f"{name}.{suffix}": _packed(name, suffix) for name in PACKED for suffix in PACKED[name]}
 
 
 def write_all(folder, count=SAMPLES):

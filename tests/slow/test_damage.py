@@ -12,7 +12,7 @@ from make.mcap import numbered, unclosed
 
 from quatprop.logs.open_log import open_log
 
-LOGS = 58
+LOGS = 54
 """One of each kind."""
 
 
