@@ -53,6 +53,7 @@ def differences(motion, frame, method):
     return t_ns, rate, np.moveaxis(change.reshape(COUNT, 3, COUNT, 3), (2, 3), (0, 1))
 
 
+@cache
 def by_differences(name, motion, frame, method):
     """Return the covariances of the attitudes of which the rates, or the first, have errors."""
     t_ns, rate, change = differences(motion, frame, method)
