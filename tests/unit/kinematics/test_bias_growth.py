@@ -63,35 +63,40 @@ def of_walk(walk, ends, kind, t):
     return walk**2 * np.where(inside, size, 0.0)
 
 
-def both(motion, frame, fault=1.0, *, interpolated):
-    """Return the covariances that are predicted, and those by all pairs of samples."""
+def predicted(motion, frame, fault=1.0, *, interpolated):
+    """Return the attitudes, and the covariances that are predicted of them."""
     t_ns, rate = simulated(motion, frame, COUNT, INTERVAL_NS)
     wxyz = attitudes(t_ns, rate, method="mean", rates=frame)
     known = rests(fault, interpolated=interpolated)
     growth = ErrorGrowth(SensorErrors(bias_sigma=fault * 6e-4), frame, "mean", rests=known)
-    found = growth.advance(GyroSeries(t_ns, rate), wxyz)
+    return wxyz, growth.advance(GyroSeries(t_ns, rate), wxyz)[50::50], growth
+
+
+def by_pairs(wxyz, frame, *, interpolated):
+    """Return the covariances by all pairs of samples."""
     turn = rotation_matrix(wxyz)
     turn = turn if frame == "body" else turn.swapaxes(1, 2)
     steps = (turn[1:] + turn[:-1]) / 2 * H
-    cov = kernel((t_ns[1:] + t_ns[:-1]) / 2e9, interpolated=interpolated)
+    cov = kernel((np.arange(COUNT - 1) + 0.5) * H, interpolated=interpolated)
     fixed = [
         np.einsum("kij,kl,lmj->im", steps[:n], cov[:n, :n], steps[:n], optimize=True)
         for n in range(50, COUNT, 50)
     ]
     to_body = turn[50::50] if frame == "body" else np.eye(3)
-    return found[50::50], to_body.swapaxes(-1, -2) @ fixed @ to_body, growth
+    return to_body.swapaxes(-1, -2) @ fixed @ to_body
 
 
 @pytest.mark.parametrize(("motion", "frame"), list(product(MOTIONS, FRAMES)))
 @pytest.mark.parametrize("interpolated", [False, True])
 def test_the_error_of_a_bias_that_is_known_from_rests(motion, frame, interpolated):
     """To 1 % of the largest number of each covariance; 5 % too many or too few are found."""
-    found, expected, growth = both(motion, frame, interpolated=interpolated)
+    wxyz, found, growth = predicted(motion, frame, interpolated=interpolated)
+    expected = by_pairs(wxyz, frame, interpolated=interpolated)
     size = np.abs(expected).max(axis=(1, 2))
     assert (np.abs(found - expected).max(axis=(1, 2)) <= 0.01 * size).all()
     assert sum(growth.variances.values()) == pytest.approx(np.trace(found[-1]), rel=1e-9)
     for fault in (0.95, 1.05):
-        wrong, _, _ = both(motion, frame, fault, interpolated=interpolated)
+        _, wrong, _ = predicted(motion, frame, fault, interpolated=interpolated)
         assert (np.abs(wrong - expected).max(axis=(1, 2)) > 0.01 * size).all()
 
 
