@@ -169,13 +169,13 @@ class Study:
         rows = np.loadtxt(self.log, delimiter=",", skiprows=1, dtype=str)
         self.t, self.w = rows[:, 0].astype(np.int64), rows[:, 1:].astype(float)
 
-    def spoiled(self, regression, *, compared=True, repeat=False):
+    def spoiled(self, regression, *, compared):
         """Return the verdict of each kind of case, and contradictions, where all is compared."""
         write_rates(self.log, text_of(*REGRESSIONS[regression](self.t, self.w)))
         if not compared:
             report = json.loads(run("check", self.suite, "--json").stdout)
             return {case["name"]: case["verdict"] for case in report["cases"]}, []
-        cases, wrong = contradictions(self.suite, repeat=repeat)
+        cases, wrong = contradictions(self.suite)
         return {kind: cases[kind]["verdict"] for kind in KINDS}, wrong
 
     def rewritten(self, harmless):
@@ -199,7 +199,7 @@ def main():
             study = Study(Path(place, name), name)
             for number, regression in enumerate(REGRESSIONS):
                 compared = (number + len(name)) % chosen.every == 0
-                verdicts, said = study.spoiled(regression, compared=compared, repeat=compared)
+                verdicts, said = study.spoiled(regression, compared=compared)
                 judged += 3 * compared
                 wrong += [f"{name}, {regression}: {sentence}" for sentence in said]
                 for kind, verdict in verdicts.items():

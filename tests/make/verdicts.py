@@ -38,17 +38,18 @@ def code_of(verdicts):
     return 2 if "error" in verdicts else int("fail" in verdicts)
 
 
-def contradictions(suite, *options, repeat=True):
+def contradictions(suite, *options, evidence=True):
     """Run a suite, in each form; return its cases by name, and what contradicts their verdicts.
 
-    `repeat`: run the commands of the evidence, too
+    `evidence`: look at what is kept of failures, and run its commands, too
     """
     folder = Path(suite).parent / "evidence"
     junit, summary = folder.with_suffix(".xml"), folder.with_suffix(".md")
     arguments = ["check", str(suite), "-v", *options]
     github = {"GITHUB_ACTIONS": "true", "GITHUB_STEP_SUMMARY": str(summary)}
     shown = CliRunner().invoke(cli, [*arguments, f"--junit={junit}"], env=github)
-    kept = CliRunner().invoke(cli, [*arguments, "--json", f"--artifacts={folder}"])
+    place = [f"--artifacts={folder}"] if evidence else []
+    kept = CliRunner().invoke(cli, [*arguments, "--json", *place])
     report = json.loads(kept.stdout)
     cases = {case["name"]: case for case in report["cases"]}
     verdicts = {name: case["verdict"] for name, case in cases.items()}
@@ -59,7 +60,7 @@ def contradictions(suite, *options, repeat=True):
     ]
     for name, case in cases.items():
         said = _said(name, case, shown, junit, summary)
-        said += _evidence(case, repeat=repeat)
+        said += _evidence(case) if evidence else []
         wrong += [f"{name} is {case['verdict']}: {text}" for text, agrees in said if not agrees]
     return cases, wrong
 
@@ -103,7 +104,7 @@ def _said(name, case, shown, junit, summary):
     return said
 
 
-def _evidence(case, *, repeat):
+def _evidence(case):
     """Return what the evidence of a case says, and whether it agrees with its verdict."""
     place = case["evidence"] and Path(case["evidence"])
     comparison = case["comparison"]
@@ -116,8 +117,6 @@ def _evidence(case, *, repeat):
     if comparison:
         most = f"max {math.degrees(case['error_rad']):.4g} deg"
         said.append((f"page has not {most}", most in page))
-    if not repeat:
-        return said
     commands = [shlex.split(line) for line in (place / "commands.txt").read_text().splitlines()]
     before = pq.read_table(place / "attitude.parquet")
     codes = [run(*arguments) for _, *arguments in commands]
