@@ -19,7 +19,7 @@ from quatprop.comparison.windows import body_angle, common_beginning
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.rates import rotation_vectors_between
-from quatprop.rendering import count_text, degrees_text
+from quatprop.rendering import degrees_text
 from quatprop.series import AttitudeSeries
 from quatprop.series.blocks import rms
 from quatprop.text import Remark
@@ -89,12 +89,12 @@ def _lost_motion(
         ):
             mended = recomposed(AttitudeSeries(pairs.t_ns, own), np.where(lost, known, steps)).wxyz
             left = rms(geodesic_angle(mended, align("mean", mended, other).apply(other)))
-            # So much less than by the share of the time: an error made everywhere is none of these.
-            if left <= MOST * before * (1 - float(lost.any(axis=1).mean())):
-                count = count_text(int(lost.any(axis=1).sum()), "step")
+            # An error made everywhere about one axis falls by the share that is replaced.
+            if left <= MOST * before * (1 - float(lost.mean(axis=0).max())):
+                share = f"{float(lost.any(axis=1).mean()):.2%}"
                 yield Remark(
                     "motion-lost",
-                    f"{of} loses motion {where}, {count} of {len(lost)}: with the motion of the "
+                    f"{of} loses motion {where}, in {share} of the steps: with the motion of the "
                     f"other there, the RMS error is {degrees_text(left, 4)} in place of "
                     f"{degrees_text(before, 4)}",
                 )

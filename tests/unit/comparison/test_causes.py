@@ -301,10 +301,11 @@ SINES = np.sin(PHASES)
     ("a", "b", "names"),
     [
         (np.clip(SINES, -0.996, 0.996), SINES, ["motion-lost"]),
+        (np.clip(SINES, -0.2, 0.2), SINES, ["motion-lost"]),
         (SINES, SINES * np.where(np.abs(SINES) > 0.999, 1.05, 1), []),
         ([0, 0, 20] + 0.05 * SINES, [0, 0, 20] + 0.05 * SINES * np.where(SINES > 0.6, 1.1, 1), []),
     ],
-    ids=["saturated", "a smooth peak", "a smooth peak of a fast spin"],
+    ids=["saturated", "always about some axis", "a smooth peak", "a smooth peak of a fast spin"],
 )
 def test_rates_at_a_limit_stay_there(a, b, names):
     """At its peaks a sine is within 0.1 % of the largest for 3 % of the time: that is no limit."""
