@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
 from quatprop.comparison import compare as comparing
-from quatprop.comparison.findings import findings
+from quatprop.comparison.defects import defects
 from quatprop.comparison.settings import comparison_settings
 from quatprop.kinematics.quaternion import conjugate, exp, multiply
 from quatprop.settings.spelling import in_options
@@ -234,7 +234,7 @@ def test_noise_about_a_constant_rate_is_no_motion_about_three_axes(of_rates):
     a, b = (quatprop.propagate(GyroSeries(t_ns, one)) for one in (rate, measured))
     noise = exp(np.radians(1.0) * rng.normal(size=rate.shape))
     pair = AttitudeSeries(t_ns, a.wxyz), AttitudeSeries(t_ns, multiply(b.wxyz, noise))
-    assert findings(*pair, comparison_settings(align="mean")) == ()
+    assert defects(*pair, comparison_settings(align="mean")) == ()
 
 
 def propagated(keep=slice(None), rates=RATES):
@@ -290,7 +290,7 @@ def test_gaps_and_limits_that_make_no_error_are_no_findings(a, b):
 
     Of turned frames, rounding was left, and said to be lost motion.
     """
-    assert findings(a(), b(), comparison_settings()) == ()
+    assert defects(a(), b(), comparison_settings()) == ()
 
 
 SINES = np.sin(PHASES)
@@ -310,7 +310,7 @@ SINES = np.sin(PHASES)
 def test_rates_at_a_limit_stay_there(a, b, names):
     """At its peaks a sine is within 0.1 % of the largest for 3 % of the time: that is no limit."""
     pair = propagated(rates=a), propagated(rates=b)
-    found = findings(*pair, comparison_settings(align="mean"))
+    found = defects(*pair, comparison_settings(align="mean"))
     assert [remark.code for remark in found] == names
 
 
