@@ -224,6 +224,33 @@ def test_a_dead_axis_is_a_finding_and_no_cause():
 
 
 @pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
+@pytest.mark.parametrize("align", ["none", "first", "mean"])
+@pytest.mark.parametrize(("ppm", "wobble"), [(-1500, 0.0), (800, 0.03)])
+def test_a_clock_drift_on_a_steady_spin_is_named(ppm, align, wobble):
+    """A scale or a drift was named alone, which make the same error there."""
+    rng = np.random.default_rng(6)
+    rate = [0, 0, np.pi] + wobble * RATES[:2000]
+    t_ns = T_NS[:2000]
+    noise = exp(np.radians(0.02) * rng.normal(size=rate.shape))
+    truth = quatprop.propagate(GyroSeries(t_ns, rate), method="cubic").wxyz
+    moved = t_ns + np.round(ppm * 1e-6 * t_ns).astype(np.int64)
+    b = AttitudeSeries(moved, multiply(truth, noise))
+    measured = rate + 1e-3 * rng.normal(size=rate.shape)
+    a = quatprop.propagate(GyroSeries(t_ns, measured), method="cubic")
+    cause = compare(AttitudeSeries(t_ns, a.wxyz), b, align=align).likely_cause
+    if cause.name != "clock drift":
+        named = re.search(r"clocks that differ by (\d+) ppm", cause.sentence)
+        assert float(named[1]) == pytest.approx(abs(ppm), rel=0.05)
+
+
+def test_a_clock_drift_is_not_named_where_the_motion_tells_it_from_a_scale():
+    """Where the body turns to and fro, a factor is no drift of a clock."""
+    cause = compare(propagated(rates=1.002 * RATES), attitudes("mean"), align="first").likely_cause
+    assert cause.name == "scale"
+    assert "clocks" not in cause.sentence
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
 @pytest.mark.parametrize("of_rates", [0.0, 1.0])
 def test_noise_about_a_constant_rate_is_no_motion_about_three_axes(of_rates):
     """Of a body that spins about z, a reference with noise was said to show missing rates."""
