@@ -38,7 +38,7 @@ PATIENCE_S, LOOK_S = 10.0, 0.5
 """Seconds for which outputs of workers are waited for in all, and between two looks."""
 
 WORKERS_S = 30
-"""Timeout for the first worker, s."""
+"""Seconds in which a cluster must have a worker."""
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 """Parameters of mallopt in the C library."""
@@ -157,7 +157,7 @@ def _client(scheduler: str) -> Client:
 
 
 def _wait_for_workers(client: Client, scheduler: str) -> None:
-    """Wait for the first worker, which a cluster may only start for submitted tasks."""
+    """Wait for the first worker: a cluster may start them when there is something to do."""
     try:
         client.wait_for_workers(1, timeout=WORKERS_S)
     except TimeoutError as error:
