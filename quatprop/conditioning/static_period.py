@@ -20,7 +20,7 @@ AT_REST = 0.05
 
 ORDINARY_CHANGE = math.radians(0.1)
 """Change of the bias between stationary periods, rad/s, that needs no remark: that of MEMS
-gyroscopes changes by hundredths of a deg/s as they warm up. It is included in the sigma of the bias."""
+gyroscopes changes by hundredths of a deg/s as they warm up. The sigma of the bias includes it."""
 
 SAME = 1e-6
 """Scatter, as a share of the mean, that is only rounding."""
