@@ -293,6 +293,18 @@ def test_a_message_of_no_known_id_or_kind_is_lost(tmp_path, damage, place, reaso
     assert losses == [Loss(f"{place} {at}", reason, 1)]
 
 
+def test_a_message_whose_length_leads_behind_the_next_is_lost_alone(tmp_path):
+    """A damaged length can lead to a record: what it would pass over is looked at."""
+    messages = gyro(1, STAMPS)
+    messages[4] = struct.pack("<H", 2 * len(messages[4]) - 3) + messages[4][2:]
+    path = sensor(tmp_path / "log.ulg", *messages)
+    series, losses = read(path)
+    assert series.t_ns.tolist() == ns_without(40)
+    at = path.read_bytes().index(messages[4])
+    reason = f"its records cannot be followed for {len(messages[4])} bytes"
+    assert losses == [Loss(f"byte {at}", reason)]
+
+
 def test_a_format_that_is_defined_again_is_refused(tmp_path):
     """The second definition was applied to all messages, those before it included."""
     again = record(b"F", b"sensor_gyro:uint64_t timestamp;float[3] x;")
