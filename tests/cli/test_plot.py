@@ -144,6 +144,7 @@ def test_a_style_sheet_of_matplotlib_is_taken(turning, tmp_path):
     "command",
     [
         "plot spin.csv -o a.png",
+        "plot spin.csv -o a.png --style a.mplstyle",
         "propagate rates.csv -o o.csv --plot a.png --rate-unit rad/s",
         "compare spin.csv spin.csv --plot a.png",
     ],

@@ -258,6 +258,14 @@ def test_a_message_that_is_too_short_is_lost_alone(tmp_path):
     assert losses == [Loss("topic sensor_gyro/0", reason, 1)]
 
 
+def test_a_log_that_ends_inside_the_head_of_a_record_is_cut(tmp_path):
+    """All messages are read; that another one followed is told."""
+    path = sensor(tmp_path / "a.ulg", *gyro(1, STAMPS), b"\x06\x00")
+    series, losses = read(path)
+    assert len(series) == 10
+    assert losses == [Loss(f"byte {path.stat().st_size - 2}", "the last record is cut off")]
+
+
 def test_dropouts_are_losses(tmp_path, shared_logs):
     """What the recorder could not write is as lost as what cannot be read."""
     dropouts = [record(b"O", milliseconds.to_bytes(2, "little")) for milliseconds in (20, 300)]
