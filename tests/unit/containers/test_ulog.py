@@ -291,14 +291,15 @@ def test_dropouts_are_losses(tmp_path, shared_logs):
     ],
 )
 def test_a_message_of_no_known_id_or_kind_is_lost(tmp_path, damage, place, reason):
-    """A damaged bit of an id, or of a kind, cost the message without a word."""
-    messages = gyro(1, STAMPS)
-    messages[4] = damage(messages[4])
-    path = sensor(tmp_path / "log.ulg", *messages)
-    series, losses = read(path)
-    assert series.t_ns.tolist() == ns_without(40)
-    at = path.read_bytes().index(messages[4])
-    assert losses == [Loss(f"{place} {at}", reason, 1)]
+    """A damaged bit of an id, or of a kind, cost the message without a word, also at the end."""
+    for which in (4, 9):
+        messages = gyro(1, STAMPS)
+        messages[which] = damage(messages[which])
+        path = sensor(tmp_path / "log.ulg", *messages)
+        series, losses = read(path)
+        assert series.t_ns.tolist() == ns_without(STAMPS[which])
+        at = path.read_bytes().index(messages[which])
+        assert losses == [Loss(f"{place} {at}", reason, 1)]
 
 
 def test_a_message_whose_length_leads_behind_the_next_is_lost_alone(tmp_path):
