@@ -172,7 +172,7 @@ def test_the_layout_that_was_read_is_not_offered(layout):
 
 @pytest.mark.parametrize("ppm", [-1000, 1500])
 def test_a_clock_that_drifts_is_named_with_its_uncertainty(ppm):
-    """Within three standard deviations; the offset changes by 60 or 90 ms in a minute.
+    """Within three standard deviations; the offset changes by 50 or 75 ms in 50 s.
 
     What to add to timestamps counts from B's first, also where A begins ten seconds later.
     """
@@ -185,6 +185,10 @@ def test_a_clock_that_drifts_is_named_with_its_uncertainty(ppm):
     found, std = ppm_named(drift)
     assert std < 0.1 * abs(ppm)
     assert found == pytest.approx(ppm, abs=3 * std)
+    (pair,) = re.findall(r"changes by (\d+\.\d) ms in (\d+\.\d) s;", drift.sentence)
+    moved_ms, span_s = map(float, pair)
+    assert moved_ms == pytest.approx(1e-3 * abs(found) * span_s, abs=0.2)  # of rounded numbers
+    assert 48 < span_s <= 50  # a window may be missing
     first_ms, added = map(float, re.findall(r"([-.\d]+) (?:ms to|ppm of)", drift.remedy))
     stamps = drifting.t_ns + np.rint(first_ms * 1e6 + added * 1e-6 * T_NS).astype(np.int64)
     assert np.abs(stamps - T_NS).max() < 3e6
