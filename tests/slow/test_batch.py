@@ -170,7 +170,7 @@ CLUSTER = """
 import subprocess, sys
 from distributed import LocalCluster
 if __name__ == "__main__":
-    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
         command = [*sys.argv[1:], "--dask", cluster.scheduler_address]
         sys.exit(subprocess.run(command).returncode)
 """
