@@ -7,11 +7,9 @@ it records, made from the log of the size and time that it records. When a batch
 is missing, and nothing was done twice.
 """
 
-import contextlib
 import hashlib
-import os
+import json
 import random
-import signal
 import subprocess
 import sys
 import tempfile
@@ -184,29 +182,42 @@ def changing(top, right, _count):
     return found + ended(begun(fleet, out, "-j", "2")) + fleet.problems(out)
 
 
+def dask(program, file):
+    """Start the scheduler of a Dask cluster, or a worker without anybody who would replace it."""
+    command = [sys.executable, "-m", f"distributed.cli.dask_{program}", "--scheduler-file", file]
+    options = {"scheduler": ["--port", "0"], "worker": ["--nthreads", "1", "--no-nanny"]}[program]
+    return subprocess.Popen(
+        [*map(str, command), "--no-dashboard", *options], stderr=subprocess.DEVNULL
+    )
+
+
 def lost_workers(top, right, count):
     """Kill workers of a Dask cluster at random moments; what fails by that is done afterwards."""
-    from distributed import LocalCluster, Status
-
     fleet, out, draw = Fleet(top / "in", right, 4 * LOGS), top / "out", random.Random(4)
-    found, killed = [], 0
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
-        batch = begun(fleet, out, "--dask", cluster.scheduler_address)
+    scheduler = top / "scheduler.json"
+    cluster, killed = dask("scheduler", scheduler), 0
+    workers = [dask("worker", scheduler) for _ in range(2)]
+    try:
+        while not scheduler.exists():
+            time.sleep(0.1)
+        address = json.loads(scheduler.read_text())["address"]
+        batch = begun(fleet, out, "--dask", address)
         while batch.poll() is None and killed < count:
-            time.sleep(draw.uniform(1.0, 4.0))
-            processes = [nanny.process for nanny in cluster.workers.values()]
-            if running := [one for one in processes if one and one.status == Status.running]:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(draw.choice(running).pid, signal.SIGKILL)
-                    killed += 1
-            cluster.scale(2)  # Dask does not start a worker again that ends while it starts
-        cluster.scale(2)
+            time.sleep(draw.uniform(1.0, 5.0))
+            place = draw.randrange(2)
+            workers[place].kill()
+            workers[place].wait()
+            workers[place], killed = dask("worker", scheduler), killed + 1
         batch.communicate()
         print(f"  {killed} workers killed, exit {batch.returncode}")
-        found += fleet.problems(out, is_complete=False)
+        found = fleet.problems(out, is_complete=False)
         told = {row["log"] for row in Manifest(str(out)).history().to_pylist()}
         found += [f"{log.name}: unsaid" for log in fleet.folder.iterdir() if log.name not in told]
-        found += ended(begun(fleet, out, "--dask", cluster.scheduler_address))
+        found += ended(begun(fleet, out, "--dask", address))
+    finally:
+        for process in [*workers, cluster]:
+            process.kill()
+            process.wait()
     return found + fleet.problems(out)
 
 
