@@ -40,7 +40,7 @@ class AttitudeInput:
     `drop`: leave out invalid quaternions instead of refusing the series
     `part`: start and end of the part to read, ends included
     `side`: which side of a comparison it is, ``"a"`` or ``"b"``, for errors
-    `positions`: read positions beside the attitudes too, where there are any
+    `positions`, `covariances`: read those beside the attitudes too, where there are any
     """
 
     path: str
@@ -51,6 +51,7 @@ class AttitudeInput:
     part: GyroCorrection = field(default_factory=GyroCorrection)
     side: str = ""
     positions: bool = False
+    covariances: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +165,7 @@ class AttitudeFile:
         self._check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
         rows = self._part.read(
             positions=wanted.positions and signal.has_positions,
-            covariances=signal.may_have_covariances,
+            covariances=wanted.covariances and signal.may_have_covariances,
         )
         self._zeros = 0
         ends: list[int] = []
