@@ -33,15 +33,15 @@ if TYPE_CHECKING:
 class AttitudeInput:
     """Which attitude series to read.
 
-        `path`: any log or table with attitudes, or ``"-"``
-            `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: detected from content, then
-            suffix
-        `normalize`: scale quaternions of any nonzero length to unit length
-        `drop`: omit invalid quaternions instead of refusing the series
-        `part`: time range to read, ends included
-        `side`: side of a comparison, ``"a"`` or ``"b"``, for errors
-        `positions`, `covariances`: also read those next to the attitudes, where there are any
-        """
+    `path`: any log or table with attitudes, or ``"-"``
+        `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: detected from content, then
+        suffix
+    `normalize`: scale quaternions of any nonzero length to unit length
+    `drop`: omit invalid quaternions instead of refusing the series
+    `part`: time range to read, ends included
+    `side`: side of a comparison, ``"a"`` or ``"b"``, for errors
+    `positions`, `covariances`: also read those next to the attitudes, where there are any
+    """
 
     path: str
     kind: str | None = None

@@ -10,7 +10,7 @@ from quatprop.plotting.accumulators import Quantity
 from quatprop.plotting.lines import Line
 from quatprop.plotting.picture import Curve, Page, Panel, Picture
 from quatprop.sensor_noise.covariance import laws
-from quatprop.sensor_noise.files import noise_rows
+from quatprop.sensor_noise.files import rest_text
 from quatprop.sensor_noise.result import UNITS
 from quatprop.text import spelled
 
@@ -31,11 +31,8 @@ def allan_page(noise: Noise) -> Page:
             shown = slope >= deviation.min() / 2
             curves.append(Curve(Line(tau[shown], slope[shown]), len(legend), None))
             legend.append(f"{name.replace('_', ' ')} {value:.3g} {unit}")
-    rows = dict(noise_rows(noise))
-    facts = (
-        f"at rest: {rows['at rest']}",
-        "straight lines: the terms, root mean square of the axes",
-    )
+    lines = "straight lines: the terms, root mean square of the axes"
+    facts = (f"at rest: {rest_text(noise)}", lines)
     return Page(
         title=noise.source,
         facts=facts,
