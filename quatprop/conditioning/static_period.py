@@ -130,7 +130,9 @@ class StaticPeriod(NamedTuple):
         )
 
     def _differs(self) -> str:
-        if self.other is None or self.other.difference_rad_s <= ORDINARY_CHANGE:
+        # The mean of either rest is off by what the step of the rates hides.
+        by_steps = WIDENS * math.sqrt(2) * self.quantisation_rad_s
+        if self.other is None or self.other.difference_rad_s <= max(ORDINARY_CHANGE, by_steps):
             return ""
         degrees = math.degrees(self.other.difference_rad_s)
         way = Setting("bias", f"static@{self.other.first_ns}..{self.other.last_ns}")
