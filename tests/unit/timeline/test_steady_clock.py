@@ -100,6 +100,16 @@ def test_samples_that_arrive_together_are_found_and_repaired(size):
     assert rms_deg(series, regular_time=True) < 0.003
 
 
+@pytest.mark.parametrize(("size", "lost"), [(3, 1), (5, 5), (8, 8)])
+def test_bursts_of_which_samples_are_lost_are_left_alone(size, lost):
+    """Where each ends is then unknown, and the times of all that follow could be wrong."""
+    kept = np.delete(np.arange(COUNT), range(2000, 2000 + lost))
+    series, _ = tumbling(TRUE[kept], together(size)[kept])
+    assert observed(series) == (None, [])
+    with pytest.raises(TimelineError, match="do not jitter about a steady clock"):
+        replaced(series)
+
+
 @pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 def test_what_jitter_costs_is_what_the_attitudes_are_off():
     """The estimate is within a tenth of the true RMS error, with the first attitude known."""
