@@ -49,6 +49,7 @@ class StaticPeriod(NamedTuple):
     `samples`: how many it has
     `mean_rad_s`: the mean rate, shape ``(3,)``: the bias
     `scatter_rad_s`: root mean square deviation of the rates from the mean, over all three axes
+    `noisiest_rad_s`: that of the axis that scatters most
     `steady`: which signals were found steady: ``"rate"``, ``"accelerometer"``, ``"orientation"``
     `searched_first_ns`, `searched_last_ns`: the part of the log that was searched, ns: all of it,
         whatever part is propagated
@@ -63,6 +64,7 @@ class StaticPeriod(NamedTuple):
     samples: int
     mean_rad_s: Float64
     scatter_rad_s: float
+    noisiest_rad_s: float
     steady: tuple[str, ...]
     searched_first_ns: int
     searched_last_ns: int
@@ -79,7 +81,9 @@ class StaticPeriod(NamedTuple):
     def noise_density(self) -> float:
         """The density of the noise that it shows, rad/s/sqrt(Hz)."""
         coarsest = max((each.step for each in self.levels), default=0.0)
-        scatter = max(self.scatter_rad_s / math.sqrt(3), coarsest / math.sqrt(12))
+        # Of three axes that are equally noisy, one scatters most by chance.
+        noisiest = self.noisiest_rad_s / (1 + WIDENS / math.sqrt(2 * self.samples))
+        scatter = max(self.scatter_rad_s / math.sqrt(3), noisiest, coarsest / math.sqrt(12))
         return scatter * math.sqrt(self.span_s / (self.samples - 1))
 
     def bias_sigma(self, density: float) -> float:
