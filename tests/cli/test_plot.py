@@ -520,6 +520,7 @@ def test_the_first_sample_above_the_tolerance_is_marked_beside_the_worst(off, tm
     axes, _ = drawn(*words, "1e-6deg")
     low, high = axes[0].get_ylim()
     assert (axes[0].get_yscale(), low < 1e-6, high > 5) == ("log", True, True)
+    assert "1e-6" in [label.get_text() for label in axes[0].get_yticklabels()]
 
 
 def test_an_error_is_judged_as_by_compare(off, tmp_path, drawn):
