@@ -142,6 +142,11 @@ class LogSearch:
                 root, file, is_folder=is_folder, is_named=True, refused=REFUSED if odd else ""
             )
 
+    def take(self) -> list[BatchTask]:
+        """Return the logs, and keep nothing of them: there may be a million."""
+        logs, self.logs, self._places = self.logs, [], None
+        return logs
+
     def _add_matches(self, pattern: str) -> None:
         base, query = split_address(pattern) if is_address(pattern) else (pattern, "")
         parts = base.replace(os.sep, "/").split("/")

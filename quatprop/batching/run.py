@@ -52,7 +52,8 @@ class Batch:
         verify: bool = False,
     ) -> None:
         self._settings, self._manifest, self._part = settings, manifest, part
-        logs = [log for log in search.logs if part.has(log)]
+        found = search.take()
+        logs = [log for log in found if part.has(log)]
         if settings.job.settings.selection.topic == EVERY_TOPIC:
             if settings.files:
                 raise UsageError(
@@ -62,8 +63,8 @@ class Batch:
             logs = [task for log in logs for task in _topics(log, settings)]
         if settings.files:
             logs = with_parts(logs, settings.files)
-        self.gone = deleted(manifest, search.logs, search.searched, part)
-        search.logs.clear()
+        self.gone = deleted(manifest, found, search.searched, part)
+        del found
         self.plan: Plan = plan(logs, settings, manifest, skip=skip, verify=verify)
 
     def results(

@@ -13,10 +13,12 @@ import click
 
 from quatprop.cli.help import GroupedOption
 from quatprop.cli.types import PATH, OneOf, ParamType, Parsed
+from quatprop.errors import UsageError
 from quatprop.settings.keyword import Keyword
-from quatprop.settings.parsers import Choice, flag
+from quatprop.settings.parsers import Choice, flag, path
 from quatprop.settings.spelling import in_options, option
-from quatprop.text import plain
+from quatprop.text import plain, shown
+from quatprop.writers.targets import is_stdout, is_stream
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -102,6 +104,18 @@ VIEW = {
     ),
 }
 QUIET = {"-q --quiet": Keyword(flag, "No summary; errors only.", group="Display", common=True)}
+
+
+def yaml_path(value: object) -> str:
+    """Return the path of a YAML file to write, or of stdout."""
+    parsed = path(value)
+    if not (is_stdout(parsed) or is_stream(parsed) or parsed.lower().endswith((".yaml", ".yml"))):
+        raise UsageError(
+            f"{shown(value)} ends in neither .yaml nor .yml; rename it, or choose - for stdout"
+        )
+    return parsed
+
+
 JSON = {
     "--json as_json": Keyword(
         flag, "JSON on stdout instead of text.", group="Display", common=True

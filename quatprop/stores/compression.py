@@ -25,8 +25,8 @@ _PIECE = 1 << 20
 """Bytes decompressed at a time when streaming."""
 
 _FEED = 1 << 12
-"""Compressed bytes fed at a time: few, since the output of a damaged piece is lost, and that of
-zstd is not limited: 4 bytes can become 128 KiB."""
+"""Compressed bytes fed at a time: few, since the output of a damaged piece is lost, and zstd can
+expand 4 bytes to 128 KiB."""
 
 _GZIP = 16 + zlib.MAX_WBITS
 """Window bits with which zlib reads gzip."""

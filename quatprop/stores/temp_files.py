@@ -30,6 +30,8 @@ MANY_FILES = 50
 RELIST_S = 60.0
 """For how long the listing of such a folder is used, s."""
 
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+
 _OURS = {stat.S_IFREG, stat.S_IFDIR}
 
 _LISTINGS: dict[Path, tuple[float, list[str]]] = {}
@@ -90,14 +92,21 @@ def temp_file(place: Path) -> LockedTemp[NewFile]:
     """Return a new file beside a place, open for writing."""
 
     def make(path: Path) -> NewFile:
-        # What the umask and the folder's own rules make of a new file can only be tried.
-        replaced = place.stat().st_mode if place.exists() else None
-        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600 if replaced else 0o666)
-        mode = replaced or os.fstat(file).st_mode
-        path.chmod(0o600)
+        mode = place.stat().st_mode if place.exists() else _usual_mode(path)
+        file = os.open(path, _NEW, 0o600)
         return NewFile(os.fdopen(file, "wb"), stat.S_IMODE(mode))
 
     return LockedTemp(place, make)
+
+
+def _usual_mode(path: Path) -> int:
+    """Return the mode of a new file: what umask and folder make of one can only be tried."""
+    file = os.open(path, _NEW, 0o666)
+    try:
+        return os.fstat(file).st_mode
+    finally:
+        os.close(file)
+        path.unlink(missing_ok=True)  # whoever has opened it sees nothing of the next one
 
 
 @contextmanager
