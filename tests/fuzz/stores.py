@@ -1,8 +1,8 @@
 """Batches over a store that refuses, resets, hangs, delays and swaps; every output is held.
 
-    PYTHONPATH=tests python -m fuzz.stores [LOGS]
+    cd tests && python -m fuzz.stores [LOGS]
 
-For each kind of fault one batch with ``--retries 3`` over so many logs: how many are done, that
+``make fuzz`` runs it. For each kind of fault one batch with ``--retries 3`` over so many logs: how many are done, that
 each of them is right, to the byte, and that what is not done is named.
 """
 
