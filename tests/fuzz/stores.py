@@ -2,13 +2,14 @@
 
     cd tests && python -m fuzz.stores [LOGS]
 
-``make fuzz`` runs it. For each kind of fault one batch with ``--retries 3`` over so many logs: how many are done, that
-each of them is right, to the byte, and that what is not done is named.
+``make fuzz`` runs it. For each kind of fault one batch with ``--retries 3`` over so many logs: how
+many are done, that each of them is right, to the byte, and that what is not done is named.
 """
 
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import random
 import sys
@@ -93,6 +94,7 @@ def batch_with(server, kind, rate, logs):
 
 def main(logs=200):
     """Run a batch for each kind of fault."""
+    logging.getLogger("werkzeug").setLevel(logging.ERROR)  # else a line for each request
     os.environ.pop("AWS_MAX_ATTEMPTS", None)
     server = StoreServer()
     os.environ.pop("AWS_MAX_ATTEMPTS")
