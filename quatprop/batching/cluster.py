@@ -1,4 +1,4 @@
-"""Many logs, propagated by the workers of a Dask cluster."""
+"""Propagate many logs on the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from quatprop.batching.manifest import Manifest
 
 AHEAD = 1000
-"""Logs that are submitted to a cluster before the first of them is done."""
+"""Maximum number of logs submitted but not yet done."""
 
 ANSWER_S = 10
-"""Seconds in which a scheduler must answer."""
+"""Timeout of the scheduler, s."""
 
 PATIENCE_S, LOOK_S = 10.0, 0.5
 """Seconds for which outputs of workers are waited for in all, and between two looks."""
@@ -44,10 +44,10 @@ IDLE_S, WAKE_S = 60.0, 0.01
 """Seconds without a result after which it is asked for workers, and between two looks for one."""
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
-"""Parameters of mallopt, as the C library has them."""
+"""Parameters of mallopt in the C library."""
 
 KEPT_BYTES, MAPPED_BYTES, DEFAULT_MAPPED_BYTES = 1 << 28, 1 << 25, 1 << 17
-"""Freed bytes that are kept; bytes of a block from which it is mapped by itself, and as usual."""
+"""Freed bytes that are kept; size from which blocks are mapped separately, and its default."""
 
 
 def on_a_cluster(
@@ -121,7 +121,7 @@ def _lost(what: str) -> QuatpropError:
 
 
 class _Call:
-    """Propagates a log where it is unpickled."""
+    """Propagates a log when it is unpickled."""
 
     def __init__(self, *arguments: object) -> None:
         self._arguments = arguments
@@ -190,7 +190,7 @@ def _has_workers(client: Client, patience_s: float) -> bool:
 
 
 def _result(future: Future[BatchResult], task: BatchTask) -> BatchResult | None:
-    """Return the result of a log, which may be an error; None where the cluster has gone."""
+    """Return the result of a log, which may be an error; None if the cluster is gone."""
     from distributed.client import FutureCancelledError
     from distributed.scheduler import KilledWorker
 

@@ -34,13 +34,13 @@ class AttitudeInput:
     """Which attitude series to read.
 
     `path`: any log or table with attitudes, or ``"-"``
-    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: detected from content, then
+        `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: detected from content, then
         suffix
     `normalize`: scale quaternions of any nonzero length to unit length
     `drop`: omit invalid quaternions instead of refusing the series
     `part`: time range to read, ends included
     `side`: side of a comparison, ``"a"`` or ``"b"``, for errors
-    `positions`: also read the positions, if there are any
+    `positions`, `covariances`: also read those next to the attitudes, where there are any
     """
 
     path: str
@@ -51,6 +51,7 @@ class AttitudeInput:
     part: GyroCorrection = field(default_factory=GyroCorrection)
     side: str = ""
     positions: bool = False
+    covariances: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +165,7 @@ class AttitudeFile:
         self._check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
         rows = self._part.read(
             positions=wanted.positions and signal.has_positions,
-            covariances=signal.may_have_covariances,
+            covariances=wanted.covariances and signal.may_have_covariances,
         )
         self._zeros = 0
         ends: list[int] = []

@@ -142,7 +142,7 @@ def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
 
     At a SIGTERM, which schedulers send, it ended without a word.
     """
-    logs, out = logs_in(tmp_path / "in", 30), tmp_path / "out"
+    logs, out = logs_in(tmp_path / "in", 12), tmp_path / "out"
     command = [INSTALLED, "batch", logs, "-o", out, "-j", "2", "-q"]
     environment = {**os.environ, **hooked(tmp_path, HELD)}
     process = subprocess.Popen(command, stderr=subprocess.PIPE, env=environment)
@@ -159,10 +159,10 @@ def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
     before = len(entries(out))
     # What was complete an instant before it was recorded is done again.
     assert before <= len(outputs_in(out)) <= before + 2
-    assert before < 30
+    assert before < 12
     done = run("batch", logs, "-o", out, "-j", "1", "--skip-existing", code=0)
-    assert said(done).startswith(f"{30 - before} of {30 - before} logs done")
-    assert sorted(path.suffix for path in out.iterdir()) == ["", *[".parquet"] * 30]
+    assert said(done).startswith(f"{12 - before} of {12 - before} logs done")
+    assert sorted(path.suffix for path in out.iterdir()) == ["", *[".parquet"] * 12]
     again = tmp_path / "again"
     batch(logs, "-o", again, "-q", code=0)
     for name in outputs_in(out):

@@ -92,7 +92,7 @@ class CsvLog(TableLog):
         """Yield the cells of the first rows that fit the header."""
         whole = self._head
         if len(whole) == HEAD_BYTES:
-            whole = whole[: whole.rfind(b"\n") + 1]
+            whole = whole.rpartition(b"\n")[0]
         lines = whole[self._layout.body :].decode(errors="replace").splitlines()
         rows = (split_cells(line, self._layout.delimiter) for line in lines)
         width = len(self._layout.names)
