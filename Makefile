@@ -79,6 +79,7 @@ fuzz: $(READY)
 	cd tests && ../$(BIN)/python -m fuzz.command_lines
 	cd tests && ../$(BIN)/python -m fuzz.causes
 	cd tests && ../$(BIN)/python -m fuzz.calibrations
+	cd tests && ../$(BIN)/python -m fuzz.fleets
 	cd tests && ../$(BIN)/python -m fuzz.regressions
 	cd tests && ../$(BIN)/python -m fuzz.remarks
 

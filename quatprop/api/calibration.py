@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
 
-from quatprop.api.reading import path_text, read_attitudes, read_rates, with_keywords_of
+from quatprop.api.reading import path_text, read_rates, warn, with_keywords_of
 from quatprop.calibration.settings import CALIBRATE, CalibrateOptions
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.settings.values import parse_all
@@ -53,12 +53,16 @@ def calibrate(
     differ by more.
     """
     from quatprop.calibration.calibrate import calibrate as calibrate_series
+    from quatprop.logs.attitude_input import attitude_input, load_attitudes
 
     values = parse_all(options, CALIBRATE)
     if not isinstance(log, GyroSeries):
         log = read_rates(path_text("log", log, "make a GyroSeries from arrays"))
     if not isinstance(reference, AttitudeSeries):
-        reference = read_attitudes(path_text("reference", reference, "make an AttitudeSeries"))
+        path = path_text("reference", reference, "make an AttitudeSeries")
+        loaded = load_attitudes(replace(attitude_input(path, {}), covariances=False))
+        warn(path, loaded.losses, loaded.signal.remarks, dropped=loaded.counts.invalid)
+        reference = loaded.series
     log = log.between(options.get("start"), options.get("end"))
     result = calibrate_series(log, reference, values)
     return replace(result, remarks=tuple(one.spelled(in_python) for one in result.remarks))

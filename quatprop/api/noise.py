@@ -67,13 +67,13 @@ def noise(log: StrPath | Sequence[StrPath] | GyroSeries, **options: Unpack[Noise
     1.00e-04 3e-07 rad/s/sqrt(Hz)
     """
     from quatprop.logs.signals.rates import signal_of_series
-    from quatprop.sensor_noise.measure import NoiseSettings, measure, measure_logs
+    from quatprop.sensor_noise.measure import measure, measure_logs
 
     values = parse_all(options, NOISE)
     if isinstance(log, GyroSeries):
         path = "series"
         refuse_log_settings(options)
-        found = measure(path, signal_of_series(log), NoiseSettings.of(values), None)
+        found = measure(path, signal_of_series(log), values, None)
     else:
         paths = paths_of("log", log, "make a GyroSeries from arrays")
         path = " + ".join(paths)

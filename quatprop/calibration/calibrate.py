@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 
-from quatprop.calibration.estimate import REJECTED, Estimate, fit, normal_equations, robust_noise
-from quatprop.calibration.model import OF_GROUP, PARAMETERS, Model
+from quatprop.calibration.estimate import REJECTED, Estimate, fit, solve
+from quatprop.calibration.model import OF_GROUP, Model
 from quatprop.calibration.result import CalibrationParameter, GyroCalibration
-from quatprop.calibration.settings import DEFAULT, ESTIMATED
-from quatprop.calibration.windows import METHOD, RotationWindows, covered, errors_of, windows_of
+from quatprop.calibration.settings import DEFAULT, GROUPS
+from quatprop.calibration.windows import METHOD, RotationWindows, errors_of, windows_of
 from quatprop.comparison.alignment import find_mounting
 from quatprop.comparison.clocks import coarse_offset
 from quatprop.conditioning.mounting import mounting
-from quatprop.errors import ComparisonError
+from quatprop.errors import ComparisonError, UsageError
 from quatprop.kinematics.interpolation import interpolate
 from quatprop.kinematics.propagate import Propagation
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, from_matrix, geodesic_angle
@@ -28,7 +28,7 @@ from quatprop.times import NS_PER_S
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from quatprop.arrays import Bool, Float64
+    from quatprop.arrays import Bool
 
 AnySeries = TypeVar("AnySeries", GyroSeries, AttitudeSeries)
 
@@ -44,9 +44,6 @@ MIN_WINDOWS: Final = 60
 
 PARTS: Final = 30
 """Parts of the recording, of which every third is held out of the estimate."""
-
-SPARE_NS: Final = 200_000_000
-"""Margin around each window for a clock offset that is still unknown."""
 
 NEAR_NS: Final = 100_000_000
 """Clock offsets below this need no coarse search: least squares converges."""
@@ -67,18 +64,14 @@ def calibrate(
     """
     remarks: list[Remark] = []
     rates, reference = _rising("log", rates, remarks), _rising("reference", reference, remarks)
-    estimate = settings.get("estimate", DEFAULT)
-    given, begin = _beginnings(rates, reference, settings, estimate)
-    free = np.isin(OF_GROUP, estimate)
+    free = np.isin(OF_GROUP, settings.get("estimate", DEFAULT))
+    given, begin = _beginnings(rates, reference, settings)
     windows, length_ns, found = _best(rates, reference, begin, free, settings.get("window"))
-    validation = _validate(
-        rates, windows.where(~_is_used(windows)), (given, found.model), found.noise
-    )
     model, used = found.model, int(found.used.sum())
-    sigma = np.full(len(PARAMETERS), np.nan)
-    sigma[found.free] = np.sqrt(found.covariance.diagonal())
-    order = sorted(np.flatnonzero(free), key=lambda k: ESTIMATED.index(PARAMETERS[k].group))
-    rows = [list(np.flatnonzero(found.free)).index(k) for k in order if found.free[k]]
+    sigmas = dict(
+        zip(np.flatnonzero(found.free), np.sqrt(found.covariance.diagonal()), strict=True)
+    )
+    axes = [(name, axis) for name, group in GROUPS.items() for axis in group.axes]
     return GyroCalibration(
         matrix=model.matrix,
         bias_rad_s=model.bias,
@@ -86,19 +79,14 @@ def calibrate(
         time_offset_ns=model.added_ns + round(model.offset * NS_PER_S),
         clock_drift=model.drift,
         parameters=tuple(
-            CalibrationParameter(
-                PARAMETERS[k].group,
-                PARAMETERS[k].axis,
-                float(model.values[k]),
-                float(sigma[k]) if found.free[k] else None,
-            )
-            for k in order
+            CalibrationParameter(*axes[k], float(model.values[k]), sigmas.get(k))
+            for k in np.flatnonzero(free)
         ),
-        covariance=found.covariance[np.ix_(rows, rows)],
+        covariance=found.covariance,
         window_ns=length_ns,
         used=used,
         outliers=len(found.used) - used,
-        **validation._asdict(),
+        **_validated(rates, windows.where(~_is_used(windows)), given, found),
         remarks=tuple(remarks),
     )
 
@@ -107,8 +95,7 @@ def _rising(name: str, series: AnySeries, remarks: list[Remark]) -> AnySeries:
     """Return the finite samples of a series in order of time; add a remark on omitted ones."""
     (finite,) = np.nonzero(np.isfinite(np.asarray(series)).all(axis=1))
     t_ns, first = np.unique(series.t_ns[finite], return_index=True)
-    if len(t_ns) < len(series):
-        left_out = len(series) - len(t_ns)
+    if left_out := len(series) - len(t_ns):
         text = f"{left_out} samples of the {name} were omitted: not finite, or of the same time"
         remarks.append(Remark("omitted", text))
     if len(t_ns) < MIN_WINDOWS:
@@ -120,40 +107,40 @@ def _rising(name: str, series: AnySeries, remarks: list[Remark]) -> AnySeries:
 
 
 def _beginnings(
-    rates: GyroSeries,
-    reference: AttitudeSeries,
-    settings: Mapping[str, Any],
-    estimate: tuple[str, ...],
+    rates: GyroSeries, reference: AttitudeSeries, settings: Mapping[str, Any]
 ) -> tuple[Model, Model]:
     """Return the model that the user gave, and one close enough for least squares to converge."""
-    mount = settings.get("mount")
-    given = Model(
+    estimate, mount = settings.get("estimate", DEFAULT), settings.get("mount")
+    added_ns = settings.get("time_offset", "auto" if "offset" in estimate else 0)
+    is_unknown = added_ns == "auto"
+    if is_unknown and "offset" not in estimate:
+        raise UsageError(
+            f"{Setting('time_offset', 'auto')} is for offsets that are estimated; add offset to "
+            f"{Setting('estimate')}, or give a duration"
+        )
+    begin = given = Model(
         mount=IDENTITY if mount is None else from_matrix(mounting(mount)),
-        added_ns=settings.get("time_offset", 0),
+        added_ns=0 if is_unknown else added_ns,
         middle_ns=(int(reference.t_ns[0]) + int(reference.t_ns[-1])) // 2,
     )
-    q = Propagation(IDENTITY, METHOD, "body").advance(rates)
-    propagated = AttitudeSeries(rates.t_ns, q)
-    begin = given
-    if "offset" in estimate and "time_offset" not in settings:
+    propagated = AttitudeSeries(rates.t_ns, Propagation(IDENTITY, METHOD, "body").advance(rates))
+    if is_unknown:
         with suppress(ComparisonError):
             added_ns, _ = coarse_offset(propagated, reference)
             begin = begin._replace(added_ns=added_ns if abs(added_ns) > NEAR_NS else 0)
     t_ns = begin.times_of(reference.t_ns)
-    common = (t_ns >= rates.t_ns[0]) & (t_ns <= rates.t_ns[-1])
-    if not common.any():
+    (common,) = np.nonzero((t_ns >= rates.t_ns[0]) & (t_ns <= rates.t_ns[-1]))
+    if not len(common):
         raise ComparisonError(
             f"the log, {rates.t_ns[0]} to {rates.t_ns[-1]} ns, and the reference, "
             f"{reference.t_ns[0]} to {reference.t_ns[-1]} ns, have no time in common; add their "
             f"difference with {Setting('time_offset')}"
         )
     if "mount" in estimate:
-        (some,) = np.nonzero(common)
-        some = some[:: max(len(some) // MAX_PAIRS, 1)]
+        common = common[:: max(len(common) // MAX_PAIRS, 1)]
+        by_rates, _ = interpolate(propagated, t_ns[common])
         with suppress(ComparisonError):
-            to_sensor, _ = find_mounting(
-                reference.wxyz[some], interpolate(propagated, t_ns[some]).wxyz
-            )
+            to_sensor, _ = find_mounting(reference.wxyz[common], by_rates)
             if geodesic_angle(conjugate(to_sensor), given.mount) > NEAR_RAD:
                 begin = begin._replace(mount=conjugate(to_sensor))
     return given, begin
@@ -169,52 +156,49 @@ def _best(
     rates: GyroSeries, reference: AttitudeSeries, begin: Model, free: Bool, length_ns: int | None
 ) -> tuple[RotationWindows, int, Estimate]:
     """Return the windows with the smallest uncertainty, their length, and the estimate."""
-    several = {
-        length: covered(rates, windows_of(reference, length), begin, SPARE_NS)
-        for length in ([length_ns] if length_ns else LENGTHS_NS)
-    }
-    enough = {length: each for length, each in several.items() if len(each) >= MIN_WINDOWS}
+    lengths_ns = [length_ns] if length_ns else LENGTHS_NS
+    every = {each: windows_of(rates, reference, begin, each) for each in lengths_ns}
+    enough = {each: windows for each, windows in every.items() if len(windows) >= MIN_WINDOWS}
     if not enough:
-        most = max(map(len, several.values()))
         raise ComparisonError(
-            f"the log and the reference have {most} windows in common, and a calibration needs "
-            f"{MIN_WINDOWS}; record for longer, or choose a shorter {Setting('window')}"
+            f"the log and the reference have {max(map(len, every.values()))} windows in common, "
+            f"and a calibration needs {MIN_WINDOWS}; record for longer, or choose a shorter "
+            f"{Setting('window')}"
         )
-    first = max((length for length in enough if length <= FIRST_NS), default=min(enough))
-    found = fit(rates, enough[first].where(_is_used(enough[first])), begin, free)
-    if len(enough) == 1:
-        return enough[first], first, found
 
-    def volume(windows: RotationWindows) -> float:
-        errors = errors_of(rates, windows, found.model)
-        information, _ = normal_equations(errors, *robust_noise(errors.vectors))
-        return -float(np.linalg.slogdet(information.sum(axis=0)[np.ix_(found.free, found.free)])[1])
+    def fitted(length_ns: int) -> Estimate:
+        windows = enough[length_ns]
+        return fit(rates, windows.where(_is_used(windows)), begin, free)
 
-    best = min(enough, key=lambda length: volume(enough[length]))
-    if best != first:
-        found = fit(rates, enough[best].where(_is_used(enough[best])), begin, free)
-    return enough[best], best, found
+    def information(length_ns: int) -> float:
+        vectors, slope = errors_of(rates, enough[length_ns], found.model)
+        blocks = solve(vectors, slope, found.free).blocks.sum(axis=(0, 1))
+        return float(np.linalg.slogdet(blocks[np.ix_(found.free, found.free)])[1])
 
-
-class Validation(NamedTuple):
-    """RMS errors over the held-out windows, as in :class:`GyroCalibration`."""
-
-    held_out: int
-    before_rad: float
-    after_rad: float
-    gain_sigma_rad: float
+    first = max((each for each in enough if each <= FIRST_NS), default=min(enough))
+    found = fitted(first)
+    best = max(enough, key=information)
+    return enough[best], best, found if best == first else fitted(best)
 
 
-def _validate(
-    rates: GyroSeries, windows: RotationWindows, models: tuple[Model, Model], noise: Float64
-) -> Validation:
-    """Return the errors of two models over windows; outliers of both are omitted."""
-    squares = np.stack([errors_of(rates, windows, model).vectors ** 2 for model in models])
-    usual = ((squares / noise).sum(axis=2) < REJECTED**2).any(axis=0)
+def _validated(
+    rates: GyroSeries, windows: RotationWindows, given: Model, found: Estimate
+) -> dict[str, Any]:
+    """Return the errors before and after over windows; those that are outliers of both omitted.
+
+    `Returns`: the fields of a :class:`GyroCalibration` about windows that were held out
+    """
+    vectors = [errors_of(rates, windows, model)[0] for model in (given, found.model)]
+    squares = np.stack(vectors) ** 2
+    usual = ((squares / found.noise).sum(axis=2) < REJECTED**2).any(axis=0)
     before, after = squares.sum(axis=2)[:, usual]
-    rms_before, rms_after = (rms(np.sqrt(each)) for each in (before, after))
+    rms_before, rms_after = rms(np.sqrt(before)), rms(np.sqrt(after))
     parts = [part.mean() for part in np.array_split(before - after, PARTS // 3) if len(part)]
     spread = float(np.std(parts, ddof=1)) / np.sqrt(len(parts))
-    # sigma(a - b) = sigma(a^2 - b^2) / (a + b)
-    total = max(rms_before + rms_after, np.finfo(float).tiny)
-    return Validation(int(usual.sum()), rms_before, rms_after, spread / total)
+    return {
+        "held_out": int(usual.sum()),
+        "before_rad": rms_before,
+        "after_rad": rms_after,
+        # sigma(a - b) = sigma(a^2 - b^2) / (a + b)
+        "gain_sigma_rad": spread / max(rms_before + rms_after, np.finfo(float).tiny),
+    }

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from quatprop.calibration.model import LIMITS, OF_GROUP, PARAMETERS, Model
-from quatprop.calibration.windows import Errors, RotationWindows, errors_of
+from quatprop.calibration.model import OF_GROUP, Model
+from quatprop.calibration.settings import GROUPS
+from quatprop.calibration.windows import RotationWindows, errors_of
 from quatprop.errors import ComparisonError
 from quatprop.times import NS_PER_S
 
@@ -16,13 +17,21 @@ if TYPE_CHECKING:
     from quatprop.series import GyroSeries
 
 MAX_ROUNDS: Final = 20
-"""Maximum number of iterations."""
+"""Maximum number of iterations of Gauss-Newton."""
+
+REWEIGHTED: Final = 3
+"""Iterations of each kind of weights for one set of derivatives."""
 
 CONVERGED: Final = 1e-2
 """Iterations end at a change below this, in standard deviations."""
 
-LOOSE: Final = 3.0
-"""Width of the prior that keeps unobservable parameters bounded, in multiples of their limits."""
+LIMITS: Final = np.array([GROUPS[name].limit for name in OF_GROUP])
+"""The units of parameters here: standard deviations of observable ones are below 1."""
+
+RANKS: Final = np.array([GROUPS[name].rank for name in OF_GROUP])
+
+DAMPING: Final = np.eye(len(LIMITS)) / 9
+"""Information that bounds the steps of parameters that are not observable."""
 
 HUBER: Final = 2.0
 """Threshold of Huber's weights, in standard deviations."""
@@ -59,72 +68,80 @@ class Estimate(NamedTuple):
     used: Bool
 
 
+class Solution(NamedTuple):
+    """The solution of the linear equations for one set of derivatives, in units of the limits.
+
+    `by`: increments of all parameters, shape ``(14,)``
+    `blocks`: information of each part of the recording about each axis, ``(B, 3, 14, 14)``
+    `scores`: gradients of the parts at the solution, shape ``(B, 14)``
+    `noise`, `used`: as in :class:`Estimate`
+    """
+
+    by: Float64
+    blocks: Float64
+    scores: Float64
+    noise: Float64
+    used: Bool
+
+
 def fit(rates: GyroSeries, windows: RotationWindows, begin: Model, free: Bool) -> Estimate:
     """Estimate parameters by Gauss-Newton on the errors over windows.
 
     Unobservable parameters are held at their initial values, and the others estimated again.
 
     `free`: which to estimate
+    """
+    blind = _blind(rates, windows, begin)
+    while free.any():
+        model = begin
+        for _ in range(MAX_ROUNDS):
+            found = solve(*errors_of(rates, windows, model), free)
+            model, information = model.moved(LIMITS * found.by), found.blocks.sum(axis=(0, 1))
+            if found.by @ (information + DAMPING) @ found.by < CONVERGED**2:
+                break
+        excess = _excess(found, free)
+        seen = observable(information / excess - np.diag(blind * (1 / found.noise).sum()), free)
+        if (seen == free).all():
+            covariance = excess * np.outer(LIMITS[free], LIMITS[free]) * _covariance(found, free)
+            return Estimate(model, free, covariance, found.noise, found.used)
+        free = seen
+    raise ComparisonError(
+        "the log shows nothing of what was to be estimated: its motion is too small for the noise, "
+        "or the clocks differ; record for longer, or estimate less"
+    )
+
+
+def solve(vectors: Float64, slope: Float64, free: Bool) -> Solution:
+    """Solve the linear equations: Huber's estimator first, then least squares without outliers.
+
+    `vectors`, `slope`: as :func:`quatprop.calibration.windows.errors_of` returns them
 
     References
     ----------
-    Huber's estimator first, then least squares without outliers: Rousseeuw and Leroy, "Robust
-    regression and outlier detection", 1987.
+    Rousseeuw and Leroy, "Robust regression and outlier detection", 1987.
     """
-    blind = _blind(rates, windows, begin)
-    while True:
-        if not free.any():
-            raise ComparisonError(
-                "the log shows nothing of what was to be estimated: its motion is too small for "
-                "the noise, or the clocks differ; record for longer, or estimate less"
-            )
-        model, information, noise = _robust_fit(rates, windows, begin, free)
-        fewer = observable(information - np.diag(blind * (1 / noise).sum()), free)
-        if (fewer == free).all():
-            found = _final_fit(rates, windows, model, free)
-            # Without outliers, or with noise that is not white, fewer may be observable.
-            information = np.zeros_like(information)
-            information[np.ix_(free, free)] = np.linalg.inv(found.covariance)
-            fewer = observable(information, free)
-            if (fewer == free).all():
-                return found
-        free = fewer
-
-
-def _final_fit(rates: GyroSeries, windows: RotationWindows, model: Model, free: Bool) -> Estimate:
-    """Return the least squares estimate without outliers, starting close to it."""
-    used = np.ones(len(windows), np.bool_)
-    for _ in range(MAX_ROUNDS):
-        errors = errors_of(rates, windows, model)
-        noise, used = _noise(errors.vectors, used, int(free.sum()))
-        information, scores = normal_equations(errors, noise, used)
-        power = information.sum(axis=0)[np.ix_(free, free)]
-        by = _step(power, scores.sum(axis=0), free)
-        if by[free] @ power @ by[free] < CONVERGED**2:
-            break
-        model = model.moved(by)
-    parts = information[:, free][..., free], scores[:, free]
-    degrees = float(used.sum() - free.sum() / 3)
-    return Estimate(model, free, _covariance(*parts, degrees), noise, used)
-
-
-def _robust_fit(
-    rates: GyroSeries, windows: RotationWindows, begin: Model, free: Bool
-) -> tuple[Model, Float64, Float64]:
-    """Return Huber's estimate, the information matrix, and the variances of the errors."""
-    prior = np.diag((LOOSE * LIMITS) ** -2.0)
-    model, total = begin, np.zeros(len(PARAMETERS))
-    for _ in range(MAX_ROUNDS):
-        errors = errors_of(rates, windows, model)
-        noise, weight = robust_noise(errors.vectors)
-        blocks, scores = normal_equations(errors, noise, weight)
-        information = blocks.sum(axis=0)
-        power = (information + prior)[np.ix_(free, free)]
-        by = _step(power, scores.sum(axis=0) + prior @ total, free)
-        model, total = model.moved(by), total + by
-        if by[free] @ power @ by[free] < CONVERGED**2:
-            break
-    return model, information, noise
+    slope = LIMITS * slope
+    by, left, some = np.zeros(len(free)), vectors, np.ix_(free, free)
+    used = np.ones(len(left), np.bool_)
+    cuts = np.linspace(0, len(left), min(BLOCKS, len(left)) + 1).astype(int)[1:-1]
+    for number in range(2 * REWEIGHTED):
+        if number <= REWEIGHTED:
+            noise = (np.median(np.abs(left), axis=0) / 0.6745) ** 2
+        else:
+            noise = (left[used] ** 2).sum(axis=0) / max(_degrees(used, free), 1.0)
+        noise = np.maximum(noise, ROUNDING**2)
+        size = np.sqrt((left**2 / noise).sum(axis=1))
+        used = size < REJECTED
+        weight = HUBER / np.maximum(size, HUBER) if number < REWEIGHTED else used
+        whitener = np.sqrt(weight[:, None] / noise)
+        rows, whole = slope * whitener[..., None], vectors * whitener
+        parts = [*zip(np.split(rows, cuts), np.split(whole, cuts), strict=True)]
+        blocks = np.stack([x.transpose(1, 2, 0) @ x.swapaxes(0, 1) for x, _ in parts])
+        scores = np.stack([np.tensordot(y, x) for x, y in parts])
+        power, score = blocks.sum(axis=(0, 1)) + DAMPING, scores.sum(axis=0)
+        by[free] = -np.linalg.lstsq(power[some], score[free])[0]
+        left = vectors + slope @ by
+    return Solution(by, blocks, scores + blocks.sum(axis=1) @ by, noise, used)
 
 
 def _blind(rates: GyroSeries, windows: RotationWindows, model: Model) -> Float64:
@@ -136,72 +153,27 @@ def _blind(rates: GyroSeries, windows: RotationWindows, model: Model) -> Float64
     changes = np.diff(rates.rate[:MAX_LOOKED_AT], n=2, axis=0)
     variance = (np.median(np.abs(changes)) / 0.6745) ** 2 / 6
     since = (windows.t_ns - model.middle_ns) / NS_PER_S
-    blind = np.zeros(len(PARAMETERS))
-    blind[OF_GROUP == "offset"] = 2 * variance * since.size
-    blind[OF_GROUP == "drift"] = 2 * variance * (since**2).sum()
-    return blind
-
-
-def normal_equations(
-    errors: Errors, noise: Float64, weight: Float64 | Bool
-) -> tuple[Float64, Float64]:
-    """Return the information matrices and the scores of blocks of windows, for all parameters.
-
-    `Returns`: shapes ``(B, 14, 14)`` and ``(B, 14)``
-    """
-    # Whitened errors: one row for each axis of a window.
-    whitener = np.sqrt(weight[:, None] / noise)
-    rows = (errors.slope * whitener[..., None]).reshape(-1, len(PARAMETERS))
-    left = (errors.vectors * whitener).ravel()
-    cuts = np.linspace(0, len(weight), min(BLOCKS, len(weight)) + 1).astype(int)[1:-1] * 3
-    blocks = [*zip(np.split(rows, cuts), np.split(left, cuts), strict=True)]
-    return np.stack([x.T @ x for x, _ in blocks]), np.stack([x.T @ y for x, y in blocks])
-
-
-def _step(power: Float64, score: Float64, free: Bool) -> Float64:
-    by = np.zeros(len(PARAMETERS))
-    by[free] = -np.linalg.solve(power, score[free])
-    return by
-
-
-def robust_noise(vectors: Float64) -> tuple[Float64, Float64]:
-    """Return variances from medians, ``(3,)``, and Huber's weights, ``(M,)``."""
-    scale = np.maximum(np.median(np.abs(vectors), axis=0) / 0.6745, ROUNDING)
-    size = np.linalg.norm(vectors / scale, axis=1)
-    return scale**2, HUBER / np.maximum(size, HUBER)
-
-
-def _noise(vectors: Float64, used: Bool, parameters: int) -> tuple[Float64, Bool]:
-    """Return the variances of errors without outliers, and which windows are not outliers."""
-    noise, _ = robust_noise(vectors)
-    for _ in range(MAX_ROUNDS):
-        before, used = used, (vectors**2 / noise).sum(axis=1) < REJECTED**2
-        degrees = max(used.sum() - parameters / 3, 1.0)
-        noise = np.maximum((vectors[used] ** 2).sum(axis=0) / degrees, ROUNDING**2)
-        if (before == used).all():
-            break
-    return noise, used
+    of_group = {"offset": 2 * variance * since.size, "drift": 2 * variance * (since**2).sum()}
+    return np.array([of_group.get(name, 0.0) for name in OF_GROUP] * LIMITS**2)
 
 
 def observable(information: Float64, free: Bool) -> Bool:
     """Return which of the free parameters have standard deviations below their limits."""
     free = free.copy()
     while free.any():
-        scaled = LIMITS[free, None] * information[np.ix_(free, free)] * LIMITS[free]
-        values, vectors = np.linalg.eigh(scaled)
+        values, vectors = np.linalg.eigh(information[np.ix_(free, free)])
+        values[values < ROUNDING * values[-1]] = ROUNDING
         variance = (vectors**2 / np.maximum(values, ROUNDING)).sum(axis=1)
         if variance.max() <= 1:
             break
-        # Of those that are about equally uncertain, the last in order.
-        free[np.flatnonzero(free)[variance > variance.max() / 2][-1]] = False
+        # Of those that are about equally uncertain.
+        worst = np.flatnonzero(free)[variance > variance.max() / 2]
+        free[worst[np.lexsort((worst, RANKS[worst]))[-1]]] = False
     return free
 
 
-def _covariance(information: Float64, scores: Float64, degrees: float) -> Float64:
-    """Return the covariance for white noise, enlarged if the blocks scatter more than that.
-
-    `information`, `scores`: of blocks, shapes ``(B, F, F)`` and ``(B, F)``
-    `degrees`: degrees of freedom of the noise about each axis
+def _excess(found: Solution, free: Bool) -> float:
+    """Return how much more than white noise the blocks scatter; 1 if that is by chance.
 
     References
     ----------
@@ -209,11 +181,30 @@ def _covariance(information: Float64, scores: Float64, degrees: float) -> Float6
     samples", Survey Methodology 28(2), 2002: what the spread of blocks is by white noise, and its
     degrees of freedom.
     """
-    white = np.linalg.inv(information.sum(axis=0))
-    shares = information @ white  # of each block in the information
+    information = found.blocks.sum(axis=1)[:, free][..., free]
+    white = np.linalg.pinv(information.sum(axis=0), hermitian=True)
+    shares, scores = information @ white, found.scores[:, free]
     adds, takes = np.trace(shares, axis1=1, axis2=2), np.einsum("bij,bji->b", shares, shares)
-    spread = np.einsum("bi,ij,bj->", scores, white, scores) / (adds - takes).sum()
+    spread = float(np.einsum("bi,ij,bj->", scores, white, scores) / (adds - takes).sum())
     by_chance = SIGNIFICANT * np.sqrt(2 * takes.sum()) / adds.sum()
-    # A normal error over an estimated variance has this mean square.
-    white *= degrees / max(degrees - 2, 1.0)
-    return np.asarray(white * spread if spread > 1 + by_chance else white)
+    return spread if spread > 1 + by_chance else 1.0
+
+
+def _covariance(found: Solution, free: Bool) -> Float64:
+    """Return the covariance for white noise, whose variance about each axis is estimated.
+
+    References
+    ----------
+    Kenward and Roger, "Small sample inference for fixed effects from restricted maximum
+    likelihood", Biometrics 53(3), 1997: estimated weights add to the covariance, and errors over
+    estimated standard deviations follow a t distribution.
+    """
+    of_axes = found.blocks.sum(axis=0)[:, free][..., free]
+    white = np.linalg.inv(of_axes.sum(axis=0))
+    twice = (white @ of_axes @ white @ of_axes @ white).sum(axis=0)
+    return np.asarray(white + 2 / max(_degrees(found.used, free), 2.0) * (2 * white - twice))
+
+
+def _degrees(used: Bool, free: Bool) -> float:
+    """Return the degrees of freedom of the noise about each axis."""
+    return float(used.sum() - free.sum() / 3)

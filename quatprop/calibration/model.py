@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from quatprop.calibration.settings import GROUPS
 from quatprop.kinematics.quaternion import (
     IDENTITY,
     exp,
@@ -26,36 +27,9 @@ from quatprop.times import NS_PER_S
 if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
 
+OF_GROUP: Final = np.array([name for name, group in GROUPS.items() for _ in group.axes])
+"""The group of each of the 14 parameters."""
 
-class Parameter(NamedTuple):
-    """One number that can be estimated.
-
-    `group`, `axis`: what it is, and of which axes
-    `limit`: standard deviation above which it counts as unobservable: rad/s, a ratio, rad or s
-    """
-
-    group: str
-    axis: str
-    limit: float
-
-
-GROUPS: Final = {
-    "bias": (("x", "y", "z"), 0.01),
-    "offset": (("",), 0.01),
-    "mount": (("x", "y", "z"), 0.02),
-    "drift": (("",), 1e-4),
-    "scale": (("x", "y", "z"), 0.01),
-    "misalignment": (("xy", "xz", "yz"), 0.01),
-}
-"""Groups of parameters, with axes and limits: errors of usual MEMS gyroscopes and crystals are
-smaller. Of parameters that cannot be separated, the later ones are held."""
-
-PARAMETERS: Final = tuple(
-    Parameter(group, axis, limit) for group, (axes, limit) in GROUPS.items() for axis in axes
-)
-LIMITS: Final = np.array([parameter.limit for parameter in PARAMETERS])
-OF_GROUP: Final = np.array([parameter.group for parameter in PARAMETERS])
-PLACES: Final = np.cumsum([len(axes) for axes, _ in GROUPS.values()])[:-1]
 UPPER: Final = np.triu_indices(3, 1)
 """Rows and columns of the misalignment in U."""
 
@@ -87,24 +61,22 @@ class Model(NamedTuple):
 
     def moved(self, by: Float64) -> Model:
         """Return the model with increments of all parameters, ``(14,)``, in their order."""
-        bias, offset, mount, drift, scale, misalignment = np.split(by, PLACES)
-        shape = self.shape + np.diag(scale)
-        shape[UPPER] += misalignment
+        shape = self.shape + np.diag(by[OF_GROUP == "scale"])
+        shape[UPPER] += by[OF_GROUP == "misalignment"]
         return self._replace(
-            bias=self.bias + bias,
+            bias=self.bias + by[OF_GROUP == "bias"],
             shape=shape,
-            mount=normalize(multiply(exp(mount), self.mount)),
-            offset=self.offset + float(offset[0]),
-            drift=self.drift + float(drift[0]),
+            mount=normalize(multiply(exp(by[OF_GROUP == "mount"]), self.mount)),
+            offset=self.offset + float(by[OF_GROUP == "offset"][0]),
+            drift=self.drift + float(by[OF_GROUP == "drift"][0]),
         )
 
     @property
     def values(self) -> Float64:
         """All parameters, ``(14,)``; the mounting as a rotation vector."""
-        offset, drift = [self.offset], [self.drift]
-        scale = self.shape.diagonal() - 1
-        turn = log(shorter(self.mount))
-        return np.concatenate([self.bias, offset, turn, drift, scale, self.shape[UPPER]])
+        scale, turn = self.shape.diagonal() - 1, log(shorter(self.mount))
+        clock = [self.offset, self.drift]
+        return np.concatenate([self.bias, scale, self.shape[UPPER], turn, clock])
 
     def times_of(self, t_ns: Int64) -> Int64:
         """Return timestamps of the reference in the clock of the rates, int64 ns."""
@@ -117,12 +89,11 @@ class Model(NamedTuple):
 
         `Returns`: shape ``(14, 3, 4)``: times 1 and the three components of the rate
         """
-        matrix, turn = self.matrix, rotation_matrix(self.mount)
-        inverse = np.linalg.inv(matrix)
-        change = np.zeros((len(PARAMETERS), 3, 4))
-        change[OF_GROUP == "bias", :, 0] = -matrix.T
+        change = np.zeros((len(OF_GROUP), 3, 4))
+        change[OF_GROUP == "bias", :, 0] = -self.matrix.T
         change[OF_GROUP == "mount", :, 1:] = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)
-        of_shape = np.einsum("im,nj->mnij", turn, inverse)
+        inverse = np.linalg.inv(self.matrix)
+        of_shape = np.einsum("im,nj->mnij", rotation_matrix(self.mount), inverse)
         change[OF_GROUP == "scale", :, 1:] = of_shape[range(3), range(3)]
         change[OF_GROUP == "misalignment", :, 1:] = of_shape[UPPER]
         return change

@@ -6,27 +6,18 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+from quatprop.calibration.settings import GROUPS
 from quatprop.rendering import degrees_text, lines_of
 from quatprop.times import duration_text
 from quatprop.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
     from os import PathLike
 
     from quatprop.arrays import Float64
     from quatprop.rendering import Row
     from quatprop.text import Remark
-
-SHOWN = {
-    "bias": (180 / math.pi, "deg/s"),
-    "scale": (100.0, "%"),
-    "misalignment": (180 / math.pi, "deg"),
-    "mount": (180 / math.pi, "deg"),
-    "offset": (1e3, "ms, added to the timestamps of the reference"),
-    "drift": (1e6, "ppm, by which that offset grows with time"),
-}
-"""Factor and unit in which parameters are shown."""
 
 SIGNIFICANT = 2.0
 """Standard deviations by which an improvement must differ from none."""
@@ -44,12 +35,6 @@ class CalibrationParameter(NamedTuple):
     axis: str
     value: float
     sigma: float | None
-
-    @property
-    def phrase(self) -> str:
-        """What it is of: ``about x``."""
-        axes = " and ".join(self.axis)
-        return f" {'between' if self.group == 'misalignment' else 'about'} {axes}" if axes else ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,39 +131,26 @@ def calibration_rows(result: GyroCalibration) -> Iterator[Row]:
     """Yield the parameters, what they were estimated from, and what they improve."""
     left_out = f", {result.outliers} more left out as outliers" if result.outliers else ""
     yield "windows", f"{result.used} of {duration_text(result.window_ns)}{left_out}"
-    for group, (factor, unit) in SHOWN.items():
-        values = [
-            f"{one.axis} {factor * one.value:+.{_digits(factor * one.sigma)}f} +- "
-            f"{factor * one.sigma:.2g}".strip()
-            for one in result.parameters
-            if one.group == group and one.sigma is not None
-        ]
+    held = []
+    for name, group in GROUPS.items():
+        values = []
+        for _, axis, value, sigma in (one for one in result.parameters if one.group == name):
+            if sigma is None:
+                held.append(f"{name} {axis}".rstrip())
+            else:
+                # Two digits of the standard deviation show.
+                size = group.factor * sigma
+                digits = min(max(1 - math.floor(math.log10(size)), 0), 9)
+                values.append(f"{axis} {group.factor * value:+.{digits}f} +- {size:.2g}".lstrip())
         if values:
-            yield group, f"{'  '.join(values)} {unit}"
-    if held := _held([one for one in result.parameters if one.sigma is None]):
-        yield "held", f"{held}: this motion does not show it, so it is not corrected"
+            yield name, f"{'  '.join(values)} {group.unit}"
+    if held:
+        yield "held", f"{', '.join(held)}: this motion does not show it, so it is not corrected"
     before, after = (degrees_text(angle, 4) for angle in (result.before_rad, result.after_rad))
     yield (
         "error",
         f"{before} RMS before, {after} after, over {result.held_out} windows kept for validation",
     )
     gain = degrees_text(result.before_rad - result.after_rad, 3)
-    verdict = f"{gain} +- {degrees_text(result.gain_sigma_rad, 2)}"
-    yield "improvement", verdict if result.is_better else f"{verdict}: nothing is to be gained"
-
-
-def _digits(sigma: float) -> int:
-    """Return the decimals of a value, so that two digits of its standard deviation show."""
-    return min(max(1 - math.floor(math.log10(sigma)), 0), 9) if sigma > 0 else 9
-
-
-def _held(held: Sequence[CalibrationParameter]) -> str:
-    """Return what was held, in words: ``scale about x and y, misalignment``."""
-    words = []
-    for group in SHOWN:
-        axes = [one.phrase for one in held if one.group == group]
-        every = 1 if group in {"offset", "drift"} else 3
-        first, *others = axes or [""]
-        some = first + "".join(f" and {other.split(' ', 2)[2]}" for other in others)
-        words += [group + ("" if len(axes) == every else some)] if axes else []
-    return ", ".join(words)
+    nothing = "" if result.is_better else ": nothing is to be gained"
+    yield "improvement", f"{gain} +- {degrees_text(result.gain_sigma_rad, 2)}{nothing}"

@@ -24,18 +24,23 @@ from quatprop.kinematics.quaternion import (
 )
 from quatprop.kinematics.resample import Listed, at_times
 from quatprop.series import AttitudeSeries, GyroSeries
-from quatprop.series.blocks import blocks
+from quatprop.series.blocks import reblock
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
     from quatprop.arrays import Bool, Float64, Int64
 
-METHOD: Final = "coning"
+METHOD: Final = "cubic"
 """The rule by which rates are integrated."""
 
 LONGEST: Final = 1.5
 """Windows longer than this many times the nominal length, because of gaps, are omitted."""
+
+SPARE_NS: Final = 200_000_000
+"""Margin around each window for a clock offset that is still unknown."""
 
 
 class RotationWindows(NamedTuple):
@@ -56,92 +61,86 @@ class RotationWindows(NamedTuple):
         return RotationWindows(self.t_ns[chosen], self.turn[chosen])
 
 
-def windows_of(reference: AttitudeSeries, length_ns: int) -> RotationWindows:
-    """Return consecutive windows of about a length."""
+def windows_of(
+    rates: GyroSeries, reference: AttitudeSeries, model: Model, length_ns: int
+) -> RotationWindows:
+    """Return consecutive windows of about a length that rates cover without a gap."""
     t_ns = reference.t_ns
     edges = np.searchsorted(t_ns, np.arange(t_ns[0], t_ns[-1], length_ns))
-    begin, end = edges[:-1], edges[1:] - 1
-    span_ns = t_ns[end] - t_ns[begin]
+    rows = np.stack([edges[:-1], edges[1:] - 1], axis=1)
+    span_ns = np.diff(t_ns[rows])[:, 0]
     usual = (span_ns > 0) & (span_ns <= LONGEST * length_ns) & (2 * span_ns >= length_ns)
-    begin, end = begin[usual], end[usual]
+    steps = np.diff(rates.t_ns)
+    gaps = np.flatnonzero(steps > GAP_FACTOR * np.median(steps))
+    need_ns = model.times_of(t_ns[rows]) + np.array([-SPARE_NS, SPARE_NS])
+    # A window has no gap if as many gaps begin before its end as end before its beginning.
+    begun, ended = (np.searchsorted(rates.t_ns[at], need_ns) for at in (gaps, gaps + 1))
+    inside = (need_ns[:, 0] >= rates.t_ns[0]) & (need_ns[:, 1] <= rates.t_ns[-1])
+    begin, end = rows[usual & inside & (begun[:, 1] == ended[:, 0])].T
     turn = multiply(conjugate(reference.wxyz[begin]), reference.wxyz[end])
     return RotationWindows(np.stack([t_ns[begin], t_ns[end]], axis=1), turn)
 
 
-class Errors(NamedTuple):
-    """Differences between the rotations of calibrated rates and those of the reference.
-
-    `vectors`: rotation vectors from the rates' rotation to the reference's, in the body axes at the
-        ends of windows, shape ``(M, 3)``, rad
-    `slope`: derivatives with respect to each parameter, shape ``(M, 3, 14)``
-    """
-
-    vectors: Float64
-    slope: Float64
-
-
-def covered(
-    rates: GyroSeries, windows: RotationWindows, model: Model, spare_ns: int
-) -> RotationWindows:
-    """Return the windows that rates cover without a gap, with a margin of `spare_ns`."""
-    t_ns = model.times_of(windows.t_ns) + np.array([-spare_ns, spare_ns])
-    steps = np.diff(rates.t_ns)
-    gaps = np.flatnonzero(steps > GAP_FACTOR * np.median(steps))
-    # A window has no gap if as many gaps begin before its end as end before its beginning.
-    begun, ended = (np.searchsorted(rates.t_ns[at], t_ns) for at in (gaps, gaps + 1))
-    inside = (t_ns[:, 0] >= rates.t_ns[0]) & (t_ns[:, 1] <= rates.t_ns[-1])
-    return windows.where(inside & (begun[:, 1] == ended[:, 0]))
-
-
-def errors_of(rates: GyroSeries, windows: RotationWindows, model: Model) -> Errors:
-    """Return the errors of rates over windows.
+def errors_of(rates: GyroSeries, windows: RotationWindows, model: Model) -> tuple[Float64, Float64]:
+    """Return the differences between the rotations of calibrated rates and of the reference.
 
     `rates`: raw rates in order of time
+    `Returns`: rotation vectors from the rates' rotation to the reference's, in the body axes at the
+        ends of windows, shape ``(M, 3)``, rad; and their derivatives with respect to each
+        parameter, shape ``(M, 3, 14)``
     """
-    (calibrated,) = conditioned([rates], bias=model.bias, matrix=model.matrix)
+    calibrated = conditioned(reblock([rates]), bias=model.bias, matrix=model.matrix)
     times = np.clip(model.times_of(windows.t_ns), rates.t_ns[0], rates.t_ns[-1])
     q, rate, sums = _reached(calibrated, times.ravel())
     begin, end = q[::2], q[1::2]
     turn = multiply(conjugate(begin), end)
     vectors = log(shorter(multiply(conjugate(turn), windows.turn)))
-    to_body = rotation_matrix(conjugate(end))
-    by_rate = np.einsum("minj,pjn->mip", (sums[1::2] - sums[::2]), model.by_rate())
+    by_rate = np.einsum("minj,pjn->mip", sums[1::2] - sums[::2], model.by_rate())
+    slope = rotation_matrix(conjugate(end)) @ by_rate
     at_begin = np.einsum("mji,mj->mi", rotation_matrix(turn), rate[::2])
     since = (windows.t_ns - model.middle_ns)[..., None] / NS_PER_S
-    at_end = rate[1::2]
-    slope = to_body @ by_rate
-    slope[..., OF_GROUP == "offset"] = (at_end - at_begin)[..., None]
-    slope[..., OF_GROUP == "drift"] = (since[:, 1] * at_end - since[:, 0] * at_begin)[..., None]
-    return Errors(vectors, -slope)
+    slope[..., OF_GROUP == "offset"] = (rate[1::2] - at_begin)[..., None]
+    drift = since[:, 1] * rate[1::2] - since[:, 0] * at_begin
+    slope[..., OF_GROUP == "drift"] = drift[..., None]
+    return vectors, -slope
 
 
-def _reached(rates: GyroSeries, t_ns: Int64) -> tuple[Float64, Float64, Float64]:
+def _reached(rates: Iterable[GyroSeries], t_ns: Int64) -> tuple[Float64, Float64, Float64]:
     """Return the attitudes and integrals that rates lead to at some times, from any initial one.
 
     `t_ns`: rising times within those of the rates, shape ``(K,)``
     `Returns`: attitudes, ``(K, 4)``; rates, ``(K, 3)``; and the integral of R times 1 and times
         each component of the rate, ``(K, 3, 4, 3)``
     """
-    pairs = list(Propagation(IDENTITY, METHOD, "body").run([rates]))
-    wanted = at_times(pairs, Listed(t_ns), method=METHOD, rates="body")
+    found = np.empty((39, len(t_ns)))
+
+    def passing() -> Iterator[tuple[GyroSeries, AttitudeSeries]]:
+        before, total, first = None, np.zeros((36, 1)), 0
+        for block, attitudes in Propagation(IDENTITY, METHOD, "body").run(rates):
+            yield block, attitudes
+            samples, q = block, attitudes
+            if before is not None:
+                # The interval between blocks belongs to the later one.
+                samples = GyroSeries.joined([before[0], block])
+                q = AttitudeSeries.joined([before[1], attitudes])
+            before = block[-1:], attitudes[-1:]
+            turn = rotation_elements(q.wxyz)
+            every = np.concatenate([np.ones((1, len(samples))), samples.rate.T])
+            after = every[:, 1:]
+            if not samples.is_integrated(METHOD):
+                after = (after + every[:, :-1]) / 2
+            since_s = (samples.t_ns - samples.t_ns[0]) / NS_PER_S
+            middle = (turn[:, 1:] + turn[:, :-1]) / 2
+            steps = (middle[:, None] * (after * np.diff(since_s))).reshape(36, -1)
+            sums = np.cumsum(np.concatenate([total, steps], axis=1), axis=1)
+            total = sums[:, -1:]
+            last = int(np.searchsorted(t_ns, samples.t_ns[-1], side="right"))
+            at_s = (t_ns[first:last] - samples.t_ns[0]) / NS_PER_S
+            for row, values in zip(found, (*samples.rate.T, *sums), strict=True):
+                row[first:last] = np.interp(at_s, since_s, values)
+            first = last
+
+    wanted = at_times(passing(), Listed(t_ns), method=METHOD, rates="body")
     q = AttitudeSeries.joined([*wanted]).wxyz
-    wxyz = AttitudeSeries.joined([attitudes for _, attitudes in pairs]).wxyz
-    before = np.clip(np.searchsorted(rates.t_ns, t_ns, side="right") - 1, 0, len(rates) - 2)
-    steps = np.diff(rates.t_ns)
-    part = (t_ns - rates.t_ns[before]) / steps[before]
-    rate = rates.rate[before] + part[:, None] * (rates.rate[before + 1] - rates.rate[before])
-    sums, total = np.empty((len(t_ns), 36)), np.zeros((36, 1))
-    for rows in blocks(len(steps)):
-        several = slice(rows.start, min(rows.stop, len(steps)) + 1)
-        turn = rotation_elements(wxyz[several])
-        every = np.concatenate([np.ones((1, turn.shape[1])), rates.rate[several].T])
-        middle = (turn[:, 1:] + turn[:, :-1]) / 2
-        after = every[:, 1:] if rates.is_integrated(METHOD) else (every[:, 1:] + every[:, :-1]) / 2
-        each = (middle[:, None] * (after * (steps[rows] / NS_PER_S))).reshape(36, -1)
-        so_far = np.cumsum(np.concatenate([total, each], axis=1), axis=1)
-        here = (before >= rows.start) & (before < rows.stop)
-        at = before[here] - rows.start
-        sums[here] = (so_far[:, at] + part[here] * each[:, at]).T
-        total = so_far[:, -1:]
     # rows of R, factors, columns of R
-    return q, rate, sums.reshape(-1, 3, 3, 4).swapaxes(2, 3)
+    return q, found[:3].T, found[3:].T.reshape(-1, 3, 3, 4).swapaxes(2, 3)

@@ -2,42 +2,47 @@
 
 from __future__ import annotations
 
-import json
+from dataclasses import replace
 from typing import Any
 
 import click
 
 from quatprop.calibration.settings import CALIBRATE
-from quatprop.cli.help import Command, GroupedOption
-from quatprop.cli.options import JSON, QUIET, input_of, options_of, refuse_stdin_twice, with_options
+from quatprop.cli.help import Command
+from quatprop.cli.options import (
+    JSON,
+    QUIET,
+    input_of,
+    options_of,
+    refuse_stdin_twice,
+    with_options,
+    yaml_path,
+)
 from quatprop.cli.types import PATH
+from quatprop.settings.keyword import Keyword
 from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_RATES
-from quatprop.text import plain, spelled
 
 EXAMPLES = (
     "quatprop calibrate sample_logs/tumbling.bag sample_logs/tumbling.truth.csv --estimate bias",
 )
 
 
+OUT = {
+    "-o --output": Keyword(
+        yaml_path, "Write matrix and bias, for propagate --calibration.", "only shown",
+        takes="FILE.yaml|-", group="Output", common=True),
+}  # fmt: skip
+
+
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("log", type=PATH)
 @click.argument("reference", type=PATH)
-@click.option(
-    "-o",
-    "--output",
-    type=PATH,
-    metavar="FILE",
-    cls=GroupedOption,
-    group="Output",
-    common=True,
-    help="Write matrix and bias, for propagate --calibration: YAML.  [default: only shown]",
-)
 @with_options(
-    options_of(CALIBRATE),
-    JSON,
-    QUIET,
-    options_of(READ_RATES),
-    options_of(CHECKS),
+    OUT,
+    CALIBRATE,
+    {**JSON, **QUIET},
+    READ_RATES,
+    CHECKS,
     options_of(ONE_SERIES, log="REFERENCE", signal="attitudes", side="ref"),
 )
 def command(
@@ -53,42 +58,39 @@ def command(
     from quatprop.calibration.calibrate import calibrate
     from quatprop.calibration.result import calibration_rows
     from quatprop.cli.progress import progress
-    from quatprop.cli.summary import show
+    from quatprop.cli.summary import show_result
     from quatprop.logs.attitude_input import load_attitudes
     from quatprop.logs.joined import open_logs
     from quatprop.logs.signals.rates import choose_rates
-    from quatprop.provenance import as_json as to_json
-    from quatprop.rendering import count_text, lines_of, loss_lines
+    from quatprop.rendering import count_text
     from quatprop.series import GyroSeries
     from quatprop.settings.selection import RateSelection
     from quatprop.stores.log_names import split_topic
-    from quatprop.writers.targets import is_stdout, refuse_overlap
+    from quatprop.tables.log import Loss
+    from quatprop.writers.targets import refuse_overlap
 
     refuse_stdin_twice(log, reference)
     path, chosen["topic"] = split_topic(log, chosen["topic"])
     refuse_overlap([path, split_topic(reference, None)[0]], [output])
     settings = {name: chosen[name] for name in CALIBRATE if chosen[name] is not None}
+    part = (settings.pop("start", None), settings.pop("end", None))
     with (
         progress(quiet=quiet),
         open_logs([path], chosen["kind"], msg_path=chosen["msg_path"]) as opened,
     ):
         signal = choose_rates(opened, RateSelection.of(chosen))
-        rates = GyroSeries.gathered(signal.batches())
-        whole = input_of(reference, {**chosen, "start": None, "end": None}, side="ref")
-        loaded = load_attitudes(whole)
-        part = (settings.pop("start", None), settings.pop("end", None))
-        result = calibrate(rates.between(*part), loaded.series, settings)
+        rates = GyroSeries.gathered(signal.batches()).between(*part)
+        wanted = input_of(reference, {**chosen, "start": None, "end": None}, side="ref")
+        loaded = load_attitudes(replace(wanted, covariances=False))
+        result = calibrate(rates, loaded.series, settings)
     if output is not None:
         result.write(output)
-    if as_json:
-        click.echo(json.dumps(to_json(result, spelled), indent=2))
-    elif not (quiet or (output is not None and is_stdout(output))):
-        show(lines_of(calibration_rows(result), width=12), indent=13, err=False)
-    if not quiet:
-        remarks = [*signal.remarks, *opened.remarks, *loaded.signal.remarks, *result.remarks]
-        lines = [f"warning: {spelled(remark)}" for remark in remarks]
-        if dropped := loaded.counts.invalid:
-            lines.append(f"lost: {count_text(dropped, 'invalid quaternion')} of REFERENCE")
-        for line in [*lines, *loss_lines([*opened.losses, *loaded.losses])]:
-            click.echo(plain(line), err=True)
-    return 3 if opened.losses or loaded.data_lost else 0
+    losses = [*opened.losses, *loaded.losses]
+    if dropped := loaded.counts.invalid:
+        losses.append(Loss("REFERENCE", f"{count_text(dropped, 'invalid quaternion')}", dropped))
+    remarks = [*signal.remarks, *opened.remarks, *loaded.signal.remarks, *result.remarks]
+    show_result(
+        result, calibration_rows(result), 12, remarks, losses,
+        as_json=as_json, quiet=quiet, output=output,
+    )  # fmt: skip
+    return 3 if losses else 0

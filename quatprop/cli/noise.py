@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import ExitStack
 from typing import Any
 
 import click
 
 from quatprop.cli.help import Command
-from quatprop.cli.options import JSON, PLOT, QUIET, options_of, with_options
+from quatprop.cli.options import JSON, PLOT, QUIET, with_options, yaml_path
 from quatprop.cli.types import PATH
+from quatprop.errors import OutputError
 from quatprop.settings.keyword import Keyword
 from quatprop.settings.reading import NOISE
-from quatprop.text import plain, spelled
 
 EXAMPLES = (
     "quatprop noise sample_logs/rest.parquet",
@@ -22,14 +21,15 @@ EXAMPLES = (
 
 OUT = {
     "-o --output": Keyword(
-        PATH, "Write noise density and random walk in the format of kalibr, which --imu reads.",
+        yaml_path,
+        "Write noise density and random walk in the format of kalibr, which --imu reads.",
         takes="FILE.yaml|-", group="Output", common=True),
 }  # fmt: skip
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("logs", type=PATH, metavar="LOG...", nargs=-1, required=True)
-@with_options(OUT, PLOT, options_of(NOISE), {**JSON, **QUIET})
+@with_options(OUT, PLOT, NOISE, {**JSON, **QUIET})
 def command(
     logs: tuple[str, ...],
     *,
@@ -46,14 +46,12 @@ def command(
     bound. Periods of rest are found in LOG; record some hours of rest to see a random walk.
     """
     from quatprop.cli.progress import progress
-    from quatprop.cli.summary import command_line, show
-    from quatprop.provenance import as_json as to_json
-    from quatprop.rendering import lines_of, loss_lines
+    from quatprop.cli.summary import command_line, show_result
     from quatprop.sensor_noise.files import imu_yaml, noise_rows
     from quatprop.sensor_noise.measure import measure_logs
     from quatprop.stores.log_names import split_topic
     from quatprop.writers.atomic import open_atomic
-    from quatprop.writers.targets import is_stdout, refuse_overlap
+    from quatprop.writers.targets import refuse_overlap
 
     paths = []
     for log in logs:
@@ -62,22 +60,21 @@ def command(
     refuse_overlap(paths, [output, plot])
     with progress(quiet=quiet), ExitStack() as stack:
         if plot is not None:
-            from quatprop.plotting.allan import AllanPicture
+            from quatprop.plotting.allan import allan_page
+            from quatprop.plotting.target import PictureFile, kind_of
 
-            picture = stack.enter_context(AllanPicture(plot, paths, command=command_line()))
+            if kind_of(plot) == "html":
+                raise OutputError(plot, "a picture of noise is an image; use .png, .svg or .pdf")
+            picture = stack.enter_context(PictureFile(plot, paths, command=command_line()))
         noise = measure_logs(paths, {name: chosen[name] for name in NOISE if chosen[name]})
         if plot is not None:
-            picture.draw(noise)
+            picture.commit(allan_page(noise))
         if output is not None:
             content = imu_yaml(noise).encode()
             with open_atomic(output) as stream:
                 stream.write(content)
-    if as_json:
-        click.echo(json.dumps(to_json(noise, spelled), indent=2))
-    elif not (quiet or (output is not None and is_stdout(output))):
-        show(lines_of(noise_rows(noise), 18), 19, err=False)
-    if not quiet:
-        warnings = (f"warning: {spelled(remark)}" for remark in noise.remarks)
-        for line in (*warnings, *loss_lines(noise.losses)):
-            click.echo(plain(line), err=True)
+    show_result(
+        noise, noise_rows(noise), 18, noise.remarks, noise.losses,
+        as_json=as_json, quiet=quiet, output=output,
+    )  # fmt: skip
     return 3 if noise.losses or noise.dropped else 0

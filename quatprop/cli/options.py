@@ -1,7 +1,7 @@
-"""Options from rows: what help says of each, and the parser of its value.
+"""Create options from their keywords: help text, default, and parser.
 
-An option that is a setting of the library follows from its row in :mod:`quatprop.settings`, and
-means the same everywhere. What a command has beside them has rows of the same type.
+Options that are settings of the library are defined in :mod:`quatprop.settings`, and mean the same
+everywhere. Further options of a command have keywords of the same type.
 """
 
 from __future__ import annotations
@@ -13,10 +13,12 @@ import click
 
 from quatprop.cli.help import GroupedOption
 from quatprop.cli.types import PATH, OneOf, ParamType, Parsed
+from quatprop.errors import UsageError
 from quatprop.settings.keyword import Keyword
-from quatprop.settings.parsers import Choice, flag
+from quatprop.settings.parsers import Choice, flag, path
 from quatprop.settings.spelling import in_options, option
-from quatprop.text import plain
+from quatprop.text import plain, shown
+from quatprop.writers.targets import is_stdout, is_stream
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
 
     Command = TypeVar("Command", bound=Callable[..., Any])
     Option = Callable[[Any], Any]
-    """Gives a command an option."""
+    """Adds an option to a command."""
 
 
 def options_of(
@@ -36,12 +38,11 @@ def options_of(
     side: str = "",
     prefix: str = "",
 ) -> list[Option]:
-    """Return the options for rows, by the name of a setting, or by the names that click takes.
+    """Return the options for keywords, by the name of a setting, or by names for click.
 
-    `log`, `signal`: what help calls the input, and what is read of it
-    `side`: ends the names of the options, such as ``"a"`` for ``--topic-a``, and after an
-        underscore the keywords
-    `prefix`: begins the help of each
+    `log`, `signal`: names of the input and of its signal in help
+    `side`: suffix of the options and parameters, such as ``"a"`` for ``--topic-a``
+    `prefix`: prefix of the help of each option
     """
     options = []
     for name, row in rows.items():
@@ -71,7 +72,7 @@ def options_of(
 
 
 def _type(row: Keyword) -> ParamType:
-    """Return how click reads a value."""
+    """Return the click type of a value."""
     if isinstance(row.parse, click.ParamType):
         return row.parse
     return OneOf(row.choices) if row.choices else Parsed(row.parse, row.takes)
@@ -103,6 +104,18 @@ VIEW = {
     ),
 }
 QUIET = {"-q --quiet": Keyword(flag, "No summary; errors only.", group="Display", common=True)}
+
+
+def yaml_path(value: object) -> str:
+    """Return the path of a YAML file to write, or of stdout."""
+    parsed = path(value)
+    if not (is_stdout(parsed) or is_stream(parsed) or parsed.lower().endswith((".yaml", ".yml"))):
+        raise UsageError(
+            f"{shown(value)} ends in neither .yaml nor .yml; rename it, or choose - for stdout"
+        )
+    return parsed
+
+
 JSON = {
     "--json as_json": Keyword(
         flag, "JSON on stdout instead of text.", group="Display", common=True
@@ -113,7 +126,7 @@ JSON = {
 def with_options(
     *options: Sequence[Option] | Mapping[str, Keyword],
 ) -> Callable[[Command], Command]:
-    """Return a decorator that gives a command these options, or those of rows, in this order."""
+    """Return a decorator that adds options, or those of keywords, to a command, in this order."""
     every: list[Option] = []
     for some in options:
         every += options_of(some) if isinstance(some, Mapping) else some
@@ -127,7 +140,7 @@ def with_options(
 
 
 def refuse_stdin_twice(*paths: str | None) -> None:
-    """Refuse to read several series from stdin: what is read first leaves nothing."""
+    """Refuse to read several series from stdin."""
     if paths.count("-") > 1:
         raise click.UsageError("stdin can be read only once; name files for the others")
 
@@ -135,14 +148,14 @@ def refuse_stdin_twice(*paths: str | None) -> None:
 def input_of(
     path: str, chosen: Mapping[str, Any], *, side: str = "", drop: bool = False
 ) -> AttitudeInput:
-    """Return which attitudes to read, from the options of a command."""
+    """Return the attitudes to read, from the options of a command."""
     from quatprop.logs.attitude_input import attitude_input
     from quatprop.settings.reading import READ_ATTITUDES
     from quatprop.stores.log_names import split_topic
 
     keys = {name: f"{name}_{side}" if f"{name}_{side}" in chosen else name
             for name in READ_ATTITUDES}  # fmt: skip
-    # A time range of the command is that of the input without a side.
+    # The time range of the command applies to an input without a side.
     without = ("start", "end") if side else ()
     options = {
         name: chosen[key] for name, key in keys.items() if key in chosen and name not in without

@@ -1,7 +1,8 @@
-"""The summary of a run, which goes to stderr."""
+"""The summary of a run, on stderr."""
 
 from __future__ import annotations
 
+import json
 import shlex
 import sys
 from typing import TYPE_CHECKING
@@ -9,22 +10,27 @@ from typing import TYPE_CHECKING
 import click
 
 from quatprop.pipeline.summary import conventions, facts
+from quatprop.provenance import as_json as to_json
 from quatprop.rendering import lines_of, loss_lines
 from quatprop.stores.objects import without_secret
-from quatprop.text import spelled
+from quatprop.text import plain, spelled
+from quatprop.writers.targets import is_stdout
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from quatprop.pipeline.report import RunReport
+    from quatprop.rendering import Row
+    from quatprop.tables.log import Loss
+    from quatprop.text import Remark
 
 
 INDENT = 12
-"""Where the text of a summary begins."""
+"""Width of the labels in a summary."""
 
 
 def show(lines: Iterable[str], indent: int = 2, *, err: bool = True) -> None:
-    """Print lines; on a terminal those that are too long go on below their text."""
+    """Print lines; on a terminal, long lines are wrapped and indented."""
     stream = sys.stderr if err else sys.stdout
     if stream is not None and stream.isatty():
         from shutil import get_terminal_size
@@ -41,7 +47,7 @@ def show(lines: Iterable[str], indent: int = 2, *, err: bool = True) -> None:
 
 
 def summary(report: RunReport, *, verbose: bool) -> list[str]:
-    """Return what a run did in a few lines."""
+    """Return the lines of the summary of a run."""
     rows = [*facts(report), *(conventions(report) if verbose else ())]
     if verbose and report.seconds is not None:
         rows.append(("seconds", f"{report.seconds:.3f}"))
@@ -50,6 +56,27 @@ def summary(report: RunReport, *, verbose: bool) -> list[str]:
     return lines + loss_lines(report.losses)
 
 
+def show_result(  # noqa: PLR0913  # a result, how to show it, and what was lost
+    result: object,
+    rows: Iterable[Row],
+    width: int,
+    remarks: Iterable[Remark],
+    losses: Sequence[Loss],
+    *,
+    as_json: bool,
+    quiet: bool,
+    output: str | None,
+) -> None:
+    """Print a result on stdout, unless a file goes there, and warnings on stderr."""
+    if as_json:
+        click.echo(json.dumps(to_json(result, spelled), indent=2))
+    elif not (quiet or (output is not None and is_stdout(output))):
+        show(lines_of(rows, width), width + 1, err=False)
+    if not quiet:
+        for line in (*(f"warning: {spelled(one)}" for one in remarks), *loss_lines(losses)):
+            click.echo(plain(line), err=True)
+
+
 def command_line() -> str:
-    """Return the command that runs, as a shell takes it."""
+    """Return the current command line, quoted for a shell."""
     return shlex.join(["quatprop", *map(without_secret, sys.argv[1:])])

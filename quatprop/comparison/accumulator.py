@@ -1,4 +1,4 @@
-"""Errors of pairs of attitudes, measured block by block: size, drift, and the worst pair."""
+"""Errors of pairs of attitudes, accumulated block by block: size, drift, and the worst pair."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 PIECE = 16_384
-"""Pairs that are measured together: their arrays stay in the cache."""
+"""Number of pairs measured at once: their arrays fit into the cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,8 @@ class ComparedSample:
     """One pair of attitudes and its error.
 
     `t_ns`: its time in A's clock, ns
-    `at`, `index`: which sample of which series: ``"A"`` or ``"B"``, from 0, in order of time
+    `at`: the series with this sample: ``"A"`` or ``"B"``
+    `index`: index of the sample, in order of time
     `error_rad`: its error, rad
     """
 
@@ -41,9 +42,9 @@ class ComparedSample:
 
 
 class CoveredTime:
-    """The time that stamps cover, without gaps, measured block by block.
+    """The time covered by timestamps, without gaps, accumulated block by block.
 
-    `first_ns`, `last_ns`: the first and the last stamp so far, ns
+    `first_ns`, `last_ns`: first and last timestamp so far, ns
     """
 
     def __init__(self) -> None:
@@ -54,14 +55,14 @@ class CoveredTime:
 
     @classmethod
     def of(cls, t_ns: Int64) -> Self:
-        """Return the time that the stamps of a series cover."""
+        """Return the time covered by the timestamps of a series."""
         covered = cls()
         for rows in blocks(len(t_ns)):
             covered.add(t_ns[rows])
         return covered
 
     def add(self, t_ns: Int64) -> None:
-        """Add the next stamps, shape ``(N,)``, at least one, ns, in rising order."""
+        """Add the next timestamps, shape ``(N,)``, N > 0, ns, in rising order."""
         if not self._intervals:
             self.first_ns = self.last_ns = int(t_ns[0])
         self._intervals.append(np.diff(t_ns, prepend=np.int64(self.last_ns)))
@@ -72,14 +73,14 @@ class CoveredTime:
     def _count(self) -> None:
         intervals = np.concatenate(self._intervals)
         if self._limit is None:
-            # The first one is from the first stamp to itself.
+            # The first interval is from the first timestamp to itself.
             usual = intervals[1 : MEDIAN_WINDOW + 1]
             self._limit = GAP_FACTOR * float(np.median(usual)) if len(usual) else 0.0
         self._ns += int(intervals[intervals <= self._limit].sum())
         self._intervals = [intervals[:0]]
 
     def share_of(self, reference: CoveredTime) -> float:
-        """Return how much of the time of a reference is covered, in percent."""
+        """Return the percentage of the time of a reference that is covered."""
         return min(100 * self.ns / reference.ns, 100.0) if reference.ns else 100.0
 
     @property
@@ -91,20 +92,20 @@ class CoveredTime:
 
 
 class ErrorAccumulator:
-    """Measures the errors of pairs of attitudes, block by block.
+    """Accumulates the errors of pairs of attitudes.
 
-    What it finds does not depend on where blocks end.
+    The result does not depend on how pairs are divided into blocks.
 
-    `at`: the series at whose stamps the pairs are: ``"A"`` or ``"B"``
-    `limit`: the largest error that passes, rad
-    `opposite`: pairs whose quaternions have a negative dot product
-    `worst`, `first_exceeding`: the pair with the largest error, and the first with an error above
-        the limit
+    `at`: the series whose timestamps the pairs have: ``"A"`` or ``"B"``
+    `limit`: maximum error that passes, rad
+    `opposite_signs`: number of pairs of quaternions with a negative dot product
+    `worst`: the pair with the largest error
+    `first_exceeding`: the first pair with an error above the limit
     """
 
     def __init__(self, at: str, alignment: Alignment, limit: float) -> None:
         self.alignment = alignment
-        self.opposite = 0
+        self.opposite_signs = 0
         self.worst = ComparedSample(0, at, 0, -1.0)
         self.first_exceeding: ComparedSample | None = None
         self.covered = CoveredTime()
@@ -131,7 +132,7 @@ class ErrorAccumulator:
         if self.alignment.name != "none":
             b = self.alignment.apply(b)
         errors = geodesic_angle(a, b)
-        self.opposite += int(np.count_nonzero(np.einsum("ij,ij->i", a, b) < 0))
+        self.opposite_signs += int(np.count_nonzero(np.einsum("ij,ij->i", a, b) < 0))
 
         def sample(pair: int) -> ComparedSample:
             at = self.worst.at
@@ -147,10 +148,10 @@ class ErrorAccumulator:
         self._block_ns[self._filled : self._filled + len(errors)] = t_ns
         self._filled += len(errors)
         if self._filled == PIECE:
-            self._sum_up()
+            self._flush()
 
-    def _sum_up(self) -> None:
-        """Add a block to the sums.
+    def _flush(self) -> None:
+        """Add the filled part of the block to the sums.
 
         References
         ----------
@@ -171,13 +172,17 @@ class ErrorAccumulator:
         self._filled = 0
 
     def errors(self) -> Float64:
-        """Return the errors, rad, shape ``(N,)``; call it when all pairs have passed."""
+        """Return the errors, shape ``(N,)``, rad, after the last pair."""
         if self._filled:
-            self._sum_up()
+            self._flush()
         return np.frombuffer(self._errors)
 
     def statistics(self, rising: Float64, final: float) -> ErrorStatistics:
-        """Return the statistics of the errors."""
+        """Return the statistics of the errors.
+
+        `rising`: the errors, sorted, rad
+        `final`: the last error, rad
+        """
         last = len(rising) - 1
         below = int(0.95 * last)
         around = rising[below : below + 2]
@@ -192,7 +197,7 @@ class ErrorAccumulator:
 
     @property
     def drift_deg_h(self) -> float | None:
-        """Least squares slope of the errors in time, deg/h; None if there is none to tell."""
+        """Least squares slope of the errors over time, deg/h; None if it is undefined."""
         power, shared = self._moments.tolist()
         if power == 0.0 or self.alignment.name in BY_ALL:
             return None

@@ -1,9 +1,8 @@
 """Alignment of frames: constant rotations by which two attitude series may differ.
 
-A and B may be relative to different reference frames, and be attitudes of different body frames
-that are fixed to each other: q_A = r q_B m. Here r turns coordinates of B's reference into
-coordinates of A's, on the left; m turns coordinates of A's body into coordinates of B's, on the
-right.
+A and B may have different reference frames, and different body frames fixed to each other:
+q_A = r q_B m. On the left, r transforms from B's reference frame to A's; on the right, m transforms
+from A's body frame to B's.
 """
 
 from __future__ import annotations
@@ -24,36 +23,35 @@ if TYPE_CHECKING:
 
 
 MIN_MOTIONS = 10
-"""Least relative rotations from which a mounting is estimated."""
+"""Minimum number of relative rotations from which a mounting is estimated."""
 
 MAX_MOTIONS = 20_000
-"""Relative rotations taken from a long recording, about."""
+"""Approximate number of relative rotations used of a long recording."""
 
 MIN_TURN = np.radians(0.1)
 """RMS relative rotation, rad, below which the motion shows no mounting."""
 
 MAX_TURN = np.radians(150.0)
-"""Larger relative rotations are left out: near half a turn their axes change sign."""
+"""Larger relative rotations, rad, are ignored: near half a turn their axes change sign."""
 
 MIN_EXCITATION = 0.02
-"""Least rotation about the second axis, as a share of that about the first."""
+"""Minimum rotation about the second axis, as a share of the first."""
 
 MAX_STD = np.radians(5.0)
-"""Standard deviation, rad, above which a mounting is refused."""
+"""Maximum standard deviation of a mounting, rad."""
 
 WAY_OUT = f"choose {Setting('align', 'mean')}, or a longer part of the recording"
-"""What to do where the motion shows no mounting."""
+"""Advice if the motion does not show the mounting."""
 
 
 class MountingFit(NamedTuple):
-    """How a mounting was estimated from relative rotations, and how well.
+    """How well a mounting was estimated from relative rotations.
 
     `motions`: number of relative rotations
     `turn_rad`: their RMS angle, rad
     `singular_values`: roots of the singular values of the fit: RMS sin(angle/2) about the three
-        principal axes common to A and B, largest first. Two have to be well above zero
-    `std_rad`: standard deviation of the mounting about its least certain axis, rad, from the
-        residual
+        principal axes common to A and B, largest first. Two must be well above zero
+    `std_rad`: standard deviation about the least certain axis, rad, from the residual
     """
 
     motions: int
@@ -64,14 +62,14 @@ class MountingFit(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """Rotations that bring B to A: q_A = r q_B m.
+    """Rotations that align B with A: q_A = r q_B m.
 
     `name`: one of :data:`quatprop.comparison.settings.ALIGNMENTS`
-    `reference_wxyz`, `reference_rad`: r, shape ``(4,)``: B's reference -> A's reference, multiplied
-        on the left; its angle, rad
-    `mount_wxyz`, `mount_rad`: m, shape ``(4,)``: A's body -> B's body, multiplied on the right; its
-        angle, rad
-    `mounting`: how m was estimated, where it was
+    `reference_wxyz`: r, B's reference -> A's reference, left factor, shape ``(4,)``
+    `reference_rad`: angle of r, rad
+    `mount_wxyz`: m, A's body -> B's body, right factor, shape ``(4,)``
+    `mount_rad`: angle of m, rad
+    `mounting`: how well m was estimated; None if it was not
     """
 
     name: str
@@ -92,11 +90,11 @@ class Alignment:
 
 
 def align(name: str, a: Float64, b: Float64) -> Alignment:
-    """Return the rotations that bring B to A.
+    """Return the rotations that align B with A.
 
-    `name`: ``"none"``; ``"first"``: r makes the first attitudes the same; ``"mean"``: r is the
-        least squares fit over all; ``"yaw"``: the same among rotations about z; ``"mount"``: m from
-        the relative rotations, then r as for mean
+    `name`: ``"none"``; ``"first"``: r makes the first attitudes equal; ``"mean"``: r is the least
+        squares fit over all; ``"yaw"``: the same, restricted to rotations about z; ``"mount"``: m
+        from the relative rotations, then r as for mean
     `a`, `b`: unit quaternions wxyz at the same times, shape ``(N, 4)``
     """
     if name == "none":
@@ -110,7 +108,7 @@ def align(name: str, a: Float64, b: Float64) -> Alignment:
 
 
 def mean_rotation(q: Float64) -> Float64:
-    """Return the rotation nearest to many in the chordal sense.
+    """Return the mean of rotations in the chordal sense.
 
     `q`: unit quaternions wxyz, shape ``(N, 4)``; their signs do not matter
     `Returns`: wxyz with w >= 0, shape ``(4,)``
@@ -125,10 +123,10 @@ def mean_rotation(q: Float64) -> Float64:
 
 
 def mean_heading(q: Float64) -> Float64:
-    """Return the rotation about the vertical that is nearest to rotations in the chordal sense.
+    """Return the rotation about the vertical nearest to the mean in the chordal sense.
 
     `q`: unit quaternions wxyz, shape ``(N, 4)``
-    `Returns`: wxyz, shape ``(4,)``: what :func:`mean_rotation` does, for w and z alone
+    `Returns`: wxyz, shape ``(4,)``: as :func:`mean_rotation`, for w and z alone
     """
     _, vectors = np.linalg.eigh(q[:, [0, 3]].T @ q[:, [0, 3]])
     w, z = vectors[:, -1].tolist()
@@ -136,10 +134,10 @@ def mean_heading(q: Float64) -> Float64:
 
 
 def find_mounting(a: Float64, b: Float64) -> tuple[Float64, MountingFit]:
-    """Solve the hand-eye problem: how body A is mounted in body B, from motion.
+    """Solve the hand-eye problem: estimate the mounting of body A in body B from motion.
 
-    With q_A = r q_B m, rotations from sample i to j are a = m* b m: the same angle about axes
-    that m turns into each other, whatever r is. Their vector parts are fitted by least squares.
+    With q_A = r q_B m, rotations from sample i to j are a = m* b m: for any r, they have the same
+    angle, and axes that m rotates into each other. Their vector parts are fitted by least squares.
 
     `a`, `b`: unit quaternions wxyz at the same times, shape ``(N, 4)``
     `Returns`: m, wxyz, shape ``(4,)``: A's body -> B's body
@@ -150,8 +148,7 @@ def find_mounting(a: Float64, b: Float64) -> tuple[Float64, MountingFit]:
     Trans. Robotics and Automation 10(5), 1994; here with sin(angle/2) in place of the angle, and
     Kabsch's solution by singular values.
     """
-    # Rotations over few samples suffer from noise, and over many from drift; the residual shows
-    # which are best.
+    # Rotations over few samples suffer from noise, and over many from drift: the residual decides.
     strides = [1 << power for power in range(32) if 2 << power <= len(a) - MIN_MOTIONS]
     fits = [_fitted(_relative(a, step), _relative(b, step), len(a) / step) for step in strides]
     if not fits:
@@ -159,20 +156,23 @@ def find_mounting(a: Float64, b: Float64) -> tuple[Float64, MountingFit]:
             f"a mounting needs {MIN_MOTIONS} relative rotations, and there are only {len(a)} "
             f"attitudes; {WAY_OUT}"
         )
-    # Where two motions are the same, all are exact.
+    # If the motions are equal, every fit is exact, and only small rotations have to be avoided.
     mount, fit = min(fits, key=lambda one: (one[1].turn_rad < MIN_TURN, one[1].std_rad))
     _refuse_unexcited(fit)
     return from_matrices(mount.reshape(1, 9))[0], fit
 
 
 def _fitted(in_a: Float64, in_b: Float64, independent: float) -> tuple[Float64, MountingFit]:
-    """Fit the mounting, as a matrix, to relative rotations; `independent` do not overlap."""
+    """Fit the mounting, as a matrix, to relative rotations.
+
+    `independent`: number of them that do not overlap
+    """
     usable = (in_a[:, 0] > np.cos(MAX_TURN / 2)) & (in_b[:, 0] > np.cos(MAX_TURN / 2))
     x, y = in_a[usable, 1:], in_b[usable, 1:]
     if len(x) < MIN_MOTIONS:
         return np.eye(3), MountingFit(len(x), 0.0, [0.0, 0.0, 0.0], np.inf)
     mount, excited = kabsch(x, y)
-    # Overlapping rotations repeat each other.
+    # Overlapping rotations are not independent.
     information = (excited[1] + excited[2]) * max(min(len(x), independent), 1.0)
     residual = float(((y - x @ mount.T) ** 2).sum(axis=1).mean()) / 3
     std = np.sqrt(residual / information) if information else np.inf
@@ -189,8 +189,8 @@ def _relative(q: Float64, stride: int) -> Float64:
 def kabsch(x: Float64, y: Float64) -> tuple[Float64, Float64]:
     """Return the rotation matrix M with y = M x in the least squares sense, and its excitation.
 
-    The excitation is the singular values of the mean of y x^T, shape ``(3,)``. Noise in x and y
-    averages out in it, as it would not in that of x alone.
+    The excitation is the singular values of the mean of y x^T, shape ``(3,)``: unlike those of
+    x x^T, they are not increased by independent noise in x and y.
     """
     left, excited, right = np.linalg.svd(y.T @ x / len(x))
     if np.linalg.det(left) * np.linalg.det(right) < 0:

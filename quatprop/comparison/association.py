@@ -1,4 +1,4 @@
-"""Match the attitudes of two series in time; attitudes between samples."""
+"""Match the attitudes of two series in time: equal timestamps, nearest, or interpolated."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ if TYPE_CHECKING:
 
 
 MIN_PAIRS = 2
-"""Least pairs, but for the only attitudes of two series: a drift needs two, and an alignment."""
+"""Minimum number of pairs, unless both series have one attitude."""
 
 FAR = np.iinfo(np.int64).max
-"""Median interval of a series that has no interval."""
+"""The median interval of a series with one sample, ns."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
     """Attitudes of A and B at the same times.
 
-    `t_ns`: when, shape ``(N,)``, int64 ns, in A's clock
+    `t_ns`: shape ``(N,)``, int64 ns, in A's clock
     `a`, `b`: attitudes body -> reference, wxyz, shape ``(N, 4)``
-    `index`: which samples of the series at whose stamps the pairs are, shape ``(N,)``, int64
-    `at`: that series: ``"A"`` or ``"B"``
+    `index`: indices of the samples with these timestamps, shape ``(N,)``, int64
+    `at`: the series of these samples: ``"A"`` or ``"B"``
     `match`: one of :data:`quatprop.comparison.settings.MATCHES`
-    `max_dt_ns`: how far a sample was allowed to be from its partner, ns; 0 for equal timestamps
-    `candidates`: how many could have been matched at best: samples in the time that both series
-        cover, of the one that has fewer
-    `floor_rad`: how much of the error may come from interpolation between samples, rad
+    `max_dt_ns`: maximum distance of a sample from its partner, ns; 0 for equal timestamps
+    `candidates`: maximum possible number of pairs: samples in the common time of the series that
+        has fewer there
+    `floor_rad`: error that may come from interpolation between samples, rad
     """
 
     t_ns: Int64
@@ -61,13 +61,13 @@ class Matching(NamedTuple):
     """How the attitudes were matched in time.
 
     `match`: ``"exact"`` for equal timestamps, ``"nearest"`` or ``"interpolate"``
-    `at`: the series at whose timestamps the pairs are: ``"A"`` or ``"B"``
-    `max_dt_ns`: how far a sample was allowed to be from its partner, ns; 0 for equal timestamps
+    `at`: the series whose timestamps the pairs have: ``"A"`` or ``"B"``
+    `max_dt_ns`: maximum distance of a sample from its partner, ns; 0 for equal timestamps
     `matched`: number of pairs
-    `candidates`: how many could have been matched at best: samples in the time that both series
-        cover, of the one that has fewer
-    `first_ns`, `last_ns`: times of the first and the last pair, ns; 0 if there is none
-    `rate_hz`: the rate at which A was interpolated, Hz; None: it is as it was
+    `candidates`: maximum possible number of pairs: samples in the common time of the series that
+        has fewer there
+    `first_ns`, `last_ns`: times of the first and the last pair, ns; 0 without pairs
+    `rate_hz`: the rate to which A was interpolated, Hz; None if it was not
     """
 
     match: str
@@ -81,7 +81,7 @@ class Matching(NamedTuple):
 
     @classmethod
     def from_pairs(cls, pairs: Pairs) -> Self:
-        """Return how pairs were matched."""
+        """Return the facts about pairs."""
         ends = (int(pairs.t_ns[0]), int(pairs.t_ns[-1])) if len(pairs) else (0, 0)
         return cls(pairs.match, pairs.at, pairs.max_dt_ns, len(pairs), pairs.candidates, *ends)
 
@@ -89,7 +89,7 @@ class Matching(NamedTuple):
 def associate(a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings) -> Pairs:
     """Match two series in time.
 
-    The pairs are at the stamps of the series with the longer intervals; the other one is looked
+    The pairs have the timestamps of the series with the longer intervals; the other one is looked
     up or interpolated there.
     """
     match = settings.match if settings.rate is None else "interpolate"
@@ -110,7 +110,7 @@ def is_mostly_exact(matched: int, candidates: int) -> bool:
 
 
 def _near(a: AttitudeSeries, b: AttitudeSeries, match: str, settings: ComparisonSettings) -> Pairs:
-    # With a rate, A is at that rate.
+    # With a rate, A is resampled already.
     at = "B" if settings.rate is None and interval_ns(b) > interval_ns(a) else "A"
     max_dt_ns = settings.max_dt
     sparse, dense = (b, a) if at == "B" else (a, b)
@@ -126,20 +126,20 @@ def _near(a: AttitudeSeries, b: AttitudeSeries, match: str, settings: Comparison
         looked_up, floor_rad = interpolate(dense, sparse.t_ns[index])
     kept = sparse.wxyz[index]
     both = (kept, looked_up) if at == "A" else (looked_up, kept)
-    # The nearest of a sample just outside the common time can be within reach, too.
+    # A sample just outside the common time can have a partner, too.
     candidates = max(_candidates(a, b), len(index))
     return Pairs(sparse.t_ns[index], *both, index, at, match, max_dt_ns, candidates, floor_rad)
 
 
 def interval_ns(series: AttitudeSeries) -> int:
-    """Return the median interval of a series, ns; :data:`FAR` where there is none."""
+    """Return the median interval of a series, ns; :data:`FAR` if it has one sample."""
     if len(series) < MIN_PAIRS:
         return FAR
     return int(np.median(np.diff(series.t_ns)))
 
 
 def shifted(series: AttitudeSeries, offset_ns: int | Int64) -> AttitudeSeries:
-    """Return the series with `offset_ns` added to its stamps."""
+    """Return the series with an offset added to its timestamps, ns."""
     return replace(series, t_ns=series.t_ns + offset_ns)
 
 
@@ -150,9 +150,9 @@ def _exact(a: AttitudeSeries, b: AttitudeSeries) -> Pairs:
 
 
 def equal_stamps(a: Int64, b: Int64) -> tuple[Intp | slice, Intp | slice]:
-    """Return the indices, in each of two series in order of time, at which stamps are equal."""
+    """Return the indices of equal timestamps in each of two rising series."""
     if np.array_equal(a, b):
-        return slice(None), slice(None)  # the usual case: nothing is searched or copied
+        return slice(None), slice(None)  # the common case, without a search or a copy
     place = np.minimum(np.searchsorted(b, a), len(b) - 1)
     (in_a,) = np.nonzero(b[place] == a)
     return in_a, place[in_a]
@@ -167,7 +167,7 @@ def _candidates(a: AttitudeSeries, b: AttitudeSeries) -> int:
 
 
 def _nearest(dense: AttitudeSeries, t_ns: Int64, max_dt_ns: int) -> tuple[Int64, Float64]:
-    """Return which times have a sample near enough, and those samples."""
+    """Return the indices of times with a sample within reach, and these samples."""
     after = np.clip(np.searchsorted(dense.t_ns, t_ns), 0, len(dense) - 1)
     before = np.maximum(after - 1, 0)
     nearer = np.abs(dense.t_ns[before] - t_ns) <= np.abs(dense.t_ns[after] - t_ns)
@@ -177,7 +177,7 @@ def _nearest(dense: AttitudeSeries, t_ns: Int64, max_dt_ns: int) -> tuple[Int64,
 
 
 def _surrounded(dense: AttitudeSeries, t_ns: Int64, max_dt_ns: int) -> Intp:
-    """Return which times have neighbours near enough on both sides."""
+    """Return the indices of times with samples within reach on both sides."""
     if len(dense) < MIN_PAIRS:
         return np.empty(0, np.intp)
     before = np.clip(np.searchsorted(dense.t_ns, t_ns, side="right") - 1, 0, len(dense) - 1)
@@ -193,7 +193,7 @@ def require_enough(
 ) -> None:
     """Raise an error if there are too few pairs.
 
-    `spans_ns`: the first and the last stamp of A, and of B, ns
+    `spans_ns`: first and last timestamp of A, and of B, ns
     """
     single = all(first == last for first, last in spans_ns) and settings.align == "none"
     least = 1 if single else MIN_PAIRS

@@ -1,4 +1,4 @@
-"""What explains an error: a mistake whose remedy takes most of it away."""
+"""The likely cause of an error: a mistake whose remedy removes most of it."""
 
 from __future__ import annotations
 
@@ -11,25 +11,24 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64
 
 CLEAR = 10.0
-"""Errors that are this many times larger than those of all other samples are isolated."""
+"""Errors this many times the RMS of all others are isolated."""
 
 NO_ERROR = 1e-9
-"""RMS error, rad, that needs no explanation."""
+"""RMS error, rad, that is only rounding."""
 
 ISOLATED = 0.01
-"""Share of the samples that may be isolated errors."""
+"""Maximum share of samples with isolated errors."""
 
 
 class Cause(NamedTuple):
-    """What explains most of an error.
+    """A cause that explains most of an error.
 
     `name`: a short name, stable for scripts
-    `sentence`: what it is, with the RMS error before and after
-    `rms_before`, `rms_after`: RMS error as it is, and after the remedy, rad, aligned as was asked
-    `remedy`: the settings with which to read, propagate or compare, or what else mends it
-    `also`: another cause, which explains most of what is left after the remedy of this one
-    `part_ns`: length of the part of a recording in which the cause was looked for and the errors
-        were measured, ns; None: all of it
+    `sentence`: description, with the RMS error before and after the remedy
+    `rms_before`, `rms_after`: RMS error before and after the remedy, rad, aligned as asked
+    `remedy`: settings with which to read, propagate or compare, or another correction
+    `also`: a second cause, which explains most of the error that remains
+    `part_ns`: length of the part of the recording that was searched and measured, ns; None: all
     """
 
     name: str
@@ -42,17 +41,17 @@ class Cause(NamedTuple):
 
     @property
     def chain(self) -> list[Cause]:
-        """The cause, and those of what is left after it."""
+        """The cause, and the further ones."""
         return [self, *(self.also.chain if self.also else [])]
 
     @property
     def advice(self) -> str:
-        """The sentence with the remedy; not for a regression, which the remedy would hide."""
+        """The sentence with the remedy; not for regression tests, where it would hide the fault."""
         return f"{self.sentence}; {self.remedy}"
 
 
 def isolated_samples(error: Float64) -> Cause | None:
-    """Return a few outliers as the cause, if they are; the errors are in rising order."""
+    """Return a few outliers as the cause, or None; `error`: sorted, rad."""
     few = max(int(len(error) * ISOLATED), 1)
     before, rest = rms(error), rms(error[:-few])
     count = int((error > CLEAR * max(rest, NO_ERROR)).sum())

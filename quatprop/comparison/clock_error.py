@@ -1,4 +1,4 @@
-"""What one clock is off against another, by least squares over windows of common motion."""
+"""Least squares estimate of the offset and drift between clocks, from windows of common motion."""
 
 from __future__ import annotations
 
@@ -24,32 +24,31 @@ if TYPE_CHECKING:
 
 
 MAX_OFFSET_S = 0.5
-"""Time offsets are tried up to this; what is larger cannot be told from another motion, s."""
+"""Maximum time offset, s, of the search: larger ones could match another motion."""
 
 GRID_WINDOWS = 200
-"""Windows with which the first time offset is found."""
+"""Approximate number of windows of the initial grid search."""
 
 MAX_ROUNDS = 30
-"""Rounds of least squares at most; each is closer to the best time offset."""
+"""Maximum number of least squares iterations."""
 
 MIN_BLOCKS = 10
-"""Blocks of windows at least, from whose spread an uncertainty is estimated."""
+"""Minimum number of blocks of windows for the jackknife."""
 
 BLOCK_S = 2.0
-"""Length of such a block, s: errors further apart are taken to be independent."""
+"""Maximum length of such a block, s: errors further apart are assumed independent."""
 
 
 class ClockError(NamedTuple):
-    """The error of B's clock: a time offset, which may change steadily.
+    """The error of B's clock: an offset, and possibly a constant drift.
 
-    `seconds`: the offset in the middle, s: positive where B has to be moved to a later time
-    `ratio`: what the offset grows by, as a share of the time that passes
-    `std`: standard deviation of the ratio, or, where the offset does not change, of the offset, s
-    `white_std`: what that of the offset would be, s, if differences over windows that do not
-        overlap were independent: by this, the length of windows is chosen, since choosing by `std`
-        would favour low ones
-    `middle`: the middle of the time over which it was found, s
-    `span`: length of that time, s
+    `seconds`: offset at `middle`, s, to be added to B's timestamps
+    `ratio`: drift of the offset, s/s
+    `std`: standard deviation of the drift, s/s, or without a drift, of the offset, s
+    `white_std`: standard deviation of the offset for white noise, s. It selects the length of
+        windows: selecting by `std`, itself an estimate, would favour accidentally low ones
+    `middle`: middle of the time from which it was estimated, s
+    `span`: length of this time, s
     """
 
     seconds: float
@@ -60,19 +59,19 @@ class ClockError(NamedTuple):
     span: float
 
     def at(self, seconds: Float64) -> Float64:
-        """Return what is to be added to B's timestamps at some times, s."""
+        """Return the offset at given times, s."""
         return self.seconds + self.ratio * (seconds - self.middle)
 
 
 def clock_errors(
     a: AttitudeSeries, b: AttitudeSeries, offset_ns: int, *, turned: bool = True
 ) -> tuple[ClockError, ClockError, int] | None:
-    """Return what is left of an offset, constant and changing steadily, if windows show any.
+    """Return the clock error without and with drift, and the origin of their times, ns.
 
-    It is estimated from windows of the length that shows it best. The last value is when the times
-    of the second begin, ns.
+    None if there are too few windows. Of all lengths of windows, the most certain one is used.
 
-    `turned`: whether the bodies may be turned against each other
+    `offset_ns`: offset that is added to B's timestamps first, ns
+    `turned`: whether the body frames may differ
     """
     a, b = common_beginning(a, shifted(b, offset_ns))
     first_ns = min(int(a.t_ns[0]), int(b.t_ns[0]))
@@ -100,33 +99,32 @@ def clock_error(  # noqa: PLR0913  # two angles, and windows of them
 ) -> ClockError:
     """Estimate the error of B's clock by least squares over windows.
 
-    What B changes by with the offset is multiplied by what A changes by: noise in B alone would
-    look like motion, and the offset more certain than it is. The standard deviation is found by
-    leaving out blocks of windows, so it holds for noise of any colour; it is infinite where windows
-    do not show the offset.
+    The information is the product of the slopes of A and B: the square of B's alone would include
+    its noise, and overstate the certainty. The standard deviation is a block jackknife, so it holds
+    for coloured noise; it is infinite if the windows do not show the offset.
 
-    `begin`: where to begin, s; None: at the best of a grid
-    `turned`: whether the bodies may be turned against each other
+    `begin`: initial offset, s; None: from a grid search
+    `turned`: whether the body frames may differ
 
     References
     ----------
     Efron and Stein, "The jackknife estimate of variance", Annals of Statistics 9(3), 1981.
     """
     middle, span = float(starts.mean()), float(starts[-1] - starts[0])
-    # The offset is a sum of terms: found is so much of each.
+    # The offset is a sum of terms with coefficients.
     terms = np.stack([np.ones_like(starts), starts - middle][: 1 + drifts])
-    found = np.zeros(len(terms))
-    found[0] = _on_grid(a, b, length, starts, turned) if begin is None else begin
+    coefficients = np.zeros(len(terms))
+    coefficients[0] = _on_grid(a, b, length, starts, turned) if begin is None else begin
 
     def clock(std: float, white_std: float) -> ClockError:
-        seconds, ratio = np.append(found, 0.0)[:2].tolist()
+        seconds, ratio = np.append(coefficients, 0.0)[:2].tolist()
         return ClockError(seconds, ratio, std, white_std, middle, span)
 
     step = length / 8
     largest = np.abs(terms).max(axis=1)
     y, slope_a = a.over(starts, length), _slope(a, starts, length, step)
     for _ in range(MAX_ROUNDS):
-        moved = starts - found @ terms
+        moved = starts - coefficients @ terms
         x, slope = b.over(moved, length), _slope(b, moved, length, step)
         if turned:
             turn, _ = kabsch(x, y)
@@ -138,10 +136,10 @@ def clock_error(  # noqa: PLR0913  # two angles, and windows of them
         if power[0, 0] <= 0 or np.linalg.det(power) <= 0:
             return clock(np.inf, np.inf)
         move = np.linalg.solve(power, scores.sum(axis=1))
-        found = found + np.clip(move, -step / largest, step / largest)
+        coefficients += np.clip(move, -step / largest, step / largest)
         if (np.abs(move * largest) * NS_PER_S < 1).all():
             break
-    # How much the result changes when one block of windows after the other is left out.
+    # The change of the result when one block of windows is left out.
     block = _blocks(starts, length)
     score_of, power_of = (
         np.stack([np.bincount(block, row) for row in rows], axis=1)
@@ -156,7 +154,7 @@ def clock_error(  # noqa: PLR0913  # two angles, and windows of them
 
 
 def _on_grid(a: BodyAngle, b: BodyAngle, length: float, starts: Float64, turned: bool) -> float:
-    """Return about the offset, s, of a grid the one at which windows have most in common."""
+    """Return the offset, s, of a grid with the smallest residual."""
     few = starts[:: max(len(starts) // GRID_WINDOWS, 1)]
     reach = min(MAX_OFFSET_S, float(few[0] - max(a.seconds[0], b.seconds[0])))
     y = a.over(few, length)
@@ -171,13 +169,13 @@ def _on_grid(a: BodyAngle, b: BodyAngle, length: float, starts: Float64, turned:
 
 
 def _slope(angle: BodyAngle, starts: Float64, length: float, step: float) -> Float64:
-    """Return the derivative of angles over windows with respect to a time offset."""
+    """Return the derivative of rotations over windows with respect to a time offset."""
     earlier, later = (angle.between(at, at + length) for at in (starts - step, starts + step))
     return centred((earlier - later) / (2 * step))
 
 
 def _blocks(starts: Float64, length: float) -> Intp:
-    """Return the block of each window; windows of blocks that are not neighbours do not overlap."""
+    """Return the block of each window; only windows of neighbouring blocks overlap."""
     span = float(starts[-1] - starts[0])
     block = max(length, min(BLOCK_S, span / MIN_BLOCKS))
     return np.asarray(((starts - starts[0]) // block).astype(np.intp))

@@ -1,9 +1,8 @@
 """The offset between the clocks of two series, from the motion that both recorded.
 
-The angular speed of a rigid body is the same in every frame, so it can be correlated before
-anything is aligned. Both series are interpolated at regular times; a normalised
-cross-correlation over all lags gives the offset roughly. The rotations over windows, with the
-bodies turned to agree, give it by least squares.
+The angular speed of a rigid body is the same in every frame, so it can be correlated before the
+frames are aligned. The normalised cross-correlation of both series, interpolated at regular times,
+gives a coarse offset; least squares over windows, with the body frames aligned, refines it.
 """
 
 from __future__ import annotations
@@ -26,37 +25,37 @@ if TYPE_CHECKING:
 
 
 MIN_POINTS = 16
-"""Least samples from which a delay is estimated."""
+"""Minimum number of samples from which an offset is estimated."""
 
 MAX_POINTS = 1 << 20
-"""Longer series are sampled more coarsely."""
+"""Maximum number of samples; longer series are sampled more coarsely."""
 
 SMOOTH_NS = 50_000_000
-"""Speeds are taken over this time at least: over shorter ones, noise looks like motion."""
+"""Speeds are averages over this time, ns: over shorter ones, noise looks like motion."""
 
 MIN_SMOOTH_POINTS = 200
-"""Unless fewer points than this would remain."""
+"""The time is shortened if fewer points than this would remain."""
 
 MIN_CORRELATION = 0.5
-"""Below this the two motions are taken to be different."""
+"""Minimum correlation; below it, the motions are considered different."""
 
 MAX_RUNNER_UP = 0.98
-"""A second peak above this share of the first is as good: the motion repeats itself."""
+"""Maximum second peak, as a share of the first: above it, the motion is periodic."""
 
 MIN_VARIATION = 1e-6
-"""Least relative spread of a varying speed; the rounding of constant spins is below it."""
+"""Minimum relative variation of a speed; rounding errors of a constant one are below it."""
 
 GIVE_OFFSET = f"give the offset with {Setting('time_offset', 'DUR')}"
-"""What to do where no offset can be estimated."""
+"""Advice if no offset can be estimated."""
 
 
 class ClockOffset(NamedTuple):
     """The estimated offset between two clocks.
 
-    `ns`: what must be added to B's timestamps, ns
-    `correlation`: of the angular speeds at that offset, 1 at best
-    `runner_up`: the next best correlation outside the peak: how easily it could be another offset
-    `std_ns`: standard deviation of the offset, ns, whatever the noise: from the spread over time
+    `ns`: offset to be added to B's timestamps, ns
+    `correlation`: correlation of the angular speeds at this offset, at most 1
+    `runner_up`: highest correlation outside the peak: near `correlation`, the offset is ambiguous
+    `std_ns`: standard deviation of the offset, ns, by a block jackknife
     """
 
     ns: int
@@ -66,15 +65,15 @@ class ClockOffset(NamedTuple):
 
 
 def find_offset(a: AttitudeSeries, b: AttitudeSeries) -> ClockOffset:
-    """Estimate the time offset of B: what must be added to its stamps.
+    """Estimate the offset that must be added to B's timestamps.
 
-    The clocks may have different epochs: every lag is tried at which the shorter series overlaps
-    by half.
+    The clocks may have different epochs: every lag is tried with which at least half of the shorter
+    series overlaps.
 
     References
     ----------
     Knapp and Carter, "The generalized correlation method for estimation of time delay", IEEE
-    Trans. ASSP 24(4), 1976. The rest as :func:`quatprop.comparison.clock_error.clock_error`.
+    Trans. ASSP 24(4), 1976. See also :func:`quatprop.comparison.clock_error.clock_error`.
     """
     coarse, runner_up = coarse_offset(a, b)
     found = clock_errors(a, b, coarse)
@@ -90,9 +89,9 @@ def find_offset(a: AttitudeSeries, b: AttitudeSeries) -> ClockOffset:
 
 
 def coarse_offset(a: AttitudeSeries, b: AttitudeSeries) -> tuple[int, float]:
-    """Return the offset, ns, at which angular speeds correlate best, and the next best correlation.
+    """Return the offset, ns, with the best correlation of angular speeds, and the runner-up.
 
-    The speeds are the same however attitudes were read, aligned and mounted.
+    Angular speeds depend neither on frames nor on the direction of the attitudes.
     """
     step = _step_ns(a, b)
     speed_a, speed_b = (_angles(one, int(one.t_ns[0]), int(one.t_ns[-1]), step) for one in (a, b))
@@ -133,16 +132,16 @@ def _step_ns(a: AttitudeSeries, b: AttitudeSeries) -> int:
 
 
 def _angles(series: AttitudeSeries, start: int, stop: int, step: int) -> Float64:
-    """Return the angle of each step from start to stop, rad."""
+    """Return the rotation angles over steps from start to stop, rad."""
     regular, _ = interpolate(series, np.arange(start, stop + 1, step, dtype=np.int64))
     return geodesic_angle(regular[:-1], regular[1:])
 
 
 def _correlations(x: Float64, y: Float64) -> Float64:
-    """Return Pearson's correlation at every lag from -(len(y) - 1) to len(x) - 1.
+    """Return Pearson's correlation over the overlap at lags from -(len(y) - 1) to len(x) - 1.
 
-    It is taken over the overlap; where that is too short, or one of the two does not vary there,
-    it is 0. A positive lag means that y has to come later.
+    It is 0 where the overlap is too short, or x or y does not vary in it. A positive lag moves y to
+    later times.
     """
     x, y = x - x.mean(), y - y.mean()
     lags = np.arange(-(len(y) - 1), len(x))
@@ -156,7 +155,7 @@ def _correlations(x: Float64, y: Float64) -> Float64:
     power_x = _sums(x**2, x_slice) - sum_x**2 / count
     power_y = _sums(y**2, y_slice) - sum_y**2 / count
     enough = count >= max(MIN_POINTS, min(len(x), len(y)) // 2)
-    # Below that nothing but rounding is left.
+    # Below this, the variation is only rounding.
     varies_x = power_x > MIN_VARIATION * float((x**2).sum())
     varies_y = power_y > MIN_VARIATION * float((y**2).sum())
     correlation = np.zeros(len(lags))
@@ -175,7 +174,7 @@ def _sums(values: Float64, span: tuple[Int64, Int64]) -> Float64:
 
 
 def _runner_up(correlation: Float64, peak: int) -> float:
-    """Return the highest correlation outside the peak, whose feet are the nearest minima."""
+    """Return the highest correlation outside the peak, which ends at the nearest minima."""
     slopes = np.diff(correlation)
     left = np.append(0, np.flatnonzero(slopes[:peak] <= 0) + 1)[-1]
     right = peak + np.append(np.flatnonzero(slopes[peak:] >= 0), len(slopes) - peak)[0]

@@ -13,10 +13,10 @@ from quatprop.comparison.alignment import align
 from quatprop.comparison.association import Matching, Pairs, associate, shifted
 from quatprop.comparison.cause import NO_ERROR
 from quatprop.comparison.clocks import find_offset
+from quatprop.comparison.defects import defects
 from quatprop.comparison.diagnosis import MIN_PAIRS, likely_cause
-from quatprop.comparison.findings import findings
 from quatprop.comparison.heading import error_parts
-from quatprop.comparison.judged import ComparedRange, Judged, judged, steady
+from quatprop.comparison.judged import ComparedRange, Judged, judged, resampled
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judge
 from quatprop.comparison.settings import ComparisonSettings
 from quatprop.comparison.statistics import sigma_statistics, window_statistics
@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 
 
 ROUNDING = 1e-14
-"""Difference from unit length below which quaternions are compared as they are, without a copy."""
+"""Deviation from unit length below which quaternions are not normalised, which takes a copy."""
 
 FLOOR_SHARE = 0.1
-"""Share of the tolerance above which errors of the interpolation are remarked on."""
+"""Share of the tolerance above which interpolation errors get a remark."""
 
 OPPOSED = math.radians(175.0)
-"""Inclination, rad, at which heading means nothing."""
+"""Inclination, rad, at which heading is meaningless."""
 
 SMALL_ERROR = 0.5
 """Error, rad, below which it makes sense to compare the signs of quaternions."""
@@ -48,7 +48,7 @@ SMALL_ERROR = 0.5
 def compare(
     a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings | None = None
 ) -> Comparison:
-    """Measure the geodesic error between two attitude series, which are sorted and normalised."""
+    """Measure the geodesic error between two attitude series, after sorting and normalising."""
     settings = settings or ComparisonSettings()
     remarks: list[Remark] = []
     (a, lost_of_a), (b, lost_of_b) = _sorted(a, "A", remarks), _sorted(b, "B", remarks)
@@ -59,7 +59,7 @@ def compare(
     b = within.of(shifted(b, offset.added_to_b_ns), "B")
     remarks += within.remarks()
     if settings.rate is not None:
-        a, floor_rad = steady(a, settings.rate, remarks)
+        a, floor_rad = resampled(a, settings.rate, remarks)
     pairs = associate(a, b, settings)
     pairs = replace(pairs, floor_rad=max(floor_rad, pairs.floor_rad))
     matching, part = Matching.from_pairs(pairs), None
@@ -94,7 +94,7 @@ def compare(
     return replace(comparison, outside=sum(within.left_out))
 
 
-def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a comparison
+def build_comparison(  # noqa: PLR0913, PLR0917  # all facts of a comparison
     a: AttitudeSeries,
     b: AttitudeSeries,
     settings: ComparisonSettings,
@@ -108,10 +108,10 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
     left_out: int = 0,
     remarks: Sequence[Remark] = (),
 ) -> Comparison:
-    """Judge and explain errors, once all are measured.
+    """Judge and explain the errors, once all are measured.
 
-    `pairs`: what was compared; None where the result need not have it, nor the errors
-    `part`: which pairs are judged; None: all
+    `pairs`: the compared pairs; None to omit pairs and errors from the result
+    `part`: the pairs that are judged; None: all
     """
     window = parts = sigmas = None
     if pairs is not None:
@@ -144,27 +144,28 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all that is known of a compar
         first_exceeding=measured.first_exceeding,
         remarks=(),
     )
-    said = (*remarks, *_remarks(comparison, settings, len(errors), measured.opposite))
+    notes = (*remarks, *_remarks(comparison, settings, len(errors), measured.opposite_signs))
     criteria = tuple(judge(settings, comparison))
     passed = all(criterion.passed for criterion in criteria) if criteria else None
     if part is not None:
         a, b = part.part_of(a), part.part_of(b)
     cause = None
     if not passed and len(rising) >= MIN_PAIRS:
-        # What has no remedy is no cause, and makes others look like one.
-        found = findings(a, b, settings)
-        said += found
+        # A defect without a remedy would make other mistakes look like the cause.
+        found = defects(a, b, settings)
+        notes += found
         if not found:
             cause = likely_cause(a, b, settings, rising, time_offset.added_to_b_ns)
-    return replace(comparison, criteria=criteria, passed=passed, likely_cause=cause, remarks=said)
+    return replace(comparison, criteria=criteria, passed=passed, likely_cause=cause, remarks=notes)
 
 
 def _remarks(
-    comparison: Comparison, settings: ComparisonSettings, count: int, opposite: int
+    comparison: Comparison, settings: ComparisonSettings, count: int, opposite_signs: int
 ) -> Iterator[Remark]:
-    """Yield what else a reader should know.
+    """Yield remarks on the result.
 
-    `count`, `opposite`: how many pairs there are, and of how many the signs differ
+    `count`: number of pairs
+    `opposite_signs`: number of pairs with quaternions of opposite sign
     """
     pairs, parts, sigmas = comparison.pairs, comparison.parts, comparison.sigmas
     if pairs and pairs.floor_rad > FLOOR_SHARE * settings.smallest_limit_rad:
@@ -180,11 +181,11 @@ def _remarks(
             "meaningful: is one of them north-east-down and the other east-north-up?",
         )
     exact = comparison.association.match == "exact"
-    if exact and opposite and comparison.worst.error_rad <= SMALL_ERROR:
+    if exact and opposite_signs and comparison.worst.error_rad <= SMALL_ERROR:
         yield Remark(
             "opposite-signs",
-            f"B has the opposite sign in {opposite} of {count} samples: q and -q are the same "
-            "attitude, so this is not an error",
+            f"B has the opposite sign in {opposite_signs} of {count} samples: q and -q are the "
+            "same attitude, so this is not an error",
         )
     if sigmas and math.isinf(sigmas.max):
         yield Remark(
@@ -195,7 +196,7 @@ def _remarks(
 
 
 def unit(wxyz: Float64) -> Float64:
-    """Return quaternions at unit length; the same array where all of them are."""
+    """Return unit quaternions: the same array if they already are."""
     off = np.abs(np.sqrt(np.einsum("ij,ij->i", wxyz, wxyz)) - 1) > ROUNDING
     if off.any():
         wxyz = wxyz.copy()
@@ -204,9 +205,9 @@ def unit(wxyz: Float64) -> Float64:
 
 
 def _sorted(series: AttitudeSeries, name: str, remarks: list[Remark]) -> tuple[AttitudeSeries, int]:
-    """Return unit quaternions in order of time and how many were left out, and add remarks.
+    """Return unit quaternions in order of time and the number left out, and add remarks.
 
-    Only those count that differ from the attitude that is kept at the same stamp.
+    Of repeated timestamps the first is kept, and others are only counted if their attitude differs.
     """
     if not len(series):
         raise ComparisonError(f"{name} has no attitudes; check what was selected")

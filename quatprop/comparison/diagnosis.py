@@ -1,7 +1,7 @@
 """The likely causes of an error.
 
-What is claimed was tried: remedies, applied to the series as they are compared, take most of the
-error away. Of the best explanation, the fewest mistakes are claimed that do so.
+Every cause was tested: undoing it removes most of the error of the series that are compared. Of the
+best hypothesis, the smallest subset of mistakes that does so is reported.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 from quatprop.comparison.association import associate
 from quatprop.comparison.cause import NO_ERROR, Cause, isolated_samples
-from quatprop.comparison.explanations import ENOUGH, Search
-from quatprop.comparison.undoing import Sides, Undoing
+from quatprop.comparison.mistakes import Mistake, Sides
+from quatprop.comparison.search import ENOUGH, Search
 from quatprop.rendering import degrees_text
 from quatprop.series.blocks import rms
 
@@ -25,22 +25,22 @@ if TYPE_CHECKING:
     from quatprop.series import AttitudeSeries
 
 MIN_PAIRS = 10
-"""Fewer pairs can be explained by almost anything."""
+"""Minimum number of pairs; fewer can be explained by almost anything."""
 
 LITTLE = 0.1
-"""An RMS error below this share of the limit on the worst error needs no second cause."""
+"""RMS error, as a share of the limit on the largest error, that needs no further cause."""
 
 MAX_CLAIMS = 3
-"""Causes at most, each of what is left after those before it."""
+"""Maximum number of causes, each of the residual of those before it."""
 
 AXES, RATES = {"axes", "rate sign", "side"}, {"rate bias", "scale"}
-"""Mistakes in the axes of rates, and in the rates about these axes."""
+"""Mistakes in the axes of rates, and in the components about them."""
 
 FRAMES = {"reference frame", "body frame"}
-"""Mistakes that hide all others, however much of the error is theirs."""
+"""Mistakes that may hide all others, whatever their share of the error."""
 
-MOST = 0.5
-"""Share of an error that may remain without its cause."""
+MAX_SHARE = 0.5
+"""Maximum residual of a cause, as a share of the error."""
 
 
 def likely_cause(
@@ -50,10 +50,10 @@ def likely_cause(
     error: Float64,
     added_ns: int = 0,
 ) -> Cause | None:
-    """Return what explains an error, if something does.
+    """Return the likely cause of an error, or None.
 
     `error`: the errors, rad, shape ``(N,)``, in rising order
-    `added_ns`: what was added to B's timestamps, ns
+    `added_ns`: time added to B's timestamps, ns
     """
     if len(error) < MIN_PAIRS or rms(error) <= NO_ERROR:
         return None
@@ -72,57 +72,57 @@ def likely_cause(
 def _claims(
     sides: Sides, settings: ComparisonSettings, added_ns: int, enough: float
 ) -> Iterator[Cause]:
-    """Yield causes, each of which explains most of what those before it leave.
+    """Yield causes, each of which explains most of the residual of those before it.
 
-    `enough`: RMS error, rad, that needs no other cause
+    `enough`: RMS error, rad, that needs no further cause
     """
-    known: tuple[Undoing, ...] = ()
+    accepted: tuple[Mistake, ...] = ()
     for _ in range(MAX_CLAIMS):
-        search = Search(sides, settings, added_ns, known)
-        before = search.judged(())
+        search = Search(sides, settings, added_ns, accepted)
+        before = search.residual(())
         if not NO_ERROR < before < math.inf:
             return
         search.run(before)
-        undone, after = _fewest(search, before)
-        names = {each.name for each in undone}
-        if not undone or names & {each.name for each in known}:
+        mistakes, after = _fewest(search, before)
+        names = {each.name for each in mistakes}
+        if not mistakes or names & {each.name for each in accepted}:
             return
-        yield _described(undone, search.others, before, after)
+        yield _described(mistakes, search.others, before, after)
         if not names <= FRAMES:
             enough = max(enough, ENOUGH * before)
-        is_all = len(undone) == len(search.best.undone) and not search.is_open
-        # A rule leaves the rates at one end open, which looks like a frame.
+        is_all = len(mistakes) == len(search.best.mistakes) and not search.is_partial
+        # A rule does not determine the rate at one end; its error would look like that of a frame.
         if is_all or "method" in names or after <= enough:
             return
-        known += undone
+        accepted += mistakes
 
 
-def _fewest(search: Search, before: float) -> tuple[tuple[Undoing, ...], float]:
-    """Return the fewest mistakes of the best explanation that take most of an error away.
+def _fewest(search: Search, before: float) -> tuple[tuple[Mistake, ...], float]:
+    """Return the smallest subset of the best hypothesis that removes most of an error.
 
-    What is wrong with rates is not undone before what is wrong with their axes.
+    Rates are only corrected together with their axes.
     """
-    best = search.best.undone
+    best = search.best.mistakes
     axes = [each for each in best if each.name in AXES]
     for size in range(1, len(best) + 1):
         tried = {
-            search.judged(some): some
+            search.residual(some): some
             for some in combinations(best, size)
             if not {each.name for each in some} & RATES or all(each in some for each in axes)
         }
-        if tried and min(tried) <= MOST * before:
+        if tried and min(tried) <= MAX_SHARE * before:
             return tried[min(tried)], min(tried)
     return (), before
 
 
 def _described(
-    undone: tuple[Undoing, ...], others: list[str], before: float, after: float
+    mistakes: tuple[Mistake, ...], others: list[str], before: float, after: float
 ) -> Cause:
-    sentence = "; also, ".join(undoing.sentence for undoing in undone)
+    sentence = "; also, ".join(mistake.sentence for mistake in mistakes)
     if others:
         sentence += f"; this motion does not distinguish it from {' or '.join(others)}"
     from_to = " to ".join(degrees_text(error, 4) for error in (before, after))
     sentence += f"; undoing it reduces the RMS error from {from_to}"
-    remedy = "; and also, ".join(undoing.remedy for undoing in undone)
-    name = " and ".join(undoing.name for undoing in undone)
+    remedy = "; and also, ".join(mistake.remedy for mistake in mistakes)
+    name = " and ".join(mistake.name for mistake in mistakes)
     return Cause(name, sentence, before, after, remedy)

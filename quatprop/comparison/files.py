@@ -1,7 +1,7 @@
-"""Compare attitude series of files: long ones with equal timestamps while they are read.
+"""Compare attitude series of files; long ones with equal timestamps while they are read.
 
-Of each pair only the error is kept. What needs more than that (interpolation, windows, a mounting,
-stamps out of order) is done in memory.
+A streamed comparison keeps only the error of each pair. What needs more (interpolation, windows, a
+mounting, sorting) is done in memory.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ if TYPE_CHECKING:
 
 
 SHORT = 1 << 17
-"""Samples of a series that is compared in memory, where both are no longer."""
+"""Series of up to this many samples are compared in memory."""
 
 
 def compare_files(
     a: AttitudeInput, b: AttitudeInput, settings: ComparisonSettings, *, keep: bool = True
 ) -> tuple[ReadAttitudes, ReadAttitudes, Comparison]:
-    """Compare two attitude series of files."""
+    """Return two attitude series and their comparison; `keep`: with the pairs and errors."""
     with open_attitudes(a) as file_a, open_attitudes(b) as file_b:
         files = file_a, file_b
         beginnings = [_beginning(file) for file in files]
@@ -57,11 +57,11 @@ def compare_files(
 
 
 class _NotStreamableError(Exception):
-    """The series have to be compared in memory."""
+    """The series must be compared in memory."""
 
 
 def _beginning(file: AttitudeFile) -> tuple[list[AttitudeSeries], Iterator[AttitudeSeries]]:
-    """Return the first batches, until they exceed :data:`SHORT` samples, and the others."""
+    """Return the first batches, just above :data:`SHORT` samples, and an iterator over the rest."""
     first, rest = [], iter(file.batches())
     for batch in rest:
         first.append(batch)
@@ -92,10 +92,10 @@ def _is_streamable(
 class _Ordered:
     """A series that is read batch by batch, in order of time.
 
-    `held`: samples that were read and not yet taken; empty at the end
-    `head`: those in which causes are looked for, and some more on either side
-    `start_ns`: where the time begins that both series cover
-    `common`: how many samples were taken from there on
+    `held`: samples read but not yet taken; empty at the end
+    `head`: the batches in which causes are searched for
+    `start_ns`: start of the common time of both series, ns
+    `common`: number of samples taken in the common time
     """
 
     def __init__(self, batches: Iterator[AttitudeSeries], offset_ns: int) -> None:
@@ -108,7 +108,7 @@ class _Ordered:
         self.refill()
 
     def refill(self) -> None:
-        """Hold the next batch."""
+        """Read the next batch."""
         batch = next(self._batches, None)
         if batch is None:
             self.held = self.held[:0]
@@ -125,7 +125,7 @@ class _Ordered:
             self.head.append(self.held)
 
     def take(self, until_ns: int) -> AttitudeSeries:
-        """Return the samples that are held, up to a time."""
+        """Remove and return the held samples up to a time."""
         count = int(np.searchsorted(self.held.t_ns, until_ns, side="right"))
         taken, self.held = self.held[:count], self.held[count:]
         self.common += int(np.count_nonzero(taken.t_ns >= self.start_ns))
@@ -135,7 +135,7 @@ class _Ordered:
 
 
 def _equal_stamps(a: _Ordered, b: _Ordered) -> Iterator[tuple[Int64, Int64, Float64, Float64]]:
-    """Yield the pairs of samples of two series that have equal timestamps."""
+    """Yield pairs with equal timestamps: times, ns, indices in A, and attitudes of A and B."""
     a.start_ns = b.start_ns = max(a.covered.first_ns, b.covered.first_ns)
     first = 0
     while len(a.held) and len(b.held):
@@ -147,7 +147,7 @@ def _equal_stamps(a: _Ordered, b: _Ordered) -> Iterator[tuple[Int64, Int64, Floa
             yield of_a.t_ns[in_a], index, of_a.wxyz[in_a], of_b.wxyz[in_b]
         first += len(of_a)
     for side in (a, b):
-        # All is read, to count what is there and what was lost.
+        # The rest is read to count samples and losses.
         while len(side.held):
             side.refill()
 
@@ -164,7 +164,7 @@ def _streamed(
             if not len(measured) and len(t_ns):
                 measured.alignment = align(settings.align, of_a, of_b)
             measured.add(t_ns, index, of_a, of_b)
-    # Arrow keeps what it read with; the errors are sorted and explained in its place.
+    # Arrow's buffers are returned before the errors are sorted and explained.
     pa.default_memory_pool().release_unused()
     candidates = min(side.common for side in sides)
     if settings.match is None and not is_mostly_exact(len(measured), candidates):

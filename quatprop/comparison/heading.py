@@ -1,8 +1,8 @@
-"""Errors of attitudes in parts: in heading, in inclination, and about the axes of the reference.
+"""Components of attitude errors: heading, inclination, and rotations about the reference axes.
 
-Gravity shows roll and pitch; of a levelled attitude only the heading, about the vertical, is free.
-The error that turns B's attitudes into A's is resolved in the reference frame, of which z is taken
-as the vertical, and is a rotation about the vertical after one about a level axis.
+Gravity makes roll and pitch observable, but not heading. The rotation from B's attitude to A's,
+resolved in the reference frame with z as the vertical, is a rotation about a level axis
+(inclination) followed by one about the vertical (heading).
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 
 class Extent(NamedTuple):
-    """The largest size of an error and its root mean square, rad.
+    """Largest magnitude and root mean square of an error, rad.
 
-    `max`: largest size, rad
+    `max`: largest magnitude, rad
     `rms`: root mean square, rad
     """
 
@@ -32,11 +32,11 @@ class Extent(NamedTuple):
 
 
 class ErrorParts(NamedTuple):
-    """Parts of the errors.
+    """Components of the errors.
 
     `heading`: rotation about the vertical
-    `inclination`: the angle between the verticals
-    `about_x`, `about_y`, `about_z`: components of the rotation vector, about reference axes
+    `inclination`: angle between the verticals
+    `about_x`, `about_y`, `about_z`: components of the rotation vector in the reference frame
     """
 
     heading: Extent
@@ -47,7 +47,7 @@ class ErrorParts(NamedTuple):
 
 
 def error_parts(pairs: Pairs, alignment: Alignment) -> ErrorParts:
-    """Return the parts of the errors.
+    """Return the components of the errors.
 
     References
     ----------

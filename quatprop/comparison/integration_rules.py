@@ -9,7 +9,7 @@ import numpy as np
 from quatprop.comparison.alignment import align
 from quatprop.comparison.association import interval_ns
 from quatprop.comparison.cause import NO_ERROR
-from quatprop.comparison.undoing import Sides, Undoing, recomposed
+from quatprop.comparison.mistakes import Mistake, Sides, recomposed
 from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.rates import rotation_vectors_between
@@ -25,114 +25,116 @@ if TYPE_CHECKING:
     from quatprop.series import AttitudeSeries
 
 RULE_ROUNDS = 6
-"""Rounds in which rates are found for a rule; each gains two orders of the rotation."""
+"""Iterations that find the rates of a rule; each gains two orders of the rotation angle."""
 
 MIN_SAMPLES = 20
-"""Fewer samples do not show an integration rule."""
+"""Minimum number of samples that show an integration rule."""
 
 ROUGH = 40.0
-"""Squared changes of rates over those of their means: of noise 4; others grow without bound."""
+"""Maximum ratio of the squared changes of rates to those of their means over intervals.
+
+For white noise it is 4; for a wrong rule it grows without bound.
+"""
 
 SAME = 2e-3
-"""rad: the rates must lead back to A; what is missing of that is missing with the other rule."""
-
+"""Maximum difference, rad, between A's rotations and those that the rates give back."""
 
 SCREENED = 1_500
-"""Samples from which the rules are told: those with the most motion."""
+"""Number of samples on which rules are tested: those with the most motion."""
 
-MOST = 0.5
-"""Share of the error over which a rule must be able to lead away to be tried."""
+MIN_SHARE = 0.5
+"""A rule is tested if it can cause at least this share of the error."""
 
 AS_GOOD = 2.0
-"""Pairs of rules that leave less than this much more than the best explain the error as well: what
-several of them differ by is an interval, or half of one."""
+"""Pairs of rules with a residual within this factor of the best are not ruled out: several pairs
+differ by one interval, or half of one."""
 
 
-def integration_rules(sides: Sides) -> Undoing | None:
-    """Return the pairs of rules that explain most of an error, if any can."""
+def integration_rules(sides: Sides) -> Mistake | None:
+    """Return the pairs of rules that best explain an error, or None if no rule fits."""
     turns = geodesic_angle(sides.a.wxyz[:-1], sides.a.wxyz[1:])
     sums = np.add.reduceat(turns, np.arange(0, len(turns), SCREENED))
     begin = int(np.argmax(sums)) * SCREENED
     a, b = (series[begin : begin + SCREENED] for series in sides)
     before = rms(geodesic_angle(a.wxyz, align("mean", a.wxyz, b.wxyz).apply(b.wxyz)))
-    tried = {}
-    for known in METHODS:
-        if (rates := led_by(a, known)) is None:
+    residuals = {}
+    for rule in METHODS:
+        if (rates := recovered_rates(a, rule)) is None:
             continue
         for other in METHODS:
-            if other != known:
-                if rates.most(other) < MOST * before:
+            if other != rule:
+                if rates.max_change(other) < MIN_SHARE * before:
                     continue
                 changed = rates.propagated(other)
                 aligned = align("mean", changed.wxyz, b.wxyz).apply(b.wxyz)
-                tried[known, other] = rms(geodesic_angle(changed.wxyz, aligned))
-    most = AS_GOOD * min(tried.values(), default=0.0) + NO_ERROR
-    likely = sorted((left, rules) for rules, left in tried.items() if left <= most)
+                residuals[rule, other] = rms(geodesic_angle(changed.wxyz, aligned))
+    most = AS_GOOD * min(residuals.values(), default=0.0) + NO_ERROR
+    likely = sorted((left, rules) for rules, left in residuals.items() if left <= most)
     return _described([rules for _, rules in likely], a) if likely else None
 
 
-def _described(likely: Sequence[tuple[str, str]], a: AttitudeSeries) -> Undoing:
-    known, other = likely[0]
-    sentence = f"the same rates lead to A with method {known}, and to B with method {other}"
-    if {known, other} == {"start", "end"}:
+def _described(likely: Sequence[tuple[str, str]], a: AttitudeSeries) -> Mistake:
+    rule, other = likely[0]
+    sentence = f"the same rates lead to A with method {rule}, and to B with method {other}"
+    if {rule, other} == {"start", "end"}:
         amount = duration_text(interval_ns(a))
         sentence += f", or their timestamps are one interval, {amount}, apart"
     remedy = "; ".join(
-        f"if A was propagated with method {known}, propagate it with {Setting('method', other)}"
-        for known, other in {known: (known, other) for known, other in reversed(likely)}.values()
+        f"if A was propagated with method {rule}, propagate it with {Setting('method', other)}"
+        for rule, other in {pair[0]: pair for pair in reversed(likely)}.values()
     )
-    remedy += f"; if B was propagated with method {other}, with {Setting('method', known)}"
+    remedy += f"; if B was propagated with method {other}, with {Setting('method', rule)}"
 
-    def apply(sides: Sides) -> Sides:
-        rates = led_by(sides.a, known)
+    def undo(sides: Sides) -> Sides:
+        rates = recovered_rates(sides.a, rule)
         return sides if rates is None else sides._replace(a=rates.propagated(other))
 
-    return Undoing("method", "another integration rule", sentence, remedy, apply)
+    return Mistake("method", "another integration rule", sentence, remedy, undo)
 
 
-class Rates(NamedTuple):
-    """Rates, rad/s, that led to attitudes, shape ``(N, 3)``.
+class RecoveredRates(NamedTuple):
+    """Rates from which attitudes were propagated by a rule.
 
-    `beyond`: what the rotations from sample to sample are more than those that the rates give back,
-        rad, shape ``(N - 1, 3)``
+    `rate`: body rates, shape ``(N, 3)``, rad/s
+    `remainder`: the rotations between samples minus those of the rates, shape ``(N - 1, 3)``, rad
     """
 
     attitudes: AttitudeSeries
     rate: Float64
-    beyond: Float64
+    remainder: Float64
 
-    def most(self, rule: str) -> float:
-        """Return how far another rule can lead from these attitudes at most, rad."""
+    def max_change(self, rule: str) -> float:
+        """Return the maximum angle, rad, by which another rule can change the attitudes."""
         steps = rotation_vectors(self.attitudes.t_ns, self.rate, rule)
-        change = self.beyond + steps - rotation_vectors_between(self.attitudes.wxyz)
+        change = self.remainder + steps - rotation_vectors_between(self.attitudes.wxyz)
         return float(np.linalg.norm(change, axis=1).sum())
 
     @np.errstate(over="ignore", invalid="ignore")  # of rates that grow without bound
     def propagated(self, rule: str) -> AttitudeSeries:
-        """Return where the rates lead to by another rule."""
+        """Return the attitudes propagated by another rule."""
         steps = rotation_vectors(self.attitudes.t_ns, self.rate, rule)
-        return recomposed(self.attitudes, self.beyond + steps)
+        return recomposed(self.attitudes, self.remainder + steps)
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def led_by(a: AttitudeSeries, rule: str) -> Rates | None:
-    """Return the rates that led to A by a rule, if there can be any."""
+def recovered_rates(a: AttitudeSeries, rule: str) -> RecoveredRates | None:
+    """Return the rates from which a rule gives A, or None if it cannot."""
     if len(a) < MIN_SAMPLES:
         return None
     steps = rotation_vectors_between(a.wxyz)
     mean = steps / (np.diff(a.t_ns)[:, None] / NS_PER_S)
-    rate = _rates(a.t_ns, steps, rule)
+    rate = _inverted(a.t_ns, steps, rule)
     rough, smooth = (float(np.square(np.diff(one, axis=0)).sum()) for one in (rate, mean))
-    beyond = steps - rotation_vectors(a.t_ns, rate, rule)
-    if not (rough <= ROUGH * smooth and np.abs(beyond).max() <= SAME):
+    remainder = steps - rotation_vectors(a.t_ns, rate, rule)
+    if not (rough <= ROUGH * smooth and np.abs(remainder).max() <= SAME):
         return None
-    return Rates(a, rate, beyond)
+    return RecoveredRates(a, rate, remainder)
 
 
-def _rates(t_ns: Int64, steps: Float64, rule: str) -> Float64:
-    """Return rates, rad/s, from which a rule arrives at the rotations over intervals, rad.
+def _inverted(t_ns: Int64, steps: Float64, rule: str) -> Float64:
+    """Return rates, rad/s, from which a rule gives these rotations over intervals, rad.
 
-    Those of ``start`` and ``end`` are determined. To others, an alternating rate can be added.
+    For ``start`` and ``end`` they are unique; for others, up to an alternating rate.
     """
     seconds = np.diff(t_ns)[:, None] / NS_PER_S
     mean = steps / seconds
@@ -140,13 +142,13 @@ def _rates(t_ns: Int64, steps: Float64, rule: str) -> Float64:
         return np.concatenate([mean, mean[-1:]] if rule == "start" else [mean[:1], mean])
     rate = _from_means(mean)
     for _ in range(0 if rule == "mean" else RULE_ROUNDS):
-        beyond = rotation_vectors(t_ns, rate, rule) - rotation_vectors(t_ns, rate, "mean")
-        rate = _from_means((steps - beyond) / seconds)
+        correction = rotation_vectors(t_ns, rate, rule) - rotation_vectors(t_ns, rate, "mean")
+        rate = _from_means((steps - correction) / seconds)
     return rate
 
 
 def _from_means(mean: Float64) -> Float64:
-    """Return the smoothest values whose neighbours have these means."""
+    """Return the smoothest values of which neighbours have these means."""
     sign = np.where(np.arange(len(mean) + 1) % 2, -1.0, 1.0)[:, None]
     values = np.zeros((len(mean) + 1, 3))
     np.cumsum(-2 * sign[:-1] * mean, axis=0, out=values[1:])

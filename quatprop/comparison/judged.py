@@ -1,7 +1,4 @@
-"""What is compared: a part of both series, at a rate, and of the pairs those in time ranges.
-
-Such as the phases in which a body moves.
-"""
+"""What is compared: a part of both series, at a rate, and the pairs in given time ranges."""
 
 from __future__ import annotations
 
@@ -37,17 +34,17 @@ if TYPE_CHECKING:
 
 
 class Judged(NamedTuple):
-    """Which pairs were judged.
+    """The pairs that were judged.
 
-    `pairs`: how many
-    `ranges_ns`: the first and the last time of each range, ns, in A's clock
+    `pairs`: number of pairs
+    `ranges_ns`: start and end of each time range, ns, in A's clock
     """
 
     pairs: int
     ranges_ns: tuple[tuple[int, int], ...]
 
     def contains(self, t_ns: Int64) -> Bool:
-        """Tell of times whether they are in a range, ends included, ``(N,)``."""
+        """Return which times are in a range, ends included, shape ``(N,)``."""
         inside = [(t_ns >= first) & (t_ns <= last) for first, last in self.ranges_ns]
         return np.asarray(np.any(inside, axis=0))
 
@@ -57,7 +54,7 @@ class Judged(NamedTuple):
 
 
 def judged(pairs: Pairs, ranges: Sequence[InstantRange]) -> tuple[Pairs, Judged]:
-    """Return the pairs in time ranges; relative times count from the first and the last pair."""
+    """Return the pairs in time ranges; relative times count from the first or last pair."""
     ends = Ends(int(pairs.t_ns[0]), int(pairs.t_ns[-1]))
     ranges_ns = tuple((absolute_ns(one.start, ends), absolute_ns(one.end, ends)) for one in ranges)
     for one, (first, last) in zip(ranges, ranges_ns, strict=True):
@@ -75,9 +72,9 @@ def judged(pairs: Pairs, ranges: Sequence[InstantRange]) -> tuple[Pairs, Judged]
 
 
 class ComparedRange:
-    """The part of both series that is compared; relative times count from A's ends.
+    """The part of both series that is compared; relative times count from the ends of A.
 
-    `left_out`: attitudes before and after it, so far
+    `left_out`: number of attitudes before and after it so far
     """
 
     def __init__(self, settings: ComparisonSettings, a: AttitudeSeries) -> None:
@@ -89,7 +86,7 @@ class ComparedRange:
         self.left_out = [0, 0]
 
     def of(self, series: AttitudeSeries, name: str) -> AttitudeSeries:
-        """Return the part of a series on A's clock; `name` is what errors call it."""
+        """Return the part of a series with timestamps in A's clock; `name`: for errors."""
         numbered = [(series, series.t_ns)]
         for part, _ in clipped(numbered, self._part, *self._range_ns, self.left_out):
             return part
@@ -99,15 +96,15 @@ class ComparedRange:
         )
 
     def remarks(self) -> Iterator[Remark]:
-        """Yield what a reader should know, once both were cut."""
+        """Yield remarks, once both series were cut."""
         yield from pause_remarks(self._part, self._ends)
         yield from idle_remarks(self._part, *self.left_out)
 
 
-def steady(
+def resampled(
     a: AttitudeSeries, rate: Fraction, remarks: list[Remark]
 ) -> tuple[AttitudeSeries, float]:
-    """Return A at another rate, Hz, and what that may be off by, rad, and add remarks."""
+    """Return A interpolated at a rate, Hz, and its interpolation error, rad; add remarks."""
     resampling = Resampling("A", rate)
     interpolated = AttitudeSeries.joined(list(resampling.applied([a])))
     remarks += resampling.remarks()

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.undoing import (
+from quatprop.comparison.mistakes import (
+    Mistake,
     Sides,
-    Undoing,
-    if_propagated,
+    rates_changed,
     recomposed,
-    scaled,
-    with_rates,
+    remedy_if_propagated,
+    scaling_remedy,
 )
 from quatprop.kinematics.quaternion import conjugate
 from quatprop.kinematics.rates import rotation_vectors_between
@@ -31,7 +31,7 @@ CONJUGATE = (
 )
 AS_READ = [0, 1, 2, 3]
 LAYOUTS = {"last": [3, 0, 1, 2], "first": [1, 2, 3, 0]}
-"""Where the scalar of a series is -> which components, as they were read, are w, x, y and z."""
+"""True position of the scalar -> indices of w, x, y and z in quaternions read the other way."""
 
 SIGNED_AXES = sorted(
     (
@@ -41,79 +41,82 @@ SIGNED_AXES = sorted(
     ),
     key=lambda matrix: -np.trace(matrix),
 )[1:-1]
-"""Matrices of all orders and signs of axes, those with the fewest changes first; without the one
-that changes nothing, and the one that reverses everything."""
+"""Signed permutations of the axes, those with the fewest changes first; without I and -I."""
 
 SAME_FIT = 1e-3
-"""Orders and signs that fit as well, as a share: the motion does not show the axis of change."""
+"""Relative tolerance within which signed permutations fit equally well."""
 
 
-def misreadings(read: Sides) -> tuple[list[Undoing], list[Undoing]]:
-    """Return wrong directions and signs, and wrong layouts and rates resolved in another frame.
+def misreadings(sides: Sides) -> tuple[list[Mistake], list[Mistake]]:
+    """Return wrong directions and signs, and wrong layouts and frames of rates.
 
-    Where the motion does not tell a direction from a sign of rates, the direction is named: reading
-    it otherwise changes the very numbers that are compared, and other rates lead to the opposite
-    ones only if nothing else was done to them.
+    Directions come first: where the motion does not distinguish one from a sign of rates, it is
+    the simpler cause, since it only concerns the quaternions that are compared.
 
-    `read`: the series as they were read: what is wrong with a layout is that it is not the other
+    `sides`: the series as read; the alternative layout is the one they were not read with
     """
     sign = "the rates of A and B have opposite signs"
-    rate_sign = Undoing(
-        "rate sign", "rates of the opposite sign", sign, scaled(-1), with_rates(-1.0)
+    rate_sign = Mistake(
+        "rate sign", "rates of the opposite sign", sign, scaling_remedy(-1), rates_changed(-1.0)
     )
-    of_sides = [[*_misread(side, getattr(read, side).layout)] for side in "ba"]
-    sides = [
-        Undoing(
+    of_sides = [[*_misread(side, getattr(sides, side).layout)] for side in "ba"]
+    frames = [
+        Mistake(
             "side",
             "body rates treated as inertial rates",
             "one of A and B treats the rates as body-frame, the other as reference-frame",
-            if_propagated("rates", wanted, own),
-            _on_other_side(own, wanted),
+            remedy_if_propagated("rates", wanted, own),
+            _with_rates_in(own, wanted),
         )
         for own, wanted in (("inertial", "body"), ("body", "inertial"))
     ]
-    opposite = [of_side[0] for of_side in of_sides]
-    return [*opposite, rate_sign], [*of_sides[0][1:], *of_sides[1][1:], *sides]
+    conjugated = [of_side[0] for of_side in of_sides]
+    return [*conjugated, rate_sign], [*of_sides[0][1:], *of_sides[1][1:], *frames]
 
 
-def _misread(side: str, layout: str | None) -> Iterator[Undoing]:
-    """Yield the other layout, direction and convention of a series, and both."""
+def _misread(side: str, layout: str | None) -> Iterator[Mistake]:
+    """Yield a wrong direction, a wrong layout, and both together, of a series."""
 
-    def read(order: list[int], *, opposite: bool) -> Callable[[Sides], Sides]:
-        def apply(sides: Sides) -> Sides:
+    def reread(order: list[int], *, conjugated: bool) -> Callable[[Sides], Sides]:
+        def undo(sides: Sides) -> Sides:
             series = getattr(sides, side)
             wxyz = np.ascontiguousarray(series.wxyz[:, order])
-            wxyz = conjugate(wxyz) if opposite else wxyz
+            wxyz = conjugate(wxyz) if conjugated else wxyz
             return sides._replace(**{side: replace(series, wxyz=wxyz)})
 
-        return apply
+        return undo
 
     direction = f"{Setting('from_direction', 'ref-to-body', side)} or "
     direction += Setting("from_convention", "jpl", side)
-    way = f"if it is {side.upper()}, read it with "
-    other = "a wrong direction or JPL convention"
-    yield Undoing(
-        "conjugate", other, CONJUGATE, way + direction, read(AS_READ, opposite=True), side=side
+    remedy = f"if it is {side.upper()}, read it with "
+    label = "a wrong direction or JPL convention"
+    yield Mistake(
+        "conjugate",
+        label,
+        CONJUGATE,
+        remedy + direction,
+        reread(AS_READ, conjugated=True),
+        side=side,
     )
-    # What was not read is scalar-first by definition.
-    own, taken = ("first", "last") if layout == "scalar-last" else ("last", "first")
-    name = "layout" if (own == "last") == (side == "b") else "layout-first"
-    said = f"{side.upper()} is scalar-{own} and was read as scalar-{taken}"
-    setting = Setting("from_layout", f"scalar-{own}", side)
-    apply = read(LAYOUTS[own], opposite=False)
-    yield Undoing(name, "a wrong layout", said, way + setting, apply, side=side)
-    yield Undoing(
+    # A series from memory is scalar-first by definition.
+    true, assumed = ("first", "last") if layout == "scalar-last" else ("last", "first")
+    name = "layout" if (true == "last") == (side == "b") else "layout-first"
+    sentence = f"{side.upper()} is scalar-{true} and was read as scalar-{assumed}"
+    setting = Setting("from_layout", f"scalar-{true}", side)
+    undo = reread(LAYOUTS[true], conjugated=False)
+    yield Mistake(name, "a wrong layout", sentence, remedy + setting, undo, side=side)
+    yield Mistake(
         f"{name} and conjugate",
-        f"a wrong layout with {other}",
-        f"{said}; also, {CONJUGATE}",
-        f"{way}{setting} and {direction}",
-        read(LAYOUTS[own], opposite=True),
+        f"a wrong layout with {label}",
+        f"{sentence}; also, {CONJUGATE}",
+        f"{remedy}{setting} and {direction}",
+        reread(LAYOUTS[true], conjugated=True),
         side=side,
     )
 
 
-def axes(sides: Sides) -> Iterator[Undoing]:
-    """Yield the best orders and signs of axes, right- and left-handed."""
+def swapped_axes(sides: Sides) -> Iterator[Mistake]:
+    """Yield the best right-handed and the best left-handed signed permutation of the axes."""
     of_a, of_b = (rotation_vectors_between(series.wxyz) for series in sides)
     common = of_a.T @ of_b
     for handed in (1.0, -1.0):
@@ -124,15 +127,15 @@ def axes(sides: Sides) -> Iterator[Undoing]:
         sentence = f"the body axes x, y, z of A are {_signed(matrix)} of B"
         mounts = _signed(matrix.T), _signed(matrix)
         if handed > 0:
-            remedy = if_propagated("mount", *(mount.replace(" ", "") for mount in mounts))
+            remedy = remedy_if_propagated("mount", *(mount.replace(" ", "") for mount in mounts))
         else:
             sentence += ", which is left-handed: an axis is reversed, or two are swapped"
             remedy = (
                 f"if A was propagated, read its rates as {mounts[0]}; if B was, read its rates as "
                 f"{mounts[1]}"
             )
-        undone, mount = with_rates(matrix.T), matrix.T if handed > 0 else None
-        yield Undoing("axes", "swapped or reversed axes", sentence, remedy, undone, mount=mount)
+        undo, mount = rates_changed(matrix.T), matrix.T if handed > 0 else None
+        yield Mistake("axes", "swapped or reversed axes", sentence, remedy, undo, mount=mount)
 
 
 def _signed(matrix: Float64) -> str:
@@ -140,9 +143,11 @@ def _signed(matrix: Float64) -> str:
     return ", ".join(signs)
 
 
-def _on_other_side(own: str, wanted: str) -> Callable[[Sides], Sides]:
-    def apply(sides: Sides) -> Sides:
+def _with_rates_in(own: str, wanted: str) -> Callable[[Sides], Sides]:
+    """Return a function that resolves A's rates in another frame."""
+
+    def undo(sides: Sides) -> Sides:
         steps = rotation_vectors_between(sides.a.wxyz, rates=own)
         return sides._replace(a=recomposed(sides.a, steps, wanted))
 
-    return apply
+    return undo

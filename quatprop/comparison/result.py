@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 class AppliedOffset(NamedTuple):
     """The time offset of a comparison.
 
-    `added_to_b_ns`: what was added to B's timestamps, ns
-    `found`: how it was estimated; None where it was given
+    `added_to_b_ns`: time added to B's timestamps, ns
+    `found`: the estimate; None if the offset was given
     """
 
     added_to_b_ns: int
@@ -43,13 +43,13 @@ class AppliedOffset(NamedTuple):
 
 
 class Criterion(NamedTuple):
-    """A limit and whether it was kept.
+    """A limit and whether it was met.
 
-    `setting`: the setting that gives the limit, such as ``"rms_tol"``
-    `label`: what is limited, in words
-    `value`, `limit`: what was measured and what is allowed, in `unit`
+    `setting`: name of the setting with the limit, such as ``"rms_tol"``
+    `label`: the limited quantity, in words
+    `value`, `limit`: measured and allowed value, in `unit`
     `unit`: ``"rad"``, ``"deg/h"``, ``"%"`` or ``"sigma"``
-    `passed`: whether the value is within the limit: not above it, or for a coverage not below it
+    `passed`: whether the value is at most, or for a coverage at least, the limit
     """
 
     setting: str
@@ -63,10 +63,9 @@ class Criterion(NamedTuple):
 class Coverage(NamedTuple):
     """How much of the reference, B, and of A was compared, in percent.
 
-    `time`: of its time span without its own gaps: the time between neighbouring pairs, without gaps
-    `samples`: of its samples; None where they were interpolated, and so have no partners of their
-        own
-    `time_of_a`: as `time`, of A
+    `time`: time between consecutive pairs, as a percentage of B's time; gaps are omitted in both
+    `samples`: percentage of B's samples; None if they were interpolated
+    `time_of_a`: as `time`, for A
     """
 
     time: float
@@ -80,12 +79,11 @@ class Coverage(NamedTuple):
 
 
 USUAL_COVERAGE = 25.0
-"""Percentage of either series that must be compared where an error is limited and nothing says how
-much: a limit that most of a log was never held against says little."""
+"""Minimum coverage of either series, in percent, if an error is limited and no coverage is set."""
 
 
 def judge(settings: ComparisonSettings, measured: Comparison) -> Iterator[Criterion]:
-    """Yield the verdict on each criterion that the settings have."""
+    """Yield the verdict on each criterion in the settings."""
     for setting, label, name in (
         ("tol", "largest error", "max"),
         ("rms_tol", "RMS error", "rms"),
@@ -140,40 +138,39 @@ class Comparison:
     Parameters
     ----------
     pairs
-        What was compared; None where files were compared while they were read, which keeps nothing
-        of a pair.
+        The compared pairs; None if files were compared while they were read.
     errors
         Geodesic errors of the pairs, shape ``(N,)``, rad; empty if there are no pairs.
     association
         How the attitudes were matched in time.
     judged
-        Which pairs the errors are of; None: all.
+        The pairs that were judged; None: all.
     time_offset
-        What was added to B's timestamps.
+        The offset added to B's timestamps.
     alignment
         How B was rotated.
     error_rad
         Statistics of the errors, rad.
     drift_deg_h
-        Slope of the errors in time, deg/h; None if all timestamps are equal, or B was aligned by
+        Slope of the errors over time, deg/h; None if all timestamps are equal, or B was aligned by
         all pairs.
     worst
         The pair with the largest error.
     window
-        Errors of the rotations over windows, where they were asked for.
+        Errors of the rotations over windows; None if not requested.
     parts
         The errors in heading, in inclination and about reference axes, with the alignment
         ``"yaw"`` or a limit on one of them.
     sigmas
-        The errors in standard deviations; None where neither series has any.
+        The errors in standard deviations; None if neither series has any.
     coverage
-        How much of B was compared, and of the time of A.
+        How much of B, and of the time of A, was compared.
     left_out
-        Attitudes of A and B that were omitted, since another one has the same timestamp.
+        Number of attitudes of A and B omitted because of a repeated timestamp.
     outside
-        Attitudes of A and B outside the time range.
+        Number of attitudes of A and B outside the time range.
     tolerance_rad
-        The largest error that passes, rad; None: every error does.
+        Maximum error that passes, rad; None: no limit.
     criteria
         The verdict on each criterion.
     passed
@@ -181,10 +178,9 @@ class Comparison:
     first_exceeding
         The first pair with an error above the tolerance.
     likely_cause
-        What explains most of the error, where something does and a criterion failed or none was
-        given.
+        A mistake that explains most of the error; None if none does, or all criteria passed.
     remarks
-        What else a reader should know.
+        Anything else worth knowing about the result.
     """
 
     pairs: Pairs | None = field(repr=False)
@@ -223,13 +219,13 @@ class Comparison:
 
     @property
     def error_vectors(self) -> Float64:
-        """Rotation vectors that turn B into A, shape ``(N, 3)``, rad, about the body axes."""
+        """Rotation vectors from B to A in the body frame, shape ``(N, 3)``, rad."""
         if self.pairs is None:
             return np.empty((0, 3))
         step = multiply(conjugate(self.alignment.apply(self.pairs.b)), self.pairs.a)
         return log(shorter(step))
 
     def report(self) -> Mapping[str, Any]:
-        """Return everything but the arrays, JSON-ready."""
+        """Return everything except the arrays, ready for JSON."""
         report: Mapping[str, Any] = as_json(self)
         return report

@@ -1,4 +1,4 @@
-"""How two attitude series are compared: the settings, and the texts in which users write them."""
+"""Settings of a comparison, and parsers of their texts."""
 
 import math
 from collections.abc import Collection, Iterable
@@ -17,28 +17,28 @@ from quatprop.times import Instant
 
 Alignment: TypeAlias = Literal["none", "first", "yaw", "mean", "mount"]
 ALIGNMENTS: tuple[str, ...] = get_args(Alignment)
-"""Which frames of B are rotated before the comparison."""
+"""How B is aligned before the comparison."""
 
 BY_ALL = {"yaw", "mean", "mount"}
-"""Alignments by all pairs: the error of a steady drift falls to its middle, and then rises."""
+"""Alignments by all pairs: with one, the error of a constant drift first falls, then rises."""
 
 ERROR_LIMITS = (
     *("tol", "rms_tol", "final_tol", "p95_tol", "window_tol", "window_rms_tol"),
     *("tol_heading", "tol_inclination", "max_sigma"),
 )
-"""Settings that limit the error itself; others limit its drift, and what was compared."""
+"""Settings that limit the error itself; others limit its drift and the coverage."""
 
 Matching: TypeAlias = Literal["exact", "nearest", "interpolate"]
 MATCHES: tuple[str, ...] = get_args(Matching)
 """How attitudes are matched in time: equal timestamps, the nearest sample, interpolation."""
 
 DEG_H_PER_UNIT = {"deg/h": 1.0, "deg/s": 3600.0, "rad/s": 3600 * 180 / math.pi}
-"""deg/h in each unit of a drift."""
+"""Unit of a drift -> deg/h."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sigmas:
-    """A limit on an error in its standard deviations: its Mahalanobis distance from 0."""
+    """A limit on an error in standard deviations: its Mahalanobis distance from 0."""
 
     count: float
 
@@ -60,27 +60,26 @@ class InstantRange(NamedTuple):
 class ComparisonSettings:
     """How to compare two attitude series A and B.
 
-    `tol`, `rms_tol`, `final_tol`, `p95_tol`: largest worst, RMS, final and 95th percentile geodesic
-        error that passes, rad or in standard deviations; None: every error passes
-    `window_tol`, `window_rms_tol`: the same for the worst and the RMS error of the rotations over
-        windows, rad
-    `tol_heading`, `tol_inclination`: the same for the error about the reference z axis, and for
-        that between the z axes, rad
-    `drift_tol`: largest drift in either direction that passes, deg/h; not with an alignment by all
-        pairs
-    `min_coverage`: least percentage of the reference, B, that must be compared: of its time and its
-        samples
-    `max_sigma`: largest error that passes, in standard deviations, where `tol` is in rad
+    `tol`, `rms_tol`, `final_tol`, `p95_tol`: limits on the largest, RMS, final and 95th percentile
+        geodesic error, rad or in standard deviations; None: no limit
+    `window_tol`, `window_rms_tol`: limits on the largest and RMS error of rotations over windows,
+        rad
+    `tol_heading`, `tol_inclination`: limits on the error about the reference z axis, and on the
+        angle between the z axes, rad
+    `drift_tol`: limit on the magnitude of the drift, deg/h; not with an alignment by all pairs
+    `min_coverage`: minimum percentage of the time and of the samples of B that must be compared
+    `max_sigma`: limit on the largest error in standard deviations, in addition to `tol` in rad
     `align`: one of :data:`ALIGNMENTS`
     `time_offset`: added to B's timestamps, ns, or ``"auto"``: estimated from the angular speeds
-    `match`: one of :data:`MATCHES`; None: chosen as
-        :func:`quatprop.comparison.association.associate` describes
-    `max_dt`: how far a sample may be from its partner, ns; None: depends on the median interval
+    `match`: one of :data:`MATCHES`; None: see
+        :func:`quatprop.comparison.association.associate`
+    `max_dt`: maximum distance of a sample from its partner, ns; None: depends on the median
+        interval
     `min_matched`: percentage of the samples in the common time that must be matched, 0 to 100
     `window`: also compare the rotations over windows of this length, ns; None: no windows
-    `judge`: only pairs in these time ranges count; none: all do
+    `judge`: time ranges of the pairs that are judged; empty: all pairs
     `start`, `end`: the part of both series that is compared, ends included
-    `rate`: A is interpolated at this rate, Hz, and B at the same times; None: see `match`
+    `rate`: rate at which A and B are interpolated, Hz; None: see `match`
     """
 
     tol: float | Sigmas | None = None
@@ -121,7 +120,7 @@ class ComparisonSettings:
 
     @property
     def smallest_limit_rad(self) -> float:
-        """The smallest limit on an error, rad; infinite where there is none."""
+        """The smallest limit on an error, rad; infinite without a limit."""
         limits = (getattr(self, name) for name in ERROR_LIMITS)
         return min((each for each in limits if isinstance(each, float | int)), default=math.inf)
 
@@ -132,12 +131,12 @@ class ComparisonSettings:
 
     @property
     def in_parts(self) -> bool:
-        """Whether errors in heading and in inclination are told apart."""
+        """Whether errors in heading and inclination are reported."""
         return self.align == "yaw" or (self.tol_heading, self.tol_inclination) != (None, None)
 
     @property
     def limit_rad(self) -> float:
-        """The largest error that passes, rad."""
+        """Maximum error that passes, rad; infinite without a limit."""
         return self.tol if isinstance(self.tol, float | int) else math.inf
 
 
@@ -146,7 +145,7 @@ angle_rad = quantity_of(RAD_PER_UNIT, "an angle", "1e-9rad or 0.1deg")
 
 
 def error_limit(value: object) -> float | Sigmas:
-    """Return a limit on an error: an angle, rad or with its unit, or text such as ``"3sigma"``."""
+    """Return a limit on an error: an angle, in rad or with a unit, or text such as ``"3sigma"``."""
     if isinstance(value, Sigmas):
         return value
     if isinstance(value, str) and value.rstrip().endswith("sigma"):
@@ -155,7 +154,7 @@ def error_limit(value: object) -> float | Sigmas:
 
 
 def time_offset_ns(value: object) -> int | Literal["auto"]:
-    """Return a signed duration in ns: whole ns, text such as ``"-12ms"``, or ``"auto"``."""
+    """Return a signed duration, ns, from ns or text such as ``"-12ms"``; or ``"auto"``."""
     if value == "auto":
         return "auto"
     return signed_duration(value)
@@ -169,7 +168,7 @@ def _percentage(value: object) -> float:
 
 
 def time_ranges(value: object) -> tuple[InstantRange, ...]:
-    """Return time ranges: text such as ``"+10s..+20s,+30s..+40s"``, or pairs of instants."""
+    """Return time ranges from text such as ``"+10s..+20s,+30s..+40s"`` or pairs of instants."""
     ranges = []
     for part in value.split(",") if isinstance(value, str) else _items(value):
         ends = part.split("..") if isinstance(part, str) else _items(part)
@@ -197,7 +196,7 @@ drift_deg_h = quantity_of(DEG_H_PER_UNIT, "a drift", "10deg/h")
 
 
 class CompareOptions(TypedDict, total=False):
-    """Keywords of :func:`quatprop.compare`; texts with a unit, or numbers in rad, ns or percent."""
+    """Keywords of :func:`quatprop.compare`: text with units, or numbers in rad, ns or percent."""
 
     # fmt: off
     tol: Annotated[float | str | None, Keyword(
@@ -279,9 +278,9 @@ class CompareOptions(TypedDict, total=False):
 
 
 COMPARE = keywords_of(CompareOptions)
-"""How two series are compared: name -> its row."""
+"""Settings of a comparison: name -> its keyword."""
 
 
 def comparison_settings(**options: Unpack[CompareOptions]) -> ComparisonSettings:
-    """Return settings from numbers (rad, ns) or texts with units."""
+    """Return settings from numbers (rad, ns) or text with units."""
     return ComparisonSettings(**parse_all(options, COMPARE))

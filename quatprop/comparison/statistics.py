@@ -24,16 +24,15 @@ if TYPE_CHECKING:
 
 S_PER_H = 3600.0
 
-
 RELATIVE_FLOOR = 1e-7
-"""Standard deviations below this share of the largest are rounding errors of a covariance: 0."""
+"""Standard deviations below this share of the largest are rounding errors, and taken as 0."""
 
 ROUNDING_RAD = 1e-9
-"""Errors up to this are rounding errors where the standard deviation is 0."""
+"""With standard deviation 0, errors up to this are rounding errors."""
 
 
 class ErrorStatistics(NamedTuple):
-    """Size of the geodesic error over all pairs that are judged, rad.
+    """Statistics of the geodesic error over all judged pairs, rad.
 
     Parameters
     ----------
@@ -55,13 +54,13 @@ class ErrorStatistics(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class WindowStatistics:
-    """Errors of the rotations over windows of one length, which frames and drift do not affect.
+    """Errors of rotations over windows of one length, independent of the reference frames.
 
-    `window_ns`: the length asked for, ns
+    `window_ns`: requested length, ns
     `count`: number of windows
-    `max_rad`, `rms_rad`: size of their errors, rad
-    `worst_ns`: where the worst begins, ns
-    `begins_ns`, `errors`: where each window begins, ns, and its error, rad, shape ``(count,)``
+    `max_rad`, `rms_rad`: largest and RMS error, rad
+    `worst_ns`: start of the window with the largest error, ns
+    `begins_ns`, `errors`: start of each window, ns, and its error, rad, shape ``(count,)``
     """
 
     window_ns: int
@@ -76,10 +75,10 @@ class WindowStatistics:
 def window_statistics(pairs: Pairs, alignment: Alignment, window_ns: int) -> WindowStatistics:
     """Compare the rotations over windows that begin at every pair.
 
-    A window ends at the first pair that is `window_ns` later or more; where that is more than a
-    median interval too late, there is a gap, and no window.
+    A window ends at the first pair at least `window_ns` later. If this pair is late by more than a
+    median interval, there is a gap, and the window is omitted.
 
-    `alignment`: how B is rotated; that of the reference frame does not matter
+    `alignment`: rotation of B; that of the reference frame has no effect
     `window_ns`: length of the windows, ns
     """
     t_ns = pairs.t_ns
@@ -112,18 +111,17 @@ def window_statistics(pairs: Pairs, alignment: Alignment, window_ns: int) -> Win
 class SigmaStatistics:
     """Errors e in standard deviations: the Mahalanobis distance sqrt(e' P^-1 e), P the covariance.
 
-    An error of n standard deviations about one principal axis of P is n. Where P is right, the RMS
-    is near sqrt(3): an error has three independent parts.
+    An error of n standard deviations about one principal axis of P is n. If P is right, the RMS is
+    near sqrt(3), since an error has three components.
 
-    `max`, `rms`, `p95`: over the pairs whose standard deviations are not 0; p95 is the least that
-        95 % of the errors do not exceed. Infinite where an error is beyond rounding and its
+    `max`, `rms`, `p95`: over the pairs with a standard deviation above 0; p95 is the smallest value
+        that 95 % of the errors do not exceed. Infinite if an error is beyond rounding and its
         standard deviation is 0
     `final`: error of the last pair
-    `max_ns`: time of the largest, ns
-    `one_sigma_rad`: the angle of an error of one standard deviation in the direction of each error,
-        shape ``(N,)``, rad
-    `axes_rad`: standard deviations about the body axes, shape ``(N, 3)``, rad; 0 where they are
-        unknown
+    `max_ns`: time of the largest error, ns
+    `one_sigma_rad`: angle of one standard deviation in the direction of each error, shape ``(N,)``,
+        rad
+    `axes_rad`: standard deviations about the body axes, shape ``(N, 3)``, rad; 0 if unknown
 
     References
     ----------
@@ -143,16 +141,16 @@ class SigmaStatistics:
 def sigma_statistics(
     a: AttitudeSeries, b: AttitudeSeries, pairs: Pairs, alignment: Alignment
 ) -> SigmaStatistics | None:
-    """Return the errors of pairs in standard deviations; None if no pair has any."""
-    known = [one for one in (a, b) if one.covariance is not None]
-    if not known:
+    """Return the errors in standard deviations; None if no pair has any."""
+    with_covariance = [one for one in (a, b) if one.covariance is not None]
+    if not with_covariance:
         return None
     mount = conjugate(alignment.mount_wxyz)
     distances, angles = np.empty((2, len(pairs)))
     is_exact, axes = np.empty(len(pairs), np.bool_), np.empty((len(pairs), 3))
     for rows in blocks(len(pairs)):
         covariance = np.zeros((len(pairs.t_ns[rows]), 3, 3))
-        for one in known:
+        for one in with_covariance:
             part = _interpolated(one, pairs.t_ns[rows])
             # Errors are about A's body axes.
             covariance += reference_covariance(mount, part) if one is b else part
@@ -161,13 +159,13 @@ def sigma_statistics(
         axes[rows] = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         is_exact[rows] = np.trace(covariance, axis1=1, axis2=2) == 0
         if alignment.name in BY_ALL:
-            # It is an estimate itself, and leaves no attitude exact.
+            # The alignment is an estimate, so no attitude is exact.
             is_known &= ~is_exact[rows]
         step = multiply(conjugate(pairs.a[rows]), alignment.apply(pairs.b[rows]))
         error = log(shorter(step))
         angles[rows] = np.linalg.norm(error, axis=1)
         distances[rows] = np.where(is_known, _distances(error, covariance), np.nan)
-    # An exact attitude without an error, such as the first, says nothing of the others.
+    # Exact attitudes without an error, such as the first, would only lower the statistics.
     counted = (distances > 0) | ~(is_exact | np.isnan(distances))
     (places,) = (counted if counted.any() else ~np.isnan(distances)).nonzero()
     if not len(places):
@@ -197,9 +195,9 @@ def _distances(error: Float64, covariance: Float64) -> Float64:
 
 
 def _interpolated(series: AttitudeSeries, wanted_ns: Int64) -> Float64:
-    """Return the covariances of a series at wanted times, ``(N, 3, 3)``, linear in between."""
+    """Return the covariances of a series interpolated linearly, ``(N, 3, 3)``."""
     t_ns, covariances = series.t_ns, np.asarray(series.covariance)
-    wanted, known = (np.asarray(times - t_ns[0], np.float64) for times in (wanted_ns, t_ns))
+    wanted, given = (np.asarray(times - t_ns[0], np.float64) for times in (wanted_ns, t_ns))
     columns = covariances.reshape(-1, 9).T
-    values = [np.interp(wanted, known, column) for column in columns]
+    values = [np.interp(wanted, given, column) for column in columns]
     return np.stack(values, axis=1).reshape(-1, 3, 3)

@@ -1,4 +1,4 @@
-"""A comparison as rows of text, for the command line and the page."""
+"""A comparison as rows of text, for the command line and the HTML page."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from quatprop.rendering import Row
 
 STATISTICS = {"rms": "RMS", "p95": "95 %"}
-"""Statistics whose label is not their name."""
+"""Labels of statistics that differ from their names."""
 
 
 def comparison_rows(a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison) -> Iterator[Row]:
-    """Yield what was compared, how, and the result."""
+    """Yield rows on what was compared, how, and the result."""
     first_ns = comparison.association.first_ns
     yield "A", _series(a)
     yield "B", _series(b)
@@ -51,7 +51,7 @@ def comparison_rows(a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison) 
 
 
 def criterion_text(criterion: Criterion, comparison: Comparison) -> str:
-    """Return the verdict on a criterion: what was measured, and what is allowed."""
+    """Return the measured and the allowed value of a criterion."""
     label, value, limit = criterion.label, criterion.value, criterion.limit
     if criterion.unit == "sigma":
         return f"{label} {sigma_text(value)}, at most {limit:.6g} sigma"
@@ -83,7 +83,7 @@ def sigma_text(count: float) -> str:
 
 
 def with_names(sentence: str, a: str, b: str) -> str:
-    """Return a sentence about A and B with their names, where a reader knows no A and B."""
+    """Return a sentence with A and B replaced by names, for readers who do not know A and B."""
 
     def named(found: re.Match[str]) -> str:
         name = a if found[1] == "A" else b
@@ -155,7 +155,7 @@ def _errors(comparison: Comparison) -> Iterator[Row]:
         label = STATISTICS.get(name, name)
         yield f"  {label}", f"{error:14.6e} rad {math.degrees(error):14.6g} deg"
     if comparison.drift_deg_h is not None:
-        # Rounding errors are no drift.
+        # Rounding errors are not a drift.
         drift = round(comparison.drift_deg_h, 9) or 0.0
         yield "drift", f"{f'{drift:+.6g}' if drift else '0'} deg/h, slope of the error"
 

@@ -1,8 +1,8 @@
-"""Rotations over windows: what two series have in common whatever their frames and biases are.
+"""Rotations over windows, which are independent of reference frames and constant biases.
 
-The body angle of a series is the sum of its small rotations, resolved in the body frame: its
-difference over a window is the integral of the body rate. It does not depend on the reference
-frame; a bias adds a constant to it, which is taken out, and a slow drift hardly anything.
+The body angle of a series is the sum of its small rotations in the body frame; its difference over
+a window is the integral of the body rate. A constant bias adds a constant to all windows, which is
+removed with their mean; a slow drift hardly matters.
 """
 
 from __future__ import annotations
@@ -23,46 +23,46 @@ if TYPE_CHECKING:
 
 
 LENGTHS_S = (0.1, 0.2, 0.5, 1.0, 2.0)
-"""Lengths of windows: the one in which the motion stands out most clearly is used."""
+"""Lengths of windows, s, of which the one with the lowest uncertainty is used."""
 
 MAX_SAMPLES = 100_000
-"""Samples of either series, from the start, that are looked at: clocks drift over more."""
+"""Maximum number of samples of either series, from the start: over more, clocks drift."""
 
 MAX_WINDOWS = 20_000
-"""Windows that are compared at most."""
+"""Maximum number of windows."""
 
 MIN_LENGTHS = 20
-"""Windows of which fewer would follow one another are shortened."""
+"""Windows are shortened until this many fit into the common time."""
 
 MIN_WINDOWS = 40
-"""Fewer windows show nothing."""
+"""Minimum number of windows."""
 
 PER_WINDOW = 4
-"""Windows overlap: this many begin in the length of one."""
+"""Overlap: number of windows that begin within the length of one."""
 
 EDGE = 0.2
-"""Share of the common time, at most, that is left free at both ends for time offsets."""
+"""Maximum share of the common time left free at each end for time offsets."""
 
 MAX_EDGE_S = 0.5
-"""At most this time is left free at both ends, s."""
+"""Maximum time left free at each end, s."""
 
 
 class BodyAngle(NamedTuple):
     """The integral of a body rate.
 
-    `seconds`: times from a common beginning, shape ``(N,)``, s
-    `angle`: integral up to there, shape ``(N, 3)``, rad, resolved in the body frame
+    `seconds`: times since a common origin, shape ``(N,)``, s
+    `angle`: integral up to these times in the body frame, shape ``(N, 3)``, rad
     """
 
     seconds: Float64
     angle: Float64
 
     def over(self, begin: Float64, length: float) -> Float64:
-        """Return the integrals over windows, less the constant that a bias adds, ``(M, 3)``."""
+        """Return the integrals over windows without the effect of a bias, ``(M, 3)``, rad."""
         return centred(self.between(begin, begin + length))
 
     def between(self, begin: Float64, end: Float64) -> Float64:
-        """Return the integrals over windows, ``(M, 3)``, rad."""
+        """Return the integrals between times, ``(M, 3)``, rad."""
         columns = [
             np.interp(end, self.seconds, angle) - np.interp(begin, self.seconds, angle)
             for angle in self.angle.T
@@ -71,16 +71,16 @@ class BodyAngle(NamedTuple):
 
 
 def common_beginning(a: AttitudeSeries, b: AttitudeSeries) -> tuple[AttitudeSeries, AttitudeSeries]:
-    """Return the beginning of the common time, at most :data:`MAX_SAMPLES` of each."""
+    """Return the start of the common time, at most :data:`MAX_SAMPLES` samples of each."""
     start = max(a.t_ns[0], b.t_ns[0])
     begins = [max(int(np.searchsorted(series.t_ns, start)) - 1, 0) for series in (a, b)]
     return a[begins[0] :][:MAX_SAMPLES], b[begins[1] :][:MAX_SAMPLES]
 
 
 def window_grids(a: Float64, b: Float64) -> Iterator[tuple[float, Float64]]:
-    """Yield lengths of windows, s, and the times at which windows of that length begin, s.
+    """Yield lengths of windows, s, and the start times of windows of this length, s.
 
-    `a`, `b`: rising times of two series, s
+    `a`, `b`: times of two series, rising, s
     """
     interval = max(float(np.median(np.diff(times))) for times in (a, b))
     begin, end = max(a[0], b[0]), min(a[-1], b[-1])
@@ -101,7 +101,7 @@ def window_grids(a: Float64, b: Float64) -> Iterator[tuple[float, Float64]]:
 
 
 def _without_gap(times: Float64, starts: Float64, length: float, interval: float) -> Bool:
-    """Tell which windows contain no gap of a series."""
+    """Return which windows contain no gap of a series."""
     gaps = np.diff(times) > GAP_FACTOR * interval
     passed = np.concatenate([[0], np.cumsum(gaps)])
     before = np.maximum(np.searchsorted(times, starts, side="right") - 1, 0)
@@ -110,12 +110,12 @@ def _without_gap(times: Float64, starts: Float64, length: float, interval: float
 
 
 def centred(values: Float64) -> Float64:
-    """Return rows less their mean."""
+    """Return rows minus their mean."""
     return np.asarray(values - values.mean(axis=0))
 
 
 def body_angle(series: AttitudeSeries, first_ns: int) -> BodyAngle:
-    """Return the body angle of a series; times are from `first_ns`."""
+    """Return the body angle of a series, with times since `first_ns`."""
     total = np.zeros((len(series), 3))
     np.cumsum(rotation_vectors_between(series.wxyz), axis=0, out=total[1:])
     return BodyAngle((series.t_ns - first_ns) / NS_PER_S, total)

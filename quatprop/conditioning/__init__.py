@@ -1,8 +1,8 @@
 """Conditioning of rates before they are propagated: calibration, mounting, time range.
 
-Each step is a map over batches, so memory stays constant. The order is fixed: stamps that go
-backwards, the time range, rates that are not finite; then the bias is subtracted in the axes of the
-raw rates, scale and misalignment are corrected, and sensor axes are converted to body axes.
+Each step is a map over batches, so memory is constant. The order is fixed: non-monotonic
+timestamps, the time range, non-finite rates; then the bias is subtracted in the axes of the raw
+rates, scale and misalignment are corrected, and sensor axes are rotated to body axes.
 """
 
 from __future__ import annotations
@@ -43,18 +43,17 @@ if TYPE_CHECKING:
 
 
 class GyroCorrection(NamedTuple):
-    """What to do to the rates; None is nothing.
+    """Corrections of the rates; None: not applied.
 
-    `bias`: subtracted from every rate, x, y, z, in the unit of the source
-    `static`: take the mean over a rest of the log as the bias
-    `bias_from`: take the bias from a series of them: a file, a topic of the log, or in memory
-    `calibration`: path of a calibration, as
-        :func:`quatprop.conditioning.calibration.read_calibration` reads it. A bias given beside it
-        takes the place of its own
-    `mount`: sensor axes to body axes, as :func:`mounting` reads it, or ``"tf:FRAME"``
-    `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved. Those in the
-        reference frame are not rotated by the mounting
-    `start`, `end`: the part of the log to use, ends included
+    `bias`: bias to subtract, x, y, z, in the unit of the source
+    `static`: bias from the mean over a stationary period
+    `bias_from`: bias from a series: a file, a topic of the log, or in memory
+    `calibration`: path of a calibration; see
+        :func:`quatprop.conditioning.calibration.read_calibration`. Another bias replaces its own
+    `mount`: rotation from sensor to body axes; see :func:`mounting`; or ``"tf:FRAME"``
+    `rates`: frame in which the rates are resolved, ``"body"`` or ``"inertial"``; the mounting does
+        not rotate the latter
+    `start`, `end`: time range to use, ends included
     """
 
     bias: tuple[float, ...] | None = None
@@ -68,27 +67,26 @@ class GyroCorrection(NamedTuple):
 
     @property
     def interpolates(self) -> bool:
-        """Whether the bias changes linearly between rests."""
+        """Whether the bias is interpolated between stationary periods."""
         return self.static is not None and self.static.between == "interpolate"
 
     @property
     def looks_ahead(self) -> bool:
-        """Whether the log has to be read once before it is read for the propagation."""
+        """Whether the log must be read once before it is propagated."""
         origins = {instant.origin for instant in (self.start, self.end) if instant is not None}
         return self.static is not None or bool(origins - {"clock"})
 
 
 FROM_TRANSFORMS = "tf:"
-"""Begins a mounting that is taken from the transforms of the log."""
+"""Prefix of a mounting from the transforms of the log."""
 
 
 class GyroCorrectionInputs(NamedTuple):
-    """What is known of a log besides its rates; None if it is not there or not asked for.
+    """Inputs from a log besides its rates; None if absent or not needed.
 
-    `force`: reads stamps and specific forces, shape ``(N, 3)``, any unit, sensor axes
-    `orientation`: reads stamps and the log's own orientation, wxyz body -> reference, shape ``(N,
-        4)``
-    `mounting`: that from the transforms of the log
+    `force`: reads timestamps and specific forces, shape ``(N, 3)``, any unit, sensor axes
+    `orientation`: reads timestamps and recorded orientations, wxyz body -> reference, ``(N, 4)``
+    `mounting`: the mounting from the transforms of the log
     """
 
     force: Callable[[], Rows] | None = None
@@ -99,23 +97,22 @@ class GyroCorrectionInputs(NamedTuple):
 
 
 class GyroCorrectionReport(NamedTuple):
-    """What was done to the rates; None is nothing.
+    """Corrections applied to the rates; None: not applied.
 
-    `bias_rad_s`: subtracted from every rate, sensor axes, shape ``(3,)``, rad/s
-    `rest`: the rest from which it was taken
-    `rests`: those from which a bias over time was taken, in the order of time; none for fewer than
-        two
-    `interpolated`: whether it was interpolated between them, or is the bias of the nearest
-    `bias_series`: the series from which it was taken, interpolated in time
-    `calibration`: what the rates are multiplied by after the bias is subtracted, shape ``(3, 3)``
+    `bias_rad_s`: constant bias subtracted from the rates, sensor axes, shape ``(3,)``, rad/s
+    `rest`: stationary period from which it was estimated
+    `rests`: stationary periods from which a bias over time was estimated, in order of time; empty
+        for fewer than two
+    `interpolated`: whether it was interpolated between them, instead of taking the nearest
+    `bias_series`: series from which the bias was interpolated
+    `calibration`: matrix that multiplies the rates after the bias is subtracted, shape ``(3, 3)``
     `mount`: matrix from sensor to body axes, shape ``(3, 3)``
-    `mount_frames`: where the mounting is from the log's transforms: the frames from the sensor's to
-        the body's
-    `start_ns`, `end_ns`: the part of the log that was used, ends included, ns
-    `outside`: samples left out before and after that part, so far; those that were read
-    `remarks`: what of the calibration is not applied, and pauses from which relative times count
-    `part`, `length`: the part of the log that was read, where it was not the whole; how long it is
-        in words
+    `mount_frames`: frames from the sensor's to the body's, if the mounting is from transforms
+    `start_ns`, `end_ns`: time range that was used, ends included, ns
+    `outside`: number of samples read before and after this range
+    `remarks`: remarks on the calibration, and on pauses at the origin of relative times
+    `part`: the part of the log that was read; None: the whole log
+    `length`: length of the log as text, for a time range relative to its ends
     """
 
     bias_rad_s: Float64 | None
@@ -135,16 +132,16 @@ class GyroCorrectionReport(NamedTuple):
 
     @property
     def all_rests(self) -> tuple[StaticPeriod, ...]:
-        """The rests from which the bias was taken, in the order of time."""
+        """The stationary periods from which the bias was estimated, in order of time."""
         return self.rests if self.rest is None else (self.rest,)
 
     @property
     def all_remarks(self) -> list[Remark]:
-        """What a reader should know, once all samples have passed."""
+        """All remarks, after all samples were read."""
         return [*self.remarks, *(self.bias_series.remarks() if self.bias_series else ())]
 
 
-def condition(  # noqa: PLR0913  # samples, what to do, and what is known
+def condition(  # noqa: PLR0913  # samples, settings, and inputs
     read: Callable[[], Iterable[GyroSeries]],
     timeline: Timeline,
     settings: GyroCorrection,
@@ -154,10 +151,10 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
     part_reader: Callable[[], PartReader | None] | None = None,
     begun: Callable[[Iterable[GyroSeries]], Iterable[GyroSeries]] = iter,
 ) -> tuple[Iterator[GyroSeries], GyroCorrectionReport]:
-    """Return the conditioned samples, and what is done to them.
+    """Return the conditioned samples, and the report of their corrections.
 
-    `unit`: rad/s in the unit of the bias
-    `begun`: looks at the samples as the log has them
+    `unit`: rad/s per unit of the bias
+    `begun`: inspects the samples before conditioning
     `Returns`: the samples, rad/s, body axes
     """
     mount = None if settings.mount is None or inputs.mounting else mounting(settings.mount)
@@ -209,7 +206,7 @@ def condition(  # noqa: PLR0913  # samples, what to do, and what is known
 def _calibration_of(
     settings: GyroCorrection, inputs: GyroCorrectionInputs
 ) -> tuple[Float64 | None, Float64 | None, tuple[Remark, ...]]:
-    """Return the matrix and the bias of a calibration, and remarks about it."""
+    """Return the matrix and the bias of a calibration, and remarks."""
     if settings.calibration is None:
         return None, None, ()
     from quatprop.conditioning.calibration import read_calibration
@@ -225,7 +222,7 @@ def _look_ahead(
     inputs: GyroCorrectionInputs,
     parts: PartReader | None,
 ) -> tuple[Ends, tuple[StaticPeriod, ...]]:
-    """Return the first and the last sample, and the rests, where they matter."""
+    """Return the ends of the log and its stationary periods, if they are needed."""
     if not settings.looks_ahead:
         return Ends(0, 0), ()
     static = settings.static
@@ -257,11 +254,11 @@ def conditioned(
     bias: Float64 | BiasSeries | RestBiases | None = None,
     matrix: Float64 | None = None,
 ) -> Iterator[GyroSeries]:
-    """Yield rates without their bias, in body axes.
+    """Yield rates with the bias subtracted, in body axes.
 
     `batches`: raw rates in sensor axes, rad/s
-    `bias`: subtracted from every rate, shape ``(3,)``, rad/s, sensor axes; or biases over time
-    `matrix`: what the rates are multiplied by then, shape ``(3, 3)``: calibration and mounting
+    `bias`: sensor axes, shape ``(3,)``, rad/s; or a bias over time
+    `matrix`: product of mounting and calibration, applied after the bias, shape ``(3, 3)``
     """
     if bias is None and matrix is None:
         yield from batches
@@ -276,11 +273,11 @@ def conditioned(
 
 
 def _transformed(rate: Float64, matrix: Float64) -> Float64:
-    """Return ``rate @ matrix.T``, each row rounded alike wherever it is in its batch.
+    """Return ``rate @ matrix.T``, with rounding independent of the position in the batch.
 
-    How a matrix product rounds depends on the blocks and threads it is computed with.
+    The rounding of a matrix product depends on the blocks and threads of BLAS.
     """
     x, y, z = rate.T
-    # What is not finite is found where the policy for it is known.
+    # The policy for non-finite rates is applied elsewhere.
     with np.errstate(invalid="ignore", over="ignore"):
         return np.stack([x * row[0] + y * row[1] + z * row[2] for row in matrix], axis=1)

@@ -1,6 +1,6 @@
-"""Calibration of a gyroscope: scale factors, misalignment and bias, read from a file.
+"""Calibration of a gyroscope from a file: scale factors, misalignment and bias.
 
-And a bias that changes with time, as an estimator or a reference gives it.
+Also a bias over time, from an estimator or a reference.
 """
 
 from __future__ import annotations
@@ -25,19 +25,18 @@ if TYPE_CHECKING:
 _unusable = partial(unusable, "calibration")
 
 LARGEST_CONDITION = 1e3
-"""A matrix with a larger condition number is no calibration: it loses a direction."""
+"""Maximum condition number of a calibration matrix; above it, the matrix is nearly singular."""
 
 OWN_KEYS = ("matrix", "bias")
-"""Keys of a file in our own form."""
+"""Keys of a file in quatprop's own format."""
 
 
 class Calibration(NamedTuple):
-    """How calibrated rates follow from raw ones: w = M (w_raw - b).
+    """A calibration of rates: w = M (w_raw - b).
 
-    `matrix`: M: scale factors, misalignment and the rotation to the axes of the sensor, ``(3, 3)``;
-        None for the identity
-    `bias_rad_s`: b, in the axes of the raw rates, shape ``(3,)``, rad/s; None where the file has
-        none
+    `matrix`: M: scale factors, misalignment and rotation to the sensor axes, ``(3, 3)``; None:
+        identity
+    `bias_rad_s`: b, in the axes of the raw rates, shape ``(3,)``, rad/s; None: no bias in the file
     """
 
     matrix: Float64 | None = None
@@ -48,8 +47,8 @@ class Calibration(NamedTuple):
 def read_calibration(path: Path | str, topic: str = "") -> Calibration:
     """Read a calibration.
 
-    `path`: YAML or JSON: ``matrix``, three rows of three numbers, and perhaps ``bias``, three
-        numbers in rad/s. Or what kalibr writes of an IMU with its model ``scale-misalignment``
+    `path`: YAML or JSON with ``matrix``, three rows of three numbers, and optionally ``bias``, in
+        rad/s; or the output of kalibr for an IMU with the model ``scale-misalignment``
 
     References
     ----------
@@ -83,7 +82,7 @@ def read_calibration(path: Path | str, topic: str = "") -> Calibration:
 
 
 def _imu(path: Path | str, content: Mapping[str, object], topic: str) -> Mapping[str, object]:
-    """Return the part of a file that is about one IMU: imu0, imu1... of kalibr, or all of it."""
+    """Return the part of a file for one IMU: one of imu0, imu1... of kalibr, or all."""
     imus = {
         name: part
         for name, part in content.items()
@@ -101,7 +100,7 @@ def _imu(path: Path | str, content: Mapping[str, object], topic: str) -> Mapping
 
 
 def _checked(path: Path | str, name: str, matrix: Float64) -> Float64:
-    """Return a matrix that can be inverted, or refuse it."""
+    """Return a matrix, or refuse one that is singular or mirrors the axes."""
     condition = float(np.linalg.cond(matrix)) if matrix.any() else np.inf
     if not condition <= LARGEST_CONDITION:
         raise _unusable(
@@ -114,7 +113,7 @@ def _checked(path: Path | str, name: str, matrix: Float64) -> Float64:
 
 
 def _numbers(path: Path | str, name: str, value: object, shape: tuple[int, ...]) -> Float64:
-    """Return finite numbers of a shape, or refuse them."""
+    """Return finite numbers of a shape, or refuse others."""
     try:
         numbers = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -127,13 +126,13 @@ def _numbers(path: Path | str, name: str, value: object, shape: tuple[int, ...])
 
 @dataclass(frozen=True, slots=True)
 class BiasSeriesReport:
-    """Where a bias that changes with time was taken from.
+    """The source of a bias over time.
 
-    `source`: the file, or the topic of the log
-    `field`: the message field or the columns
+    `source`: file, or topic of the log
+    `field`: message field, or columns
     `values`: number of biases
-    `first_ns`, `last_ns`: timestamps of the first and the last, ns
-    `outside`: samples before the first and after the last, so far: they take the nearest
+    `first_ns`, `last_ns`: first and last timestamp, ns
+    `outside`: number of samples before the first and after the last bias, which take the nearest
     """
 
     source: str
@@ -144,7 +143,7 @@ class BiasSeriesReport:
     outside: list[int] = dataclass_field(default_factory=lambda: [0, 0])
 
     def remarks(self) -> Iterator[Remark]:
-        """Yield a remark where samples are outside the biases."""
+        """Yield a remark if samples are outside the time range of the biases."""
         before, after = self.outside
         if before or after:
             yield Remark(
@@ -158,8 +157,8 @@ class BiasSeriesReport:
 class BiasSeries:
     """Biases at given times, interpolated linearly in between.
 
-    `source`, `name`: for the report: the file or the topic, and the field or the columns
-    `t_ns`: stamps in any order, shape ``(N,)``, at least one, int64 ns
+    `source`, `name`: file or topic, and field or columns, for the report
+    `t_ns`: timestamps in any order, shape ``(N,)``, N > 0, int64 ns
     `bias_rad_s`: biases in the axes of the raw rates, shape ``(N, 3)``, rad/s
     """
 
@@ -170,9 +169,9 @@ class BiasSeries:
         self.report = BiasSeriesReport(source, name, len(t_ns), first_ns, last_ns)
 
     def at(self, t_ns: Int64) -> Float64:
-        """Return the biases at some stamps, ``(M, 3)``, rad/s; outside the series the nearest."""
+        """Return the biases at times, ``(M, 3)``, rad/s; outside the series, the nearest."""
         self.report.outside[0] += int(np.count_nonzero(t_ns < self._t_ns[0]))
         self.report.outside[1] += int(np.count_nonzero(t_ns > self._t_ns[-1]))
-        # Differences of whole nanoseconds are exact as floats over 104 days.
+        # Differences up to 104 days are exact as floats.
         wanted, known = (each - self._t_ns[0] for each in (t_ns, self._t_ns))
         return np.stack([np.interp(wanted, known, axis) for axis in self._bias.T], axis=1)

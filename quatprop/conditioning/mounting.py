@@ -1,4 +1,4 @@
-"""How the sensor is mounted: its axes in those of the body."""
+"""Mounting of the sensor: rotations from sensor to body axes."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 AXES = {"x": 0, "y": 1, "z": 2}
 
 _TURN = re.compile(r"(?P<axis>[xyz]):(?P<deg>[^,]+?)(deg)?")
-"""A turn about one axis."""
+"""A rotation about one axis."""
 
 
 class FrameMounting(NamedTuple):
     """A mounting from the static transforms of a log.
 
     `matrix`: sensor axes to body axes, shape ``(3, 3)``
-    `frames`: the frames on the way, from the sensor's to the body's
+    `frames`: frames of the chain from the sensor's to the body's
     """
 
     matrix: Float64
@@ -45,17 +45,16 @@ NAMED = {
     "frd-to-flu": "x,-y,-z",
     "flu-to-frd": "x,-y,-z",
 }
-"""Changes of axes by name, as the old axes that become x, y and z."""
+"""Name -> the old axes that become x, y and z."""
 
 
 def mounting(text: str, what: str = "mounting") -> Float64:
-    """Return the matrix that takes sensor axes to body axes, or other old axes to new ones.
+    """Return the rotation matrix from sensor to body axes, or from other old to new axes.
 
     `text`: three signed old axes that become the new x, y and z, such as ``"x,-y,-z"``; a unit
-        quaternion ``"W,X,Y,Z"`` with v_body = m v_sensor m*; ``"rpy:R,P,Y"``, deg, turns about
-        the axes that stay, Rz(Y) Ry(P) Rx(R), as in URDF, ``"y:30deg"`` about one of them; a key
-        of :data:`NAMED`
-    `what`: it is called in errors
+        quaternion ``"W,X,Y,Z"`` with v_body = m v_sensor m*; fixed-axis angles ``"rpy:R,P,Y"``,
+        deg, Rz(Y) Ry(P) Rx(R), as in URDF, or ``"y:30deg"`` about one axis; a key of :data:`NAMED`
+    `what`: name of the rotation in errors
     `Returns`: rotation matrix, shape ``(3, 3)``: rate_body = M rate_sensor
     """
     old_to_new = {"mounting": "sensor axes to body axes"}.get(what, "old axes to new ones")
@@ -96,7 +95,7 @@ def mounting(text: str, what: str = "mounting") -> Float64:
 
 
 def _matrix(numbers: Float64, text: str, what: str) -> Float64:
-    """Return the matrix of a quaternion, or of the nine numbers of one."""
+    """Return the rotation matrix of a quaternion, or of nine numbers."""
     wxyz = numbers
     if len(numbers) > len("wxyz"):
         matrix = numbers.reshape(3, 3)

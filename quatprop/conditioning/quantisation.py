@@ -1,7 +1,7 @@
-"""Quantisation: the step in which a log gives rates, and what it leaves of a mean at rest.
+"""Quantisation: the step of recorded rates, and the error of a mean at rest that it causes.
 
-Where the noise is less than the step, the mean of many samples is not that of the rate: at one
-level it tells no more than the level.
+If the noise is below the step, the mean of many samples is biased; if all samples are at one level,
+the mean is just that level.
 """
 
 from __future__ import annotations
@@ -16,40 +16,39 @@ if TYPE_CHECKING:
     from quatprop.conditioning.window_sums import Rows
 
 MAX_VALUES: Final = 20_000
-"""An axis that shows more values than this among those looked at is not taken as quantised."""
+"""Maximum number of distinct values of a quantised axis."""
 
 HEAD: Final = 4_096
-"""Rows of each batch that are looked at."""
+"""Number of rows examined per batch."""
 
 IN_STEPS: Final = 0.02
-"""Values may be off the grid by this share of a step, as rounded numbers are."""
+"""Tolerance of values on the grid, as a share of the step, for rounded numbers."""
 
 ROUNDING: Final = 1e-12
-"""Numbers that differ by less than this share of the largest were rounded by the processor."""
+"""Differences below this share of the largest value are floating-point rounding."""
 
 LARGEST: Final = 1e100
-"""rad/s: numbers that are no rates."""
+"""Values above this, rad/s, are not rates."""
 
 TERMS: Final = 1000
-"""Sines that are summed; what is left of them is less than a thousandth."""
+"""Number of terms of a series, with a remainder below 0.1 %."""
 
 FINE: Final = 2.0
-"""Noise of so many steps or more leaves nothing of the quantisation in a mean."""
-
+"""With noise of this many steps or more, quantisation does not affect the mean."""
 
 FEW, MAX_SHARED = 2, 100
-"""An axis of so many values or fewer has the step that all axes share, if they show few, too."""
+"""An axis with up to FEW values takes the step common to all, if these have up to MAX_SHARED."""
 
 SAME, FEWEST_STEPS, MOST_STEPS = 1e-6, 8, 1e5
-"""Numbers that differ by less than this share of the largest are the same; and how many steps that
-has to be at least and at most: two numbers are multiples of some step by chance."""
+"""Relative tolerance of equal values, and minimum and maximum of the largest value in common steps:
+any two numbers are multiples of some step by chance."""
 
 
 class Levels(NamedTuple):
-    """How the samples of a rest lie on the grid of a quantised axis.
+    """Distribution of the samples of a stationary period over the levels of a quantised axis.
 
-    `step`: of the grid, rad/s
-    `counts`: samples at each of the levels that occur, the most frequent first
+    `step`: quantisation step, rad/s
+    `counts`: number of samples at each level, the most frequent first
     """
 
     step: float
@@ -57,11 +56,11 @@ class Levels(NamedTuple):
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of the mean from the rate, beside that of the noise, rad/s.
+        """Standard deviation of the mean due to quantisation, rad/s.
 
-        The noise is at least that which takes as many samples off the two most frequent levels as
-        were found there. With noise s and steps Q the mean is off by a sum of sines of the rate,
-        with amplitudes Q / (pi k) exp(-2 pi^2 k^2 s^2 / Q^2); at one level that is Q / sqrt(12).
+        The noise s is estimated from the samples off the two most frequent levels. With step Q, the
+        error of the mean is a sum of sines of the rate, with amplitudes
+        Q / (pi k) exp(-2 pi^2 k^2 s^2 / Q^2); at one level, it is Q / sqrt(12).
 
         References
         ----------
@@ -79,13 +78,13 @@ class Levels(NamedTuple):
 
 
 class StepFinder:
-    """Finds the step of each axis of rates that pass."""
+    """Finds the quantisation step of each axis."""
 
     def __init__(self) -> None:
         self._values: list[Float64 | None] = [np.empty(0)] * 3
 
     def noted(self, rate: Float64) -> Float64:
-        """Note some rates, ``(N, 3)``, rad/s, and return all of them."""
+        """Examine rates, ``(N, 3)``, rad/s, and return them unchanged."""
         for axis, known in enumerate(self._values):
             if known is not None:
                 values = np.unique(np.concatenate([known, rate[:HEAD, axis]]))
@@ -94,9 +93,9 @@ class StepFinder:
         return rate
 
     def above(self, scatters: list[float]) -> list[list[float]]:
-        """Return the step of each axis in each rest, rad/s; 0 for none, or where noise hides it.
+        """Return the step of each axis in each stationary period, rad/s; 0 if hidden by noise.
 
-        `scatters`: RMS deviations of the rates from the mean, over all three axes, rad/s
+        `scatters`: RMS deviation of the rates in each period, over all three axes, rad/s
         """
         known = [values for values in self._values if values is not None]
         shared = shared_step(np.concatenate(known)) if known else 0.0
@@ -108,11 +107,11 @@ class StepFinder:
 
 
 def step_of(values: Float64) -> float:
-    """Return the step of which all differences of values are multiples, or 0.
+    """Return the largest step that divides all differences of values, or 0.
 
     `values`: in any order, shape ``(N,)``
     """
-    # Damaged numbers may be as far apart as there are numbers.
+    # Differences of damaged numbers could overflow.
     values = np.sort(values[np.abs(values) < LARGEST])
     apart = np.diff(values)
     apart = apart[apart > 0]
@@ -120,7 +119,7 @@ def step_of(values: Float64) -> float:
         return 0.0
     ratios = apart / apart.min()
     steps = np.rint(ratios)
-    # Numbers whose differences are large multiples of the smallest are on every grid.
+    # Differences that are large multiples of the smallest fit any step.
     if (
         np.sort(steps)[len(steps) // 2] > 1 / IN_STEPS
         or (np.abs(ratios - steps) > IN_STEPS * steps).any()
@@ -131,11 +130,11 @@ def step_of(values: Float64) -> float:
 
 
 def shared_step(values: Float64) -> float:
-    """Return the step of which all values of a gyroscope are multiples, or 0.
+    """Return the largest step that divides all values of a gyroscope, or 0.
 
-    That of an axis that shows too few values to have one of its own.
+    It is used for axes with too few values for a step of their own.
 
-    `values`: of all axes, in any order, shape ``(N,)``
+    `values`: values of all axes, in any order, shape ``(N,)``
     """
     values = np.unique(np.abs(values[np.abs(values) < LARGEST]))
     if not FEW <= len(values) <= MAX_SHARED:
@@ -143,7 +142,7 @@ def shared_step(values: Float64) -> float:
     largest = float(values[-1])
     step = 0.0
     for value in values.tolist():
-        # Euclid's algorithm, of numbers that are rounded.
+        # Euclid's algorithm for rounded numbers.
         rest = value
         while rest > SAME * largest:
             step, rest = rest, abs(step - rest * round(step / rest))
@@ -153,11 +152,11 @@ def shared_step(values: Float64) -> float:
 def levels_of(
     rows: Rows, ranges: list[tuple[int, int]], steps: list[list[float]]
 ) -> list[tuple[Levels, ...]]:
-    """Return how the samples of each rest lie on the grids of the axes that have one.
+    """Return the levels of each stationary period, for each quantised axis.
 
-    `rows`: stamps, and rates, ``(N, 3)``, rad/s
-    `ranges`: where the rests are, ends included, ns
-    `steps`: of each axis in each of them, rad/s; 0 for none
+    `rows`: timestamps, and rates, ``(N, 3)``, rad/s
+    `ranges`: the periods, ends included, ns
+    `steps`: step of each axis in each period, rad/s; 0: none
     """
     tallies: list[list[dict[int, int]]] = [[{} for _ in each] for each in steps]
     for t_ns, rate in rows:

@@ -1,4 +1,4 @@
-"""The rests of a log from which the bias is taken: one of them, or all of them over time."""
+"""Stationary periods from which the bias is estimated: one, or several over time."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def find_rests(
     inputs: GyroCorrectionInputs,
     frame: str,
 ) -> tuple[StaticPeriod, ...]:
-    """Return the rests from which the bias is taken, in the order of time.
+    """Return the stationary periods from which the bias is estimated, in order of time.
 
-    `read`: reads the samples, rad/s, sensor axes, and has their stamps noted
-    `finder`: of the ends of the log
-    `frame`: ``"body"`` or ``"inertial"``: that in which the rates are resolved
+    `read`: reads the samples, rad/s, sensor axes, and passes their timestamps to a function
+    `finder`: finder of the ends of the log
+    `frame`: frame in which the rates are resolved: ``"body"`` or ``"inertial"``
     """
     steps = StepFinder()
     rows = ((each.t_ns, steps.noted(each.rate)) for each in read(finder.add))
@@ -60,15 +60,15 @@ def find_rests(
 
 
 def worst_of(rests: Sequence[StaticPeriod]) -> StaticPeriod:
-    """Return the rest of which there is most to say."""
+    """Return the period with the largest spread, and then quantisation error, for remarks."""
     return max(rests, key=lambda rest: (rest.spread_rad_s, rest.quantisation_rad_s))
 
 
 class RestBiases:
-    """The bias over time by the means of several rests.
+    """The bias over time, from several stationary periods.
 
-    `rests`: in the order of time
-    `interpolated`: whether it changes linearly between them, or is the bias of the nearest in time
+    `rests`: the periods, in order of time
+    `interpolated`: whether it is interpolated between them, instead of taking the nearest
     """
 
     def __init__(self, rests: Sequence[StaticPeriod], *, interpolated: bool) -> None:
@@ -78,7 +78,7 @@ class RestBiases:
         self._middles_ns = np.array([(a[1] + b[0]) // 2 for a, b in pairwise(ends)], np.int64)
 
     def at(self, t_ns: Int64) -> Float64:
-        """Return the bias at some stamps, ``(N, 3)``, rad/s."""
+        """Return the bias at times, ``(N, 3)``, rad/s."""
         if self._ends_ns is None:
             nearest = np.searchsorted(self._middles_ns, t_ns, side="right")
             return np.asarray(self._means[nearest])

@@ -1,8 +1,8 @@
-"""Static detection: the period of a log in which the sensor was at rest.
+"""Static detection: find the periods of a log in which the sensor was at rest.
 
-A log is divided into windows of equal time, of which only sums are kept. The sensor is at rest over
-neighbouring windows in which the rates and the specific force scatter little and have the same
-mean, while the log's own orientation, if it has one, does not turn with the rates.
+A log is divided into windows of equal duration, of which only sums are kept. The sensor is at rest
+over neighbouring windows in which the rates and the specific force have little scatter and the same
+mean, and the recorded orientation, if there is one, does not turn.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from quatprop.conditioning.window_sums import (
     merged,
     outer_products,
     scatter_of,
+    variances_of,
 )
 from quatprop.errors import UsageError
 from quatprop.kinematics.rates import rotation_vectors_between
@@ -33,46 +34,48 @@ if TYPE_CHECKING:
 
 
 FORCE_AT_REST = 0.1
-"""Specific force that scatters by more than this share of its size is not at rest."""
+"""Maximum scatter of the specific force at rest, as a share of its magnitude."""
 
 REST_FACTOR = 3.0
-"""Windows at rest scatter at most this much more than the two quietest neighbours."""
+"""Maximum scatter at rest, relative to the quietest pair of neighbouring windows."""
 
 QUIET, FORCE_QUIET = 1e-3, 0.01
-"""Smaller scatter than this needs no comparison with the quietest: rad/s, and share of the size."""
+"""Scatter that is always quiet: of rates, rad/s; of forces, as a share of the magnitude."""
 
 AGREEMENT, FORCE_AGREEMENT = 3e-3, 0.01
-"""Means that differ by more, and by more than their noise explains, are not of the same rest: rad/s
-on an axis, and share of the size of the specific force (of its direction, rad)."""
+"""Maximum difference of means in one period beyond noise: of rates, rad/s per axis; of forces, as a
+share of the magnitude (direction, rad)."""
 
 COMPARED = 0.035
-"""rad/s on an axis: rests that only the rates show are compared if they differ by less: 2 deg/s."""
+"""Maximum difference, rad/s per axis (2 deg/s), of periods confirmed by rates alone: one that
+differs by more is a constant rotation."""
 
 NOISE = 4.0
-"""Means may differ by so many standard errors."""
+"""Maximum difference of means in standard errors."""
 
 LARGEST_BIAS = 0.2
-"""rad/s: the largest bias that is believed. Data sheets of low-cost gyroscopes allow up to 20 deg/s
-(0.35 rad/s), but a car that circles is as fast, and no common sensor is found that far off."""
+"""Maximum plausible bias, rad/s. Data sheets of low-cost gyroscopes allow up to 20 deg/s (0.35
+rad/s), but a car in a circle turns as fast, and common sensors are better than that."""
 
 MIN_SAMPLES = 2
-"""Samples of a rest that shows a scatter."""
+"""Minimum number of samples of a period, to estimate its scatter."""
 
 TURNING = 5e-3
-"""rad/s: an orientation that turns slower than this stands still."""
+"""Rate of an orientation, rad/s, below which it is constant."""
 
 
 class NoRestError(UsageError):
-    """The sensor is at rest nowhere, and why; the way out depends on what the rest is for."""
+    """The log has no stationary period, for the reason in the message."""
 
 
 def find_static_periods(
     rates: WindowSums, inputs: GyroCorrectionInputs, static: StaticBias, frame: str = "body"
 ) -> list[StaticPeriod]:
-    """Return the rest of a log from which the bias is taken, or all rests where that is asked for.
+    """Return the stationary period for the bias, or all periods for a bias over time.
 
-    Of periods whose means do not agree the slowest shows the bias: a body that turns steadily is
-    as quiet as one at rest. Of those that agree with it the longest is taken.
+    A constant rotation is as quiet as rest. Of periods with different means, the one with the
+    smallest rate is therefore assumed to be at rest; of those that agree with it, the longest is
+    returned.
 
     `frame`: ``"body"`` or ``"inertial"``
     """
@@ -92,10 +95,10 @@ def static_period_between(
     inputs: GyroCorrectionInputs,
     frame: str,
 ) -> StaticPeriod:
-    """Return a rest that the user has named, compared with those that are found.
+    """Return a period given by the user, compared with the periods found.
 
-    `rest`: the sums over that time
-    `rates`: the sums over the windows of the whole log
+    `rest`: sums over the given period
+    `rates`: sums over the windows of the whole log
     """
     if not len(rest) or rest["count"][0] < MIN_SAMPLES:
         raise UsageError(
@@ -112,7 +115,7 @@ def static_period_between(
 def _rests(
     rates: WindowSums, inputs: GyroCorrectionInputs, shortest_ns: int, frame: str
 ) -> tuple[WindowSums, list[str]]:
-    """Return the sums over each period of rest, and which signals were found steady."""
+    """Return the sums over each stationary period, and the signals that confirm them."""
     window_ns = max(shortest_ns // 2, 1)
     quiet = _quiet_rates(rates)
     signals, steady = [(rates, AGREEMENT)], ["rate"]
@@ -135,7 +138,7 @@ def _rests(
 
 
 def _agreeing(rests: WindowSums, agreement: float = AGREEMENT) -> Bool:
-    """Tell which rests have about the mean of the slowest."""
+    """Return which periods have about the mean of the slowest one."""
     mean = mean_of(rests)
     slowest = mean[np.argmin((mean**2).sum(axis=1))]
     return np.asarray(np.abs(mean - slowest).max(axis=1) <= agreement)
@@ -144,45 +147,47 @@ def _agreeing(rests: WindowSums, agreement: float = AGREEMENT) -> Bool:
 def _period(
     rests: WindowSums, taken: int, rates: WindowSums, confirmed: list[str], steady: list[str]
 ) -> StaticPeriod:
-    """Return one of several rests.
+    """Return one of several stationary periods.
 
-    `confirmed`: by which signals the others are rests
-    `steady`: by which signals this one was found; empty where it was named
+    `confirmed`: the signals that confirm the others
+    `steady`: the signals that confirm this one; empty if the user gave it
     """
     rest = rests[taken]
-    apart = np.abs(mean_of(rests) - mean_of(rests)[taken]).max(axis=1)
+    apart = np.abs(mean_of(rests) - mean_of(rests)[taken])
     apart[~_comparable(rests, confirmed)] = 0.0
-    variances = scatter_of(rests) ** 2 / 3 / rests["count"]
-    errors = np.sqrt(variances + variances[taken])
+    variances = variances_of(rests)
+    by_noise = variances / rests["count"][:, None]
+    errors = np.sqrt(by_noise + by_noise[taken])
     return StaticPeriod(
         first_ns=int(rest["first_ns"]),
         last_ns=int(rest["last_ns"]),
         samples=int(rest["count"]),
         mean_rad_s=mean_of(rests)[taken],
         scatter_rad_s=float(scatter_of(rests)[taken]),
+        noisiest_rad_s=math.sqrt(variances[taken].max()),
         steady=tuple(steady),
         searched_first_ns=int(rates["first_ns"].min()),
         searched_last_ns=int(rates["last_ns"].max()),
-        other=_other(rests, np.where(apart > NOISE * errors, apart, 0.0)),
+        other=_other(rests, np.where(apart > NOISE * errors, apart, 0.0).max(axis=1)),
         spread_rad_s=float(apart[apart > WIDENS * errors].max(initial=0.0)),
     )
 
 
 def _comparable(rests: WindowSums, confirmed: list[str]) -> Bool:
-    """Tell which rests are rests: by the rates alone, one far off is a steady rotation."""
+    """Return which periods are comparable: with rates alone, one far off is a constant rotation."""
     return _agreeing(rests, math.inf if confirmed != ["rate"] else COMPARED)
 
 
 def _other(rests: WindowSums, apart: Float64) -> OtherRest | None:
-    """Return the rest that is furthest apart from one, where any is."""
+    """Return the period that differs most, or None if none differs."""
     most = int(np.argmax(apart))
     ends = int(rests["first_ns"][most]), int(rests["last_ns"][most])
     return OtherRest(*ends, float(apart[most])) if apart[most] else None
 
 
 def _quiet_rates(rates: WindowSums) -> Intp:
-    """Return the windows whose rates by themselves could be those of a gyroscope at rest."""
-    # A window that is not full is no evidence.
+    """Return the windows with rates that may be those of a gyroscope at rest."""
+    # Windows with few samples are ignored.
     full = rates["count"] >= max(2.0, np.median(rates["count"]) / 2 if len(rates) else 0.0)
     windows = np.flatnonzero(full)
     if not len(windows):
@@ -197,15 +202,15 @@ def _quiet_rates(rates: WindowSums) -> Intp:
             f"the steadiest period of the log has a mean rate of {speed[steady].min():.3g} rad/s, "
             "more than the bias of a gyroscope: the body rotates"
         )
-    # Nor is one of a sensor that has not begun to measure, unless it is at rest nowhere else.
-    measured = slow & (rates["squares"][windows] > 0)
+    # So are windows of zeros, of a sensor that has not started, unless there are no others.
+    measured = slow & rates["squares"][windows].any(axis=1)
     slow = measured if measured.any() else slow
     windows = windows[slow]
     return np.asarray(windows[_quiet(rates[windows], scatter[slow], QUIET)])
 
 
 def _quiet_forces(forces: WindowSums, windows: Intp, size: float) -> Intp:
-    """Return the windows, of those given, in which the specific force scatters little."""
+    """Return those of the given windows in which the specific force is quiet."""
     scatter = scatter_of(forces[windows])
     steady = scatter <= FORCE_AT_REST * size
     if not steady.any():
@@ -218,18 +223,18 @@ def _quiet_forces(forces: WindowSums, windows: Intp, size: float) -> Intp:
 
 
 def _quiet(windows: WindowSums, scatter: Float64, floor: float) -> Bool:
-    """Return which of some windows scatter about as little as the quietest pair of neighbours."""
+    """Return which windows are about as quiet as the quietest pair of neighbours."""
     pairs = np.maximum(scatter[1:], scatter[:-1])[np.diff(windows["index"]) == 1]
     quietest = float(min(pairs, default=scatter.min()))
-    # The scatter of few samples may be large or small by chance.
+    # The scatter of few samples is uncertain.
     by_chance = 2 / np.sqrt(6 * (windows["count"] - 1))
     return np.asarray(scatter * (1 - by_chance) <= max(floor, REST_FACTOR * quietest))
 
 
 def _periods(rates: WindowSums, quiet: Intp, signals: list[tuple[WindowSums, float]]) -> list[Intp]:
-    """Return runs of at least two neighbouring windows over which no signal changes its mean.
+    """Return runs of at least two neighbouring windows over which all means are constant.
 
-    With each signal comes how much its means may differ.
+    `signals`: sums of each signal, and the maximum difference of its means
     """
     apart = (np.diff(rates["index"][quiet]) != 1) | (np.diff(quiet) != 1)
     periods = []
@@ -259,20 +264,24 @@ def _end_of_agreement(signals: list[tuple[WindowSums, float]], start: int, stop:
 
 
 def _changes(windows: WindowSums, agreement: float) -> Bool:
-    """Return which windows but the first differ by more from the mean of those before them."""
-    count = np.cumsum(windows["count"])[:-1]
-    before = np.cumsum(windows["total"], axis=0)[:-1] / count[:, None]
-    apart = np.abs(mean_of(windows)[1:] - before).max(axis=1)
-    error = scatter_of(windows)[1:] / math.sqrt(3) * np.sqrt(1 / windows["count"][1:] + 1 / count)
-    return np.asarray(apart > np.maximum(agreement, NOISE * error))
+    """Return which windows, from the second on, differ from the mean of those before them."""
+    before = windows.copy()
+    for name in ("count", "total", "squares"):
+        before[name] = np.cumsum(windows[name], axis=0)
+    before, windows = before[:-1], windows[1:]
+    apart = np.abs(mean_of(windows) - mean_of(before))
+    # A window in which an axis shows one value does not show its noise.
+    variances = np.maximum(variances_of(windows), variances_of(before))
+    errors = np.sqrt(variances * (1 / windows["count"] + 1 / before["count"])[:, None])
+    return np.asarray((apart > np.maximum(agreement, NOISE * errors)).any(axis=1))
 
 
 def _not_turning(
     rates: WindowSums, orientations: WindowSums, periods: list[Intp], frame: str
 ) -> list[Intp]:
-    """Return the periods in which the orientation does not turn as the rates say.
+    """Return the periods in which the recorded orientation does not turn with the rates.
 
-    An orientation that drifts or settles while the rates say otherwise shows no rotation.
+    An orientation that turns differently from the rates is drifting or settling, not rotating.
     """
     still, turns = [], []
     for period in periods:

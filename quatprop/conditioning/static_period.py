@@ -1,4 +1,4 @@
-"""A period in which the sensor was at rest, and what it tells of the bias."""
+"""A stationary period, and the bias estimated from it."""
 
 from __future__ import annotations
 
@@ -16,25 +16,24 @@ if TYPE_CHECKING:
 
 
 AT_REST = 0.05
-"""rad/s: rates that scatter more than this are not at rest."""
-
+"""Maximum scatter of rates at rest, rad/s."""
 
 ORDINARY_CHANGE = math.radians(0.1)
-"""rad/s: between rests, the bias of a MEMS gyroscope changes by hundredths of a deg/s as
-it warms up. The sigma of the bias knows of that; it is no reason to look into the log."""
+"""Change of the bias between stationary periods, rad/s, that needs no remark: that of MEMS
+gyroscopes changes by hundredths of a deg/s as they warm up. The sigma of the bias includes it."""
 
 SAME = 1e-6
-"""A scatter of this share of the mean is that of rounding."""
+"""Scatter, as a share of the mean, that is only rounding."""
 
 WIDENS = 3.0
-"""Means that differ by so many standard errors widen that of the bias, said to differ or not."""
+"""Difference of means, in standard errors, above which it increases the sigma of the bias."""
 
 
 class OtherRest(NamedTuple):
-    """Another period in which the sensor may have been at rest, whose mean rate differs most.
+    """The other stationary period with the most different mean rate.
 
-    `first_ns`, `last_ns`: its first and last timestamp, ns
-    `difference_rad_s`: how much its mean rate differs, on the axis where it differs most
+    `first_ns`, `last_ns`: first and last timestamp, ns
+    `difference_rad_s`: difference of the mean rate on the worst axis, rad/s
     """
 
     first_ns: int
@@ -43,19 +42,20 @@ class OtherRest(NamedTuple):
 
 
 class StaticPeriod(NamedTuple):
-    """The period of a log in which the sensor was at rest.
+    """A period of a log in which the sensor was at rest.
 
-    `first_ns`, `last_ns`: its first and last timestamp, ns
-    `samples`: how many it has
-    `mean_rad_s`: the mean rate, shape ``(3,)``: the bias
-    `scatter_rad_s`: root mean square deviation of the rates from the mean, over all three axes
-    `steady`: which signals were found steady: ``"rate"``, ``"accelerometer"``, ``"orientation"``
-    `searched_first_ns`, `searched_last_ns`: the part of the log that was searched, ns: all of it,
-        whatever part is propagated
-    `other`: the rest that differs most, by more than noise; None if there is none
-    `spread_rad_s`: by how much the bias may be off because other rests have another mean, on the
-        axis where they differ most
-    `levels`: of the axes whose rates are quantised more coarsely than noise hides
+    `first_ns`, `last_ns`: first and last timestamp, ns
+    `samples`: number of samples
+    `mean_rad_s`: mean rate, which is the bias, shape ``(3,)``, rad/s
+    `scatter_rad_s`: RMS deviation of the rates from the mean, over all three axes, rad/s
+    `noisiest_rad_s`: RMS deviation on the axis where it is largest, rad/s
+    `steady`: signals that confirm it: ``"rate"``, ``"accelerometer"``, ``"orientation"``
+    `searched_first_ns`, `searched_last_ns`: part of the log that was searched, ns: all of it, even
+        if only a part is propagated
+    `other`: the stationary period that differs most, by more than noise; None: none differs
+    `spread_rad_s`: uncertainty of the bias from the different means of other periods, on the worst
+        axis, rad/s
+    `levels`: quantisation levels of the axes with noise below the step
     """
 
     first_ns: int
@@ -63,6 +63,7 @@ class StaticPeriod(NamedTuple):
     samples: int
     mean_rad_s: Float64
     scatter_rad_s: float
+    noisiest_rad_s: float
     steady: tuple[str, ...]
     searched_first_ns: int
     searched_last_ns: int
@@ -72,37 +73,39 @@ class StaticPeriod(NamedTuple):
 
     @property
     def span_s(self) -> float:
-        """How long it was, s."""
+        """Duration, s."""
         return (self.last_ns - self.first_ns) / NS_PER_S
 
     @property
     def noise_density(self) -> float:
-        """The density of the noise that it shows, rad/s/sqrt(Hz)."""
+        """Noise density of the rates, rad/s/sqrt(Hz)."""
         coarsest = max((each.step for each in self.levels), default=0.0)
-        scatter = max(self.scatter_rad_s / math.sqrt(3), coarsest / math.sqrt(12))
+        # Of three axes that are equally noisy, one scatters most by chance.
+        noisiest = self.noisiest_rad_s / (1 + WIDENS / math.sqrt(2 * self.samples))
+        scatter = max(self.scatter_rad_s / math.sqrt(3), noisiest, coarsest / math.sqrt(12))
         return scatter * math.sqrt(self.span_s / (self.samples - 1))
 
     def bias_sigma(self, density: float) -> float:
-        """Return the standard deviation of its mean by noise and by the step of the rates, rad/s.
+        """Return the standard deviation of the mean due to noise and quantisation, rad/s.
 
-        `density`: of the noise, rad/s/sqrt(Hz)
+        `density`: noise density, rad/s/sqrt(Hz)
         """
         return math.hypot(density / math.sqrt(self.span_s), self.quantisation_rad_s)
 
     @property
     def quantisation_rad_s(self) -> float:
-        """What the step of the rates leaves of the bias, of the worst axis, rad/s."""
+        """Standard deviation of the bias due to quantisation, of the worst axis, rad/s."""
         return max((each.sigma for each in self.levels), default=0.0)
 
     @property
     def hides_errors(self) -> bool:
-        """Whether it shows one value alone, of rates in steps that are not known."""
+        """Whether all rates are equal, and the quantisation step is unknown."""
         rounding = SAME * float(np.linalg.norm(self.mean_rad_s))
         return not self.levels and self.scatter_rad_s <= rounding
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
-        """What a reader should know."""
+        """Remarks on the period."""
         found = {
             "rest-moves": self._moves(),
             "rest-unconfirmed": self._unconfirmed(),
@@ -130,7 +133,9 @@ class StaticPeriod(NamedTuple):
         )
 
     def _differs(self) -> str:
-        if self.other is None or self.other.difference_rad_s <= ORDINARY_CHANGE:
+        # The mean of either rest is off by what the step of the rates hides.
+        by_steps = WIDENS * math.sqrt(2) * self.quantisation_rad_s
+        if self.other is None or self.other.difference_rad_s <= max(ORDINARY_CHANGE, by_steps):
             return ""
         degrees = math.degrees(self.other.difference_rad_s)
         way = Setting("bias", f"static@{self.other.first_ns}..{self.other.last_ns}")

@@ -1,4 +1,4 @@
-"""The part of a log that is used: which samples it has, and which of the log have to be read."""
+"""The time range of a log that is used, and the part of the log that must be read for it."""
 
 from __future__ import annotations
 
@@ -23,18 +23,17 @@ Series = TypeVar("Series", "GyroSeries", "AttitudeSeries")
 
 
 _NOT_NS = 100_000
-"""A stamp this many times the start that is asked for shows that the start is not in ns."""
-
+"""If the first timestamp is this many times the requested start, the start is not in ns."""
 
 _FEW_NS = 1_000_000
-"""A number below this that does not reach the second sample is meant in seconds."""
+"""A number below this, before the second sample, is meant in seconds."""
 
 
 class PartOfLog(NamedTuple):
-    """The part of a log that holds a time range, found by the index of the log.
+    """The part of a log with a time range, found by the index of the log.
 
-    `first_ns`, `last_ns`: the part, by log times, ends included, ns
-    `leaves_out`: whether the range leaves out samples before it, and after it
+    `first_ns`, `last_ns`: log times of the part, ends included, ns
+    `leaves_out`: whether samples are omitted before and after the range
     """
 
     first_ns: int
@@ -46,23 +45,22 @@ class PartReader(Protocol):
     """Reads parts of a log by its index."""
 
     def ends(self) -> Ends | None:
-        """Return the first and the last stamp; None where only the whole log tells them."""
+        """Return the first and last timestamp; None if that takes the whole log."""
 
     def read(
         self, first_ns: int | None, last_ns: int | None
     ) -> tuple[PartOfLog, Iterator[GyroSeries]] | None:
-        """Return the part with the stamps of a range, and the samples of that part.
+        """Return the part with the timestamps of a range, and its samples.
 
-        None where the whole log has to be read.
+        None if the whole log has to be read.
         """
 
 
 class Ends(NamedTuple):
-    """The first and the last sample of a log, from which relative times count.
+    """The ends of a log, from which relative times count.
 
-    `first_ns`, `last_ns`: their stamps, ns
-    `pauses`: the stamps before and after a pause close to the first sample, and close to the last,
-        ns; None if there is none
+    `first_ns`, `last_ns`: first and last timestamp, ns
+    `pauses`: timestamps before and after a pause near the first and the last sample, ns, or None
     """
 
     first_ns: int
@@ -71,14 +69,14 @@ class Ends(NamedTuple):
 
 
 NEAR_END = 32
-"""A pause is close to an end of the log if no more samples are between."""
+"""Maximum number of samples between an end of the log and a pause near it."""
 
 
 class EndsFinder:
-    """Finds the first and the last sample that a policy for stamps leaves.
+    """Finds the ends of a log under a timestamp policy.
 
-    `earliest`: whether the first sample is the earliest, as of a sorted log, instead of the first
-        read
+    `earliest`: whether the first sample is the earliest, as in a sorted log, instead of the first
+        one read
     """
 
     def __init__(self, *, earliest: bool = False) -> None:
@@ -86,7 +84,7 @@ class EndsFinder:
         self._head = self._tail = np.empty(0, np.int64)
 
     def add(self, t_ns: Int64) -> None:
-        """Add the next stamps, outliers left out, shape ``(N,)``, int64 ns."""
+        """Add the next timestamps, without outliers, shape ``(N,)``, int64 ns."""
         some = 2 * NEAR_END
         if self._earliest:
             self._head = np.sort(np.concatenate([self._head, t_ns]))[:some]
@@ -97,10 +95,10 @@ class EndsFinder:
         self._tail = np.sort(np.concatenate([self._tail, t_ns[-some:]]))[-some:]
 
     def ends(self) -> Ends:
-        """Return what was found; zeros where there was no sample."""
+        """Return the ends; zeros if there were no samples."""
         if not len(self._head):
             return Ends(0, 0)
-        # What is earlier than the first is dropped, or refused.
+        # Samples before the first one are dropped or refused.
         head = np.sort(self._head[self._head >= self._head[0]])
         tail = self._tail
         near = (head[: NEAR_END + 1], head), (tail[-NEAR_END - 1 :], tail)
@@ -109,7 +107,7 @@ class EndsFinder:
 
 
 def _longest_pause(t_ns: Int64, around: Int64) -> tuple[int, int] | None:
-    """Return the stamps before and after the longest interval, if it is a gap among others."""
+    """Return the timestamps before and after the longest interval, if it is a gap."""
     intervals = np.diff(around)
     intervals = np.sort(intervals[intervals > 0])
     if len(t_ns) < 2 or not len(intervals):  # noqa: PLR2004  # ends of an interval
@@ -121,12 +119,12 @@ def _longest_pause(t_ns: Int64, around: Int64) -> tuple[int, int] | None:
 
 
 def absolute_ns(instant: Instant, ends: Ends) -> int:
-    """Return an instant in the clock of the log, ns."""
+    """Return an instant as a time of the log's clock, ns."""
     return instant.ns + {"clock": 0, "first": ends.first_ns, "last": ends.last_ns}[instant.origin]
 
 
 def absolute_range(settings: GyroCorrection, ends: Ends) -> tuple[int | None, int | None]:
-    """Return the first and the last stamp to use, ns; None is open."""
+    """Return the time range to use, ns; None: open."""
     start_ns, end_ns = (
         None if instant is None else absolute_ns(instant, ends)
         for instant in (settings.start, settings.end)
@@ -142,14 +140,14 @@ def absolute_range(settings: GyroCorrection, ends: Ends) -> tuple[int | None, in
 
 
 def length_text(settings: GyroCorrection, ends: Ends) -> str:
-    """Return how long the log is; ``""`` where a range may be in other units than was meant."""
+    """Return the length of the log as text, if the time range is relative; else ``""``."""
     given = [instant for instant in (settings.start, settings.end) if instant is not None]
     is_relative = given and all(instant.origin != "clock" for instant in given)
     return duration_text(ends.last_ns - ends.first_ns) if is_relative else ""
 
 
 def pause_remarks(settings: GyroCorrection, ends: Ends) -> Iterator[Remark]:
-    """Yield a remark for each end of the range that counts from a sample beside a pause."""
+    """Yield a remark for each end of the range that is relative to a sample near a pause."""
     for name, instant in (("start", settings.start), ("end", settings.end)):
         if instant is None or instant.origin == "clock":
             continue
@@ -165,7 +163,7 @@ def pause_remarks(settings: GyroCorrection, ends: Ends) -> Iterator[Remark]:
 
 
 def clipping_remarks(settings: GyroCorrection, report: GyroCorrectionReport) -> Iterator[Remark]:
-    """Yield a remark for each absolute end that leaves nothing out, and on what was not read."""
+    """Yield a remark for each absolute end without effect, and on parts that were not read."""
     outside = report.outside if report.part is None else report.part.leaves_out
     yield from idle_remarks(settings, *outside)
     if report.part is not None:
@@ -177,7 +175,10 @@ def clipping_remarks(settings: GyroCorrection, report: GyroCorrectionReport) -> 
 
 
 def idle_remarks(settings: GyroCorrection, before: int, after: int) -> Iterator[Remark]:
-    """Yield a remark for each absolute end that leaves nothing out, before or after the range."""
+    """Yield a remark for each absolute end without effect.
+
+    `before`, `after`: number of samples before and after the range
+    """
     ends = (
         ("start", "before the first", settings.start, before),
         ("end", "after the last", settings.end, after),
@@ -198,9 +199,9 @@ def clipped(
     end_ns: int | None,
     outside: list[int],
 ) -> Iterator[tuple[Series, Int64]]:
-    """Yield the samples with start <= t <= end; None leaves an end open."""
+    """Yield the samples with start <= t <= end, and count the others; None: open."""
     first, last = np.iinfo(np.int64).min, np.iinfo(np.int64).max
-    # A date may be beyond what a clock of 64 bits can say.
+    # Dates may exceed int64.
     low = first if start_ns is None else min(max(start_ns, first), last)
     high = last if end_ns is None else min(max(end_ns, first), last)
     for number, (batch, rows) in enumerate(numbered):
@@ -216,7 +217,7 @@ def clipped(
 
 
 def _refuse_seconds(settings: GyroCorrection, first: list[int]) -> None:
-    """Refuse times that cannot be in ns, given the first two stamps of the log."""
+    """Refuse times that cannot be in ns, by the first two timestamps of the log."""
     for name, instant in (("start", settings.start), ("end", settings.end)):
         if instant is None or instant.origin != "clock" or instant.ns <= 0:
             continue

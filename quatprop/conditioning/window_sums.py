@@ -1,4 +1,4 @@
-"""Sums over windows of equal time: enough for the mean and the scatter of a signal in each."""
+"""Sums of a signal over windows of equal duration, for its mean and scatter."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
 def window_sums(
     rows: Rows, window_ns: int, origin_ns: int | None = None, width: int = 3
 ) -> WindowSums:
-    """Return the sums of every window, in the order of time; only finite rows are counted.
+    """Return the sums of every window, in order of time, over finite rows.
 
-    They are the same to the bit however the rows arrived.
+    The result does not depend on how rows are divided into batches, to the last bit.
 
-    `rows`: stamps, ns, and values, shape ``(N, width)``
-    `window_ns`: the length of a window, ns
-    `origin_ns`: where the first window begins, ns; None for the first stamp
+    `rows`: timestamps, ns, and values, shape ``(N, width)``
+    `window_ns`: length of a window, ns
+    `origin_ns`: start of the first window, ns; None: the first timestamp
     """
     kind = np.dtype(
         [(name, np.int64) for name in ("index", "first_ns", "last_ns")]
-        + [("count", np.float64), ("total", np.float64, width), ("squares", np.float64)]
+        + [("count", np.float64), ("total", np.float64, width), ("squares", np.float64, width)]
     )
     parts = [np.zeros(0, dtype=kind)]
     for t_ns, values in _in_blocks(rows):
@@ -48,14 +48,14 @@ def window_sums(
         sums["count"] = np.add.reduceat(finite, starts, dtype=np.float64)
         sums["total"] = np.add.reduceat(known, starts, axis=0)
         with np.errstate(over="ignore"):
-            sums["squares"] = np.add.reduceat((known**2).sum(axis=1), starts)
+            sums["squares"] = np.add.reduceat(known**2, starts, axis=0)
         parts.append(sums)
     sums = np.concatenate(parts)
     return _by_index(sums[np.argsort(sums["index"], kind="stable")])
 
 
 def _in_blocks(rows: Rows) -> Rows:
-    """Cut rows at fixed positions, wherever their batches ended: sums are of these blocks."""
+    """Yield rows in blocks of fixed size, independent of their batches."""
     held: list[tuple[Int64, Float64]] = []
     room = BLOCK
     for t_ns, values in rows:
@@ -80,9 +80,9 @@ def _joined(rows: list[tuple[Int64, Float64]]) -> tuple[Int64, Float64]:
 def aligned_window_sums(
     rates: WindowSums, rows: Rows, window_ns: int, width: int = 3
 ) -> WindowSums | None:
-    """Return the sums of another signal in the windows of the rates; None if none is measured.
+    """Return the sums of another signal in the windows of the rates; None if it is absent.
 
-    Drivers of sensors without an accelerometer leave its fields empty, NaN or zero.
+    Without an accelerometer, drivers leave its fields empty, NaN or zero.
     """
     origin_ns = int(rates["first_ns"][np.searchsorted(rates["index"], 0)])
     sums = window_sums(rows, window_ns, origin_ns, width)
@@ -93,27 +93,27 @@ def aligned_window_sums(
 
 
 def between(rows: Rows, first_ns: int, last_ns: int) -> Rows:
-    """Yield the rows in a range of time, ends included."""
+    """Yield the rows in a time range, ends included."""
     for t_ns, values in rows:
         inside = (t_ns >= first_ns) & (t_ns <= last_ns)
         yield t_ns[inside], values[inside]
 
 
 def outer_products(rows: Rows) -> Rows:
-    """Yield q q^T instead of quaternions, ``(N, 16)``: the same for q and -q."""
+    """Yield q q^T, ``(N, 16)``, for quaternions: equal for q and -q."""
     for t_ns, wxyz in rows:
         yield t_ns, np.einsum("ij,ik->ijk", wxyz, wxyz).reshape(-1, 16)
 
 
 def _by_index(rows: WindowSums) -> WindowSums:
-    """Add up neighbouring rows of the same window."""
+    """Sum neighbouring rows of the same window."""
     if not len(rows):
         return rows
     return merged(rows, np.flatnonzero(np.diff(rows["index"], prepend=rows["index"][0] - 1)))
 
 
 def merged(rows: WindowSums, starts: Intp) -> WindowSums:
-    """Add up the rows from each start to the next."""
+    """Sum the rows from each start to the next."""
     merged = rows[starts]
     merged["first_ns"] = np.minimum.reduceat(rows["first_ns"], starts)
     merged["last_ns"] = np.maximum.reduceat(rows["last_ns"], starts)
@@ -123,13 +123,18 @@ def merged(rows: WindowSums, starts: Intp) -> WindowSums:
 
 
 def mean_of(sums: WindowSums) -> Float64:
-    """Return the mean of each window, ``(N, width)``; NaN where it is empty."""
+    """Return the mean of each window, ``(N, width)``; NaN if empty."""
     with np.errstate(invalid="ignore"):
         return np.asarray(sums["total"] / sums["count"][:, None])
 
 
-def scatter_of(sums: WindowSums) -> Float64:
-    """Return the RMS deviation from the mean in each window; NaN where it is empty."""
+def variances_of(sums: WindowSums) -> Float64:
+    """Return the variance of each column in each window, ``(N, width)``; NaN where it is empty."""
     with np.errstate(invalid="ignore"):
-        variance = sums["squares"] / sums["count"] - (mean_of(sums) ** 2).sum(axis=1)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        variances = sums["squares"] / sums["count"][:, None] - mean_of(sums) ** 2
+    return np.asarray(np.maximum(variances, 0.0))
+
+
+def scatter_of(sums: WindowSums) -> Float64:
+    """Return the RMS deviation from the mean in each window; NaN if empty."""
+    return np.asarray(np.sqrt(variances_of(sums).sum(axis=1)))

@@ -1,1 +1,1 @@
-"""From the tables of a log to rates, attitudes and biases: what columns mean, and their reading."""
+"""Interpret the columns of a log: rates, attitudes, biases and their timestamps."""

@@ -1,4 +1,4 @@
-"""Attitude series of files: read into memory as a whole, or batch by batch as often as needed."""
+"""Attitude series in files, read into memory or batch by batch."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class AttitudeInput:
     """Which attitude series to read.
 
     `path`: any log or table with attitudes, or ``"-"``
-    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None for the kind that content and
-        suffix show
-    `normalize`: scale quaternions of any length but zero to unit length
-    `drop`: leave out invalid quaternions instead of refusing the series
-    `part`: start and end of the part to read, ends included
-    `side`: which side of a comparison it is, ``"a"`` or ``"b"``, for errors
-    `positions`: read positions beside the attitudes too, where there are any
+        `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: detected from content, then
+        suffix
+    `normalize`: scale quaternions of any nonzero length to unit length
+    `drop`: omit invalid quaternions instead of refusing the series
+    `part`: time range to read, ends included
+    `side`: side of a comparison, ``"a"`` or ``"b"``, for errors
+    `positions`, `covariances`: also read those next to the attitudes, where there are any
     """
 
     path: str
@@ -51,13 +51,14 @@ class AttitudeInput:
     part: GyroCorrection = field(default_factory=GyroCorrection)
     side: str = ""
     positions: bool = False
+    covariances: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class ReadAttitudes:
-    """What is known of an attitude series once it was read.
+    """Facts about an attitude series, after reading it.
 
-    `first_ns`, `last_ns`: the earliest and the latest stamp, ns
+    `first_ns`, `last_ns`: earliest and latest timestamp, ns
     `counts`: valid and invalid rows
     """
 
@@ -72,11 +73,11 @@ class ReadAttitudes:
 
     @property
     def data_lost(self) -> bool:
-        """Whether something was left out."""
+        """Whether any attitude was lost or invalid."""
         return bool(self.losses or self.counts.invalid)
 
     def report(self) -> JsonObject:
-        """Return where it is from and what it spans, JSON-ready."""
+        """Return the facts, ready for JSON."""
         return {
             "path": self.input.path,
             "kind": self.kind,
@@ -97,13 +98,13 @@ class ReadAttitudes:
 
 @dataclass(frozen=True, slots=True)
 class LoadedAttitudes(ReadAttitudes):
-    """An attitude series in memory, and where it is from; see :class:`ReadAttitudes`."""
+    """An attitude series in memory, with its facts."""
 
     series: AttitudeSeries
 
 
 def attitude_input(path: str, options: Mapping[str, object], side: str = "") -> AttitudeInput:
-    """Return which attitude series to read, from settings by name."""
+    """Return the attitude series to read, from settings by name."""
     values = parse_all(options, READ_ATTITUDES)
     return AttitudeInput(
         path,
@@ -134,7 +135,7 @@ def open_attitudes(wanted: AttitudeInput) -> AttitudeFile:
 
 
 class AttitudeFile:
-    """An attitude series of an open log, which is closed when its ``with`` block ends."""
+    """An attitude series in an open log, which a ``with`` block closes."""
 
     def __init__(
         self,
@@ -159,12 +160,12 @@ class AttitudeFile:
         self._opened.close()
 
     def batches(self) -> Iterator[AttitudeSeries]:
-        """Read the valid attitudes, batch by batch, at least one; again with each call."""
+        """Read the valid attitudes, at least one, batch by batch; each call starts again."""
         wanted, signal = self._wanted, self.signal
         self._check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
         rows = self._part.read(
             positions=wanted.positions and signal.has_positions,
-            covariances=signal.may_have_covariances,
+            covariances=wanted.covariances and signal.may_have_covariances,
         )
         self._zeros = 0
         ends: list[int] = []
@@ -184,18 +185,18 @@ class AttitudeFile:
         self._first_ns, self._last_ns = min(ends), max(ends)
 
     def load(self, batches: Iterator[AttitudeSeries]) -> LoadedAttitudes:
-        """Return the series in memory, from its batches."""
+        """Return the series in memory."""
         series = replace(AttitudeSeries.gathered(batches), layout=self.signal.layout)
         facts = self.facts()
         named = {name: getattr(facts, name) for name in ReadAttitudes.__slots__}
         return LoadedAttitudes(**named, series=series)
 
     def facts(self) -> ReadAttitudes:
-        """Return what is known of the series, once all of it was read."""
+        """Return the facts, after all batches were read."""
         counts, signal = self._check.counts, self.signal
         found = *self._part.remarks(), *self._log.remarks
         signal = replace(signal, remarks=(*signal.remarks, *found))
-        # A series may begin at 0.
+        # One zero may be the start of the series.
         if signal.clock == "header" and self._zeros > 1:
             text = f"{self._zeros} of {counts.used} header timestamps are zero"
             remark = Remark("zero-stamps", text)
@@ -214,7 +215,7 @@ class AttitudeFile:
 
 @contextmanager
 def errors_of(side: str) -> Iterator[None]:
-    """Note in errors which of several inputs they are about, as ``side`` of QuatpropError."""
+    """Set the ``side`` of errors, which tells several inputs apart."""
     try:
         yield
     except QuatpropError as error:

@@ -1,4 +1,4 @@
-"""The part of an attitude series that is used."""
+"""The part of an attitude series within a time range."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 class AttitudePart:
     """The attitudes of a signal within a time range, ends included.
 
-    `outside`: rows that were left out before and after it
+    `outside`: number of rows before and after it
     """
 
     def __init__(self, source: AttitudeSignal, part: GyroCorrection) -> None:
@@ -38,7 +38,7 @@ class AttitudePart:
         self.outside = [0, 0]
 
     def read(self, **wanted: bool) -> Rows:
-        """Read the rows of the part, as :meth:`AttitudeSignal.read` does, again with each call."""
+        """Read the rows of the part, as :meth:`AttitudeSignal.read`; each call starts again."""
         rows, part = self._source.read(**wanted), self._part
         return rows if part.start is None and part.end is None else self._inside(rows)
 
@@ -56,10 +56,10 @@ class AttitudePart:
 
     @property
     def length(self) -> str:
-        """How long the series is in words, where times count from its ends; once it was read."""
+        """Length of the series as text if the range is relative to its ends, after reading."""
         return length_text(self._part, self._ends)
 
     def remarks(self) -> Iterator[Remark]:
-        """Yield remarks on the time range, once the rows were read."""
+        """Yield remarks on the time range, after reading."""
         yield from pause_remarks(self._part, self._ends)
         yield from idle_remarks(self._part, *self.outside)

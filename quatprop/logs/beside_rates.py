@@ -1,4 +1,4 @@
-"""What conditioning takes from a log beside its rates: in the same messages or rows, or others."""
+"""Inputs of conditioning from a log: forces, orientation, biases and mounting."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def conditioning_inputs(
     selection: RateSelection,
     wanted: GyroCorrection,
 ) -> GyroCorrectionInputs:
-    """Return what is needed besides the rates.
+    """Return the inputs of conditioning besides the rates.
 
     `log`: an open log that can be read again; None for rates in memory
     """
@@ -50,7 +50,7 @@ def conditioning_inputs(
 
 
 def _force(source: RateSignal, selection: RateSelection) -> Rows:
-    """Yield specific forces, if the log has some that can be read."""
+    """Yield specific forces; none if there are none that can be read."""
     try:
         yield from specific_forces(source, selection) or ()
     except (LogError, UsageError):
@@ -60,7 +60,7 @@ def _force(source: RateSignal, selection: RateSelection) -> Rows:
 
 
 def _orientation(log: Log, source: RateSignal, selection: RateSelection) -> Rows:
-    """Yield the log's own orientation, if it has one that was ever set."""
+    """Yield the orientation recorded in the log, unless it was never set."""
     try:
         own = own_orientation(log, source, selection)
     except (LogError, UsageError):
@@ -71,7 +71,7 @@ def _orientation(log: Log, source: RateSignal, selection: RateSelection) -> Rows
 
 
 def specific_forces(source: RateSignal, selection: RateSelection) -> Rows | None:
-    """Return stamps, ns, and specific forces in sensor axes, ``(N, 3)``, in the rows of rates.
+    """Return timestamps, ns, and specific forces, sensor axes, ``(N, 3)``, in the rows of rates.
 
     None if there are none.
     """
@@ -87,7 +87,7 @@ def specific_forces(source: RateSignal, selection: RateSelection) -> Rows | None
 
 
 def own_orientation(log: Log, source: RateSignal, selection: RateSelection) -> AttitudeSignal:
-    """Return the orientation that is in the same messages or rows as the rates, on their clock."""
+    """Return the orientation in the same messages or rows as the rates, on the same clock."""
     from quatprop.logs.signals.attitudes import choose_attitudes
 
     wanted = AttitudeSelection.like(selection)

@@ -1,4 +1,4 @@
-"""Biases of a gyroscope that are recorded over time: in a table, or on a topic of a log."""
+"""Recorded gyroscope biases over time: a table, or a topic of a log."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 def read_biases(source: str | InMemory, log: Log | None, selection: SignalSelection) -> BiasSeries:
     """Read biases over time.
 
-    `log`, `selection`: the log whose rates the biases are of, and how those were chosen; None for
-        rates in memory
+    `log`: the open log with the rates; None for rates in memory
+    `selection`: how the rates were selected
     """
     if isinstance(source, InMemory):
         series = source.value

@@ -1,4 +1,4 @@
-"""The attitude of a series at one time, by interpolation between its neighbours."""
+"""The attitude of a series at one time, interpolated."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     Row = tuple[int, Float64]
 
 MAX_INTERPOLATION_NS = 10 * NS_PER_UNIT["s"]
-"""Attitudes further apart than this are not interpolated between."""
+"""Maximum interval that is interpolated, ns."""
 
 
 def attitude_at(
@@ -48,14 +48,13 @@ def attitude_at(
     log: Log | None = None,
     selection: SignalSelection | None = None,
 ) -> Float64:
-    """Return the attitude that a series has at a time.
+    """Return the attitude of a series at a time.
 
     `t_ns`: the time, ns
-    `log`, `selection`: an open log that can be read again, and how its rates were chosen; None for
-        rates in memory
-    `Returns`: wxyz, Hamilton, body -> reference, shape ``(4,)``. At a stamp of the series its row
-        as it is stored, otherwise a unit quaternion on the shortest arc between its neighbours in
-        time
+    `log`: an open log that can be read again; None for rates in memory
+    `selection`: how its rates were selected
+    `Returns`: wxyz, Hamilton, body -> reference, shape ``(4,)``. At a timestamp of the series the
+        stored quaternion, else a unit quaternion on the shortest arc between its neighbours
     """
     path, topic = split_topic(str(source))
     wanted, clock = AttitudeSelection(topic=topic), None if selection is None else selection.clock
@@ -85,9 +84,9 @@ def attitude_at(
 
 
 def first_orientation(log: Log, source: RateSignal, selection: RateSelection, t_ns: int) -> Float64:
-    """Return a log's own orientation where a propagation of its rates begins.
+    """Return the orientation recorded in a log at the start of its propagation.
 
-    `Returns`: wxyz, Hamilton, body -> reference, as it is stored, shape ``(4,)``
+    `Returns`: wxyz, Hamilton, body -> reference, as stored, shape ``(4,)``
     """
     try:
         with errors_of("q0"):

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class JoinedLog(Log):
-    """The tables of several logs; a topic has its rows in the order of their times."""
+    """The tables of several logs; rows of a topic are merged by time."""
 
     def __init__(self, logs: Sequence[Log]) -> None:
         self._logs = logs
@@ -26,7 +26,7 @@ class JoinedLog(Log):
 
     @property
     def losses(self) -> Losses:  # type: ignore[override]  # what was noted so far
-        """What could not be read of any, with its file."""
+        """The losses of all logs, with their files."""
         every = Losses()
         for log in self._logs:
             for loss in log.losses:
@@ -35,26 +35,26 @@ class JoinedLog(Log):
 
     @property
     def remarks(self) -> Sequence[str]:  # type: ignore[override]
-        """What may be wrong with any."""
+        """The remarks on all logs."""
         return [f"{plain(log.path)}: {remark}" for log in self._logs for remark in log.remarks]
 
     @property
     def definition_files(self) -> Sequence[Path]:  # type: ignore[override]
-        """The files of all."""
+        """The definition files of all logs."""
         return [*dict.fromkeys(file for log in self._logs for file in log.definition_files)]
 
     @property
     def unchecked_chunks(self) -> int:  # type: ignore[override]
-        """Those of all."""
+        """The number of unchecked chunks of all logs."""
         return sum(log.unchecked_chunks for log in self._logs)
 
     def confirm(self) -> None:
-        """Confirm all."""
+        """Refuse logs that were replaced in their store."""
         for log in self._logs:
             log.confirm()
 
     def tables(self, topic: str | None = None) -> Sequence[Table]:
-        """Return those of all logs."""
+        """Return the tables of all logs."""
         return [table for log in self._logs for table in log.tables(topic)]
 
 

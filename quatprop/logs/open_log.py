@@ -43,16 +43,15 @@ def open_log(
     msg_path: str | Path | None = None,
     copied: bool = False,
 ) -> Iterator[Log]:
-    """Open a log of any kind for the length of a ``with`` block.
+    """Open a log of any kind, as a context manager.
 
     A log inside a compressed file is decompressed into a temporary copy.
 
-    `path`: a file, a ROS 2 bag folder, the address of one of them in an object store, or ``"-"``
-        for stdin
-    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None to recognise it by the content,
-        then by the suffix
-    `msg_path`: a ``.msg`` file, a package or a folder of packages with the definitions that a bag
-        lacks; None for files that lie beside it
+    `path`: a file, a ROS 2 bag folder, an address in an object store, or ``"-"`` for stdin
+    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: detected from content, then
+        suffix
+    `msg_path`: a ``.msg`` file, a package or a folder of packages with definitions that a bag
+        lacks; None: searched for beside the bag
     """
     with as_errors_of(without_secret(path)), ExitStack() as stack:
         if msg_path is not None and not Path(msg_path).exists():
@@ -83,14 +82,14 @@ def open_log(
 
 
 def is_stream(path: str | Path) -> bool:
-    """Whether a log is read once, as it comes: stdin, or a pipe of the shell as ``<(...)``."""
+    """Return whether a log can be read only once: stdin, or a shell pipe such as ``<(...)``."""
     name = str(path)
-    # Only these have a writer for certain: to open a pipe with a name could take forever.
+    # These certainly have a writer; opening a named pipe could block forever.
     return name == "-" or (name.startswith(_SHELL_PIPES) and Path(path).is_fifo())
 
 
 def _open_stream(name: str, kind: str | None, msg_path: str | Path | None, stack: ExitStack) -> Log:
-    """Open text as it comes; a binary log, which is read at places, from a temporary copy."""
+    """Open text as a stream; a binary log, which needs seeking, from a temporary copy."""
     stream: Any = sys.stdin.buffer
     if name != "-":
         stream = stack.enter_context(Path(name).open("rb"))  # noqa: SIM115  # the stack closes it
@@ -114,7 +113,7 @@ def _open_stream(name: str, kind: str | None, msg_path: str | Path | None, stack
 
 
 def _open_file(path: Path, kind: str | None, stack: ExitStack) -> Log:
-    """Open a file, or the log inside a compressed file; `stack` closes what was opened."""
+    """Open a file, or the log inside a compressed file; `stack` closes it."""
     if kind == "rosbag2":
         raise other_kind(path, "file", kind)
     source = stack.enter_context(FileSource(path))
@@ -124,7 +123,7 @@ def _open_file(path: Path, kind: str | None, stack: ExitStack) -> Log:
     if is_compressed and kind is None:
         text_kinds = (k for k in TEXT_KINDS if inside.suffix.lower() in READERS[k].suffixes)
         kind = next(text_kinds, None)
-    # A text table decompresses itself as it is read, and its name may tell what it holds.
+    # Readers of text decompress by themselves, and may need the name of the file.
     if kind in TEXT_KINDS or not is_compressed:
         return open_source(source, kind or kind_of(path, head), stack)
     source.close()

@@ -1,4 +1,4 @@
-"""What opening a log needs, wherever it is."""
+"""Shared steps of opening local and remote logs."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def open_folder(folder: Path, kind: str | None, stack: ExitStack, **options: Any
 
 
 def complete(log: Log, folders: list[Path], msg_path: str | Path | None) -> None:
-    """Look for definitions that channels lack; remark on their origin and on types of a topic."""
+    """Find missing message definitions; remark on their origin, and on topics of several types."""
     if not isinstance(log, MessageLog):
         return
     given = msg_path is not None
@@ -65,12 +65,12 @@ def complete(log: Log, folders: list[Path], msg_path: str | Path | None) -> None
 
 
 def _refuse_several_logs(folder: Path) -> None:
-    """Refuse a folder with other logs than the parts of a bag: none of them is left out."""
-    # A text beside the parts of a bag is a note, as a rule, and a file .truth. is no log.
+    """Refuse a folder with several logs that are not parts of one bag."""
+    # A text file beside a bag is usually a note, and a .truth. file is a reference, not a log.
     suffixes = {suffix for reader in READERS.values() for suffix in reader.suffixes} - {".txt"}
     logs: list[Path] = []
     if not (folder / "metadata.yaml").exists():
-        with suppress(OSError):  # the reader of bags has the sentence for it
+        with suppress(OSError):  # reported by the bag reader
             logs = sorted(
                 file
                 for file in folder.iterdir()
@@ -80,7 +80,7 @@ def _refuse_several_logs(folder: Path) -> None:
     parts = {suffix for kind in ("mcap", "db3") for suffix in READERS[kind].suffixes}
     if len(logs) > 1 and any(file.suffix.lower() not in parts for file in logs):
         names, kinds = listed(file.name for file in logs), {file.suffix for file in logs}
-        # Of a data set, for example.
+        # Files of one suffix may be parts of one recording.
         parts_of_one = f"all of one recording as {plain(folder)}/*{plain(kinds.pop())}, "
         raise UnsupportedLogError(
             folder,
@@ -90,7 +90,7 @@ def _refuse_several_logs(folder: Path) -> None:
 
 
 def other_kind(path: str | Path, what: str, kind: str) -> UnreadableLogError:
-    """Return the error of a log that is of another kind than was said."""
+    """Return the error for a log that is not of the given kind."""
     return UnreadableLogError(
         path,
         f"a {what} is no log of kind {kind}; omit {Setting('kind')}, or name the log itself",
@@ -98,7 +98,7 @@ def other_kind(path: str | Path, what: str, kind: str) -> UnreadableLogError:
 
 
 def open_source(source: FileSource, kind: str, stack: ExitStack) -> Log:
-    """Open what is read from an open file, or from its path; `stack` closes it."""
+    """Open a log from an open file; `stack` closes it."""
     if READERS[kind].reads_source:
         return enter(kind, source, stack)
     source.close()
@@ -106,7 +106,7 @@ def open_source(source: FileSource, kind: str, stack: ExitStack) -> Log:
 
 
 def enter(kind: str, source: Path | FileSource | BinaryIO, stack: ExitStack, **options: Any) -> Log:
-    """Import the reader of a kind of log and open a log with it; `stack` closes it."""
+    """Import the reader of a kind, and open a log with it; `stack` closes it."""
     module, _, name = READERS[kind].load.partition(":")
     try:
         log: Log = getattr(import_module(module), name)(source, **options)
@@ -119,9 +119,9 @@ def enter(kind: str, source: Path | FileSource | BinaryIO, stack: ExitStack, **o
 
 @contextmanager
 def renamed_errors(copy: Path | str, path: Path | str) -> Iterator[None]:
-    """Let errors about a temporary copy name the file that the user knows.
+    """Replace the name of a temporary copy in errors by the file that the user named.
 
-    Errors about other files, such as the one of the first attitude, keep their names.
+    Errors about other files keep their names.
     """
     try:
         yield

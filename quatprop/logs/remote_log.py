@@ -1,4 +1,4 @@
-"""Logs in object stores: of those that say where everything is, only a part is read."""
+"""Logs in object stores: kinds with an index are read in part, others are copied."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from quatprop.tables.log import Log
 
 _INDEXED_KINDS = {"mcap", "bag", "parquet", "feather"}
-"""Kinds of which only a part is read from an object store: they say where everything is."""
+"""Kinds with an index, of which only the needed parts are read."""
 
 
 @contextmanager
 def unchanged(stored: StoredLog) -> Iterator[None]:
-    """Refuse what was read in this block of a log that is another one at its end."""
+    """Raise ReplacedError if the log was replaced while this block read it."""
     try:
         yield
     except QuatpropError as error:
@@ -46,9 +46,9 @@ def unchanged(stored: StoredLog) -> Iterator[None]:
 def open_remote(
     stored: StoredLog, kind: str | None, stack: ExitStack, *, copied: bool
 ) -> Log | Path:
-    """Open a log in an object store, or copy it, and return what is to be opened.
+    """Open a log in an object store, or return a temporary copy to open.
 
-    `stack`: closes the log, and removes what was copied
+    `stack`: closes the log and removes the copy
     """
     address = stored.address
     with reading(address):

@@ -1,4 +1,4 @@
-"""Attitudes at a steady rate, interpolated between those of a series."""
+"""Interpolate an attitude series at a constant rate."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 
 class Resampling:
-    """Interpolates the attitudes of a series, which it holds in memory, at a steady rate.
+    """Interpolates an attitude series, held in memory, at a constant rate.
 
-    `rate`: attitudes a second, Hz, counted from the first
-    `floor_rad`: about the largest error that interpolation has left so far
+    `rate`: output rate, Hz, from the first attitude on
+    `floor_rad`: approximate largest interpolation error so far, rad
     """
 
     def __init__(self, path: str, rate: Fraction) -> None:
@@ -34,7 +34,7 @@ class Resampling:
         self.floor_rad = 0.0
 
     def applied(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
-        """Yield the attitudes, and what is beside them; none within gaps."""
+        """Yield the interpolated attitudes with their other columns; none within gaps."""
         parts = list(batches)
         if not parts:
             return
@@ -54,7 +54,7 @@ class Resampling:
             yield from self._between(series[int(start) : int(stop)])
 
     def _between(self, series: AttitudeSeries) -> Iterator[AttitudeSeries]:
-        """Yield the attitudes of a stretch without a gap."""
+        """Yield the interpolated attitudes of a stretch without gaps."""
         self._times.refuse_excess(series.t_ns)
         wanted = list(self._times.up_to(int(series.t_ns[0]), int(series.t_ns[-1])))
         if not wanted:
@@ -65,7 +65,7 @@ class Resampling:
         if len(series) > 1:
             wxyz, floor_rad = interpolate(series, t_ns)
             self.floor_rad = max(self.floor_rad, floor_rad)
-        # To the bit: interpolation normalises.
+        # Samples at these times are kept exactly: interpolation normalises.
         at = np.searchsorted(series.t_ns, t_ns)
         known = series.t_ns[at] == t_ns
         wxyz[known] = series.wxyz[at[known]]
@@ -74,7 +74,7 @@ class Resampling:
             yield with_columns(series, t_ns[rows], wxyz[rows], "body")
 
     def remarks(self) -> Iterator[Remark]:
-        """Yield what was left out, if anything."""
+        """Yield a remark on gaps, if there are any."""
         if self._gaps:
             yield Remark(
                 "gaps-kept",

@@ -1,4 +1,4 @@
-"""The frames of a sensor: in its messages, and its mounting by the transforms of its own log."""
+"""The frame of a sensor in its messages, and its mounting from the transforms of the log."""
 
 from __future__ import annotations
 
@@ -24,20 +24,17 @@ if TYPE_CHECKING:
     from quatprop.tables.log import Log
 
     RotationGraph = dict[str, dict[str, Float64]]
-    """Of each frame the rotations from it to its neighbours."""
+    """Frame -> rotation to each neighbouring frame."""
 
 STATIC_TOPIC = "tf_static"
-"""The last part of the name of topics with transforms that never change."""
+"""Last part of the names of topics with static transforms."""
 
 GIVEN = Setting("mount", "W,X,Y,Z|x,-y,-z")
-"""A mounting that the log need not know."""
+"""A mounting that does not need the log."""
 
 
 def sensor_frames(source: RateSignal) -> list[str]:
-    """Return the frames of the first messages with rates, in the innermost header.
-
-    There are none where messages do not name it.
-    """
+    """Return the frames in the innermost header of the first messages with rates; may be empty."""
     levels = source.field.split(",")[0].split(".")[:-1]
     for match in source.matches:
         for count in range(len(levels), -1, -1):
@@ -48,16 +45,15 @@ def sensor_frames(source: RateSignal) -> list[str]:
 
 
 def bare_frame(frame: str) -> str:
-    """Return the name of a frame as tf2 has it: tf began them with a slash."""
+    """Return the name of a frame in tf2, without the leading slash of tf."""
     return frame.removeprefix("/")
 
 
 def frame_mounting(log: Log | None, source: RateSignal, frame: str) -> FrameMounting:
-    """Return the mounting from the frame of a sensor to another, through the static transforms.
+    """Return the mounting from a sensor's frame to another frame, by the static transforms.
 
-    `log`, `source`: the log and its rates; the sensor's frame is that in the header of its first
-        message
-    `frame`: whose axes are the body's
+    `source`: the rates; the header of their first message names the sensor's frame
+    `frame`: the frame of the body
     """
     if log is None or not any(match.table.is_typed for match in source.matches):
         mount = Setting("mount", f"tf:{frame}")
@@ -92,7 +88,7 @@ def frame_mounting(log: Log | None, source: RateSignal, frame: str) -> FrameMoun
 
 
 def _rotation_graph(log: Log) -> RotationGraph:
-    """Return the rotations between neighbouring frames; of several for a frame the last counts."""
+    """Return the rotations between neighbouring frames; the last transform of a frame counts."""
     parents: dict[str, tuple[str, Float64]] = {}
     for table in log.tables():
         if table.name.rpartition("/")[2] != STATIC_TOPIC:

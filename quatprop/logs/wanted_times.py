@@ -1,4 +1,4 @@
-"""Times at which attitudes are wanted: the stamps of a file, or of a topic of the log itself."""
+"""Times at which attitudes are requested: the timestamps of a file or of a topic of the log."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ if TYPE_CHECKING:
     from quatprop.tables.model import Table
 
 NARROW = 2
-"""Columns of a text table that holds no rates and no attitudes, and is not taken for a log."""
+"""Maximum number of columns of a text table that only lists times."""
 
 
 def stamps_in(
     source: str, log: Log | None = None, selection: SignalSelection | None = None
 ) -> Int64:
-    """Return the stamps of a file or of a topic, in order, ``(N,)``, int64 ns.
+    """Return the sorted timestamps of a file or of a topic, ``(N,)``, int64 ns.
 
-    `log`, `selection`: an open log that can be read again, and how its rates were chosen; None for
-        rates in memory
+    `log`: an open log that can be read again; None for rates in memory
+    `selection`: how its rates were selected
     """
     path, topic = split_topic(source)
     is_file = Path(path).exists() or is_address(path)
@@ -69,8 +69,8 @@ def stamps_in(
 
 
 def _of_file(path: str, topic: str | None) -> Iterator[Int64]:
-    if topic is None and (alone := _alone(path)) is not None:
-        yield alone
+    if topic is None and (t_ns := _narrow_table(path)) is not None:
+        yield t_ns
         return
     with open_log(path) as opened:
         try:
@@ -87,23 +87,20 @@ def _of_file(path: str, topic: str | None) -> Iterator[Int64]:
                 try:
                     yield from _of_table(tables[0], SignalSelection())
                 except (LogError, UsageError):
-                    # No stamps either: what the file should have held is of more help.
+                    # Without timestamps, the first error is more helpful.
                     raise error from None
 
 
 def _of_table(table: Table, selection: SignalSelection) -> Iterator[Int64]:
-    """Yield the stamps of a table, whatever else it holds."""
+    """Yield the timestamps of a table, whatever its other columns."""
     found = Found(table, GENERIC, table.parts[0], ((),))
     stamp, table = choose_time(ColumnMatcher(found, selection, "at"), found)
     for rows in table.read(stamp, (), lambda rows: rows):
         yield rows.values[0]
 
 
-def _alone(path: str) -> Int64 | None:
-    """Return the first column of a text table with stamps, and names or numbers beside them.
-
-    None where the file is something else.
-    """
+def _narrow_table(path: str) -> Int64 | None:
+    """Return the timestamps in the first column of a narrow text table; None if it is not one."""
     if Path(path).suffix.lower() not in {".csv", ".txt"} or not Path(path).is_file():
         return None
     with Path(path).open(encoding="utf-8-sig", errors="replace") as file:
@@ -124,7 +121,7 @@ def _alone(path: str) -> Int64 | None:
 
 
 def _stamp(path: str, number: int, cell: str, unit: str) -> int:
-    """Return a stamp in ns; without a unit it is a date, or whole ns."""
+    """Return a timestamp, ns; without a unit, the cell is a date or whole ns."""
     try:
         if unit:
             return from_text(cell, unit)

@@ -168,7 +168,11 @@ def _write_text(
     height = result.get_size_inches()[1] / scale
     title = shortened(page.title, round(LONGEST_TITLE * room))
     large, small = FONT_TITLE * scale, FONT_SMALL * scale
-    result.text(MARGIN, 1 - 0.1 / height, title, fontsize=large, weight="bold", va="top")
+    head = result.text(MARGIN, 1 - 0.1 / height, title, fontsize=large, weight="bold", va="top")
+    while head.get_window_extent().x1 > result.bbox.x1 and len(title) > 1:
+        # Wide letters.
+        title = shortened(title, len(title) * 9 // 10)
+        head.set_text(title)
     longest = round(LONGEST_FACT * room)
     for number, fact in enumerate(page.facts):
         place = 1 - (0.32 + FACT_LINE * number) / height

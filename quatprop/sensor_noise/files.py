@@ -25,75 +25,72 @@ DATA_SHEET = {
 }
 """Units that data sheets use."""
 
+KALIBR = {
+    "gyroscope_noise_density": "angle_random_walk",
+    "gyroscope_random_walk": "rate_random_walk",
+}
+"""Names of terms in the file."""
+
 NOTE = "in brackets: 1 sigma; <: 95 % upper bound, not shown by the recording; -: not determined"
-
-TOO_SHORT = "the recording is too short to show it"
-
-HEAD = """\
-# Noise of a gyroscope at rest, by quatprop {version}: root mean square over its axes.
-# {source}
-# kalibr also needs accelerometer_noise_density and accelerometer_random_walk.
-"""
 
 
 def imu_yaml(noise: Noise) -> str:
     """Return the YAML for kalibr and ``--imu``, without values that are unknown."""
-    terms = noise.combined
-    if terms.angle_random_walk.value is None:
+    if noise.combined.angle_random_walk.value is None:
         raise UsageError(
             "the recording shows no angle random walk to write; record the sensor at rest longer"
         )
-    lines = [HEAD.format(version=__version__, source=plain(noise.source))]
-    named = {
-        "gyroscope_noise_density": (terms.angle_random_walk, UNITS["angle_random_walk"]),
-        "gyroscope_random_walk": (terms.rate_random_walk, UNITS["rate_random_walk"]),
-    }
-    for name, (term, unit) in named.items():
-        if term.value is None:
-            lines.append(f"# {name}: {_bound(term)}; {TOO_SHORT}\n")
+    lines = [
+        f"# Gyroscope at rest, by quatprop {__version__}; values are RMS over the axes",
+        f"# {plain(noise.source)}",
+        "# kalibr also needs accelerometer_noise_density and accelerometer_random_walk.",
+    ]
+    for key, name in KALIBR.items():
+        value, sigma, at_most = term = getattr(noise.combined, name)
+        if value is not None and sigma is not None:
+            percent = f"1 sigma {100 * term.relative:.2g} %"
+            lines.append(f"{key}: {value:.4e}  # {UNITS[name]}, {percent}")
         else:
-            lines.append(
-                f"{name}: {term.value:.4e}  # {unit}, 1 sigma {100 * term.relative:.2g} %\n"
-            )
-    lines += [f'rostopic: "{plain(noise.topic)}"\n'] if noise.topic else []
-    return "".join([*lines, f"update_rate: {1 / noise.interval_s:.6g}\n"])
+            bound = "unknown" if at_most is None else f"at most {at_most:.4e}, with 95 %"
+            lines.append(f"# {key}: {bound}; the recording is too short to show it")
+    lines += [f'rostopic: "{plain(noise.topic)}"'] if noise.topic else []
+    return "\n".join([*lines, f"update_rate: {1 / noise.interval_s:.6g}\n"])
 
 
 def noise_rows(noise: Noise) -> Iterator[Row]:
     """Yield the noise as labels and texts."""
     yield "source", plain(noise.source)
-    time_ns = round((noise.samples - noise.pieces) * noise.interval_s * NS_PER_S)
-    time = f"{duration_text(time_ns)}, {1 / noise.interval_s:.6g} Hz on average"
-    rests = count_text(len(noise.rests), "period")
-    pieces = f", {noise.pieces} pieces without gaps" if noise.pieces > len(noise.rests) else ""
-    yield "at rest", f"{count_text(noise.samples, 'sample')} in {rests}{pieces}: {time}"
-    columns = [*noise.axes, noise.combined]
+    yield "at rest", rest_text(noise)
     yield "", "".join(f"{name:>18}" for name in ("x", "y", "z", "root mean square"))
+    sheet = []
     for name, unit in UNITS.items():
-        cells = "".join(f"{_cell(getattr(terms, name)):>18}" for terms in columns)
-        yield name.replace("_", " "), f"{cells}  {unit}"
-    lowest = noise.deviation.argmin(axis=0)
-    cells = "".join(f"{noise.deviation[row, axis]:>18.3e}" for axis, row in enumerate(lowest))
-    times = ", ".join(f"{noise.tau_s[row]:.3g}" for row in lowest)
+        terms = [getattr(axis, name) for axis in (*noise.axes, noise.combined)]
+        yield name.replace("_", " "), f"{''.join(map(_cell, terms))}  {unit}"
+        if name in DATA_SHEET and (value := terms[-1].value) is not None:
+            usual, units = DATA_SHEET[name]
+            sheet.append(f"{name.replace('_', ' ')} {value / units[usual]:.3g} {usual}")
+    cells = "".join(f"{lowest:>18.3e}" for lowest in noise.deviation.min(axis=0))
+    times = ", ".join(f"{noise.tau_s[row]:.3g}" for row in noise.deviation.argmin(axis=0))
     yield "lowest deviation", f"{cells}{'':>18}  rad/s, averaged over {times} s"
-    values = ((name, getattr(noise.combined, name).value, *row) for name, row in DATA_SHEET.items())
-    known = [
-        f"{name.replace('_', ' ')} {value / units[unit]:.3g} {unit}"
-        for name, value, unit, units in values
-        if value is not None
-    ]
-    if known:
-        yield "data sheet", ", ".join(known)
+    if sheet:
+        yield "data sheet", ", ".join(sheet)
     yield "", NOTE
 
 
-def _bound(term: NoiseTerm) -> str:
-    return "unknown" if term.at_most is None else f"at most {term.at_most:.4e}, with 95 %"
+def rest_text(noise: Noise) -> str:
+    """Return what was measured: how many samples, in how many periods, and how long."""
+    time = duration_text(round((noise.samples - noise.pieces) * noise.interval_s * NS_PER_S))
+    rests = count_text(len(noise.rests), "period")
+    pieces = f", {noise.pieces} pieces without gaps" if noise.pieces > len(noise.rests) else ""
+    rate = f"{1 / noise.interval_s:.6g} Hz on average"
+    return f"{count_text(noise.samples, 'sample')} in {rests}{pieces}: {time}, {rate}"
 
 
 def _cell(term: NoiseTerm) -> str:
-    if term.value is None:
-        return "-" if term.at_most is None else f"< {term.at_most:.2e}"
-    percent = 100 * term.relative
-    digits = sum(percent < limit for limit in (1, 10))
-    return f"{term.value:.3e} ({percent:.{digits}f}%)"
+    """Return a term in a column of the table."""
+    text = "-" if term.at_most is None else f"< {term.at_most:.2e}"
+    if term.value is not None:
+        percent = 100 * term.relative
+        digits = sum(percent < limit for limit in (1, 10))
+        text = f"{term.value:.3e} ({percent:.{digits}f}%)"
+    return f"{text:>18}"

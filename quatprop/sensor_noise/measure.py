@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from quatprop.conditioning.static_detection import AGREEMENT, NoRestError
 from quatprop.conditioning.time_range import EndsFinder, clipping_remarks
 from quatprop.errors import UsageError
 from quatprop.logs.beside_rates import conditioning_inputs
-from quatprop.logs.joined import open_logs
+from quatprop.logs.joined import JoinedLog, open_logs
 from quatprop.logs.open_log import is_stream
 from quatprop.logs.signals.rates import choose_rates
 from quatprop.rendering import source_text
@@ -56,6 +56,9 @@ FEWEST: Final = 3
 IRREGULAR: Final = 0.05
 """Intervals are irregular if their mean differs from the median by more than this share."""
 
+COPIED: Final = 0.4
+"""Share of repeated timestamps from which several files are copies: half of two are."""
+
 HIDDEN: Final = 0.03
 """Error of a mean, as a share of the step of the rates, if their noise is a third of a step."""
 
@@ -63,54 +66,53 @@ OF_ATTITUDE: Final = {"gaps", "jitter", "repeated-stamps"}
 """Codes of remarks that concern attitudes only."""
 
 
-class NoiseSettings(NamedTuple):
-    """Which samples to use."""
-
-    selection: RateSelection
-    policy: Policy
-    part: GyroCorrection
-
-    @classmethod
-    def of(cls, values: Mapping[str, Any]) -> Self:
-        """Return the settings from parsed values."""
-        policy = {name: values[name] for name in ("on_backwards", "on_nonfinite") if name in values}
-        return cls(
-            RateSelection.of(values),
-            Policy(on_gap="split", max_gap_ns=values.get("max_gap"), **policy),
-            GyroCorrection(start=values.get("start"), end=values.get("end")),
-        )
-
-
 def measure_logs(paths: Sequence[str], values: Mapping[str, Any]) -> Noise:
     """Return the noise of a log, in one file or several, by parsed settings."""
     if any(map(is_stream, paths)):
         raise UsageError("stdin and pipes can be read only once, and noise reads a log twice")
-    settings = NoiseSettings.of(values)
-    with open_logs(paths, values.get("kind"), msg_path=settings.selection.msg_path) as log:
-        source = choose_rates(log, settings.selection)
-        return measure(" + ".join(paths), source, settings, log)
+    selection = RateSelection.of(values)
+    with open_logs(paths, values.get("kind"), msg_path=selection.msg_path) as log:
+        return measure(" + ".join(paths), choose_rates(log, selection), values, log)
 
 
-def measure(path: str, source: RateSignal, settings: NoiseSettings, log: Log | None) -> Noise:
+def measure(path: str, source: RateSignal, values: Mapping[str, Any], log: Log | None) -> Noise:
     """Return the noise of rates at rest.
 
     `log`: the open log, which is read twice; None for rates in memory
     """
+    names = ("on_backwards", "on_nonfinite") & values.keys()
+    policy = Policy(
+        on_gap="split", max_gap_ns=values.get("max_gap"), **{name: values[name] for name in names}
+    )
+    part = GyroCorrection(start=values.get("start"), end=values.get("end"))
     chosen_by = "time_col" if isinstance(log, TableLog) else "clock"
-    timeline = Timeline(settings.policy, path, chosen_by)
-    rests = _rests(path, source, settings, log, timeline)
+    timeline = Timeline(policy, path, chosen_by)
+    is_sorted = policy.on_backwards == "sort"
+    try:
+        rests = find_rests(
+            lambda note: timeline.looked_ahead(source.batches(), note),
+            EndsFinder(earliest=is_sorted),
+            REST,
+            conditioning_inputs(log, source, RateSelection.of(values), part),
+            "body",
+        )
+    except NoRestError as error:
+        raise UsageError(
+            f"{plain(path)}: {error.text}, and noise is measured at rest; record the sensor while "
+            "it lies still"
+        ) from None
     batches, done = condition(
         source.batches,
         timeline,
-        settings.part,
+        part,
         1.0,
         GyroCorrectionInputs(),
         # Sorted, samples may belong to the range wherever they are in the log.
-        part_reader=None if settings.policy.on_backwards == "sort" else source.part_reader,
+        part_reader=None if is_sorted else source.part_reader,
     )
-    ends, sums, span_ns = _joined(rests), AllanSums(), 0
-    for segment in timeline.segments(timeline.measured(batches)):
-        span_ns += _add(segment, ends, sums)
+    ends, sums = _joined(rests), AllanSums()
+    segments = timeline.segments(timeline.measured(batches))
+    span_ns = sum(_add(segment, ends, sums) for segment in segments)
     counts, samples, pieces = timeline.counts, sum(sums.lengths), len(sums.lengths)
     m, variances = sums.variances()
     if len(m) < FEWEST or not span_ns:
@@ -118,24 +120,28 @@ def measure(path: str, source: RateSignal, settings: NoiseSettings, log: Log | N
             f"{plain(path)}: {samples} samples at rest are too few to measure noise; record the "
             "sensor at rest for a minute or longer"
         )
+    if isinstance(log, JoinedLog) and counts.duplicates.count > COPIED * counts.used:
+        raise UsageError(
+            f"{plain(path)}: {counts.duplicates.count} of {counts.used} timestamps are repeated: "
+            "the files are copies of one recording; name one of them"
+        )
     first_ns, last_ns = counts.first_ns or 0, counts.last_ns or 0
     used = tuple(end for end in ends if end[1] >= first_ns and end[0] <= last_ns)
     interval_s = span_ns / (samples - pieces) / NS_PER_S
     tau_s = np.asarray(m * interval_s)
     found = covariances(m, sums.lengths)
     fits = [fit(axis, found) if axis.all() else None for axis in variances.T]
-    said = (
+    remarks = (
         *source.remarks,
-        *timeline_remarks(counts, settings.policy, chosen_by),
-        *clipping_remarks(settings.part, done),
+        *timeline_remarks(counts, policy, chosen_by),
+        *clipping_remarks(part, done),
         *_remarks(counts, interval_s, rests, pieces - len(used)),
         *_fit_remarks(fits, tau_s),
         *(() if log is None else log.remarks),
     )
+    unknown = np.full(len(m), np.nan)
+    freedoms = np.stack([unknown if one is None else one.freedoms for one in fits], axis=1)
     deviation = np.sqrt(variances)
-    freedoms = np.stack(
-        [np.full(len(m), np.nan) if one is None else one.freedoms for one in fits]
-    ).T
     return Noise(
         source=f"{without_secret(path)}: {source_text(source.name, source.type_name)}",
         topic=source.name if source.name.startswith("/") else "",
@@ -150,32 +156,9 @@ def measure(path: str, source: RateSignal, settings: NoiseSettings, log: Log | N
         axes=tuple(terms_of([one], interval_s, tau_s) for one in fits),
         combined=terms_of(fits, interval_s, tau_s),
         dropped=counts.dropped,
-        remarks=tuple(one for one in said if getattr(one, "code", "") not in OF_ATTITUDE),
+        remarks=tuple(one for one in remarks if getattr(one, "code", "") not in OF_ATTITUDE),
         losses=() if log is None else tuple(log.losses),
     )
-
-
-def _rests(
-    path: str,
-    source: RateSignal,
-    settings: NoiseSettings,
-    log: Log | None,
-    timeline: Timeline,
-) -> Sequence[StaticPeriod]:
-    """Return the stationary periods in order of time."""
-    finder = EndsFinder(earliest=settings.policy.on_backwards == "sort")
-    inputs = conditioning_inputs(log, source, settings.selection, settings.part)
-
-    def read(note: Any) -> Iterator[GyroSeries]:
-        return timeline.looked_ahead(source.batches(), note)
-
-    try:
-        return find_rests(read, finder, REST, inputs, "body")
-    except NoRestError as error:
-        raise UsageError(
-            f"{plain(path)}: {error.text}, and noise is measured at rest; record the sensor while "
-            "it lies still"
-        ) from None
 
 
 def _joined(rests: Sequence[StaticPeriod]) -> list[tuple[int, int]]:
@@ -192,20 +175,16 @@ def _joined(rests: Sequence[StaticPeriod]) -> list[tuple[int, int]]:
 
 def _add(segment: Iterator[GyroSeries], ends: list[tuple[int, int]], sums: AllanSums) -> int:
     """Add the samples at rest of a segment without gaps; return their duration, ns."""
-    bounds = np.array(ends) + np.array([0, 1])
     at, first_ns, last_ns, total = -1, 0, 0, 0
     for block in segment:
-        # Even positions are outside of rests, odd ones inside.
-        cuts = np.searchsorted(block.t_ns, bounds.ravel())
-        for place in range(np.searchsorted(cuts, 0, side="right"), len(cuts) + 1):
-            start = cuts[place - 1] if place else 0
-            stop = cuts[place] if place < len(cuts) else len(block)
-            if start == stop or place % 2 == 0:
+        for number, (begin_ns, end_ns) in enumerate(ends):
+            start, stop = np.searchsorted(block.t_ns, [begin_ns, end_ns + 1])
+            if start == stop:
                 continue
-            if place != at:
+            if number != at:
                 sums.begin_piece()
                 total += last_ns - first_ns
-                at, first_ns = place, int(block.t_ns[start])
+                at, first_ns = number, int(block.t_ns[start])
             last_ns = int(block.t_ns[stop - 1])
             sums.add(block.rate[start:stop])
     return total + last_ns - first_ns
@@ -246,16 +225,12 @@ def _fit_remarks(fits: Sequence[TermFit | None], tau_s: Float64) -> Iterator[Rem
     """Yield what a reader should know of the terms."""
     for axis, found in zip("xyz", fits, strict=True):
         if found is None:
-            yield Remark(
-                "noise-unexplained",
-                f"the deviation of {axis} follows none of the slopes: nothing is stated of it",
-            )
+            text = f"no sum of noise terms fits the deviation of {axis}, so none is stated"
+            yield Remark("noise-unexplained", text)
         elif found.first:
-            why = (
-                "larger, as with vibration or motion" if found.above else "smaller, as by a filter"
-            )
+            how = "higher (vibration or motion)" if found.above else "lower (a filter)"
             yield Remark(
                 "noise-short-times",
-                f"below {tau_s[found.first]:.3g} s the deviation of {axis} follows none of the "
-                f"slopes: it is {why}; the terms are those of longer times",
+                f"below {tau_s[found.first]:.3g} s the deviation of {axis} is {how} than the "
+                "noise terms, which are fitted to longer times",
             )

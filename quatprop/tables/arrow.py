@@ -34,7 +34,7 @@ _WINDOW, _LOST_BYTES = 1 << 24, 1 << 16
 
 
 class _ArrowLog(TypedTable):
-    """What Parquet and Feather have in common: a schema, with metadata."""
+    """Base class of Parquet and Feather: a schema with metadata."""
 
     def __init__(self, log: Path | FileSource) -> None:
         self._source = source_of(log)
@@ -56,7 +56,7 @@ class _ArrowLog(TypedTable):
             refuse_second_file(path, second)
 
     def provenance(self) -> JsonObject:
-        """Return how the content came about, as the metadata of the file say it."""
+        """Return the provenance in the metadata of the file."""
         return provenance_in((self._arrow_schema.metadata or {}).get(METADATA_KEY), self.path)
 
     def close(self) -> None:
@@ -68,23 +68,23 @@ class _ArrowLog(TypedTable):
         raise NotImplementedError
 
     def _first_lists(self, path: tuple[str, ...]) -> pa.Array:
-        """Return a column of lists in the first rows; empty where they cannot be read."""
+        """Return a column of lists in the first rows; empty if they cannot be read."""
         self._leaves = [Leaf(path, pa.null())]
         return next(iter(self._first_values((0,))), pa.array([]))
 
     def _unreadable(self, size: int, reason: str) -> str:
-        """Return why nothing of a file of some bytes can be read."""
+        """Return why a file of a size cannot be read at all."""
         return (
             f"its schema is damaged ({reason}), so none of its {size} bytes can be read; "
             "was it written to the end?"
         )
 
     def _second_file(self) -> int | None:
-        """Return where another file begins, which was joined to the first; None if none was."""
+        """Return the position of another file joined to the first, or None."""
         raise NotImplementedError
 
     def _joined_at(self, magic: bytes, end: int) -> int | None:
-        """Return where, before `end`, one file ends with `magic` and another begins with it."""
+        """Return the position before `end` where one file ends with `magic` and another begins."""
         for begin in range(1, end, _WINDOW):
             size = min(_WINDOW, end - begin) + 2 * len(magic) - 1
             at = self._file.read_at(size, begin).find(magic + magic)
@@ -101,13 +101,13 @@ class ParquetLog(_ArrowLog):
     def _schema(self) -> pa.Schema:
         from pyarrow.parquet import ParquetFile
 
-        # Ahead and in large requests, where reading takes long to begin.
+        # Remote files are prefetched in large requests, because of their latency.
         self._parquet = ParquetFile(
             self._file,
             pre_buffer=self._source.is_remote,
             page_checksum_verification=checksums_matter(),
         )
-        # Its own metadata lack what was added when the file was closed.
+        # The schema's own metadata lack what was added when the file was closed.
         return self._parquet.schema_arrow.with_metadata(self._parquet.metadata.metadata)
 
     def _unreadable(self, size: int, reason: str) -> str:
@@ -127,15 +127,15 @@ class ParquetLog(_ArrowLog):
             + c.total_compressed_size
             for c in columns
         )
-        # Places are counted from the beginning of the last file, so they are too small by the size
-        # of what precedes it. Page indexes and Bloom filters lie in between, too.
+        # Offsets count from the start of the last file, so they are too small by the size of what
+        # precedes it. Page indexes and Bloom filters also lie in between.
         footer = self._file.size() - metadata.serialized_size - _PARQUET_TAIL
         end = footer - pages_end
-        # It begins further on where it has lost some of its bytes.
+        # With lost bytes, the second file begins later.
         return self._joined_at(b"PAR1", end + _LOST_BYTES if end > 0 else 0)
 
     def row_count(self) -> int | None:
-        """Return what the footer says."""
+        """Return the number of rows in the footer."""
         return int(self._parquet.metadata.num_rows)
 
     def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
@@ -148,7 +148,7 @@ class ParquetLog(_ArrowLog):
             yield RowGroup(f"row group {group}", rows, batches)
 
     def spans(self, stamp: Stamp) -> list[Span] | None:
-        """Return the stamps of each row group, by the statistics of the time column."""
+        """Return the timestamps of each row group, by the statistics of the time column."""
         if len(stamp.columns) != 1 or stamp.sample_rate is not None:
             return None
         if stamp.utc_offset_ns or stamp.series:
@@ -180,16 +180,16 @@ class FeatherLog(_ArrowLog):
         tail = self._file.size() - _FEATHER_TAIL
         length, magic = struct.unpack("<I6s", self._file.read_at(_FEATHER_TAIL, tail))
         footer = tail - length
-        # Arrow takes memory for the length of a read before it reads.
+        # Checked first, since Arrow allocates the length of a read.
         if magic != _FEATHER_MAGIC or footer < 0:
             return None
         batches_end = _batches_end(self._file.read_at(length, footer))
-        # Behind the last batch there is only the mark of the end of the stream.
+        # Only the end-of-stream mark follows the last batch.
         end = footer if footer - batches_end > _END_OF_STREAM else 0
         return self._joined_at(_FEATHER_MAGIC, end)
 
     def _streamed(self) -> Iterator[pa.RecordBatch]:
-        """Yield the batches of a file without footer, which ends where nobody knows."""
+        """Yield the batches of a stream, or of a file without footer, whose end is unknown."""
         yield from self._stream()
         if not self._is_stream:
             raise DamageError("its footer is damaged or missing, so more batches may have followed")
@@ -212,9 +212,9 @@ class FeatherLog(_ArrowLog):
 
 
 def _batches_end(footer: bytes) -> int:
-    """Return where the last batch of an Arrow IPC file ends, by its footer.
+    """Return the end of the last batch of an Arrow IPC file, by its footer.
 
-    Read by hand, since pyarrow does not say where batches are.
+    pyarrow does not return the positions of batches.
 
     References
     ----------
@@ -239,7 +239,7 @@ def _leaves(
     first_lists: Callable[[tuple[str, ...]], pa.Array],
     above: tuple[str, ...] = (),
 ) -> Iterator[Leaf]:
-    """Yield the columns of fields; `first_lists` returns the first lists of a path."""
+    """Yield the columns of fields; `first_lists`: returns the first lists of a column."""
     for field in fields:
         path = (*above, field.name)
         if pa.types.is_struct(field.type):

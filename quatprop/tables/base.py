@@ -1,4 +1,4 @@
-"""A file of rows: a log that is its own only table; formats say how rows are read."""
+"""A file of rows: a log with one table. Subclasses read the rows of a format."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ if TYPE_CHECKING:
 
 
 OTHER_DATES = "dates that are not of ISO 8601"
-"""The unit of a column of dates and times of day that nobody can read without being told how."""
+"""The unit of a column of dates in an unknown format."""
 
 _COUNTED = Stamp(sample_rate=1)
-"""Times where nobody asks for them."""
+"""A timestamp for rows of which the times are not needed."""
 
 
 @lru_cache(maxsize=16)
 def _matches_of(_columns: tuple[Column, ...]) -> dict[object, Any]:
-    """Return what is found in columns, empty at first: many logs have the same."""
+    """Return the shared cache of matches in columns, which many logs have in common."""
     return {}
 
 
 class TimedColumns(NamedTuple):
-    """Which columns of a file to read as numbers, and which as the time.
+    """Columns of a file to read as numbers, and as timestamps.
 
-    `parts`: which of the parts of :meth:`Table.spans` to read; None for all
+    `parts`: the parts of :meth:`Table.spans` to read; None: all
     """
 
     numbers: tuple[int, ...]
@@ -61,7 +61,7 @@ class TimedColumns(NamedTuple):
 class TableLog(Log, Table):
     """Rows of named or numbered columns: text, Arrow, NumPy and JSON Lines files.
 
-    `other_rows`: how many rows of other series were passed over; grows while the log is read
+    `other_rows`: number of rows of other series skipped so far
     """
 
     name = type = ""
@@ -72,45 +72,45 @@ class TableLog(Log, Table):
         self.other_rows = 0
 
     def _forget_earlier_reading(self) -> None:
-        """Remove the losses of rows that are about to be read again."""
+        """Remove the losses of rows that will be read again."""
         self.other_rows = 0
         if self._losses_at_opening is None:
             self._losses_at_opening = len(self.losses)
         self.losses.restart(self._losses_at_opening)
 
     def tables(self, topic: str | None = None) -> list[Self]:
-        """Return the file as the only table; no topic has a name here."""
+        """Return the file as the only table, which has no topic."""
         return [] if topic is not None else [self]
 
     @property
     @abstractmethod
     def names(self) -> list[str]:
-        """The column names in order; ``"0"``, ``"1"``... for a table without a header."""
+        """Column names in order; ``"0"``, ``"1"``... without a header."""
 
     @cached_property
     def columns(self) -> Sequence[Column]:
-        """The columns, by their names."""
+        """The columns, parsed from their names."""
         return tuple(map(parse_name, self.names))
 
     @cached_property
     def matches(self) -> dict[object, Any]:  # type: ignore[override]
-        """What was found in the columns of this table or of another one that has the same."""
+        """Cache of matches in the columns, shared by tables with the same columns."""
         return _matches_of(tuple(self.columns))
 
     @property
     def parts(self) -> Sequence[TablePart]:
-        """The only part: all of the file."""
+        """The only part: the whole file."""
         return (TablePart("", "", 0, len(self.columns)),)
 
     def columns_of(self, name: str) -> Group | None:
-        """Return the column of a name, as spelled or as a key."""
+        """Return a column by its exact name or its key, or None."""
         spelled = (k for k, one in enumerate(self.columns) if one.text.strip() == name)
         by_key = (k for k, one in enumerate(self.columns) if one.key == name)
         found = next(spelled, next(by_key, None))
         return None if found is None else (found,)
 
     def row_count(self) -> int | None:
-        """Return about how many rows there are, where that is known without reading them."""
+        """Return the approximate number of rows; None if unknown before reading."""
         return None
 
     def read(
@@ -120,14 +120,14 @@ class TableLog(Log, Table):
         convert: Convert,
         within: Within = None,
     ) -> Iterator[RowBatch]:
-        """Yield batches in the order of the file, whose stamps stand for the log times."""
+        """Yield batches in the order of the file; log times are the timestamps."""
         parts = within if isinstance(within, frozenset) else None
         rows = self._timed_rows(stamp, groups, parts)
         for batch in with_progress(rows, self.row_count(), len):
             yield without_misfits(convert, batch, self._leave_out)
 
     def _leave_out(self, rows: RowBatch, error: MessageError) -> RowBatch:
-        """Return rows without those that cannot be converted, which are noted."""
+        """Return rows without those that cannot be converted, which are noted as losses."""
         first_ns, count = int(rows.log_ns[error.positions[0]]), len(error.positions)
         self.losses.note("rows", str(error.reason), count, part=first_ns)
         return rows.without(error.positions)
@@ -137,26 +137,26 @@ class TableLog(Log, Table):
         stamps: Sequence[Stamp],
         groups: Sequence[Group],
         *,
-        is_strict: bool = False,  # noqa: ARG002  # it is the reader that leaves rows out
+        is_strict: bool = False,  # noqa: ARG002  # misfits are omitted while reading
     ) -> Iterator[RowBatch]:
-        """Yield the first rows, and then, but of stdin, all; with times all at once."""
+        """Yield the first rows, and then all rows, except of stdin."""
         if not stamps and (first := self.head([k for group in groups for k in group])):
             cells = np.array([*map(numbers_of, first)])
             yield RowBatch(np.arange(len(first)), _split(cells, groups))
-        # Text on stdin is read only once.
+        # stdin can be read only once.
         if str(self.path) != "-":
             for rows in self._timed_rows((*stamps, _COUNTED)[0], groups):
                 times = (rows.log_ns for _ in stamps)
                 yield RowBatch(rows.log_ns, (*times, *rows.values[1:]))
 
     def remark(self, code: str, text: str) -> None:
-        """Add a remark on the file, as the last one."""
+        """Add a remark on the file; an equal one is replaced."""
         self.remarks = [*(one for one in self.remarks if one != text), Remark(code, text)]
 
     def _timed_rows(
         self, stamp: Stamp, groups: Sequence[Group], parts: frozenset[int] | None = None
     ) -> Iterator[RowBatch]:
-        """Yield times, ns, and groups of columns; rows that do not fit are left out and noted."""
+        """Yield times, ns, and groups of columns; rows that do not fit are noted as losses."""
         columns = TimedColumns(tuple(chain.from_iterable(groups)), stamp, parts)
         self._forget_earlier_reading()
         batches = self._stored_rows(columns)
@@ -169,7 +169,7 @@ class TableLog(Log, Table):
             yield RowBatch(utc_ns, (utc_ns, *_split(numbers, groups)))
 
     def _counted(self, batches: Batches, stamp: Stamp) -> Batches:
-        """Yield rows at the times of their counter."""
+        """Yield rows with counts replaced by times."""
         rate = stamp.sample_rate or 1.0
         name = quoted(self.names[stamp.columns[0]])
 
@@ -189,7 +189,7 @@ class TableLog(Log, Table):
             ) from None
 
     def _of_series(self, batches: Batches, stamp: Stamp) -> Batches:
-        """Yield rows of a series, and remark on how many there are of others."""
+        """Yield rows of a series, and remark on the number of others."""
         count = 0
         for batch in batches:
             count += len(batch[0])
@@ -206,26 +206,26 @@ class TableLog(Log, Table):
 
     @abstractmethod
     def _stored_rows(self, columns: TimedColumns) -> Batches:
-        """Yield stamps in ns, or counts of samples, ``(N,)``, and numbers as stored, ``(N, k)``.
+        """Yield timestamps, ns, or counts, ``(N,)``, and stored numbers, ``(N, k)``.
 
-        Rows that do not fit are left out and noted in :attr:`losses`.
+        Rows that do not fit are noted in :attr:`losses`.
         """
 
 
 def refuse_second_file(path: Path, begin: int) -> NoReturn:
-    """Refuse a file to which another one was joined, at a byte."""
+    """Refuse a file with another one joined to it, which begins at a byte."""
     reason = f"another file begins in it at byte {begin}; split it there into two"
     raise UnsupportedLogError(path, reason)
 
 
 def _split(cells: Float64, groups: Sequence[Group]) -> tuple[AnyArray, ...]:
-    """Return columns by their groups."""
+    """Return columns by group; see :data:`quatprop.tables.model.Group`."""
     ends = pairwise(np.cumsum([0, *map(len, groups)]).tolist())
     return tuple(cells[:, begin if end - begin == 1 else slice(begin, end)] for begin, end in ends)
 
 
 def numbers_of(cells: Sequence[object]) -> Float64:
-    """Return the numbers in cells; NaN where there is none."""
+    """Return the numbers in cells; NaN for other text."""
     numbers = np.full(len(cells), np.nan)
     for k, cell in enumerate(cells):
         with suppress(ValueError):

@@ -21,22 +21,22 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     _Waiting = tuple[int, int, int, "RowBatch"]
-    """First log time, stream and arrival of a batch that is held back: its place in the output."""
+    """First log time, stream and arrival of a held-back batch, its sort key; and the batch."""
 
 Source = TypeVar("Source")
 
 NO_BOUND = int(np.iinfo(np.int64).min)
-"""`watermark_ns` of a batch that says nothing about the batches after it."""
+"""`watermark_ns` of a batch without a bound on later ones."""
 
 _NEVER = int(np.iinfo(np.int64).max) + 1
-"""The bound of a stream that has ended: later than any log time."""
+"""Bound of a stream that has ended: after any log time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowBatch:
     """Rows decoded from one block of messages.
 
-    `log_ns`: when each row was recorded, shape ``(N,)``, int64 ns
+    `log_ns`: log times, shape ``(N,)``, int64 ns
     `values`: columns of N rows each, shapes ``(N, ...)``
     `watermark_ns`: no later batch of this stream holds a row with an earlier log time
     """
@@ -49,11 +49,11 @@ class RowBatch:
         return len(self.log_ns)
 
     def without(self, positions: Sequence[int]) -> RowBatch:
-        """Return the rows but for those at some positions."""
+        """Return the rows except those at some positions."""
         return self.rows(np.delete(np.arange(len(self)), positions))
 
     def rows(self, selected: slice | NDArray[np.int64]) -> RowBatch:
-        """Return selected rows: views for a slice, copies for positions."""
+        """Return selected rows: views for a slice, copies for indices."""
         return RowBatch(self.log_ns[selected], tuple(column[selected] for column in self.values))
 
 
@@ -62,7 +62,7 @@ def without_misfits(
     source: Source,
     leave_out: Callable[[Source, MessageError], Source],
 ) -> RowBatch:
-    """Convert rows or blocks of messages, without what is refused by its positions."""
+    """Convert rows or blocks of messages, leaving out those that `convert` refuses."""
     try:
         return convert(source)
     except MessageError as error:
@@ -72,7 +72,7 @@ def without_misfits(
 
 
 def joined_rows(batches: Sequence[RowBatch]) -> RowBatch:
-    """Return the rows of batches of one stream, at least one, as one batch."""
+    """Return batches of one stream, at least one, as one batch."""
     if len(batches) == 1:
         return batches[0]
     columns = zip(*(batch.values for batch in batches), strict=True)
@@ -84,12 +84,12 @@ def joined_rows(batches: Sequence[RowBatch]) -> RowBatch:
 def merge_by_time(streams: Sequence[Iterable[RowBatch]]) -> Iterator[RowBatch]:
     """Merge streams of batches into one in order of log time.
 
-    The result is that of a stable sort of all rows by log time, with equal times in order of
-    streams and then of arrival, provided that no batch comes before its stream's bound.
+    The result is a stable sort of all rows by log time, with equal times in order of stream and
+    then of arrival, provided that no batch precedes the bound of its stream.
 
-    A batch without a bound (:data:`~quatprop.tables.batches.NO_BOUND`) is taken to end before
-    the next one of its stream begins; its stream need not be held in memory. Rows that come
-    before their bound are not lost: they are yielded as soon as they are read, out of order.
+    A batch without a bound (:data:`~quatprop.tables.batches.NO_BOUND`) is assumed to end before the
+    next one of its stream begins, so its stream is not held in memory. Rows that precede the bound
+    are yielded as soon as they are read, out of order.
     """
     iterators = [iter(stream) for stream in streams]
     bounds = [NO_BOUND] * len(iterators)
@@ -115,10 +115,10 @@ def merge_by_time(streams: Sequence[Iterable[RowBatch]]) -> Iterator[RowBatch]:
 
 
 def _ready(waiting: list[_Waiting], bounds: list[int]) -> list[_Waiting]:
-    """Take the rows that nothing can precede any more out of the batches that are held back.
+    """Remove and return the held-back rows that no later row can precede.
 
-    Rows at the lowest bound itself are ready unless its stream comes before theirs: it may still
-    have rows of that time.
+    Rows at the lowest bound are ready unless its stream precedes theirs, and may still have rows of
+    this time.
     """
     bound = min(bounds)
     holding = bounds.index(bound)
@@ -135,7 +135,7 @@ def _ready(waiting: list[_Waiting], bounds: list[int]) -> list[_Waiting]:
 
 
 def _sorted(batch: RowBatch) -> RowBatch:
-    """Return a batch in order of log time; it usually is."""
+    """Return a batch sorted by log time; it usually is already."""
     if (batch.log_ns[1:] >= batch.log_ns[:-1]).all():
         return batch
     rows = batch.rows(np.argsort(batch.log_ns, kind="stable"))
@@ -143,7 +143,7 @@ def _sorted(batch: RowBatch) -> RowBatch:
 
 
 def _merged(waiting: list[_Waiting]) -> RowBatch:
-    """Return batches as one, equal times in order of stream, then of arrival."""
+    """Return batches as one, with equal times in order of stream, then of arrival."""
     if len(waiting) == 1:
         part = waiting[0][3]
         log_ns, values = part.log_ns, part.values

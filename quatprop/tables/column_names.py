@@ -1,4 +1,4 @@
-"""Column names taken apart: the name proper and the unit that it declares."""
+"""Parse column names into a key and a unit."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ROTATION_VECTOR = (
 )
 EULER = rf"{NOT_ROTATION}(?:.*[._])?(?P<part>yaw|pitch|roll)"
 EULER_NUMBERED = NOT_ROTATION + r"(?:.*[._])?euler_{}_(?P<part>[123])"
-"""Names that may end in a unit; the group ``part`` is the component."""
+"""Patterns of names that may have a unit as a suffix; the group ``part`` is the component."""
 
 RATE_UNITS = {
     "rad/s": ("rad/s", "rads^-1", "rads-1", "rad_s", "rad_per_s", "rad_per_sec", "radps"),
@@ -37,7 +37,7 @@ RATE_UNITS = {
         *("dps", "\u00b0/s", "\u00ba/s"),
     ),
 }
-"""How headers spell the units of a rate, in lower case, without spaces and points."""
+"""Unit of a rate -> spellings in headers, in lower case, without spaces and points."""
 
 TIME_UNITS = {
     "s": ("s", "sec", "secs", "second", "seconds"),
@@ -45,13 +45,13 @@ TIME_UNITS = {
     "us": ("us", "\u00b5s", "\u03bcs", "usec", "usecs", "micros", "microsecond", "microseconds"),
     "ns": ("ns", "nsec", "nsecs", "nanos", "nanosec", "nanosecs", "nanosecond", "nanoseconds"),
 }
-"""How headers spell the units of time."""
+"""Unit of time -> spellings in headers."""
 
 ANGLE_UNITS = {
     "rad": ("rad", "rads", "radian", "radians"),
     "deg": ("deg", "degs", "degree", "degrees", "\u00b0", "\u00ba"),
 }
-"""How headers spell the units of an angle."""
+"""Unit of an angle -> spellings in headers."""
 
 UNITS = {
     spelling: unit
@@ -59,23 +59,23 @@ UNITS = {
     for unit, spellings in units.items()
     for spelling in spellings
 } | {spelling: unit for unit in SCALED_RATE_UNITS for spelling in (unit, unit.replace("/", "_"))}
-"""The unit that each spelling means."""
+"""Spelling -> unit."""
 
 _WORDS = {
     r"^(?:degrees?|[\u00b0\u00ba])(?=.)": "deg",
     r"^radians?(?=/)|^rads(?=/)": "rad",
     r"/sec(?:ond)?s?$": "/s",
 }
-"""Spellings of degrees, radians and seconds within a unit in brackets, and the short one."""
+"""Pattern of a spelling within a unit in brackets -> short spelling."""
 
 _CAPITAL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
-"""Where a new word begins in camel case."""
+"""Word boundary in camel case."""
 
 _BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*)[\])]")
 # "sec" and "nanosec" are left out: at the end of a name they are the two halves of a timestamp.
 _SUFFIXES = sorted({*UNITS} - {"sec", "secs", "nsec", "nsecs", "nanosec", "nanosecs"})
 _SUFFIX = re.compile(rf"(?i)(.+?)_({'|'.join(map(re.escape, _SUFFIXES))})(\.[xyz]|\[[012]\])?")
-"""A name, a unit, and an axis where the unit is that of a list or of parts x, y and z."""
+"""A name, a unit, and an axis if the unit is that of a list or of components."""
 _MAY_HAVE_SUFFIX = (
     GYROSCOPE,
     AXIS_FIRST,
@@ -91,7 +91,7 @@ _MAY_HAVE_SUFFIX = (
 
 @lru_cache(maxsize=1024)
 def parse_name(text: str) -> Column:
-    """Take a column name apart."""
+    """Return a column with the key and the unit of its name."""
     name = text.strip("\ufeff \t\"'").lstrip("#%/ \t").strip()
     bracketed = _BRACKETS.fullmatch(name)
     if bracketed and not bracketed[2].strip().isdecimal():
@@ -109,28 +109,28 @@ def parse_name(text: str) -> Column:
 
 
 def whole_key(text: str) -> str:
-    """Return the key of a name with the unit that it ends in, but for one in brackets."""
+    """Return the key of a name, including a unit that is a suffix."""
     name = text.strip("\ufeff \t\"'").lstrip("#%/ \t").strip()
-    # No new word begins in the units mSec and uSec.
+    # mSec and uSec are one word.
     return _key(re.sub(r"(?i)([munµμ])sec", lambda unit: unit[0].lower(), name))
 
 
 def as_option(names: Sequence[str], k: int) -> str:
-    """Return how an option names a column: by its name, or its number where that needs quotes."""
+    """Return the name of a column for an option, or its number if the name needs quotes."""
     name = names[k].strip()
     is_plain = re.fullmatch(r"[\w.+-]*[^\W\d][\w.+-]*", name, re.ASCII) and names.count(name) == 1
     return name if is_plain else str(k)
 
 
 def rate_unit_of(fields: Sequence[str]) -> str | None:
-    """Return the unit of rates that names declare, three of an axis or one of a vector."""
+    """Return the unit declared by the names of a rate: three axes or one vector."""
     names = fields if len(fields) > 1 else [f"{fields[0]}[0]"]
     unit, *others = {parse_name(name).unit for name in names}
     return None if others or unit not in {*RATE_UNITS, *SCALED_RATE_UNITS} else unit
 
 
 def _spelling(unit: str) -> str:
-    """Return a unit in brackets as :data:`UNITS` spells it."""
+    """Return a unit in brackets in the spelling of :data:`UNITS`."""
     unit = re.sub("\u207b\u00b9|\u2212" + "1", "^-1", unit)
     unit = re.sub(r"[.*\u00b7\u22c5]", "", unit).replace("per", "/")
     for pattern, spelling in _WORDS.items():

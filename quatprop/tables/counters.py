@@ -1,4 +1,4 @@
-"""Counters of samples: with a steady rate they are a clock that knows of lost samples."""
+"""Counters of samples, which with a sample rate are a clock that includes lost samples."""
 
 from __future__ import annotations
 
@@ -16,27 +16,26 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Int64
 
 _BITS = (8, 16, 32)
-"""Sizes of counters, which begin again at 0."""
+"""Sizes of counters that wrap around, bits."""
 
 _LOST = 4
-"""A counter that begins again has lost less than this part of its range."""
-
+"""A counter wrapped around if this means a loss of less than 1/4 of its range."""
 
 _TOO_LARGE = 1 << 61
 
 _DOUBTFUL = 20
-"""One step of so many may be back, or none, where a column counts samples, or else of no use."""
+"""At most one step in so many may be zero or negative in a counter of samples."""
 
 _LARGEST_STEP = 4
-"""Where a counter never steps by 1, half of its steps are at most this if it counts samples."""
+"""Maximum median step of a counter of samples that never steps by 1."""
 
 
 class Counting(NamedTuple):
-    """How the first values of a column count.
+    """Steps of the first values of a counter.
 
-    `step`: by how much they usually rise
-    `is_by_one`: whether they count samples one by one, but for lost ones
-    `has_gaps`: whether they rise by other steps, too
+    `step`: the most frequent step
+    `is_by_one`: whether it counts samples one by one, apart from lost ones
+    `has_gaps`: whether there are other steps
     """
 
     step: int
@@ -45,12 +44,12 @@ class Counting(NamedTuple):
 
 
 def counting(numbers: Float64) -> Counting | None:
-    """Return how the first values of a column count; None where they do not."""
+    """Return the steps of a counter by its first values; None if it is not a counter."""
     if len(numbers) < 2 or not (np.abs(numbers) < 2**60).all() or (numbers % 1).any():  # noqa: PLR2004
         return None
     steps = np.diff(counted(numbers.astype(np.int64)))
     rising = steps[steps > 0]
-    # One damaged value is seen as a time that steps back.
+    # A single damaged value is tolerated.
     if not len(rising) or len(steps) - len(rising) > max(1, len(steps) // _DOUBTFUL):
         return None
     sizes, times = np.unique(rising, return_counts=True)
@@ -61,7 +60,10 @@ def counting(numbers: Float64) -> Counting | None:
 
 
 def counted(values: Int64, before: tuple[int, int] | None = None) -> Int64:
-    """Return how many samples a counter has counted since its first value, shape ``(N,)``."""
+    """Return the counts since the first value of a counter, unwrapped, shape ``(N,)``.
+
+    `before`: last value and count of the preceding rows
+    """
     if int(values.max()) >= _TOO_LARGE or int(values.min()) <= -_TOO_LARGE:
         raise OverflowError
     last, count = before or (int(values[0]), 0)
@@ -79,9 +81,9 @@ def counted_rows(
     sample_rate: Fraction | float,
     note_lost: Callable[[int], None],
 ) -> Iterator[tuple[Int64, Float64]]:
-    """Yield rows at the stamps of their counters, the first at 0 ns.
+    """Yield rows with the timestamps of their counts, the first at 0 ns.
 
-    `sample_rate`: samples a second, Hz
+    `sample_rate`: counts per second, Hz
     """
     before: tuple[int, int] | None = None
     rate = Fraction(str(sample_rate))

@@ -1,4 +1,4 @@
-"""HDF5 files: datasets of columns, by the paths of their groups."""
+"""HDF5 files: datasets as columns, named by their paths."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
 class Hdf5Log(NumpyTable):
-    """Datasets of one dimension are columns, those of two have one for each of their columns.
+    """An HDF5 file; each dataset of one or two dimensions becomes one or several columns.
 
     ``group/gyr`` of shape ``(N, 3)`` becomes ``group.gyr[0]`` to ``group.gyr[2]``, or
-    ``group.gyr.x`` where its attribute ``columns`` says so. The attribute ``sampling_rate`` of the
-    file, Hz, counts the rows where there is no time. In files of MATLAB (version 7.3) rows and
-    columns are exchanged. Nothing outside the file is opened.
+    ``group.gyr.x`` etc. if its attribute ``columns`` has names. The attribute ``sampling_rate`` of
+    the file, Hz, replaces missing times. In MATLAB files (version 7.3) rows and columns are
+    exchanged. Nothing outside the file is opened.
     """
 
     kind = "hdf5"
@@ -48,7 +48,7 @@ class Hdf5Log(NumpyTable):
         self._refused: dict[str, str] = {}
         try:
             with ExitStack() as resources:
-                # Programs that are still writing keep a lock, which only matters to other writers.
+                # A program that is still writing holds a lock, which readers need not respect.
                 self._file = resources.enter_context(h5py.File(path, "r", locking=False))
                 self._sample_rate = sample_rate(self._file)
                 with path.open("rb") as self._bytes:
@@ -68,7 +68,7 @@ class Hdf5Log(NumpyTable):
 
     @property
     def notes(self) -> TableNotes:
-        """The sample rate that the file declares."""
+        """The sample rate declared by the file."""
         return TableNotes(sample_rate=self._sample_rate)
 
     def close(self) -> None:
@@ -76,7 +76,7 @@ class Hdf5Log(NumpyTable):
         self._file.close()
 
     def _note_rest(self) -> None:
-        """Note bytes behind the end that the file states.
+        """Note bytes after the end declared in the file.
 
         References
         ----------
@@ -93,14 +93,14 @@ class Hdf5Log(NumpyTable):
             self.losses.note(f"byte {end}", following(size - end, "the file"))
 
     def _describe_link(self, path: str, link: Any) -> None:
-        """Note a link to another file."""
+        """Refuse the columns of a link to another file, and remark on it."""
         if hasattr(link, "filename"):
             leads = f"its link {quoted(path)} leads to another file, {quoted(link.filename)}"
             self._refused[path] = f"{leads}, which is not opened; name that file"
             self.remark("external-link", f"{leads}, which is not opened")
 
     def _describe(self, path: str, item: Any) -> None:
-        """Add the columns of a dataset; those that are no columns are ignored."""
+        """Add the columns of a dataset, or note why it has none."""
         import h5py
 
         if not isinstance(item, h5py.Dataset):
@@ -112,7 +112,7 @@ class Hdf5Log(NumpyTable):
             columns = _columns(item)
             reason = refusal(item, self.path.stat().st_size)
             given = column_names(item, len(columns), self._bytes)
-            # One unit is not that of columns of several quantities.
+            # Columns of several quantities have no common unit.
             unit = "" if given or item.dtype.names else unit_of(item, self._bytes)
             if attribute := packing(item):
                 reason = f"its numbers are packed, with {quoted(attribute)}; save them unpacked"

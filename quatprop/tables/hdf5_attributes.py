@@ -1,4 +1,4 @@
-"""What attributes of HDF5 say of a dataset: its unit, its columns, what its numbers stand for."""
+"""Attributes of HDF5 datasets: unit, column names, packing, missing values."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ABSENT = ("_FillValue", "missing_value")
 
 
 def packing(dataset: Any) -> str:
-    """Return the attribute by which stored numbers stand for others; ``""`` where they do not.
+    """Return the attribute that packs the stored numbers; ``""``: none.
 
     References
     ----------
@@ -34,7 +34,7 @@ def packing(dataset: Any) -> str:
 
 
 def absent_values(dataset: Any) -> list[Any]:
-    """Return the stored numbers that stand for no value, as netCDF has them."""
+    """Return the stored numbers that mean a missing value, as in netCDF."""
     if dataset.dtype.kind not in "iuf":
         return []
     arrays = (_attribute(dataset, name) for name in _ABSENT)
@@ -43,7 +43,7 @@ def absent_values(dataset: Any) -> list[Any]:
 
 
 def sample_rate(file: Any) -> float | None:
-    """Return the rate that a file declares, Hz."""
+    """Return the sample rate declared by a file, Hz."""
     for name in _SAMPLE_RATES:
         value = _attribute(file, name)
         if value.size == 1 and value.dtype.kind in "iuf" and 0 < value.flat[0] < np.inf:
@@ -52,7 +52,7 @@ def sample_rate(file: Any) -> float | None:
 
 
 def unit_of(dataset: Any, file: BinaryIO) -> str:
-    """Return the unit that a dataset declares, as headers of columns have it."""
+    """Return the unit declared by a dataset, as the suffix of a column name."""
     for name in _UNITS:
         texts = _texts(dataset, name, file)
         if len(texts) == 1 and texts[0]:
@@ -61,7 +61,7 @@ def unit_of(dataset: Any, file: BinaryIO) -> str:
 
 
 def column_names(dataset: Any, count: int, file: BinaryIO) -> list[str]:
-    """Return the names that a dataset gives its columns; none without them."""
+    """Return the names of the columns of a dataset; empty: no names."""
     for name in _COLUMN_NAMES:
         names = _texts(dataset, name, file)
         if all(names) and len(set(names)) == len(names) == count > 1:
@@ -70,14 +70,14 @@ def column_names(dataset: Any, count: int, file: BinaryIO) -> list[str]:
 
 
 def _attribute(item: Any, name: str) -> AnyArray:
-    """Return an attribute of fixed size, one dimension; empty where it is another."""
+    """Return an attribute of fixed size as one dimension; empty for others."""
     if name in item.attrs and not item.attrs.get_id(name).dtype.hasobject:
         return np.asarray(item.attrs[name]).reshape(-1)
     return np.empty(0)
 
 
 def _texts(dataset: Any, name: str, file: BinaryIO) -> list[str]:
-    """Return the texts of an attribute; none where it has others."""
+    """Return the strings of an attribute; empty for other types."""
     import h5py
 
     value = _attribute(dataset, name)

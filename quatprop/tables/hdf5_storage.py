@@ -1,7 +1,6 @@
-"""How HDF5 stores a dataset: which of it is read, and which rows were never written.
+"""Storage of HDF5 datasets: read only rows that are stored in the file itself.
 
-A dataset can refer to other files, and the library returns zeros for what nobody has written: only
-what is stored in the file itself is read, and only where it is stored.
+A dataset can refer to other files, and the library returns zeros for rows that were never written.
 """
 
 from __future__ import annotations
@@ -32,20 +31,20 @@ if TYPE_CHECKING:
 
 _CACHE_BYTES = 1 << 26
 _DEFLATE_RATIO = 1032
-"""How often at most deflate makes a byte larger."""
+"""Maximum compression ratio of deflate."""
 _LEAST_SLOTS, _SLOTS_A_CHUNK = 521, 10
 
 ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError)
-"""What h5py raises for damaged files."""
+"""Exceptions of h5py for damaged files."""
 
 
 def shape_of(dataset: Any) -> tuple[int, ...] | None:
-    """Return rows and columns; None where there are none."""
+    """Return the number of rows and columns; None for a dataset without a shape."""
     import h5py
 
     layout = dataset.id.get_create_plist()
     if layout.get_layout() == h5py.h5d.VIRTUAL:
-        # To ask the dataset itself opens the files that it refers to.
+        # Dataset.shape would open the files that it refers to.
         space = layout.get_virtual_vspace(0) if layout.get_virtual_count() else None
         shape = space and space.get_simple_extent_dims()
     else:
@@ -54,18 +53,20 @@ def shape_of(dataset: Any) -> tuple[int, ...] | None:
 
 
 def has_samples_in_columns(dataset: Any, shape: tuple[int, ...]) -> bool:
-    """Return whether samples follow one another along the second dimension.
+    """Return whether samples are along the second dimension.
 
-    MATLAB writes column after column.
+    MATLAB writes in column-major order.
     """
     is_of_matlab = len(shape) == 2 and "MATLAB_class" in dataset.attrs  # noqa: PLR2004
     return is_of_matlab != has_signals_in_rows(shape[::-1] if is_of_matlab else shape)
 
 
 def refusal(dataset: Any, file_size: int) -> str:
-    """Return why a dataset is not read from a file of some bytes; ``""`` where it is.
+    """Return why a dataset cannot be read; ``""`` if it can.
 
-    Neither the dataset nor what it refers to is touched.
+    The data are not accessed.
+
+    `file_size`: size of its file, bytes
     """
     import h5py
 
@@ -98,9 +99,9 @@ def refusal(dataset: Any, file_size: int) -> str:
 
 
 class StoredRows:
-    """Columns of a dataset, which are read by rows.
+    """Columns of a dataset, read by rows.
 
-    `step`: bytes of what is read of a row
+    `step`: bytes read per row
     """
 
     def __init__(self, dataset: Any, columns: Sequence[tuple[str, ArrayColumn]]) -> None:
@@ -137,9 +138,10 @@ class StoredRows:
             self._written = np.arange(1 if is_written else 0)
 
     def _written_chunks(self, chunk: tuple[int, ...]) -> Int64:
-        """Return which chunks of rows are stored, as often as there are chunks beside each other.
+        """Return the row index of each stored chunk, sorted.
 
-        The dataset is opened anew, with memory for all chunks that hold a row.
+        An index is repeated if several chunks cover the columns of a row. The dataset is reopened
+        with a cache for all chunks of a row.
         """
         import h5py
 
@@ -183,24 +185,24 @@ class StoredRows:
         return np.sort(rows)
 
     def _is_bounded(self, place: tuple[int, ...], size: int) -> bool:
-        """Whether a chunk decompresses to its size at most, however much memory HDF5 would take."""
+        """Return whether a chunk decompresses to its size at most; HDF5 has no limit."""
         _, data = self._dataset.id.read_direct_chunk(place)
         with suppress(zlib.error):  # HDF5 will find the same
             return len(zlib.decompressobj().decompress(data, size + 1)) <= size
         return True
 
     def written(self, begin: int, end: int) -> float:
-        """Return how much of some rows is stored, from 0 to 1."""
+        """Return the share of rows that is stored, from 0 to 1."""
         first, last = begin // self.unit, -(-end // self.unit)
         found = np.searchsorted(self._written, (first, last))
         return float((found[1] - found[0]) / ((last - first) * self._chunks_across))
 
     def boundaries(self, begin: int, end: int) -> range:
-        """Return where, between two rows, other chunks begin."""
+        """Return the chunk boundaries between two rows."""
         return range((begin // self.unit + 1) * self.unit, end, self.unit)
 
     def read(self, begin: int, end: int) -> Iterator[tuple[str, pa.Array]]:
-        """Yield the columns of some rows with their names."""
+        """Yield the name and the values of each column for some rows."""
         rows = slice(begin, end)
         if len(self._shape) == 1:
             values = self._dataset[rows]
@@ -217,9 +219,9 @@ class StoredRows:
             yield name, stored
 
     def _verify_places(self, begin: int, end: int, data: memoryview) -> None:
-        """Look for chunks that hold what is given out for those that are not found.
+        """Raise an error if a chunk that reads as fill values cannot be found in the file.
 
-        Where the index is damaged, a chunk may be listed in it and yet not be found there.
+        In a damaged index, a chunk may be listed but not found, and reads as fill values.
         """
         for unit in range(begin // self.unit, -(-end // self.unit)) if len(self._places) else ():
             at = (max(begin, unit * self.unit) - begin) * self.step
@@ -230,7 +232,7 @@ class StoredRows:
 
 
 class _Rows(NamedTuple):
-    """Rows of a table from one to before another; `lost` says why they are not there."""
+    """A range of rows of a table, with `end` excluded; `lost`: why they cannot be read."""
 
     begin: int
     end: int
@@ -241,7 +243,7 @@ class _Rows(NamedTuple):
 def read_rows(
     datasets: Sequence[StoredRows], rows: int, losses: Losses
 ) -> Iterator[pa.RecordBatch | int]:
-    """Yield the rows of datasets side by side; a number stands for that many lost ones."""
+    """Yield the rows of several datasets; an integer is a number of lost rows."""
     step = max(dataset.step for dataset in datasets)
     pieces = (
         piece
@@ -259,7 +261,7 @@ def read_rows(
 
 
 def _pieces(datasets: Sequence[StoredRows], begin: int, end: int) -> Iterator[_Rows]:
-    """Yield rows together, or piece by piece where some of them are lost."""
+    """Yield rows at once, or chunk by chunk if some of them are lost."""
     missing = min(datasets, key=lambda dataset: dataset.written(begin, end))
     share, lost = missing.written(begin, end), missing.why_missing
     if share == 1:

@@ -1,6 +1,6 @@
-"""Text of variable length in attributes of HDF5, read by hand.
+"""Read variable-length strings in HDF5 attributes without the library.
 
-It lies in a heap of the file, and where that is damaged the library hangs or crashes.
+They are in a heap of the file; if it is damaged, the library hangs or crashes.
 
 References
 ----------
@@ -26,7 +26,7 @@ _OLD_ATTRIBUTE, _NEW_ATTRIBUTE = 1, 3
 
 
 def variable_text(file: BinaryIO, base: int, address: int, name: str) -> list[str] | None:
-    """Return the texts of an attribute."""
+    """Return the strings of an attribute; None if they cannot be read."""
     try:
         for message in _attributes(file, base, address):
             found, data = _name_and_data(message)
@@ -46,7 +46,7 @@ def _at(file: BinaryIO, place: int, size: int) -> bytes:
 
 
 def _attributes(file: BinaryIO, base: int, address: int) -> Iterator[bytes]:
-    """Yield the messages of an object header that hold an attribute."""
+    """Yield the attribute messages of an object header."""
     head = _at(file, base + address, 64)
     is_new = head.startswith(b"OHDR")
     if is_new:
@@ -86,7 +86,7 @@ def _name_and_data(message: bytes) -> tuple[bytes, bytes]:
 
 
 def _heap_text(file: BinaryIO, base: int, length: int, heap: int, number: int) -> bytes:
-    """Return a text by its length and its place: the address of a heap, and a number in it."""
+    """Return a string by its length, the address of its heap, and its index in the heap."""
     if not length:
         return b""
     (size,) = struct.unpack_from("<8xQ", _at(file, base + heap, 16))

@@ -1,7 +1,7 @@
-"""Tables as JSON Lines: one object a row, fields of nested objects as ``column.field``.
+"""JSON Lines: one object per row, with fields of nested objects as ``column.field``.
 
-Blocks are parsed by pyarrow. Times are read as decimals, and never pass through
-float64; a number in quotes, which is how 64-bit integers often travel, is a time too.
+Blocks are parsed by pyarrow. Times are read as decimals, never as floats, and may be quoted, as
+64-bit integers often are in JSON.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from quatprop.tables.model import TableNotes
 
 HEAD_BYTES = 1 << 16
-"""How much of the file is looked at for the names of its columns."""
+"""Bytes of the file that are searched for columns."""
 
 _HEAD_LINES = 100
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d(\.\d+)?)?(?P<zone>Z|[+-]\d\d:?\d\d)?")
@@ -48,7 +48,7 @@ class JsonLinesLog(TypedTable):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         with closing(open_text(path)) as text:
-            head = text.read(HEAD_BYTES)
+            self._size, head = text.size, text.read(HEAD_BYTES)
         lines = head.split(b"\n")
         if len(head) == HEAD_BYTES and len(lines) > 1:
             del lines[-1]
@@ -69,7 +69,7 @@ class JsonLinesLog(TypedTable):
 
     @property
     def notes(self) -> TableNotes:
-        """Columns of dates, which are text here."""
+        """The columns of dates, which are text in JSON."""
         types = {k: leaf.type for k, leaf in enumerate(self._leaves)}
         dates = {k: kind.tz is not None for k, kind in types.items() if pa.types.is_timestamp(kind)}
         return super().notes._replace(dates=dates)
@@ -104,24 +104,24 @@ class JsonLinesLog(TypedTable):
         """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         self._refuse_text(columns)
         rows = JsonRows(self, columns, {k: self._leaves[k] for k in columns.used})
-        with closing(open_text(self.path)) as text:
+        with closing(open_text(self.path, self._size)) as text:
             yield from rows.batches(record_blocks(text, 1))
             if text.damage:
                 self.losses.note("end of the file", text.damage)
 
 
 def _leaves(lines: list[bytes]) -> list[Leaf]:
-    """Return the columns that objects have, in the order in which they come up."""
+    """Return the columns of objects, in order of appearance."""
     types: dict[tuple[str, ...], pa.DataType | None] = {}
     for line in lines:
         try:
-            # Only names and types are wanted: whole numbers may have any length.
+            # Only names and types are needed, and integers may have any length.
             row = json.loads(line, parse_int=float)
             if isinstance(row, dict):
                 _add_fields(row, (), types)
         except (ValueError, RecursionError):
             continue
-    # A name that is a value here and an object there is taken for the object.
+    # A name that is both a value and an object in different rows is read as the object.
     inner = {path[:depth] for path in types for depth in range(1, len(path))}
     return [
         leaf
@@ -136,7 +136,7 @@ def _leaves(lines: list[bytes]) -> list[Leaf]:
 
 
 def _cell(line: bytes, leaf: Leaf) -> object:
-    """Return what a line has in a column; None where it has nothing."""
+    """Return the value of a column in a line, or None."""
     place = leaf.path if leaf.element is None else (*leaf.path, leaf.element)
     with suppress(ValueError, RecursionError, LookupError, TypeError):
         cell: object = reduce(getitem, place, json.loads(line, parse_int=str))
@@ -152,12 +152,12 @@ def _add_fields(
         if isinstance(value, dict):
             _add_fields(value, path, types)
         else:
-            # What is null in one row may be a number in the next.
+            # A null in one row may be a number in the next.
             types[path] = types.get(path) or _type(value)
 
 
 def _type(value: object) -> pa.DataType | None:
-    """Return the type of a column by one of its values; None for null."""
+    """Return the type of a value; None for null."""
     if value is None:
         return None
     if isinstance(value, list):

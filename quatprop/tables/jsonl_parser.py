@@ -1,4 +1,4 @@
-"""Lines of JSON to columns: whole blocks at once, and by halves around a line that does not fit."""
+"""Parse blocks of JSON Lines, and bisect blocks with lines that do not fit."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ class JsonRows(TextRows):
         try:
             timestamps.refuse_tiny_numbers(text)
         except timestamps.TimestampRangeError:
-            # It may be in another column, where it does no harm.
+            # In other columns than the time it is harmless.
             for stamp in self._stamps(text):
                 timestamps.refuse_tiny_numbers(stamp.encode())
-        # Of one letter a text without is known many times as fast.
+        # The test for one letter is much faster.
         if b"u" in text and b"null" in text and _TOP_LEVEL_NULL.search(text):
             for line in text.split(b"\n"):
-                # At top level it ends the process.
+                # A null at top level crashes pyarrow.
                 if _TOP_LEVEL_NULL.search(line) and not _is_object(line):
                     raise RowMisfitError
         return arrow_json.read_json(
@@ -66,7 +66,7 @@ class JsonRows(TextRows):
         )
 
     def _stamps(self, text: bytes) -> Iterator[str]:
-        """Yield the times of whole lines as they are written."""
+        """Yield the text of the times in whole lines."""
         for line in text.split(b"\n"):
             try:
                 row = json.loads(line, parse_int=str, parse_float=str)
@@ -80,7 +80,7 @@ class JsonRows(TextRows):
                     yield value
 
     def apart(self, block: TextBlock) -> Batches:
-        """Yield rows by halves, and those around a misfit line by line."""
+        """Yield rows by bisection, and note lines that do not fit."""
         misfits: list[tuple[int, str]] = []
         yield from self._by_halves(bytes(block.data).split(b"\n"), block.line, misfits)
         self.rejected.note(misfits)
@@ -98,7 +98,7 @@ class JsonRows(TextRows):
                 return
             misfits.append((first, _reason(error)))
             self.rejected.count += 1
-            # Line by line is slow: what is no such table must not take forever.
+            # Bisection is slow: a file that is no such table is refused early.
             if len(misfits) > _MANY_REJECTED and 2 * len(misfits) > self.rejected.count:
                 self.rejected.note(misfits)
                 self.rejected.refuse_if_most()

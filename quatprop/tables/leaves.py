@@ -1,4 +1,4 @@
-"""Columns that hold values: those of structs and of the elements of short lists by themselves."""
+"""Columns of values: fields of structs and elements of short lists are separate columns."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ _LONGEST_LIST = 16
 
 
 class Leaf(NamedTuple):
-    """A column that holds values.
+    """A column of values.
 
-    `path`: its name; below it the names of the fields that lead to the values, where it is a struct
-    `element`: which element of a list they are, from 0; None where they are no lists
+    `path`: name of the column, followed by the fields of a struct
+    `element`: index in a list; None if it is not a list
     """
 
     path: tuple[str, ...]
@@ -22,27 +22,27 @@ class Leaf(NamedTuple):
 
     @property
     def column(self) -> str:
-        """The name of the column with its fields."""
+        """Name of the column with its fields."""
         return ".".join(self.path)
 
     @property
     def name(self) -> str:
-        """How the user names it."""
+        """Name for the user."""
         return self.column if self.element is None else f"{self.column}[{self.element}]"
 
 
 def element_leaves(path: tuple[str, ...], kind: pa.DataType, length: int) -> list[Leaf]:
-    """Return a column of lists as one column for each element, where lists are that short."""
+    """Return a column of lists as one column for each element, if the lists are short."""
     if is_number(kind) and 1 < length <= _LONGEST_LIST:
         return [Leaf(path, kind, index) for index in range(length)]
     return [Leaf(path, pa.list_(kind))]
 
 
 def values_of(batch: pa.RecordBatch | pa.Table, leaf: Leaf) -> pa.Array | pa.ChunkedArray:
-    """Return the values of a column; null where a list is too short."""
+    """Return the values of a column; null if a list is too short."""
     column = batch.column(leaf.path[0])
     if leaf.path[1:] or leaf.element is not None:
-        import pyarrow.compute as pc  # costs half as much again as pyarrow, and is not of CSV
+        import pyarrow.compute as pc  # slow to import, and not needed for CSV
     if leaf.path[1:]:
         column = pc.struct_field(column, list(leaf.path[1:]))
     if leaf.element is not None:
@@ -52,17 +52,17 @@ def values_of(batch: pa.RecordBatch | pa.Table, leaf: Leaf) -> pa.Array | pa.Chu
 
 
 def is_number(kind: pa.DataType) -> bool:
-    """Tell whether values are numbers."""
+    """Return whether values are numbers."""
     return bool(
         pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal128(kind)
     )
 
 
 def is_text(kind: pa.DataType) -> bool:
-    """Tell whether values are text."""
+    """Return whether values are text."""
     return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
 
 
 def is_whole(kind: pa.DataType) -> bool:
-    """Tell whether values are whole numbers."""
+    """Return whether values are integers."""
     return bool(pa.types.is_integer(kind) or (pa.types.is_decimal128(kind) and kind.scale == 0))

@@ -1,4 +1,4 @@
-"""What every log has: tables, and what of it could not be read."""
+"""Base class of logs: tables and losses."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 class Loss(NamedTuple):
     """A part of a damaged log that could not be read.
 
-    `place`: where it is, so that a user can look: "chunk at byte 4096", "line 17"
+    `place`: where it is, such as "chunk at byte 4096" or "line 17"
     `reason`: why it could not be read
-    `messages`: how many messages or rows are lost, where that is known
+    `messages`: number of lost messages or rows; None: unknown
     """
 
     place: str
@@ -28,7 +28,7 @@ class Loss(NamedTuple):
 
 
 class Losses(list[Loss]):
-    """Losses, each of which is noted once, however often the log is read."""
+    """Losses, each noted once even if the log is read several times."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -37,7 +37,7 @@ class Losses(list[Loss]):
     def note(
         self, place: str, reason: str, messages: int | None = None, part: Hashable = None
     ) -> None:
-        """Add a loss unless it was noted before."""
+        """Add a loss; with the same place and reason, messages of different parts add up."""
         number, counts = self._entries.setdefault((place, reason), (len(self), {}))
         if messages is not None:
             counts[part] = max(messages, counts.get(part, 0))
@@ -45,7 +45,7 @@ class Losses(list[Loss]):
         self[number : number + 1] = [loss]
 
     def restart(self, count: int) -> None:
-        """Forget all but the first `count`, since what comes after them is read again."""
+        """Remove all but the first losses, before the log is read again."""
         earlier = self[:count]
         self.clear()
         self._entries.clear()
@@ -57,12 +57,11 @@ class Log(ABC):
     """A log of any kind, open for reading; closed when its ``with`` block ends.
 
     `kind`: the key in :data:`quatprop.stores.kinds.READERS`
-    `losses`: what could not be read; grows while the log is read
-    `remarks`: what may be wrong with the log, though not for certain; grows while the log is read
-    `definition_files`: files beside the log that message definitions were taken from
-    `unchecked_chunks`: chunks that were read in part and so not compared with their checksum; grows
-        likewise
-    `stored`: by what an object store recognises it; None for a file of this machine
+    `losses`: parts that could not be read so far
+    `remarks`: possible problems found so far
+    `definition_files`: files beside the log with message definitions
+    `unchecked_chunks`: number of chunks read in part, so without verifying their checksum
+    `stored`: identity in an object store; None for a local file
     """
 
     kind: str
@@ -77,13 +76,13 @@ class Log(ABC):
 
     @abstractmethod
     def tables(self, topic: str | None = None) -> Sequence[Table]:
-        """Return the topics that have messages, or the file as the only table of no name.
+        """Return the topics with messages, or a file as the only table, without a name.
 
-        `topic`: only those of this name; None for all
+        `topic`: name of the topics to return; None: all
         """
 
     def confirm(self) -> None:
-        """Refuse a log that was replaced in its store since it was opened."""
+        """Raise an error if the log was replaced in its store since it was opened."""
         if self.stored is not None:
             self.stored.confirm()
 

@@ -1,7 +1,7 @@
-"""Files of MATLAB before version 7.3: variables, and fields of structs, are columns.
+"""MATLAB files before version 7.3: variables and fields of structs are columns.
 
-Newer ones are HDF5. Compressed variables are decompressed here and not by scipy, which believes
-any size; it then decodes each variable by itself, so that a damaged one is lost alone.
+Newer ones are HDF5. Compressed variables are decompressed here, since scipy trusts any size; scipy
+then decodes each variable separately, so that only damaged ones are lost.
 
 References
 ----------
@@ -33,7 +33,7 @@ _MAGIC = b"MATLAB 5.0"
 _HEADER_BYTES, _TAG_BYTES = 128, 8
 _COMPRESSED, _MATRIX = 15, 14
 _TYPES = {*range(1, 8), 9, *range(12, 19)}
-"""Types of data; scipy looks up any other number beyond the end of its table."""
+"""Known data types; for others, scipy reads beyond the end of a table."""
 _DEEPEST = 8
 _OBJECT = (
     "it is an object, which only MATLAB reads; save a table by table2struct(t,'ToScalar',true)"
@@ -41,7 +41,7 @@ _OBJECT = (
 
 
 class MatlabLog(NumpyTable):
-    """Variables that are vectors or matrices, and those in structs as ``struct.field``."""
+    """A MATLAB file; vectors and matrices are columns, those in structs as ``struct.field``."""
 
     kind = "matlab"
 
@@ -84,7 +84,7 @@ class MatlabLog(NumpyTable):
             raise UnsupportedLogError(path, reason)
 
     def _elements(self) -> Iterator[tuple[str, bytes]]:
-        """Yield the place of each variable, and a file with it alone."""
+        """Yield the position of each variable, and the bytes of a file with only this variable."""
         with self.path.open("rb") as file:
             size = file.seek(0, 2)
             file.seek(0)
@@ -131,7 +131,7 @@ class MatlabLog(NumpyTable):
         return bytes(element)
 
     def _describe(self, name: str, value: Any, depth: int = 0) -> None:
-        """Add the columns of a variable; those that are no columns are ignored."""
+        """Add the columns of a variable, or note why it has none."""
         if value.dtype.names and value.size == 1 and depth < _DEEPEST:
             for field in value.dtype.names:
                 self._describe(f"{name}.{field}", value.flat[0][field], depth + 1)
@@ -139,7 +139,7 @@ class MatlabLog(NumpyTable):
             what = "an array of structs" if value.dtype.names else "a cell array"
             self._refuse(name, f"it is {what}; save its numbers as vectors")
         elif value.size > 1:
-            # A row of numbers is as many of them as a column is.
+            # A row vector is read as a column.
             array = value.reshape(-1) if value.shape[0] == 1 and value.ndim == 2 else value  # noqa: PLR2004
             try:
                 columns = columns_of(ArrayHeader(array.dtype, array.shape, is_fortran=False))
@@ -158,7 +158,7 @@ class MatlabLog(NumpyTable):
 
 
 def _has_known_types(data: memoryview, order: str) -> bool:
-    """Return whether all elements, and those in matrices, are of types that the format has."""
+    """Return whether all elements, including those in matrices, have known types."""
     at = 0
     while at + _TAG_BYTES <= len(data):
         kind, length = struct.unpack_from(order + "II", data, at)
@@ -166,7 +166,7 @@ def _has_known_types(data: memoryview, order: str) -> bool:
         if (kind & 0xFFFF if small else kind) not in _TYPES:
             return False
         at += _TAG_BYTES
-        if small:  # up to four bytes stand in the tag
+        if small:  # up to four bytes are in the tag
             continue
         if kind == _MATRIX and not _has_known_types(data[at : at + length], order):
             return False

@@ -1,8 +1,8 @@
-"""The model of a log: named tables of columns, whatever its format.
+"""The common model of logs of all formats: named tables of columns.
 
-A topic is a table whose message definition is flattened to columns; a file of rows is one table; a
-list of transforms is a table of its elements. What a column means is said in
-:mod:`quatprop.logs.vocabulary.sources`, not here.
+A topic is a table with the flattened fields of its message definition as columns; a file of rows is
+one table; a list of transforms is a table of its elements. The meaning of columns is in
+:mod:`quatprop.logs.vocabulary.sources`.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     Within: TypeAlias = "TimeRange | frozenset[int] | None"
 
 Group: TypeAlias = tuple[int, ...]
-"""Columns read together, by number: ``(N, k)`` of float64; a single one ``(N,)`` as stored."""
+"""Columns read together, by index: float64, ``(N, k)``; a single one as stored, ``(N,)``."""
 
 
 class Column(NamedTuple):
     """A column of a table.
 
-    `text`: its name as the log spells it; of a message the dotted path of the field
-    `key`: in lower case, words joined by ``_``, levels by ``.``, without its unit
-    `unit`: the unit that its name declares; ``""`` where it declares none
-    `code`: numpy's type string without byte order, where the definition says it
+    `text`: name in the log; for messages, the dotted path of the field
+    `key`: name in lower case without the unit, words joined by ``_``, levels by ``.``
+    `unit`: unit declared by the name; ``""``: none
+    `code`: numpy's type string without byte order, if known
     """
 
     text: str
@@ -43,10 +43,10 @@ class Column(NamedTuple):
 
 
 class TablePart(NamedTuple):
-    """A struct in every message, or all of a file: a type and where it is.
+    """A struct of known type in each message, or the whole of a file.
 
-    `prefix`: what the names of its columns begin with: ``""``, or ``"imu."``
-    `type`: its type; ``""`` of a file
+    `prefix`: prefix of the names of its columns, such as ``"imu."``
+    `type`: its type; ``""`` for a file
     `begin`, `end`: its columns are ``columns[begin:end]``
     """
 
@@ -57,15 +57,14 @@ class TablePart(NamedTuple):
 
 
 class Stamp(NamedTuple):
-    """What the time of a row is, and of which rows; a table turns it into exact int64 ns.
+    """The source of the timestamps of rows, and a selection of rows.
 
-    `columns`: one column, or those of seconds and of their fraction; none for the log's own times
-    `units`: the unit of each
-    `clock`: ``"header"``, ``"log"``, ``"publish"``, or the names of columns
-    `sample_rate`: rows a second, Hz, where they are counted instead, or what a counter counts a
-        second
-    `utc_offset_ns`: by how much the time is ahead of UTC, ns, where the header says so
-    `series`: columns of a file and the labels that the rows to read have in them; none for all rows
+    `columns`: one column, or two of seconds and their fraction; empty for the log's own times
+    `units`: unit of each column
+    `clock`: ``"header"``, ``"log"``, ``"publish"``, or names of columns
+    `sample_rate`: rate of the rows, or of the counter in `columns`, Hz; None: not counted
+    `utc_offset_ns`: offset of the time from UTC, ns, if the header declares one
+    `series`: columns and labels of the rows to read; empty: all rows
     """
 
     columns: Group = ()
@@ -77,14 +76,16 @@ class Stamp(NamedTuple):
 
 
 class TableNotes(NamedTuple):
-    """What a table declares besides its column names.
+    """Facts that a table declares besides its column names.
 
-    `sample_rate`: rows a second, Hz, if the lines before the header declare it
-    `units`: units by position that a column's type or the lines before the header declare
-    `rate_scale`: what stored rates are multiplied by
-    `title`: the first line, where lines come before the header
-    `mount`: how the sensor is mounted, as signed axes such as ``"y,-x,z"``, if the lines before the
-        header declare it; ``""`` where they do not, or where it is not turned
+    `sample_rate`: rate of the rows, Hz; None: not declared
+    `units`: column index -> unit declared by its type, or before the header
+    `rate_scale`: scale factor of stored rates
+    `title`: first line before the header
+    `mount`: mounting of the sensor as signed axes, such as ``"y,-x,z"``; ``""``: none declared, or
+        not rotated
+    `dates`: columns of dates, and whether they have a time zone
+    `texts`: columns of text
     """
 
     sample_rate: float | None = None
@@ -97,9 +98,10 @@ class TableNotes(NamedTuple):
 
 
 class Span(NamedTuple):
-    """The stamps of a part of a table.
+    """Timestamps of a part of a table.
 
-    `first_ns`, `last_ns`: the earliest and the latest, ns
+    `first_ns`, `last_ns`: earliest and latest timestamp, ns
+    `rows`: number of rows
     """
 
     first_ns: int
@@ -108,36 +110,32 @@ class Span(NamedTuple):
 
 
 class TimeRange(NamedTuple):
-    """A range of time, ends included.
-
-    `first_ns`, `last_ns`: its ends, ns
-    """
+    """A time range, ends included, ns."""
 
     first_ns: int
     last_ns: int
 
     @property
     def length_ns(self) -> int:
-        """Its length, ns."""
+        """Length, ns."""
         return self.last_ns - self.first_ns
 
     def overlaps(self, first_ns: int, last_ns: int) -> bool:
-        """Return whether it has a moment in common with another range, given by its ends."""
+        """Return whether it overlaps another range, ends included."""
         return first_ns <= self.last_ns and self.first_ns <= last_ns
 
 
 class Table(ABC):
     """Rows of named columns in a log.
 
-    `name`: the topic; ``""`` of a file
-    `type`: the message type; ``""`` of a file
-    `log_clocks`: the times that the log itself has of each row: ``"log"``, ``"publish"``
+    `name`: topic; ``""`` for a file
+    `type`: message type; ``""`` for a file
+    `log_clocks`: times of each row that the log itself records: ``"log"``, ``"publish"``
     `is_decodable`: whether its rows can be read
-    `is_typed`: whether its columns are of message types; else their names are all that there is
-    `is_secondary`: whether it has the rows of another, main table
-    `matches`: the columns whose names fit a pattern, and sets of them, once somebody has requested
-        them; tables with the same columns share it
-    `first`: the first rows, held until rows are read for good
+    `is_typed`: whether its columns have message types; if not, only names tell their meaning
+    `is_secondary`: whether its signal is also in another, main table
+    `matches`: cache of columns that match a pattern, shared by tables with the same columns
+    `first`: cache of the first rows
     """
 
     name: str
@@ -153,7 +151,7 @@ class Table(ABC):
 
     @property
     def notes(self) -> TableNotes:
-        """What a file declares besides the names of its columns."""
+        """Facts that a file declares besides its column names."""
         return TableNotes()
 
     @property
@@ -164,44 +162,44 @@ class Table(ABC):
     @property
     @abstractmethod
     def parts(self) -> Sequence[TablePart]:
-        """Every struct that each row has exactly once, outermost first."""
+        """All structs that occur exactly once per row, outermost first."""
 
     @abstractmethod
     def columns_of(self, name: str) -> Group | None:
-        """Return the numbers that a field or a column consists of; None where it is not there."""
+        """Return the columns of a field; None if there is no such field."""
 
     def field_of(self, group: Group) -> str:
-        """Return columns as settings name them."""
+        """Return the names of columns for a setting."""
         return ",".join(self.columns[k].text for k in group)
 
     def refuse_unknown(self, name: str) -> None:  # noqa: B027  # of some tables
-        """Refuse a field that is not there, with what there is."""
+        """Raise an error that lists the fields, if a field does not exist."""
 
     def may_contain(self, types: Iterable[str]) -> bool:  # noqa: ARG002  # of some tables
-        """Tell cheaply whether one of some types may be among its parts."""
+        """Return whether one of some types may be among its parts, by a fast test."""
         return True
 
     def transforms(self, way_out: str) -> Iterator[tuple[tuple[str, str], Float64]]:  # noqa: ARG002
-        """Yield parent and child frame and the rotation of each transform, of a table of them."""
+        """Yield the frames (parent, child) and the rotation of each transform in the table."""
         return iter(())
 
     def of_series(self, labels: Sequence[str]) -> Table:  # noqa: ARG002  # of messages
-        """Return the rows of one series, such as those between two frames.
+        """Return the rows of one series, such as the transforms between two frames.
 
-        `labels`: of transforms ``"child"`` or ``"parent:child"``; none for the only series
+        `labels`: for transforms ``"child"`` or ``"parent:child"``; empty: the only series
         """
         return self
 
     def label_columns(self) -> Mapping[int, bool]:
-        """Return the columns that begin with text or a whole number, and whether it is a number."""
+        """Return the columns that begin with text or an integer, and whether it is an integer."""
         return {}
 
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:  # noqa: ARG002
-        """Return cells of the first rows of a file; empty where they cannot be read."""
+        """Return the cells of the first rows of a file; empty if they cannot be read."""
         return []
 
     def texts(self, name: str) -> list[str]:  # noqa: ARG002  # of some tables
-        """Return what a text is in the first rows; nothing where it cannot be read."""
+        """Return the values of a text field in the first rows; empty if it cannot be read."""
         return []
 
     @abstractmethod
@@ -212,40 +210,38 @@ class Table(ABC):
         convert: Convert,
         within: Within = None,
     ) -> Iterator[RowBatch]:
-        """Yield batches of rows whose values are their times, ns, and the groups, converted.
+        """Yield batches with timestamps, ns, and groups of columns as values, after conversion.
 
-        Rows that cannot be decoded, or that `convert` refuses by their positions, are left out and
-        noted among the losses of the log.
+        Rows that cannot be decoded or converted are noted as losses.
 
-        `within`: only the parts of the log with a range of :meth:`recorded_span`, or some of the
-            parts of :meth:`spans`; None is all
+        `within`: a range of :meth:`recorded_span`, or some of the parts of :meth:`spans`; None: all
         """
 
     def recorded_span(self) -> TimeRange | None:
-        """Return when rows were recorded by an index that says it of each part of the log."""
+        """Return the range of log times, if the log has an index of them; else None."""
         return None
 
     def spans(self, stamp: Stamp) -> Sequence[Span] | None:  # noqa: ARG002  # of some tables
-        """Return which stamps each part of the log has; None where nothing says it."""
+        """Return the timestamps of each part of the log; None without an index of them."""
         return None
 
     @abstractmethod
     def peek(
         self, stamps: Sequence[Stamp], groups: Sequence[Group], *, is_strict: bool = False
     ) -> Iterator[RowBatch]:
-        """Yield times, ns, and groups of columns, the first rows first; nothing is noted.
+        """Yield timestamps, ns, and groups of columns from the first row on, without noting losses.
 
-        Rows that do not fit are left out, or refused where it `is_strict`.
+        Rows that do not fit are omitted, or refused if `is_strict`.
         """
 
     def in_order(self, batches: Iterable[RowBatch]) -> Iterator[RowBatch]:
-        """Return rows in the order in which they are read."""
+        """Return batches in the order in which :meth:`read` yields rows."""
         return iter(batches)
 
     def provenance(self) -> JsonObject:
-        """Return how the rows were made, as written beside them; empty where it is not."""
+        """Return the provenance in the log; empty if there is none."""
         return {}
 
     @abstractmethod
     def remark(self, code: str, text: str) -> None:
-        """Add a remark on the log, once however often its rows are read."""
+        """Add a remark on the log, unless it is there already."""

@@ -1,7 +1,7 @@
-"""NumPy's array format: what a header says, and which columns the array has.
+"""NumPy's array format: headers, and the columns of an array.
 
-Headers are read here and not by ``numpy.lib.format``, which has no public function for version 3,
-believes any size, and has no sentence for what is not an array of numbers. Nothing is unpickled.
+Headers are not read by ``numpy.lib.format``, which has no public function for version 3, trusts any
+size, and has no clear errors for other content. Nothing is unpickled.
 
 References
 ----------
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 MAGIC = b"\x93NUMPY"
 _PREAMBLES = {(1, 0): ("<H", "latin-1"), (2, 0): ("<I", "latin-1"), (3, 0): ("<I", "utf-8")}
-"""How the length of the header is stored in each version, and how its text."""
+"""Version -> format of the header length, and encoding of the header."""
 
 _LONGEST_HEADER = 1 << 15
 _WIDEST_ROW = 1 << 20
@@ -32,13 +32,13 @@ _MOST_SIGNALS, _FEWEST_SAMPLES = 20, 100
 
 
 class HeaderError(ValueError):
-    """A header that cannot be used; the message says why."""
+    """The header cannot be used, for the reason in the message."""
 
 
 class ArrayHeader(NamedTuple):
-    """What stands before the numbers of an array.
+    """The header of an array.
 
-    `is_fortran`: whether columns follow one another rather than rows
+    `is_fortran`: whether it is stored column by column
     """
 
     dtype: np.dtype[Any]
@@ -49,10 +49,10 @@ class ArrayHeader(NamedTuple):
 class ArrayColumn(NamedTuple):
     """A column of numbers within an array.
 
-    `name`: ``""`` for the elements of a plain array of one dimension
-    `start`: bytes before its first row, counted from the end of the header
-    `step`: bytes of a row
-    `offset`: where in a row the value stands
+    `name`: ``""`` for a plain array of one dimension
+    `start`: position of its first row after the header, bytes
+    `step`: distance of rows, bytes
+    `offset`: position of the value in a row, bytes
     """
 
     name: str
@@ -64,15 +64,15 @@ class ArrayColumn(NamedTuple):
 
 
 def has_signals_in_rows(shape: tuple[int, ...]) -> bool:
-    """Return whether each row of a matrix is a signal, as MATLAB's users often write them.
+    """Return whether rows of a matrix are signals instead of samples, as is common in MATLAB.
 
-    A log of so few samples with so many columns there is not.
+    It then has few rows and many columns.
     """
     return len(shape) == 2 and shape[0] <= _MOST_SIGNALS and shape[1] > _FEWEST_SAMPLES  # noqa: PLR2004
 
 
 def read_header(stream: BinaryIO) -> ArrayHeader:
-    """Read the header of an array; the stream is left at its first number."""
+    """Read the header of an array, up to its first number."""
     magic = stream.read(len(MAGIC) + 2)
     version = tuple(magic[len(MAGIC) :])
     if not magic.startswith(MAGIC) or len(version) != 2:  # noqa: PLR2004  # major and minor
@@ -93,7 +93,7 @@ def read_header(stream: BinaryIO) -> ArrayHeader:
     except HeaderError:
         raise
     except Exception as error:
-        # What a text may do to the parsers of Python and NumPy is theirs to choose.
+        # The parsers of Python and NumPy raise all kinds of exceptions.
         raise HeaderError("its header is damaged; save it again") from error
 
 
@@ -115,9 +115,9 @@ def _header(facts: dict[str, Any]) -> ArrayHeader:
 def columns_of(header: ArrayHeader) -> list[ArrayColumn]:
     """Return the columns of an array, at least one.
 
-    An array of records has one for each field, those of nested fields as ``field.part``, those of
-    fields that are arrays as ``field[0]``; a plain array of two dimensions has ``[0]``, ``[1]``...
-    where there are several. A matrix whose rows are signals is one of which the columns are.
+    An array of records has one for each field, with nested fields as ``field.part`` and elements of
+    fields that are arrays as ``field[0]``. A plain array of two dimensions has ``[0]``, ``[1]``...
+    if there are several. A matrix with signals in rows is transposed.
     """
     dtype, shape, is_fortran = header
     if has_signals_in_rows(shape):
@@ -126,7 +126,7 @@ def columns_of(header: ArrayHeader) -> list[ArrayColumn]:
         rows, fields, step = shape[0], _fields(dtype), dtype.itemsize
     elif len(shape) == 2 and not dtype.names:  # noqa: PLR2004  # rows and columns
         rows, width = shape
-        # Where columns follow one another, each is an array by itself.
+        # In column-major order, each column is contiguous.
         step = dtype.itemsize * (1 if is_fortran else width)
         names = (f"[{k}]" if width > 1 else "" for k in range(width))
         fields = ((name, dtype, k * dtype.itemsize) for k, name in enumerate(names))
@@ -148,7 +148,7 @@ def columns_of(header: ArrayHeader) -> list[ArrayColumn]:
 def _fields(
     dtype: np.dtype[Any], name: str = "", place: int = 0
 ) -> Iterator[tuple[str, np.dtype[Any], int]]:
-    """Yield name, type and place of every number in a record."""
+    """Yield name, type and offset of every number in a record."""
     if dtype.names is not None and dtype.fields is not None:
         for field in dtype.names:
             inner, offset = dtype.fields[field][:2]

@@ -1,7 +1,7 @@
-"""An archive of NumPy arrays, each of them one column or several.
+"""Archives of NumPy arrays, each with one or several columns.
 
-``zipfile`` opens no archive without a directory, which stands at its end. Where that was cut off,
-the members are found by hand; ``zipfile`` still unpacks them and checks their checksums.
+``zipfile`` cannot open an archive without the directory at its end. If it was cut off, the members
+are found here by their headers; ``zipfile`` still unpacks them and verifies their checksums.
 
 References
 ----------
@@ -38,7 +38,7 @@ _STEP = 1 << 12
 
 
 class CutArchive:
-    """The members of an archive, found by the headers before them."""
+    """An archive without directory; its members are found by their headers."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -53,7 +53,7 @@ class CutArchive:
                     break
                 begin = file.tell()
                 if not info.compress_size:
-                    # Its size was to be written when it was complete.
+                    # The size is only written when the archive is complete.
                     info.compress_size = info.file_size = size - begin
                     info.CRC = None  # type: ignore[assignment]  # which means: not checked
                 self._members[info.filename] = begin, info
@@ -75,15 +75,15 @@ class CutArchive:
 
 
 class _CutMember(zipfile.ZipExtFile):
-    """A member that is read in small steps: where it ends early, the last step is lost."""
+    """A member that is read in small steps: if it ends early, only the last step is lost."""
 
     def read1(self, n: int | None = -1) -> bytes:
-        """Return at most some kilobytes."""
+        """Return at most :data:`_STEP` bytes."""
         return super().read1(_STEP if n is None or n < 0 else min(n, _STEP))
 
 
 def _read_header(file: BinaryIO) -> zipfile.ZipInfo | None:
-    """Read the header of a member; None where there is no whole one, or it is encrypted."""
+    """Read the header of a member; None if it is incomplete or the member is encrypted."""
     header = file.read(_HEADER.size)
     if len(header) < _HEADER.size:
         return None
@@ -102,7 +102,7 @@ def _read_header(file: BinaryIO) -> zipfile.ZipInfo | None:
 
 
 def _zip64_sizes(extra: bytes) -> tuple[int, int]:
-    """Return the sizes of a member, unpacked and packed, out of an extra field; zeros if absent."""
+    """Return the unpacked and packed size of a member in an extra field; zeros if absent."""
     while len(extra) >= struct.calcsize("<HH"):
         kind, length = struct.unpack_from("<HH", extra)
         if kind == _ZIP64 and length >= struct.calcsize("<QQ"):
@@ -119,7 +119,7 @@ _SUFFIX = ".npy"
 
 
 class NpzLog(NumpyTable):
-    """An archive of arrays, each of them one column or several."""
+    """An archive of arrays, each with one or several columns."""
 
     kind = "npz"
 
@@ -145,7 +145,7 @@ class NpzLog(NumpyTable):
             raise
 
     def provenance(self) -> JsonObject:
-        """Return how the content came about, as the string ``quatprop`` says it."""
+        """Return the provenance in the string ``quatprop``."""
         key = METADATA_KEY.decode()
         member = key + _SUFFIX
         if member not in self._archive.namelist():
@@ -164,7 +164,7 @@ class NpzLog(NumpyTable):
         self._archive.close()
 
     def _look_for_second_file(self) -> None:
-        """Refuse an archive behind other bytes, and note bytes behind it, as zipfile does not."""
+        """Refuse an archive after other bytes, and note bytes after it."""
         if not isinstance(self._archive, zipfile.ZipFile):
             return
         begin = min((info.header_offset for info in self._archive.infolist()), default=0)
@@ -179,7 +179,7 @@ class NpzLog(NumpyTable):
             self.losses.note(f"byte {end}", following(size - end, "the archive"))
 
     def _other_content(self) -> str:
-        """Return what an archive without arrays of NumPy is."""
+        """Return a description of an archive without NumPy arrays."""
         names = self._archive.namelist()
         if not names:
             return "it is a ZIP archive of nothing; was it written to the end?"
@@ -191,7 +191,7 @@ class NpzLog(NumpyTable):
         return cast("BinaryIO", self._archive.open(member))
 
     def _describe(self) -> None:
-        """Find the columns; arrays that are no columns are ignored."""
+        """Find the columns; other arrays are ignored."""
         members = [name for name in self._archive.namelist() if name.endswith(_SUFFIX)]
         if len(members) > _MOST_ARRAYS:
             raise UnsupportedLogError(
@@ -210,7 +210,7 @@ class NpzLog(NumpyTable):
                 if isinstance(self._archive, CutArchive):
                     self.losses.note(f"array {name}", f"it is damaged: {error}")
                     continue
-                # Which columns it had is not known, so whether they are wanted is neither.
+                # Its columns are unknown, and may be the requested ones.
                 raise DamagedLogError(
                     self.path, f"its array {name} is damaged ({error}); save it again"
                 ) from error

@@ -1,4 +1,4 @@
-"""Columns of NumPy arrays, block by block: a single array, and what archives of them share."""
+"""Read columns of NumPy arrays block by block: single arrays, and the base class of archives."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ if TYPE_CHECKING:
     Buffer = bytearray | memoryview
 
 Wanted: TypeAlias = tuple[str, str, ArrayColumn]
-"""A column that is read: how it is named, the array in which it is, and where in that."""
+"""A column to read: its name, the name of its array, and its position in the array."""
 
 _PIECE_BYTES = 1 << 18
 _BLOCK_BYTES = 1 << 24
 _ARCHIVE_ERRORS = (
     *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, RuntimeError, NotImplementedError),
 )
-"""What the library raises for archives that are damaged, encrypted, or packed in other ways."""
+"""Exceptions for archives that are damaged, encrypted, or of unsupported compression."""
 
 
 class NumpyTable(TypedTable):
-    """A file of one array or an archive of several."""
+    """A file of one array, or an archive of several."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -94,7 +94,7 @@ class NumpyTable(TypedTable):
                     (columns, *_read_bytes(stream, count * columns[0][1].step))
                     for stream, columns in streams
                 ]
-                # Where one array ends early, the rows that all of them have are still good.
+                # If an array ends early, the rows that all arrays have are still valid.
                 whole = min(len(data) // columns[0][1].step for columns, data, _ in blocks)
                 if whole:
                     values = {
@@ -107,22 +107,22 @@ class NumpyTable(TypedTable):
                     why = "".join(f" ({damage})" for *_, damage in blocks if damage)
                     raise DamageError(f"it has {done + whole} of the {rows} rows it claims{why}")
             for stream, _ in streams:
-                # The checksum of a member is looked at when it ends.
+                # The checksum of a member is verified at its end.
                 stream.read(1)
 
 
 def following(count: int, what: str) -> str:
-    """Return why bytes behind the end of a file are lost."""
+    """Return the reason of a loss for bytes after the end of a file."""
     return f"{count} bytes follow {what} and are not read; was another joined to it?"
 
 
 def rows_at_once(size: int) -> int:
-    """Return how many rows of some bytes are read together."""
+    """Return the number of rows read at once, for rows of `size` bytes."""
     return max(1, min(BATCH_ROWS, _BLOCK_BYTES // size))
 
 
 def _arrow_type(dtype: np.dtype[Any]) -> pa.DataType:
-    """Return what a column is read as; bytes where it is none of numbers, times or text."""
+    """Return the Arrow type of a column; binary if it is not numbers, times or text."""
     if dtype.kind == "S":
         return pa.string()
     try:
@@ -133,7 +133,7 @@ def _arrow_type(dtype: np.dtype[Any]) -> pa.DataType:
 
 @contextmanager
 def archive_damage() -> Iterator[None]:
-    """Raise DamageError for everything that a damaged archive raises."""
+    """Convert exceptions for damaged archives to DamageError."""
     try:
         yield
     except _ARCHIVE_ERRORS as error:
@@ -146,12 +146,12 @@ def _skip(stream: BinaryIO, count: int) -> None:
 
 
 def _read_bytes(stream: BinaryIO, size: int) -> tuple[bytearray, str]:
-    """Return the next bytes of an array, as many of them as can be read, and why they are fewer."""
+    """Return the next bytes of an array, and why they are fewer than requested, or ``""``."""
     data = bytearray()
-    # What comes before a cut is returned by read1 and discarded by read.
+    # At a cut, read1 returns the bytes before it, and read discards them.
     read = getattr(stream, "read1", stream.read)
     try:
-        # In pieces: those before the one that is damaged are given out.
+        # In pieces, to return those before damage.
         while len(data) < size and (piece := read(min(size - len(data), _PIECE_BYTES))):
             data += piece
     except _ARCHIVE_ERRORS as error:
@@ -160,19 +160,19 @@ def _read_bytes(stream: BinaryIO, size: int) -> tuple[bytearray, str]:
 
 
 def values_in(data: Buffer, column: ArrayColumn, rows: int) -> pa.Array:
-    """Return a column out of the bytes of some rows, in the byte order of the machine."""
+    """Return a column from the bytes of rows, in native byte order."""
     stored: np.ndarray[Any, Any] = np.ndarray(
         (rows,), column.dtype, data, column.offset, (column.step,)
     )
     native = stored.astype(column.dtype.newbyteorder("="))
     if native.dtype.kind == "S":
         native = np.char.decode(native, "latin-1")
-    # Of dates only Arrow knows which are none.
+    # Only Arrow converts missing dates to null.
     return pa.array(native) if native.dtype.kind in "mMU" else to_arrow(native)
 
 
 class NpyLog(NumpyTable):
-    """An array in a file by itself."""
+    """A file of one array."""
 
     kind = "npy"
 
@@ -186,7 +186,7 @@ class NpyLog(NumpyTable):
                 raise DamagedLogError(path, str(error)) from error
             begin, size = stream.tell(), stream.seek(0, 2)
         for column in columns:
-            # Columns without names have numbers, as those of text have.
+            # Columns without names get numbers, as in text.
             name = column.name if header.dtype.names else (column.name or "[0]")[1:-1]
             self._add_column(name, "", column)
         beyond = size - begin - math.prod(header.shape) * header.dtype.itemsize

@@ -1,4 +1,4 @@
-"""Which stamps the row groups of a Parquet file have, by the statistics in its footer."""
+"""Timestamps of the row groups of a Parquet file, from the statistics in its footer."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from quatprop.tables.leaves import Leaf
 
 UNITS = {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
-"""Units of times in a Parquet file -> those of Arrow."""
+"""Parquet time unit -> Arrow time unit."""
 
 
 def stamp_spans(metadata: FileMetaData, leaf: Leaf, time_unit: str) -> list[Span] | None:
-    """Return the stamps of each row group.
+    """Return the timestamps of each row group; None without statistics.
 
-    `time_unit`: its unit, where it has whole numbers
+    `time_unit`: unit of a column of integers
     """
     paths = [metadata.schema.column(k).path for k in range(metadata.num_columns)]
     if leaf.name not in paths:
@@ -42,7 +42,7 @@ def stamp_spans(metadata: FileMetaData, leaf: Leaf, time_unit: str) -> list[Span
 
 
 def _extremes(statistics: Any, kind: pa.DataType) -> pa.Array | None:
-    """Return the smallest and the largest value of a column of whole numbers or times."""
+    """Return the smallest and the largest value of a column of integers or times, or None."""
     if statistics is None or not statistics.has_min_max:
         return None
     if pa.types.is_integer(kind):

@@ -1,4 +1,4 @@
-"""Rows of a text table: whole blocks at once, and taken apart where a row does not fit."""
+"""Rows of a text table: parse whole blocks, and split blocks with rows that do not fit."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ _LOSSES_A_BLOCK = 8
 
 
 class RowMisfitError(ValueError):
-    """A row that pyarrow must not parse, or would not refuse."""
+    """A row that pyarrow cannot safely parse, or would wrongly accept."""
 
 
 MISFITS = (
     *(pa.ArrowInvalid, pa.ArrowNotImplementedError, UnicodeDecodeError),
     *(timestamps.TimestampRangeError, RowMisfitError),
 )
-"""What is raised for text in which a row does not fit."""
+"""Exceptions for text with a row that does not fit."""
 
 
 class TextRows(ABC):
-    """One reading of a text table: a format says how to parse a block, and how to take it apart.
+    """One reading of a text table; subclasses parse and split the blocks of a format.
 
-    `leaves`: the columns to read, by their positions in the table
-    `task_bytes`: what one thread of pyarrow parses at a time
+    `leaves`: the columns to read, by index
+    `task_bytes`: bytes that one thread of pyarrow parses at a time
     """
 
     task_bytes: int
@@ -52,19 +52,19 @@ class TextRows(ABC):
         self.columns = columns
         self.leaves = leaves
         self.rejected = RejectedRows(log.path, log.losses)
-        # Stamps finer than ns are tried for once; without stamps there is nothing to try.
+        # Spare places, for times finer than 1 ns, are only used once they are needed.
         self._spare = 0 if columns.stamp.columns else timestamps.SPARE_PLACES
 
     @abstractmethod
     def parse(self, block: TextBlock, task_bytes: int, spare: int) -> pa.Table:
-        """Return all rows of a block, their stamps with spare places; raise one of MISFITS."""
+        """Return all rows of a block, with spare decimal places for times; raise one of MISFITS."""
 
     @abstractmethod
     def apart(self, block: TextBlock) -> Batches:
-        """Yield the rows that fit, of a block in which one does not, and note the others."""
+        """Yield the rows of a block that fit, and note the others."""
 
     def batches(self, blocks: Iterable[TextBlock]) -> Batches:
-        """Yield stamps in ns, shape ``(N,)``, and numbers, shape ``(N, k)``, of rows that fit."""
+        """Yield timestamps, ns, ``(N,)``, and numbers, ``(N, k)``, of the rows that fit."""
         for block in blocks:
             try:
                 t_ns, numbers = self.whole(block)
@@ -77,7 +77,7 @@ class TextRows(ABC):
                 yield t_ns, numbers
 
     def whole(self, block: TextBlock, task_bytes: int = 0) -> tuple[Int64, Float64]:
-        """Return stamps and numbers of a block all of whose rows fit."""
+        """Return timestamps and numbers of a block in which all rows fit."""
         task_bytes = task_bytes or self.task_bytes
         try:
             rows = self._rows(block, task_bytes, self._spare)
@@ -96,14 +96,14 @@ class TextRows(ABC):
 
 
 def use_threads(data: bytes | memoryview, task_bytes: int) -> bool:
-    """Whether a text is work for several threads."""
+    """Return whether a text is large enough for several threads."""
     return len(data) > task_bytes and thread_count() > 1
 
 
 class RejectedRows:
-    """Rows of a text table that do not fit: noted as losses; if most do not, the table is refused.
+    """Notes rows of a text table that do not fit as losses; refuses the table if most do not.
 
-    `count`: how many rows were read so far, those that do not fit among them
+    `count`: number of rows read so far, including those that do not fit
     """
 
     def __init__(self, path: Path, losses: Losses) -> None:
@@ -114,7 +114,7 @@ class RejectedRows:
         self._rejected = 0
 
     def note(self, rows: list[tuple[int, str]]) -> None:
-        """Note line number and reason of rejected rows of a block, together where they are many."""
+        """Note the line numbers and reasons of rejected rows in a block, as one loss if many."""
         if not rows:
             return
         if not self._rejected:
@@ -128,7 +128,7 @@ class RejectedRows:
         self._losses.note(f"lines {rows[0][0]} to {rows[-1][0]}", reason, len(rows))
 
     def refuse_if_most(self) -> None:
-        """Refuse a table of which more rows were rejected than read."""
+        """Refuse a table if more than half of its rows were rejected."""
         if 2 * self._rejected > self.count:
             line, reason = self._first
             raise UnsupportedLogError(

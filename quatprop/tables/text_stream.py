@@ -1,8 +1,10 @@
-"""Text in blocks of whole records, in flat memory."""
+"""Read text in blocks of whole records, with constant memory."""
 
 from __future__ import annotations
 
 import io
+import os
+import stat
 from functools import partial
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
 
 BLOCK_BYTES = 1 << 22
-"""Bytes of a block; a longer record makes a longer one."""
+"""Size of a block, bytes; larger for a longer record."""
 
 _SMALL_LOG = 1 << 16
 _PIECE_BYTES = 1 << 18
@@ -29,8 +31,9 @@ _LONGEST_RECORD = 1 << 26
 class TextBlock(NamedTuple):
     """Whole records of a text.
 
-    `data`: the records; valid until the next block is asked for
-    `quoted`: whether there are quotes in it, between which a line break may be part of a cell
+    `line`: line number of the first record
+    `data`: the records; valid until the next block is read
+    `quoted`: whether it has quotes, within which a line break may be part of a cell
     """
 
     line: int
@@ -39,14 +42,16 @@ class TextBlock(NamedTuple):
 
 
 class TextStream:
-    """A text that can be read once, decompressed on the way.
+    """A text that can be read once, and is decompressed while reading.
 
     `file`: an open binary file, plain or compressed with gzip, zstd, bz2 or lz4
     `may_be_compressed`: whether to look for compression
-    `damage`: why the text ends before its end; ``""`` while it does not
+    `size`: bytes of the file that are read; None if that is not known
+    `damage`: why the text ends early; ``""``: no damage so far
     """
 
     def __init__(self, file: BinaryIO, *, may_be_compressed: bool = True) -> None:
+        self.size: int | None = getattr(file, "size", None)
         self._file: Any = file if hasattr(file, "peek") else io.BufferedReader(cast("Any", file))
         compression = file_compression(self._file.peek(MAGIC_BYTES) if may_be_compressed else b"")
         if compression:
@@ -58,7 +63,7 @@ class TextStream:
         self.is_compressed = bool(compression)
 
     def fill(self, buffer: bytearray | memoryview) -> int:
-        """Read until `buffer` is full or the text ends; return how many bytes were read."""
+        """Read until `buffer` is full or the text ends; return the number of bytes read."""
         view = memoryview(buffer)
         filled = 0
         while filled < len(view) and (self._rest or self._read_piece()):
@@ -69,7 +74,7 @@ class TextStream:
         return filled
 
     def _read_piece(self) -> bool:
-        """Read on; all that precedes damage is given out."""
+        """Read the next piece; at damage, note it and return False."""
         try:
             self._rest = memoryview(next(self._pieces, b""))
         except UnreadableDataError as error:
@@ -84,7 +89,7 @@ class TextStream:
         return bytes(buffer[: self.fill(buffer)])
 
     def unread(self, data: bytes) -> None:
-        """Give back what was read last."""
+        """Put back data that was read last."""
         self._rest = memoryview(data + bytes(self._rest))
 
     def close(self) -> None:
@@ -92,17 +97,34 @@ class TextStream:
         self._file.close()
 
 
-def open_text(path: Path) -> TextStream:
-    """Open a file as a text."""
+class _FileNow(io.FileIO):
+    """A file as far as it goes when it is opened, or only `size` bytes: recorders append to it."""
+
+    def __init__(self, path: Path, size: int | None) -> None:
+        super().__init__(path)
+        status = os.fstat(self.fileno())
+        is_file = stat.S_ISREG(status.st_mode)
+        self.size = size if size is not None or not is_file else status.st_size
+
+    def readinto(self, buffer: Any) -> int | None:
+        """Read no further."""
+        if self.size is None:
+            return super().readinto(buffer)
+        left = max(0, self.size - self.tell())
+        return super().readinto(memoryview(buffer)[:left])
+
+
+def open_text(path: Path, size: int | None = None) -> TextStream:
+    """Open a file as a text; it ends after `size` bytes, or where it ends now."""
     try:
-        return TextStream(path.open("rb"))
+        return TextStream(cast("BinaryIO", _FileNow(path, size)))
     except OSError as error:
         raise UnreadableLogError(path, os_reason(error)) from error
 
 
 def record_blocks(text: TextStream, line: int, size: int = BLOCK_BYTES) -> Iterator[TextBlock]:
     """Yield a text as blocks that end where a record ends."""
-    # Memory costs time: a small log gets little.
+    # Allocating memory takes time, so small logs get a small buffer.
     buffer = bytearray(min(size, _SMALL_LOG))
     filled = text.fill(buffer)
     if filled == len(buffer):
@@ -125,10 +147,10 @@ def record_blocks(text: TextStream, line: int, size: int = BLOCK_BYTES) -> Itera
 
 
 def record_end(buffer: bytes | bytearray, end: int) -> int:
-    """Return where the last whole record of ``buffer[:end]`` ends; 0 where there is none.
+    """Return the end of the last whole record in ``buffer[:end]``; 0 if there is none.
 
-    A line break between quotes does not end a record. Where quotes do not pair up anywhere, the
-    last line break does: one stray quote must not swallow the rest of a log.
+    A line break within quotes does not end a record, unless quotes are unbalanced everywhere: one
+    stray quote must not swallow the rest of a log.
     """
     last = cut = buffer.rfind(b"\n", 0, end) + 1
     quotes = _count(buffer, '"', cut) if buffer.find(b'"', 0, cut) >= 0 else 0
@@ -140,5 +162,5 @@ def record_end(buffer: bytes | bytearray, end: int) -> int:
 
 
 def _count(buffer: bytes | bytearray, mark: str, end: int) -> int:
-    """Return how often a character is in ``buffer[:end]``; its own method is much slower."""
+    """Return the count of a character in ``buffer[:end]``, much faster than ``bytes.count``."""
     return int(np.count_nonzero(np.frombuffer(buffer, np.uint8, end) == ord(mark)))

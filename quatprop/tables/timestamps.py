@@ -1,8 +1,8 @@
-"""Timestamps of tables as int64 nanoseconds, exactly: never through float64.
+"""Convert the times of tables to int64 nanoseconds exactly, never through float64.
 
-A decimal number of seconds with 9 places is a count of nanoseconds once its point is left out. So
-a column is read as decimal128 at the scale at which the unscaled integer counts nanoseconds, and
-the integers are taken out of its buffer.
+Without its point, a decimal number of seconds with 9 places is an integer in ns. A column is
+therefore read as decimal128 with the scale of ns, and the unscaled integers are taken from its
+buffer.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 
 _PIECE_BYTES = 1 << 16
-"""Bytes of text that are copied at a time: memory that is used again, and is in the cache."""
+"""Bytes of text examined at a time, so that they stay in the cache."""
 
 PLACES = {"s": 9, "ms": 6, "us": 3, "ns": 0}
-"""Decimal places at which a number of each unit counts nanoseconds."""
+"""Unit -> decimal places with which an unscaled number is in ns."""
 
 SPARE_PLACES = 9
-"""Further places for stamps finer than a nanosecond, such as floats printed in full."""
+"""Further places for times finer than 1 ns, such as floats printed in full."""
 
 _DIGITS = 38
 _FROM_2000_NS, _UNTIL_2100_NS = 946_684_800 * NS_PER_S, 4_102_444_800 * NS_PER_S
@@ -41,30 +41,29 @@ _EXACT = Context(prec=400, rounding=ROUND_HALF_EVEN)
 
 
 class TimestampRangeError(ValueError):
-    """A stamp that int64 nanoseconds cannot hold."""
+    """The time does not fit in int64 ns."""
 
 
 def decimal_type(unit: str, spare: int = 0) -> pa.DataType:
-    """Return the column type whose unscaled integers are nanoseconds / 10**spare.
+    """Return the decimal type with unscaled integers in ns / 10**spare.
 
-    pyarrow refuses text of more digits than the precision, but does not check that the number
-    still fits once it has the places of the type. Precision + scale = 38 makes sure that it does.
+    pyarrow refuses text with more digits than the precision, but does not check that the number
+    fits after rescaling. Precision + scale = 38 ensures that it does.
     """
     scale = PLACES[unit] + spare
     return pa.decimal128(_DIGITS - scale, scale)
 
 
 def refuse_tiny_numbers(data: bytes | memoryview) -> None:
-    """Refuse text that pyarrow must not read as decimals: numbers smaller than 1e-39.
+    """Refuse numbers below 1e-39, which pyarrow must not read as decimals.
 
-    It divides them by powers of ten out of a table that ends before, whatever lies there: from a
-    few thousand places on it ends the process. Read line by line they are what they are.
+    It would read powers of ten beyond the end of a table, and crash for a few thousand places.
     """
     for begin in range(0, len(data), _PIECE_BYTES):
         piece = bytes(data[begin : begin + _PIECE_BYTES + len("-400")]) + b"   "
         text = np.frombuffer(piece, np.uint8)
         for letter in b"eE":
-            # Few texts have exponents at all, and fewer have many.
+            # Fast exit: few texts have exponents.
             if letter not in piece:
                 continue
             marks = np.flatnonzero(text == letter)
@@ -75,9 +74,9 @@ def refuse_tiny_numbers(data: bytes | memoryview) -> None:
 
 
 def nanoseconds(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
-    """Return a time column without nulls as int64 nanoseconds.
+    """Return a time column without nulls in int64 ns.
 
-    `column`: numbers of `unit` of any type, rounded half to even where they are finer; or times
+    `column`: times, or numbers of any type in `unit`, rounded half to even
     `unit`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``
     `Returns`: shape ``(N,)``, int64, ns
     """
@@ -100,10 +99,10 @@ def nanoseconds(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
 
 
 def _rounded(chunk: pa.Array, places: int) -> pa.Array:
-    """Return decimals of exactly so many places."""
+    """Return decimals rounded to a number of places."""
     if chunk.type.scale == places:
         return chunk
-    import pyarrow.compute as pc  # costs half as much again as pyarrow, and is seldom needed
+    import pyarrow.compute as pc  # slow to import, and seldom needed
 
     wide = chunk.view(pa.decimal128(_DIGITS, chunk.type.scale))
     try:
@@ -124,7 +123,7 @@ def _unscaled(chunk: pa.Array) -> Int64:
 
 
 def from_text(text: str, unit: str) -> int:
-    """Return one number as nanoseconds, rounded half to even."""
+    """Return one number in ns, rounded half to even."""
     try:
         scaled = Decimal(text.strip()).scaleb(PLACES[unit], _EXACT)
         whole = scaled.to_integral_value(context=_EXACT)
@@ -140,7 +139,7 @@ def from_text(text: str, unit: str) -> int:
 
 
 def likely_unit(text: str) -> str:
-    """Return the unit in which a number is a time of this century; ``""`` where it is none."""
+    """Return the unit in which a number is a time in this century; ``""``: none."""
     for unit in PLACES:
         try:
             t_ns = from_text(text, unit)
@@ -152,9 +151,9 @@ def likely_unit(text: str) -> str:
 
 
 def from_floats(values: Float64, unit: str) -> Int64:
-    """Return finite floats as nanoseconds: their exact value, rounded half to even.
+    """Return finite floats in ns: their exact value, rounded half to even.
 
-    Whole and fractional part are scaled apart, so that the only rounding is the last one.
+    Integer and fractional parts are scaled separately, so that only the result is rounded.
     """
     factor = 10 ** PLACES[unit]
     whole = np.floor(values)
@@ -162,7 +161,7 @@ def from_floats(values: Float64, unit: str) -> Int64:
         raise TimestampRangeError
     fraction = (values - whole) * factor
     nanos = np.rint(fraction)
-    # A product that lands on a half may have been rounded onto it.
+    # A product at exactly one half may have been rounded to it.
     for row in np.flatnonzero(np.abs(fraction - nanos) == 0.5):  # noqa: PLR2004  # the half
         nanos[row] = round(Fraction(float(values[row] - whole[row])) * factor)
     stamps: Int64 = whole.astype(np.int64) * factor + nanos.astype(np.int64)
@@ -170,7 +169,7 @@ def from_floats(values: Float64, unit: str) -> Int64:
 
 
 def sum_parts(parts: Iterable[Int64]) -> Int64:
-    """Return the sum of the parts of a stamp, each in nanoseconds, shape ``(N,)``, int64."""
+    """Return the sum of the parts of a timestamp, each in ns, shape ``(N,)``, int64."""
     first, *others = parts
     for other in others:
         total = first + other
@@ -181,9 +180,9 @@ def sum_parts(parts: Iterable[Int64]) -> Int64:
 
 
 def row_stamps(first: int, count: int, sample_rate: Fraction | float) -> Int64:
-    """Return the stamps of rows that come at a steady rate.
+    """Return the timestamps of rows at a constant rate.
 
-    `sample_rate`: rows a second, Hz; of a float the shortest decimal is taken as exact
+    `sample_rate`: Hz; a float is taken as its shortest decimal
     `Returns`: shape ``(count,)``, int64, ns
     """
     try:

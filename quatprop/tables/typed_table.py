@@ -1,7 +1,7 @@
-"""Tables whose columns have types: their record batches become stamps and numbers here.
+"""Base class of tables with typed columns: convert record batches to timestamps and numbers.
 
-A format says which columns there are and gives record batches of the wanted ones; the time, its
-unit, what is no number and what is damaged are dealt with once.
+Subclasses list the columns of a format and read record batches; times, units, text and damage are
+handled here.
 """
 
 from __future__ import annotations
@@ -30,24 +30,23 @@ if TYPE_CHECKING:
 
 _HEAD_ROWS = 5000
 BATCH_ROWS = 1 << 16
-"""Rows that are read together."""
+"""Number of rows read at once."""
 
 
 class DamageError(Exception):
-    """What follows in a part cannot be read; the message says why."""
+    """The rest of a part cannot be read, for the reason in the message."""
 
 
 DAMAGE = (pa.ArrowException, OSError, DamageError)
-"""ArrowException has what cannot be allocated in it: lengths in a damaged file may be any."""
+"""Exceptions for damaged files. ArrowException includes failed allocations of damaged lengths."""
 
 
 class RowGroup(NamedTuple):
-    """Rows that are read together, and lost together where they are damaged.
+    """Rows that are read together, and lost together if damaged.
 
-    `place`: where they are, in words
-    `rows`: how many there should be; 0 where nothing says it
-    `batches`: the rows; a number stands for that many that are not read: they are not asked for, or
-        rejected, which is noted already
+    `place`: their place, for losses
+    `rows`: declared number of rows; 0: unknown
+    `batches`: the rows; an integer is a number of rows that are not requested or already lost
     """
 
     place: str
@@ -66,12 +65,12 @@ class TypedTable(TableLog):
 
     @property
     def names(self) -> list[str]:
-        """The column names in order, fields of structs as ``column.field``."""
+        """Column names in order, with fields of structs as ``column.field``."""
         return [leaf.name for leaf in self._leaves]
 
     @property
     def notes(self) -> TableNotes:
-        """Columns of timestamps carry their own unit."""
+        """Units of columns of times, and the columns of text."""
         return TableNotes(
             units={
                 k: leaf.type.unit
@@ -84,7 +83,7 @@ class TypedTable(TableLog):
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return cells of the first rows; see :class:`quatprop.tables.base.TableLog`."""
         first = [values[:_HEAD_ROWS] for values in self._first_values(columns)]
-        # Dates of nanoseconds are none of Python's.
+        # Python's dates have no nanoseconds.
         times = [pa.types.is_timestamp(values.type) for values in first]
         cells = [
             (values.cast(pa.int64()) if is_time else values).to_pylist()
@@ -118,14 +117,14 @@ class TypedTable(TableLog):
             first += count if columns.stamp.series else max(group.rows, count)
 
     def _whole_batches(self, group: RowGroup) -> Iterator[pa.RecordBatch | int]:
-        """Yield the batches of a row group up to where it is damaged."""
+        """Yield the batches of a row group up to damage, which is noted."""
         count = 0
         batches = iter(group.batches)
         while True:
             try:
                 batch = next(batches, None)
                 if isinstance(batch, pa.RecordBatch):
-                    # Arrow believes what a file says about its rows: they may not be there.
+                    # Arrow trusts the declared number of rows.
                     batch.validate()
             except DAMAGE as error:
                 rows = max(group.rows - count, 0) or None
@@ -140,7 +139,7 @@ class TypedTable(TableLog):
             yield batch
 
     def _first_values(self, columns: Sequence[int]) -> list[pa.Array]:
-        """Return columns of the first rows; none where they cannot be read."""
+        """Return columns of the first rows; empty if they cannot be read."""
         with suppress(*DAMAGE, StopIteration, UnsupportedLogError):
             group = next(self._row_groups(TimedColumns(tuple(columns), Stamp())))
             batch = next(batch for batch in group.batches if isinstance(batch, pa.RecordBatch))
@@ -182,11 +181,12 @@ class TypedTable(TableLog):
 
 
 class BatchRows(NamedTuple):
-    """Rows of the series that is read, those with a time.
+    """Rows of the selected series with a time.
 
-    `t_ns`: stamps, shape ``(N,)``, int64, ns
-    `numbers`: as stored, shape ``(N, k)``, float64; NaN where there are none
-    `total`: how many rows of the series there were, with a time or without
+    `t_ns`: timestamps, shape ``(N,)``, int64, ns
+    `numbers`: as stored, shape ``(N, k)``, float64; NaN for missing values
+    `total`: number of rows of the series, with and without a time
+    `others`: number of rows of other series
     """
 
     t_ns: Int64
@@ -195,7 +195,7 @@ class BatchRows(NamedTuple):
     others: int
 
     def note(self, log: TableLog, first: int) -> None:
-        """Count rows that are not read, in a batch that begins with a row of the series."""
+        """Note skipped rows and rows without a time; `first`: number of rows before the batch."""
         log.other_rows += self.others
         if untimed := self.total - len(self.t_ns):
             place = f"rows {first + 1} to {first + self.total}"
@@ -208,7 +208,7 @@ def batch_rows(
     columns: TimedColumns,
     first: int,
 ) -> BatchRows:
-    """Return stamps and numbers of a batch, whose first row of the series has a number."""
+    """Return timestamps and numbers of a batch; `first`: number of rows of the series before it."""
     total = batch.num_rows
     if columns.stamp.series:
         batch = _of_series(batch, leaves, columns)
@@ -217,7 +217,7 @@ def batch_rows(
     for axis, k in enumerate(columns.numbers):
         values = values_of(batch, leaves[k])
         if pa.types.is_decimal128(values.type):
-            values = values.cast(pa.string())  # the nearest double, which Arrow's own is not
+            values = values.cast(pa.string())  # Arrow's own cast is not exact
         is_float64 = pa.types.is_float64(values.type)
         numbers[:, axis] = to_numpy(values if is_float64 else values.cast(pa.float64(), safe=False))
     if not columns.stamp.columns:
@@ -236,7 +236,7 @@ def _of_series(
     leaves: Sequence[Leaf] | Mapping[int, Leaf],
     columns: TimedColumns,
 ) -> pa.RecordBatch | pa.Table:
-    """Return the rows of the series that is read."""
+    """Return the rows of the selected series."""
     import pyarrow.compute as pc
 
     for k, label in columns.stamp.series:

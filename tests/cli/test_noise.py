@@ -1,6 +1,7 @@
 """``quatprop noise`` writes what its options say, and refuses what is not at rest."""
 
 import json
+import shutil
 
 import numpy as np
 import pyarrow as pa
@@ -110,6 +111,16 @@ def test_it_draws_the_deviation(log, tmp_path, suffix):
         assert "bias instability" not in text
 
 
+def test_a_long_title_stays_on_the_picture(log, tmp_path):
+    """Wide letters ran off the right edge."""
+    long = shutil.copy(log, tmp_path / f"{'W' * 90}.parquet")
+    run("noise", long, "--plot", tmp_path / "allan.png", "-q", code=0)
+    with Image.open(tmp_path / "allan.png") as image:
+        dark = np.asarray(image.convert("L"))[:60] < 128
+    assert dark.any()
+    assert not dark[:, -15:].any()
+
+
 def test_rests_and_gaps_divide_the_samples(tmp_path):
     """Two rests, one with a gap, about a motion: what is stated is that of the pieces alone."""
     random = np.random.default_rng(10)
@@ -178,7 +189,9 @@ def test_other_refusals(log, tmp_path):
     """Stdin, a page, an input as output; and no walk of something that shows no noise."""
     assert "stdin and pipes can be read only once" in refused("noise", "-")
     assert "use .png, .svg or .pdf" in refused("noise", log, "--plot", tmp_path / "a.html")
-    assert "this is an input of the run" in refused("noise", log, "-o", log)
+    other = shutil.copy(log, tmp_path / "log.yaml")
+    assert "this is an input of the run" in refused("noise", other, "-o", other)
+    assert "ends in neither .yaml nor .yml" in refused("noise", log, "-o", tmp_path / "x.txt")
     with pytest.raises(UsageError, match="rate_unit is for logs"):
         noise(GyroSeries([0, 1], np.zeros((2, 3))), rate_unit="deg/s")
 
@@ -191,3 +204,19 @@ def test_a_damaged_log_gives_exit_code_3(tmp_path):
     result = run("noise", path, "-o", tmp_path / "imu.yaml", code=3)
     assert "lost: " in result.stderr
     assert 'rostopic: "/imu"' in (tmp_path / "imu.yaml").read_text()
+
+
+def test_copies_of_one_recording_are_refused(log, tmp_path):
+    """They gave half of the noise at short times, with a warning."""
+    other = shutil.copy(log, tmp_path / "copy.parquet")
+    said = refused("noise", log, other)
+    assert "60000 of 120000 timestamps are repeated: the files are copies of one recording" in said
+
+
+def test_parts_of_one_recording_are_one(log, tmp_path):
+    """What is measured of two halves is what is measured of the whole."""
+    table, parts = pq.read_table(log), [tmp_path / "a.parquet", tmp_path / "b.parquet"]
+    for start, path in zip((0, 30_000), parts, strict=True):
+        pq.write_table(table.slice(start, 30_000), path)
+    found = json.loads(run("noise", *parts, "--json", code=0).stdout)
+    np.testing.assert_array_equal(found["deviation"], noise(log).deviation)

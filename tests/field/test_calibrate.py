@@ -3,6 +3,7 @@
 import h5py
 import numpy as np
 import pytest
+from make.commands import run
 from make.mistakes import RECORDINGS, Recording
 
 from quatprop import AttitudeSeries, GyroSeries, calibrate
@@ -65,3 +66,9 @@ def test_two_trials_of_one_sensor_have_the_same_bias(shared_logs):
         biases.append((found.bias_rad_s, np.array(sigma)))
     (first, s), (second, t) = biases
     assert (np.abs(first - second) < 4 * np.hypot(s, t)).all()
+
+
+def test_covariances_do_not_matter(shared_logs):
+    """A driver's constant covariance was warned of, though only attitudes are used."""
+    log = f"{shared_logs / 'two_imus/test1_2014_xsens.bag'}:/xsens/imu_data"
+    assert "covariance" not in run("calibrate", log, log, "--estimate", "bias", code=0).stderr

@@ -4,12 +4,12 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from quatprop import AttitudeSeries, GyroSeries
 from quatprop.calibration.estimate import fit
 from quatprop.calibration.model import OF_GROUP, Model
-from quatprop.calibration.windows import covered, windows_of
+from quatprop.calibration.windows import windows_of
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, exp, log, multiply, shorter
 
@@ -71,7 +71,7 @@ def begun(rates, reference):
     """Return windows, and a model in which nothing is known."""
     middle_ns = (int(reference.t_ns[0]) + int(reference.t_ns[-1])) // 2
     model = Model(middle_ns=middle_ns)
-    return covered(rates, windows_of(reference, LENGTH_NS), model, 10**8), model
+    return windows_of(rates, reference, model, LENGTH_NS), model
 
 
 def error_of(found, truth):
@@ -91,7 +91,7 @@ class Ensemble(NamedTuple):
     def is_exact(self, comparisons, fault=1.0):
         """Tell whether the sum is in the 99.9 % band; `fault`: factor of standard deviations."""
         tail = 0.001 / 2 / comparisons
-        low, high = chi2.ppf([tail, 1 - tail], self.count)
+        low, high = chdtri(self.count, [1 - tail, tail])
         return bool(low < self.squares / fault**2 < high)
 
 

@@ -1,1 +1,1 @@
-"""Which columns of a table are the time of its rows, and whose row each is."""
+"""Choose the time column of a table, and the series that its rows belong to."""

@@ -1,4 +1,4 @@
-"""The choice of a clock among the columns of a table."""
+"""Choose a clock among the columns of a table."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _PARTS_OF_A_SECOND = "|".join(name for unit in ("ms", "us", "ns") for name in TI
 
 
 def clocks_of(matcher: ColumnMatcher, row: Row, numbers: Group) -> list[Clock]:
-    """Return the columns that may be the time, those that can be read if there are any."""
+    """Return the columns that may be the time; only readable ones if there are any."""
     keys = [matcher.columns[k].key for k in numbers]
     found: dict[int, Clock] = {}
     for place, pattern in enumerate(_conventional(matcher, row)):
-        # The time of recording is the stamp of a convention only where a file has no other.
+        # The time of recording has the rank of a convention only if there is no other timestamp.
         rank = clocks.ARRIVAL if found and pattern == row.log_time else clocks.CONVENTION
         for k in matcher.matching(pattern):
             found.setdefault(k, clock_at(matcher, k, rank, row.time_unit, place))
@@ -54,7 +54,7 @@ def clocks_of(matcher: ColumnMatcher, row: Row, numbers: Group) -> list[Clock]:
 
 
 def _conventional(matcher: ColumnMatcher, row: Row) -> tuple[str, ...]:
-    """Return the patterns of the time columns of a convention, for the chosen clock."""
+    """Return the patterns of a convention for the columns of the selected clock."""
     match matcher.selection.clock:
         case None:
             return () if row is GENERIC else row.stamps
@@ -70,7 +70,7 @@ def _conventional(matcher: ColumnMatcher, row: Row) -> tuple[str, ...]:
 
 
 def clock_at(matcher: ColumnMatcher, k: int, rank: int, implied_unit: str, place: int) -> Clock:
-    """Return a column as a clock, by its unit or, where none is declared, by an implied one."""
+    """Return a column as a clock, with its declared or else an implied unit."""
     unit = OTHER_DATES if k in matcher.notes.texts else matcher.declared((k,)) or implied_unit
     zoned = matcher.notes.dates.get(k)
     offset = utc_offset_ns(matcher, k)
@@ -80,13 +80,13 @@ def clock_at(matcher: ColumnMatcher, k: int, rank: int, implied_unit: str, place
 
 
 def utc_offset_ns(matcher: ColumnMatcher, k: int) -> int:
-    """Return the offset of local text from UTC that the header states, ns; else 0."""
+    """Return the UTC offset of local text that the header declares, ns; else 0."""
     is_local = matcher.notes.dates.get(k) is False
     return clocks.stated_offset_ns(matcher.columns[k].unit) if is_local else 0
 
 
 def refuse_unknown_beside_arrival(matcher: ColumnMatcher, best: Clock, found: list[Clock]) -> None:
-    """Refuse to take the time of arrival where another column may be the sensor's own."""
+    """Refuse an arrival time if another column may be the sensor's own time."""
     if best.rank == clocks.ARRIVAL:
         unknown = {*matcher.matching(rf".*[._]{clocks.TIME}")}
         if unknown := unknown - {k for clock in found for k in clock.columns}:
@@ -94,7 +94,7 @@ def refuse_unknown_beside_arrival(matcher: ColumnMatcher, best: Clock, found: li
 
 
 def _nearest(matcher: ColumnMatcher, found: list[Clock], keys: list[str]) -> list[Clock]:
-    """Return clocks without those that, of one kind, are further from what was sampled."""
+    """Return, of the clocks of each kind, those whose names are most similar to the samples'."""
 
     def distance(clock: Clock) -> int:
         key = matcher.columns[clock.columns[0]].key
@@ -108,21 +108,21 @@ def _nearest(matcher: ColumnMatcher, found: list[Clock], keys: list[str]) -> lis
 def best_clock(
     matcher: ColumnMatcher, found: list[Clock], unnamed: list[Clock], *, has_rate: bool
 ) -> Clock | None:
-    """Return the best clock that moves, and note what another one says.
+    """Return the best clock that is not constant, and remark on others that differ.
 
-    If none does, it is the only other column that moves in a unit of time, or None where the file
-    `has_rate`, a sample rate.
+    If all are constant, return the only varying column with a unit of time, or None if the file
+    declares a sample rate (`has_rate`).
     """
-    found = [_with_fraction(matcher, clock) for clock in sorted(found, key=lambda c: c.goodness)]
+    found = [_with_fraction(matcher, clock) for clock in sorted(found, key=lambda c: c.priority)]
     fractions = {k for clock in found for k in clock.columns[1:]}
     found = [clock for clock in found if clock.columns[0] not in fractions]
     is_only = len(found) == 1 and not unnamed and not has_rate
     if is_only or not any(clock.is_readable for clock in found):
         return found[0]
     times = _first_times(matcher, [*found, *unnamed])
-    moving = [clock for clock in found if not clocks.stands_still(times[clock])]
+    moving = [clock for clock in found if not clocks.is_constant(times[clock])]
     if not moving:
-        moving = [clock for clock in unnamed if not clocks.stands_still(times[clock])]
+        moving = [clock for clock in unnamed if not clocks.is_constant(times[clock])]
         if len(moving) != 1:
             moving = [] if has_rate else found
     is_found = moving and moving[0] in found
@@ -138,19 +138,19 @@ def best_clock(
     for other in others:
         ours, theirs = times[best], times[other]
         if ours is None or theirs is None:
-            if best.goodness == other.goodness:
+            if best.priority == other.priority:
                 raise ambiguous_time(matcher, [best.columns[0], other.columns[0]])
             continue
         differ = clocks.difference(ours, theirs)
         if differ is None:
             continue
         is_rival = best.rank == other.rank != clocks.CONVENTION
-        if differ.largest_ns and (is_rival or best.goodness == other.goodness):
+        if differ.largest_ns and (is_rival or best.priority == other.priority):
             apart = duration_text(differ.largest_ns)
             why = f", which differ by up to {apart} beyond a constant"
             raise ambiguous_time(matcher, [best.columns[0], other.columns[0]], why)
         if other.rank == clocks.ARRIVAL and 0 < differ.largest_ns <= NS_PER_S:
-            continue  # what takes as long as the network or the disk does
+            continue  # a delay of the network or the disk
         both = matcher.names(other.columns), matcher.names(best.columns)
         way = Setting("time_col", matcher.as_option(other.columns[0]))
         sentence = clocks.difference_text(*both, differ)
@@ -172,7 +172,7 @@ def _first_times(matcher: ColumnMatcher, found: list[Clock]) -> dict[Clock, Floa
 
 
 def _with_fraction(matcher: ColumnMatcher, clock: Clock) -> Clock:
-    """Return a clock of seconds with the column of their fractions, if there is one."""
+    """Return a clock, with the column of the fraction of its seconds if there is one."""
     first, *fraction = with_fraction(matcher, clock.columns[0])
     if not fraction:
         return clock
@@ -185,7 +185,7 @@ def _with_fraction(matcher: ColumnMatcher, clock: Clock) -> Clock:
 
 
 def with_fraction(matcher: ColumnMatcher, first: int) -> Group:
-    """Return a column, and if it is of whole seconds that of their fractions, if there is one."""
+    """Return a column, and for whole seconds the column of their fraction, if there is one."""
     match = re.fullmatch(r"(.*[._])?(?:secs?|seconds?)|(.*[._])s", _key_of(matcher, first))
     if not match:
         return (first,)
@@ -199,9 +199,9 @@ def _key_of(matcher: ColumnMatcher, k: int) -> str:
 
 
 def are_two_clocks(matcher: ColumnMatcher, seconds: int, part: int) -> bool:
-    """Return whether one is a whole stamp by itself: seconds with decimals, or parts for 1 s.
+    """Return whether seconds have decimals, or a fraction reaches a second: then each is a clock.
 
-    In odd messages of ROS the nanoseconds go on a little beyond a second.
+    In some ROS messages, nanoseconds slightly exceed a second.
     """
     unit = fraction_unit(matcher, part)
     limit = (2 if unit == "ns" else 1) * NS_PER_S
@@ -214,7 +214,7 @@ def are_two_clocks(matcher: ColumnMatcher, seconds: int, part: int) -> bool:
 
 
 def fraction_unit(matcher: ColumnMatcher, k: int) -> str:
-    """Return the unit of the second column of a stamp; ns, as in ROS, if nothing says it."""
+    """Return the unit of the second column of a timestamp; by default ns, as in ROS."""
     word = re.split(r"[._]", _key_of(matcher, k))[-1]
     declared = matcher.declared((k,))
     units = (u for u, names in TIME_UNITS.items() if u == declared or word in names)
@@ -224,7 +224,7 @@ def fraction_unit(matcher: ColumnMatcher, k: int) -> str:
 def ambiguous_time(
     matcher: ColumnMatcher, candidates: Sequence[int], why: str = ""
 ) -> UndeclaredError:
-    """Return the error for columns that all may be the time, and why none of them is taken."""
+    """Return the error for several possible time columns; `why`: how they differ."""
     names = listed(matcher.columns[k].text for k in candidates)
     what, way = f"the time column (one of {names}{why})", f"{Setting('time_col', 'C')}"
     if not candidates:
@@ -239,6 +239,6 @@ def ambiguous_time(
 
 
 def _shared(a: str, b: str) -> int:
-    """Return how many words of two names are the same from the beginning."""
+    """Return the number of equal words at the start of two names."""
     pairs = zip(*(re.split(r"[._]", name) for name in (a, b)), strict=False)
     return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))

@@ -1,7 +1,7 @@
-"""Clocks of tables: which columns may be the time, how good each is, and whether they agree.
+"""Clocks of tables: which columns may be the time, their priority, and whether they agree.
 
-A clock is a row of :data:`CLOCKS`: the names of its columns and its rank. The best clock that moves
-is taken; what another one says is compared with it over the first rows.
+A row of :data:`CLOCKS` has the names and the rank of a clock. The best clock that is not constant
+is used, and compared with the others over the first rows.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64
 
 CONVENTION, SENSOR, EPOCH, TEXT, LOCAL, ARRIVAL = range(6)
-"""Ranks: the stamp of a known convention; the sensor's sampling time; a number since some epoch;
-text with its offset from UTC; local text; when something arrived or was written down."""
+"""Ranks, best first: timestamp of a known convention, sampling time of the sensor, number since an
+epoch, text with a UTC offset, local text, time of arrival or recording."""
 
 _QUARTER_NS = 900 * NS_PER_S
 _LARGEST_OFFSET_NS = 14 * 3600 * NS_PER_S
@@ -33,12 +33,12 @@ TIME = r"(?:t|ts|time|timestamp|time_?stamp|stamp)"
 
 
 class ClockName(NamedTuple):
-    """How sources name a clock.
+    """Names of a clock.
 
-    `pattern`: regular expression for whole keys of columns. A group ``of`` is the beginning of the
-        name of what was sampled: of other sensors, the clock is not that of the rates
+    `pattern`: regular expression for whole keys of columns. A group ``of`` is the prefix of the
+        sampled columns: with another prefix, it is the clock of another sensor
     `rank`: one of the ranks above
-    `unit`: the unit that the name implies where nothing declares one
+    `unit`: the unit implied by the name if none is declared
     """
 
     pattern: str
@@ -73,25 +73,25 @@ CLOCKS = (
     ClockName(rf"utc_?{TIME}", EPOCH),
     ClockName(rf"(?:{TIME}|seconds|secs?)_?elapsed|elapsed(?:_?{TIME}|_?seconds)?|uptime", EPOCH),
 )
-"""Names of clocks; the first row that fits counts, and comes first among those of its rank."""
+"""Names of clocks; the first matching row counts, and earlier rows come first within a rank."""
 
 COUNTER = (
     r"(?:.*[._])?(?:packet|sample|frame|row|message|msg|record)?_?(?:counter|seq|sequence|cnt)"
     r"(?:_?(?:no|num|number|id))?|(?:packet|sample|frame)_?(?:count|no|num|number|index|id)"
 )
-"""Names of what may count the samples of a sensor, also those that were lost."""
+"""Names of columns that may count samples, including lost ones."""
 
 INDEX = r"(?:.*[._])?(?:frame|index|idx|count|samples?|n|no|num|number)"
-"""Names of what may count samples, or only rows that were written."""
+"""Names of columns that may count samples, or only rows."""
 
 
 class Clock(NamedTuple):
-    """A column that may be the time, or those of its seconds and their fraction.
+    """A column that may be the time, or two columns of seconds and their fraction.
 
-    `rank`, `place`: how good it is, and which of those of its rank
-    `units`: the unit of each column; ``""`` where nothing declares it
-    `zoned`: whether its text has offsets from UTC
-    `offset_ns`: the offset of local text that the header states, ns
+    `rank`, `place`: its rank, and its place within the rank
+    `units`: unit of each column; ``""``: not declared
+    `zoned`: whether its text has UTC offsets
+    `offset_ns`: UTC offset of local text declared by the header, ns
     """
 
     columns: tuple[int, ...]
@@ -103,17 +103,17 @@ class Clock(NamedTuple):
 
     @property
     def is_readable(self) -> bool:
-        """Whether it is not one of dates that can be read in several ways."""
+        """Whether it can be read: it is not dates of an ambiguous format."""
         return OTHER_DATES not in self.units
 
     @property
-    def goodness(self) -> tuple[int, int]:
-        """What is lowest of the best clock."""
+    def priority(self) -> tuple[int, int]:
+        """Sort key: lowest for the best clock."""
         return self.rank, self.place
 
 
 def named_clock(key: str, keys: Iterable[str]) -> tuple[int, str, int] | None:
-    """Return rank, implied unit and place of a column by its key; None if it is no clock."""
+    """Return rank, implied unit and place of a column, by its key; None if it is not a clock."""
     for place, row in enumerate(CLOCKS):
         match = re.fullmatch(row.pattern, key)
         if match and all(
@@ -124,7 +124,7 @@ def named_clock(key: str, keys: Iterable[str]) -> tuple[int, str, int] | None:
 
 
 def stated_offset_ns(unit: str) -> int:
-    """Return the offset of local time from UTC that stands in the place of a unit, ns."""
+    """Return the UTC offset, ns, that a header has in place of a unit; else 0."""
     match = re.fullmatch(r"(?:utc|gmt)?([+-]?)(\d\d?):?([0-5]\d)", unit)
     if not match:
         return 0
@@ -133,9 +133,9 @@ def stated_offset_ns(unit: str) -> int:
 
 
 def first_times(cells: Sequence[Sequence[object]], clock: Clock) -> Float64 | None:
-    """Return the times of the first rows, ns; NaN where there is none, None if they are unknown.
+    """Return the times of the first rows, ns, as floats for comparison.
 
-    Floats are enough to compare them.
+    NaN for rows without a time; None if no row has a readable one.
     """
     if not all(unit in NS_PER_UNIT for unit in clock.units):
         return None
@@ -162,16 +162,16 @@ def _dates(cells: Sequence[object], *, zoned: bool) -> Float64:
     return times
 
 
-def stands_still(times: Float64 | None) -> bool:
-    """Return whether a clock has the same time in all rows: it was never set."""
+def is_constant(times: Float64 | None) -> bool:
+    """Return whether a clock has the same time in all rows, as one that was never set."""
     return times is not None and len(times) > 1 and bool((times == times[0]).all())
 
 
 class Difference(NamedTuple):
-    """How another clock differs from the one that is used, ns.
+    """Difference of another clock from the one used, ns.
 
-    `constant_ns`: by how much it is ahead, usually
-    `largest_ns`: how far it is off that at most
+    `constant_ns`: median, positive if the other one is ahead
+    `largest_ns`: maximum deviation from the median; 0 for a UTC offset
     """
 
     constant_ns: int
@@ -179,15 +179,14 @@ class Difference(NamedTuple):
 
 
 def difference(used: Float64, other: Float64) -> Difference | None:
-    """Return how a clock differs from another one; None where they are the same but for a constant.
+    """Return the difference between two clocks; None if it is constant and not a UTC offset.
 
-    Clocks of whole seconds may be off by one, and all by a sampling interval.
+    Differences up to a step of either clock are rounding.
     """
     apart = other - used
     apart = apart[np.isfinite(apart)]
     if len(apart) < 2:  # noqa: PLR2004  # one says nothing
         return None
-    # A clock that is ahead by a constant and rounds down is ahead by the largest difference.
     constant = float(np.median(apart))
     largest = float(np.abs(apart - constant).max())
     tolerance = max(_usual_step(used, np.median), _usual_step(other, np.min))
@@ -206,13 +205,13 @@ def _usual_step(times: Float64, which: object) -> float:
 
 
 def offset_text(ns: int) -> str:
-    """Return an offset from UTC as dates have it."""
+    """Return a UTC offset as text, such as ``+01:00``."""
     minutes = abs(ns) // NS_PER_S // 60
     return f"{'-' if ns < 0 else '+'}{minutes // 60:02d}:{minutes % 60:02d}"
 
 
 def difference_text(other: str, used: str, found: Difference) -> str:
-    """Return a sentence on two clocks, whose names are quoted already."""
+    """Return a sentence on the difference of two clocks; the names are already quoted."""
     if not found.largest_ns:
         return (
             f"the times in {other} are those in {used}, which are used, at a UTC offset of "

@@ -1,7 +1,7 @@
-"""Series that take turns in the rows of one table: several sensors, or several kinds of records.
+"""Interleaved series in the rows of one table: several sensors, or several kinds of records.
 
-They are told by what a column holds: few labels that come back again and again. Its name says
-nothing of text; whole numbers are labels where it is called like one, or has no name.
+A column of labels shows them: a few values that alternate. Text in any column can be a label; whole
+numbers only in a column without a name, or with the name of a label.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
     Series = tuple[tuple[int, str], ...]
 
 ALL = "all"
-"""The choice that takes the rows of all series for those of one."""
+"""The choice that reads the rows of all series as one."""
 
 _MOST_LABELS = 16
 _LONGEST_LABEL = 60
 _LONGEST_TURN = 32
-"""Rows, on average, that text keeps its label: a state, such as walking, is kept for longer."""
+"""Maximum mean run length of a text label: a state, such as walking, lasts longer."""
 _LONGEST_UNNAMED_TURN = 4
 _SMALL = 16
-"""Whole numbers below are labels, 25 and 26 may be temperatures."""
+"""Whole numbers below may be labels; 25 and 26 may be temperatures."""
 
 _NUMBERED = r".*(?:id|no|num|number|index|serial|mac|address|port|instance)"
 _INTEGER = re.compile(r"[+-]?\d+")
@@ -40,10 +40,10 @@ _ABSENT = {"", "nan", "none", "null", "<na>"}
 
 
 class Labels(NamedTuple):
-    """What a column has in the first rows.
+    """The cells of a column in the first rows.
 
-    `cells`: its text, row by row
-    `kinds`: its different labels, sorted; none where it has none
+    `cells`: text of each row
+    `kinds`: distinct labels, sorted; empty if they are not labels
     """
 
     cells: tuple[str, ...]
@@ -51,7 +51,7 @@ class Labels(NamedTuple):
 
 
 def labels_of(cells: Sequence[object]) -> Labels:
-    """Return the labels of a column; none where there are too many, or numbers with decimals."""
+    """Return the labels of a column; no kinds if there are too many, or decimal numbers."""
     texts = tuple(f"{cell}".strip() for cell in cells)
     kinds = sorted({*texts})
     present = [kind for kind in kinds if kind.lower() not in _ABSENT]
@@ -63,9 +63,9 @@ def labels_of(cells: Sequence[object]) -> Labels:
 
 
 def take_turns(key: str, cells: Sequence[str]) -> tuple[str, ...]:
-    """Return the labels of a column that come back again and again; none where rows are of one."""
+    """Return the labels of a column that alternate; empty if all rows are of one series."""
     runs = [label for label, _ in groupby(cells) if label.lower() not in _ABSENT]
-    # Counters and blocks of rows do not come back, nor does a damaged cell.
+    # Values of counters, of consecutive blocks and of damaged cells occur in one run only.
     turns = tuple(sorted(label for label, times in Counter(runs).items() if times > 1))
     if len(turns) < 2:  # noqa: PLR2004  # they take turns with each other
         return ()
@@ -80,16 +80,16 @@ def take_turns(key: str, cells: Sequence[str]) -> tuple[str, ...]:
 
 
 def _may_be_numbered(key: str) -> bool:
-    """Return whether whole numbers of a column may be those of sensors, by its name or for none."""
+    """Return whether whole numbers in a column may be labels, by its name or without one."""
     return key.isdecimal() or re.fullmatch(SENSOR, key) is not None
 
 
 class SeriesChoice:
-    """The choice of one of the series of a table.
+    """Chooses one of the series of a table.
 
-    `table`: its columns, and what the user chose
-    `numbers`: the columns that are read
-    `other`: columns that are read too, and hold no labels
+    `table`: the columns and the settings
+    `numbers`: columns of numbers to read
+    `other`: further columns without labels
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class SeriesChoice:
         self._numbers = tuple(numbers)
         self._wanted: str | None = table.selection.series
         taken = {*numbers, *other}
-        # Without a name or one of a sensor, a whole number is none of a series; nobody asks then.
+        # Without the setting, whole numbers in other columns are not labels.
         self._candidates = [
             k
             for k, is_number in table.table.label_columns().items()
@@ -109,7 +109,7 @@ class SeriesChoice:
         self._labels: dict[int, Labels] = {}
 
     def chosen(self) -> Series:
-        """Return the columns and labels of the rows to read; none where all are of one series."""
+        """Return the columns and labels that select the rows to read; empty: all rows."""
         if not self._candidates and self._wanted is None:
             return ()
         self._labels = self._read_labels(self._candidates)
@@ -127,7 +127,7 @@ class SeriesChoice:
         return series
 
     def _read_labels(self, columns: Sequence[int]) -> dict[int, Labels]:
-        """Return the labels of columns in the first rows that have the numbers that are read."""
+        """Return the labels of columns in the first rows with all numbers to read."""
         rows = self._table.table.head((*columns, *self._numbers))
         count = len(columns)
         whole = [
@@ -138,7 +138,7 @@ class SeriesChoice:
         return {k: labels_of([row[place] for row in whole]) for place, k in enumerate(columns)}
 
     def _turning(self, series: Series) -> Mapping[int, tuple[str, ...]]:
-        """Return the columns whose labels take turns in the rows of a series."""
+        """Return the columns whose labels alternate in the rows of a series."""
         kept = [
             all(label == wanted for label, (_, wanted) in zip(row, series, strict=True))
             for row in zip(*(self._labels[k].cells for k, _ in series), strict=True)
@@ -156,7 +156,7 @@ class SeriesChoice:
         return found
 
     def _columns_with(self, label: str) -> list[tuple[int, str]]:
-        """Return the columns that have a label, as they spell it."""
+        """Return the columns with a label, and its spelling."""
         return [
             (k, kind)
             for k, labels in self._labels.items()

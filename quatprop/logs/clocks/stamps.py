@@ -1,4 +1,4 @@
-"""Which columns are the time of a row, and why."""
+"""Choose the timestamp of messages, or the time columns of a file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def stamp_at(table: Table, place: str, unit: str | None = None) -> Stamp | None:
-    """Return the time at a place: text, seconds and nanoseconds, or a number in a unit."""
+    """Return the timestamp in a field: a time, seconds and nanoseconds, or a number in a unit."""
     columns = table.columns_of(place) or ()
     codes = "".join(table.columns[k].code[0] for k in columns)
     names = [table.columns[k].text.removeprefix(place + ".") for k in columns]
@@ -38,13 +38,13 @@ def stamp_at(table: Table, place: str, unit: str | None = None) -> Stamp | None:
 
 
 def place_of(table: Table, stamp: Stamp) -> str:
-    """Return the dotted path of a time, of which there may be two parts."""
+    """Return the dotted path of a timestamp."""
     name = table.columns[stamp.columns[0]].text
     return name if len(stamp.columns) == 1 else name.rpartition(".")[0]
 
 
 def stamps_of(found: Found) -> list[Stamp]:
-    """Return the stamps that belong to columns: those of the row, then the nearest around."""
+    """Return the timestamps of columns: those of the vocabulary, then the innermost header's."""
     table, row = found.table, found.row
     stamps = [stamp_at(table, found.part.prefix + name, row.time_unit) for name in row.stamps]
     name = table.columns[found.sets[0][0]].text if found.sets[0] else ""
@@ -58,9 +58,9 @@ def stamps_of(found: Found) -> list[Stamp]:
 def choose_time(
     matcher: ColumnMatcher, found: Found, marks: Group = (), row: Row | None = None
 ) -> tuple[Stamp, Table]:
-    """Return the time of what was found, which may be a sample rate, and the rows to read.
+    """Return the timestamp of a quantity, which may be a sample rate, and the table to read.
 
-    `row`: what the table is; columns that the user names may be none of its
+    `row`: vocabulary of the table; that of `found` differs if the user named other columns
     """
     if not found.table.log_clocks:
         from quatprop.logs.clocks.time_columns import time_in_file
@@ -73,9 +73,9 @@ def choose_time(
 
 
 def message_stamp(matcher: ColumnMatcher, found: Found) -> Stamp:
-    """Return the time of messages: as selected, else a stamp, else the log time.
+    """Return the timestamp of messages: as selected, else a header timestamp, else the log time.
 
-    Of several stamps it is the best that was set: one that is zero in all rows was not.
+    Of several, the first one that was set: that is not zero in all rows.
     """
     table, selection = found.table, matcher.selection
     stamps = stamps_of(found)
@@ -130,10 +130,10 @@ def _named_stamp(table: Table, place: str, unit: str | None) -> Stamp:
 
 
 def are_all(batches: Iterable[AnyArray], value: object, limit: int | None = None) -> bool:
-    """Tell whether several rows all have one value; reads up to the first other one.
+    """Return whether there are several rows, and all have one value.
 
-    `batches`: rows, shape ``(N, ...)``
-    `limit`: so many rows are enough; None is all
+    `batches`: rows, shape ``(N, ...)``; read up to the first other value
+    `limit`: maximum number of rows to read; None: all
     """
     count = 0
     for rows in batches:

@@ -1,4 +1,4 @@
-"""The time of a file of rows: the best of its clocks, a counter of samples, or a sample rate."""
+"""The time of rows in a file: a clock, a counter of samples, or a sample rate."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ if TYPE_CHECKING:
     from quatprop.tables.model import Group
 
 _INSTANT = r"(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|delay|dt)).*"
-"""Names of columns that may be the time where a unit says that they are one."""
+"""Names of columns with a unit of time that may be the time, not a duration."""
 
 _NO_COLUMN = "none"
 
 
 def time_in_file(matcher: ColumnMatcher, found: Found, marks: Group, row: Row) -> Stamp:
-    """Return the time of columns of a file; see :func:`quatprop.logs.clocks.stamps.choose_time`."""
+    """Return the timestamp of a quantity in a file; see `choose_time` in `stamps`."""
     numbers = (*found.sets[0], *marks)
     stamp = _source(matcher, row, numbers)
     time, steady = stamp.columns, stamp.sample_rate
@@ -76,7 +76,7 @@ def time_in_file(matcher: ColumnMatcher, found: Found, marks: Group, row: Row) -
 
 
 def _holds_text(matcher: ColumnMatcher, time: Group) -> bool:
-    """Return whether a time is text that cannot be read, such as dates with names of months."""
+    """Return whether a time is unreadable text, such as dates with names of months."""
     if any(matcher.notes.units.get(k) == OTHER_DATES for k in time):
         return True
     if not time or matcher.declared(time[:1]) or matcher.selection.time_unit is not None:
@@ -86,13 +86,13 @@ def _holds_text(matcher: ColumnMatcher, time: Group) -> bool:
 
 
 def _needs_rate(matcher: ColumnMatcher, k: int) -> bool:
-    """Return whether a column counts samples, and is no time by itself."""
+    """Return whether a column counts samples, so a sample rate is needed."""
     is_counter = re.fullmatch(clocks.COUNTER, matcher.columns[k].key) is not None
     return is_counter and not (matcher.selection.time_unit or matcher.declared((k,)))
 
 
 def _unreadable_dates(matcher: ColumnMatcher, time: Group) -> UnsupportedLogError:
-    """Return the error for a time that is text, perhaps in two columns of dates and times."""
+    """Return the error for a time that is text, perhaps in two columns."""
     dates = sorted(k for k, unit in matcher.notes.units.items() if unit == OTHER_DATES)
     are = dates if matcher.selection.time_col is None and {*time} <= {*dates} else time
     return UnsupportedLogError(
@@ -105,7 +105,7 @@ def _unreadable_dates(matcher: ColumnMatcher, time: Group) -> UnsupportedLogErro
 
 
 def _source(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
-    """Return the columns of the time, with the unit that is implied, or what counts the rows."""
+    """Return the time columns with their implied units, or a counter or sample rate."""
     name, sample_rate = matcher.selection.time_col, matcher.selection.sample_rate
     if sample_rate is not None:
         if not (math.isfinite(sample_rate) and sample_rate > 0):
@@ -124,7 +124,7 @@ def _source(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
     best = found and best_clock(matcher, found, unnamed, has_rate=steady is not None)
     if best:
         refuse_unknown_beside_arrival(matcher, best, found)
-        # A rate that is only stated is no better than a clock of numbers.
+        # A numeric clock takes precedence over a declared rate.
         if best.rank < clocks.TEXT or not (counter or (steady and not best.is_readable)):
             return Stamp(best.columns, best.units[:1])
     if steady is not None:
@@ -139,7 +139,7 @@ def _source(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
 
 
 def _named_time(matcher: ColumnMatcher, name: str, row: Row) -> Stamp:
-    """Return the time column that the user names, or those of seconds and their fraction."""
+    """Return the time column that the user named, with the fraction of its seconds."""
     parts = name.split(",")
     if len(parts) == 2 and not matcher.has(name):  # noqa: PLR2004
         time: Group = tuple(matcher.position(part, "time_col") for part in parts)
@@ -160,7 +160,7 @@ def _named_time(matcher: ColumnMatcher, name: str, row: Row) -> Stamp:
 def _counted(
     matcher: ColumnMatcher, name: str | None, rate: Fraction | float, numbers: Group, row: Row
 ) -> Stamp:
-    """Return the counter that the user names, or the only one, or none: rows are counted."""
+    """Return the time by a counter, named or the only one, or by counting rows."""
     given = Setting("sample_rate", f"{float(rate):g}")
     if name is None:
         counter = _counter(matcher, numbers)
@@ -172,7 +172,7 @@ def _counted(
             )  # fmt: skip
         stamp = _at_rate(matcher, numbers, counter, rate)
         if unused := clocks_of(matcher, row, ()):
-            names = matcher.names(min(unused, key=lambda clock: clock.goodness).columns)
+            names = matcher.names(min(unused, key=lambda clock: clock.priority).columns)
             what = "the samples" if counter else "the rows"
             matcher.remark(
                 "stamps-unused", f"{given} counts {what}; the timestamps in {names} are not used"
@@ -205,7 +205,7 @@ def _countings(matcher: ColumnMatcher, pattern: str, numbers: Group) -> dict[int
 def _at_rate(
     matcher: ColumnMatcher, numbers: Group, counter: Group, rate: Fraction | float
 ) -> Stamp:
-    """Return the time of samples at a rate, and note what else may count them."""
+    """Return the time of samples at a rate, and remark on unused counters."""
     stamp = Stamp(counter, sample_rate=rate)
     if counter:
         return stamp

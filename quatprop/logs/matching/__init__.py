@@ -1,1 +1,1 @@
-"""Which columns of a table are rates, attitudes or biases; the first rows of these."""
+"""Match columns of a table to rates, attitudes and biases."""

@@ -1,4 +1,4 @@
-"""Find the columns of a quantity in a table, by the rows of the vocabulary or by name."""
+"""Find the columns of a quantity in a table, by the vocabulary or by name."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ if TYPE_CHECKING:
 
 
 class Found(NamedTuple):
-    """A quantity that a table seems to have; nothing was read of it yet.
+    """A quantity in a table, by the names of columns alone; nothing was read yet.
 
-    `table`, `row`: where it is, and what its columns are by the vocabulary
-    `sets`: its components in order; several where a message has many samples, the oldest first
-    `field`: its name, as the settings ``rate_field`` and ``quat_field`` take it
+    `row`: the row of the vocabulary for its columns
+    `sets`: columns of its components, in order; several if a message has several samples, the
+        oldest first
+    `field`: its name, for the settings ``rate_field`` and ``quat_field``
     """
 
     table: Table
@@ -34,19 +35,16 @@ class Found(NamedTuple):
 
 
 class Match(NamedTuple):
-    """A quantity of a table with all that is needed to read it; the first fields are of `Found`.
+    """A quantity of a table with everything needed to read it; extends `Found`.
 
-    `factor`: what stored numbers are multiplied by
-    `marks`: the column that is -1, or of a bias false, where the quantity is absent; empty if there
-        is none
-    `remarks`: what the user should know of the choice
-    `unit`: ``"rad/s"`` or ``"deg/s"`` of rates, ``"rad"`` or ``"deg"`` of angles, ``""`` of the
-        rest
-    `representation`: of an attitude: ``"quaternion"``, ``"rotvec"``, ``"matrix"``, ``"euler-zyx"``
-        and the like
-    `layout`: ``"scalar-first"`` or ``"scalar-last"`` as it is stored; ``""`` where names say which
-        is which
-    `is_named`: whether the user names a rate, which is then read where it is marked as absent, too
+    `factor`: scale factor of the stored numbers
+    `marks`: the column that is -1 (for a bias: false) if the quantity is absent; may be empty
+    `remarks`: remarks on the choice
+    `unit`: unit of rates or angles, such as ``"deg/s"``; ``""`` for other quantities
+    `representation`: of an attitude, such as ``"quaternion"`` or ``"euler-zyx"``
+    `layout`: ``"scalar-first"`` or ``"scalar-last"`` as stored; ``""`` if the components have names
+        in another order
+    `is_named`: whether the user named the rate, which is then read even if marked as absent
     """
 
     table: Table
@@ -65,7 +63,7 @@ class Match(NamedTuple):
 
 
 def marks_of(found: Found) -> Group:
-    """Return the column that is -1 where a quantity is absent, if there is one."""
+    """Return the column that is -1 if a quantity is absent; may be empty."""
     table, part = found.table, found.part
     name = re.sub(r"[.\[][^.\[]*$", "", table.columns[found.sets[0][0]].key)
     pattern = found.row.absent and re.escape(name[len(part.prefix) :]) + found.row.absent
@@ -73,7 +71,7 @@ def marks_of(found: Found) -> Group:
 
 
 def matching(table: Table, part: TablePart, pattern: str) -> Sequence[tuple[int, re.Match[str]]]:
-    """Return the columns of a part whose names fit a pattern, and how."""
+    """Return the columns of a part that match a pattern, and the matches."""
     if not pattern:
         return ()
     found: list[tuple[int, re.Match[str]]] | None = table.matches.get((part, pattern))
@@ -95,11 +93,12 @@ def matching(table: Table, part: TablePart, pattern: str) -> Sequence[tuple[int,
 def sets_of(
     table: Table, part: TablePart, components: Sequence[str], pattern: str
 ) -> tuple[Group, ...]:
-    """Return each complete set of columns of a part whose names differ in the component alone.
+    """Return each complete set of columns of a part whose names differ only in the component.
 
-    Where a name comes up twice there are two sets.
+    If names are repeated, there are several sets.
 
-    `components`: how the group ``part`` of the pattern spells each, with ``|`` between spellings
+    `components`: spellings of each component in the group ``part`` of the pattern, separated by
+        ``|``
     """
     key = (part, pattern, tuple(components))
     known: tuple[Group, ...] | None = table.matches.get(key)
@@ -126,12 +125,12 @@ def sets_of(
 def find(
     table: Table, quantity: str, field: str | None = None, *, by_key: bool = False
 ) -> list[Found]:
-    """Return what a table has of a quantity: by its types, or at a field that is named.
+    """Return where a table has a quantity, by its types or in a named field.
 
-    Without types the names of the columns are all there is: which they are, is matched later.
+    A table without types is returned as such; its columns are matched later, by their names.
 
     `quantity`: ``"rate"``, ``"quat"``, ``"bias"`` or ``"force"``
-    `by_key`: whether the field may be spelled in other ways
+    `by_key`: whether the spelling of the field may differ
     """
     if not table.is_typed:
         return [Found(table, GENERIC, table.parts[0])]
@@ -150,7 +149,7 @@ def find(
 
 
 def _recognised(table: Table, quantity: str) -> Iterator[Found]:
-    """Yield what the types of a message say, but for types inside such types."""
+    """Yield the quantity in parts of known types, except parts inside such parts."""
     outer: list[str] = []
     for part in table.parts:
         row = row_of_type(part.type)
@@ -168,19 +167,19 @@ def _recognised(table: Table, quantity: str) -> Iterator[Found]:
 
 
 def column_beside(table: Table, part: TablePart, name: str) -> Group:
-    """Return the column of a number in a part of a table, if it is there."""
+    """Return the column of a scalar field in a part of a table; empty if there is none."""
     columns = table.columns_of(part.prefix + name) if name else ()
     return columns if columns and len(columns) == 1 else ()
 
 
 def field_name(table: Table, sets: Sequence[Group]) -> str:
-    """Return columns as settings name them; of many samples those of each component."""
+    """Return the names of columns as in settings; for several samples, by component."""
     groups = sets if len(sets) == 1 else [*zip(*sets, strict=True)]
     return ",".join(table.field_of(tuple(group)) for group in groups)
 
 
 def beside(match: Match, quantity: str) -> list[Found]:
-    """Return what is in the same part of a table as a match."""
+    """Return where a quantity is in the same part of a table as a match."""
     table, part = match.table, match.part
     row = match.row if match.table.is_typed or getattr(match.row, quantity) else GENERIC
     sets = sets_of(table, part, PARTS[quantity], getattr(row, quantity))
@@ -188,7 +187,7 @@ def beside(match: Match, quantity: str) -> list[Found]:
 
 
 def _named(table: Table, quantity: str, field: str, *, by_key: bool) -> list[Found]:
-    """Return the quantity at a field; nothing where the table has no such field."""
+    """Return the quantity in a named field; empty if the table has no such field."""
     names = [name.strip() for name in field.split(",")] if quantity == "rate" else [field]
     if not table.is_decodable:
         return []
@@ -221,7 +220,7 @@ def _named(table: Table, quantity: str, field: str, *, by_key: bool) -> list[Fou
 
 
 def _as_spelled(table: Table, name: str) -> str:
-    """Return the only field that a name spells in another way, else the name as it is."""
+    """Return the only field with a similar spelling, else the name unchanged."""
     texts = [column.text for column in table.columns]
     ends = ((text, [*re.finditer(r"[.\[]|$", text)]) for text in texts)
     fields = {text[: end.start()] for text, every in ends for end in every}
@@ -230,7 +229,7 @@ def _as_spelled(table: Table, name: str) -> str:
 
 
 def _quaternion(table: Table, field: str, group: Group) -> Group:
-    """Return the columns of w, x, y, z where they have names, those of an array as they are."""
+    """Return the columns of w, x, y, z by name, or those of an array in order."""
     if not group or not _are_floats(table, group):
         return ()
     parts = [table.columns[k].text.removeprefix(field) for k in group]

@@ -1,6 +1,6 @@
-"""The first batch of a table: all columns that may be a time, a rate or an orientation.
+"""The first rows of a table, decoded once and shared by all checks of the beginning.
 
-It is decoded once, and every check of the beginning is held against it.
+They have all columns that may be a time, a rate or an orientation.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from quatprop.tables.model import Group, Stamp, Table
 
 ENOUGH_ROWS = 20_000
-"""Rows that are held at most; who looks at more of them reads those by itself."""
+"""Maximum number of rows held; further rows are read again for each check."""
 
 
 class FirstBatch:
-    """The first rows of a table: columns that may be looked at, decoded together.
+    """The first rows of some columns of a table.
 
-    `stamps`, `groups`: these columns
+    `stamps`, `groups`: the columns
     """
 
     def __init__(self, table: Table, stamps: Sequence[Stamp], groups: Sequence[Group]) -> None:
@@ -34,9 +34,9 @@ class FirstBatch:
         self._is_whole = self._is_misfit = False
 
     def read(self, stamps: Sequence[Stamp], groups: Sequence[Group]) -> Iterator[RowBatch]:
-        """Yield times, ns, and groups of columns, from the first row on; nothing is noted.
+        """Yield times, ns, and groups of columns, from the first row on, without noting losses.
 
-        Rows that do not fit are left out: those of other columns than these are not.
+        Rows that cannot be decoded in these columns are omitted.
         """
         count = 0
         if {*stamps} <= {*self._stamps} and {*groups} <= {*self._groups}:
@@ -45,7 +45,7 @@ class FirstBatch:
             while count < len(self._held) or self._read_on():
                 rows = self._held[count]
                 count += 1
-                # They are converted in place.
+                # Copied, since they are converted in place.
                 values = tuple(rows.values[place].copy("K") for place in places)
                 yield RowBatch(rows.log_ns, values, rows.watermark_ns)
             if self._is_whole:
@@ -53,7 +53,7 @@ class FirstBatch:
         yield from islice(self._table.peek(stamps, groups), count, None)
 
     def _read_on(self) -> bool:
-        """Hold more rows; False where there are no more, enough, or some that do not fit."""
+        """Hold more rows; False if there are no more, enough, or one cannot be decoded."""
         if self._is_whole or self._is_misfit or sum(map(len, self._held)) >= ENOUGH_ROWS:
             return False
         count = len(self._held)
@@ -67,7 +67,7 @@ class FirstBatch:
 
 
 def first_batch(table: Table, stamps: Sequence[Stamp]) -> FirstBatch:
-    """Return the first rows of a table; `stamps` are those that they may have."""
+    """Return the first rows of a table; `stamps`: its possible timestamps."""
     if table.first is None:
         groups = dict.fromkeys(_candidate_groups(table)) if table.is_typed else ()
         table.first = FirstBatch(table, stamps, [*groups])

@@ -1,7 +1,7 @@
-"""Matching the columns of a table: sets of them, those that the user names, and their units.
+"""Match the columns of a table: sets of columns, columns named by the user, and units.
 
-Nothing is guessed: what neither header, convention nor user declares is refused, with the setting
-that settles it.
+Nothing is guessed: what neither the header, a convention nor the user declares is refused, and the
+error names the setting that declares it.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from quatprop.tables.model import Group
 
 FIRST_ROWS = 1000
-"""Rows over which clocks are compared."""
+"""Number of rows over which clocks are compared."""
 
 
 class ColumnMatcher:
     """Finds the columns of one quantity in a table.
 
-    `setting`: the setting that names the columns of the quantity, such as ``"rate_cols"``
-    `remarks`: what the user should know of what was chosen
-    `unknown`: what is not declared, and the setting that settles it; all of it is refused together
+    `setting`: the setting for these columns, such as ``"rate_cols"``
+    `remarks`: remarks on the choice
+    `unknown`: undeclared facts and the settings that declare them, which are refused together
     """
 
     def __init__(self, found: Found, selection: SignalSelection, setting: str) -> None:
@@ -53,18 +53,18 @@ class ColumnMatcher:
         return [k for k, _ in matching(self.table, self.part, pattern)]
 
     def seen(self) -> list[str]:
-        """Return the names of columns for an error, with first cells where they are numbers."""
+        """Return the names of columns for an error, with the first cells if names are numbers."""
         names = [column.text for column in self.columns]
         if names == [*map(str, range(len(names)))] and (rows := self.table.head(range(len(names)))):
             return [f"{k}: {cell}" for k, cell in enumerate(rows[0])]
         return names
 
     def has(self, name: str) -> bool:
-        """Return whether a column is called that, as spelled."""
+        """Return whether a column has this exact name."""
         return any(column.text.strip() == name for column in self.columns)
 
     def position(self, name: str, setting: str) -> int:
-        """Return the column of a name: as spelled, by key, or by number from 0."""
+        """Return the index of a column, by its exact name, key or number from 0."""
         name, key = name.strip(), parse_name(name).key
         texts = [column.text.strip() for column in self.columns]
         positions = [k for k, text in enumerate(texts) if text == name] or [
@@ -93,11 +93,11 @@ class ColumnMatcher:
         return self.table.head(columns)[:FIRST_ROWS]
 
     def as_option(self, k: int) -> str:
-        """Return how an option names a column."""
+        """Return the name of a column for an option."""
         return as_option([column.text for column in self.columns], k)
 
     def spelled(self, positions: Collection[int]) -> str:
-        """Return the names of columns as settings take them."""
+        """Return the names of columns for a setting."""
         return ",".join(self.columns[k].text for k in positions)
 
     def names(self, positions: Collection[int]) -> str:
@@ -107,10 +107,10 @@ class ColumnMatcher:
     def unit(
         self, quantity: str, positions: Group, units: Collection[str], convention: str = ""
     ) -> str:
-        """Return the unit of columns from user, header or convention.
+        """Return the unit of columns, from the user, the header or a convention.
 
         `quantity`: ``"rate"`` or ``"time"``
-        `convention`: the unit by convention, ``""`` where there is none
+        `convention`: the unit by convention; ``""``: none
         """
         chosen: str | None = getattr(self.selection, f"{quantity}_unit")
         stated = {k: self.declared((k,)) or convention for k in positions}
@@ -122,7 +122,7 @@ class ColumnMatcher:
         source = "definition" if self.table.is_typed else "header or convention"
         by_header = f"by {source} {' and '.join(facts)}"
         if chosen is not None:
-            # Who gives a unit knows better than the header.
+            # The user's unit takes precedence over the header.
             if {*found} - {chosen}:
                 given = f"{Setting(f'{quantity}_unit')} says {chosen}"
                 text = f"{given}, but {by_header}; read in {chosen}, as requested"
@@ -139,12 +139,12 @@ class ColumnMatcher:
         return declared
 
     def declared(self, positions: Group) -> str:
-        """Return the unit that the header declares of columns; ``""`` where it does not."""
+        """Return the unit that the header declares for columns; ``""``: none, or several."""
         units = {self.notes.units.get(k, self.columns[k].unit) for k in positions}
         return units.pop() if len(units) == 1 else ""
 
     def refuse_undeclared(self) -> None:
-        """Refuse all together what nothing declares."""
+        """Raise an error for all undeclared facts."""
         if self.unknown:
             unknown, ways = (
                 " and ".join(f"{part}" for part in parts)
@@ -153,7 +153,7 @@ class ColumnMatcher:
             raise UndeclaredError(self.path, unknown, ways, several=len(self.unknown) > 1)
 
     def refuse_unknown(self, positions: Group, unit: str, units: Collection[str]) -> None:
-        """Refuse a declared unit that is not one of those that are read."""
+        """Refuse a declared unit that is not supported."""
         if unit and unit not in units:
             raise UnsupportedLogError(
                 self.path,
@@ -162,23 +162,23 @@ class ColumnMatcher:
             )
 
     def remark(self, code: str, text: str) -> None:
-        """Add a remark on what was chosen."""
+        """Add a remark on the choice."""
         self.remarks.append(Remark(code, text))
 
     # Sets of columns.
 
     def found(self, row: Row, sets: tuple[Group, ...]) -> Found:
-        """Return what columns of the table are, by their names alone."""
+        """Return a quantity found by the names of columns."""
         return Found(self.table, row, self.part, sets)
 
     def sets(self, components: Sequence[str], *patterns: str) -> list[Group]:
-        """Return each complete set of columns whose names differ in the component alone."""
+        """Return each complete set of columns whose names differ only in the component."""
         every = (sets_of(self.table, self.part, components, pattern) for pattern in patterns)
         return [one for sets in every for one in sets]
 
     def row(self, quantity: str) -> Row:
         """Return the row of the vocabulary for a table with columns of a quantity."""
-        # rostopic marks its first column; everyone else's mark is decoration.
+        # Only rostopic needs its comment mark; others are decoration, so names also count without.
         names = {column.key for column in self.columns}
         names |= {column.text.strip("\ufeff ").lower() for column in self.columns}
         names.add(self.notes.title.lower())

@@ -1,1 +1,1 @@
-"""Body rates and attitudes of a log: the choice among them, and their reading."""
+"""Choose and read the body rates and attitudes of a log."""

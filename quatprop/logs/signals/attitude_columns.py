@@ -1,4 +1,4 @@
-"""Attitudes of a table: quaternions, or in files other representations, with layout and time."""
+"""Match the columns of attitudes: quaternions, or in files also other representations."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 
 def match_attitudes(found: Found, selection: AttitudeSelection, recorded: str | None) -> Match:
-    """Return attitudes with their layout or unit and their time.
+    """Return the attitudes of a table, with layout or unit and timestamp.
 
-    `recorded`: the layout, where the metadata of the log declare it
+    `recorded`: the layout in the metadata of the log, if any
     """
     matcher = ColumnMatcher(found, selection, "quat_cols")
     form, row = "quaternion", found.row
@@ -65,9 +65,9 @@ def match_attitudes(found: Found, selection: AttitudeSelection, recorded: str | 
 
 
 def _in_file(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str, Found, Group]:
-    """Return what names say of the attitude in a file, a quaternion before any other rotation.
+    """Return the representation and the columns of the attitude in a file, and their stored order.
 
-    With its columns as they are stored; where names do not say which is the scalar it has no set.
+    A quaternion has priority. It has no set if names do not tell which component is the scalar.
     """
     row, named = matcher.row("quat"), selection.quat_cols
     sets = matcher.sets(QUATERNION_PARTS, row.quat)
@@ -105,7 +105,7 @@ def _in_order(
     stored: Group,
     recorded: str | None,
 ) -> Group:
-    """Return the columns of w, x, y, z: by names or definition, else as user or metadata say."""
+    """Return the columns of w, x, y, z, by names or definition, else by setting or metadata."""
     given = selection.from_layout and layout_named(selection.from_layout).name
     wxyz = _defined(found)
     if wxyz is None:
@@ -118,7 +118,7 @@ def _in_order(
         )
     own = _layout(stored, wxyz)
     if selection.quat_cols is not None:
-        recorded = None  # who names the columns knows better, but need not repeat it
+        recorded = None  # columns named by the user take precedence
     if (given or recorded) not in {None, own}:
         is_by_definition = found.table.type != ""
         what = f"the columns {matcher.names(stored)} are {own or 'in no layout'} by name"
@@ -134,7 +134,7 @@ def _in_order(
 
 
 def _defined(found: Found) -> Group | None:
-    """Return the columns of w, x, y, z, where names, the type or the program say which is which."""
+    """Return the columns of w, x, y, z if names, type or program define their order, else None."""
     for group in found.sets:
         w, x = (found.table.columns[k].key for k in group[:2])
         is_numbered = any(a == "0" and b == "1" for a, b in zip(w, x, strict=False))
@@ -151,7 +151,7 @@ def _ordered(stored: Group, layout: str) -> Group:
 
 
 def _layout(stored: Sequence[int], wxyz: Group) -> str:
-    """Return the layout of columns in their order of storage; ``""`` where it is neither."""
+    """Return the layout of columns in stored order; ``""`` if neither scalar-first nor -last."""
     order = tuple(wxyz.index(k) for k in stored)
     return next((known.name for known in (SCALAR_FIRST, SCALAR_LAST) if known.order == order), "")
 
@@ -160,7 +160,7 @@ def _layout(stored: Sequence[int], wxyz: Group) -> str:
 
 
 def _rotation(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str, Found, Group]:
-    """Return the only rotation that is no quaternion."""
+    """Return the only rotation that is not a quaternion."""
     sequence, named = selection.from_euler, selection.quat_cols
     own = matcher.row("angles")
     rotations = _matches(matcher, _rotations(sequence))
@@ -196,7 +196,7 @@ def _rotation(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str
 
 
 def _matches(matcher: ColumnMatcher, rotations: Iterable[Rotation]) -> list[tuple[str, Group]]:
-    """Return each complete set of columns that one of some rotations has."""
+    """Return each complete set of columns of the given rotations."""
     return [
         (form, columns)
         for form, pattern, parts in rotations
@@ -205,7 +205,7 @@ def _matches(matcher: ColumnMatcher, rotations: Iterable[Rotation]) -> list[tupl
 
 
 def _refuse_other_sequence(matcher: ColumnMatcher, chosen: str) -> None:
-    """Refuse a sequence of angles where columns are by their names those of another one."""
+    """Refuse a sequence of angles if the names of columns declare another one."""
     for form, columns in _matches(matcher, ROTATIONS):
         if form.startswith("euler-"):
             axes = ", ".join(form.removeprefix("euler-"))
@@ -217,7 +217,7 @@ def _refuse_other_sequence(matcher: ColumnMatcher, chosen: str) -> None:
 
 
 def _rotations(sequence: str | None) -> Iterable[Rotation]:
-    """Return the rows of :data:`ROTATIONS`, or those of angles in a sequence that is known."""
+    """Return the rows of :data:`ROTATIONS`, or for a given sequence, its angles."""
     if sequence is None:
         return ROTATIONS
     numbered = (f"euler-{sequence}", EULER_NUMBERED.format(sequence), "123")

@@ -1,4 +1,4 @@
-"""What is known of the errors of recorded attitudes: covariances, or standard deviations."""
+"""Recorded uncertainty of attitudes: covariances or standard deviations."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ if TYPE_CHECKING:
     from quatprop.tables.model import Group, Table
 
 CONSTANT_MESSAGES = 20_000
-"""An orientation that is the identity in so many messages was never set, and a covariance that is
-the same in all of them is a constant."""
+"""Number of messages after which an orientation that is still the identity counts as never set, and
+an unchanged covariance as a constant."""
 
 SIZES = (9, 36)
-"""Numbers in the covariance of an orientation, and of a position and an orientation."""
+"""Number of elements of the covariance of an orientation, and of a pose."""
 
 
 class CovarianceColumns(NamedTuple):
-    """The columns that say how certain attitudes are.
+    """The columns of the uncertainty of attitudes.
 
-    `columns`: one group; none where there are no such columns
-    `axes`: ``"reference"`` or ``"body"``: whose axes the errors are about
-    `are_sigmas`: whether they are standard deviations, rad, and not a covariance, rad^2
-    `own`: whether this package wrote them, and no driver
+    `columns`: one group, or empty
+    `axes`: axes of the errors: ``"reference"`` or ``"body"``
+    `are_sigmas`: whether they are standard deviations, rad, instead of a covariance, rad^2
+    `own`: whether quatprop wrote them
     """
 
     table: Table
@@ -47,9 +47,10 @@ class CovarianceColumns(NamedTuple):
     own: bool = False
 
     def in_body_axes(self, rows: Iterator[tuple[Any, ...]]) -> Iterator[tuple[Any, ...]]:
-        """Yield rows whose last numbers are covariances about body axes, ``(N, 3, 3)``, rad^2.
+        """Yield rows with the last column converted to covariances about body axes.
 
-        They are None if nothing is known. The first two of a row are stamps and quaternions.
+        They have shape ``(N, 3, 3)``, rad^2, or are None if unknown. The first two columns of a row
+        are timestamps and quaternions.
         """
         if self.are_sigmas:
             rows = self._of_sigmas(rows)
@@ -57,7 +58,7 @@ class CovarianceColumns(NamedTuple):
             rows = _known(self.table, rows, may_be_constant=self.own)
         for t_ns, wxyz, *others, covariance in rows:
             if covariance is not None and self.axes == "reference":
-                # Quaternions are not checked yet.
+                # Quaternions may still be invalid.
                 with np.errstate(over="ignore", invalid="ignore"):
                     covariance = reference_covariance(conjugate(wxyz), covariance)  # noqa: PLW2901
             yield t_ns, wxyz, *others, covariance
@@ -71,7 +72,7 @@ class CovarianceColumns(NamedTuple):
 
 
 def covariance_beside(match: Match, provenance: JsonObject) -> CovarianceColumns:
-    """Return the columns that say how certain matched attitudes are."""
+    """Return the columns of the uncertainty of matched attitudes."""
     table = match.table
     matrix = tuple(k for k, _ in matching(table, match.part, match.row.covariance))
     if len(matrix) in SIZES:
@@ -88,10 +89,10 @@ def covariance_beside(match: Match, provenance: JsonObject) -> CovarianceColumns
 def _known(
     table: Table, rows: Iterator[tuple[Any, ...]], *, may_be_constant: bool
 ) -> Iterator[tuple[Any, ...]]:
-    """Yield rows with their covariances, NaN where these are marked as unknown.
+    """Yield rows with their covariances, NaN if unknown.
 
-    With None where all of the first messages have the same: that is a constant of the sensor's
-    driver, not what is known of each attitude; and where it is zero, it is not set.
+    They are None if the first messages all have the same covariance: if it is zero, it was not set,
+    else it is a constant of the driver, not the uncertainty of each attitude.
     """
     first: list[tuple[Any, ...]] = []
     count, varies = 0, False
@@ -127,7 +128,7 @@ def _known(
 
 
 def _checked(table: Table, sigmas: Float64, wxyz: Float64, t_ns: Int64, first: int) -> Float64:
-    """Return standard deviations that can be used; `first` is the number of the first row."""
+    """Return standard deviations, after checking them; `first`: number of the first row."""
     # A row without an attitude needs no standard deviations.
     has_attitude = np.isfinite(wxyz).all(axis=1, keepdims=True)
     sigmas = np.where(has_attitude, sigmas, 0.0)

@@ -1,7 +1,6 @@
-"""Attitudes of a log, as Hamilton quaternions body -> reference at stamps in ns.
+"""Attitudes of a log, as Hamilton quaternions body -> reference with timestamps in ns.
 
-The layout is taken from names, definitions or metadata; where none of them says it, it is asked
-for.
+The layout is taken from names, definitions or metadata, or else has to be given.
 """
 
 from __future__ import annotations
@@ -38,14 +37,14 @@ if TYPE_CHECKING:
     from quatprop.tables.model import Table
 
 BY_NAME = "by name"
-"""The layout of components that have names and stand in neither order."""
+"""The layout of named components that are neither scalar-first nor scalar-last."""
 
 
 def choose_attitudes(log: Log, selection: AttitudeSelection) -> AttitudeSignal:
-    """Return the only attitudes that a selection leaves."""
+    """Return the only attitudes in a log that match a selection."""
     found = attitude_candidates(log, selection)
     if len(found) > 1:
-        # Neither a placeholder nor what is absent in every message competes with an attitude.
+        # Placeholders and absent orientations are ignored if there are others.
         found = [candidate for candidate in found if not _is_placeholder(candidate)] or found
     return choose(log, found, ATTITUDES)
 
@@ -62,7 +61,7 @@ def _is_placeholder(candidate: Candidate[AttitudeSignal]) -> bool:
 
 
 def attitude_candidates(log: Log, selection: AttitudeSelection) -> list[Candidate[AttitudeSignal]]:
-    """Return the attitudes that a selection leaves, at least one."""
+    """Return the attitudes in a log that match a selection, at least one."""
     return [
         Candidate(found, partial(_signal, found, selection), not found.table.is_secondary)
         for found in candidates(log, selection, ATTITUDES)
@@ -70,7 +69,7 @@ def attitude_candidates(log: Log, selection: AttitudeSelection) -> list[Candidat
 
 
 def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
-    """Return attitudes with their meaning and their time."""
+    """Return attitudes with their convention and timestamp."""
     provenance = found.table.provenance()
     recorded = recorded_convention(provenance)
     match = match_attitudes(found, selection, recorded.get("layout"))
@@ -117,7 +116,7 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
 
 
 def _rotation_columns(table: Table, representation: str) -> tuple[str, ...]:
-    """Return the columns of rotations in other representations than the one that is read."""
+    """Return the columns of other representations of the rotation."""
     names = [column.text for column in table.columns]
     others = {
         column
@@ -129,7 +128,7 @@ def _rotation_columns(table: Table, representation: str) -> tuple[str, ...]:
 
 
 def recorded_convention(provenance: Mapping[str, Any]) -> dict[str, str]:
-    """Return what a file says about its numbers, as far as it is understood."""
+    """Return the convention in the provenance of a file, as far as it is known."""
     convention = entry_of(provenance, "convention", dict)
     layout = entry_of(convention, "layout", str)
     recorded = {
@@ -145,7 +144,7 @@ def recorded_convention(provenance: Mapping[str, Any]) -> dict[str, str]:
 def meaning_of(
     path: Path | str, selection: AttitudeSelection, recorded: Mapping[str, str]
 ) -> AttitudeConvention:
-    """Return what numbers mean: as user or metadata say, else Hamilton, body to reference."""
+    """Return the convention from settings or metadata, else Hamilton, body to reference."""
     return AttitudeConvention(
         _agreed(path, "convention", selection.from_convention, recorded) or "hamilton",
         _agreed(path, "direction", selection.from_direction, recorded) or "body-to-ref",

@@ -1,8 +1,7 @@
-"""The choice of a signal among those that a log seems to hold.
+"""Choose a signal among the candidates in a log.
 
-The rates and the attitudes of a log are listed as candidates; :func:`choose` takes the only one.
-Nothing is guessed silently: what was inferred is in the remarks of the signal, what is ambiguous is
-refused with the setting that settles it.
+Nothing is guessed silently: inferences are in the remarks of the signal, and ambiguities are
+refused, with the setting that resolves them.
 """
 
 from __future__ import annotations
@@ -37,21 +36,21 @@ TABLE_SETTINGS = (
     "from_angle_unit",
     "from_euler",
 )
-"""Settings that only files of rows have."""
+"""Settings that apply only to files of rows."""
 
 MESSAGE_SETTINGS = ("topic", "rate_field", "time_field", "quat_field", "frame")
-"""Settings that only logs of messages have."""
+"""Settings that apply only to logs of messages."""
 
 SignalT = TypeVar("SignalT", bound=Signal)
 SelectionT = TypeVar("SelectionT", bound="SignalSelection")
 
 
 class Candidate(NamedTuple, Generic[SignalT]):
-    """A signal that a log seems to hold.
+    """A possible signal in a log.
 
-    `signal`: returns it; raises a LogError or UsageError where something about it is not declared
-    `preferred`: whether it comes before others: rates that a sensor measured before estimated or
-        commanded ones, the attitude of a vehicle before those of its several estimators
+    `signal`: returns it, or raises a LogError or UsageError if something is not declared
+    `preferred`: whether it takes precedence: measured over estimated and commanded rates, the
+        attitude of a vehicle over those of its estimators
     """
 
     found: Found
@@ -60,22 +59,22 @@ class Candidate(NamedTuple, Generic[SignalT]):
 
     @property
     def topic(self) -> str:
-        """Its topic; ``""`` in a file."""
+        """The topic; ``""`` in a file."""
         return self.found.table.name
 
     @property
     def field(self) -> str:
-        """Its field; ``""`` in a file."""
+        """The field; ``""`` in a file."""
         return self.found.field
 
 
 class SignalKind(NamedTuple):
-    """What error messages say about rates or about attitudes.
+    """A kind of signal, rates or attitudes, for error messages.
 
     `name`: such as ``"body rates"``
-    `secondary`: what candidates are that are not preferred
-    `field`: the setting that names their message field
-    `none`: the error for a log without any
+    `secondary`: name of candidates that are not preferred
+    `field`: the setting for the message field
+    `none`: the error for a log without this kind
     """
 
     quantity: str
@@ -90,7 +89,7 @@ ATTITUDES = SignalKind("quat", "attitudes", "secondary attitudes", "quat_field",
 
 
 def choose(log: Log, candidates: Sequence[Candidate[SignalT]], kind: SignalKind) -> SignalT:
-    """Return the only signal among some candidates."""
+    """Return the only signal among candidates."""
     preferred = [candidate for candidate in candidates if candidate.preferred] or candidates
     topics = [candidate.topic for candidate in preferred]
     if len(set(topics)) > 1:
@@ -116,9 +115,9 @@ def choose(log: Log, candidates: Sequence[Candidate[SignalT]], kind: SignalKind)
 
 
 def _joined(log: Log, signals: list[SignalT]) -> SignalT:
-    """Return the rates of a topic that was recorded with several message definitions.
+    """Return the rates of a topic recorded with several message definitions, or in several files.
 
-    Each is read by its own; samples come in the order of their log times.
+    Samples are merged by log time.
     """
     first = signals[0]
     files = {s.matches[0].table.path for s in signals if isinstance(s, RateSignal)}
@@ -154,9 +153,9 @@ def _joined(log: Log, signals: list[SignalT]) -> SignalT:
 
 
 def candidates(log: Log, selection: SignalSelection, kind: SignalKind) -> list[Found]:
-    """Return what a selection leaves of a kind in the tables of a log, at least one.
+    """Return where a log has signals of a kind that match a selection, at least one.
 
-    Which columns of a file it is, is found when its signal is asked for.
+    The columns of a file are matched later, by :attr:`Candidate.signal`.
     """
     tables = log.tables(selection.topic)
     field = getattr(selection, kind.field)
@@ -180,7 +179,7 @@ def candidates(log: Log, selection: SignalSelection, kind: SignalKind) -> list[F
         there = f"the {kind.name} that are recognised are {listed(known)}"
         if not known:
             if len(tables) == 1:
-                # Its definition says what is there, unless that is what is missing.
+                # The error lists the fields of the message definition, if there is one.
                 for part in field.split(","):
                     tables[0].refuse_unknown(part.strip())
             there = f"the topics are {listed(map(str, tables))}"

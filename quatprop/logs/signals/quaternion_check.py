@@ -1,7 +1,7 @@
-"""Invalid quaternions of a series: counted and located, then refused, dropped or normalised.
+"""Count and locate invalid quaternions of a series; refuse, drop or normalise them.
 
-A quaternion column may hold zeros (a reference that was never set), NaN (no fix), or numbers that
-are no unit quaternion at all. None of them is used as an attitude.
+A quaternion column may hold zeros (a reference that was never set), NaN (no fix), or other numbers
+that are not a unit quaternion. None of them is used as an attitude.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 ZERO = 1e-6
-"""Lengths below this count as zero: they have no direction."""
+"""Lengths below this count as zero."""
 
 _ROUNDING = 4e-16
 
@@ -33,11 +33,11 @@ _ROUNDING = 4e-16
 class QuaternionCounts:
     """Valid and invalid rows of a series.
 
-    `read`, `used`: rows read, and rows that passed
+    `read`, `used`: rows read, and valid rows
     `zero`, `not_unit`, `not_finite`: invalid rows, by reason
-    `normalized`: rows that were scaled to unit length
-    `worst`: largest difference of a length from 1 among the rows that are neither zero nor NaN
-    `first`: number of the first invalid row, from 0; None while there is none
+    `normalized`: rows scaled to unit length
+    `worst`: largest deviation from unit length, except in rows of zeros or NaN
+    `first`: index of the first invalid row; None: none so far
     `first_ns`: its timestamp, ns
     """
 
@@ -53,12 +53,12 @@ class QuaternionCounts:
 
     @property
     def invalid(self) -> int:
-        """Rows that are no unit quaternion."""
+        """Number of rows that are not unit quaternions."""
         return self.zero + self.not_unit + self.not_finite
 
     @property
     def summary(self) -> str:
-        """How many rows are invalid, why, and where the first is."""
+        """Text with the number of invalid rows, the reasons, and the first of them."""
         kinds = (
             (self.zero, "all zero"),
             (self.not_unit, f"off unit length by up to {self.worst:.3g}"),
@@ -72,10 +72,10 @@ class QuaternionCounts:
 
 
 class QuaternionCheck:
-    """Lets unit quaternions pass, and refuses or drops the others.
+    """Passes on unit quaternions, and refuses or drops others.
 
-    `normalize`: scale rows of any length but zero to unit length; zeros and NaN stay invalid
-    `drop`: leave out invalid rows instead of refusing the series
+    `normalize`: scale rows of nonzero length to unit length; zeros and NaN stay invalid
+    `drop`: omit invalid rows instead of refusing the series
     `counts`: valid and invalid rows so far
     """
 
@@ -90,8 +90,8 @@ class QuaternionCheck:
     ) -> Iterator[AttitudeSeries]:
         """Yield the valid rows.
 
-        `batches`: stamps, shape ``(N,)``, int64 ns, and quaternions, shape ``(N, 4)``; perhaps more
-            of the arguments of :class:`quatprop.series.AttitudeSeries`
+        `batches`: timestamps, shape ``(N,)``, int64 ns, quaternions, shape ``(N, 4)``, and possibly
+            further arguments of :class:`quatprop.series.AttitudeSeries`
         """
         for t_ns, wxyz, *beside in batches:
             valid, scaled = self._valid(t_ns, wxyz)
@@ -106,9 +106,9 @@ class QuaternionCheck:
             raise NotRotationsError(self._path, self._reason())
 
     def _valid(self, t_ns: Int64, wxyz: Float64) -> tuple[Bool, Float64]:
-        """Return which rows are valid, and the rows, scaled if that was requested."""
+        """Return which rows are valid, and the rows, scaled if requested."""
         counts = self.counts
-        # Components of absurd size must be reported as such, not overflow.
+        # Huge components are reported as invalid, so they may overflow.
         with np.errstate(over="ignore", invalid="ignore"):
             length = np.sqrt(np.einsum("ij,ij->i", wxyz, wxyz))
             finite = np.isfinite(length)

@@ -1,13 +1,13 @@
 """Read only the part of a log that a time range needs, by the index of the log.
 
-The index of a table has the stamps themselves: only what may have stamps in the range is read.
+The index of a table contains timestamps: only parts with timestamps in the range are read.
 
-That of a container has log times. Stamps of messages differ from them by a delay: the way from the
-sensor to the recorder, or all the time since, where a log was recorded again. So the part that is
-read is wider than the range by the delays at both ends of the log and a margin on either side. It
-is read once beforehand: if a delay in it differs from those at the ends by more than half the
-margin, or if nothing in it is in the range, the whole log is read instead. A sample can be missed
-only if its delay differs by more than the margin from all of those.
+The index of a container contains log times. They differ from timestamps by a delay: the latency of
+the recorder or, in a log that was recorded again, the time since. The part that is read is
+therefore extended by the delays at both ends of the log and by a margin. It is scanned first: if a
+delay in it differs from those at the ends by more than half the margin, or it has no sample in the
+range, the whole log is read instead. A sample is missed only if its delay differs from all of these
+by more than the margin.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ if TYPE_CHECKING:
 
 
 MARGIN_NS = 60 * NS_PER_S
-"""By how much delays may differ: far more than buffers and networks hold messages back."""
+"""Maximum variation of delays, ns: far more than the latency of buffers and networks."""
 
 SHARE = 4
-"""Only parts of at most 1/SHARE of the log are read by themselves: messages are read twice, and of
-what is not read no damage is reported."""
+"""Only parts of up to 1/SHARE of the log are read alone: they are read twice, and damage elsewhere
+is not reported."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Zone:
-    """Extremes of the timestamps in a part of the log, and of their delays, ns."""
+    """Extremes of the timestamps and of the delays in a part of the log, ns."""
 
     first_ns: int
     last_ns: int
@@ -51,7 +51,7 @@ class _Zone:
 
 
 def _ends(head: Iterable[Int64], tail: Iterable[Int64]) -> Ends | None:
-    """Return the ends of a log from its first and last stamps; None where outliers are there."""
+    """Return the ends of a log from its first and last timestamps; None if they have outliers."""
     finder = EndsFinder()
     for part in (head, tail):
         for t_ns, outliers, _ in marked(part, lambda t_ns: t_ns):
@@ -67,9 +67,9 @@ def _latest(spans: Iterable[Span]) -> int:
 
 @dataclass(frozen=True, slots=True)
 class TableRangeReader:
-    """Reads ranges of stamps of a table that says which stamps each of its parts has.
+    """Reads time ranges of a table with an index of the timestamps in its parts.
 
-    `spans`: the stamps of the parts, at least one part
+    `spans`: the timestamps of the parts, at least one
     `batches`: reads the samples of some parts
     """
 
@@ -77,7 +77,7 @@ class TableRangeReader:
     batches: Callable[[frozenset[int]], Iterator[GyroSeries]]
 
     def ends(self) -> Ends | None:
-        """Return the first and the last sample; None where other parts contradict them."""
+        """Return the first and last timestamp; None if other parts contradict them."""
         rows = np.cumsum([span.rows for span in self.spans])
         head = int(np.searchsorted(rows, LOOK_AHEAD)) + 1
         tail = int(np.searchsorted(rows, rows[-1] - LOOK_AHEAD))
@@ -90,7 +90,7 @@ class TableRangeReader:
     def read(
         self, first_ns: int | None, last_ns: int | None
     ) -> tuple[PartOfLog, Iterator[GyroSeries]] | None:
-        """Return the parts with the stamps of a range; see :meth:`RangeReader.read`."""
+        """Return the parts with timestamps in a range; see :meth:`RangeReader.read`."""
         begin, end = min(span.first_ns for span in self.spans), _latest(self.spans)
         low, high = begin if first_ns is None else first_ns, end if last_ns is None else last_ns
         chosen = {
@@ -101,7 +101,7 @@ class TableRangeReader:
         rows = [sum(span.rows for span in spans) for spans in (chosen.values(), self.spans)]
         if not chosen or SHARE * rows[0] > rows[1]:
             return None
-        # Samples in the range are behind time where the log has been later before.
+        # An earlier part with later timestamps would affect the timestamp policy in the range.
         before = enumerate(self.spans[: max(chosen)])
         if any(span.last_ns > low for number, span in before if number not in chosen):
             return None
@@ -115,9 +115,9 @@ class TableRangeReader:
 
 @dataclass
 class RangeReader:
-    """Reads ranges of stamps of a signal.
+    """Reads time ranges of a signal by log times.
 
-    `span`: when it was recorded, by the index
+    `span`: time of recording, by the index
     `rows`, `batches`: read the samples of a range of log times
     """
 
@@ -126,15 +126,17 @@ class RangeReader:
     batches: Callable[[TimeRange], Iterator[GyroSeries]]
 
     def ends(self) -> Ends | None:
-        """Return the first and the last sample; None where only the whole log tells them."""
+        """Return the first and last timestamp; None if that takes the whole log."""
         return None if self._end_zones is None else _ends(*self._end_stamps)
 
     def read(
         self, first_ns: int | None, last_ns: int | None
     ) -> tuple[PartOfLog, Iterator[GyroSeries]] | None:
-        """Return the part of the log with the stamps of a range, and the samples of that part.
+        """Return the part of the log with the timestamps of a range, and its samples.
 
-        `first_ns`, `last_ns`: the range, ends included; None is open
+        None if the whole log has to be read.
+
+        `first_ns`, `last_ns`: the range, ends included; None: open
         """
         zones = self._end_zones
         if zones is None:
@@ -163,7 +165,7 @@ class RangeReader:
 
     @cached_property
     def _end_zones(self) -> tuple[_Zone, _Zone] | None:
-        """What is at the beginning and at the end of the log."""
+        """The extremes at the beginning and at the end of the log; None if unusable."""
         first_ns, last_ns = self.span.first_ns, self.span.last_ns
         if self.span.length_ns <= 2 * SHARE * MARGIN_NS:
             return None
@@ -178,9 +180,9 @@ class RangeReader:
         wanted: TimeRange | None = None,
         note: list[Int64] | None = None,
     ) -> _Zone | None:
-        """Return the extremes in a range of log times; None if no stamp is a wanted one.
+        """Return the extremes in a range of log times; None if no timestamp is in `wanted`.
 
-        The stamps are appended to `note`.
+        `note`: list to which the timestamps are appended
         """
         extremes: list[tuple[int, int, int, int]] = []
         is_wanted = wanted is None

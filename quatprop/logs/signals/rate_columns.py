@@ -1,7 +1,6 @@
-"""Rates and biases of a table, with their unit and their time.
+"""Match the columns of rates and biases, with unit and timestamp.
 
-In files they are found by rows, by clear names, or named. Nothing is guessed: what neither header,
-row nor user declares is refused, with the setting that settles it.
+In files they are found by the vocabulary, by clear names, or named by the user.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def match_rates(found: Found, selection: RateSelection) -> Match:
-    """Return rates with their unit and their time."""
+    """Return the rates of a table, with unit and timestamp."""
     matcher = ColumnMatcher(found, selection, "rate_cols")
     row = found.row
     if not found.sets:
@@ -51,15 +50,15 @@ def match_rates(found: Found, selection: RateSelection) -> Match:
 
 
 def _in_file(matcher: ColumnMatcher, row: Row, named: Sequence[str] | None) -> Found:
-    """Return what names say of the rates in a file."""
+    """Return the columns of rates in a file, by their names."""
     by_row = matcher.sets(RATE_PARTS, row.rate)
-    # Axes whose unit says that they are rates are no less a gyroscope than those that are named so.
+    # Axes with a unit of rates have the same priority as names of a gyroscope.
     units = {*RATE_UNITS, *SCALED_RATE_UNITS}
     with_unit = matcher.sets(RATE_PARTS, *WITH_RATE_UNIT)
     by_unit = (columns for columns in with_unit if matcher.declared(columns) in units)
     sets = [*dict.fromkeys((*by_row, *matcher.sets(RATE_PARTS, AXIS_FIRST), *by_unit))]
-    # gx or p and the like are rates unless the table has axes of something else: beside those, gx
-    # may be gravity. The user has to declare their unit.
+    # Bare names such as gx or p are rates, unless axes of other quantities are beside them: then
+    # gx may be gravity. The user has to declare their unit.
     others = {k for columns in with_unit for k in columns} - {*matcher.matching(BESIDE_BARE_RATES)}
     bare = (columns for columns in matcher.sets(RATE_PARTS, *BARE_RATES) if others == {*columns})
     sets = sets or [*bare]
@@ -81,7 +80,7 @@ def _in_file(matcher: ColumnMatcher, row: Row, named: Sequence[str] | None) -> F
 
 
 def _no_rates(matcher: ColumnMatcher) -> LogError:
-    """Return the error for a table without rates, or with some whose axes nobody knows."""
+    """Return the error for a table without rates, or with rates about unknown axes."""
     if angles := matcher.matching(r"(?:.*[._])?(?:roll|pitch|yaw)_?rate")[:3]:
         return UndeclaredError(
             matcher.path,
@@ -93,7 +92,7 @@ def _no_rates(matcher: ColumnMatcher) -> LogError:
 
 
 def match_bias(found: Found, selection: SignalSelection) -> Match:
-    """Return the biases of a gyroscope, with their unit and their time."""
+    """Return the biases of a gyroscope, with unit and timestamp."""
     matcher = ColumnMatcher(found, selection, "bias")
     if not found.sets:
         row = matcher.row("bias")
@@ -118,7 +117,7 @@ def match_bias(found: Found, selection: SignalSelection) -> Match:
 
 
 def _mount_remark(mount: str) -> str:
-    """Return the remark on a file that says how its sensor is mounted."""
+    """Return the remark on a mounting that a file declares."""
     try:
         mounting(mount)
         way_out = f"to turn them into the camera's axes use {Setting('mount', mount)}"

@@ -1,4 +1,4 @@
-"""Body rates of a log, in rad/s at stamps in ns: rates as they are, increments, bursts."""
+"""Body rates of a log, in rad/s with timestamps in ns: plain rates, increments, bursts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def choose_rates(log: Log, selection: RateSelection) -> RateSignal:
-    """Return the only body rates that a selection leaves."""
+    """Return the only body rates in a log that match a selection."""
     return choose(log, rate_candidates(log, selection), RATES)
 
 
@@ -39,7 +39,7 @@ def signal_of_series(series: GyroSeries) -> RateSignal:
 
 
 def rate_candidates(log: Log, selection: RateSelection) -> list[Candidate[RateSignal]]:
-    """Return the body rates that a selection leaves, at least one."""
+    """Return the body rates in a log that match a selection, at least one."""
     return [
         Candidate(found, partial(_signal, found, selection), found.row.measured)
         for found in candidates(log, selection, RATES)
@@ -47,7 +47,7 @@ def rate_candidates(log: Log, selection: RateSelection) -> list[Candidate[RateSi
 
 
 def _signal(found: Found, selection: RateSelection) -> RateSignal:
-    """Return rates with their unit and their time."""
+    """Return rates with their unit and timestamp."""
     match = match_rates(found, selection)
     refuse_marked(match)
     table, row = match.table, match.row
@@ -66,7 +66,7 @@ def _signal(found: Found, selection: RateSelection) -> RateSignal:
 
 
 def _sample_remarks(row: Row) -> tuple[Remark, ...]:
-    """Return the remark on rates that are not one each."""
+    """Return the remark on increments or bursts."""
     if row.span:
         text = "the samples are angle increments: the sensor itself has summed up its rate"
         return (Remark("increments", text),)

@@ -1,4 +1,4 @@
-"""Read what was matched: rates in rad/s, biases and forces, at stamps in ns."""
+"""Read matched columns: rates in rad/s, attitudes, biases and forces, with timestamps in ns."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ if TYPE_CHECKING:
     from quatprop.tables.model import Convert, Group, Within
 
 ABSENT = -1.0
-"""What the first number of a covariance is where the value beside it is not measured."""
+"""First element of a covariance that marks the quantity as not measured."""
 
 MAX_SPACING_NS = NS_PER_S
-"""Samples of a burst are not further apart than this, unless the message is damaged."""
+"""Maximum spacing of the samples of a burst, ns; otherwise the message is damaged."""
 
 
 class Reading(NamedTuple):
-    """What to read of a match: groups of columns, and what becomes of them and of their stamps."""
+    """Groups of columns of a match to read, and how their rows are converted."""
 
     match: Match
     groups: Sequence[Group]
     convert: Convert
 
     def rows(self, within: Within = None) -> Iterator[RowBatch]:
-        """Yield all rows, or those in some parts of the log; see :meth:`Table.read`."""
+        """Yield all rows, or those in parts of the log; see :meth:`Table.read`."""
         table, stamp = self.match.table, self.match.stamp
         return table.read(stamp, self.groups, self.convert, within)
 
     def first(self) -> Iterator[RowBatch]:
-        """Yield rows to look at: what is decoded of the first ones is shared, nothing is noted."""
+        """Yield rows for checks: the first ones are decoded once, and no losses are noted."""
         table, stamp = self.match.table, self.match.stamp
         rows = first_batch(table, [stamp]).read([stamp], self.groups)
         return table.in_order(without_misfits(self.convert, batch, _left_out) for batch in rows)
@@ -56,7 +56,7 @@ def _left_out(rows: RowBatch, error: MessageError) -> RowBatch:
 
 
 def rates_of(match: Match) -> Reading:
-    """Return what reads stamps, ns, rates, rad/s, ``(N, 3)``, and integration times, ns."""
+    """Return the reading of timestamps, ns, rates, ``(N, 3)``, rad/s, and integration times, ns."""
     row, sets = match.row, match.sets
     if row.burst is not None:
         return _bursts_of(match, row.burst)
@@ -71,7 +71,7 @@ def rates_of(match: Match) -> Reading:
         values: tuple[AnyArray, ...] = (t_ns, rate)
         if row.span:
             integration_time_ns = to_ns(beside, [row.time_unit], quoted(row.span), match.table.path)
-            # An increment over no time has no rate; it is not finite, and policies deal with that.
+            # An increment over no time gives a non-finite rate, which policies handle.
             with np.errstate(divide="ignore", invalid="ignore"):
                 rate /= (integration_time_ns / NS_PER_S)[:, None]
             values = (t_ns, rate, integration_time_ns)
@@ -87,7 +87,7 @@ def rates_of(match: Match) -> Reading:
 
 
 def _bursts_of(match: Match, burst: Burst) -> Reading:
-    """Read many samples a message, evenly spaced up to the stamp; one row a sample."""
+    """Return the reading of bursts: evenly spaced samples up to the timestamp, one per row."""
     table, part = match.table, match.part
     axes = [tuple(axis) for axis in zip(*match.sets, strict=True)]
     groups = [*axes, *(column_beside(table, part, name) for name in burst)]
@@ -122,9 +122,9 @@ def _bursts_of(match: Match, burst: Burst) -> Reading:
 
 
 def refuse_marked(match: Match) -> None:
-    """Refuse finite rates that are all marked as absent, unless they are named.
+    """Refuse finite rates that are all marked as absent, unless the user named them.
 
-    Drivers mark what they do measure, too: every /gps/imu of NovAtel's has finite rates beside -1.
+    Some drivers, such as NovAtel's for /gps/imu, also mark rates that they measured.
     """
     if match.is_named or not match.marks:
         return
@@ -146,7 +146,7 @@ def refuse_marked(match: Match) -> None:
 
 
 def _note_marked(match: Match, rates: Float64, mark: AnyArray) -> None:
-    """Remark on finite rates that are read although they are marked as absent."""
+    """Remark on finite rates that are read although marked as absent."""
     if np.isfinite(rates[mark == ABSENT]).all(axis=1).any():
         match.table.remark(
             "marked-rates",
@@ -162,7 +162,7 @@ def _place_of_marks(match: Match) -> str:
 
 
 def attitudes_of(match: Match, beside: Sequence[Group] = ()) -> Reading:
-    """Return what reads stamps, ns, quaternions wxyz, ``(N, 4)``, and other groups beside them."""
+    """Return the reading of timestamps, ns, quaternions wxyz, ``(N, 4)``, and further groups."""
     marks, form = [match.marks] if match.marks else [], match.representation
 
     def convert(rows: RowBatch) -> RowBatch:
@@ -171,7 +171,7 @@ def attitudes_of(match: Match, beside: Sequence[Group] = ()) -> Reading:
             without_absent(stored, others.pop(0))
         if form != "quaternion":
             stored = np.radians(stored) if match.unit == "deg" else stored
-            # What is not finite is reported later, row by row.
+            # Rows that are not finite are reported later.
             with np.errstate(invalid="ignore", over="ignore"):
                 stored = REPRESENTATIONS[form].attitudes(stored)
         return RowBatch(rows.log_ns, (t_ns, stored, *others), rows.watermark_ns)
@@ -180,7 +180,7 @@ def attitudes_of(match: Match, beside: Sequence[Group] = ()) -> Reading:
 
 
 def read_vectors(match: Match) -> Iterator[tuple[Int64, Float64]]:
-    """Yield stamps, ns, and specific forces or biases, ``(N, 3)``, NaN where they are absent."""
+    """Yield timestamps, ns, and specific forces or biases, ``(N, 3)``, NaN if absent."""
     groups = (*match.sets, *([match.marks] if match.marks else ()))
 
     def convert(rows: RowBatch) -> RowBatch:
@@ -200,7 +200,7 @@ def read_vectors(match: Match) -> Iterator[tuple[Int64, Float64]]:
 
 
 def without_absent(rows: Float64, mark: AnyArray) -> None:
-    """Set rows of numbers to NaN where the mark beside them says that they are absent."""
+    """Set rows that are marked as absent to NaN."""
     if count := np.count_nonzero(is_absent := mark == ABSENT):
-        # Setting all of them is much quicker without a mask.
+        # Setting all rows is much faster without a mask.
         rows[is_absent if count < len(mark) else ...] = np.nan

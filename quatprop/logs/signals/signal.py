@@ -1,4 +1,4 @@
-"""A signal of a log: body rates or attitudes, their time base, and how to read them."""
+"""Signals of a log, body rates or attitudes, and how to read them."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 class Signal:
     """One series of samples in a log.
 
-    `name`: the topic, or the names of the columns
-    `type_name`: the message type, or the dialect of a table; ``""`` where there is none
-    `field`: the message field, the columns, or the frames
-    `clock`: time base: ``"header"``, ``"log"``, ``"publish"``, or the name of a column
+    `name`: topic, or names of columns
+    `type_name`: message type, or program that wrote a table; may be ``""``
+    `field`: message field, columns, or frames
+    `clock`: ``"header"``, ``"log"``, ``"publish"``, or the name of a column
     """
 
     name: str
@@ -50,17 +50,16 @@ class Signal:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RateSignal(Signal):
-    """Body rates of a log; takes the parameters of :class:`Signal` too.
+    """Body rates of a log; see also :class:`Signal`.
 
-    `unit`: unit in which they are stored, ``"rad/s"`` or ``"deg/s"``
-    `unit_is_given`: whether it is the user who says so
-    `method`: the integration rule that fits the sensor, where the definition of its messages says
-        it
-    `increments`: whether samples are increments, which the sensor has integrated
-    `matches`: where they are in the log: one, or one for each definition that a topic was recorded
-        with; none in memory
+    `unit`: stored unit, ``"rad/s"`` or ``"deg/s"``
+    `unit_is_given`: whether the user gave the unit
+    `method`: the integration rule that the message definition implies, if any
+    `increments`: whether samples are increments, integrated by the sensor
+    `matches`: columns in the log, one match for each message definition of the topic; none in
+        memory
     `series`: the rates in memory
-    `is_logged`: whether they are read as a whole, with the log times of their messages
+    `is_logged`: whether the whole log is read, with log times
     """
 
     unit: str
@@ -72,17 +71,17 @@ class RateSignal(Signal):
     is_logged: bool = False
 
     def rows(self, within: Within = None, *, at_first: bool = False) -> Iterator[RowBatch]:
-        """Read the samples: values are the first arguments of :class:`quatprop.series.GyroSeries`.
+        """Read the samples; values are the first arguments of :class:`quatprop.series.GyroSeries`.
 
-        `within`: some parts of the log; None is all
-        `at_first`: to look at the beginning, of which what is decoded is shared
+        `within`: parts of the log; None: all
+        `at_first`: read the beginning for checks, which share the decoded rows
         """
         readings = map(rates_of, self.matches)
         streams = [one.first() if at_first else one.rows(within) for one in readings]
         return streams[0] if len(streams) == 1 else merge_by_time(streams)
 
     def batches(self, within: Within = None, *, at_first: bool = False) -> Iterator[GyroSeries]:
-        """Read the samples, rad/s and ns, in batches in the order of the log."""
+        """Read the samples, rad/s and ns, in batches, in the order of the log."""
         if self.series is not None:
             yield self.series
         for rows in self.rows(within, at_first=at_first):
@@ -91,7 +90,7 @@ class RateSignal(Signal):
             yield GyroSeries(t_ns, rate, spans[0] if spans else None, self.method == "end", log_ns)
 
     def part_reader(self) -> PartReader | None:
-        """Return what reads parts of the log; None where it can only be read as a whole."""
+        """Return the reader of parts of the log; None if it can only be read as a whole."""
         if self.is_logged or len(self.matches) != 1:
             return None
         from quatprop.logs.signals.range_readers import RangeReader, TableRangeReader
@@ -108,25 +107,25 @@ class RateSignal(Signal):
 
     @property
     def samples(self) -> str:
-        """What the samples are: ``"rates"``, ``"averages"`` or ``"increments"``."""
+        """Kind of samples: ``"rates"``, ``"averages"`` or ``"increments"``."""
         if self.increments:
             return "increments"
         return "averages" if self.method == "end" else "rates"
 
     def method_used(self, wanted: str | None) -> tuple[str, str]:
-        """Return the integration rule, and where it comes from.
+        """Return the integration rule, and its origin: ``"given"``, ``"log"`` or ``"default"``.
 
-        `wanted`: the method that the user has chosen; None: what the log says, or else ``"start"``
+        `wanted`: the user's method; None: that of the log, else ``"start"``
         """
         if self.increments and wanted in {None, "start", "mean"}:
-            # Where the rate was known in between is lost: all three are the increment itself.
+            # For increments these rules are the same: the increment itself.
             return "end", "log"
         if wanted is not None:
             return wanted, "given"
         return (self.method, "log") if self.method else ("start", "default")
 
     def method_remarks(self, wanted: str | None) -> list[Remark]:
-        """Return the remarks on a method that the user has chosen for this signal."""
+        """Return remarks on the user's method for this signal."""
         samples = self.samples
         if samples == "rates" or wanted in {None, "end"}:
             return []
@@ -148,17 +147,17 @@ class RateSignal(Signal):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AttitudeSignal(Signal):
-    """Attitudes of a log; takes the parameters of :class:`Signal` too.
+    """Attitudes of a log; see also :class:`Signal`.
 
-    `match`, `covariance`, `position`: where they are in the log, and what is beside them
-    `layout`: how they are stored, ``"scalar-first"`` or ``"scalar-last"``; ``"by name"`` where the
-        components have names and no such order; ``""`` for other representations
-    `meaning`: what the stored numbers mean
-    `provenance`: how the attitudes were made, as their file says
+    `match`, `covariance`, `position`: their columns in the log
+    `layout`: stored layout, ``"scalar-first"`` or ``"scalar-last"``; ``"by name"`` if named
+        components are in another order; ``""`` for other representations
+    `meaning`: convention of the stored numbers
+    `provenance`: provenance in the metadata of the file
     `representation`: ``"quaternion"`` or a key of
         :data:`quatprop.conventions.representations.REPRESENTATIONS`
-    `placeholder`: whether it is the identity in every message of a sensor: never set
-    `rotation_columns`: columns of a table that hold the same attitudes in other representations
+    `placeholder`: whether it is the identity in every message, so never set
+    `rotation_columns`: columns of a table with the same attitudes in other representations
     """
 
     match: Match
@@ -173,32 +172,32 @@ class AttitudeSignal(Signal):
 
     @property
     def has_positions(self) -> bool:
-        """Whether positions are beside them."""
+        """Whether the log has positions for the attitudes."""
         return bool(self.position)
 
     @property
     def may_have_covariances(self) -> bool:
-        """Whether covariances are beside them, unless they turn out not to be known."""
+        """Whether there are columns of covariances, which may still be unknown."""
         return bool(self.covariance.columns) and self.meaning == HAMILTON
 
     @property
     def sigma_axes(self) -> str | None:
-        """The axes of standard deviations beside them; None where a table has none."""
+        """Axes of the standard deviations in a table; None if it has none."""
         return self.covariance.axes if self.covariance.are_sigmas else None
 
     def first(self) -> Iterator[tuple[Int64, Float64]]:
-        """Read stamps and quaternions for who looks at the beginning alone."""
+        """Read timestamps and quaternions at the beginning, for checks."""
         for rows in attitudes_of(self.match).first():
             yield rows.values[0], self.meaning.converted(rows.values[1])
 
     def read(
         self, *, positions: bool = False, covariances: bool = False, logged: bool = False
     ) -> Rows:
-        """Read the arguments of :class:`quatprop.series.AttitudeSeries`, batch after batch.
+        """Read the arguments of :class:`quatprop.series.AttitudeSeries`, batch by batch.
 
-        They are in the order of the log, and not checked: see
-        :mod:`quatprop.logs.signals.quaternion_check`. What is not wanted is None; those of messages
-        go up to their log times if these are wanted.
+        They are in the order of the log, and not validated: see
+        :mod:`quatprop.logs.signals.quaternion_check`. Columns not requested are None; log times are
+        appended for messages if requested.
         """
         wanted = (
             *(self.position if positions else ()),
@@ -217,11 +216,11 @@ class AttitudeSignal(Signal):
             yield (*row, None, log_ns) if logged and self.match.table.is_typed else row
 
     def rows(self) -> Iterator[tuple[Int64, Float64]]:
-        """Read stamps and quaternions alone."""
+        """Read timestamps and quaternions."""
         return ((t_ns, wxyz) for t_ns, wxyz, *_ in self.read())
 
     def refuse_placeholder(self, path: Path | str, way_out: str) -> None:
-        """Refuse an orientation that was never set, in a log at a path."""
+        """Refuse an orientation that was never set."""
         if self.placeholder:
             raise LogError(
                 path,

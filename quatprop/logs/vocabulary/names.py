@@ -1,7 +1,7 @@
-"""Names that mean a quantity whatever wrote the table; what single sources do is in the rows.
+"""Names of columns that mean a quantity in any table; those of single sources are in the rows.
 
-Their units count only where the header declares them. Components of a quaternion that are numbered
-do not say which is the scalar: only a row that is certain about it is trusted with those.
+Their units have to be declared. Numbered components of a quaternion do not tell which one is the
+scalar, so they are only matched in rows for sources where this is known.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from quatprop.tables.column_names import (
 )
 
 COMPONENT = r"(?P<part>[wxyz])"
-"""A name that is a component alone means a quaternion only where a user says so."""
+"""A component; by itself, it means a quaternion only if the user says so."""
 
 SENSOR = (
     r"(?:.*[._])?(?:sensor|device|imu|frame|instance|node|module|source|location|placement|side"
     r"|hand|segment|body_part|serial|mac|address|port|unit)(?:_?(?:id|name|type|no|num|number|index))?"
     r"|id|kind|topic|type|name|msg|message|tag|channel|(?:.*\.)?i"
 )
-"""Names of a column that may say which sensor a row is of, such as ``I`` of ArduPilot."""
+"""Names of columns that may identify the sensor of a row, such as ``I`` in ArduPilot logs."""
 WITH_RATE_UNIT = tuple(
     rf"{NOT_RATE}(?:.*[^a-z])?[a-z]?(?P<part>[{axes}])(?:[^a-z].*)?" for axes in ("xyz", "pqr")
 )
-"""Names of an axis, or of a body rate of flight mechanics, whose unit says that it is a rate."""
+"""Names of an axis, or a body rate in flight mechanics, that are rates if their unit is one."""
 BARE_RATES = ("g_?(?P<part>[xyz])", r"(?P<part>[pqr])")
-"""Names that may be body rates, and are where the user declares the unit of rates."""
+"""Names that are body rates if the user declares the unit of rates."""
 BESIDE_BARE_RATES = r"(?:a|acc\w*|m|mag\w*)_?[xyz]"
 """Axes of other sensors of the same device."""
 QUATERNION = (
@@ -67,4 +67,4 @@ ROTATIONS = (
         for i in ("123", "012")
     ),
 )
-"""Representation, pattern and spellings of the components of attitudes that are no quaternions."""
+"""Representation, pattern and spellings of the components of attitudes except quaternions."""

@@ -1,4 +1,4 @@
-"""What a row of the vocabulary has: names of columns as patterns, and what their numbers are."""
+"""The row type of the vocabulary: patterns for names of columns, and their meaning."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ if TYPE_CHECKING:
 
 
 class Burst(NamedTuple):
-    """Columns that say how many samples a message holds; its stamp is that of the last one.
+    """Fields of a message with several samples; its timestamp is that of the last sample.
 
-    `samples`: how many elements of the three arrays are samples, the oldest first
-    `scale`: what the stored numbers are multiplied by
-    `spacing`: the time between samples, in the unit of the row's stamps
+    `samples`: number of samples in the arrays, the oldest first
+    `scale`: scale factor of the stored numbers
+    `spacing`: time between samples, in the unit of the timestamps
     """
 
     samples: str
@@ -22,36 +22,33 @@ class Burst(NamedTuple):
 
 
 class Row(NamedTuple):
-    """How one source names its columns, and what its numbers are.
+    """Names of the columns of one source, and the meaning of their numbers.
 
-    `name`: what summaries call it; ``""`` where files have other names than messages, as of ROS
-    `types`: the message types, as ROS spells them
-    `rate`, `quat`, `bias`, `force`: patterns of the components of a rate, a quaternion, a
-        gyroscope's bias, a specific force
-    `stamps`: its time, the best first: times, or numbers in the `time_unit`. In a file a column
-        ``sec`` or ``secs`` has its nanoseconds in a column beside it
-    `unit`: of the rate and the bias; ``""`` where names must declare it
-    `time_unit`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; ``""`` where times say it themselves
-    `absent`: what follows the name of a quantity in that of a column that is -1 where it is absent
-    `valid`: the column that is false where a bias is not valid
-    `position`: pattern of the components of the position that belongs to the quaternion, m
-    `covariance`: pattern of the 9 or 36 numbers of the quaternion's covariance about the axes of
-        the reference frame, rad^2; of 36 the last block counts
-    `layout`: ``"scalar-first"`` or ``"scalar-last"`` of a quaternion whose components have no names
-    `frames`: which frames the quaternion relates, where the type fixes them
-    `measured`: whether a gyroscope measured the rate; what is estimated or commanded does not
-        compete
-    `method`: the integration rule that fits the rate, where its definition says what samples are:
-        ``"end"`` for averages over the interval that ends at the stamp
-    `span`: the integration time of the sensor, in the `time_unit`, where the rate is an increment,
-        rad, over the interval that ends at the stamp
-    `burst`: where a message has many samples; the pattern of the rate is that of all their
-        components
-    `angles`, `angle_unit`: pattern of Euler angles, and their unit where names do not declare it
-    `needs`: further columns, or the first line, by which a file is recognised
-    `file`: pattern found in the name of a file, where columns alone are not enough
-    `log_time`: the column of the time of recording, if a file has one beside the message's own
-        stamp
+    `name`: name in summaries; ``""`` if files have other names than messages, as with ROS
+    `types`: message types, as ROS spells them
+    `rate`, `quat`, `bias`, `force`: patterns of the components of a rate, quaternion, gyroscope
+        bias and specific force
+    `stamps`: timestamps, the best first: times, or numbers in the `time_unit`. In a file, the
+        nanoseconds of ``sec`` or ``secs`` are in another column
+    `unit`: unit of the rate and the bias; ``""``: names must declare it
+    `time_unit`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; ``""``: times have their own unit
+    `absent`: suffix of the column that is -1 if a quantity is absent
+    `valid`: column that is false if a bias is not valid
+    `position`: pattern of the components of the position of the same body, m
+    `covariance`: pattern of the 9 or 36 numbers of the covariance of the attitude about the axes of
+        the reference frame, rad^2; of 36, the last 3x3 block is used
+    `layout`: ``"scalar-first"`` or ``"scalar-last"`` for a quaternion without named components
+    `frames`: the frames that the quaternion relates, if the type fixes them
+    `measured`: whether the rate is measured; estimated and commanded ones have a lower priority
+    `method`: integration rule that the definition implies: ``"end"`` for averages over the interval
+        before the timestamp
+    `span`: integration time, in the `time_unit`, if the rate is an increment, rad, over the
+        interval before the timestamp
+    `burst`: fields of a message with several samples; `rate` matches the components of all
+    `angles`, `angle_unit`: pattern of Euler angles, and their unit if names do not declare it
+    `needs`: further columns, or the first line, that identify a file
+    `file`: pattern to be found in the file name, if columns do not identify it
+    `log_time`: column of the time of recording, if a file has one besides the header timestamp
     """
 
     name: str = ""
@@ -81,13 +78,13 @@ class Row(NamedTuple):
 
 
 XYZ = r"[.\[](?P<part>[xyz012])\]?"
-"""The components of a vector: parts or elements."""
+"""Component of a vector: a field or an array element."""
 WXYZ = r"[.\[](?P<part>[wxyz0123])\]?"
 
 RATE_PARTS = ("x|p|0|[0]|roll", "y|q|1|[1]|pitch", "z|r|2|[2]|yaw")
-"""What the group ``part`` of each axis may be."""
+"""Spellings of each axis in the group ``part``."""
 QUATERNION_PARTS = ("w|0", "x|1", "y|2", "z|3")
-"""What the group ``part`` of each component of a quaternion may be."""
+"""Spellings of each component of a quaternion in the group ``part``."""
 PARTS: Mapping[str, tuple[str, ...]] = {
     "rate": RATE_PARTS,
     "quat": QUATERNION_PARTS,
@@ -96,10 +93,10 @@ PARTS: Mapping[str, tuple[str, ...]] = {
     "position": RATE_PARTS,
     "angles": ("yaw|z", "pitch|y", "roll|x"),
 }
-"""The same by the field of a row."""
+"""Field of a row -> spellings of its components."""
 
 ABSENT = r"_covariance(?:\[0\]|_?0|\.0)"
-"""The first number of a covariance of ROS: -1 where the quantity is absent."""
+"""First element of a ROS covariance: -1 if the quantity is absent."""
 
 STAMPS = ("header.stamp", "stamp", "timestamp")
-"""Where a message may have its time, whatever its type."""
+"""Fields that may be the timestamp of any message."""

@@ -1,9 +1,9 @@
-"""What columns mean: one row for each message type and program.
+"""The vocabulary: one row for each message type and program.
 
 A new device is one new row of :data:`ROWS`, for its messages and its files alike. Names are regular
-expressions for whole names of columns, as they are spelled or as keys (lower case, without unit);
-in messages they are relative to the message of the row's type, wherever it is. The group ``part``
-of a pattern is the component, the rest of the name must be the same in all of them.
+expressions for whole names of columns, as spelled or as keys (lower case, without unit); in
+messages they are relative to the struct of the row's type, which may be nested. The group ``part``
+of a pattern is the component; the rest of the name must be the same for all components.
 """
 
 from __future__ import annotations
@@ -270,9 +270,9 @@ _OF_FILES = (
 )
 
 ROWS = (*_OF_MESSAGES, *_OF_FILES)
-"""The rows, in the order in which files are tried. The states of PX4's estimator are not among
-those with a bias: older versions hold one of the angle there, newer ones of the rate, and messages
-do not say which."""
+"""The rows, in the order in which files are tried. The states of PX4's estimator have no row as a
+bias: in older versions they contain the bias of an angle, in newer ones of a rate, without telling
+which."""
 
 GENERIC = Row(
     rate=GYROSCOPE,
@@ -284,12 +284,12 @@ GENERIC = Row(
     unit="",
     stamps=(r"(?:.*\.)?header\.stamp\.secs?", r"(?:stamp[._])?secs?", TIME_NAMES),
 )
-"""Names that clearly mean a quantity and time, but declare no units."""
+"""Names that clearly mean a quantity or the time, without units."""
 
 TYPES = {name: row for row in ROWS for name in row.types}
 """The row of each message type."""
 
 
 def row_of_type(type_name: str) -> Row | None:
-    """Return the row of a message type, however ROS or Foxglove spell it."""
+    """Return the row of a message type, in any spelling of ROS or Foxglove."""
     return TYPES.get(ros_name(type_name).replace("foxglove/", "foxglove_msgs/"))

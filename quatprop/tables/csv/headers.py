@@ -1,4 +1,4 @@
-"""The beginning of a text table: separator, header, units, and where the rows begin."""
+"""Detect the layout of a text table from its beginning: delimiter, header, units, first row."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 
 HEAD_BYTES = 1 << 18
-"""How much of a table is examined for its layout."""
+"""Bytes of a table that are examined for its layout."""
 
 COMMENTS = ("#", "%", "//")
-"""What marks a line that is not a row; a header may carry such a mark too."""
+"""Comment marks, which a header may also have."""
 
 _OURS = COMMENT.decode()
 _LINES = 200
@@ -47,16 +47,16 @@ _OTHER_DATE = re.compile(r"\s*\d+([/.:-])\d+\1\d+(?:\D.*)?")
 
 @dataclass(frozen=True, slots=True)
 class CsvLayout:
-    """How a text table is laid out.
+    """The layout of a text table.
 
-    `names`: column names as the header spells them; ``"0"``, ``"1"``... where there is none
+    `names`: column names in the header; ``"0"``, ``"1"``... without one
     `delimiter`: ``","``, ``";"``, ``"|"``, a tab, or a space for any run of blanks
     `decimal`: ``"."`` or ``","``
     `body`: bytes before the first row
-    `line`: number of the line of the first row, from 1
-    `notes`: what the lines before the header declare
-    `header`: the header line without its end; empty where there is none
-    `dates`: positions of columns of dates and times of day, with ``"UTC"`` where they name a zone
+    `line`: line number of the first row, from 1
+    `notes`: facts declared before the header
+    `header`: the header line without its end; empty without one
+    `dates`: column of dates -> ``"UTC"`` if they have a time zone, else None
     """
 
     names: list[str]
@@ -69,14 +69,14 @@ class CsvLayout:
     dates: Mapping[int, str | None] = field(default_factory=dict)
 
     def without_headers(self, data: bytes) -> bytes:
-        """Return rows with blank lines where the header is repeated, as in joined files."""
+        """Return rows with repeated headers, as in joined files, replaced by blank lines."""
         if not self.header or self.header not in data:
             return data
         return re.sub(rb"(?m)^%b(?=\r?$)" % re.escape(self.header), b"", data)
 
 
 def detect_layout(head: bytes, path: Path) -> CsvLayout:
-    """Return how the table that begins with `head` is laid out."""
+    """Return the layout of the table that begins with `head`."""
     is_utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
     head = head.rstrip(b"\0")
     if not head or is_utf16 or b"\0" in head.partition(b"\n")[0]:
@@ -87,7 +87,7 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
     raw = _records(head.splitlines(keepends=True)[:_LINES])
     texts = [_text(line) for line in raw]
     _refuse_opensim(texts, path)
-    # The provenance of our own files is JSON in a comment, full of numbers and commas.
+    # The provenance in quatprop's files is a JSON comment with many numbers and commas.
     delimiter, rows, places = _delimiter(["" if text.startswith(_OURS) else text for text in texts])
     first = next(iter(places), len(rows))
     data = [rows[k] for k in places]
@@ -121,7 +121,7 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
 
 
 def _records(lines: list[bytes]) -> list[bytes]:
-    """Return lines, joined where a quote is open at the end of a line and soon closed."""
+    """Return records: lines, joined if a quote is open at the end and closed soon."""
     records: list[bytes] = []
     while lines:
         count = 1
@@ -137,7 +137,7 @@ def split_cells(text: str, delimiter: str) -> list[str]:
     """Return the cells of one line."""
     text = text.strip("\ufeff\r\n")
     if delimiter == " ":
-        # The mark of a comment may stand apart: "# timestamp tx ty tz".
+        # A space may follow a comment mark: "# timestamp tx ty tz".
         for mark in COMMENTS:
             text = text.removeprefix(mark)
         cells = text.split()
@@ -158,24 +158,21 @@ def _text(line: bytes) -> str:
 
 
 def is_data(row: list[str]) -> bool:
-    """Return whether a row has numbers enough for one of rates."""
+    """Return whether a row has enough numbers for rates."""
     return len(row) >= RATES and len([*islice(filter(NUMBER.fullmatch, row), RATES)]) == RATES
 
 
 def _delimiter(texts: list[str]) -> tuple[str, list[list[str]], list[int]]:
-    """Return the separator with which most lines are rows of numbers, their cells, and which.
-
-    Of separators that are as good it is the first one.
-    """
+    """Return the delimiter with the most rows of numbers, all cells, and indices of these rows."""
 
     def fit(split: tuple[str, list[list[str]], list[int]]) -> tuple[int, bool, bool]:
         _, rows, places = split
         widths = set(map(len, rows))
-        # The last is for a table that is too narrow for rates: the error lists its columns.
+        # The last criterion is for narrow tables, so that an error lists the right columns.
         return len(places), max(widths) >= RATES, len(widths) == 1 < min(widths)
 
     text = "".join(texts)
-    # Tabs are blanks, too.
+    # Blanks include tabs.
     marks = [mark for mark in _DELIMITERS if mark in text or (mark == " " and "\t" in text)]
     splits = ((mark, [split_cells(line, mark) for line in texts]) for mark in marks or _DELIMITERS)
     return max(
@@ -185,7 +182,7 @@ def _delimiter(texts: list[str]) -> tuple[str, list[list[str]], list[int]]:
 
 
 def _decimal(data: list[list[str]], delimiter: str) -> str:
-    """Return the decimal mark: between commas only quoted cells have any, perhaps of thousands."""
+    """Return the decimal mark; in quoted cells, a comma may separate thousands instead."""
     cells = [cell for row in data for cell in row]
     with_comma = [cell for cell in cells if "," in cell and _COMMA_NUMBER.fullmatch(cell)]
     if delimiter == "," and (
@@ -201,7 +198,7 @@ def _dates(row: list[str]) -> dict[int, str | None]:
 
 
 def _refuse_opensim(texts: list[str], path: Path) -> None:
-    """Refuse the quaternions of OpenSim: w,x,y,z of a sensor are one cell."""
+    """Refuse OpenSim tables, which have a whole quaternion w,x,y,z in one cell."""
     if "DataType=Quaternion" in map(str.strip, texts):
         columns = f"{Setting('quat_cols', '1,2,3,4')} {Setting('from_layout', 'wxyz')}"
         time = f"{Setting('time_col', '0')} {Setting('time_unit', 's')}"
@@ -213,9 +210,9 @@ def _refuse_opensim(texts: list[str], path: Path) -> None:
 
 
 def _refuse_turns(rows: list[list[str]], data: list[int], path: Path) -> None:
-    """Refuse times on lines of their own: each would be counted as a row that was lost.
+    """Refuse times on separate lines, each of which would count as a lost row.
 
-    `data`: which of the rows are rows of numbers
+    `data`: indices of the rows of numbers
     """
     if len(data) <= 2 or len(rows) - data[0] < 2 * len(data) - 1:  # noqa: PLR2004
         return
@@ -236,7 +233,7 @@ def _is_time(row: list[str]) -> bool:
 
 
 def _refuse_checksums(data: list[list[str]], path: Path) -> None:
-    """Refuse rows whose last number ends in a checksum of NMEA 0183: it is no part of it."""
+    """Refuse rows with an NMEA 0183 checksum after the last number."""
     last = [row[-1].strip() for row in data]
     if last and all(_CHECKSUM.fullmatch(cell) for cell in last):
         raise UnsupportedLogError(
@@ -247,9 +244,9 @@ def _refuse_checksums(data: list[list[str]], path: Path) -> None:
 
 
 def _refuse_mixture(data: list[list[str]], title: str, width: int, path: Path) -> None:
-    """Refuse rows most of which do not fit the first one, or that begin with their kind.
+    """Refuse rows of several kinds: most differ in width from the first, or they begin with a kind.
 
-    `title`: the name of their first column; ``""`` where they have no header
+    `title`: name of the first column; ``""`` without a header
     """
     widths = Counter(map(len, data))
     kinds = sorted({row[0].strip() for row in data})
@@ -267,7 +264,7 @@ def _refuse_mixture(data: list[list[str]], title: str, width: int, path: Path) -
 
 
 def _is_table(rows: list[list[str]], header: int | None) -> bool:
-    """Return whether rows without numbers may be a table: too narrow a one, or one below names."""
+    """Return whether rows without numbers may be a table: a narrow one, or one with a header."""
     if header is None:
         return {len(row) for row in rows if row} == {2}
     return any(len(row) == len(rows[header]) for row in rows[header + 1 :])

@@ -1,6 +1,6 @@
-"""Tables of text: CSV and its relatives, from a file or a stream.
+"""Text tables: CSV and similar formats, from a file or a stream.
 
-Trajectories of TUM RGB-D and of KITTI have no header, but columns that are known.
+Trajectories of TUM RGB-D and KITTI have no header, but known columns.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 
 
 _SHOWN = 12
-"""Bytes of a line that are shown."""
+"""Bytes of a line shown in a remark."""
 _STDIN = Path("-")
 
 
 class CsvLog(TableLog):
     """A text table.
 
-    `source`: the file, or an open binary stream such as stdin, which can be read only once. Both
+    `source`: a file, or an open binary stream such as stdin, which can be read only once. Either
         may be compressed with gzip, zstd, bz2 or lz4
     """
 
@@ -67,11 +67,11 @@ class CsvLog(TableLog):
 
     @property
     def notes(self) -> TableNotes:
-        """What the lines before the header declare."""
+        """Facts declared before the header."""
         return self._layout.notes
 
     def provenance(self) -> JsonObject:
-        """Return how the content came about; see :class:`quatprop.tables.base.TableLog`."""
+        """Return the provenance in the first line."""
         first, _, _ = self._head.partition(b"\n")
         if not first.startswith(COMMENT):
             return {}
@@ -79,7 +79,7 @@ class CsvLog(TableLog):
 
     @property
     def names(self) -> list[str]:
-        """The column names in order; ``"0"``, ``"1"``... for a table without a header."""
+        """Column names in order; ``"0"``, ``"1"``... without a header."""
         return list(self._layout.names)
 
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
@@ -89,7 +89,7 @@ class CsvLog(TableLog):
         return [tuple(row[k] for k in columns) for row in self._first_rows]
 
     def _whole_rows(self) -> Iterator[list[str]]:
-        """Yield the cells of the first rows, where they fit the header."""
+        """Yield the cells of the first rows that fit the header."""
         whole = self._head
         if len(whole) == HEAD_BYTES:
             whole = whole.rpartition(b"\n")[0]
@@ -109,12 +109,12 @@ class CsvLog(TableLog):
         }
 
     def row_count(self) -> int | None:
-        """Return the size of the file divided by that of its first rows; None if compressed."""
+        """Return an estimate from the sizes of the file and its first rows; None if compressed."""
         head = self._head[self._layout.body :]
         rows = head.count(b"\n")
         if self._stream is not None or not rows or self._text.is_compressed:
             return None
-        return max(rows, round(self.path.stat().st_size / len(head) * rows))
+        return max(rows, round((self._text.size or 0) / len(head) * rows))
 
     def _stored_rows(self, columns: TimedColumns) -> Batches:
         """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
@@ -129,7 +129,7 @@ class CsvLog(TableLog):
                 text.close()
 
     def _whole_blocks(self, text: TextStream, columns: TimedColumns) -> Iterator[TextBlock]:
-        """Yield the rows of a text, but for a last line that was cut off."""
+        """Yield the rows of a text without a truncated last line."""
         tail = b""
         for block in record_blocks(text, self._layout.line):
             whole = self._without_truncated_line(block, tail, text, columns)
@@ -140,13 +140,13 @@ class CsvLog(TableLog):
     def _without_truncated_line(
         self, block: TextBlock, tail: bytes, text: TextStream, columns: TimedColumns
     ) -> TextBlock:
-        """Return a block without a last line that was cut off."""
+        """Return a block without a truncated last line."""
         if bytes(block.data[-1:]) in {b"\n", b"\r"}:
             return block
         data = bytes(block.data).rstrip(b"\0")
         is_padded = len(data) < len(block.data)
         if is_padded:
-            # What a file system leaves of a file that was being written when the power failed.
+            # A file system may leave zeros at the end of a file after a power failure.
             self.losses.note("end of the file", "it is filled with zero bytes")
             block = block._replace(data=block.data[: len(data)])
             if data[-1:] in {b"", b"\n"}:
@@ -157,7 +157,7 @@ class CsvLog(TableLog):
         if any(
             map(RowParser(self.path, self._layout, columns).is_row, data[begin:].split(b"\n")[1:])
         ):
-            begin = data.rfind(b"\n") + 1  # a stray quote, and no cell with line breaks
+            begin = data.rfind(b"\n") + 1  # a stray quote, not a cell with line breaks
         last = data[begin:]
         before = (tail + data[max(0, begin - TAIL_BYTES) : begin])[-TAIL_BYTES:]
         used = columns.used
@@ -177,12 +177,12 @@ class CsvLog(TableLog):
         return block._replace(data=block.data[:begin])
 
     def _restart(self) -> TextStream:
-        """Return the text from its first row on, and forget what an earlier reading remarked."""
+        """Return the text from its first row on, and remove the remarks of an earlier reading."""
         self.remarks.clear()
         if self._stream is None:
             if len(self._head) < HEAD_BYTES and not self._text.damage:  # that was all of it
                 return TextStream(BytesIO(self._head[self._layout.body :]), may_be_compressed=False)
-            rows = open_text(self.path)
+            rows = open_text(self.path, self._text.size)
             rows.read(self._layout.body)
             return rows
         if self._was_read:
@@ -212,7 +212,7 @@ class TumLog(CsvLog):
 
 
 class KittiLog(TumLog):
-    """A trajectory of twelve columns, which are a matrix (R | t) row by row; it has no times."""
+    """A trajectory of twelve columns: the matrix (R | t) row by row, without times."""
 
     kind = "kitti"
     expected = (

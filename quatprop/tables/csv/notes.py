@@ -1,4 +1,4 @@
-"""What the lines before the rows of a text table declare: names of columns, units, notes."""
+"""Parse the lines before the rows of a text table: names of columns, units, notes."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 NUMBER = re.compile(
     r"\s*[+-]?(?:(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:e[+-]?\d+)?|nan|inf(?:inity)?)\s*", re.IGNORECASE
 )
-"""A number as a cell has it, with either decimal mark."""
+"""A number in a cell, with either decimal mark."""
 
 RATES = 3
-"""Numbers that a row of rates has at least."""
+"""Minimum number of numbers in a row of rates."""
 
 _SAMPLE_RATE = re.compile(
     r"(?i)(?:sample|sampling|update|data|output)[ _-]?(?:rate|frequency)\W*([\d.]+) *(k?)Hz"
@@ -30,13 +30,13 @@ _POWERS = {0: "s", -3: "ms", -6: "us", -9: "ns"}
 
 
 def declared_notes(before: list[str], names: list[str], path: Path) -> TableNotes:
-    """Return what comments and ``key,value`` lines declare."""
+    """Return the facts declared by comments and ``key,value`` lines."""
     title = before[0].strip("\ufeff \r\n") if before else ""
     rates = {
         float(rate[1]) * (1000 if rate[2] else 1)
         for rate in filter(None, map(_SAMPLE_RATE.search, before))
     }
-    # Of several that differ nothing says which is that of the rows.
+    # Several different rates are ambiguous.
     sample_rate = rates.pop() if len(rates) == 1 else None
     if title.upper() != "GYROFLOW IMU LOG":
         return TableNotes(sample_rate=sample_rate, title=title)
@@ -56,16 +56,16 @@ def declared_notes(before: list[str], names: list[str], path: Path) -> TableNote
 
 
 def _gcsv_mount(letters: str) -> str:
-    """Return an orientation of gcsv as signed axes: a small letter is an axis turned around."""
+    """Return an orientation of gcsv as signed axes: a lower-case letter is a reversed axis."""
     if letters == "XYZ" or not re.fullmatch(r"(?i)(?!.*(.).*\1)[xyz]{3}", letters):
         return ""
     return ",".join(("" if letter.isupper() else "-") + letter.lower() for letter in letters)
 
 
 def header_row(before: list[list[str]], data: list[list[str]]) -> int | None:
-    """Return which row before the first row of numbers names its columns.
+    """Return the index of the header row before the first row of numbers, or None.
 
-    It is the last that fits, or the one that begins with the kind of the record, as the rows do.
+    It is the row that begins with the same kind of record as the data, else the last one that fits.
     """
     fitting = [
         k
@@ -80,13 +80,13 @@ def header_row(before: list[list[str]], data: list[list[str]]) -> int | None:
 
 
 def _is_as_wide(header: list[str], row: list[str]) -> bool:
-    """Return whether names fit a row, but for the empty cells of delimiters at their ends."""
+    """Return whether names fit a row, apart from empty cells at the ends of both."""
     names, cells = map(without_trailing_cells, (header, row))
     return len(header) == len(row) or len(cells) <= len(names) <= len(row)
 
 
 def without_trailing_cells(row: list[str]) -> list[str]:
-    """Leave out the empty cells that delimiters at the end of the line make."""
+    """Return cells without the empty ones of trailing delimiters."""
     count = len(row)
     while count and not row[count - 1].strip():
         count -= 1
@@ -94,7 +94,7 @@ def without_trailing_cells(row: list[str]) -> list[str]:
 
 
 def column_names(rows: list[list[str]], header: int, width: int) -> list[str]:
-    """Return the names in a row, with the units or the titles of groups in the row beside it."""
+    """Return the names in the header, with the units or group titles in the row above."""
     names = _fitted(rows[header], width)
     above = rows[header - 1] if header else []
     if abs(len(above) - len(rows[header])) > 1:
@@ -103,9 +103,9 @@ def column_names(rows: list[list[str]], header: int, width: int) -> list[str]:
     if not any(above) or any(map(NUMBER.fullmatch, above)):
         return names
     if not any(names[1:]):
-        # pandas writes the name of the index below those of the columns.
+        # pandas writes the name of the index below those of columns.
         return [names[0], *column_names(rows, header - 1, width)[1:]]
-    # What repeats below names that do not is no name, known as a unit or not.
+    # Repeated cells below unique names are units, even if unknown.
     if _are_units(names) or len({*names}) < len({*above}) == width:
         return _with_units(above, names)
     if _are_units(above):
@@ -115,7 +115,7 @@ def column_names(rows: list[list[str]], header: int, width: int) -> list[str]:
 
 
 def _are_units(cells: list[str]) -> bool:
-    """Return whether cells are units; columns of other sensors may have some that are not known."""
+    """Return whether cells are units; some, of other sensors, may be unknown."""
     known = [parse_name(f"({_bare(cell)})").unit in _UNITS for cell in cells]
     return sum(known) >= RATES or all(map(operator.or_, known, map(operator.not_, cells)))
 
@@ -137,7 +137,7 @@ def _fitted(row: list[str], width: int) -> list[str]:
 
 
 def _grouped(groups: list[str], names: list[str]) -> list[str]:
-    """Return names under group titles, each of which stands over its first column."""
+    """Return names with the group titles, each of which is above its first column."""
     full, group = [], ""
     for title, name in zip(groups, names, strict=True):
         group = title or group

@@ -1,4 +1,4 @@
-"""Blocks of text to stamps and numbers: as a whole, and piece by piece around damage."""
+"""Parse blocks of text: as a whole, or piece by piece if rows do not fit."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 _PIECE_BYTES = 1 << 16
 _ENOUGH_ROWS = 100_000
-"""Rows after which a table is refused, of which most do not fit."""
+"""Number of rows after which a table is refused if most rows do not fit."""
 
 
 class CsvRows(TextRows):
-    """One reading of a table of text."""
+    """One reading of a CSV table."""
 
     task_bytes = 1 << 19
 
@@ -43,7 +43,7 @@ class CsvRows(TextRows):
         self._row_parser = RowParser(log.path, layout, columns)
 
     def parse(self, block: TextBlock, task_bytes: int, spare: int) -> pa.Table:
-        """Return all rows of whole records, none of which is longer than a task."""
+        """Return all rows of a block; no record is longer than a task."""
         data: bytes | memoryview = block.data
         line_breaks = block.quoted and self._row_parser.has_line_breaks_in_cells(data)
         if self._layout.delimiter == " ":
@@ -79,7 +79,7 @@ class CsvRows(TextRows):
         return table
 
     def apart(self, block: TextBlock) -> Batches:
-        """Yield rows piece by piece, and those of a piece with a misfit one by one."""
+        """Yield rows piece by piece; pieces with a misfit are read row by row."""
         text = io.BytesIO(self._layout.without_headers(bytes(block.data)))
         pieces = TextStream(text, may_be_compressed=False)
         rejected: list[tuple[int, str]] = []
@@ -91,13 +91,13 @@ class CsvRows(TextRows):
                 yield self._one_by_one(piece, rejected)
             count = self.rejected.count
             if count - first > _ENOUGH_ROWS and 2 * len(rejected) > count:
-                break  # it will be refused: nobody waits for the rest
+                break  # the table will be refused
         self.rejected.note(rejected)
 
     def _one_by_one(
         self, piece: TextBlock, rejected: list[tuple[int, str]]
     ) -> tuple[Int64, Float64]:
-        """Return the rows of a piece that fit, and list the others."""
+        """Return the rows of a piece that fit, and append the others to `rejected`."""
         first = self.rejected.count
         stamps: list[int] = []
         numbers: list[list[float]] = []
@@ -122,9 +122,9 @@ class CsvRows(TextRows):
 
 @lru_cache(maxsize=1)
 def _other_thread(_process: int) -> ThreadPoolExecutor:
-    """Return a thread of this process; one that was forked has none of the threads before.
+    """Return a thread of this process, for each forked process a new one.
 
-    In the main thread pyarrow would take over the handling of Ctrl-C and SIGTERM while it reads,
-    and a process that is told to end at that moment aborts.
+    In the main thread, pyarrow handles SIGINT and SIGTERM while it reads, and may abort the process
+    instead of ending it normally.
     """
     return ThreadPoolExecutor(1)

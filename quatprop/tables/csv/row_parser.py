@@ -1,6 +1,6 @@
-"""Rows of a damaged place of text, one by one.
+"""Parse rows of damaged text one by one.
 
-Written by hand because pyarrow refuses a block as a whole, and does not say which rows do not fit.
+pyarrow refuses a whole block, and does not tell which rows do not fit.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ _NOT_A_NUMBER = {
 
 
 def date_type(layout: CsvLayout, k: int) -> pa.DataType | None:
-    """Return the type of a column of dates; None for one of numbers."""
+    """Return the type of a column of dates; None for a column of numbers."""
     return pa.timestamp("ns", layout.dates[k]) if k in layout.dates else None
 
 
 @dataclass(frozen=True, slots=True)
 class RowParser:
-    """Reads rows one by one, and says which do not fit."""
+    """Parses rows one by one, and finds those that do not fit."""
 
     path: Path
     layout: CsvLayout
@@ -51,9 +51,9 @@ class RowParser:
     def rows(
         self, data: bytes, line: int
     ) -> Iterator[tuple[int, tuple[int, list[float]] | str | None]]:
-        """Yield stamp and numbers of each row with its line, or why it does not fit.
+        """Yield the line number of each row, and its timestamp and numbers or why it does not fit.
 
-        Of a row of another series it is None. Without a time the stamp is not to be used.
+        They are None for a row of another series. Without time columns, the timestamp is invalid.
         """
         for place, cells in self._records(data, line):
             if isinstance(cells, str):
@@ -71,7 +71,7 @@ class RowParser:
                     yield place, row
 
     def has_line_breaks_in_cells(self, data: bytes | memoryview) -> bool:
-        """Return whether cells of whole records have line breaks."""
+        """Return whether any cell has a line break."""
         text = np.frombuffer(data, np.uint8)
         quotes = np.flatnonzero(text == ord('"'))
         if len(quotes) % 2:
@@ -85,7 +85,7 @@ class RowParser:
         return len(breaks) > 0
 
     def is_row(self, line: bytes) -> bool:
-        """Return whether a line looks like a row by itself, whatever its quotes say."""
+        """Return whether a line is a valid row by itself, ignoring quotes."""
         cells = line.split(None if self.layout.delimiter == " " else self.layout.delimiter.encode())
         if len(cells) < len(self.layout.names):
             return False
@@ -93,7 +93,7 @@ class RowParser:
             *self.columns.stamp.columns,
             *self.columns.numbers,
         ):
-            return False  # the end of a text with a line break
+            return False  # the end of a quoted cell with a line break
         texts = [cell.strip(b' \r\n"').decode(errors="replace") for cell in cells]
         try:
             self._row(texts[: len(self.layout.names)])
@@ -105,7 +105,7 @@ class RowParser:
         return csv.reader(lines, delimiter=self.layout.delimiter, strict=strict)
 
     def _records(self, data: bytes, line: int) -> Iterator[tuple[int, list[str] | str]]:
-        """Yield the line number of each record and its cells, or what is wrong with its quotes."""
+        """Yield the line number of each record, and its cells or what is wrong with its quotes."""
         if self.layout.delimiter == " ":
             data = squeeze_blanks(data)
         lines = io.StringIO(data.decode(errors="replace"), newline="").readlines()
@@ -128,13 +128,13 @@ class RowParser:
             except csv.Error:
                 cells = "it cannot be split into cells"
             if b'"' in data and self._has_open_quote(lines[begin:position]):
-                # The lines that it has swallowed are read by themselves.
+                # The following lines are read separately.
                 position, cells = begin + 1, "its quote is not closed"
                 reader = self._reader(following())
             yield line + begin, cells
 
     def _has_open_quote(self, lines: list[str]) -> bool:
-        """Return whether a record ends in an open quote, or has rows in its quotes."""
+        """Return whether a record ends within quotes, or has whole rows within quotes."""
         if any(self.is_row(text.encode()) for text in lines[1:]):
             return True
         try:
@@ -144,7 +144,7 @@ class RowParser:
         return False
 
     def _is_no_row(self, cells: list[str], line: int) -> bool:
-        """Whether it is a blank line, a comment or a repeated header; refuse one that is not."""
+        """Return whether it is blank, a comment or a repeated header; refuse a different header."""
         if not any(cells) or cells[0].startswith(COMMENTS):
             return True
         names = self.layout.names
@@ -164,7 +164,7 @@ class RowParser:
     def _row(self, cells: list[str]) -> tuple[int, list[float]]:
         names = self.layout.names
         if len(cells) > len(names):
-            # Delimiters at the end of a line make empty cells.
+            # Trailing delimiters give empty cells.
             cells = cells[: max(len(names), len(without_trailing_cells(cells)))]
         if len(cells) != len(names):
             raise ValueError(f"it has {len(cells)} columns instead of {len(names)}")
@@ -204,21 +204,21 @@ class RowParser:
         return f"{quoted(cell)} in column {quoted(name)} is not a {wanted}{mark}"
 
     def _pointed(self, cell: str) -> str:
-        """Return a number as Python writes it, which also takes 1_000 and digits of any script."""
-        # A point beside decimal commas may stand between thousands.
+        """Return a number with a decimal point; refuse 1_000 and non-ASCII digits."""
+        # With decimal commas, a point may separate thousands.
         if "_" in cell or not cell.isascii() or (self.layout.decimal == "," and "." in cell):
             raise ValueError
         return cell.replace(",", ".") if self.layout.decimal == "," else cell
 
 
 def _is_name(cell: str) -> bool:
-    """Whether a cell may be the name of a column, or its unit."""
+    """Return whether a cell may be the name of a column, or its unit."""
     is_number = NUMBER.fullmatch(cell) or cell.lower() in _NOT_A_NUMBER
     return not is_number and _NAME.match(cell) is not None
 
 
 def squeeze_blanks(data: bytes | memoryview) -> bytes:
-    """Return rows whose cells are separated by runs of blanks with one space for each run."""
+    """Return rows with each run of blanks replaced by one space."""
     text = bytes(data).replace(b"\t", b" ")
     if b"\r" in text:
         text = text.replace(b"\r\n", b"\n").replace(b"\r", b"\n")

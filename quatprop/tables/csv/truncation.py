@@ -1,8 +1,8 @@
-"""Whether a last line without a line end was cut off.
+"""Detect whether a last line without a line end was cut off.
 
-A recorder that died leaves a line without its end, and so do programs that write line ends only
-between rows. The cells above distinguish the two where they all have the same number of decimals,
-or where there are many of them and all have more.
+A recorder that crashed leaves such a line, but some programs also write line ends only between
+rows. The cells above distinguish the two if all have the same number of decimals, or if there are
+many and all have more than the last one.
 """
 
 from __future__ import annotations
@@ -20,19 +20,18 @@ if TYPE_CHECKING:
     from quatprop.tables.csv.headers import CsvLayout
 
 TAIL_BYTES = 1 << 16
-"""How much of the rows before is compared."""
+"""Bytes of the preceding rows that are compared."""
 
 _FEW = 3
-"""Rows that show how long cells are, where all are equally long."""
+"""Minimum number of rows if their cells have the same length."""
 _MANY = 100
-"""Rows that show how long cells are, where they differ: as many come before one that is shorter
-than all of them by chance."""
+"""Minimum number of rows if the lengths of cells vary, so that a shorter one is unlikely."""
 
 _NUMBER = re.compile(r"\s*[+-]?(\d*)(?:[.,](\d*))?(?:[eE][+-]?(\d*))?\s*")
 
 
 class _Digits(NamedTuple):
-    """How long the parts of a number are; of anything else, how long it is."""
+    """Lengths of the parts of a number; of other text, the total length."""
 
     whole: int
     decimals: int
@@ -42,7 +41,7 @@ class _Digits(NamedTuple):
 def is_truncated(
     before: bytes, last: bytes, layout: CsvLayout, used: Collection[int]
 ) -> bool | None:
-    """Return whether a last line without a line end was cut off."""
+    """Return whether a last line without a line end was cut off; None if unknown."""
     cells = _cells(last, layout)
     column = len(layout.names) - 1
     if len(cells) != len(layout.names) or column not in used:
@@ -60,11 +59,11 @@ def is_truncated(
 
 
 def _is_shorter(number: _Digits, earlier: list[_Digits]) -> bool | None:
-    """Compare the length of a number with those before it."""
+    """Return whether a number is shorter than those before it; None if unknown."""
     exponents = [digits.exponent for digits in earlier if digits.exponent]
     if number.exponent and exponents and number.exponent < min(exponents):
         return True
-    # The digits before the point are no measure where there are others behind them.
+    # Integer digits are only compared if there are no decimals.
     has_decimals = any(digits.decimals for digits in earlier)
     lengths = [digits.decimals if has_decimals else digits.whole for digits in earlier]
     length = number.decimals if has_decimals else number.whole

@@ -50,10 +50,10 @@ def test_slopes_are_those_of_differences():
     rates, reference, truth = simulated(gyro=0, reference=0)
     windows, begin = begun(rates, reference)
     near = truth._replace(middle_ns=begin.middle_ns)
-    slope = errors_of(rates, windows, near).slope
+    slope = errors_of(rates, windows, near)[1]
     for k in range(len(OF_GROUP)):
         by = 1e-4 * np.eye(len(OF_GROUP))[k]
-        ends = [errors_of(rates, windows, near.moved(sign * by)).vectors for sign in (1, -1)]
+        ends = [errors_of(rates, windows, near.moved(sign * by))[0] for sign in (1, -1)]
         measured = (ends[0] - ends[1]) / 2e-4
         assert slope[..., k] == pytest.approx(measured, abs=5e-3 * np.abs(measured).max())
 
@@ -65,7 +65,7 @@ def test_least_squares_of_scipy_finds_the_same():
     found = fit(rates, windows, begin, np.ones(len(OF_GROUP), bool))
 
     def residuals(by):
-        vectors = errors_of(rates, windows, begin.moved(by)).vectors[found.used]
+        vectors = errors_of(rates, windows, begin.moved(by))[0][found.used]
         return (vectors / np.sqrt(found.noise)).ravel()
 
     other = begin.moved(least_squares(residuals, error_of(found.model, begin), x_scale="jac").x)
@@ -164,7 +164,7 @@ def test_what_is_printed(tmp_path):
     lines = run("calibrate", log, other, code=0).stdout.splitlines()
     labels = [line.split()[0] for line in lines]
     assert [*labels[:2], *labels[-3:]] == ["windows", "bias", "held", "error", "improvement"]
-    assert "scale about x and y" in lines[labels.index("held")]
+    assert "scale x, scale y" in lines[labels.index("held")]
     # print() showed every number of the covariance.
     assert str(quatprop.calibrate(log, other)).splitlines() == lines
 

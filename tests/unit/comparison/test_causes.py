@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
 from quatprop.comparison import compare as comparing
-from quatprop.comparison.findings import findings
+from quatprop.comparison.defects import defects
 from quatprop.comparison.settings import comparison_settings
 from quatprop.kinematics.quaternion import conjugate, exp, multiply
 from quatprop.settings.spelling import in_options
@@ -228,6 +228,33 @@ def test_a_dead_axis_is_a_finding_and_no_cause():
 
 
 @pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
+@pytest.mark.parametrize("align", ["none", "first", "mean"])
+@pytest.mark.parametrize(("ppm", "wobble"), [(-1500, 0.0), (800, 0.03)])
+def test_a_clock_drift_on_a_steady_spin_is_named(ppm, align, wobble):
+    """A scale or a drift was named alone, which make the same error there."""
+    rng = np.random.default_rng(6)
+    rate = [0, 0, np.pi] + wobble * RATES[:2000]
+    t_ns = T_NS[:2000]
+    noise = exp(np.radians(0.02) * rng.normal(size=rate.shape))
+    truth = quatprop.propagate(GyroSeries(t_ns, rate), method="cubic").wxyz
+    moved = t_ns + np.round(ppm * 1e-6 * t_ns).astype(np.int64)
+    b = AttitudeSeries(moved, multiply(truth, noise))
+    measured = rate + 1e-3 * rng.normal(size=rate.shape)
+    a = quatprop.propagate(GyroSeries(t_ns, measured), method="cubic")
+    cause = compare(AttitudeSeries(t_ns, a.wxyz), b, align=align).likely_cause
+    if cause.name != "clock drift":
+        named = re.search(r"clocks that differ by (\d+) ppm", cause.sentence)
+        assert float(named[1]) == pytest.approx(abs(ppm), rel=0.05)
+
+
+def test_a_clock_drift_is_not_named_where_the_motion_tells_it_from_a_scale():
+    """Where the body turns to and fro, a factor is no drift of a clock."""
+    cause = compare(propagated(rates=1.002 * RATES), attitudes("mean"), align="first").likely_cause
+    assert cause.name == "scale"
+    assert "clocks" not in cause.sentence
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
 @pytest.mark.parametrize("of_rates", [0.0, 1.0])
 def test_noise_about_a_constant_rate_is_no_motion_about_three_axes(of_rates):
     """Of a body that spins about z, a reference with noise was said to show missing rates."""
@@ -238,7 +265,7 @@ def test_noise_about_a_constant_rate_is_no_motion_about_three_axes(of_rates):
     a, b = (quatprop.propagate(GyroSeries(t_ns, one)) for one in (rate, measured))
     noise = exp(np.radians(1.0) * rng.normal(size=rate.shape))
     pair = AttitudeSeries(t_ns, a.wxyz), AttitudeSeries(t_ns, multiply(b.wxyz, noise))
-    assert findings(*pair, comparison_settings(align="mean")) == ()
+    assert defects(*pair, comparison_settings(align="mean")) == ()
 
 
 def propagated(keep=slice(None), rates=RATES):
@@ -294,7 +321,7 @@ def test_gaps_and_limits_that_make_no_error_are_no_findings(a, b):
 
     Of turned frames, rounding was left, and said to be lost motion.
     """
-    assert findings(a(), b(), comparison_settings()) == ()
+    assert defects(a(), b(), comparison_settings()) == ()
 
 
 SINES = np.sin(PHASES)
@@ -305,15 +332,16 @@ SINES = np.sin(PHASES)
     ("a", "b", "names"),
     [
         (np.clip(SINES, -0.996, 0.996), SINES, ["motion-lost"]),
+        (np.clip(SINES, -0.2, 0.2), SINES, ["motion-lost"]),
         (SINES, SINES * np.where(np.abs(SINES) > 0.999, 1.05, 1), []),
         ([0, 0, 20] + 0.05 * SINES, [0, 0, 20] + 0.05 * SINES * np.where(SINES > 0.6, 1.1, 1), []),
     ],
-    ids=["saturated", "a smooth peak", "a smooth peak of a fast spin"],
+    ids=["saturated", "always about some axis", "a smooth peak", "a smooth peak of a fast spin"],
 )
 def test_rates_at_a_limit_stay_there(a, b, names):
     """At its peaks a sine is within 0.1 % of the largest for 3 % of the time: that is no limit."""
     pair = propagated(rates=a), propagated(rates=b)
-    found = findings(*pair, comparison_settings(align="mean"))
+    found = defects(*pair, comparison_settings(align="mean"))
     assert [remark.code for remark in found] == names
 
 

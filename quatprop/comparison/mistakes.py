@@ -1,7 +1,6 @@
-"""Mistakes that can be undone: in the frames, and what undoing the others has in common.
+"""Mistakes and how to undo them: different frames, and functions that the other mistakes share.
 
-A was propagated, if one of the two was, and B is what it is compared with; where either may be
-wrong, it is undone in A, and the remedy names both ways.
+Where either series may be wrong, A is corrected, and the remedy covers both cases.
 """
 
 from __future__ import annotations
@@ -34,55 +33,58 @@ class Sides(NamedTuple):
     b: AttitudeSeries
 
 
-class Undoing(NamedTuple):
-    """A mistake and how it is undone.
+class Mistake(NamedTuple):
+    """A mistake and how to undo it.
 
-    `other`: what it is called where another mistake explains as much
-    `apply`: returns A and B without it
-    `align`: the alignment that undoes it, where one does
-    `mount`: the matrix by which it turns A's rates, where the remedy is a mounting: a bias is
-        subtracted before that
-    `side`: ``a`` or ``b``, the series that was misread, where it is only one
+    `label`: short description, for lists of alternatives
+    `undo`: returns A and B without the mistake
+    `align`: the alignment that removes it, if any
+    `mount`: the matrix that rotates A's rates, if the remedy is a mounting; a bias is subtracted
+        before it
+    `side`: ``"a"`` or ``"b"``: the series that was misread, if it is one
     """
 
     name: str
-    other: str
+    label: str
     sentence: str
     remedy: str
-    apply: Callable[[Sides], Sides]
+    undo: Callable[[Sides], Sides]
     align: str = ""
     mount: Float64 | None = None
     side: str = ""
 
 
-def if_propagated(setting: str, a: str, b: str) -> str:
-    """Return how either series may be propagated to arrive at the other: one may be a truth."""
+def remedy_if_propagated(setting: str, a: str, b: str) -> str:
+    """Return a remedy for whichever series was propagated: the other may be a reference."""
     of_a, of_b = Setting(setting, a), Setting(setting, b)
     return f"if A was propagated, propagate it with {of_a}; if B was, with {of_b}"
 
 
 def recomposed(series: AttitudeSeries, steps: Float64, rates: str = "body") -> AttitudeSeries:
-    """Return a series with other rotations from sample to sample."""
-    # Steps of one second, by the rates that begin them.
+    """Return a series with the rotations between samples replaced.
+
+    `steps`: rotation vectors, shape ``(N - 1, 3)``, rad
+    """
+    # With intervals of one second, rates are rotation vectors.
     t_ns = np.arange(len(series)) * NS_PER_S
     rate = np.append(steps, np.zeros((1, 3)), axis=0)
     return replace(series, wxyz=attitudes(t_ns, rate, q0=series.wxyz[0], rates=rates))
 
 
-def with_rates(factor: Float64 | float, less: Float64 | float = 0.0) -> Callable[[Sides], Sides]:
-    """Return what multiplies A's rates, by a matrix or a number, and subtracts a rate, rad/s."""
+def rates_changed(factor: Float64 | float, less: Float64 | float = 0.0) -> Callable[[Sides], Sides]:
+    """Return a function that multiplies A's rates, and then subtracts a rate, rad/s."""
     matrix = np.asarray(factor) * (1 if np.ndim(factor) else np.eye(3))
 
-    def apply(sides: Sides) -> Sides:
+    def undo(sides: Sides) -> Sides:
         seconds = np.diff(sides.a.t_ns)[:, None] / NS_PER_S
         steps = rotation_vectors_between(sides.a.wxyz) @ matrix.T - seconds * less
         return sides._replace(a=recomposed(sides.a, steps))
 
-    return apply
+    return undo
 
 
-def scaled(factor: float) -> str:
-    """Return how rates are multiplied."""
+def scaling_remedy(factor: float) -> str:
+    """Return the remedy for rates that have to be multiplied by a factor."""
     return (
         f"if A was propagated, multiply its rates by {factor:.6g}; if B was, multiply its rates by "
         f"{1 / factor:.6g}"
@@ -90,11 +92,11 @@ def scaled(factor: float) -> str:
 
 
 LEVEL = 1e-3
-"""Share of a rotation that may be about a level axis where it is one of the heading."""
+"""Maximum share of a heading rotation that is about a level axis."""
 
 
-def frames(asked: Alignment, alignment: Alignment) -> Undoing:
-    """Return other frames than those that the alignment asked for lets free."""
+def frame_mistake(asked: Alignment, alignment: Alignment) -> Mistake:
+    """Return the difference of frames that an alignment removes beside the one asked for."""
     apart = geodesic_angle(asked.reference_wxyz, alignment.reference_wxyz)
     reference, body = (degrees_text(float(angle)) for angle in (apart, alignment.mount_rad))
     name, wanted = alignment.name, alignment.name
@@ -106,7 +108,7 @@ def frames(asked: Alignment, alignment: Alignment) -> Undoing:
     if name == "mount":
         others = f", and the reference frames by {reference}" if asked.name != "mean" else ""
         sentence = f"the body frames differ by {body}{others}"
-    return Undoing(
+    return Mistake(
         "body frame" if name == "mount" else "reference frame",
         f"{'body' if name == 'mount' else 'reference'} frames that differ by "
         f"{body if name == 'mount' else reference}",

@@ -1,7 +1,6 @@
-"""What is wrong with a series and has no remedy: motion that it does not have.
+"""Defects that no setting can correct: dead axes, and motion lost in gaps or at a rate limit.
 
-It is proved on the series: by rates that never change, by gaps, by rates that stop at a limit; and,
-of the last two, by the error, which hardly remains if the motion is that of the other series there.
+Lost motion is only reported if replacing it by that of the other series removes most of the error.
 """
 
 from __future__ import annotations
@@ -14,12 +13,12 @@ import numpy as np
 from quatprop.comparison.alignment import align
 from quatprop.comparison.association import associate
 from quatprop.comparison.cause import NO_ERROR
-from quatprop.comparison.undoing import recomposed
+from quatprop.comparison.mistakes import recomposed
 from quatprop.comparison.windows import body_angle, common_beginning
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.rates import rotation_vectors_between
-from quatprop.rendering import count_text, degrees_text
+from quatprop.rendering import degrees_text
 from quatprop.series import AttitudeSeries
 from quatprop.series.blocks import rms
 from quatprop.text import Remark
@@ -33,38 +32,37 @@ if TYPE_CHECKING:
     from quatprop.comparison.settings import ComparisonSettings
 
 WINDOWS = 100
-"""Windows over which rotations are compared, about: noise of attitudes hardly counts in them."""
+"""Approximate number of windows over which rotations are compared, long enough to average noise."""
 
 MIN_TURN = np.radians(1.0)
-"""rad: RMS rotation over windows, about the axis with least, of a body that turns about all."""
+"""Minimum RMS rotation over windows about each principal axis, rad, of motion about all three."""
 
 MIN_SHARE = 0.05
-"""The same, as a share of that about the axis with most."""
+"""The same, as a share of the largest of the three."""
 
 DEAD = 1e-6
-"""Share of its largest spread below which a rate does not vary but by rounding."""
+"""Share of the largest variation below which a rate is constant but for rounding."""
 
-OF_NOISE = 2.0
-"""Rotations over windows of n samples that are this many times the root of n larger than those over
-one are no noise, neither of rates nor of attitudes."""
+NOISE_FACTOR = 2.0
+"""Rotations over n samples above this many times sqrt(n) of those over one are not noise."""
 
 AT_LIMIT = 1e-3
-"""Share of the range of sizes of a rate by which those at a limit differ from the largest."""
+"""Tolerance of rates at a limit, as a share of the range of their magnitudes."""
 
 MIN_AT_LIMIT = 0.04
-"""Share of the samples at a limit: of a sine, 0.03 are that close to its peaks."""
+"""Minimum share of samples at a limit; for a sine, it is 0.03."""
 
-MOST = 0.5
-"""Share of the error, at most, that remains without what is made where motion is lost."""
+MAX_SHARE = 0.5
+"""Maximum share of the error that remains when lost motion is replaced."""
 
 
-def findings(
+def defects(
     a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings
 ) -> tuple[Remark, ...]:
-    """Return what no setting mends."""
+    """Return remarks on defects that no setting can correct."""
     with suppress(ComparisonError):
         dead = tuple(dead_axes(a, b))
-        # Between time ranges to judge, gaps are none of the series.
+        # Gaps between the time ranges to judge are not gaps of the series.
         return dead if dead or settings.judge else tuple(_lost_motion(a, b, settings))
     return ()
 
@@ -72,36 +70,38 @@ def findings(
 def _lost_motion(
     a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings
 ) -> Iterator[Remark]:
-    """Yield gaps and limits of rates that make most of the error."""
+    """Yield gaps and rate limits that cause most of the error."""
     pairs = associate(a, b, settings)
     name = "mount" if settings.align == "mount" else "mean"
     ours, theirs = pairs.a, align(name, pairs.a, pairs.b).apply(pairs.b)
     before = rms(geodesic_angle(ours, theirs))
     asked = align(settings.align, pairs.a, pairs.b).apply(pairs.b)
-    if before <= max(NO_ERROR, MOST * rms(geodesic_angle(pairs.a, asked))):
-        return  # other frames make most of it
+    if before <= max(NO_ERROR, MAX_SHARE * rms(geodesic_angle(pairs.a, asked))):
+        return  # most of the error comes from different frames
     seconds = np.diff(pairs.t_ns)[:, None] / NS_PER_S
     for of, series, own, other in (("A", a, ours, theirs), ("B", b, theirs, ours)):
-        steps, known = rotation_vectors_between(own), rotation_vectors_between(other)
+        steps, true_steps = rotation_vectors_between(own), rotation_vectors_between(other)
         for lost, where in (
             (_in_gaps(series.t_ns, pairs.t_ns), "in gaps of its timestamps"),
             (_at_limit(steps / seconds), "while its rates are at a limit"),
         ):
-            mended = recomposed(AttitudeSeries(pairs.t_ns, own), np.where(lost, known, steps)).wxyz
+            mended = recomposed(
+                AttitudeSeries(pairs.t_ns, own), np.where(lost, true_steps, steps)
+            ).wxyz
             left = rms(geodesic_angle(mended, align("mean", mended, other).apply(other)))
-            # So much less than by the share of the time: an error made everywhere is none of these.
-            if left <= MOST * before * (1 - float(lost.any(axis=1).mean())):
-                count = count_text(int(lost.any(axis=1).sum()), "step")
+            # Even an error that occurs all the time falls by the share of steps that is replaced.
+            if left <= MAX_SHARE * before * (1 - float(lost.mean(axis=0).max())):
+                share = f"{float(lost.any(axis=1).mean()):.2%}"
                 yield Remark(
                     "motion-lost",
-                    f"{of} loses motion {where}, {count} of {len(lost)}: with the motion of the "
+                    f"{of} loses motion {where}, in {share} of the steps: with the motion of the "
                     f"other there, the RMS error is {degrees_text(left, 4)} in place of "
                     f"{degrees_text(before, 4)}",
                 )
 
 
 def _in_gaps(t_ns: Int64, pairs_ns: Int64) -> Bool:
-    """Tell which steps between pairs are over gaps between stamps, shape ``(N - 1, 1)``."""
+    """Return which steps between pairs span a gap between timestamps, shape ``(N - 1, 1)``."""
     intervals = np.diff(t_ns)
     after = np.flatnonzero(intervals > GAP_FACTOR * np.median(intervals)) + 1
     begun = t_ns[after - 1].searchsorted(pairs_ns[1:], side="left")
@@ -110,14 +110,14 @@ def _in_gaps(t_ns: Int64, pairs_ns: Int64) -> Bool:
 
 
 def _at_limit(rate: Float64) -> Bool:
-    """Tell which rates are as large as any about their axis, shape ``(N - 1, 3)``."""
+    """Return which rates are at the limit of their axis, shape ``(N - 1, 3)``."""
     sizes = np.abs(rate)
     at_limit = sizes >= sizes.max(axis=0) - AT_LIMIT * np.ptp(sizes, axis=0)
     return np.asarray(at_limit & (at_limit.mean(axis=0) >= MIN_AT_LIMIT))
 
 
 def dead_axes(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Remark]:
-    """Yield a sentence where one series turns about all axes and the other at no varying rate."""
+    """Yield a remark if one series turns about all axes and the other has constant rates."""
     both = zip("AB", common_beginning(a, b), strict=True)
     spreads = {name: _spreads(series) for name, series in both}
     for name, other in (("A", "B"), ("B", "A")):
@@ -137,9 +137,9 @@ def dead_axes(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Remark]:
 
 
 def _spreads(series: AttitudeSeries) -> tuple[Float64, Float64]:
-    """Return the RMS rotations from sample to sample about the body axes, less the mean rate, rad.
+    """Return the RMS rotations between samples about the body axes, less the mean rate, rad.
 
-    The second result is of windows, about their principal axes, the smallest first; none of noise.
+    The second result is over windows about the principal axes, smallest first; 0 if it is noise.
     """
     seconds, angle = body_angle(series, int(series.t_ns[0]))
     span = max(float(seconds[-1]), 1e-9)
@@ -148,5 +148,5 @@ def _spreads(series: AttitudeSeries) -> tuple[Float64, Float64]:
     stride = max(len(varying) // WINDOWS, 1)
     windows = np.diff(varying[::stride], axis=0)
     of_steps, powers = (np.linalg.eigvalsh(x.T @ x / len(x)) for x in (steps, windows))
-    powers[powers <= OF_NOISE**2 * stride * of_steps] = 0.0
+    powers[powers <= NOISE_FACTOR**2 * stride * of_steps] = 0.0
     return np.sqrt((steps**2).mean(axis=0)), np.sqrt(np.maximum(powers, 0.0))
