@@ -306,6 +306,7 @@ def test_a_norm_that_is_off_is_drawn_as_it_is(tmp_path):
     assert np.nanmax(norm) == pytest.approx(0.25)
     assert axes[3].get_ylim() == pytest.approx((-0.02, 0.27))  # from 0 on, and 8 % on both sides
     assert np.isnan(norm).any()
+    assert view_file(str(path), View()).facts[-1] == ("norm error", "at most 0.25")
     assert run("plot", path, "-o", tmp_path / "a.png", code=0).stderr.splitlines()[1] == (
         "warning: 10 invalid quaternions (zero, absent or not finite): not drawn"
     )
