@@ -23,13 +23,13 @@ Step
     dt (eq. 35); q[k+1] = q[k] dq[k] for body rates (eq. 36), q[k+1] = dq[k] q[k] for inertial ones.
     N samples give N attitudes, and the first is q0.
 Layout
-    Scalar first or scalar last is an order of columns in a file. Inside there is one layout, and
-    it is in the name: ``wxyz``.
+    Scalar first or scalar last is an order of columns in a file. Internally, all quaternions are
+    ``wxyz``.
 
 Data types
 ----------
 t_ns
-    Stamps, shape ``(N,)``, int64, nanoseconds; time never passes through a float.
+    Timestamps, shape ``(N,)``, int64, ns; time never passes through a float.
 rate
     Angular rates, shape ``(N, 3)``, float64, rad/s.
 rotvec
@@ -149,7 +149,7 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used: ``quatprop --help`` needs none of them."""
+    """Import a public name on first use, so that ``quatprop --help`` starts fast."""
     if name not in _MODULES:
         raise AttributeError(f"module 'quatprop' has no attribute {name!r}")
     from importlib import import_module
@@ -158,5 +158,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """List what is public."""
+    """List the public names."""
     return [*__all__, "__version__"]

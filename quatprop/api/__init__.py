@@ -1,5 +1,5 @@
 """The library: read, propagate, convert, compare and write attitude from Python.
 
 Thin wrappers around the code that the command line uses, with the same settings by the same names.
-A value may be given as text, as on the command line, or as a Python value.
+Values may be text, as on the command line, or Python objects.
 """

@@ -43,13 +43,12 @@ def compare(
     Returns
     -------
     Comparison
-        The errors, their statistics, and what explains them; `passed` tells whether every limit is
-        kept.
+        The errors, their statistics, and a likely cause; `passed` tells whether all limits are met.
 
     Raises
     ------
     QuatpropError
-        The series cannot be read, or not compared as asked.
+        The series cannot be read, or not be compared as requested.
 
     Examples
     --------
@@ -81,23 +80,23 @@ def write(
     Parameters
     ----------
     series
-        What to write; where it has covariances, tables get the columns of :meth:`to_arrow
+        The attitudes; covariances are written to tables as by :meth:`to_arrow
         <quatprop.AttitudeSeries.to_arrow>`.
     path
-        Where; it is replaced when the new content is complete.
+        The output; an existing file is replaced once the new content is complete.
     to
-        Format; by default that of the suffix. A name without a suffix is a ROS 2 bag folder.
+        Format; by default from the suffix. A name without a suffix is a ROS 2 bag folder.
     layout
-        ``"scalar-first"`` or ``"scalar-last"``; by default what the format prescribes, or
-        scalar-first if it allows both.
+        ``"scalar-first"`` or ``"scalar-last"``; by default that of the format, or scalar-first if
+        it allows both.
     extra_columns
-        What else to write of each attitude into columns of a table, such as ``"euler-zyx-deg"``;
-        a representation of :func:`convert`.
+        A further representation for columns of a table, such as ``"euler-zyx-deg"``; see
+        :func:`convert`.
 
     Raises
     ------
     QuatpropError
-        The path is not writable, the format does not support the settings, or rows are no unit
+        The path is not writable, the format does not support the settings, or rows are not unit
         quaternions.
 
     Warns
@@ -136,7 +135,7 @@ def write(
 
 
 @with_keywords_of(ConvertOptions, "attitudes", "the source")
-def convert(  # noqa: PLR0913  # those of write(), and what to read
+def convert(  # noqa: PLR0913  # parameters of write(), and the source
     source: StrPath,
     output: StrPath,
     *,
@@ -146,31 +145,31 @@ def convert(  # noqa: PLR0913  # those of write(), and what to read
     representation: str = "quaternion",
     **options: Unpack[ConvertOptions],
 ) -> ConversionReport:
-    """Write an attitude series in another layout, convention, direction, form or format.
+    """Convert an attitude series to another layout, convention, representation or format.
 
     Parameters
     ----------
     source
-        What to read, as for :func:`read_attitudes`.
+        Path, as for :func:`read_attitudes`.
     output, to, layout, extra_columns
-        Where and how to write, as for :func:`write`.
+        As `path` and the others of :func:`write`.
     representation
-        ``"quaternion"``, ``"rotvec"`` (rad), ``"matrix"``, ``"euler-zyx"`` (rad) or
-        ``"euler-zyx-deg"`` and so every other sequence of intrinsic rotations, or the rates that
-        lead from each attitude to the next, ``"body-rates"`` or ``"inertial-rates"`` (rad/s):
-        propagated by ``start`` they give the attitudes back.
+        ``"quaternion"``, ``"rotvec"`` (rad), ``"matrix"``; ``"euler-zyx"`` (rad) or
+        ``"euler-zyx-deg"``, and likewise any other sequence of intrinsic rotations; or the rates
+        between consecutive attitudes, ``"body-rates"`` or ``"inertial-rates"`` (rad/s), from which
+        method ``start`` restores the attitudes.
     **options
-        What to read of the source, and in which terms to write it.
+        What to read from the source, and the conventions of the output.
 
     Returns
     -------
     ConversionReport
-        What was read, done, counted and lost.
+        Facts, counts and losses of the conversion.
 
     Raises
     ------
     QuatpropError
-        The source cannot be read as asked, or the output cannot be written.
+        The source cannot be read as requested, or the output cannot be written.
 
     Warns
     -----
@@ -193,14 +192,14 @@ def convert(  # noqa: PLR0913  # those of write(), and what to read
     report = convert_file(Conversion(wanted, written, representation=form, **terms_of(terms)))
     if report.data_lost:
         issue(DataLossWarning(f"{wanted.path}: rows were lost or dropped"))
-    # The command line alone has that setting.
+    # This setting exists only on the command line.
     comment = Setting("header_comment"), "a comment in its header"
     remarks = (Remark(one.code, one.replace(*comment)) for one in report.remarks)
     return replace(report, remarks=tuple(one.spelled(in_python) for one in remarks))
 
 
 def _in_python(cause: Cause | None) -> Cause | None:
-    """Return a cause whose sentences are spelled for Python."""
+    """Return a cause with settings spelled as in Python."""
     if cause is None:
         return None
     return cause._replace(
@@ -211,7 +210,7 @@ def _in_python(cause: Cause | None) -> Cause | None:
 
 
 def _refuse_settings_of_a_side(options: Collection[str]) -> None:
-    """Refuse what the command has as options of A and B: here it belongs to reading them."""
+    """Refuse settings for reading A or B: in the library, they belong to read_attitudes()."""
     for name in options:
         setting = name.removesuffix("_a").removesuffix("_b")
         if setting in READ_ATTITUDES and name not in COMPARE:
@@ -233,7 +232,7 @@ def _side(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:
 
 
 def _valid(name: str, series: AttitudeSeries) -> AttitudeSeries:
-    """Return a series of attitudes; refuse others, as where they are read from a file."""
+    """Return a series if its quaternions and covariances are valid, as if read from a file."""
     from quatprop.logs.signals.quaternion_check import QuaternionCheck
 
     check = QuaternionCheck(name)

@@ -44,36 +44,38 @@ def batch(  # noqa: PLR0913  # one keyword for each option
 ) -> list[ManifestEntry]:
     """Turn the body rates of many logs into attitude series in a folder.
 
-    Logs are propagated in processes, which import the script that calls this: call it below
-    ``if __name__ == "__main__":``, or with ``processes=1``, which is this process.
+    Logs are propagated in child processes, which import the calling script: call this below
+    ``if __name__ == "__main__":``, or with ``processes=1``, which uses this process.
 
     Parameters
     ----------
     logs
-        Logs, folders and prefixes of stores that are searched for some, and patterns (with ``**``).
+        Logs; folders and store prefixes to search for logs; and patterns (with ``**``).
     output
         The folder, or a prefix such as ``s3://bucket/runs``.
     to, layout, extra_columns
         As for :func:`write`.
     root, shard
-        A folder below which outputs keep the path of their log; one of N parts, as ``"1/8"``.
+        Outputs keep the path of their log below the folder `root`; one of N parts of the logs, as
+        ``"1/8"``.
     processes, dask
-        Logs at a time, by default the cores; address of a Dask scheduler whose workers do it.
+        Number of processes, by default that of the cores; address of a Dask scheduler to use
+        instead.
     skip_existing, verify
         Skip logs whose output is up to date; also compare the digests of outputs.
     retries
-        How often to retry a log whose process was killed or whose store did not answer.
+        Number of retries of a log if its process was killed or its store did not answer.
     dataset, buckets
-        Write one Parquet dataset instead of one file per log; its number of files (256).
+        Write one Parquet dataset instead of one file per log; its number of files, by default 256.
     **options
-        Which samples of each log, and how they are propagated; files, not values in memory.
+        Selection of samples and settings of the propagation; only files, no objects in memory.
 
     Returns
     -------
     list of ManifestEntry
-        What the manifest records of each log that was propagated now: a log that cannot be used
-        has the state ``"failed"`` and an `error`, and does not stop the others. Named tuples:
-        ``pandas.DataFrame(entries)`` is a table of them.
+        The entry in the manifest of each log that was propagated now, as named tuples
+        (``pandas.DataFrame(entries)`` is a table). A log that cannot be used has the state
+        ``"failed"`` and an `error`, and does not stop the others.
 
     Raises
     ------
@@ -103,7 +105,7 @@ def batch(  # noqa: PLR0913  # one keyword for each option
 
 
 def _refuse_here(*, verify: bool, skip_existing: bool) -> None:
-    """Refuse a batch in one of its own processes, and settings that do not go together."""
+    """Refuse a batch within its own child processes, and contradictory settings."""
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise UsageError(
             "the processes of batch() import this script; call it below "
@@ -120,7 +122,7 @@ def _search(
     root: StrPath | None,
     options: PropagateOptions,
 ) -> LogSearch:
-    """Return the search that has found the logs."""
+    """Return the search with the logs found."""
     from quatprop.batching.logs import LogSearch
     from quatprop.writers.formats import WRITERS
 
@@ -136,7 +138,7 @@ def _search(
 
 
 def _job(written: OutputSettings, options: PropagateOptions) -> Job:
-    """Return how each log is propagated; files lie beside the current folder."""
+    """Return the job for each log; files are relative to the current folder."""
     from quatprop.pipeline.job import Job
     from quatprop.pipeline.settings import propagation_settings
 

@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class PropagatedSeries(AttitudeSeries):
-    """Attitudes that were propagated, and the report of how.
+    """Propagated attitudes with the report of their propagation.
 
-    Takes the parameters of :class:`quatprop.AttitudeSeries` too.
+    Also takes the parameters of :class:`quatprop.AttitudeSeries`.
 
     Parameters
     ----------
     report
-        What was read, done, counted and lost.
+        Facts, settings, counts and losses of the propagation.
     """
 
     report: RunReport = field(kw_only=True, compare=False, repr=False)
@@ -42,7 +42,7 @@ class PropagatedSeries(AttitudeSeries):
     def __getitem__(  # type: ignore[override]  # of no series with a report
         self, chosen: SupportsIndex | slice | NDArray[np.bool_] | NDArray[np.intp]
     ) -> AttitudeSeries:
-        """Return some attitudes; the report is about all of them."""
+        """Return some attitudes, without the report, which is about all of them."""
         return AttitudeSeries(self.t_ns, self.wxyz, covariance=self.covariance)[chosen]
 
 
@@ -60,12 +60,12 @@ def propagate(
     log
         As for :func:`read_rates`, or rates in memory.
     **options
-        Which samples of a log, and how they are propagated.
+        Selection of samples, and settings of the propagation.
 
     Returns
     -------
     PropagatedSeries
-        N samples give N attitudes, the first is q0; `report` says what was read, done and lost.
+        N samples give N attitudes, the first of which is q0; `report` has facts, counts and losses.
 
     Raises
     ------
@@ -137,11 +137,11 @@ _IN_MEMORY = {
     "time_col": "other stamps",
     "clock": "t_ns",
 }
-"""What to change of rates in memory, where advice for logs names a setting."""
+"""Setting in advice for logs -> the equivalent for rates in memory."""
 
 
 def _in_memory(sentence: str) -> str:
-    """Return a sentence that advises no setting that is for logs."""
+    """Return a sentence with settings for logs replaced for rates in memory."""
 
     def advised(name: str, value: str, side: str) -> str:
         if name == "time_unit" and value:
@@ -152,7 +152,7 @@ def _in_memory(sentence: str) -> str:
 
 
 def refuse_log_settings(options: Mapping[str, object]) -> None:
-    """Refuse settings that say what to read of a log, for rates in memory."""
+    """Refuse settings for reading logs, which do not apply to rates in memory."""
     for name, value in options.items():
         if name in READ_RATES and value is not None:
             hint = "; scale the rates, with numpy.deg2rad" if name == "rate_unit" else ""

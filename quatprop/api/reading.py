@@ -37,7 +37,7 @@ def with_keywords_of(
     """Return a decorator that adds the keywords of a class to the parameters in a docstring."""
 
     def documented(function: Function) -> Function:
-        # Without docstrings, as by python -OO, there is nothing to add to.
+        # python -OO removes docstrings.
         if function.__doc__:
             head, returns, rest = cleandoc(function.__doc__).partition("\n\nReturns\n")
             function.__doc__ = f"{head}\n{parameters(options, signal, log)}{returns}{rest}"
@@ -53,21 +53,21 @@ def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions])
     Parameters
     ----------
     log
-        A file, a ROS 2 bag folder, or the address of one in an object store; several files of one
-        recording are read as one log, in the order of their times.
+        A file, a ROS 2 bag folder, or an address in an object store; several files of one recording
+        are read as one log, in order of time.
     **options
-        What to read of it, and what its numbers mean.
+        Selection of rates, and their units and timestamps.
 
     Returns
     -------
     GyroSeries
         All samples in the order of the log: timestamps in ns, rates in rad/s. Irregular timestamps
-        are left as they are, unless `regular_time` is asked for; :func:`propagate` handles them.
+        are unchanged unless `regular_time` is set; :func:`propagate` handles them.
 
     Raises
     ------
     QuatpropError
-        The log cannot be read as asked.
+        The log cannot be read as requested.
 
     Warns
     -----
@@ -97,25 +97,25 @@ def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions])
 
 @with_keywords_of(AttitudeOptions, "attitudes")
 def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> AttitudeSeries:
-    """Read an attitude series, of a log or of a table.
+    """Read an attitude series from a log or a table.
 
     Parameters
     ----------
     log
         As for :func:`read_rates`.
     **options
-        What to read of it, and what its numbers mean.
+        Selection of attitudes, and their conventions and timestamps.
 
     Returns
     -------
     AttitudeSeries
-        Hamilton, body to reference, scalar first, whatever the file has; with the positions beside
-        them, where there are any.
+        Attitudes converted to Hamilton, body to reference, scalar first; with positions, if there
+        are any.
 
     Raises
     ------
     QuatpropError
-        The log cannot be read as asked.
+        The log cannot be read as requested.
 
     Warns
     -----
@@ -133,7 +133,7 @@ def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> Attitude
 
 
 def path_text(name: str, path: StrPath, hint: str = "") -> str:
-    """Return a path as text; `hint` is what to do with arrays or series."""
+    """Return a path as text; `hint`: advice for arrays or series."""
     try:
         return parse_path(path)
     except UsageError as error:
@@ -167,8 +167,8 @@ def warn(
 
 
 def issue(warning: QuatpropWarning) -> None:
-    """Issue a warning at the line where the user calls the library, however deep this is in it."""
-    level, frame = 2, sys._getframe(1)  # noqa: SLF001  # what the stack has no other name for
+    """Issue a warning at the line in the user's code that called the library."""
+    level, frame = 2, sys._getframe(1)  # noqa: SLF001  # no public equivalent
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("quatprop."):
         level, frame = level + 1, frame.f_back
     warnings.warn(warning, stacklevel=level)

@@ -1,4 +1,4 @@
-"""Survey, draw and simulate logs: what the commands of these names do."""
+"""Survey, plot and simulate logs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Simulation(NamedTuple):
     Parameters
     ----------
     rates
-        What the gyroscope measured.
+        Measured rates.
     truth
         The true attitudes at its timestamps.
     """
@@ -49,9 +49,9 @@ def info(log: StrPath, **options: Unpack[RateOptions]) -> LogSurvey:
     Parameters
     ----------
     log
-        A file, a ROS 2 bag folder, or the address of one in an object store.
+        A file, a ROS 2 bag folder, or an address in an object store.
     **options
-        What to read of it, and what its numbers mean.
+        Selection of rates, and their units and timestamps.
 
     Returns
     -------
@@ -87,32 +87,32 @@ def plot(  # noqa: PLR0913  # one keyword for each option
     Parameters
     ----------
     *sources
-        Paths, or series in memory; several are laid over one another.
+        Paths, or series in memory; several are overlaid.
     output
         Also write the picture of ``quatprop plot``, with a panel for each quantity: ``.png``,
-        ``.svg``, ``.pdf``, or ``.html`` for a report with it. Of files alone.
+        ``.svg``, ``.pdf``, or ``.html`` for a report. Only for files.
     ax
         Axes of matplotlib to draw on; by default those of a new figure.
     show
-        ``"rates"`` or ``"attitude"``; by default the rates of a file that has some.
+        ``"rates"`` or ``"attitude"``; by default rates, if a file has them.
     components
         Draw the components of quaternions instead of yaw, pitch and roll.
     unwrap
         Draw yaw and roll without jumps at half a turn.
     reference
-        Draw the geodesic error of each against these attitudes instead, a path or a series.
+        Draw the geodesic error of each relative to these attitudes instead, a path or a series.
     **options
-        What to read of each file.
+        What to read from each file.
 
     Returns
     -------
     Axes
-        Those that were drawn on, in seconds since the first sample; ``.figure`` has ``savefig``.
+        The axes, with time in seconds since the first sample; ``.figure`` has ``savefig``.
 
     Raises
     ------
     QuatpropError
-        A file cannot be read as asked, or the picture cannot be written.
+        A file cannot be read as requested, or the picture cannot be written.
 
     Warns
     -----
@@ -154,7 +154,7 @@ def _picture(
     reference: Any,
     settings: ComparisonSettings,
 ) -> Picture:
-    """Return the picture of paths and series, written where it is wanted, and warn."""
+    """Return the picture of paths and series, after writing it if requested, and warn."""
     from quatprop.logs.attitude_input import AttitudeInput
     from quatprop.plotting.draw import require_matplotlib
     from quatprop.plotting.plot import plot as write_picture
@@ -180,7 +180,7 @@ def _picture(
 def _refuse_idle(
     sources: Sequence[object], reference: object, options: Mapping[str, object], *, output: bool
 ) -> None:
-    """Refuse settings of a picture that nothing comes of."""
+    """Refuse settings without effect."""
     from quatprop.plotting.target import KINDS
 
     if not sources:
@@ -198,7 +198,7 @@ def _refuse_idle(
 
 
 def _new_axes(*, kept: bool = True) -> Axes:
-    """Return axes of a new figure: one that notebooks show, or that nothing keeps."""
+    """Return axes of a new figure; `kept`: by pyplot, so that notebooks show it."""
     if kept:
         from matplotlib import pyplot as plt
 
@@ -215,7 +215,7 @@ def _view(
     components: bool,
     unwrap: bool,
 ) -> View:
-    """Return what to draw: a setting of attitudes asks for attitudes."""
+    """Return what to draw; any setting for attitudes selects attitudes."""
     from quatprop.conditioning import GyroCorrection
     from quatprop.plotting.files import View
     from quatprop.settings.selection import AttitudeSelection, RateSelection
@@ -244,13 +244,12 @@ def simulate(**options: Unpack[SimulateOptions]) -> Simulation:
     Parameters
     ----------
     **options
-        How the body moves, and how it is measured.
+        The motion, and the errors of the gyroscope.
 
     Returns
     -------
     Simulation
-        `rates` and `truth`; the same settings give the same numbers, as ``quatprop simulate``
-        writes them.
+        `rates` and `truth`; the same settings give the same numbers as ``quatprop simulate``.
 
     Raises
     ------

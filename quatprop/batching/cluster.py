@@ -1,4 +1,4 @@
-"""Many logs, propagated by the workers of a Dask cluster."""
+"""Propagate many logs on the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -22,29 +22,32 @@ from quatprop.version import __version__
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Sequence
 
-    from distributed import Client, Future
+    from distributed import Client, Future, as_completed
 
     from quatprop.batching.entries import ManifestEntry
     from quatprop.batching.logs import BatchTask
     from quatprop.batching.manifest import Manifest
 
 AHEAD = 1000
-"""Logs that are submitted to a cluster before the first of them is done."""
+"""Maximum number of logs submitted but not yet done."""
 
 ANSWER_S = 10
-"""Seconds in which a scheduler must answer."""
+"""Timeout of the scheduler, s."""
 
 PATIENCE_S, LOOK_S = 10.0, 0.5
-"""Seconds for which outputs of workers are waited for in all, and between two looks."""
+"""Total time to wait for outputs of workers to become visible, and time between checks, s."""
 
-WORKERS_S = 30
-"""Seconds in which a cluster must have a worker."""
+WORKERS_S, AGAIN_S = 30, 600
+"""Timeout for the first worker, and for a new one after all were lost, s."""
+
+IDLE_S, WAKE_S = 60.0, 0.01
+"""Time without results after which workers are checked, and time between checks, s."""
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
-"""Parameters of mallopt, as the C library has them."""
+"""Parameters of mallopt in the C library."""
 
 KEPT_BYTES, MAPPED_BYTES, DEFAULT_MAPPED_BYTES = 1 << 28, 1 << 25, 1 << 17
-"""Freed bytes that are kept; bytes of a block from which it is mapped by itself, and as usual."""
+"""Freed bytes that are kept; size from which blocks are mapped separately, and its default."""
 
 
 def on_a_cluster(
@@ -66,7 +69,7 @@ def on_a_cluster(
     with _client(scheduler) as client:
         waiting, settings = enumerate(tasks), settings.with_threads(1)
         settings = settings._replace(folder=_absolute(settings.folder))
-        indices: dict[str, tuple[int, object]] = {}
+        indices: dict[object, tuple[int, object]] = {}
         completed = as_completed(loop=client.loop)  # type: ignore[no-untyped-call]
         looks = _Looks()
 
@@ -81,23 +84,44 @@ def on_a_cluster(
                 completed.add(future)  # type: ignore[no-untyped-call]
 
         submit(AHEAD)
-        _wait_for_workers(client, scheduler)
-        for future in completed:
+        if not _has_workers(client, WORKERS_S):
+            raise UsageError(
+                f"the Dask cluster at {quoted(scheduler)} has no workers; start some, and try again"
+            )
+        for future in _ended(completed, client, scheduler):
             index, before = indices.pop(future.key)
             task = tasks[index]
             result = _result(future, task)
             if result is None:
-                raise QuatpropError(
-                    f"the Dask scheduler at {quoted(scheduler)} no longer answers; finished logs "
-                    f"are recorded: continue with {Setting('skip_existing')}"
-                )
+                raise _lost(f"the Dask scheduler at {quoted(scheduler)} no longer answers")
             submit(1)
             seen = looks.why_not_seen(settings.output_of(task), result.entry, before)
             yield index, record(task, result, settings, manifest, seen)
 
 
+def _ended(
+    completed: as_completed, client: Client, scheduler: str
+) -> Iterator[Future[BatchResult]]:
+    """Yield futures as they complete; a cluster without workers has some time to get new ones."""
+    while not completed.is_empty():  # type: ignore[no-untyped-call]
+        last = time.monotonic()
+        while not completed.has_ready():  # type: ignore[no-untyped-call]
+            if time.monotonic() - last > IDLE_S:
+                if not _has_workers(client, AGAIN_S):
+                    raise _lost(f"the Dask cluster at {quoted(scheduler)} has lost its workers")
+                last = time.monotonic()
+            time.sleep(WAKE_S)
+        yield next(completed)
+
+
+def _lost(what: str) -> QuatpropError:
+    return QuatpropError(
+        f"{what}; finished logs are recorded: continue with {Setting('skip_existing')}"
+    )
+
+
 class _Call:
-    """Propagates a log where it is unpickled."""
+    """Propagates a log when it is unpickled."""
 
     def __init__(self, *arguments: object) -> None:
         self._arguments = arguments
@@ -107,7 +131,7 @@ class _Call:
 
 
 def _state_of(output: str) -> tuple[int, ...] | None:
-    """Return by what an output of this machine is told from one that takes its place."""
+    """Return the identity of a local output, to detect that it was replaced; else None."""
     if is_address(output):
         return None
     try:
@@ -118,13 +142,13 @@ def _state_of(output: str) -> tuple[int, ...] | None:
 
 
 class _Looks:
-    """Looks for outputs that workers have written; those of another machine may come late."""
+    """Waits for outputs of workers, which on a shared file system may become visible late."""
 
     def __init__(self) -> None:
         self._left_s = PATIENCE_S
 
     def why_not_seen(self, output: str, entry: ManifestEntry, before: object) -> str:
-        """Return why the output of a result cannot be seen as it was written; empty if it can."""
+        """Return why the output of a result is not visible as written; empty if it is."""
         if entry.state not in COMPLETE:
             return ""
         while True:
@@ -156,18 +180,17 @@ def _client(scheduler: str) -> Client:
         ) from error
 
 
-def _wait_for_workers(client: Client, scheduler: str) -> None:
-    """Wait for the first worker: a cluster may start them when there is something to do."""
+def _has_workers(client: Client, patience_s: float) -> bool:
+    """Wait for a worker, which a cluster may start on demand; return whether there is one."""
     try:
-        client.wait_for_workers(1, timeout=WORKERS_S)
-    except TimeoutError as error:
-        raise UsageError(
-            f"the Dask cluster at {quoted(scheduler)} has no workers; start some, and try again"
-        ) from error
+        client.wait_for_workers(1, timeout=patience_s)
+    except TimeoutError:
+        return False
+    return True
 
 
 def _result(future: Future[BatchResult], task: BatchTask) -> BatchResult | None:
-    """Return the result of a log, which may be an error; None where the cluster has gone."""
+    """Return the result of a log, which may be an error; None if the cluster is gone."""
     from distributed.client import FutureCancelledError
     from distributed.scheduler import KilledWorker
 
@@ -195,7 +218,7 @@ def propagate_on_worker(task: BatchTask, settings: BatchSettings, version: str) 
 
 @contextmanager
 def _freed_memory_kept() -> Iterator[None]:
-    """Let freed memory be used again in this block, which Dask's nanny turns off by a variable.
+    """Keep freed memory in this block, which Dask's nanny turns off by an environment variable.
 
     Where the system clears every page anew, propagation takes up to three times as long.
     """

@@ -1,8 +1,8 @@
-"""One Parquet dataset of all logs: a fixed number of files, a log in the file of its name's hash.
+"""One Parquet dataset of all logs: a fixed number of files, to which logs are assigned by hash.
 
-Each log becomes a part, as it becomes a file elsewhere. Parts are merged into their file when a
-batch ends, sorted by log, a row group at a time, and removed when it is in its place; an empty part
-takes out the rows of its log. A file depends on its logs alone, not on when which of them came.
+Each log is first written as a part. At the end of a batch, parts are merged into their file, sorted
+by log, one row group at a time, and then removed; an empty part removes the rows of its log. The
+content of a file only depends on its logs, not on the order in which they were added.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ if TYPE_CHECKING:
     from quatprop.batching.logs import BatchTask
 
 PARTS = "_parts"
-"""Readers of data sets skip what begins with an underscore."""
+"""Readers of datasets skip names that begin with an underscore."""
 
 SUFFIX = ".parquet"
 
 _FILE = re.compile(r"(\d+)-of-(\d+)")
-"""Name of a file and of the folder of its parts: its number, and how many there are."""
+"""Name of a file and of the folder of its parts: its number, and the number of files."""
 
 LOGS = b"quatprop logs"
-"""Key of the metadata under which a file says whose rows it has."""
+"""Metadata key with the logs in a file."""
 
 
 class LogRows(NamedTuple):
     """The rows of a log in a file.
 
-    `sha256`: of the part that they are from
-    `groups`: number of row groups, which follow those of the log before
+    `sha256`: SHA-256 of the part that they were read from
+    `groups`: number of row groups, which follow those of the previous log
     """
 
     log: str
@@ -62,24 +62,24 @@ class LogRows(NamedTuple):
 
 
 def number_of(log: BatchTask) -> int:
-    """Return a number that a log has on any machine, whatever other logs there are."""
+    """Return a hash of the name of a log, the same on any machine."""
     return hash_of(log.stem.lower())
 
 
 def with_parts(tasks: Iterable[BatchTask], files: int) -> list[BatchTask]:
-    """Return the logs of a batch as parts of a dataset of so many files."""
+    """Return the logs of a batch as parts of a dataset; `files`: number of files."""
     width = len(str(files - 1))
     folders = [f"{PARTS}/{number:0{width}}-of-{files}/" for number in range(files)]
     return [task._replace(folder=folders[number_of(task) % files]) for task in tasks]
 
 
 def file_of(name: str) -> str:
-    """Return the file of the dataset into which a part goes."""
+    """Return the name of the file for a part."""
     return name.split("/")[1] + SUFFIX
 
 
 def refuse_mixture(outputs: Iterable[str], files: int | None, folder: str) -> None:
-    """Refuse a folder whose outputs are those of another dataset, or of none."""
+    """Refuse a folder with the outputs of another dataset, or with one file per log."""
     start, end = f"{PARTS}/", len(PARTS) + 1
     folders = {
         name[end : name.find("/", end)] if name.startswith(start) else "" for name in outputs
@@ -94,9 +94,9 @@ def refuse_mixture(outputs: Iterable[str], files: int | None, folder: str) -> No
 
 
 def rows_in(folder: str, *, verify: bool) -> Callable[[str], LogRows | None]:
-    """Return what tells the rows of a part that are in its file; each file is looked at once.
+    """Return a function that returns the rows of a part in its file; each file is read once.
 
-    `verify`: whether a file with damaged rows has none
+    `verify`: treat a file with damaged rows as empty
     """
 
     @cache
@@ -109,7 +109,7 @@ def rows_in(folder: str, *, verify: bool) -> Callable[[str], LogRows | None]:
 
 @contextmanager
 def _opened(place: str) -> Iterator[tuple[ParquetFile | None, dict[str, LogRows]]]:
-    """Open a file of a dataset, with its logs in order; None if there is none."""
+    """Open a file of a dataset, and yield it with its logs in order; None if it does not exist."""
     from pyarrow import ArrowException
     from pyarrow.parquet import ParquetFile
 
@@ -133,7 +133,7 @@ def _opened(place: str) -> Iterator[tuple[ParquetFile | None, dict[str, LogRows]
 
 
 def _is_damaged(file: ParquetFile | None) -> bool:
-    """Read all, and compare the checksums."""
+    """Return whether any row group cannot be read, or has a wrong checksum."""
     from pyarrow import ArrowException
 
     try:
@@ -147,7 +147,7 @@ def _is_damaged(file: ParquetFile | None) -> bool:
 def merge_parts(folder: str, wanted: Callable[[int], bool], processes: int) -> None:
     """Merge the parts of a dataset into its files.
 
-    `wanted`: whether the file with a number is one of this batch
+    `wanted`: returns whether the file with a number belongs to this batch
     """
     place = place_below(folder, PARTS)
     if is_address(folder):
@@ -166,12 +166,12 @@ def merge_parts(folder: str, wanted: Callable[[int], bool], processes: int) -> N
 
 
 def _merged(folder: str, name: str) -> str:
-    """Merge the parts of one file; return what went wrong, empty if nothing."""
+    """Merge the parts of one file; return an error, or ``""``."""
     target, top = place_below(folder, name + SUFFIX), place_below(folder, f"{PARTS}/{name}")
     try:
         if not is_address(folder):
             refuse_outside(target, folder)
-        # Two batches may write to one folder; in a store nothing can be locked.
+        # Two batches may write to one folder; stores have no locks.
         with locked(Path(top)), _parts_in(top) as parts:
             if parts:
                 _merge(target, {f"{PARTS}/{name}/{part}": path for part, path in parts.items()})
@@ -183,7 +183,7 @@ def _merged(folder: str, name: str) -> str:
 
 @contextmanager
 def _parts_in(top: str) -> Iterator[dict[str, Path]]:
-    """Yield the parts of a file, by their names below its folder; those of a store as copies."""
+    """Yield the parts of a file by name, those in a store as copies."""
     if not is_address(top):
         found = Path(top).rglob(f"*{SUFFIX}")
         yield {path.relative_to(top).as_posix(): path for path in found if path.is_file()}
@@ -200,7 +200,7 @@ def _parts_in(top: str) -> Iterator[dict[str, Path]]:
 
 
 def _remove_parts(top: str, names: Iterable[str]) -> None:
-    """Remove parts, and the folders below the first that are empty then."""
+    """Remove parts, and folders below `top` that are then empty."""
     for name in names:
         remove(place_below(top, name))
         with suppress(OSError):
@@ -209,7 +209,7 @@ def _remove_parts(top: str, names: Iterable[str]) -> None:
 
 
 class _Source(NamedTuple):
-    """Where the rows of a log are: in a part, or without a path in the file as it was."""
+    """The source of the rows of a log: a part, or without a path, the previous file."""
 
     rows: LogRows
     path: Path | None
@@ -217,7 +217,7 @@ class _Source(NamedTuple):
 
 
 def _merge(target: str, parts: Mapping[str, Path]) -> None:
-    """Write a file again with the rows of parts in place of those that it has of the same logs."""
+    """Rewrite a file with the rows of parts in place of the previous rows of their logs."""
     with _opened(target) as (before, known):
         sources, first = dict[str, _Source](), 0
         for name, rows in known.items():
@@ -257,7 +257,7 @@ def _unreadable(place: str | Path, error: Exception) -> OutputError:
 
 
 def _write(target: str, sources: Mapping[str, _Source], before: ParquetFile | None) -> None:
-    """Write the rows of all logs; the metadata say which logs they are, and how they came about."""
+    """Write the rows of all logs, with the logs and their provenance in the metadata."""
     from pyarrow.parquet import ParquetFile
 
     from quatprop.writers.tables.parquet import parquet_writer
@@ -289,7 +289,7 @@ def _write(target: str, sources: Mapping[str, _Source], before: ParquetFile | No
 
 
 def _group(file: ParquetFile, number: int, log: str, target: str) -> pa.Table:
-    """Return a row group with its log; in one piece, as others would have other pages."""
+    """Return a row group with a column for its log, as one chunk, so that pages are the same."""
     import pyarrow as pa
 
     try:

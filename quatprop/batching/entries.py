@@ -1,4 +1,4 @@
-"""The entries of a manifest: what a batch records of a log, as a line of JSON or a row."""
+"""The entries of a manifest, one per log, as lines of JSON or rows of a table."""
 
 from __future__ import annotations
 
@@ -23,41 +23,40 @@ COMPLETE = {"done", "data lost"}
 """States of logs whose output is complete."""
 
 BUCKETS = 256
-"""Parts of the names, by a hash, in which a large manifest is read."""
+"""Number of buckets, by a hash of names, in which a large manifest is read."""
 
 
 class ManifestEntry(NamedTuple):
-    """What a batch records of a log.
+    """The record of a log in a batch.
 
     Parameters
     ----------
     state
-        ``"done"``; ``"data lost"``: done, but some data of the log were lost or left out;
-        ``"no rates"``: a table found in a folder, without body rates; ``"failed"``; ``"deleted"``:
-        it was done, and the log is no longer there.
+        ``"done"``; ``"data lost"``: done, but some data of the log were lost or omitted;
+        ``"no rates"``: a table in a searched folder without body rates; ``"failed"``;
+        ``"deleted"``: it was done, but the log no longer exists.
     root, log
-        The absolute folder or the address below which the log is, and its path there.
+        Absolute folder or address, and path of the log below it.
     output
-        Path of the output in the folder of the batch, by which entries are told apart.
+        Path of the output in the folder of the batch, which identifies the entry.
     samples, rows
-        Samples propagated, attitudes written.
+        Number of samples propagated and of attitudes written.
     span_s, sample_rate_hz, method, final_wxyz
         Time span, s, rate, Hz, integration rule and last attitude, body to reference.
     remarks, losses
-        What should be known of; what could not be read.
+        Remarks on the log and the result; parts that could not be read.
     error
         Why there is no output.
     seconds
-        How long it took, s.
+        Wall time, s.
     log_bytes, log_sha256, log_etag, output_bytes, output_sha256
-        Sizes and digests; None if there are none. A log in an object store has the ETag that
-        the store gives it.
+        Sizes and digests; None if there are none. A log in an object store has its ETag.
     quatprop, options
-        The version, and a digest of all settings but the paths, and of the files that they name.
+        The version, and a digest of all settings without paths, and of the files that they name.
     origin
-        Size and time of the log when its reading began.
+        Size and modification time of the log at the start of reading.
     time, run
-        When it was recorded, as ISO 8601 in UTC, and by which batch.
+        Time of the record, as ISO 8601 in UTC, and name of the batch.
     bucket
         Hash of the output's name.
     """
@@ -89,7 +88,7 @@ class ManifestEntry(NamedTuple):
     bucket: int = 0
 
     def recorded(self, run: str) -> ManifestEntry:
-        """Return the entry as it is recorded now."""
+        """Return the entry with the current time, the batch and the bucket."""
         time = datetime.now(UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")
         return self._replace(time=time, run=run, bucket=bucket_of(self.output))
 
@@ -101,7 +100,7 @@ TYPES: Mapping[str, str] = {
     "time": "time",
     "bucket": "uint8",
 }
-"""Field of an entry -> type of its values, by Arrow's name."""
+"""Field of an entry -> Arrow type of its values."""
 
 LISTS = {"remarks", "losses", "final_wxyz"}
 """Fields with several values."""
@@ -110,18 +109,18 @@ _REQUIRED = {"state", "root", "log", "output", "time", "run", "bucket", "origin"
 
 
 def hash_of(name: str) -> int:
-    """Return a number that a name always has, on any machine."""
+    """Return a hash of a name, the same on any machine."""
     digest = hashlib.sha256(name.encode(errors="surrogateescape")).digest()
     return int.from_bytes(digest[:8], "little")
 
 
 def bucket_of(output: str) -> int:
-    """Return in which part of a manifest an output is."""
+    """Return the bucket of an output."""
     return hash_of(as_text(output)) % BUCKETS
 
 
 def as_text(name: str) -> str:
-    """Return a text as a manifest has it, with an escape for each byte that is no UTF-8."""
+    """Return a name for a manifest, with an escape for each byte that is not UTF-8."""
     return _NO_UNICODE.sub(_escape, name)
 
 
@@ -134,7 +133,7 @@ def _escape(found: re.Match[str]) -> str:
 
 
 _FIRST_BYTE = 0xDC80
-"""How Python has a byte of a file's name that is no UTF-8."""
+"""Surrogates from here on are bytes of file names that are not UTF-8."""
 
 
 def schema() -> pa.Schema:
@@ -149,14 +148,14 @@ def schema() -> pa.Schema:
 def json_line(entry: ManifestEntry) -> bytes:
     """Return an entry as a line of JSON."""
     line = json.dumps(as_json(entry), ensure_ascii=False)
-    # In a string of JSON a backslash has another one before it.
+    # In JSON, a backslash is escaped.
     return (_NO_UNICODE.sub(lambda found: f"\\{_escape(found)}", line) + "\n").encode()
 
 
 def table_of(lines: bytes) -> tuple[pa.Table, int]:
-    """Return entries from lines of JSON, and the number of lines that are none.
+    """Return entries from lines of JSON, and the number of invalid lines.
 
-    A line without its end was cut by a kill.
+    A last line without its end, from a killed process, is ignored.
     """
     import pyarrow as pa
 
@@ -170,7 +169,7 @@ def table_of(lines: bytes) -> tuple[pa.Table, int]:
 
 
 def _parsed(lines: bytes) -> pa.Table:
-    # Not from Python's values: pyarrow would import pandas, where that is installed, for 0.4 s.
+    # From Python values, pyarrow would import pandas, if installed, which takes 0.4 s.
     from pyarrow import json as arrow_json
 
     if not lines:
@@ -209,7 +208,7 @@ def _is_valid(name: str, value: object) -> bool:
 
 
 def _is_entry(line: bytes) -> bool:
-    """Return whether a line is what a batch writes; other versions may have other fields."""
+    """Return whether a line is a valid entry; other versions may have other fields."""
     try:
         entry = read_json(line)
     except ContentError:
@@ -221,7 +220,7 @@ def _is_entry(line: bytes) -> bool:
 
 
 def distinct(table: pa.Table, keys: list[str]) -> pa.Table:
-    """Return entries in order, each once."""
+    """Return distinct entries, sorted by keys."""
     import pyarrow as pa
     import pyarrow.compute as pc
 

@@ -1,4 +1,4 @@
-"""Many logs, each propagated by itself: on the cores of this machine, or on a Dask cluster."""
+"""Propagate many logs on the cores of this machine, and record their results."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ if TYPE_CHECKING:
     from quatprop.pipeline.report import RunReport
 
 STALE = "_stale"
-"""Where earlier outputs go whose log fails now; readers of data sets skip it."""
+"""Folder for earlier outputs of logs that now fail; readers of datasets skip it."""
 
 MAX_PAUSE_S = 30.0
-"""Longest pause before a log is tried again whose store did not answer, s."""
+"""Maximum pause before a retry, s."""
 
 
 def propagate_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
-    """Propagate one log; an error becomes its result."""
+    """Propagate one log; errors are returned as results."""
     with spelling(in_python if settings.is_library else in_options):
         return _propagated_log(task, settings)
 
@@ -76,7 +76,7 @@ def _propagated_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
 
 
 def _done(task: BatchTask, settings: BatchSettings) -> BatchResult:
-    """Propagate one log; an output for an object store is made here, and copied there."""
+    """Propagate one log; an output for an object store is written locally, then uploaded."""
     if task.refused:
         raise UnsupportedLogError(task.shown, task.refused)
     output = settings.output_of(task)
@@ -95,14 +95,14 @@ def _done(task: BatchTask, settings: BatchSettings) -> BatchResult:
 
 
 def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchResult:
-    """Propagate one log into a file of this machine."""
+    """Propagate one log into a local file."""
     job = settings.job
     names, output = partial(known_as, task), job.output._replace(path=path)
     job = with_topic(job, task.topic)._replace(log=task.path, known_as=names, output=output)
     for _ in range(ATTEMPTS):
         origin = task.origin if is_address(task.path) else task.origin_now()
         report = run(job, summary=False)
-        # A log in a store was compared with itself when it had been read.
+        # For a log in a store, the reader has verified that it was not replaced.
         if is_address(task.path) or origin == task.origin_now():
             break
     else:
@@ -120,9 +120,10 @@ def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchRes
 
 
 def known_as(task: BatchTask, paths: Sequence[str]) -> list[str]:
-    """Return what the output of a log calls it and others: below its root by their paths there.
+    """Return the names of a log and of other inputs in its output, the same on any machine.
 
-    Others have their own name, with as many folders as tell them apart, on any machine.
+    Inputs below the root have their path there, others their file name, with as many folders as
+    make it unique.
     """
     above = os.path.join(absolute(task.root), "")  # noqa: PTH118
     inside = [absolute(path).startswith(above) for path in paths]
@@ -165,9 +166,9 @@ def record(
     manifest: Manifest,
     seen: str | None = None,
 ) -> BatchResult:
-    """Record the result of a log, if what it says is so; an earlier output is set aside otherwise.
+    """Check the output of a log, and record its result; if it failed, set an earlier output aside.
 
-    `seen`: why the output of this result was not seen; None if it is to be looked for
+    `seen`: why the output is not visible, or ``""``; None: check here
     """
     try:
         if seen is None and result.entry.state in COMPLETE:
@@ -179,13 +180,13 @@ def record(
             if result.entry.state not in COMPLETE:
                 _set_aside(task, settings)
             result = result._replace(entry=manifest.record(result.entry))
-    except (OutputError, StoreError) as error:  # the store has gone, or the disk is full
+    except (OutputError, StoreError) as error:  # the store is gone, or the disk is full
         return failed(task, error.text)
     return result
 
 
 def output_size_of(output: str) -> int | None:
-    """Return the bytes of an output; None if there is none."""
+    """Return the size of an output, bytes; None if there is none."""
     if not is_address(output):
         return output_size(output)
     try:
@@ -198,9 +199,9 @@ def output_size_of(output: str) -> int | None:
 
 
 def _set_aside(task: BatchTask, settings: BatchSettings) -> None:
-    """Move an earlier output of a log that fails now: it would look like one of today.
+    """Move away an earlier output of a log that now fails, so that it does not look current.
 
-    Of a dataset an empty part takes its rows out.
+    In a dataset, an empty part removes its rows.
     """
     output = settings.output_of(task)
     if task.folder:
@@ -216,7 +217,7 @@ def _set_aside(task: BatchTask, settings: BatchSettings) -> None:
 def propagate_and_record(
     task: BatchTask, settings: BatchSettings, manifest: Manifest
 ) -> BatchResult:
-    """Propagate one log, and record it at once: nothing complete is done again after a kill."""
+    """Propagate one log, and record it at once, so that it is not repeated after a kill."""
     return record(task, propagate_log(task, settings), settings, manifest)
 
 
@@ -230,7 +231,7 @@ def on_this_machine(
 ) -> Generator[tuple[int, BatchResult]]:
     """Yield the index and the result of each log as soon as it is done.
 
-    `isolated`: whether a single process is another one than this
+    `isolated`: use a child process even if there is only one
     """
 
     def on_killed(task: BatchTask) -> BatchResult:

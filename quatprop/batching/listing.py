@@ -1,4 +1,4 @@
-"""What lies below a folder or below a prefix of a store, and what of it matches a pattern."""
+"""List files below a folder or a store prefix, and match them with patterns."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from quatprop.stores.objects import below, has_address, is_address, list_objects
 from quatprop.stores.transfers import get
 
 METADATA = "metadata.yaml"
-"""The file that makes a folder a ROS 2 bag, if it says so."""
+"""Metadata file of a ROS 2 bag."""
 
 BAG = b"rosbag2_bagfile_information"
-"""What the metadata of a bag hold."""
+"""Key in the metadata of a bag."""
 
 MAGIC = tuple(magic for reader in READERS.values() for magic in reader.magic if len(magic) > 1)
-"""First bytes of logs that are recognised by their content alone."""
+"""First bytes that identify logs without their suffix."""
 
 
 class Entry(NamedTuple):
-    """What is in a folder.
+    """An entry of a folder.
 
     `type`: ``"file"``, ``"folder"``, ``"link"`` to a folder, or ``"other"``: a pipe, a device
-    `origin`: by what a store's listing tells that it is another one; empty in a folder
+    `origin`: size and time in the listing of a store; empty in a local folder
     """
 
     name: str
@@ -36,37 +36,37 @@ class Entry(NamedTuple):
 
 
 class Tree(Protocol):
-    """A folder or a prefix; paths in it are relative to it, with ``/``.
+    """A folder or a store prefix; paths are relative to it, with ``/``.
 
-    `refused`: keys that no address can have
+    `refused`: keys that have no valid address
     """
 
     refused: list[str]
 
     def entries(self, folder: str) -> list[Entry]:
-        """Return what is in a folder, in order of the names; raises OSError."""
+        """Return the entries of a folder, sorted by name; may raise OSError."""
 
     def has_bag(self, folder: str) -> bool:
-        """Return whether the ``metadata.yaml`` of a folder is that of a ROS 2 bag."""
+        """Return whether a folder is a ROS 2 bag, by its ``metadata.yaml``."""
 
     def is_log(self, file: str) -> bool:
-        """Return whether a file, whose suffix does not tell, is a log by its content."""
+        """Return whether a file with another suffix is a log, by its content."""
 
 
 class FolderTree:
-    """A folder of this machine."""
+    """A local folder."""
 
     def __init__(self, top: str) -> None:
         self._top = top
         self.refused: list[str] = []
 
     def entries(self, folder: str) -> list[Entry]:
-        """Return what is in a folder; of a link that leads nowhere, reading says so."""
+        """Return the entries of a folder; broken links are files, which fail when read."""
         with os.scandir(os.path.join(self._top, folder) or os.curdir) as found:
             return sorted(Entry(entry.name, _type(entry)) for entry in found)
 
     def has_bag(self, folder: str) -> bool:
-        """Read the metadata, if they are a file."""
+        """Return whether a folder is a ROS 2 bag."""
         path = os.path.join(self._top, folder, METADATA)
         if not os.path.isfile(path):
             return False
@@ -74,7 +74,7 @@ class FolderTree:
             return BAG in stream.read()
 
     def is_log(self, file: str) -> bool:
-        """Read the first bytes."""
+        """Return whether a file is a log, by its first bytes."""
         try:
             with open(os.path.join(self._top, file), "rb", 0) as stream:
                 head = stream.read(max(map(len, MAGIC)))
@@ -88,7 +88,7 @@ def _type(entry: os.DirEntry[str]) -> str:
         if entry.is_dir():
             return "link" if entry.is_symlink() else "folder"
         return "other" if not entry.is_file() and os.path.exists(entry.path) else "file"
-    except OSError:  # a link to what may not be looked at
+    except OSError:  # a link without permission
         return "file"
 
 
@@ -115,31 +115,30 @@ class StoreTree:
                 folder = above
 
     def entries(self, folder: str) -> list[Entry]:
-        """Return what is below a prefix."""
+        """Return the entries of a prefix."""
         return sorted(self._folders[folder])
 
     def has_bag(self, folder: str) -> bool:
-        """Fetch the metadata."""
+        """Return whether a prefix is a ROS 2 bag."""
         return BAG in get(below(self._address, f"{folder}/{METADATA}".removeprefix("/")))
 
-    def is_log(self, file: str) -> bool:  # noqa: ARG002  # for the look, each would be fetched
-        """Return False: in a store the suffix tells."""
+    def is_log(self, file: str) -> bool:  # noqa: ARG002  # each file would be fetched
+        """Return False: in a store, only suffixes identify logs."""
         return False
 
 
 def tree_of(place: str) -> Tree:
-    """Return what lies below a folder or an address."""
+    """Return the tree below a folder or an address."""
     return StoreTree(place) if is_address(place) else FolderTree(place)
 
 
 class Pattern:
-    """A pattern of paths, as :mod:`pathlib` has them.
+    """A path pattern, as in :mod:`pathlib`, matched name by name.
 
-    ``*``, ``?`` and ``[...]`` stand for a part of a name or a whole one, and ``**`` for any number
-    of folders; neither stands for what is hidden, and ``**`` does not follow links. A state is the
-    parts that may come next.
+    ``*``, ``?`` and ``[...]`` match within a name, and ``**`` any number of folders, without links;
+    hidden names do not match. A state is the set of parts that may come next.
 
-    `parts`: those of the pattern; none matches the beginning itself
+    `parts`: parts of the pattern; without parts, it matches the top folder itself
     """
 
     def __init__(self, parts: list[str]) -> None:
@@ -148,7 +147,7 @@ class Pattern:
         self.start = self._closed({0})
 
     def after(self, state: frozenset[int], name: str, *, link: bool = False) -> frozenset[int]:
-        """Return the state after one more name of a path."""
+        """Return the state after the next name of a path."""
         following = set()
         for place in state - {len(self._parts)}:
             part, is_hidden = self._parts[place], name.startswith(".")
@@ -159,11 +158,11 @@ class Pattern:
         return self._closed(following)
 
     def matches(self, state: frozenset[int], *, file: bool = False) -> bool:
-        """Return whether the path is a match; that of a file is none of ``**`` at the end."""
+        """Return whether the path matches; ``**`` at the end does not match files."""
         return len(self._parts) in state and not (file and self._parts[-1:] == ["**"])
 
     def reaches(self, path: str) -> bool:
-        """Return whether a path is a match, or lies below one."""
+        """Return whether a path matches, or is below a match."""
         state = self.start
         for name in path.split("/"):
             if self.matches(state):

@@ -1,6 +1,6 @@
 """Find the logs of a batch.
 
-Paths are strings here: a batch may have a million.
+Paths are strings, since a batch may have a million.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 SUFFIXES = {suffix: kind for kind, reader in READERS.items() for suffix in reader.suffixes}
 
 TABLES = {kind for kind, reader in READERS.items() if reader.load.startswith("quatprop.tables.")}
-"""Kinds of files that hold many other things, too."""
+"""Kinds of files that often are not logs."""
 
 REFUSED = "its key has an empty part, '.', '..' or parameters; no address can have these: rename it"
 
@@ -33,17 +33,16 @@ REFUSED = "its key has an empty part, '.', '..' or parameters; no address can ha
 class BatchTask(NamedTuple):
     """A log of a batch; small, as there may be a million.
 
-    `root`: the folder or the address below which it lies
-    `log`: its path below that, with ``/``
-    `suffix`: that of its output
+    `root`: folder or address above it
+    `log`: path below the root, with ``/``
+    `suffix`: suffix of the output
     `is_folder`: whether it is a ROS 2 bag
-    `maybe`: whether it is a table that was found in a folder: one without body rates is no log
-    `refused`: why it cannot be read, or its output be written; empty where it can
-    `origin`: by what a store's listing tells that it is another log; empty if it was not listed
-    `named`: path of its output in the folder of the batch, where that is another one than usually;
-        empty where there cannot be any
-    `folder`: that of its output in the folder of the batch, with ``/``; empty if it is that
-    `topic`: the one that is read, of every topic with rates; empty if that is not asked for
+    `maybe`: whether it is a table found in a folder, which without body rates is not a log
+    `refused`: why it cannot be read, or its output not be written; empty: no reason
+    `origin`: size and time in the listing of a store; empty if not listed
+    `named`: path of its output in the folder of the batch, if not the default; empty: no output
+    `folder`: folder of its output below that of the batch, with ``/``, or empty
+    `topic`: topic to read, if every topic with rates is requested
     """
 
     root: str
@@ -59,17 +58,17 @@ class BatchTask(NamedTuple):
 
     @property
     def path(self) -> str:
-        """Its path or address."""
+        """Path or address."""
         return place_below(self.root, self.log)
 
     @property
     def shown(self) -> str:
-        """The same as it may be shown."""
+        """Path or address without credentials."""
         return without_secret(self.path)
 
     @property
     def stem(self) -> str:
-        """Its path without its own suffixes, and its topic."""
+        """Path without suffixes, and topic."""
         if self.is_folder:
             return self.log_and_topic
         stem, suffix = os.path.splitext(self.log)
@@ -78,17 +77,17 @@ class BatchTask(NamedTuple):
 
     @property
     def log_and_topic(self) -> str:
-        """Its path, and its topic, with ``/``."""
+        """Path and topic, with ``/``."""
         topic = "/".join(part for part in self.topic.split("/") if part not in {"", ".", ".."})
         return f"{self.log}/{topic}" if topic else self.log
 
     @property
     def name(self) -> str:
-        """The path of its output in the folder of the batch."""
+        """Path of its output in the folder of the batch."""
         return f"{self.folder}{self.stem}{self.suffix}" if self.named is None else self.named
 
     def origin_now(self) -> str:
-        """Return by what it is told that the log is another one; empty if that is not known."""
+        """Return the size and time of the log; empty if unknown."""
         try:
             return self.origin or origin_of(self.path)
         except (OSError, StoreError):
@@ -99,16 +98,16 @@ class BatchTask(NamedTuple):
 class LogSearch:
     """Finds logs by the names of files and folders, by addresses, and by patterns.
 
-    `root`: the names of outputs are paths below this folder. None: below the folder that is
-        searched, the fixed part of a pattern, or the folder of a file
-    `output`: the folder of the outputs, which is not searched
-    `of_messages`: a setting, such as ``"topic"``, that only logs of messages can follow: tables in
-        folders are no logs then. None: there is no such setting
-    `suffix`: that of the outputs
-    `logs`: the logs, each once, in the order of the names, and of their paths within a folder
-    `searched`: the folders of which all was searched
-    `other_files`, `links`: number of files in the searched folders that are no logs, and of links
-        to folders, which are not followed
+    `root`: folder to which names of outputs are relative; None: the searched folder, the fixed part
+        of a pattern, or the folder of a file
+    `output`: folder of the outputs, which is not searched
+    `of_messages`: a setting, such as ``"topic"``, for logs of messages only, with which tables in
+        folders are ignored; None: no such setting
+    `suffix`: suffix of the outputs
+    `logs`: distinct logs, in the order of the names, and sorted by path within a folder
+    `searched`: folders that were searched completely
+    `other_files`, `links`: number of other files in the searched folders, and of links to folders,
+        which are not followed
     """
 
     root: str | None = None
@@ -143,6 +142,11 @@ class LogSearch:
                 root, file, is_folder=is_folder, is_named=True, refused=REFUSED if odd else ""
             )
 
+    def take(self) -> list[BatchTask]:
+        """Return the logs, and keep nothing of them: there may be a million."""
+        logs, self.logs, self._places = self.logs, [], None
+        return logs
+
     def _add_matches(self, pattern: str) -> None:
         base, query = split_address(pattern) if is_address(pattern) else (pattern, "")
         parts = base.replace(os.sep, "/").split("/")
@@ -154,7 +158,7 @@ class LogSearch:
             raise UsageError(f"nothing matches {quoted(pattern)}; check the pattern")
 
     def _add_below(self, root: str, pattern: Pattern) -> None:
-        """Add what matches a pattern below a folder, and the logs in folders that match."""
+        """Add logs that match a pattern below a folder, and the logs in matching folders."""
         if self.output and real(root) == real(self.output) and pattern.matches(pattern.start):
             raise UsageError(
                 f"outputs in {quoted(root)} would lie among the logs; choose "
@@ -178,7 +182,7 @@ class LogSearch:
     def _folders_of(
         self, tree: Tree, root: str, folder: str, pattern: Pattern, state: frozenset[int]
     ) -> Iterator[tuple[str, frozenset[int]]]:
-        """Add the logs in a folder, and yield the folders in it with the states of the pattern."""
+        """Add the logs in a folder, and yield its subfolders with the states of the pattern."""
         entries = tree.entries(folder)
         whole, prefix = pattern.matches(state), f"{folder}/" if folder else ""
         is_bag = whole and any(one.name == METADATA for one in entries) and tree.has_bag(folder)
@@ -188,7 +192,7 @@ class LogSearch:
             self._add_log(root, folder, is_folder=True, origin=origin)
         for name, kind, origin in entries:
             path = prefix + name
-            # Below a match everything is searched that is not hidden.
+            # Below a match, everything except hidden names is searched.
             after = pattern.after(state, name, link=kind == "link")
             if whole and not pattern.matches(after) and kind != "link" and name[:1] != ".":
                 after = state
@@ -203,7 +207,7 @@ class LogSearch:
                 self._add_file(tree, root, path, kind, origin)
 
     def _add_file(self, tree: Tree, root: str, path: str, kind: str, origin: str) -> None:
-        """Add a file of a folder that is searched, if it is a log."""
+        """Add a file of a searched folder, if it is a log."""
         is_no_log = kind == "other" or os.path.basename(path).startswith(".")
         log = kind_by_suffix(path)
         if is_no_log or not (log or tree.is_log(path)) or (log in TABLES and self.of_messages):
@@ -214,7 +218,7 @@ class LogSearch:
     def _is_output(self, root: str, folder: str) -> bool:
         return bool(self.output) and real(place_below(root, folder)) == real(self.output)
 
-    def _add_log(  # noqa: PLR0913  # what is known of a log
+    def _add_log(  # noqa: PLR0913  # facts of a log
         self,
         root: str,
         log: str,
@@ -249,7 +253,7 @@ class LogSearch:
                 f"{quoted(place)} does not lie in {quoted(absolute(root))}; choose another "
                 f"{Setting('root')} (names are relative to the current folder)"
             )
-        if is_address(given):  # which carries the keys and the parameters
+        if is_address(given):  # it has the credentials and the parameters
             scheme, _, rest = absolute(root).partition("://")
             host = given.partition("://")[2].partition("/")[0].partition("?")[0]
             query = split_address(given)[1]
@@ -259,24 +263,24 @@ class LogSearch:
 
 
 def place_below(root: str, name: str) -> str:
-    """Return the path or the address of what lies below a folder or an address."""
+    """Return a path or address below a folder or an address."""
     if not name:
         return root
     return below(root, name) if is_address(root) else os.path.join(root, *name.split("/"))
 
 
 def _is_pattern(name: str) -> bool:
-    """Return whether a name with ``*`` or ``[`` is a pattern: nothing has it for its own name."""
+    """Return whether a name with ``*`` or ``[`` is a pattern, not an existing name."""
     if not is_address(name):
         return not os.path.exists(name)
     return glob.has_magic(split_address(name)[0].partition("://")[2]) and not exists(name)
 
 
 def _is_folder(path: str) -> bool:
-    """Return whether a path is a folder, or an address a prefix."""
+    """Return whether a path is a folder, or an address is a prefix."""
     if not is_address(path):
         return os.path.isdir(path)
-    # Of what has the name of a log, the store is not asked: there may be many.
+    # For names of logs, of which there may be many, no request is sent to the store.
     return not kind_by_suffix(absolute(path)) and not find(path)[1].is_file
 
 
@@ -288,7 +292,7 @@ def _is_bag(folder: str) -> bool:
 
 
 def kind_by_suffix(name: str) -> str:
-    """Return the kind of a log by its suffix; empty if that is not one of a log."""
+    """Return the kind of a log by its suffix; empty for other suffixes."""
     stem, suffix = os.path.splitext(name.lower())
     if suffix in COMPRESSION_SUFFIXES:
         suffix = os.path.splitext(stem)[1]
@@ -296,12 +300,12 @@ def kind_by_suffix(name: str) -> str:
 
 
 def absolute(path: str) -> str:
-    """Return an absolute path, whose links are not followed, or an address without its secrets."""
+    """Return an absolute path without following links, or an address without credentials."""
     if is_address(path):
         return split_address(without_secret(path))[0].rstrip("/")
     return os.path.abspath(path)
 
 
 def real(path: str) -> str:
-    """Return an absolute path, whose links are followed, or an address as above."""
+    """Return an absolute path with links followed, or an address without credentials."""
     return absolute(path) if is_address(path) else os.path.realpath(path)

@@ -1,10 +1,10 @@
-"""The manifest of a batch: what became of each log, in ``DIR/_manifest/``, in parts.
+"""The manifest of a batch: the result of each log, in ``DIR/_manifest/``.
 
-Nothing in it is ever changed, so that any number of batches may write to one folder or prefix of a
-store at once, and may be killed at any time. Each process appends the logs that it ends to a file
-of its own, as lines of JSON. A batch that ends makes one part in Parquet of its own files. Parts of
-a similar size are merged when there are many: the time that it takes to record a log does not grow
-with the number of all logs. The latest entry about an output is the valid one.
+Entries are never changed, so that any number of batches may write to one folder or store prefix at
+once, and may be killed at any time. Each process appends its results to its own file, as lines of
+JSON. At its end, a batch merges its files into one Parquet part. Many parts of similar size are
+merged, so that the time per log does not grow with the number of logs. The latest entry for an
+output is the valid one.
 """
 
 from __future__ import annotations
@@ -46,41 +46,41 @@ if TYPE_CHECKING:
     from quatprop.batching.entries import ManifestEntry
 
 FOLDER = "_manifest"
-"""Readers of data sets skip what begins with an underscore."""
+"""Readers of datasets skip names that begin with an underscore."""
 
 OBJECT_ENTRIES = 100
-"""Entries of an object with lines: nothing can be appended to it, and it is written again."""
+"""Maximum number of entries of an object of lines, which is rewritten for each entry."""
 
 FILE_ENTRIES = 1 << 14
-"""Entries of a file with lines, which is parsed as a whole."""
+"""Maximum number of entries of a file of lines, which is parsed at once."""
 
 REQUESTS = 16
-"""Objects that are read at a time."""
+"""Number of objects read at a time."""
 
 SIMILAR = 4
-"""Parts are similar whose sizes have the same number of bits, divided by this."""
+"""Parts are similar if the bit lengths of their sizes are equal after division by this."""
 
 MANY = 16
-"""Similar parts from which they are merged."""
+"""Number of similar parts from which they are merged."""
 
 ABANDONED_S = 7 * 86_400
-"""Age of lines that no batch will append to."""
+"""Age of files of lines, s, from which they are considered abandoned."""
 
 
 def new_run() -> str:
-    """Return a name for a batch, by its time."""
+    """Return a name for a batch, with its start time."""
     return f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}-{secrets.token_hex(4)}"
 
 
 class _MergedError(Exception):
-    """A file is no longer there: another batch has just merged it into a part."""
+    """A file no longer exists, since another batch has just merged it."""
 
 
 class Manifest:
     """The manifest in the folder, or below the address, of a batch's outputs.
 
-    `run`: the name of this batch
-    `unused`: number of lines that were no entries when they were last read
+    `run`: name of this batch
+    `unused`: number of invalid lines in the last reading
     """
 
     def __init__(self, folder: str) -> None:
@@ -97,7 +97,7 @@ class Manifest:
                 raise OutputError(self._place, "is not a folder; remove it")
 
     def prepare(self) -> None:
-        """Find out whether it can be written, before anything is computed."""
+        """Check that the manifest can be written."""
         if self._is_remote:
             put(self._new_name(LINES), b"")
             return
@@ -105,7 +105,7 @@ class Manifest:
             Path(self._place).mkdir(parents=True, exist_ok=True)
 
     def record(self, entry: ManifestEntry) -> ManifestEntry:
-        """Append an entry, and return it; where that fails, the next one begins a new file."""
+        """Append an entry, and return it; after a failure, the next one begins a new file."""
         line = json_line(entry := entry.recorded(self.run))
         if self._is_remote:
             if not self._journal or len(self._lines) == OBJECT_ENTRIES:
@@ -127,11 +127,11 @@ class Manifest:
         return entry
 
     def __getstate__(self) -> dict[str, object]:
-        """Let a process have a file of its own."""
+        """Return the state without the current file, so that each process has its own."""
         return {**self.__dict__, "_journal": "", "_lines": []}
 
     def slices(self, columns: Sequence[str]) -> Iterator[tuple[range, dict[str, tuple[Any, ...]]]]:
-        """Yield the valid entries by output, as values of columns, in parts by their bucket."""
+        """Yield ranges of buckets, and their valid entries: output -> values of columns."""
         for buckets in self._slices():
             wanted = list(dict.fromkeys(["output", "time", *columns]))
             table = self._read(buckets, wanted).sort_by("time")
@@ -139,11 +139,11 @@ class Manifest:
             yield buckets, dict(zip(table["output"].to_pylist(), values, strict=True))
 
     def history(self) -> pa.Table:
-        """Return all entries there ever were, by output and time."""
+        """Return all entries ever recorded, sorted by output and time."""
         return distinct(self._read(range(BUCKETS)), ["output", "time", "run"])
 
     def collect(self) -> None:
-        """Make a part of the entries of this batch, and of those that killed ones have left."""
+        """Merge the files of this batch, and those of killed batches, into parts."""
         limit = time.time() - ABANDONED_S
         own = [
             file
@@ -162,9 +162,9 @@ class Manifest:
                 self._merge(names)
 
     def _merge(self, names: list[str]) -> None:
-        """Make one part of some files, in order of the buckets, and remove them.
+        """Merge files into one part, sorted by bucket, and remove them.
 
-        Whoever reads meanwhile may see an entry twice, which is the same as once.
+        Concurrent readers may see an entry twice, which has no effect.
         """
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -180,7 +180,7 @@ class Manifest:
                     writer.write_table(table, row_group_size=1 << 14)
                     del table
                     pa.default_memory_pool().release_unused()
-            # Not before the part is in its place: a kill would lose them.
+            # Removed last: a kill before must not lose entries.
             self._remove(names)
 
     def _remove(self, names: list[str]) -> None:
@@ -193,9 +193,9 @@ class Manifest:
                 Path(self._place, name).unlink(missing_ok=True)
 
     def _files(self) -> list[ManifestFile]:
-        """Return name, size and time of all files, the oldest first.
+        """Return all files, the oldest first.
 
-        They are listed again where one was removed meanwhile: what took its place may be missing.
+        They are listed again if one was removed meanwhile, since its replacement may be missing.
         """
         while True:
             with suppress(_MergedError):
@@ -225,7 +225,7 @@ class Manifest:
         return sorted(file for file in found if file.size)
 
     def _slices(self, names: Sequence[str] | None = None) -> Iterator[range]:
-        """Return ranges of buckets of a bounded size, of some files if they are named."""
+        """Return ranges of buckets of bounded size; `names`: files to read, None: all."""
         while True:
             with suppress(FileNotFoundError):  # another batch has just merged one of them
                 files = [file for file in self._files() if names is None or file.name in names]
@@ -247,7 +247,7 @@ class Manifest:
         columns: Sequence[str] | None = None,
         names: Sequence[str] | None = None,
     ) -> pa.Table:
-        """Return entries, from some files if they are named, in no order."""
+        """Return entries, unsorted; `names`: files to read, None: all."""
         if names is not None:
             return self._read_files(names, buckets, columns)
         while True:
@@ -270,13 +270,13 @@ class Manifest:
 
         columns = columns or list(TYPES)
         chosen = None
-        if len(buckets) < BUCKETS:  # else: what compares with a number imports pandas, for 0.4 s
+        if len(buckets) < BUCKETS:  # a comparison with a number imports pandas, 0.4 s
             bucket = pc.field("bucket")
             chosen = (bucket >= buckets.start) & (bucket < buckets.stop)
         lines = [name for name in names if name.endswith(LINES)]
         tables, self.unused = [], 0
         with ThreadPoolExecutor(REQUESTS) as pool:
-            # Files of this machine are large: one of them at a time.
+            # Local files are large, and read one at a time.
             read = pool.map if self._is_remote else map
             for table, unused in map(table_of, read(self._content, lines)):
                 tables.append((table if chosen is None else table.filter(chosen)).select(columns))

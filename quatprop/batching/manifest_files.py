@@ -1,4 +1,4 @@
-"""The files of a manifest, and which of their entries are looked at together."""
+"""The files of a manifest, and how their entries are grouped for reading."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 PART = ".pq"
-"""Suffix of a part in Parquet: not that of outputs, which ``DIR/**/*.parquet`` stands for."""
+"""Suffix of a Parquet part, which ``DIR/**/*.parquet`` does not match."""
 
 LINES = ".jsonl"
 
 LINE_BYTES = 256
-"""Bytes of an entry in a file with lines, at least."""
+"""Minimum size of an entry in a file of lines, bytes."""
 
 SLICE_ROWS = 1 << 15
-"""Entries that are looked at together, about."""
+"""Approximate number of entries read at once."""
 
 
 class ManifestFile(NamedTuple):
@@ -30,19 +30,19 @@ class ManifestFile(NamedTuple):
 
 
 def is_own(name: str) -> bool:
-    """Return whether a file is a part or has lines, and is not being written."""
+    """Return whether a file is a complete part or file of lines."""
     return name.endswith((PART, LINES)) and not name.startswith(".")
 
 
 def slices(rows: int) -> Iterator[range]:
-    """Yield ranges of buckets, of which the entries are few enough to be looked at together."""
+    """Yield ranges of buckets with few enough entries to be read at once."""
     count = min(BUCKETS, rows // SLICE_ROWS + 1)
     for number in range(count):
         yield range(number * BUCKETS // count, (number + 1) * BUCKETS // count)
 
 
 def groups(files: Sequence[ManifestFile]) -> Iterator[list[str]]:
-    """Yield names of files with lines, few enough to be looked at together."""
+    """Yield groups of files of lines, small enough to be read at once."""
     names: list[str] = []
     size = 0
     for file in files:

@@ -1,4 +1,4 @@
-"""By what it is told, without reading it, that a log is another one than before."""
+"""Origins: size and modification time of logs, to detect changes without reading them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def origin_of(log: str) -> str:
-    """Return size and time of a log, and for a folder a digest of those of all its files."""
+    """Return size and time of a log, for a folder with a digest over all its files."""
     log = without_file_scheme(log)
     if is_address(log):
         found = find(log)[1]
@@ -31,13 +31,13 @@ def origin_of(log: str) -> str:
     place = Path(log)
     if not place.is_dir():
         return _of_file(place)
-    # Definitions of messages may be in packages below.
+    # Message definitions may be in subfolders.
     inside = {*place.iterdir(), *place.rglob("*.msg")}
     return origin_of_parts((file.name, _of_file(file)) for file in inside if file.exists())
 
 
 def origin_of_read(log: str, digest: Digest) -> str:
-    """Return the same of a log that was read from a store, which as a rule is not asked again."""
+    """Return the origin of a log that was read from a store, usually without a request."""
     try:
         changed = datetime.fromisoformat(digest.changed or "")
     except ValueError:
@@ -51,12 +51,12 @@ def _of_file(file: Path) -> str:
 
 
 def origin_of_object(info: FileInfo) -> str:
-    """Return size and time of an object; a listing may have the time in whole seconds only."""
+    """Return size and time of an object, in whole seconds, as in listings."""
     return f"{info.size}:{(info.mtime_ns or 0) // NS_PER_S * NS_PER_S}"
 
 
 def origin_of_parts(files: Iterable[tuple[str, str]]) -> str:
-    """Return the size and the latest time of files, by name and origin, and a digest of these."""
+    """Return the total size and latest time of files, and a digest of their names and origins."""
     files = sorted(files)
     size = sum(int(origin.split(":")[0]) for _, origin in files)
     digest = hashlib.sha256(repr(files).encode(errors="surrogateescape")).hexdigest()
@@ -64,5 +64,5 @@ def origin_of_parts(files: Iterable[tuple[str, str]]) -> str:
 
 
 def changed_ns(origin: str) -> int:
-    """Return when a log was written last, ns."""
+    """Return the modification time in an origin, ns."""
     return int(origin.split(":")[1])

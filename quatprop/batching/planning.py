@@ -1,4 +1,4 @@
-"""Which logs of a batch are to be propagated, and where their outputs go."""
+"""Plan a batch: the logs to propagate, and the names of their outputs."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ if TYPE_CHECKING:
     from quatprop.batching.tasks import BatchSettings
 
 REQUESTS = 32
-"""Logs in an object store about which it is asked at a time."""
+"""Number of concurrent requests to an object store."""
 
 SAME_S = 60
-"""Between the clocks of a store and of a machine, and beyond its whole seconds, s."""
+"""Tolerance for different clocks of store and machine, s."""
 
 OTHER_OUTPUT = (
     f"keep their folders in the names with {Setting('root', 'DIR')}, a folder above both, or "
     "write to another folder"
 )
-"""The way out where two logs have the same output."""
+"""Advice if two logs have the same output."""
 
 
 class Known(NamedTuple):
-    """What the manifest knows of a log; fields as of an entry."""
+    """The fields of a manifest entry that a plan needs."""
 
     state: str
     root: str
@@ -63,9 +63,10 @@ class Known(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What is to be done.
+    """The tasks of a batch.
 
-    `skipped`, `lost`: number of logs whose outputs are up to date, and of those with losses
+    `skipped`: number of logs with an up-to-date output
+    `lost`: number of these with losses
     """
 
     tasks: list[BatchTask]
@@ -74,12 +75,12 @@ class Plan(NamedTuple):
 
 
 class Shard(NamedTuple):
-    """One part of N of the logs: that of one machine of many, as in an array job.
+    """One of N parts of the logs, for one machine of several, as in an array job.
 
-    A log is in the same part whatever other logs there are, and a file of a dataset as a whole.
+    The part of a log does not depend on other logs; a file of a dataset is in one part.
 
-    `number`: from 0
-    `files`: of the dataset; None for a file a log
+    `number`: index, from 0
+    `files`: number of files of the dataset; None: one file per log
     """
 
     number: int
@@ -91,12 +92,12 @@ class Shard(NamedTuple):
         return number % self.parts == self.number
 
     def has(self, log: BatchTask) -> bool:
-        """Return whether a log is."""
+        """Return whether a log is in this part."""
         return self.has_file(number_of(log) % self.files if self.files else number_of(log))
 
 
 def dataset_files(kind: str, *, dataset: bool, buckets: int | None) -> int | None:
-    """Return the number of files of the dataset; None for a file a log."""
+    """Return the number of files of the dataset; None: one file per log."""
     if not dataset:
         if buckets:
             raise UsageError(f"{Setting('buckets')} requires {Setting('dataset')}")
@@ -107,9 +108,9 @@ def dataset_files(kind: str, *, dataset: bool, buckets: int | None) -> int | Non
 
 
 def shard(text: str | None, files: int | None = None) -> Shard:
-    """Return the part that is asked for.
+    """Return the part for a setting.
 
-    `text`: ``"I/N"``, the I-th part, from 1 to N; None for all logs
+    `text`: ``"I/N"``, the I-th part, from 1 to N; None: all logs
     """
     if text is None:
         return Shard(0, 1)
@@ -121,8 +122,8 @@ def shard(text: str | None, files: int | None = None) -> Shard:
 
 
 def with_names(tasks: list[BatchTask], folder: str) -> None:
-    """Let no two logs have one output: a table beside a recording keeps its suffix in the name."""
-    # Hashes, as there may be a million names.
+    """Make output names unique: a table beside a recording keeps its suffix."""
+    # Hashes, to save memory with a million names.
     seen, twice = set[int](), set[int]()
     for task in tasks:
         number = hash(task.stem.lower())
@@ -146,12 +147,12 @@ def with_names(tasks: list[BatchTask], folder: str) -> None:
 
 
 def _rank(log: BatchTask) -> tuple[bool, bool, str, str]:
-    """Return by what the first of several logs is told: recordings come before tables."""
+    """Return a sort key for logs with one output: recordings come before tables."""
     return not log.is_folder, kind_by_suffix(log.log) in TABLES, log.log, log.path
 
 
 def _refused(task: BatchTask, owner: str, output: str) -> BatchTask:
-    """Return a task that fails, as another log has its output."""
+    """Return a task that fails, since another log has its output."""
     name, place = quoted(without_secret(owner)), quoted(without_secret(output))
     return task._replace(
         named="", refused=f"its output {place} is also the output of {name}; {OTHER_OUTPUT}"
@@ -166,7 +167,7 @@ def plan(
     skip: bool,
     verify: bool = False,
 ) -> Plan:
-    """Return the tasks of the logs whose outputs are not up to date, or of all logs."""
+    """Return the tasks of all logs or, with `skip`, of those without an up-to-date output."""
     with_names(tasks, settings.folder)
     _refuse_replaced(tasks, settings)
     buckets = np.array([bucket_of(task.name) for task in tasks], np.uint8)
@@ -210,13 +211,13 @@ def plan(
 
 
 def _refuse_replaced(tasks: Sequence[BatchTask], settings: BatchSettings) -> None:
-    """Refuse outputs in the place of inputs."""
+    """Refuse outputs that would replace inputs."""
     folder = settings.folder
     top = os.path.join(absolute(folder) if is_address(folder) else os.path.realpath(folder), "")  # noqa: PTH118
     places: dict[str, str] = {}
 
     def is_inside(path: str) -> bool:
-        # Many logs are in few folders, whose links are followed once.
+        # Links of each folder are followed once.
         if is_address(path):
             return absolute(path).startswith(top)
         above = os.path.dirname(path) or os.curdir  # noqa: PTH120
@@ -230,7 +231,7 @@ def _refuse_replaced(tasks: Sequence[BatchTask], settings: BatchSettings) -> Non
 
 
 def _other_owner(task: BatchTask, entry: Known) -> str | None:
-    """Return the log that an output was made from, if it is another one that is still there."""
+    """Return the log from which an output was made, if it is another one that still exists."""
     owner, own = place_below(entry.root, entry.log), absolute(task.path)
     if entry.state not in COMPLETE or owner == as_text(own):
         return None
@@ -256,7 +257,7 @@ def _is_current(task: BatchTask, entry: Known, settings: BatchSettings) -> bool:
     began_s = entry.time.timestamp() - entry.seconds
     if entry.log_etag is None or changed_ns(entry.origin) < (began_s - SAME_S) * NS_PER_S:
         return True
-    # It may have been written again in the second in which it had been written.
+    # It may have been rewritten within the same second.
     try:
         return objects_of(task.path)[0].etag == entry.log_etag
     except StoreError:
@@ -264,7 +265,7 @@ def _is_current(task: BatchTask, entry: Known, settings: BatchSettings) -> bool:
 
 
 def _sizes(folder: str) -> Callable[[str], int | None]:
-    """Return a function that tells the size of an output, by its path in the folder."""
+    """Return a function that returns the size of an output, by its path in the folder."""
     if not is_address(folder):
         return lambda name: output_size(place_below(folder, name))
     sizes: dict[str, int] = {}
@@ -284,7 +285,7 @@ def _sha256(output: str) -> str | None:
 def deleted(
     manifest: Manifest, logs: Iterable[BatchTask], searched: Iterable[str], part: Shard
 ) -> list[ManifestEntry]:
-    """Return entries for logs of a part that are no longer in the folders that were searched."""
+    """Return entries for logs of a part that no longer exist in the searched folders."""
     found: dict[str, set[str]] = {absolute(root): set() for root in searched}
     for log in logs:
         if (root := absolute(log.root)) in found:

@@ -1,4 +1,4 @@
-"""A whole batch: what is to be done, done, and recorded."""
+"""Run a whole batch: plan, propagate, record."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def _topics(log: BatchTask, settings: BatchSettings) -> list[BatchTask]:
-    """Return a task for each topic with rates; a log without one says so when it is read."""
+    """Return a task for each topic with rates; errors are reported when the log is propagated."""
     from quatprop.logs.joined import open_logs
     from quatprop.logs.signals.rates import rate_candidates
 
@@ -34,14 +34,14 @@ def _topics(log: BatchTask, settings: BatchSettings) -> list[BatchTask]:
 
 
 class Batch:
-    """Logs that were found, and what of them is to be done.
+    """The plan and the execution of a batch.
 
-    `search`: is emptied of its logs
-    `part`: which of them this batch does
-    `skip`, `verify`: whether outputs that are up to date are kept, and their digests compared
+    `search`: the logs that were found, which are removed from it
+    `part`: the part of them for this batch
+    `skip`, `verify`: whether up-to-date outputs are kept, and verified by their digests
     """
 
-    def __init__(  # noqa: PLR0913  # what the command line gives
+    def __init__(  # noqa: PLR0913  # options of the command
         self,
         search: LogSearch,
         settings: BatchSettings,
@@ -52,7 +52,8 @@ class Batch:
         verify: bool = False,
     ) -> None:
         self._settings, self._manifest, self._part = settings, manifest, part
-        logs = [log for log in search.logs if part.has(log)]
+        found = search.take()
+        logs = [log for log in found if part.has(log)]
         if settings.job.settings.selection.topic == EVERY_TOPIC:
             if settings.files:
                 raise UsageError(
@@ -62,8 +63,8 @@ class Batch:
             logs = [task for log in logs for task in _topics(log, settings)]
         if settings.files:
             logs = with_parts(logs, settings.files)
-        self.gone = deleted(manifest, search.logs, search.searched, part)
-        search.logs.clear()
+        self.gone = deleted(manifest, found, search.searched, part)
+        del found
         self.plan: Plan = plan(logs, settings, manifest, skip=skip, verify=verify)
 
     def results(
@@ -71,7 +72,7 @@ class Batch:
     ) -> Generator[tuple[int, BatchResult]]:
         """Yield the index and the result of each log as soon as it is done and recorded.
 
-        `isolated`: whether a single process is another one than this
+        `isolated`: use a child process even if there is only one
         """
         from quatprop.batching.cluster import on_a_cluster
         from quatprop.batching.execution import on_this_machine

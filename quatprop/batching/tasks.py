@@ -1,4 +1,4 @@
-"""What is done in a batch: the task of each log, what all of them share, and the results."""
+"""Settings and results of the tasks of a batch."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 
 EVERY_TOPIC = "*"
-"""Topic that stands for all that carry rates."""
+"""Topic that selects all topics with rates."""
 
 
 def with_topic(job: Job, topic: str) -> Job:
-    """Return a job for one of the topics, if it is for every topic."""
+    """Return a job for one topic, if it is for every topic."""
     settings = job.settings
     if settings.selection.topic != EVERY_TOPIC:
         return job
@@ -33,15 +33,15 @@ def with_topic(job: Job, topic: str) -> Job:
 
 
 class BatchSettings(NamedTuple):
-    """What all logs of a batch share.
+    """Settings of a batch, common to all logs.
 
     `job`: how logs are propagated; its paths are ignored
-    `folder`: where the outputs go
-    `options`: digest of all settings but the paths, and of the files that they name
-    `reports`: whether results have the reports of the runs
-    `retries`: how often a log is tried again whose store did not answer
-    `files`: number of files of the dataset; None for a file a log
-    `is_library`: whether sentences name keywords instead of options
+    `folder`: folder or address of the outputs
+    `options`: digest of all settings without paths, and of the files that they name
+    `reports`: whether results include the reports of the runs
+    `retries`: number of retries if a store does not answer
+    `files`: number of files of the dataset; None: one file per log
+    `is_library`: whether errors spell settings as keywords instead of options
     """
 
     job: Job
@@ -67,11 +67,11 @@ class BatchSettings(NamedTuple):
         return cls(job, folder, hashlib.sha256(text.encode()).hexdigest(), **others)
 
     def output_of(self, task: BatchTask) -> str:
-        """Return the path or the address of the attitudes of a log."""
+        """Return the path or address of the output of a log."""
         return place_below(self.folder, task.name)
 
     def file_of(self, task: BatchTask) -> str:
-        """Return where they are when the batch has ended."""
+        """Return the path or address with the attitudes of a log after the batch."""
         return place_below(self.folder, file_of(task.name)) if task.folder else self.output_of(task)
 
     def with_threads(self, count: int) -> BatchSettings:
@@ -84,8 +84,7 @@ class BatchSettings(NamedTuple):
 class BatchResult(NamedTuple):
     """The result of one log.
 
-    `report`: the report of the run, as JSON; None if it is not wanted, or where there are no
-        attitudes
+    `report`: report of the run, as JSON; None if not requested, or without attitudes
     """
 
     entry: ManifestEntry
@@ -100,7 +99,7 @@ def failed(task: BatchTask, error: str, state: str = "failed") -> BatchResult:
 
 
 def output_size(path: str) -> int | None:
-    """Return the bytes of an output of this machine, all files of a folder; None without one."""
+    """Return the size of a local output, a file or a folder, bytes; None: no output."""
     if os.path.isdir(path):
         return sum(entry.stat().st_size for entry in os.scandir(path))
     try:

@@ -1,7 +1,7 @@
-"""The command line: options in, exit code out.
+"""The command line.
 
 Exit codes: 0 done; 1 a comparison or check failed; 2 wrong usage or unreadable input; 3 done, but
-with data lost; 130 interrupted. This module imports next to nothing, so that Ctrl-C is handled from
+with data lost; 130 interrupted. This module imports almost nothing, so that Ctrl-C is handled from
 the start.
 """
 
@@ -14,20 +14,20 @@ from importlib import import_module
 from typing import NoReturn
 
 FAILED = 2
-"""Exit code of wrong usage, unreadable input and outputs that cannot be written."""
+"""Exit code for wrong usage, unreadable input and outputs that cannot be written."""
 
 COMPLETE = "_QUATPROP_COMPLETE"
-"""Environment variable: set by shells that ask what a word could be."""
+"""Environment variable set by shells for completion."""
 
 NEW_OBJECTS = 100_000
-"""After so many new objects garbage is looked for: modules make many, and none of it is garbage."""
+"""Threshold of the garbage collector: imports create many objects, none of which is garbage."""
 
 
 def main() -> NoReturn:
     """Run the command line and end the process with its exit code.
 
-    Without the interpreter's tidying up, which takes a tenth of a short run: files are closed and
-    threads have ended when a command has. Profilers, which report then, call :func:`run`.
+    The cleanup of the interpreter, a tenth of a short run, is skipped: when a command ends, files
+    are closed and threads have ended. Profilers, which report at exit, call :func:`run`.
     """
     code: object = 0
     try:
@@ -44,9 +44,9 @@ def main() -> NoReturn:
 
 
 def run() -> None:
-    """Run the command line; it exits with its code."""
+    """Run the command line; raises SystemExit with the exit code."""
     gc.set_threshold(NEW_OBJECTS)
-    # Matrices are 3 x 3 here, and the threads that NumPy starts for larger ones wait in a loop.
+    # Matrices are 3 x 3 here, and the idle threads of OpenBLAS are busy waiting.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from quatprop.cli.interruption import handle_signals
 
@@ -61,5 +61,5 @@ def run() -> None:
     try:
         cli(prog_name="quatprop")
     except OSError:
-        # Not even stderr can be written to; every other error has become a sentence before.
+        # stderr cannot be written to; all other errors are reported by the group.
         sys.exit(FAILED)

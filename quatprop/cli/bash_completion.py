@@ -1,8 +1,7 @@
-"""Completion in bash, which executes what it is given unless that is quoted.
+"""Completion in bash, with values quoted, so that bash does not execute them.
 
-click's own script splits and expands values, and inserts them as they are. Here bash says which
-part of the line its value will replace, and gets a value that is quoted to go there: bash inserts
-it without a change.
+click's own script splits and expands values, and inserts them unquoted. Here, bash passes the part
+of the line that it will replace, and gets a quoted value that it inserts unchanged.
 """
 
 from __future__ import annotations
@@ -39,13 +38,13 @@ _PIECE = re.compile(
     r"""|(?P<bare>[^ \t\n\\'"]+)""",
     re.DOTALL,
 )
-"""What a line consists of; a quote may be open at its end."""
+"""The pieces of a line; a quote may be open at its end."""
 
 
 class _Word(NamedTuple):
     """A word of a line.
 
-    `quote`: the quote that is open at its end; empty for none
+    `quote`: the quote that is open at its end, or empty
     `expands`: whether bash would expand a part of it, or it has operators
     """
 
@@ -76,27 +75,27 @@ def words_of(line: str) -> list[_Word]:
 
 
 def quoted_in(quote: str, text: str) -> str:
-    r"""Return the rest of a word as bash has to read it, after a quote that is open or not."""
+    r"""Return the rest of a word escaped for bash, after an open quote or none."""
     if not quote:
         return re.sub(r"([^\w@%+=:,./-])", r"\\\1", text)
     if quote == "'":
         inserted = text.replace("'", r"'\''")
     else:
-        # An exclamation mark has its meaning in double quotes, with a backslash, too.
+        # An exclamation mark is special in double quotes, even after a backslash.
         inserted = re.sub(r'([\\"$`])', r"\\\1", text).replace("!", r'"\!"')
-    # Where this begins with a quote, bash takes it for the open one, and replaces that.
+    # If this begins with a quote, bash replaces the open quote by it.
     return inserted + quote if inserted[:1] != quote else quote + inserted + quote
 
 
 @add_completion_class
 class Bash(BashComplete):
-    """Completes the word before the cursor, whatever of it bash will replace."""
+    """Completes the word before the cursor."""
 
     source_template = _SCRIPT
 
     def complete(self) -> str:
-        """Return what bash may insert, a line for each."""
-        # Without these, the script is click's own, which would execute values.
+        """Return the possible values, one per line."""
+        # Without these variables, the script is click's own, which would execute values.
         line, replaced = (os.environ.get(name, "") for name in ("COMP_LINE", "COMP_REPLACED"))
         *words, begun = words_of(line)
         if not words or begun.expands or not line.endswith(replaced):

@@ -1,4 +1,4 @@
-"""``quatprop batch``: many logs in, an attitude series of each out."""
+"""``quatprop batch``: propagate many logs."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from quatprop.batching.manifest import Manifest
 
 ONE_LOG = {"log", "logs", "output", "to", "into", "plot", "view", "report", "quiet", "verbose"}
-"""Parameters of ``propagate`` that are about one log."""
+"""Parameters of ``propagate`` for a single log."""
 
 OF_MESSAGES = ("topic", "rate_field", "time_field")
-"""Options of ``propagate`` that no table can follow."""
+"""Options of ``propagate`` that do not apply to tables."""
 
 SHARED = [option for option in propagate.command.params if option.name not in ONE_LOG]
-"""The options of ``propagate`` that hold for every log."""
+"""The options of ``propagate`` that apply to every log."""
 
 
 EXAMPLES = ("quatprop batch 'sample_logs/*.bag' -o attitudes --to csv -j 2",)
@@ -125,7 +125,7 @@ def command(
     search = _search(names, folder, chosen)
     manifest = Manifest(folder)
     paths = {"report": None, "into": None, "log": "LOG", "output": "OUT"}
-    # Whoever propagates a log may do so in another folder.
+    # Workers may run in another folder.
     job = propagate.job_of({**chosen, **paths}, Path.cwd())
     settings = BatchSettings.of(
         job, folder, reports=as_json, retries=chosen["retries"], files=files
@@ -159,7 +159,7 @@ command.params += SHARED
 
 
 def _refuse_contradictions(folder: str, chosen: Mapping[str, Any]) -> None:
-    """Refuse options that do not go together, and a file in place of a folder."""
+    """Refuse contradictory options, and a file in place of a folder."""
     if chosen["dask"] and chosen["processes"]:
         raise click.UsageError("-j is for this machine; omit it with --dask")
     if chosen["verify"] and not chosen["skip_existing"]:
@@ -169,7 +169,7 @@ def _refuse_contradictions(folder: str, chosen: Mapping[str, Any]) -> None:
 
 
 def _search(names: Iterable[str], folder: str, chosen: Mapping[str, Any]) -> LogSearch:
-    """Return the search for all names."""
+    """Return the search with the logs of all names."""
     from quatprop.batching.logs import LogSearch
     from quatprop.stores.objects import without_secret
 
@@ -191,7 +191,7 @@ def _search(names: Iterable[str], folder: str, chosen: Mapping[str, Any]) -> Log
 
 
 def _warn_of_unused(manifest: Manifest) -> None:
-    """Say that lines of the manifest cannot be used."""
+    """Warn of unusable lines in the manifest."""
     if count := manifest.unused:
         click.echo(
             f"Warning: {plain(manifest.place)}: {count} line{'s' * (count > 1)} that no batch "

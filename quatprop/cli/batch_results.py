@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class ShownResults:
-    """Shows results as they come; what is kept of them does not grow with their number."""
+    """Shows results as they arrive; keeps only totals, errors and requested reports."""
 
     def __init__(
         self,
@@ -40,7 +40,7 @@ class ShownResults:
         self._meter = meter
 
     def add(self, index: int, result: BatchResult) -> None:
-        """Show the result of a log; errors also when asked to be quiet."""
+        """Show the result of a log; errors even if quiet."""
         self.states[result.entry.state] += 1
         self._samples += result.entry.samples or 0
         task = self._tasks[index]
@@ -55,12 +55,12 @@ class ShownResults:
         self._meter.update()
 
     def _say(self, text: str) -> None:
-        """Print lines above the progress."""
+        """Print lines above the progress bar."""
         self._meter.clear()
         click.echo(text, err=True)
 
     def finish(self, planned: Plan, ignored: Mapping[str, int], gone: int) -> None:
-        """Show the errors again, which may have scrolled away, and the totals."""
+        """Show the errors again, and the totals."""
         if self._errors and len(self._tasks) > 1:
             click.echo(f"{len(self._errors)} failed:", err=True)
             for error in self._errors:
@@ -80,7 +80,7 @@ class ShownResults:
 
 
 def _line(task: BatchTask, output: str, result: BatchResult, width: int) -> str:
-    """Return the result of one log in a line, and its warnings and losses below."""
+    """Return a line for a result, followed by its warnings and losses."""
     from quatprop.rendering import loss_lines
     from quatprop.stores.objects import without_secret
     from quatprop.times import duration_text
@@ -105,7 +105,7 @@ def _report(task: BatchTask, output: str, result: BatchResult) -> dict[str, obje
 
 
 def counted(counts: Mapping[str, int]) -> str:
-    """Return what was ignored, in words."""
+    """Return a text with the numbers of ignored items."""
     words = []
     for name, count in counts.items():
         what, _, which = name.partition("|")

@@ -1,4 +1,4 @@
-"""``quatprop check``: regression of recorded logs against references."""
+"""``quatprop check``: regression tests of recorded logs against references."""
 
 from __future__ import annotations
 
@@ -114,17 +114,17 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
     from quatprop.check.lock import read_lock
     from quatprop.check.update import find_orphans
     from quatprop.cli.check_results import (
+        errors_reported_to_ci,
         json_report,
         report_deleted,
         report_new,
         run_and_show,
-        told_to_ci,
     )
     from quatprop.writers.targets import refuse_outside
 
     updating = options["update"] or options["init"]
     with ExitStack() as stack:
-        stack.enter_context(told_to_ci(Path(suite), options))
+        stack.enter_context(errors_reported_to_ci(Path(suite), options))
         _refuse_contradictions(logs, options)
         if options["init"]:
             stack.enter_context(_new_suite(suite, logs, options["reference_log"]))
@@ -155,7 +155,7 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
 
 
 def _refuse_contradictions(logs: Sequence[str], options: Mapping[str, Any]) -> None:
-    """Refuse options that go with others, and an update that nobody would review."""
+    """Refuse options without those that they require, and an update on CI."""
     if options["init"] != bool(logs):
         raise click.UsageError("--init needs a LOG for each case, and nothing else takes one")
     if options["reference_log"] and not options["init"]:
@@ -178,7 +178,7 @@ def _refuse_contradictions(logs: Sequence[str], options: Mapping[str, Any]) -> N
 def _selected(
     cases: Sequence[Case | CaseNotRun], options: Mapping[str, Any], suite: str
 ) -> Sequence[Case | CaseNotRun]:
-    """Return the cases whose names contain a pattern or match it; all where there are none."""
+    """Return the cases whose names match a pattern; all cases without patterns."""
     names = {case.name for case in cases}
 
     def matches(name: str, pattern: str) -> bool:
@@ -189,7 +189,7 @@ def _selected(
     patterns = options["patterns"]
     for pattern in patterns:
         verdicts = [getattr(one, "verdict", "") for one in cases if matches(one.name, pattern)]
-        # Of a case that is gone nothing is judged; only by its whole name is it removed.
+        # A deleted case is not judged; it can only be removed, by its full name.
         if all(one == "deleted" for one in verdicts) and not (
             options["update"] and pattern in names
         ):
@@ -201,7 +201,7 @@ def _selected(
 def _removed(
     cases: Iterable[Case | CaseNotRun], pins: Mapping[str, Pin], options: Mapping[str, Any]
 ) -> dict[str, Pin]:
-    """Return the pins that an update removes: those of cases that are gone, and named or forced."""
+    """Return the pins that an update removes: of deleted cases that are named or forced."""
     patterns = options["patterns"]
     gone = [one.name for one in cases if getattr(one, "verdict", "") == "deleted"]
     names = [name for name in gone if not patterns or name in patterns]

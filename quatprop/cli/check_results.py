@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 MAX_LISTED = 8
-"""Of more cases, those that pass are only counted."""
+"""Maximum number of cases for which those that pass are listed."""
 
 
 def run_and_show(
@@ -36,7 +36,7 @@ def run_and_show(
 ) -> list[CaseResult]:
     """Run cases, show their results, failures last, and return them.
 
-    `not_in_suite`: orphans, and the pins that an update removes
+    `not_in_suite`: orphaned references, and the pins that an update removes
     """
     from quatprop.check.case import CaseResult
     from quatprop.check.reports import note_lines, totals
@@ -61,7 +61,7 @@ def run_and_show(
             few = len(cases) <= MAX_LISTED and not options["quiet"]
             _show(running, results, width, options, every=options["verbose"] or few)
     finally:
-        # After an interruption, too: what was not run has not passed.
+        # Also after an interruption: cases that were not run have not passed.
         reason = "the run was interrupted before this case was done"
         undone = [
             CaseResult(case.name, "error", reason, line=case.line) for case in cases[len(results) :]
@@ -80,7 +80,7 @@ def _show(
     *,
     every: bool,
 ) -> None:
-    """Show results and add them to a list; of many cases only those to look at, which come last."""
+    """Show results and append them to a list; those that need attention are shown last."""
     from quatprop.check.reports import NEEDS_ATTENTION, result_text
 
     last: list[str] = []
@@ -95,13 +95,13 @@ def _show(
             ):
                 click.echo(text, nl=False)
     finally:
-        # After an interruption, too.
+        # Also after an interruption.
         if not options["as_json"]:
             click.echo("".join(last), nl=False)
 
 
 def _confirmed(width: int, result: CaseResult) -> bool:
-    """Show a change and ask whether it is accepted; the end of the input is a no."""
+    """Show a change and ask whether to accept it; the end of input means no."""
     from quatprop.check.reports import result_text
 
     click.echo(result_text(result, width), err=True)
@@ -119,7 +119,7 @@ def report_deleted(
     *,
     written: bool,
 ) -> None:
-    """Name the cases that an update removes from the lock, and their references."""
+    """List the cases that an update removes from the lock, and their references."""
     from quatprop.check.reference import orphaned_references
 
     done = "removed" if written else "would be removed"
@@ -138,7 +138,7 @@ def report_deleted(
 
 
 def report_new(suite: Suite, results: Sequence[CaseResult]) -> None:
-    """Say what of a new suite was written."""
+    """Report what was written for a new suite."""
     written = sum(result.pin is not None for result in results)
     if not written:
         click.echo("wrote nothing, as no log could be propagated", err=True)
@@ -148,7 +148,7 @@ def report_new(suite: Suite, results: Sequence[CaseResult]) -> None:
 
 
 def json_report(suite: Suite, results: list[CaseResult], *, passed: bool) -> Any:
-    """Return the results as JSON has them."""
+    """Return the results, ready for JSON."""
     from quatprop.check.reports import VERDICTS
     from quatprop.provenance import as_json
     from quatprop.version import __version__
@@ -166,8 +166,8 @@ def json_report(suite: Suite, results: list[CaseResult], *, passed: bool) -> Any
 
 
 @contextmanager
-def told_to_ci(suite: Path, options: Mapping[str, Any]) -> Iterator[None]:
-    """Report an error that ends the run to CI, too: the files of the last run may be green."""
+def errors_reported_to_ci(suite: Path, options: Mapping[str, Any]) -> Iterator[None]:
+    """Also report an error that ends the run to CI, where reports of an earlier run may remain."""
     from quatprop.check.case import CaseResult
 
     try:
@@ -177,7 +177,7 @@ def told_to_ci(suite: Path, options: Mapping[str, Any]) -> Iterator[None]:
         junit = options["junit"]
         if junit is not None and not _may_be_junit(junit):
             junit = None
-        # What ended the run is raised, whatever cannot be written now.
+        # Errors of the report must not replace the error that ended the run.
         with suppress(Exception):
             result = CaseResult(suite.name, "error", reason)
             _report_to_ci(suite, [result], {**options, "junit": junit})
@@ -185,14 +185,14 @@ def told_to_ci(suite: Path, options: Mapping[str, Any]) -> Iterator[None]:
 
 
 def _may_be_junit(path: str) -> bool:
-    """Return whether a file has results, or is none yet: the error may be that it is an input."""
+    """Return whether a file has results or does not exist; the error may be that it is an input."""
     with suppress(OSError), Path(path).open("rb") as stream:
         return b"<testsuites" in stream.read(200)
     return path.endswith(".xml")
 
 
 def _report_to_ci(suite: Path, results: list[CaseResult], options: Mapping[str, Any]) -> None:
-    """Write what CI services read, and the overview of all cases."""
+    """Write the reports for CI services, and the overview of all cases."""
     from quatprop.check.reports import append_github_summary, github_annotations, write_junit
 
     if options["junit"] is not None:

@@ -1,4 +1,4 @@
-"""The commands, each in a module of its own that is imported when the command is run."""
+"""The commands, each in a module that is imported when the command is run."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ class Unusable(click.ClickException):
 
 
 class Commands(click.Group):
-    """A group that imports a command when it is asked for."""
+    """A group that imports a command on first use."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        """Return the names in the order in which the help shows them."""
+        """Return the names in the order of the help."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
@@ -55,7 +55,7 @@ class Commands(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command; where there is none of that name, say which was probably meant."""
+        """Find a command; if there is none, suggest a similar name."""
         name = args[0]
         if name not in COMMANDS and not name.startswith("-"):
             hint = did_you_mean(name, COMMANDS, "quatprop --help lists the commands")
@@ -72,7 +72,7 @@ class Commands(click.Group):
         return [CompletionItem(name, help=text) for name, text in found]
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run a command; an error becomes a sentence and an exit code here, and only here."""
+        """Run a command; convert errors to a sentence and an exit code."""
         from quatprop.settings.spelling import in_options
 
         with spelling(in_options):
@@ -80,7 +80,7 @@ class Commands(click.Group):
                 with interruptible():
                     return super().invoke(ctx)
             except BrokenPipeError:
-                # The reader of our output has gone, as in `| head`: that is its right.
+                # The reader of stdout has ended, as in `| head`.
                 ctx.exit(0)
             except KeyboardInterrupt:
                 click.echo(MESSAGE, err=True)

@@ -109,7 +109,7 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
 
 
 def settings_of(chosen: Mapping[str, Any]) -> ComparisonSettings:
-    """Return how to compare, from the options of a command."""
+    """Return the settings of a comparison, from the options of a command."""
     from quatprop.comparison.settings import comparison_settings
 
     return comparison_settings(**{name: chosen[name] for name in COMPARE if name in chosen})

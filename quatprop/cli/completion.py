@@ -1,4 +1,4 @@
-"""``quatprop completion``: the script of a shell, and the names that a log holds."""
+"""``quatprop completion``: the script for a shell, and names in the log on the line."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from quatprop.tables.log import Log
 
 NAMED = {"topic", "rate_field", "quat_field", "rate_cols", "quat_cols", "time_col"}
-"""Settings whose value is a name in the log."""
+"""Settings with a name in the log as value."""
 
 EXAMPLES = (
     "quatprop completion bash",
@@ -54,9 +54,9 @@ def command(shell: str) -> None:
 
 
 def values(name: str, takes: str, ctx: click.Context, incomplete: str) -> list[CompletionItem[str]]:
-    """Return what could be the value of a setting: words, files, or names from the log on the line.
+    """Return the possible values of a setting: words, files, or names in the log on the line.
 
-    `takes`: what help calls the value, such as ``"X,Y,Z|static[:nearest|:interpolate]|FILE"``
+    `takes`: the value in help, such as ``"X,Y,Z|static[:nearest|:interpolate]|FILE"``
     """
     base, _, side = name.rpartition("_")
     setting = base if side in SIDES else name
@@ -66,10 +66,10 @@ def values(name: str, takes: str, ctx: click.Context, incomplete: str) -> list[C
     log = _log(ctx, side) if setting in NAMED else None
     if log is None:
         return found
-    # Of columns that are listed, the last is completed.
+    # In a list of columns, the last is completed.
     done, comma, begun = incomplete.rpartition(",") if setting.endswith("_cols") else ("", "", "")
     begun = begun if comma else incomplete
-    # A line or a tab would end a value, and the terminal would obey control characters.
+    # Line breaks and tabs would end a value, and terminals execute control characters.
     names = (
         name
         for name in _names_in(log, setting, ctx)
@@ -79,7 +79,7 @@ def values(name: str, takes: str, ctx: click.Context, incomplete: str) -> list[C
 
 
 def _words(takes: str) -> Iterator[str]:
-    """Yield the words of a value: what stands for itself, in small letters."""
+    """Yield the literal words of a value, which are in lower case."""
     pattern = r"(?:^|\|)([a-z-]+)(?=[|[]|$)(\[[^]]*)?"
     for word, endings in re.findall(pattern, takes):
         yield word
@@ -87,8 +87,8 @@ def _words(takes: str) -> Iterator[str]:
 
 
 def _log(ctx: click.Context, side: str) -> str | None:
-    """Return the log that options of a side are about; of several the first."""
-    # Where the value of the last option is missing, click has not parsed what has no option.
+    """Return the log that the options of a side are for; the first of several."""
+    # If the value of the last option is missing, click has not parsed the arguments.
     logs = list(ctx.args)
     for parameter in ctx.command.params:
         given = ctx.params.get(str(parameter.name))
@@ -101,7 +101,7 @@ def _log(ctx: click.Context, side: str) -> str | None:
 
 
 def _names_in(path: str, setting: str, ctx: click.Context) -> list[str]:
-    """Return topics, fields or columns of a log; none where it cannot be read."""
+    """Return topics, fields or columns of a log; empty if it cannot be read."""
     from quatprop.errors import QuatpropError
     from quatprop.logs.open_log import open_log
     from quatprop.stores.log_names import split_topic
@@ -121,7 +121,7 @@ def _names_in(path: str, setting: str, ctx: click.Context) -> list[str]:
 
 
 def _in_messages(log: Log, setting: str, ctx: click.Context) -> Iterator[str]:
-    """Yield topics, or fields, of what the command reads."""
+    """Yield topics, or fields, of the signals that the command reads."""
     from quatprop.errors import LogError
     from quatprop.logs.signals.attitudes import attitude_candidates
     from quatprop.logs.signals.rates import rate_candidates

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 ONE_RUN = {"config", "output", "folder", "into", "report", "plot", "help", "help_all"}
-"""Parameters that are about one run, and stay on the command line."""
+"""Parameters for a single run, which are not allowed in a file."""
 
 
 def _read(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> None:
@@ -35,7 +35,7 @@ def _read(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> 
 
 
 def _defaults(ctx: click.Context, name: str, table: Mapping[str, object]) -> dict[str, object]:
-    """Return the defaults that a file gives, by parameter."""
+    """Return the defaults in a file, by parameter."""
     parameters = {
         option[2:]: parameter
         for parameter in ctx.command.params
@@ -58,7 +58,7 @@ def _defaults(ctx: click.Context, name: str, table: Mapping[str, object]) -> dic
 
 
 def config_of(path: str, provenance: Mapping[str, Any]) -> str:
-    """Return the configuration that makes an output again."""
+    """Return the configuration that reproduces an output."""
     settings, source = provenance.get("settings"), provenance.get("source")
     if not isinstance(settings, dict) or not isinstance(source, dict):
         raise click.UsageError(
@@ -97,7 +97,7 @@ UNCHANGED = "unchanged"
 
 
 def _state(path: str, file: Mapping[str, Any]) -> str:
-    """Return whether a file holds what it held when an output was made, in words."""
+    """Return a text on whether a file has changed since an output was made."""
     from quatprop.pipeline.report import digest_of_input
 
     if file["bytes"] is None:

@@ -1,4 +1,4 @@
-"""``quatprop convert``: one attitude series in, the same in other terms out."""
+"""``quatprop convert``: convert an attitude series."""
 
 from __future__ import annotations
 

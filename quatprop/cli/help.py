@@ -1,4 +1,4 @@
-"""Commands whose help shows options in groups: the common ones, or all of them."""
+"""Commands with help in groups of options: the common ones, or all."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
 ALL = "quatprop.help.all"
-"""Key in ``Context.meta``: help shows every option."""
+"""Key in ``Context.meta``: whether help shows every option."""
 
 FIRST = 25
-"""Width of the column of options; the help of a longer one begins on the next line."""
+"""Width of the column of options; for a longer one, help begins on the next line."""
 
 OWN = "Options"
-"""Title of options that are in no group: those of one command alone."""
+"""Title of options without a group, which only one command has."""
 
 GROUPS = (
     *("Input", "Time range", "Rates", "Initial attitude", "Integration", "Timestamps"),
     *("Uncertainty", "Limits", "Alignment", "Output", "Execution", "Display"),
 )
-"""Titles of groups, in the order of help."""
+"""Titles of groups, in order of appearance."""
 
 SIDES = ("a", "b", "ref")
-"""Endings of options about one of several inputs, which have a group of their own."""
+"""Suffixes of options for one of several inputs, each with its own group."""
 
 
 class GroupedOption(click.Option):
-    """An option with its group in help, and whether help always shows it."""
+    """An option with its group; `common`: whether short help shows it."""
 
     def __init__(self, *args: Any, group: str, common: bool, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -42,9 +42,9 @@ class GroupedOption(click.Option):
         self.common = common
 
     def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
-        """Return the value in its type; ``none`` takes back what a configuration gives."""
+        """Return the parsed value; ``none`` unsets an option of a configuration."""
         choices = getattr(self.type, "choices", ())
-        # Without a time column, rows are counted.
+        # --time-col none counts rows.
         is_value = "none" in choices or self.name == "time_col"
         is_preset = isinstance(self.default, str)
         can_be_none = getattr(self.type, "can_be_none", False)
@@ -54,7 +54,7 @@ class GroupedOption(click.Option):
 
 
 def brief(names: str, text: str) -> tuple[str, str]:
-    """Return the record of an option with the first clause of its help, and its whole default."""
+    """Return the help record of an option with the first clause of its help, and its default."""
     said, bracket, default = text.partition("  [")
     said = re.split(r"[.:;] ", said + " ")[0].rstrip(" .")
     return names, said if default.startswith("default: none") else said + bracket + default
@@ -63,9 +63,11 @@ def brief(names: str, text: str) -> tuple[str, str]:
 class Command(click.Command):
     """A command whose help has groups of options, and examples.
 
-    `examples`: command lines that run in a clone of the project, one after the other
-    `grouped`: whether there are so many options that help puts them into groups
+    `examples`: command lines that run in a clone of the project, one after another
+    `grouped`: whether help groups the options
     """
+
+    allow_extra_args = True  # they are refused here
 
     def __init__(
         self, *args: Any, examples: Sequence[str] = (), grouped: bool = True, **kwargs: Any
@@ -75,24 +77,32 @@ class Command(click.Command):
         self._grouped = grouped
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """Add ``--help-all``, also where help leaves nothing out: nobody knows beforehand."""
+        """Add ``--help-all``, even if help already shows all options."""
         return [*super().get_params(ctx), _HELP_ALL]
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Name the option that was meant where there is no such option."""
+        """Parse arguments; say the way out for an unknown option or one argument too many."""
         try:
             if not ctx.resilient_parsing:
                 self._refuse_two_topics(ctx, args)
-            return super().parse_args(ctx, args)
+            surplus = super().parse_args(ctx, args)
         except click.NoSuchOption as error:
             names = [name for p in self.get_params(ctx) for name in p.opts if name[:2] == "--"]
-            # Where there are two inputs, -t of one has become --topic-a.
+            # With two inputs, -t has become --topic-a and --topic-b.
             meant = "--topic" if error.option_name == "-t" else error.option_name
             hint = did_you_mean(meant, names)
             raise click.UsageError(f"No such option {error.option_name!r}{hint}", ctx) from None
+        if surplus and not ctx.resilient_parsing:
+            taken = " ".join(self.collect_usage_pieces(ctx)[1:])
+            raise click.UsageError(
+                f"unexpected argument {surplus[0]!r}; {ctx.info_name} takes {taken}: run it once "
+                "for each",
+                ctx,
+            )
+        return surplus
 
     def _refuse_two_topics(self, ctx: click.Context, args: list[str]) -> None:
-        """Refuse a topic that is given twice: the last would be read, and nothing said."""
+        """Refuse a repeated topic, of which click would silently take the last."""
         _, _, order = self.make_parser(ctx).parse_args(args=list(args))
         for parameter in {*order}:
             given = order.count(parameter)
@@ -112,7 +122,7 @@ class Command(click.Command):
         if self.examples:
             with formatter.section(styled("Examples", bold=True)):
                 for line in self.examples:
-                    # A line that is too long goes on below, with the mark of the shell.
+                    # Long lines continue below, with a backslash.
                     room = formatter.width - (4 if len(line) > formatter.width else 0)
                     parts = wrap(line, room, break_long_words=False, break_on_hyphens=False)
                     formatter.write("  {}\n".format(" \\\n    ".join(parts)))
@@ -120,7 +130,7 @@ class Command(click.Command):
         groups: dict[str, list[tuple[str, str]]] = {OWN: [], **{title: [] for title in GROUPS}}
         for option in self.get_params(ctx):
             record = option.get_help_record(ctx) if isinstance(option, click.Option) else None
-            # Those of click itself show help.
+            # Options of click itself show help.
             title, common = "Display", True
             if isinstance(option, GroupedOption):
                 title, common = option.group, option.common
@@ -135,14 +145,14 @@ class Command(click.Command):
 def write_section(
     formatter: click.HelpFormatter, title: str, rows: Iterable[tuple[str, str]], first: int = FIRST
 ) -> None:
-    """Write a heading and two columns, the first of this width."""
+    """Write a heading and two columns; `first`: width of the first one."""
     with formatter.section(styled(title, bold=True)):
         cells = [(styled(name.ljust(first), fg="cyan"), text) for name, text in rows]
         formatter.write_dl(cells, col_max=first)
 
 
 def styled(text: str, **style: Any) -> str:
-    """Return text as a terminal shows it in colour or bold, unless NO_COLOR is set."""
+    """Return text in colour or bold, unless NO_COLOR is set."""
     return text if os.environ.get("NO_COLOR") else click.style(text, **style)
 
 

@@ -34,13 +34,13 @@ COLUMNS = {
     "duplicates": "dup",
     "backwards": "back",
 }
-"""Attribute of a signal -> heading in a table."""
+"""Attribute of a signal -> heading of its column."""
 
 RATE_COLUMNS = {**COLUMNS, "max_rate_rad_s": "max rad/s"}
 ATTITUDE_COLUMNS = {**COLUMNS, "source": "attitudes", "invalid": "invalid", "layout": "layout"}
 
 NUMBERS_FROM = 2
-"""Columns from here on are numbers and aligned to the right."""
+"""Columns from this index on are numbers, and right-aligned."""
 
 
 EXAMPLES = (
@@ -106,7 +106,7 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
 
 
 def _config(path: str, kind: str | None, selection: RateSelection) -> str:
-    """Return the configuration that makes the attitudes of a file again."""
+    """Return the configuration that reproduces the attitudes of a file."""
     from quatprop.cli.config import config_of
     from quatprop.logs.open_log import open_log
     from quatprop.logs.signals.attitudes import choose_attitudes
@@ -118,7 +118,7 @@ def _config(path: str, kind: str | None, selection: RateSelection) -> str:
 
 
 def _lines(log: LogSurvey) -> Iterator[str]:
-    """Yield the tables of one log, and the remarks on it."""
+    """Yield the tables of a log, and the remarks on it."""
     yield f"{plain(log.path)} ({log.kind})"
     if log.sources:
         yield from _table(log.sources, RATE_COLUMNS)
@@ -145,7 +145,7 @@ def _table(signals: Sequence[SignalSurvey], columns: Mapping[str, str]) -> Itera
 
 
 def _making(attitudes: AttitudeSurvey) -> str:
-    """Return how attitudes were made, as their file says, in words; ``""`` where it does not."""
+    """Return a text on the provenance of attitudes; ``""``: unknown."""
     facts = []
     if attitudes.made_from is not None:
         facts.append(f"from {plain(attitudes.made_from)}")

@@ -1,8 +1,7 @@
-"""Interruption of the command line: Ctrl-C, and requests to end.
+"""Signals on the command line: Ctrl-C, SIGTERM and SIGHUP.
 
-A command that is interrupted removes its temporary files and ends with 130, or with 143 or 129
-where it is told to end. Handlers of signals belong to the whole process, so that they are set here
-and nowhere else.
+An interrupted command removes its temporary files and exits with 130 (SIGINT), 143 (SIGTERM) or 129
+(SIGHUP). Signal handlers are global to the process, so only the command line sets them.
 """
 
 from __future__ import annotations
@@ -24,10 +23,10 @@ MESSAGE = "Interrupted."
 
 
 def handle_signals() -> None:
-    """Handle signals for a run of the command line."""
+    """Set the signal handlers of the command line."""
     for name in ("SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)
-        # What is ignored from outside, as by nohup, stays ignored.
+        # Signals that are ignored, as by nohup, stay ignored.
         if number is not None and signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _end)
     if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
@@ -37,10 +36,10 @@ def handle_signals() -> None:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Let Ctrl-C raise KeyboardInterrupt in this block, where there is something to tidy up.
+    """Let Ctrl-C raise KeyboardInterrupt in this block, for cleanup.
 
-    Outside of it the process ends at once: while modules are imported, the exception could come
-    where nobody expects it. Does nothing where :func:`handle_signals` was not called.
+    Outside the block, the process ends at once, since imports are not safe to interrupt. Without
+    :func:`handle_signals`, this does nothing.
     """
     if signal.getsignal(signal.SIGINT) is not _exit_at_once:
         yield

@@ -1,7 +1,7 @@
-"""Options from rows: what help says of each, and the parser of its value.
+"""Create options from their keywords: help text, default, and parser.
 
-An option that is a setting of the library follows from its row in :mod:`quatprop.settings`, and
-means the same everywhere. What a command has beside them has rows of the same type.
+Options that are settings of the library are defined in :mod:`quatprop.settings`, and mean the same
+everywhere. Further options of a command have keywords of the same type.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     Command = TypeVar("Command", bound=Callable[..., Any])
     Option = Callable[[Any], Any]
-    """Gives a command an option."""
+    """Adds an option to a command."""
 
 
 def options_of(
@@ -38,12 +38,11 @@ def options_of(
     side: str = "",
     prefix: str = "",
 ) -> list[Option]:
-    """Return the options for rows, by the name of a setting, or by the names that click takes.
+    """Return the options for keywords, by the name of a setting, or by names for click.
 
-    `log`, `signal`: what help calls the input, and what is read of it
-    `side`: ends the names of the options, such as ``"a"`` for ``--topic-a``, and after an
-        underscore the keywords
-    `prefix`: begins the help of each
+    `log`, `signal`: names of the input and of its signal in help
+    `side`: suffix of the options and parameters, such as ``"a"`` for ``--topic-a``
+    `prefix`: prefix of the help of each option
     """
     options = []
     for name, row in rows.items():
@@ -73,7 +72,7 @@ def options_of(
 
 
 def _type(row: Keyword) -> ParamType:
-    """Return how click reads a value."""
+    """Return the click type of a value."""
     if isinstance(row.parse, click.ParamType):
         return row.parse
     return OneOf(row.choices) if row.choices else Parsed(row.parse, row.takes)
@@ -127,7 +126,7 @@ JSON = {
 def with_options(
     *options: Sequence[Option] | Mapping[str, Keyword],
 ) -> Callable[[Command], Command]:
-    """Return a decorator that gives a command these options, or those of rows, in this order."""
+    """Return a decorator that adds options, or those of keywords, to a command, in this order."""
     every: list[Option] = []
     for some in options:
         every += options_of(some) if isinstance(some, Mapping) else some
@@ -141,7 +140,7 @@ def with_options(
 
 
 def refuse_stdin_twice(*paths: str | None) -> None:
-    """Refuse to read several series from stdin: what is read first leaves nothing."""
+    """Refuse to read several series from stdin."""
     if paths.count("-") > 1:
         raise click.UsageError("stdin can be read only once; name files for the others")
 
@@ -149,14 +148,14 @@ def refuse_stdin_twice(*paths: str | None) -> None:
 def input_of(
     path: str, chosen: Mapping[str, Any], *, side: str = "", drop: bool = False
 ) -> AttitudeInput:
-    """Return which attitudes to read, from the options of a command."""
+    """Return the attitudes to read, from the options of a command."""
     from quatprop.logs.attitude_input import attitude_input
     from quatprop.settings.reading import READ_ATTITUDES
     from quatprop.stores.log_names import split_topic
 
     keys = {name: f"{name}_{side}" if f"{name}_{side}" in chosen else name
             for name in READ_ATTITUDES}  # fmt: skip
-    # A time range of the command is that of the input without a side.
+    # The time range of the command applies to an input without a side.
     without = ("start", "end") if side else ()
     options = {
         name: chosen[key] for name, key in keys.items() if key in chosen and name not in without

@@ -1,4 +1,4 @@
-"""Options that say how an attitude series is written."""
+"""Options for the output of an attitude series."""
 
 from __future__ import annotations
 
@@ -54,11 +54,11 @@ OUTPUT_OPTIONS = {
         click.STRING, "Names of the two frames in the messages.", "reference,body",
         "REFERENCE,BODY", group="Output"),
 }  # fmt: skip
-"""How an attitude series is written."""
+"""Options of the output: format, layout, messages."""
 
 
 def output_settings(chosen: Mapping[str, Any], own: str = "-o OUT") -> OutputSettings:
-    """Return where attitudes go and as what, from a command's options."""
+    """Return the settings of the output, from a command's options."""
     from quatprop.conventions.layout import layout_named
     from quatprop.pipeline.settings import OutputSettings
 
@@ -83,13 +83,13 @@ def output_settings(chosen: Mapping[str, Any], own: str = "-o OUT") -> OutputSet
 
 
 def with_unit(representation: str, euler_unit: str | None) -> str:
-    """Return the key of a representation whose angles, if it has any, have a unit."""
+    """Return the key of a representation, with the unit of Euler angles."""
     in_degrees = representation in EULER and euler_unit == "deg"
     return f"{representation}-deg" if in_degrees else representation
 
 
 def _message(kind: str | None, topic: str | None, frames: str | None) -> Message | None:
-    """Return what the attitudes are written as; None if no option says it."""
+    """Return the message to write; None if no option is given."""
     if kind is None and topic is None and frames is None:
         return None
     reference, comma, body = (frames or "reference,body").partition(",")

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from quatprop.plotting.figure import Style
 
 ATTITUDES = {name: parser for name, parser in ONE_SERIES.items() if name not in READ_RATES}
-"""Settings about attitudes alone."""
+"""Settings for attitudes only."""
 
 PART = ("start", "end")
 NOT_OF_ERROR = {"--show", "--components", "--unwrap"}
@@ -139,7 +139,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
 
 
 def _style(chosen: Mapping[str, Any]) -> Style:
-    """Return how large the picture is to be, and how matplotlib is to draw it."""
+    """Return the size and style of the picture."""
     from quatprop.plotting.draw import style_sheet
     from quatprop.plotting.figure import STYLE, Style
 
@@ -151,7 +151,7 @@ def _style(chosen: Mapping[str, Any]) -> Style:
 
 
 def _show(chosen: Mapping[str, Any]) -> Literal["rates", "attitude"] | None:
-    """Return what to draw: an option about attitudes asks for attitudes."""
+    """Return what to draw; any option for attitudes selects attitudes."""
     show: Literal["rates", "attitude"] | None = chosen["show"]
     for name in ("components", "unwrap", *ATTITUDES):
         if chosen[name]:
@@ -162,7 +162,7 @@ def _show(chosen: Mapping[str, Any]) -> Literal["rates", "attitude"] | None:
 
 
 def _refuse_idle(chosen: Mapping[str, Any]) -> None:
-    """Refuse options that go with others than those that are given."""
+    """Refuse options without effect."""
     of_error = {option(name) for name in OF_ERROR}
     for parameter in click.get_current_context().command.params:
         name, value = parameter.opts[-1], chosen.get(str(parameter.name))

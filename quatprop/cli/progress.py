@@ -1,4 +1,4 @@
-"""Progress on a terminal: how much is done, how fast, and how long it will take."""
+"""Progress bars on a terminal."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
 
 DELAY_S = 0.5
-"""Nothing is shown of what takes less."""
+"""Minimum duration for which a bar is shown, s."""
 
 
 @contextmanager
 def progress(*, quiet: bool = False) -> Iterator[None]:
-    """Show the progress of what is read or made in this block, on a terminal only."""
+    """Show progress in this block, if stderr is a terminal."""
     token = SHOW.set(_shown if on_terminal(quiet=quiet) else None)
     try:
         yield
@@ -30,16 +30,16 @@ def progress(*, quiet: bool = False) -> Iterator[None]:
 
 
 def on_terminal(*, quiet: bool = False) -> bool:
-    """Whether progress is to be shown: somebody looks at stderr."""
-    # Started without stderr, there is none.
+    """Return whether stderr is a terminal, and progress is not turned off."""
+    # A process may have no stderr.
     return sys.stderr is not None and sys.stderr.isatty() and not quiet
 
 
 def bar(total: int | None, unit: str, **options: Any) -> tqdm[Any]:
-    """Return a bar on stderr, which disappears when it is closed."""
+    """Return a progress bar on stderr, which disappears when closed."""
     from tqdm import tqdm
 
-    # Its thread would be there when processes are forked.
+    # Its monitor thread would exist when processes are forked.
     tqdm.monitor_interval = 0
     return tqdm(total=total, unit=unit, leave=False, dynamic_ncols=True, **options)
 

@@ -1,4 +1,4 @@
-"""``quatprop propagate``: one log in, its attitude series out."""
+"""``quatprop propagate``: propagate a log."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> i
 
 
 def job_of(chosen: Mapping[str, Any], folder: Path | None = None) -> Job:
-    """Return what the options ask for, with typed values; files lie beside a folder, if given."""
+    """Return the job of the options; `folder`: to which paths are relative, if given."""
     from quatprop.pipeline.job import Job
     from quatprop.pipeline.settings import propagation_settings
     from quatprop.stores.log_names import split_topic

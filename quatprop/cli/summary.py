@@ -1,4 +1,4 @@
-"""The summary of a run, which goes to stderr."""
+"""The summary of a run, on stderr."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 
 INDENT = 12
-"""Where the text of a summary begins."""
+"""Width of the labels in a summary."""
 
 
 def show(lines: Iterable[str], indent: int = 2, *, err: bool = True) -> None:
-    """Print lines; on a terminal those that are too long go on below their text."""
+    """Print lines; on a terminal, long lines are wrapped and indented."""
     stream = sys.stderr if err else sys.stdout
     if stream is not None and stream.isatty():
         from shutil import get_terminal_size
@@ -47,7 +47,7 @@ def show(lines: Iterable[str], indent: int = 2, *, err: bool = True) -> None:
 
 
 def summary(report: RunReport, *, verbose: bool) -> list[str]:
-    """Return what a run did in a few lines."""
+    """Return the lines of the summary of a run."""
     rows = [*facts(report), *(conventions(report) if verbose else ())]
     if verbose and report.seconds is not None:
         rows.append(("seconds", f"{report.seconds:.3f}"))
@@ -78,5 +78,5 @@ def show_result(  # noqa: PLR0913  # a result, how to show it, and what was lost
 
 
 def command_line() -> str:
-    """Return the command that runs, as a shell takes it."""
+    """Return the current command line, quoted for a shell."""
     return shlex.join(["quatprop", *map(without_secret, sys.argv[1:])])

@@ -1,4 +1,4 @@
-"""Option values, read by the same parsers as the library's keywords and the keys of a suite."""
+"""Types of option values, with the parsers of the library's keywords and the keys of a suite."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class _Path(click.Path):
 
 
 PATH = _Path(readable=False)
-"""A file, a folder, or an address; what is wrong with it is found when it is opened."""
+"""A file, a folder, or an address; errors are found when it is opened."""
 
 
 def content_of(name: str) -> bytes:
-    """Return the content of a file that an option names; of ``-``, what stdin gives."""
+    """Return the content of a file named by an option, or of stdin for ``-``."""
     try:
         with click.open_file(name, "rb") as file:
             return read_bytes(file, MAX_BYTES * 4)
@@ -44,14 +44,14 @@ def content_of(name: str) -> bytes:
 
 
 TEXTS = "quatprop.texts"
-"""Key in ``Context.meta``: the values of options as they were written, by parameter."""
+"""Key in ``Context.meta``: the text of option values, by parameter."""
 
 
 class Parsed(ParamType):
-    """An option whose value a parser reads.
+    """An option type with a parser.
 
-    `parser`: takes the text, or a value that it has returned before
-    `name`: what help calls the value, such as ``"W,X,Y,Z"``
+    `parser`: accepts text, or a value that it has returned before
+    `name`: the value in help, such as ``"W,X,Y,Z"``
     """
 
     can_be_none = True
@@ -61,7 +61,7 @@ class Parsed(ParamType):
         self.name = name
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return what the parser makes of it, or fail with its sentence."""
+        """Return the parsed value, or fail with the error of the parser."""
         if ctx is not None and param is not None and isinstance(value, str):
             ctx.meta.setdefault(TEXTS, {})[param.name] = value
         try:
@@ -72,23 +72,23 @@ class Parsed(ParamType):
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem[str]]:
-        """Return what could be the value, such as the topics of the log on the line."""
+        """Return possible values, such as the topics of the log on the line."""
         from quatprop.cli.completion import values
 
         return values(str(param.name), self.name, ctx, incomplete)
 
 
 class OneOf(click.Choice[str]):
-    """An option that takes one of a few names, and names the one that was probably meant."""
+    """An option type for one of a few names, which suggests similar ones."""
 
     can_be_none = True
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the name, as it is spelled here."""
+        """Return the name in its usual spelling."""
         return super().convert(choice_named(str(value), self.choices), param, ctx)
 
     def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
-        """Return the sentence about a value that is none of them."""
+        """Return the error for an invalid value."""
         message = super().get_invalid_choice_message(value, ctx)
         if {part.strip() for part in str(value).split(",")} <= {*self.choices}:
             return f"{value!r} names several, and only one is possible."

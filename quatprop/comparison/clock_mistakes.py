@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quatprop.comparison.association import interval_ns, shifted
 from quatprop.comparison.clock_error import ClockError, clock_errors
 from quatprop.comparison.mistakes import Mistake, Sides
+from quatprop.kinematics.quaternion import conjugate, log, multiply, shorter
+from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S, duration_text
+
+if TYPE_CHECKING:
+    from quatprop.comparison.alignment import Alignment
 
 SIGNIFICANT = 5.0
 """A clock drift is significant above this many standard deviations."""
@@ -38,6 +44,23 @@ def clock_mistakes(
         if abs(change.ratio) > SIGNIFICANT * change.std
         else None,
     )
+
+
+def drift_by_errors(sides: Sides, alignment: Alignment) -> Mistake:
+    """Return the drift of B's clock that fits the errors best, whether or not it is significant.
+
+    `sides`: with equal timestamps
+    """
+    a, b = sides
+    error = log(shorter(multiply(conjugate(a.wxyz), alignment.apply(b.wxyz))))
+    seconds = (a.t_ns - a.t_ns[0])[:, None] / NS_PER_S
+    rate = np.gradient(np.cumsum(rotation_vectors_between(a.wxyz), axis=0), seconds[1:, 0], axis=0)
+    # A delay makes an error of rate times delay.
+    design = np.stack([rate.ravel(), (rate * seconds[1:]).ravel()], axis=1)
+    (offset, ratio), *_ = np.linalg.lstsq(design, error[1:].ravel(), rcond=None)
+    first_ns = int(a.t_ns[0])
+    clock = ClockError(offset, ratio, 0.0, 0.0, 0.0, float(seconds[-1, 0]))
+    return _clock_drift(clock, 0, first_ns, first_ns)
 
 
 NEAR_INTERVAL = 0.02
@@ -80,7 +103,7 @@ def _clock_drift(clock: ClockError, coarse_ns: int, begin_ns: int, first_ns: int
 
     return Mistake(
         "clock drift",
-        f"clocks that differ by {ppm:.3g} ppm",
+        f"clocks that differ by {float(f'{ppm:.3g}'):g} ppm",
         f"B's clock is {pace} by {ppm:.{digits}f} +- {std:.{digits}f} ppm against A's: the offset "
         f"between their timestamps changes by {moved} in {span}",
         f"add {first_ms:.6g} ms to B's timestamps, and {clock.ratio * 1e6:.6g} ppm of the time "

@@ -44,6 +44,9 @@ READINGS = {*MISREAD, "axes", "rate sign", "side"}
 RATE_REMEDIES = {"rate bias", "scale", "method"}
 """Mistakes whose remedy is to propagate again."""
 
+LIKE_CLOCK_DRIFT = {"rate bias", "scale", "drift"}
+"""Mistakes that make the same error as a clock drift if the body turns steadily."""
+
 
 class Hypothesis(NamedTuple):
     """Which mistakes were made, by their keys; empty for none of that kind."""

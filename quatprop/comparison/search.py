@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING
 
 from quatprop.comparison.alignment import mean_rotation
 from quatprop.comparison.cause import NO_ERROR
+from quatprop.comparison.clock_mistakes import drift_by_errors
 from quatprop.comparison.fits import Fits, rms_between
 from quatprop.comparison.hypotheses import (
     CLOCKS,
     INDISTINCT,
+    LIKE_CLOCK_DRIFT,
     MISREAD,
     RATE_REMEDIES,
     READINGS,
@@ -212,6 +214,13 @@ class Search(Fits):
             if rms_between(a, multiply(b, turn)) <= most:
                 angle = float(geodesic_angle(IDENTITY, turn))
                 labels["body frame"] = f"body frames that differ by {degrees_text(angle)}"
+        if names & LIKE_CLOCK_DRIFT and not hypothesis.clock:
+            pairs = self._pairs_of(hypothesis)
+            drift = drift_by_errors(pairs, self._aligned(hypothesis, pairs)[0])
+            others = [each for each in self.best.mistakes if each.name not in LIKE_CLOCK_DRIFT]
+            best, before = self.residual(self.best.mistakes), self.residual(())
+            if self.residual([drift, *others]) <= max(AS_GOOD * best, ENOUGH * before):
+                labels[drift.name] = drift.label
         return sorted({text for name, text in labels.items() if name not in names})
 
     def _count(self, hypothesis: Hypothesis) -> int:

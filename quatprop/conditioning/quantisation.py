@@ -93,7 +93,7 @@ class StepFinder:
         return rate
 
     def above(self, scatters: list[float]) -> list[list[float]]:
-        """Return the step of each axis in each stationary period, rad/s; 0: none, or hidden by noise.
+        """Return the step of each axis in each stationary period, rad/s; 0 if hidden by noise.
 
         `scatters`: RMS deviation of the rates in each period, over all three axes, rad/s
         """

@@ -19,6 +19,7 @@ from quatprop.conditioning.window_sums import (
     merged,
     outer_products,
     scatter_of,
+    variances_of,
 )
 from quatprop.errors import UsageError
 from quatprop.kinematics.rates import rotation_vectors_between
@@ -152,20 +153,22 @@ def _period(
     `steady`: the signals that confirm this one; empty if the user gave it
     """
     rest = rests[taken]
-    apart = np.abs(mean_of(rests) - mean_of(rests)[taken]).max(axis=1)
+    apart = np.abs(mean_of(rests) - mean_of(rests)[taken])
     apart[~_comparable(rests, confirmed)] = 0.0
-    variances = scatter_of(rests) ** 2 / 3 / rests["count"]
-    errors = np.sqrt(variances + variances[taken])
+    variances = variances_of(rests)
+    by_noise = variances / rests["count"][:, None]
+    errors = np.sqrt(by_noise + by_noise[taken])
     return StaticPeriod(
         first_ns=int(rest["first_ns"]),
         last_ns=int(rest["last_ns"]),
         samples=int(rest["count"]),
         mean_rad_s=mean_of(rests)[taken],
         scatter_rad_s=float(scatter_of(rests)[taken]),
+        noisiest_rad_s=math.sqrt(variances[taken].max()),
         steady=tuple(steady),
         searched_first_ns=int(rates["first_ns"].min()),
         searched_last_ns=int(rates["last_ns"].max()),
-        other=_other(rests, np.where(apart > NOISE * errors, apart, 0.0)),
+        other=_other(rests, np.where(apart > NOISE * errors, apart, 0.0).max(axis=1)),
         spread_rad_s=float(apart[apart > WIDENS * errors].max(initial=0.0)),
     )
 
@@ -200,7 +203,7 @@ def _quiet_rates(rates: WindowSums) -> Intp:
             "more than the bias of a gyroscope: the body rotates"
         )
     # So are windows of zeros, of a sensor that has not started, unless there are no others.
-    measured = slow & (rates["squares"][windows] > 0)
+    measured = slow & rates["squares"][windows].any(axis=1)
     slow = measured if measured.any() else slow
     windows = windows[slow]
     return np.asarray(windows[_quiet(rates[windows], scatter[slow], QUIET)])
@@ -262,11 +265,15 @@ def _end_of_agreement(signals: list[tuple[WindowSums, float]], start: int, stop:
 
 def _changes(windows: WindowSums, agreement: float) -> Bool:
     """Return which windows, from the second on, differ from the mean of those before them."""
-    count = np.cumsum(windows["count"])[:-1]
-    before = np.cumsum(windows["total"], axis=0)[:-1] / count[:, None]
-    apart = np.abs(mean_of(windows)[1:] - before).max(axis=1)
-    error = scatter_of(windows)[1:] / math.sqrt(3) * np.sqrt(1 / windows["count"][1:] + 1 / count)
-    return np.asarray(apart > np.maximum(agreement, NOISE * error))
+    before = windows.copy()
+    for name in ("count", "total", "squares"):
+        before[name] = np.cumsum(windows[name], axis=0)
+    before, windows = before[:-1], windows[1:]
+    apart = np.abs(mean_of(windows) - mean_of(before))
+    # A window in which an axis shows one value does not show its noise.
+    variances = np.maximum(variances_of(windows), variances_of(before))
+    errors = np.sqrt(variances * (1 / windows["count"] + 1 / before["count"])[:, None])
+    return np.asarray((apart > np.maximum(agreement, NOISE * errors)).any(axis=1))
 
 
 def _not_turning(

@@ -20,7 +20,7 @@ AT_REST = 0.05
 
 ORDINARY_CHANGE = math.radians(0.1)
 """Change of the bias between stationary periods, rad/s, that needs no remark: that of MEMS
-gyroscopes changes by hundredths of a deg/s as they warm up. It is included in the sigma of the bias."""
+gyroscopes changes by hundredths of a deg/s as they warm up. The sigma of the bias includes it."""
 
 SAME = 1e-6
 """Scatter, as a share of the mean, that is only rounding."""
@@ -48,6 +48,7 @@ class StaticPeriod(NamedTuple):
     `samples`: number of samples
     `mean_rad_s`: mean rate, which is the bias, shape ``(3,)``, rad/s
     `scatter_rad_s`: RMS deviation of the rates from the mean, over all three axes, rad/s
+    `noisiest_rad_s`: RMS deviation on the axis where it is largest, rad/s
     `steady`: signals that confirm it: ``"rate"``, ``"accelerometer"``, ``"orientation"``
     `searched_first_ns`, `searched_last_ns`: part of the log that was searched, ns: all of it, even
         if only a part is propagated
@@ -62,6 +63,7 @@ class StaticPeriod(NamedTuple):
     samples: int
     mean_rad_s: Float64
     scatter_rad_s: float
+    noisiest_rad_s: float
     steady: tuple[str, ...]
     searched_first_ns: int
     searched_last_ns: int
@@ -78,7 +80,9 @@ class StaticPeriod(NamedTuple):
     def noise_density(self) -> float:
         """Noise density of the rates, rad/s/sqrt(Hz)."""
         coarsest = max((each.step for each in self.levels), default=0.0)
-        scatter = max(self.scatter_rad_s / math.sqrt(3), coarsest / math.sqrt(12))
+        # Of three axes that are equally noisy, one scatters most by chance.
+        noisiest = self.noisiest_rad_s / (1 + WIDENS / math.sqrt(2 * self.samples))
+        scatter = max(self.scatter_rad_s / math.sqrt(3), noisiest, coarsest / math.sqrt(12))
         return scatter * math.sqrt(self.span_s / (self.samples - 1))
 
     def bias_sigma(self, density: float) -> float:
@@ -129,7 +133,9 @@ class StaticPeriod(NamedTuple):
         )
 
     def _differs(self) -> str:
-        if self.other is None or self.other.difference_rad_s <= ORDINARY_CHANGE:
+        # The mean of either rest is off by what the step of the rates hides.
+        by_steps = WIDENS * math.sqrt(2) * self.quantisation_rad_s
+        if self.other is None or self.other.difference_rad_s <= max(ORDINARY_CHANGE, by_steps):
             return ""
         degrees = math.degrees(self.other.difference_rad_s)
         way = Setting("bias", f"static@{self.other.first_ns}..{self.other.last_ns}")

@@ -60,7 +60,7 @@ class Ends(NamedTuple):
     """The ends of a log, from which relative times count.
 
     `first_ns`, `last_ns`: first and last timestamp, ns
-    `pauses`: timestamps before and after a pause near the first and near the last sample, ns; None: none
+    `pauses`: timestamps before and after a pause near the first and the last sample, ns, or None
     """
 
     first_ns: int

@@ -32,7 +32,7 @@ def window_sums(
     """
     kind = np.dtype(
         [(name, np.int64) for name in ("index", "first_ns", "last_ns")]
-        + [("count", np.float64), ("total", np.float64, width), ("squares", np.float64)]
+        + [("count", np.float64), ("total", np.float64, width), ("squares", np.float64, width)]
     )
     parts = [np.zeros(0, dtype=kind)]
     for t_ns, values in _in_blocks(rows):
@@ -48,7 +48,7 @@ def window_sums(
         sums["count"] = np.add.reduceat(finite, starts, dtype=np.float64)
         sums["total"] = np.add.reduceat(known, starts, axis=0)
         with np.errstate(over="ignore"):
-            sums["squares"] = np.add.reduceat((known**2).sum(axis=1), starts)
+            sums["squares"] = np.add.reduceat(known**2, starts, axis=0)
         parts.append(sums)
     sums = np.concatenate(parts)
     return _by_index(sums[np.argsort(sums["index"], kind="stable")])
@@ -128,8 +128,13 @@ def mean_of(sums: WindowSums) -> Float64:
         return np.asarray(sums["total"] / sums["count"][:, None])
 
 
+def variances_of(sums: WindowSums) -> Float64:
+    """Return the variance of each column in each window, ``(N, width)``; NaN where it is empty."""
+    with np.errstate(invalid="ignore"):
+        variances = sums["squares"] / sums["count"][:, None] - mean_of(sums) ** 2
+    return np.asarray(np.maximum(variances, 0.0))
+
+
 def scatter_of(sums: WindowSums) -> Float64:
     """Return the RMS deviation from the mean in each window; NaN if empty."""
-    with np.errstate(invalid="ignore"):
-        variance = sums["squares"] / sums["count"] - (mean_of(sums) ** 2).sum(axis=1)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+    return np.asarray(np.sqrt(variances_of(sums).sum(axis=1)))

@@ -39,10 +39,6 @@ if TYPE_CHECKING:
 TILE: Final = BLOCK // 4
 """Steps composed together: few enough for a large L2 cache, many enough to amortise calls."""
 
-# The C library returns memory to the system after every tile and requests it again page by page,
-# until one large array was freed; its threshold adapts up to 32 MiB.
-np.empty(31 << 20, np.uint8)
-
 
 def attitudes(
     t_ns: Int64,

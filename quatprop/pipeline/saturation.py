@@ -60,6 +60,9 @@ LONGEST_S = 2.0
 MOST_AT_END = 0.5
 """A larger share of samples at the end is a steady rotation."""
 
+CLIPPED = "saturated, so larger rates are missing, unless the body turns steadily there"
+"""A short steady rotation looks the same where the noise is below the step of the rates."""
+
 
 class Saturation:
     """Counts samples at the ends of the range of each axis."""
@@ -147,7 +150,7 @@ class Saturation:
                     yield Remark(
                         "saturated",
                         f"{name} stays at its extreme of {limit:.6g} {unit[0]} for {HAS_RUN} "
-                        "samples or more: saturated, so larger rates are missing",
+                        f"samples or more: {CLIPPED}",
                     )
                 elif self._piles_up(place, hold):
                     share = 100 * self._counts[place][0] / samples
@@ -155,8 +158,7 @@ class Saturation:
                     yield Remark(
                         "piled-up",
                         f"{name} is within {end} in {share:.2g} % of the samples, and hardly ever "
-                        "shortly below: saturated, so larger rates are missing, unless the body "
-                        "turns steadily there",
+                        f"shortly below: {CLIPPED}",
                     )
 
     def _may_be_clipped(self, place: tuple[int, int], samples: int, interval: float | None) -> bool:

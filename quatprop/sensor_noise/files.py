@@ -41,7 +41,7 @@ def imu_yaml(noise: Noise) -> str:
             "the recording shows no angle random walk to write; record the sensor at rest longer"
         )
     lines = [
-        f"# Gyroscope at rest, by quatprop {__version__}; values are root mean squares over the axes",
+        f"# Gyroscope at rest, by quatprop {__version__}; values are RMS over the axes",
         f"# {plain(noise.source)}",
         "# kalibr also needs accelerometer_noise_density and accelerometer_random_walk.",
     ]

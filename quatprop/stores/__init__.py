@@ -1,1 +1,1 @@
-"""Where bytes are: files of this machine, object stores, ranges of them, temporary copies."""
+"""Sources of bytes: local files, object stores, byte ranges, temporary copies."""

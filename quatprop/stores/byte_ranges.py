@@ -1,4 +1,4 @@
-"""Byte ranges of a buffer or file that hold selected messages, without what lies between them."""
+"""Byte ranges with selected messages in a buffer or file, without the bytes between them."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ if TYPE_CHECKING:
 
 
 LARGE = 1 << 17
-"""Bytes of a chunk below which it is read whole."""
+"""Size of a chunk, bytes, below which it is read as a whole."""
 REMOTE_LARGE = 5 << 18
-"""The same in an object store, where reading in part takes three requests or more."""
+"""The same in an object store, where reading in part takes at least three requests."""
 GAP = 1 << 14
-"""Bytes between messages that are quicker read than skipped."""
+"""Maximum gap between messages, bytes, that is faster to read than to skip."""
 SHARE = 4
-"""Selected messages are read by themselves where they are at most 1/SHARE of a chunk."""
+"""Selected messages are read separately if they are at most 1/SHARE of a chunk."""
 
 
 class ByteRanges(NamedTuple):
-    """Byte ranges that hold messages.
+    """Byte ranges with messages.
 
-    `begins`, `ends`: where each range begins and ends, shape ``(R,)``, int64
-    `moved`: by how many bytes each message moves to the front when the ranges are put side by side,
-        shape ``(N,)``, int64
+    `begins`, `ends`: start and end of each range, shape ``(R,)``, int64
+    `moved`: bytes by which each message moves towards the start when ranges are joined, shape
+        ``(N,)``, int64
     """
 
     begins: Int64
@@ -36,20 +36,20 @@ class ByteRanges(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Bytes in all ranges."""
+        """Total size of the ranges, bytes."""
         return int((self.ends - self.begins).sum())
 
     def of(self, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return a copy of the ranges of `data`, side by side."""
+        """Return a copy of the ranges of `data`, joined."""
         places = zip(self.begins.tolist(), self.ends.tolist(), strict=True)
         return np.concatenate([data[begin:end] for begin, end in places])
 
 
 def ranges_of(starts: Int64, ends: Int64, gap: int) -> ByteRanges:
-    """Return the byte ranges that hold messages.
+    """Return the byte ranges with messages.
 
-    `starts`, `ends`: where each message begins and ends, shape ``(N,)``, int64, at least one;
-        messages that are not in ascending order begin ranges of their own
+    `starts`, `ends`: start and end of each message, shape ``(N,)``, N > 0, int64; a message out of
+        order starts a new range
     """
     between = starts[1:] - ends[:-1]
     first = np.concatenate([[0], np.flatnonzero((between < 0) | (between > gap)) + 1])
@@ -63,9 +63,9 @@ def ranges_of(starts: Int64, ends: Int64, gap: int) -> ByteRanges:
 def ranges_worth_reading(
     starts: Int64, ends: Int64, size: int, share: int = SHARE
 ) -> ByteRanges | None:
-    """Return the byte ranges of a chunk that hold some of its bytes.
+    """Return the byte ranges of a chunk with the requested parts; None: read the whole chunk.
 
-    `starts`, `ends`: where each wanted part begins and ends, shape ``(N,)``, int64, ascending
+    `starts`, `ends`: start and end of each part, shape ``(N,)``, int64, ascending
     """
     if not len(starts) or starts[0] < 0 or ends.max() > size or (ends < starts).any():
         return None

@@ -22,15 +22,15 @@ _MAGIC = {
 
 
 MAGIC_BYTES = 64
-"""Bytes at the beginning of a file by which its compression is recognised."""
+"""Bytes at the start of a file that identify its compression."""
 
 _SKIPPABLE = re.compile(rb"(?s)[\x50-\x5f]\x2a\x4d\x18(....)")
 
 
 def file_compression(head: bytes) -> str:
-    """Return how a file is compressed, from its first bytes.
+    """Return the compression of a file by its first bytes; ``""``: none.
 
-    Frames to be skipped may come first, as pzstd writes them.
+    Skippable frames may come first, as written by pzstd.
 
     References
     ----------
@@ -44,11 +44,10 @@ def file_compression(head: bytes) -> str:
 
 
 class DecompressedCopy:
-    """The temporary copy of a compressed file, decompressed; it is always removed.
+    """A decompressed temporary copy of a file compressed with zstd, lz4, bz2 or gzip.
 
-    `path`: a file compressed with zstd, lz4, bz2 or gzip
-    `path`: the temporary file, with the suffix of the log inside. If the compressed file is
-        damaged, it holds what comes before the damage
+    `path`: the temporary file, with the suffix of the log inside; of a damaged file, it holds the
+        content before the damage
     `damage`: why the copy ends early, or ``""``
     """
 
@@ -69,7 +68,7 @@ class DecompressedCopy:
                 raise
 
     def _fill(self, pieces: Iterator[bytes], limit: int) -> None:
-        """Write the pieces up to the end or to the damage."""
+        """Write the pieces up to the end or to damage."""
         with self.path.open("wb") as copy:
             while True:
                 try:

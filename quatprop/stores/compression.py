@@ -1,7 +1,7 @@
 """Decompress chunks and messages in memory, and files piece by piece.
 
-The sizes that a log declares are checked: nothing is allocated beyond :data:`MAX_SIZE`, and data
-that decompresses to another size than declared is refused.
+The sizes that a log declares are checked: at most :data:`MAX_SIZE` is allocated, and data with
+another size than declared is refused.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ if TYPE_CHECKING:
     Buffer = bytes | bytearray | memoryview
 
 MAX_SIZE = 1 << 30
-"""Bytes that one chunk or message may decompress to."""
+"""Maximum decompressed size of a chunk or message, bytes."""
 
 _PIECE = 1 << 20
-"""Bytes that are decompressed at a time when streaming."""
+"""Bytes decompressed at a time when streaming."""
 
 _FEED = 1 << 12
-"""Bytes decompressed at a time: all output of a damaged piece is discarded, and that of zstd has no
-limit: 4 bytes can become 128 KiB."""
+"""Compressed bytes fed at a time: few, since the output of a damaged piece is lost, and zstd can
+expand 4 bytes to 128 KiB."""
 
 _GZIP = 16 + zlib.MAX_WBITS
-"""Asks zlib for gzip."""
+"""Window bits with which zlib reads gzip."""
 
 
 class UnreadableDataError(Exception):
-    """Data that cannot be decompressed or is not what it should be; readers add the place.
+    """Data that cannot be decompressed, or are invalid; readers add the place.
 
-    `reason`: what is wrong, as the end of a sentence about the record, chunk, message or file
+    `reason`: continues a sentence about the record, chunk, message or file
     """
 
     def __init__(self, reason: str) -> None:
@@ -47,7 +47,7 @@ def decompress(data: Buffer, compression: str, size: int | None = None) -> Buffe
     """Return `data` decompressed.
 
     `compression`: ``""`` or ``"none"``, ``"lz4"`` (frame format), ``"zstd"`` or ``"bz2"``
-    `size`: the decompressed size in bytes as the log declares it; None if it declares none
+    `size`: decompressed size declared by the log, bytes; None: not declared
     """
     decompressor = _DECOMPRESSORS.get(compression)
     if decompressor is None:
@@ -82,7 +82,7 @@ def _undeclared(data: Buffer, compression: str) -> Buffer:
 
 
 def decompress_prefix(data: Buffer, compression: str, size: int) -> Buffer:
-    """Return what can be decompressed of data whose end is missing."""
+    """Return the start of truncated data, as far as it can be decompressed."""
     if compression in {"", "none"}:
         return data
     result = bytearray()
@@ -120,7 +120,7 @@ def _decompress_lz4(data: Buffer, size: int) -> bytes:
     import lz4.frame
 
     context = _contexts.lz4
-    # The size that a damaged frame declares would be held against the next one: no reset clears it.
+    # After a damaged frame, the context is not reusable: no reset clears the declared size.
     del _contexts.lz4
     result, consumed, ended = lz4.frame.decompress_chunk(context, data, max_length=size)
     if consumed != len(data):
@@ -135,7 +135,7 @@ def _decompress_zstd(data: Buffer, size: int) -> bytes:
     import zstandard
 
     in_frame = zstandard.frame_content_size(data)
-    if in_frame not in {-1, size}:  # -1: the frame does not say
+    if in_frame not in {-1, size}:  # -1: not declared
         raise UnreadableDataError(f"it declares {size} bytes decompressed and holds {in_frame}")
     if size == 0:
         return b""
@@ -167,7 +167,7 @@ _DECOMPRESSORS: dict[str, Callable[[Buffer, int], Buffer]] = {
 
 
 def _decompression_errors(compression: str) -> tuple[type[Exception], ...]:
-    """Return the exceptions that the library of a compression raises for damaged data."""
+    """Return the exceptions of a compression library for damaged data."""
     if compression == "zstd":
         import zstandard
 
@@ -200,8 +200,8 @@ def decompressed_pieces(file: BinaryIO, compression: str) -> Iterator[bytes]:
 def _frames(
     file: BinaryIO, new_frame: Callable[[], Any], *limit: int, padding: bytes = b""
 ) -> Iterator[bytes]:
-    # The libraries' own file readers take a truncated zstd file for a complete one, and a damaged
-    # second frame of the others for the end of the file.
+    # The file readers of the libraries accept truncated zstd files, and take a damaged second frame
+    # of other formats as the end of the file.
     frame: Any = None
     data = b""
     while data or not getattr(frame, "needs_input", True) or (data := file.read(_FEED)):

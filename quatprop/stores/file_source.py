@@ -1,4 +1,4 @@
-"""A file that is opened once and read at places, from several threads."""
+"""A file that is opened once, and read at any position from several threads."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _BINARY, _AT_ONCE = getattr(os, "O_BINARY", 0), getattr(os, "O_NONBLOCK", 0)
 class FileSource:
     """A file that several threads may read at once.
 
-    `size`: its length when it was opened, bytes; a recorder may still append to it
-    `is_remote`: whether it takes long until reading begins
+    `size`: size when it was opened, bytes; a recorder may still append to it
+    `is_remote`: whether reads have a high latency
     """
 
     is_remote = False
@@ -32,11 +32,11 @@ class FileSource:
         self.path = path
         self._lock = threading.Lock()
         try:
-            # Nobody may ever write to what turns out to be a pipe.
+            # Opening a pipe without a writer would block.
             self._file = os.open(path, os.O_RDONLY | _BINARY | _AT_ONCE)
         except OSError as error:
             raise UnreadableLogError(path, os_reason(error)) from error
-        # Also runs when the log that reads from it is no longer used, whoever forgot to close it.
+        # Also closes it if the log is garbage collected without being closed.
         self._close = weakref.finalize(self, os.close, self._file)
         status = os.fstat(self._file)
         self.size = status.st_size
@@ -51,21 +51,21 @@ class FileSource:
         """Return the bytes from `start`, fewer than `length` at the end of the file."""
         end = min(start + length, self.size)
         data = b""
-        # A damaged place may be beyond what the system takes.
+        # A damaged length may exceed the file.
         while (place := start + len(data)) < end and (more := self._read(end - place, place)):
             data += more
         return data
 
     def read_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
-        """Return the bytes of some ranges, one after another."""
+        """Return the bytes of ranges, joined."""
         places = zip(begins, ends, strict=True)
         return b"".join([self.read(begin, end - begin) for begin, end in places])
 
     def expect(self, begins: Sequence[int], ends: Sequence[int]) -> None:
-        """Announce which ranges will be read next; of use where reading takes long to begin."""
+        """Announce ranges that will be read next; used by remote files."""
 
     def as_arrow(self) -> NativeFile:
-        """Return the file as Arrow reads it."""
+        """Return the file as an Arrow file."""
         import pyarrow as pa
 
         return pa.OSFile(str(self.path))
@@ -73,13 +73,13 @@ class FileSource:
     def _read(self, length: int, start: int) -> bytes:
         if hasattr(os, "pread"):
             return os.pread(self._file, length, start)
-        # Windows has only a place in the file that all threads share.
+        # Windows has no pread; all threads share the position.
         with self._lock:
             os.lseek(self._file, start, os.SEEK_SET)
             return os.read(self._file, length)
 
     def close(self) -> None:
-        """Close the file; harmless the second time."""
+        """Close the file; may be called twice."""
         self._close()
         self._file = -1
 
@@ -91,5 +91,5 @@ class FileSource:
 
 
 def source_of(log: Path | FileSource) -> FileSource:
-    """Return a file opened for reading, or the open file that it is already."""
+    """Return an open file, opening a path."""
     return log if isinstance(log, FileSource) else FileSource(log)

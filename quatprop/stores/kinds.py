@@ -1,7 +1,7 @@
-"""All kinds of logs: one line of :data:`READERS` a kind.
+"""All kinds of logs: one line of :data:`READERS` per kind.
 
-The kind of a log is recognised by its content first and by its suffix second; where neither tells,
-the log is refused, and the user names the kind.
+The kind of a log is detected from content, then suffix; if neither is known, the log is refused
+unless the user names the kind.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
     from quatprop.stores.file_source import FileSource
 
 HEAD_BYTES = 4096
-"""Bytes at the beginning of a file by which its kind is recognised."""
+"""Bytes at the start of a file that identify its kind."""
 
 _CONTROL = set(range(ord(" "))) - set(b"\t\r\n\f")
 """Bytes that do not occur in text."""
 
 
 class Reader(NamedTuple):
-    """How one kind of log is recognised and opened.
+    """How one kind of log is detected and opened.
 
     `load`: ``"module:Class"``, imported when a log of this kind is opened
-    `magic`: what its content may begin with; empty where only the suffix tells
-    `suffixes`: suffixes by which it is recognised where the content does not tell
+    `magic`: possible first bytes; empty if only the suffix identifies it
+    `suffixes`: suffixes that identify it if the content does not
     `reads_source`: whether it reads from an open
         :class:`~quatprop.stores.file_source.FileSource`; otherwise it opens the path itself
     """
@@ -79,17 +79,17 @@ OTHER_FORMATS = {
     rb"\s*\[\s*[\[{]":
     "it is a JSON array; write one element per line, for example with jq -c '.[]'",
 }  # fmt: skip
-"""What the content of formats that are not read begins with, and the way out."""
+"""First bytes of unsupported formats -> what they are, and advice."""
 
 COMPRESSION_SUFFIXES = (".gz", ".zst", ".zstd", ".lz4", ".bz2")
-"""Behind the suffix of a file that is compressed as a whole."""
+"""Suffixes of compressed files, after the suffix of the log."""
 
 TEXT_KINDS = ("csv", "tum", "kitti")
-"""Kinds that are read as they come, compressed or from a pipe too."""
+"""Kinds that can be read as a stream, also compressed or from a pipe."""
 
 
 def kind_of(path: Path, head: bytes) -> str:
-    """Return the kind of a log by its first bytes, or else by its suffix."""
+    """Return the kind of a log by its first bytes, else by its suffix."""
     for kind, reader in READERS.items():
         if head.startswith(reader.magic):
             return kind
@@ -110,7 +110,7 @@ def kind_of(path: Path, head: bytes) -> str:
 
 
 def _is_text(head: bytes) -> bool:
-    """Tell text from binary: UTF-8 (a character may be cut at the end) without control bytes."""
+    """Return whether bytes are text: UTF-8, possibly truncated, without control characters."""
     if set(head) & _CONTROL:
         return False
     try:

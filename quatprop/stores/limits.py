@@ -1,7 +1,6 @@
-"""Limits for damaged and hostile logs, and the environment variables that change them.
+"""Limits for damaged and hostile logs, and environment variables that change them.
 
-The variables are for the rare log that is right although it looks wrong, so there are no
-parameters for them.
+The variables are for rare valid logs that exceed the limits; there are no parameters for them.
 """
 
 from __future__ import annotations
@@ -14,10 +13,10 @@ from quatprop.stores.compression import UnreadableDataError
 from quatprop.text import quoted
 
 CHECKSUMS = "QUATPROP_CHECKSUMS"
-"""``ignore`` to read chunks whose checksum is wrong."""
+"""Environment variable; ``ignore``: read chunks with a wrong checksum."""
 
 MAX_UNPACKED = "QUATPROP_MAX_UNPACKED"
-"""Bytes that a log may decompress to in all, such as ``64G``."""
+"""Environment variable: maximum decompressed size of a log, such as ``64G``."""
 
 _LEAST = 2 << 30
 _TIMES = 200
@@ -26,14 +25,14 @@ _POWERS = {"": 0, "K": 10, "M": 20, "G": 30, "T": 40}
 
 
 def checksums_matter() -> bool:
-    """Return whether data with a wrong checksum is left out."""
+    """Return whether data with a wrong checksum are omitted."""
     return os.environ.get(CHECKSUMS, "").strip().lower() != "ignore"
 
 
 class DecompressionBudget:
-    """Counts the bytes that one reading of a log decompresses to, up to the limit.
+    """Counts decompressed bytes while a log is read, up to the limit.
 
-    `size`: bytes of the file
+    `size`: size of the file, bytes
     """
 
     def __init__(self, size: int) -> None:
@@ -41,20 +40,20 @@ class DecompressionBudget:
         self._spent = 0
 
     def check(self) -> None:
-        """Refuse to go on where more was decompressed than a log may have."""
+        """Raise an error if the limit is exceeded."""
         if self._spent > self._limit:
             raise UnreadableDataError(too_large(self._limit))
 
     def spend(self, size: int) -> None:
-        """Count bytes that were decompressed."""
+        """Count decompressed bytes."""
         self._spent += size
 
 
 def decompressed_limit(size: int) -> int:
-    """Return how many bytes a log may decompress to.
+    """Return the maximum decompressed size of a log, bytes.
 
-    That is 2 GiB, or 200 times its size if that is more, unless the environment variable says
-    otherwise: no recording compresses as well as a file that was made to fill a disk.
+    It is the larger of 2 GiB and 200 times its size, unless the environment variable is set:
+    recordings do not compress as well as files that are made to fill a disk.
     """
     value = os.environ.get(MAX_UNPACKED, "").strip()
     if not value:
@@ -68,7 +67,7 @@ def decompressed_limit(size: int) -> int:
 
 
 def too_large(limit: int) -> str:
-    """Return the reason for refusing a log that decompresses to more."""
+    """Return the error for a log that exceeds the limit."""
     return (
         f"it decompresses to more than {limit} bytes; if that is right, set {MAX_UNPACKED} to more"
     )

@@ -1,4 +1,4 @@
-"""Names of logs on a command line, which may name a topic, too: ``LOG:TOPIC``."""
+"""Names of logs that may include a topic: ``LOG:TOPIC``."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from quatprop.text import plain, quoted
 
 
 def split_topic(name: str, given: str | None = None) -> tuple[str, str | None]:
-    """Return the path and the topic of a log; a file of the whole name has no topic in its name.
+    """Return the path and the topic of a log, unless a file has the whole name.
 
-    The topic of an address begins with a slash: its other colons are those of ports and of keys.
+    The topic of an address begins with a slash, since ports and keys also have colons.
 
-    `given`: the topic that is named elsewhere: refused if the name has another
+    `given`: the topic of a setting; a different one in the name is refused
     """
     colons = list(re.finditer(":(?=/[^/])" if is_address(name) else ":(?=.)", name))
     if not colons or _is_there(name):
@@ -34,5 +34,5 @@ def split_topic(name: str, given: str | None = None) -> tuple[str, str | None]:
 def _is_there(name: str) -> bool:
     if is_address(name):
         return exists(name)
-    # False, not an error, where a name is too long.
+    # False, not an error, if a name is too long.
     return os.path.exists(name)  # noqa: PTH110

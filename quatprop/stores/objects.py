@@ -1,6 +1,6 @@
-"""Object stores: their files by address, and what goes wrong with them in one sentence.
+"""Object stores: files by address, and errors as one sentence.
 
-A store is any file system that Arrow knows by its address: ``s3://``, ``gs://``, ``abfs://``,
+A store is any file system with an address that Arrow supports: ``s3://``, ``gs://``, ``abfs://``,
 ``hdfs://``, ``file://``.
 """
 
@@ -25,28 +25,28 @@ if TYPE_CHECKING:
 
 
 RETRY_S = 10
-"""Seconds for which a store that does not answer is retried."""
+"""Timeout for retries if a store does not answer, s."""
 
 ATTEMPTS = 8
-"""Times that a request of S3 is tried, unless ``AWS_MAX_ATTEMPTS`` says otherwise.
+"""Number of attempts of an S3 request, unless ``AWS_MAX_ATTEMPTS`` is set.
 
-The pauses double; those between eight attempts outlast a burst of 5 s.
+The pauses double; those of eight attempts outlast an overload of 5 s.
 """
 
 ANONYMOUS = "anonymous"
-"""In the place of a key, as in ``s3://anonymous@bucket``: requests are not signed."""
+"""User name for unsigned requests, as in ``s3://anonymous@bucket``."""
 
 MAX_REASON = 240
-"""Characters of a store library's message that are shown; the rest repeats itself."""
+"""Maximum length of a store library's message that is shown; the rest is repetition."""
 
 S3_PARAMETERS = {"endpoint_override", "region", "scheme", "tls_ca_file_path"}
-"""Parameters that an address of S3 may have; any other ``?`` is part of a key."""
+"""Parameters of an S3 address; any other ``?`` is part of a key."""
 
 _TRANSIENT = (
     r"NETWORK_CONNECTION|curlCode|REQUEST_TIMEOUT|SLOW_DOWN|SERVICE_UNAVAILABLE|resolve host"
     r"|HTTP status (?:429|5\d\d)\b"
 )
-"""What the messages of stores' libraries contain where the same request may succeed later."""
+"""Pattern for messages of store libraries on errors that may be temporary."""
 
 _REASONS = (
     (
@@ -71,16 +71,16 @@ _REASONS = (
         "its store does not answer; check the network and the address of the store",
     ),
 )
-"""What the messages of stores' libraries contain -> what that means to the user."""
+"""Pattern for messages of store libraries -> reason and advice for the user."""
 
 
 def is_address(path: Path | str) -> bool:
-    """Tell whether a path is an address such as ``s3://bucket/log.mcap``."""
+    """Return whether a path is an address such as ``s3://bucket/log.mcap``."""
     return "://" in str(path)
 
 
 def without_file_scheme(path: str) -> str:
-    """Return an address of this machine, ``file://``, as a path; others as they are."""
+    """Return a ``file://`` address as a path, and others unchanged."""
     if not path.startswith("file://"):
         return path
     from urllib.request import url2pathname  # brings in much that few runs need
@@ -89,7 +89,7 @@ def without_file_scheme(path: str) -> str:
 
 
 def without_secret(path: Path | str) -> str:
-    """Return a path or an address as it may be recorded: without credentials in it."""
+    """Return a path or an address without credentials."""
     text = str(path)
     if text.startswith(("abfs://", "abfss://")):
         return re.sub(r"(?<=://)([^/?#:@]*):[^/?#]*@", r"\1@", text)
@@ -97,7 +97,7 @@ def without_secret(path: Path | str) -> str:
 
 
 def split_address(address: str) -> tuple[str, str]:
-    """Return an address without its parameters, and these."""
+    """Return an address without its parameters, and the parameters."""
     base, _, query = address.partition("?")
     if address.startswith("s3://"):
         base, query = _S3_PARAMETERS.fullmatch(address).groups("")  # type: ignore[union-attr]
@@ -111,7 +111,7 @@ _S3_PARAMETERS = re.compile(rf"(?s)(.*?)(?:\?({_S3_PARAMETER}(?:&{_S3_PARAMETER}
 def below(address: str, name: str) -> str:
     """Return the address of an object below another one, with the same parameters.
 
-    `name`: its key below the address, which is never taken for parameters
+    `name`: its key below the address, which may contain ``?``
     """
     base, query = split_address(address)
     if not address.startswith("s3://"):
@@ -120,7 +120,7 @@ def below(address: str, name: str) -> str:
 
 
 def has_address(address: str, name: str) -> bool:
-    """Return whether a key below an address can be asked for: Arrow takes no empty parts."""
+    """Return whether a key below an address is valid: Arrow does not accept empty parts."""
     parts = {*name.split("/")}
     if parts & {"", ".", ".."} or "\0" in name:
         return False
@@ -130,7 +130,7 @@ def has_address(address: str, name: str) -> bool:
 def locate(address: str) -> tuple[FileSystem, str]:
     """Return the store of an address, and the path of the object in it.
 
-    Credentials that the address does not carry are looked up as the store's own tools do.
+    Credentials that are not in the address are found as by the store's own tools.
     """
     base, query = split_address(address)
     if address.startswith("s3://"):
@@ -145,7 +145,7 @@ def locate(address: str) -> tuple[FileSystem, str]:
 
 @lru_cache(maxsize=16)
 def _s3(user: str, bucket: str, query: str) -> FileSystem:
-    """Return the store of a bucket, whose requests are not tried for minutes."""
+    """Return the store of a bucket, with limited retries."""
     from pyarrow.fs import AwsDefaultS3RetryStrategy, S3FileSystem, resolve_s3_region
 
     options: dict[str, object] = {name: values[-1] for name, values in parse_qs(query).items()}
@@ -174,19 +174,19 @@ def _s3(user: str, bucket: str, query: str) -> FileSystem:
 
 
 def _with_retry_limit(address: str) -> str:
-    """Return an address with a limit of retries: gs:// goes on for a quarter of an hour."""
+    """Return an address with limited retries: by default, gs:// retries for 15 minutes."""
     if not address.startswith(("gs://", "gcs://")) or "retry_limit_seconds" in address:
         return address
     return f"{address}{'&' if '?' in address else '?'}retry_limit_seconds={RETRY_S}"
 
 
 def is_transient(error: BaseException) -> bool:
-    """Return whether an error of a store may not come again when the same is tried later."""
+    """Return whether an error of a store may be temporary."""
     return re.search(_TRANSIENT, str(error.__cause__)) is not None
 
 
 def store_reason(error: Exception, address: str) -> str:
-    """Return why a store does not do what is asked, and the way out."""
+    """Return the reason of a store's error, and advice."""
     if isinstance(error, FileNotFoundError):
         return "no such object; check the address"
     said = str(error)
@@ -202,7 +202,7 @@ def store_reason(error: Exception, address: str) -> str:
 
 @contextmanager
 def reading(address: str) -> Iterator[None]:
-    """Turn errors of a store into one that names the object that is read."""
+    """Convert errors of a store to a StoreError that names the object."""
     from pyarrow import ArrowException
 
     try:
@@ -216,7 +216,7 @@ def reading(address: str) -> Iterator[None]:
 
 
 def find(address: str) -> tuple[FileSystem, FileInfo]:
-    """Return a store, and the object or the prefix at an address."""
+    """Return the store, and the object or prefix at an address."""
     from pyarrow.fs import FileType
 
     with reading(address):
@@ -228,7 +228,7 @@ def find(address: str) -> tuple[FileSystem, FileInfo]:
 
 
 def exists(address: str) -> bool:
-    """Return whether there is an object at an address, or below it."""
+    """Return whether there is an object at or below an address."""
     try:
         find(address)
     except StoreError as error:
@@ -239,7 +239,7 @@ def exists(address: str) -> bool:
 
 
 def list_objects(address: str, *, missing_ok: bool = False) -> dict[str, FileInfo]:
-    """Return all objects below an address by their paths below it, in order of these."""
+    """Return all objects below an address, as path -> object, sorted by path."""
     from pyarrow.fs import FileSelector
 
     with reading(address):

@@ -1,4 +1,4 @@
-"""Logs in object stores, read in ranges."""
+"""Read objects of a store in ranges."""
 
 from __future__ import annotations
 
@@ -29,55 +29,54 @@ if TYPE_CHECKING:
     Place = tuple[int, int]
 
 SMALL_BYTES = 1 << 20
-"""Size of an object up to which it is read at once."""
+"""Maximum size of an object that is read at once."""
 
 HEAD_BYTES, TAIL_BYTES = 1 << 12, 1 << 16
-"""Bytes at the beginning and the end that are read first: formats have their indexes there."""
+"""Bytes at the start and the end that are read first, where formats have their indexes."""
 
 FIRST_REQUEST_BYTES, REQUEST_BYTES = 1 << 18, 1 << 23
-"""Bytes of the first request in which ranges are put together, and of later ones, which double.
+"""Maximum size of the first request for several ranges, and of later ones, which double.
 
-Often only the beginning of a log is looked at.
+Often only the start of a log is needed.
 """
 
 GAP_BYTES = 1 << 18
-"""Bytes between two ranges that are sooner read than asked for separately.
+"""Maximum gap between two ranges, bytes, that is faster to read than a separate request.
 
-A request takes some 30 ms before its first byte, a sixteenth of it where sixteen are under way: in
-that time a network of 1 Gbit/s moves as many bytes.
+The latency of a request is about 30 ms, or 2 ms with 16 concurrent requests, in which a network of
+1 Gbit/s transfers about this many bytes.
 """
 
 RANGES_BYTES = 1 << 21
-"""Bytes of a request in which parts of a chunk are put together; what is between them is dropped
-as it arrives."""
+"""Maximum size of a request for parts of a chunk; the bytes between them are dropped on arrival."""
 
 ANNOUNCEMENTS = 8
-"""How many are remembered: topics are read in turns."""
+"""Number of announcements that are kept, since topics are read in turn."""
 
 SINGLE_BYTES = 1 << 16
-"""Bytes of a small read."""
+"""Maximum size of a small read, bytes."""
 
 AHEAD_BYTES = 1 << 24
-"""Bytes that are read ahead of their use."""
+"""Bytes read ahead of their use."""
 
 BLOCK_BYTES = 1 << 23
-"""Bytes of a request where all of it is copied."""
+"""Size of a request when an object is copied, bytes."""
 
 KEPT_BYTES = 1 << 26
-"""Bytes that are kept of what was read ahead."""
+"""Bytes of read-ahead data that are kept."""
 
 REQUESTS = 16
-"""Requests at a time."""
+"""Number of concurrent requests."""
 
 SINGLE_READS = 64
-"""Small reads that were not announced, after which the rest is copied: it has no usable index."""
+"""Number of unannounced small reads after which an object is copied: its index is unusable."""
 
 
 class RemoteSource(FileSource):
-    """An object of a store, read in ranges by several threads; errors are exceptions of the log.
+    """An object of a store, read in ranges by several threads; errors are those of logs.
 
-    `path`: what errors and readers take for its path
-    `stored`: by what the store recognises it
+    `path`: its path for errors and readers
+    `stored`: its identity in the store
     """
 
     is_remote = True
@@ -100,22 +99,22 @@ class RemoteSource(FileSource):
         self._announce([(0, self.size)] if is_small else ends)
 
     def expect(self, begins: Sequence[int], ends: Sequence[int]) -> None:
-        """Announce which ranges will be read next, as a rule in this order."""
+        """Announce ranges that will be read next, usually in this order."""
         if self.size > SMALL_BYTES and self._copy is None:
             self._announce(_requests(begins, ends))
 
     def read_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
-        """Return the bytes of some ranges, one after another."""
+        """Return the bytes of ranges, joined."""
         if self._copy is not None or self.size <= SMALL_BYTES:
             return super().read_ranges(begins, ends)
         self._single_reads = 0
         return b"".join(self._pool.map(self._fetch_together, _neighbours(begins, ends)))
 
     def as_arrow(self) -> NativeFile:
-        """Return the object as Arrow reads it."""
+        """Return the object as an Arrow file."""
         import pyarrow as pa
 
-        # Not the object itself: errors of the store would look like damage of the log.
+        # With the object itself, errors of the store would look like damage of the log.
         return pa.PythonFile(_Stream(self), mode="r")
 
     def _announce(self, ranges: list[Place]) -> None:
@@ -140,9 +139,9 @@ class RemoteSource(FileSource):
         return part.result()[start - begin : start - begin + length]
 
     def _smallest_with(self, start: int, end: int) -> tuple[list[Place], int] | None:
-        """Return the announcement that has some bytes in its smallest range, and its number there.
+        """Return the announcement with the smallest range that contains some bytes, and its index.
 
-        The requests for one topic may have those for another in them, and much else.
+        Ranges of another topic may contain them too, with many other bytes.
         """
         found = []
         for ranges in self._announced:
@@ -152,9 +151,9 @@ class RemoteSource(FileSource):
         return min(found, key=lambda each: each[0][each[1]][1] - each[0][each[1]][0], default=None)
 
     def _requested(self, ranges: list[Place], number: int) -> Future[bytes]:
-        """Return a range that was announced, and request those after it."""
+        """Return an announced range, and request those after it."""
         ahead = 0
-        # The more has been read, the more is expected to be.
+        # The read-ahead grows with the number of ranges already read.
         for begin, end in ranges[number : 2 * number + 1]:
             if ahead > AHEAD_BYTES:
                 break
@@ -179,7 +178,7 @@ class RemoteSource(FileSource):
         return data
 
     def _fetch_together(self, places: list[Place]) -> bytes:
-        """Return the bytes of ranges that one request reads, without what is between them."""
+        """Return the bytes of ranges read by one request, without those between them."""
         first = places[0][0]
         data = self._fetch(first, places[-1][1])
         return b"".join([data[begin - first : end - first] for begin, end in places])
@@ -207,7 +206,7 @@ class RemoteSource(FileSource):
         self.stored.read.append(digest.hexdigest())
 
     def close(self) -> None:
-        """Close the object, and remove what was copied."""
+        """Close the object, and remove the copy."""
         self._pool.shutdown(wait=False, cancel_futures=True)
         if self._copy is not None:
             self._copy.close()
@@ -218,10 +217,10 @@ class RemoteSource(FileSource):
 def local_copy(
     address: str, objects: list[StoredObject], names: Collection[str] | None = None
 ) -> Iterator[Path]:
-    """Copy the files of a bag in a store into a temporary folder, removed when the block ends.
+    """Copy the files of a bag in a store to a temporary folder, removed when the block ends.
 
-    `objects`: gets what each of them was
-    `names`: those to copy; others are there, but empty. None is all
+    `objects`: list to which the identities of the files are appended
+    `names`: files to copy; others are created empty. None: all
     """
     temp = temp_folder()
     try:
@@ -240,7 +239,7 @@ def local_copy(
 
 
 def bag_files(address: str) -> list[str]:
-    """Return the names of the files of a bag in a store, without those of folders inside."""
+    """Return the names of the files of a bag in a store, without those in subfolders."""
     return [name for name in list_objects(address) if "/" not in name]
 
 
@@ -272,7 +271,7 @@ class _Stream(io.RawIOBase):
 
 
 def _neighbours(begins: Sequence[int], ends: Sequence[int]) -> list[list[Place]]:
-    """Return ranges in their order, those together that one request reads."""
+    """Return ranges in their order, grouped by request."""
     together: list[list[Place]] = []
     for begin, end in zip(begins, ends, strict=True):
         first, last = (together[-1][0][0], together[-1][-1][1]) if together else (0, -1)
@@ -284,7 +283,7 @@ def _neighbours(begins: Sequence[int], ends: Sequence[int]) -> list[list[Place]]
 
 
 def _requests(begins: Sequence[int], ends: Sequence[int]) -> list[Place]:
-    """Return the ranges of the requests for some ranges: close ones together."""
+    """Return the ranges of the requests for sorted ranges, with close ones joined."""
     together: list[Place] = []
     for begin, end in sorted(zip(begins, ends, strict=True)):
         if together and begin <= together[-1][1] + GAP_BYTES:

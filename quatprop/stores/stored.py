@@ -1,4 +1,4 @@
-"""By what objects of a store are recognised, and whether a log is still the one it was."""
+"""Identity of objects in a store, to detect whether a log was replaced."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 
 class StoredObject(NamedTuple):
-    """By what an object is recognised.
+    """Identity of an object.
 
-    `name`: its path below the prefix that was requested; empty for the object itself
-    `size`: bytes
-    `etag`: by what its store recognises its content; None if it does not say
-    `changed`: when it was written, as its store says it
-    `read`: MD5 of all that was read of it, as many stores have it for their ETag
+    `name`: path below the requested prefix; empty for the object itself
+    `size`: size, bytes
+    `etag`: ETag of its content; None if the store has none
+    `changed`: modification time, as text from the store
+    `read`: MD5 digests of the whole content as read, which many stores use as ETag
     """
 
     name: str
@@ -34,24 +34,24 @@ class StoredObject(NamedTuple):
 
     @property
     def is_proved(self) -> bool:
-        """Whether what was read is what it was when it was opened: nobody need be asked."""
+        """Whether the content that was read matches the ETag, so no request is needed."""
         return self.etag in self.read
 
 
 def stored_object(file: NativeFile, store: FileSystem, place: str, name: str = "") -> StoredObject:
-    """Return by what an open object is recognised."""
+    """Return the identity of an open object."""
     known = {
         str(key, "utf-8") if isinstance(key, bytes) else key: value.decode()
         for key, value in (file.metadata() or {}).items()
     }
     etag, changed = known.get("ETag"), known.get("Last-Modified")
-    if changed is None:  # no request in a file system of this machine
+    if changed is None:  # a local file system
         changed = str(store.get_file_info(place).mtime_ns)
     return StoredObject(name, file.size(), etag.strip('"') if etag else None, changed, [])
 
 
 def objects_of(address: str, names: Iterable[str] = ("",)) -> list[StoredObject]:
-    """Return what is known of some objects below an address, or of itself: one request each."""
+    """Return the identities of objects below an address, or at it, by one request each."""
     objects = []
     with reading(address):
         store, place = locate(address)
@@ -63,10 +63,10 @@ def objects_of(address: str, names: Iterable[str] = ("",)) -> list[StoredObject]
 
 
 class StoredLog:
-    """What a log in a store was when it was opened.
+    """Identity of a log in a store when it was opened.
 
-    `address`: of an object, or of the prefix of several
-    `objects`: those that are read; grows while the log is opened
+    `address`: address of an object, or prefix of several
+    `objects`: the objects read so far
     """
 
     def __init__(self, address: str) -> None:
@@ -76,7 +76,7 @@ class StoredLog:
 
     @property
     def digest(self) -> Digest:
-        """Size and ETag of its object, or of each of its objects."""
+        """Size and ETag of its object, or of all its objects."""
         digests = {
             one.name: Digest(one.size, etag=one.etag, changed=one.changed) for one in self.objects
         }
@@ -85,7 +85,7 @@ class StoredLog:
         return Digest(sum(digest.bytes or 0 for digest in digests.values()), files=digests)
 
     def confirm(self) -> None:
-        """Ask the store, once, whether it still has the same: Arrow's ranges have no If-Match."""
+        """Check once that the log was not replaced: Arrow's range requests have no If-Match."""
         if self._is_confirmed:
             return
         before = [one._replace(read=[]) for one in self.objects if not one.is_proved]
@@ -98,7 +98,7 @@ class StoredLog:
 
 
 def digest_of_object(address: str) -> Digest:
-    """Return size and ETag of an object, and those of each object of a prefix."""
+    """Return size and ETag of an object, or of all objects of a prefix."""
     found = find(address)[1]
     names = [""] if found.is_file else list(list_objects(address))
     log = StoredLog(address)

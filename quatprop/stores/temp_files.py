@@ -1,8 +1,8 @@
-"""Temporary files beside a target, and the removal of those that killed runs have left.
+"""Temporary files beside a target, and removal of those left by killed runs.
 
-A run holds a lock on the files it writes. A temporary file of the same target that is not locked
-belongs to a run that was killed, and is removed when the target is written next. Folders may be
-shared: only files and folders of this user are opened, and nobody else can open those made here.
+A run locks its temporary files. One that is not locked belongs to a killed run, and is removed when
+the target is written next. Folders may be shared between users: only files and folders of this user
+are opened, and others cannot open those created here.
 """
 
 from __future__ import annotations
@@ -25,10 +25,12 @@ T = TypeVar("T")
 _PREFIX = ".quatprop-"
 
 MANY_FILES = 50
-"""A folder with more files is not listed for each output."""
+"""Maximum number of files in a folder that is listed for each output."""
 
 RELIST_S = 60.0
-"""For how long the listing of such a folder is used, s."""
+"""Time for which the listing of a larger folder is cached, s."""
+
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
 
 _OURS = {stat.S_IFREG, stat.S_IFDIR}
 
@@ -37,10 +39,10 @@ _LISTINGS: dict[Path, tuple[float, list[str]]] = {}
 
 
 class LockedTemp(Generic[T]):
-    """A new file or folder beside a place, on the same disk, locked until it is removed or moved.
+    """A new file or folder beside a target, on the same disk, locked until removed or moved.
 
-    `make`: makes the file or folder; fails where there is one
-    `path`: where it is; the name is short, however long the target's is
+    `make`: creates the file or folder; fails if it exists
+    `path`: its path; the name is short, even for a long target
     """
 
     def __init__(self, place: Path, make: Callable[[Path], T]) -> None:
@@ -48,7 +50,7 @@ class LockedTemp(Generic[T]):
         _remove_abandoned(place)
         while True:
             self.path = place.with_name(f"{_prefix(place)}{os.urandom(4).hex()}.part")
-            # A signal may end the run between any two steps: what was made is removed then, too.
+            # Registered first, so that a signal at any time leaves nothing behind.
             self._removal = weakref.finalize(self, _remove, self.path)
             self.made = make(self.path)
             self._lock = _lock(self.path, wait=True)
@@ -57,7 +59,7 @@ class LockedTemp(Generic[T]):
                 break
 
     def remove(self) -> None:
-        """Remove it if it is still there, and unlock it; may be called twice, or interrupted."""
+        """Remove it if it exists, and unlock it; may be called twice, or interrupted."""
         _remove(self.path)
         self._removal.detach()
         lock, self._lock = self._lock, None
@@ -66,9 +68,9 @@ class LockedTemp(Generic[T]):
 
 
 def temp_folder(place: Path | None = None) -> LockedTemp[None]:
-    """Return a new folder beside a place; without one, for copies of logs.
+    """Return a new folder beside a place, or in the system's temporary folder.
 
-    Those that killed runs have left are removed.
+    Folders left by killed runs are removed.
     """
     import tempfile
 
@@ -77,9 +79,9 @@ def temp_folder(place: Path | None = None) -> LockedTemp[None]:
 
 
 class NewFile(NamedTuple):
-    """A file that only this user may read until it is complete.
+    """A file that only this user can read until it is complete.
 
-    `mode`: that of the file in whose place it will be, or of any new file there
+    `mode`: final mode: that of the file that it replaces, or of a new file there
     """
 
     stream: BinaryIO
@@ -90,19 +92,26 @@ def temp_file(place: Path) -> LockedTemp[NewFile]:
     """Return a new file beside a place, open for writing."""
 
     def make(path: Path) -> NewFile:
-        # What the umask and the folder's own rules make of a new file can only be tried.
-        replaced = place.stat().st_mode if place.exists() else None
-        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600 if replaced else 0o666)
-        mode = replaced or os.fstat(file).st_mode
-        path.chmod(0o600)
+        mode = place.stat().st_mode if place.exists() else _usual_mode(path)
+        file = os.open(path, _NEW, 0o600)
         return NewFile(os.fdopen(file, "wb"), stat.S_IMODE(mode))
 
     return LockedTemp(place, make)
 
 
+def _usual_mode(path: Path) -> int:
+    """Return the mode of a new file, by creating one: it depends on the umask and the folder."""
+    file = os.open(path, _NEW, 0o666)
+    try:
+        return os.fstat(file).st_mode
+    finally:
+        os.close(file)
+        path.unlink(missing_ok=True)  # whoever has opened it sees nothing of the next one
+
+
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Let one run at a time have a file or folder; where that is not supported, all of them."""
+    """Lock a file or folder for one run at a time; no effect if locks are not supported."""
     lock = _lock(path, wait=True)
     try:
         yield
@@ -112,13 +121,13 @@ def locked(path: Path) -> Iterator[None]:
 
 
 def _prefix(place: Path) -> str:
-    """Return what the names of a target's temporary files begin with."""
+    """Return the prefix of the names of a target's temporary files."""
     digest = hashlib.sha256(os.fsencode(place.name)).hexdigest()
     return f"{_PREFIX}{digest[:8]}-"
 
 
 def _remove_abandoned(place: Path) -> None:
-    """Remove what killed runs have left of this target."""
+    """Remove temporary files of this target that killed runs have left."""
     prefix = _prefix(place)
     for name in _names_in(place.parent):
         if name.startswith(prefix):
@@ -130,9 +139,9 @@ def _remove_abandoned(place: Path) -> None:
 
 
 def _names_in(folder: Path) -> list[str]:
-    """Return the names of temporary files in a folder; of a large one as of a minute ago at most.
+    """Return the names of temporary files in a folder; for a large one, up to a minute old.
 
-    The outputs of a batch may be many thousands in one folder, which is not listed for each.
+    A batch may write thousands of outputs to one folder, which is not listed for each.
     """
     listed, temporary = _LISTINGS.get(folder, (-math.inf, []))
     if time.monotonic() - listed > RELIST_S:
@@ -145,13 +154,13 @@ def _names_in(folder: Path) -> list[str]:
 
 
 def _lock(path: Path, *, wait: bool) -> int | None:
-    """Lock a path and return the descriptor; None if it is taken or not supported."""
+    """Lock a path and return the descriptor; None if it is locked, or locks are not supported."""
     try:
         import fcntl
-    except ImportError:  # Windows: what a killed run has left stays
+    except ImportError:  # Windows, where files of killed runs remain
         return None
     try:
-        # A pipe of this name would be waited for, and a link may lead to one.
+        # A pipe of this name would block, and a link may lead to one.
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
     except OSError:
         return None

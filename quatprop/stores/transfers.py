@@ -1,4 +1,4 @@
-"""Whole objects, from object stores and to them."""
+"""Read, write, move and remove whole objects of stores."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ def get(address: str) -> bytes:
 
 
 def upload(source: Path, address: str) -> None:
-    """Copy a file or those of a folder to a store; an object is visible when it is complete."""
+    """Copy a file, or the files of a folder, to a store; objects become visible when complete."""
     import pyarrow as pa
 
     files = [source]
     if source.is_dir():
         files = sorted(file for file in source.rglob("*") if file.is_file())
-        # What tells that there is a bag comes last.
+        # The metadata, which identify a bag, come last.
         files.sort(key=lambda file: file.name == "metadata.yaml")
     for file in files:
         target = address
@@ -54,7 +54,7 @@ def upload(source: Path, address: str) -> None:
 
 
 def remove(place: str) -> None:
-    """Remove a file or an object, if it is there."""
+    """Remove a file or an object, if it exists."""
     if is_address(place):
         with reading(place):
             store, path = locate(place)
@@ -67,7 +67,7 @@ def remove(place: str) -> None:
 
 
 def move(source: str, target: str) -> None:
-    """Move a file, a folder or an object, in place of what is there; nothing if there is none."""
+    """Move a file, a folder or objects, replacing the target; no effect if there are no objects."""
     import shutil
 
     if is_address(source):
@@ -97,14 +97,14 @@ def put(address: str, data: Buffer) -> None:
     from pyarrow import ArrowException
 
     try:
-        # A stream that an interruption ends would be closed, and half an object visible.
+        # An interruption would close the stream, and make half an object visible.
         interruptible(write)
     except (OSError, ValueError, ArrowException) as error:
         raise OutputError(without_secret(address), store_reason(error, address)) from error
 
 
 def interruptible(work: Callable[[], Result]) -> Result:
-    """Run `work` in a thread and wait for it, so that Ctrl-C is noticed, and ends the waiting."""
+    """Run `work` in a thread and wait for it, so that Ctrl-C can interrupt the wait."""
     done: Future[Result] = Future()
 
     def run() -> None:

@@ -48,7 +48,7 @@ class JsonLinesLog(TypedTable):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         with closing(open_text(path)) as text:
-            head = text.read(HEAD_BYTES)
+            self._size, head = text.size, text.read(HEAD_BYTES)
         lines = head.split(b"\n")
         if len(head) == HEAD_BYTES and len(lines) > 1:
             del lines[-1]
@@ -101,10 +101,10 @@ class JsonLinesLog(TypedTable):
                 )
 
     def _stored_rows(self, columns: TimedColumns) -> Batches:
-        """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
+        """Yield timestamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         self._refuse_text(columns)
         rows = JsonRows(self, columns, {k: self._leaves[k] for k in columns.used})
-        with closing(open_text(self.path)) as text:
+        with closing(open_text(self.path, self._size)) as text:
             yield from rows.batches(record_blocks(text, 1))
             if text.damage:
                 self.losses.note("end of the file", text.damage)

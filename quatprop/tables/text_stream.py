@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import os
+import stat
 from functools import partial
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
@@ -44,10 +46,12 @@ class TextStream:
 
     `file`: an open binary file, plain or compressed with gzip, zstd, bz2 or lz4
     `may_be_compressed`: whether to look for compression
+    `size`: bytes of the file to read; None: unknown
     `damage`: why the text ends early; ``""``: no damage so far
     """
 
     def __init__(self, file: BinaryIO, *, may_be_compressed: bool = True) -> None:
+        self.size: int | None = getattr(file, "size", None)
         self._file: Any = file if hasattr(file, "peek") else io.BufferedReader(cast("Any", file))
         compression = file_compression(self._file.peek(MAGIC_BYTES) if may_be_compressed else b"")
         if compression:
@@ -93,10 +97,27 @@ class TextStream:
         self._file.close()
 
 
-def open_text(path: Path) -> TextStream:
-    """Open a file as a text."""
+class _FileNow(io.FileIO):
+    """A file as far as it goes when it is opened, or only `size` bytes: recorders append to it."""
+
+    def __init__(self, path: Path, size: int | None) -> None:
+        super().__init__(path)
+        status = os.fstat(self.fileno())
+        is_file = stat.S_ISREG(status.st_mode)
+        self.size = size if size is not None or not is_file else status.st_size
+
+    def readinto(self, buffer: Any) -> int | None:
+        """Read no further."""
+        if self.size is None:
+            return super().readinto(buffer)
+        left = max(0, self.size - self.tell())
+        return super().readinto(memoryview(buffer)[:left])
+
+
+def open_text(path: Path, size: int | None = None) -> TextStream:
+    """Open a file as a text; it ends after `size` bytes, or where it ends now."""
     try:
-        return TextStream(path.open("rb"))
+        return TextStream(cast("BinaryIO", _FileNow(path, size)))
     except OSError as error:
         raise UnreadableLogError(path, os_reason(error)) from error
 

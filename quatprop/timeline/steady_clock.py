@@ -64,8 +64,8 @@ _ROUNDED = 0.35
 """Maximum standard deviation of rounding errors, ticks; 0.29 for a uniform distribution."""
 
 _FOLLOWED = 0.9
-"""Rates were sampled at their timestamps if, with these, their mean square deviation from a line
-between their neighbours is below this share of that with the clock's times."""
+"""Rates were sampled at some times if, with these, their mean square deviation from a line between
+their neighbours is below this share of that with other times, relative to that of white noise."""
 
 DRIFTS: Final = (
     "the deviations from the best one change slowly, as if a clock drifts or its rate changes"
@@ -122,11 +122,38 @@ def clock_of(t_ns: Int64, rate: Float64) -> FittedClock:
         return FittedClock(0.0, t_ns, why_not=UNCLEAR)
     if np.quantile(np.abs(np.diff(t_ns, 2)), 0.9) <= _STEADY * periods[0]:
         return FittedClock(periods[0], t_ns, jitters=False)
+    clock = _best_clock(t_ns, periods)
+    if not clock.why_not:
+        return clock._replace(why_not=FOLLOWED) if _follows(rate, t_ns, clock.t_ns) else clock
+    # Samples may arrive several at a time, or be taken so: the rates decide.
+    together = _clock_of_bursts(t_ns)
+    return together if together and _follows(rate, together.t_ns, t_ns) else clock
+
+
+def _best_clock(t_ns: Int64, periods: list[float]) -> FittedClock:
+    """Return the clock with one of several intervals, or why there is none."""
     clocks = [_clock(t_ns, period) for period in periods]
-    clock = min(clocks, key=lambda clock: REASONS.index(clock.why_not))
-    if not clock.why_not and _follows(t_ns, clock.t_ns, rate):
-        return clock._replace(why_not=FOLLOWED)
-    return clock
+    return min(clocks, key=lambda clock: REASONS.index(clock.why_not))
+
+
+def _clock_of_bursts(t_ns: Int64) -> FittedClock | None:
+    """Return the clock of the last samples of bursts, all of as many samples; None for none."""
+    steps = np.diff(t_ns).astype(np.float64)
+    patterns = [
+        steps[: len(steps) // count * count].reshape(-1, count).mean(axis=0)
+        for count in range(2, PAUSE)
+    ]
+    pattern = max(patterns, key=lambda each: float(np.var(each)))
+    count, last = len(pattern), int(np.argmax(pattern))
+    ends = t_ns[last::count]
+    if len(ends) < SHORTEST or np.var(pattern) <= _REPEATED * np.var(steps):
+        return None
+    clock = _best_clock(ends, _periods(ends))
+    if clock.why_not or clock.missing:
+        return None
+    period = clock.period_ns / count
+    times = clock.t_ns[0] + np.rint(period * (np.arange(len(t_ns)) - last)).astype(np.int64)
+    return FittedClock(period, times)
 
 
 def _periods(t_ns: Int64) -> list[float]:
@@ -258,12 +285,13 @@ def _fault_of(rest: Float64, tick: float) -> str:
     return REPEATS if power[peak - 2 : peak + 3].sum() > _ONE_FREQUENCY * power.sum() else ""
 
 
-def _follows(t_ns: Int64, regular: Int64, rate: Float64) -> bool:
-    """Return whether rates follow the timestamps rather than the clock's times."""
+def _follows(rate: Float64, t_ns: Int64, other_ns: Int64) -> bool:
+    """Return whether rates follow some times rather than others."""
     errors = []
-    for stamps in (t_ns, regular):
-        before, whole = stamps[1:-1] - stamps[:-2], stamps[2:] - stamps[:-2]
+    for times in (t_ns, other_ns):
+        before, whole = times[1:-1] - times[:-2], times[2:] - times[:-2]
         share = np.divide(before, whole, out=np.full(len(whole), 0.5), where=whole > 0)[:, None]
         error = rate[1:-1] - rate[:-2] - share * (rate[2:] - rate[:-2])
-        errors.append(float(np.mean(error**2)))
+        by_noise = 1 + share**2 + (1 - share) ** 2
+        errors.append(float(np.mean(error**2) / np.mean(by_noise)))
     return errors[0] < _FOLLOWED * errors[1]

@@ -144,6 +144,7 @@ def test_a_style_sheet_of_matplotlib_is_taken(turning, tmp_path):
     "command",
     [
         "plot spin.csv -o a.png",
+        "plot spin.csv -o a.png --style a.mplstyle",
         "propagate rates.csv -o o.csv --plot a.png --rate-unit rad/s",
         "compare spin.csv spin.csv --plot a.png",
     ],
@@ -300,9 +301,12 @@ def test_a_norm_that_is_off_is_drawn_as_it_is(tmp_path):
     wxyz[400] *= 1.25
     wxyz[600:610] = 0
     path = write_attitudes(tmp_path / "a.csv", t_ns, wxyz)
-    norm = lines(axes_of(path))[3]
+    axes = axes_of(path)
+    norm = lines(axes)[3]
     assert np.nanmax(norm) == pytest.approx(0.25)
+    assert axes[3].get_ylim() == pytest.approx((-0.02, 0.27))  # from 0 on, and 8 % on both sides
     assert np.isnan(norm).any()
+    assert view_file(str(path), View()).facts[-1] == ("norm error", "at most 0.25")
     assert run("plot", path, "-o", tmp_path / "a.png", code=0).stderr.splitlines()[1] == (
         "warning: 10 invalid quaternions (zero, absent or not finite): not drawn"
     )
@@ -327,6 +331,10 @@ def test_files_are_laid_over_one_another_in_colours_that_all_can_tell(turning, t
     assert [line.get_color() for line in axes[0].get_lines()] == ["#0072B2", "#E69F00"]
     names = ["spin.csv", "_other$x$.csv"]
     assert legend(axes) == [f"{name}: qw,qx,qy,qz quatprop" for name in names]
+    figure = axes[0].figure
+    figure.draw_without_rendering()
+    left, right = (text.get_window_extent() for text in figure.legends[0].get_texts())
+    assert left.x1 < right.x0
     run("plot", turning, other, "-o", tmp_path / "a.png", code=0)
     okabe_ito = {
         "#000000", "#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7",
@@ -504,6 +512,8 @@ def test_the_first_sample_above_the_tolerance_is_marked_beside_the_worst(off, tm
     axes, said = drawn(*words, "0.5deg")
     first = "first above the tolerance at 2.51 s"
     assert legend(axes) == ["tolerance 0.5 deg", first, "worst: 5 deg at 3 s"]
+    faces = {line.get_marker(): line.get_markerfacecolor() for line in axes[0].get_lines()}
+    assert (faces["o"], faces["v"]) == ("none", palette.ALARM)
     summary = "new.csv: max 5 deg, RMS 1.166 deg; above the tolerance of 0.5 deg"
     assert said.splitlines()[0] == summary
     axes, _ = drawn(*words, "1e-6deg")

@@ -177,6 +177,7 @@ SIMULATE = {
 }
 
 COMPARE = {
+    "spin.csv spin.csv q.csv": "unexpected argument 'q.csv'; compare takes A B: run it once for",
     "spin.csv spin.csv --tol 0.1": "'0.1' is not an angle; write a number with its unit, such as ",
     "spin.csv spin.csv --time-offset soon": "'soon' is not a duration; write a number with a unit",
     "spin.csv spin.csv --time-offset auto": "A turns at a constant speed, which shows no time off",
@@ -206,6 +207,7 @@ ROTATIONS = (
     "ned-to-enu, enu-to-ned, frd-to-flu, flu-to-frd"
 )
 CONVERT = {
+    "q.csv a.csv b.csv c.csv": "unexpected argument 'b.csv'; convert takes IN [OUT]: run it once",
     "q.csv - --left x,y,-z": "the rotation 'x,y,-z' is left-handed",
     "q.csv - --left 2,0,0,0": "the rotation '2,0,0,0' has the length 2",
     **{
@@ -296,6 +298,7 @@ INFO = {
 OTHERS = {
     "propagate gyros.bag:/imu_raw": GO,
     "propagat": "Error: No such command 'propagat'; did you mean 'propagate'?",
+    "simulate a.csv b.csv": "unexpected argument 'b.csv'; simulate takes OUT: run it once for each",
     "draw": "Error: No such command 'draw'; quatprop --help lists the commands",
 }
 

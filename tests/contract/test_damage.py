@@ -160,13 +160,13 @@ def test_logs_that_become_shorter_while_they_are_read_end_early(logs, tmp_path):
 
 @pytest.mark.parametrize("name", CHANGING)
 def test_a_log_that_grows_while_it_is_read_gives_what_was_there(logs, tmp_path, name):
-    """A recorder that goes on writing does no harm."""
+    """A recorder that goes on writing does no harm, and adds nothing to what was opened."""
     log = Path(shutil.copyfile(logs / name, tmp_path / name))
     try:
         with open_log(log) as opened:
             batches = choose_rates(opened, RateSelection()).batches()
             with log.open("ab") as file:
-                file.write((logs / name).read_bytes()[-1000:])
-            assert sum(len(batch) for batch in batches) >= SAMPLES - 1
+                file.write((logs / name).read_bytes())
+            assert sum(len(batch) for batch in batches) == SAMPLES
     except LogError:
         assert name.endswith((".npz", ".parquet", ".feather"))

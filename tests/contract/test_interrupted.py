@@ -63,8 +63,8 @@ def signals_are_heard():
 
 def never_done(log, out, **environment):
     """Start a run that does not end by itself; it prints a line once it handles signals."""
-    return subprocess.Popen(
-        [sys.executable, "-c", NEVER_DONE, "propagate", log, "-o", out, "-q"],
+    return subprocess.Popen(  # -B: what it compiled would be renamed too
+        [sys.executable, "-B", "-c", NEVER_DONE, "propagate", log, "-o", out, "-q"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={**os.environ, **environment},
     )  # fmt: skip

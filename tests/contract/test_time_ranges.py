@@ -123,10 +123,20 @@ def test_log_times_of_another_recording_lead_to_the_stamps(logs, tmp_path, offse
     assert table.equals(whole(log, tmp_path, "+700s", "+705s")[1])
 
 
-def test_delays_that_differ_let_the_whole_log_be_read(logs, tmp_path):
-    """Where a recorder hung for longer than half the margin, no sample is missed."""
-    log, (begin, end) = tmp_path / "hung.mcap", (T0_NS + s * NS_PER_S for s in (700, 720))
-    rewrite(logs / "log.mcap", log, lambda log_ns: end if begin <= log_ns <= end else log_ns)
+BEGIN, END = T0_NS + 700 * NS_PER_S, T0_NS + 720 * NS_PER_S
+
+
+@pytest.mark.parametrize(
+    "logged",
+    [
+        lambda log_ns: END if BEGIN <= log_ns <= END else log_ns,
+        lambda log_ns: log_ns if log_ns > T0_NS + NS_PER_S else 0,
+    ],
+)
+def test_delays_that_differ_let_the_whole_log_be_read(logs, tmp_path, logged):
+    """Where a recorder hung for half the margin, or its clock was not set, no sample is missed."""
+    log = tmp_path / "hung.mcap"
+    rewrite(logs / "log.mcap", log, logged)
     report, table = attitudes(log, tmp_path, "+700s", "+705s")
     assert report.conditioning.part is None
     assert table.num_rows == 5 * RATE + 1

@@ -4,7 +4,7 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from quatprop import AttitudeSeries, GyroSeries
 from quatprop.calibration.estimate import fit
@@ -91,7 +91,7 @@ class Ensemble(NamedTuple):
     def is_exact(self, comparisons, fault=1.0):
         """Tell whether the sum is in the 99.9 % band; `fault`: factor of standard deviations."""
         tail = 0.001 / 2 / comparisons
-        low, high = chi2.ppf([tail, 1 - tail], self.count)
+        low, high = chdtri(self.count, [1 - tail, tail])
         return bool(low < self.squares / fault**2 < high)
 
 

@@ -8,7 +8,7 @@ import sqlite3
 import struct
 from collections.abc import Callable
 from contextlib import closing
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -55,13 +55,18 @@ def samples(count=SAMPLES, first=0):
 def imus(store, series):
     """Yield log time, and message, of samples; each is logged as it is stamped."""
     for k, (t_ns, rate) in enumerate(zip(series.t_ns.tolist(), series.rate.tolist(), strict=True)):
-        values = {
-            "header": {"seq": k, "stamp": t_ns, "frame_id": FRAME},
-            "orientation": (0.0, 0.0, 0.0, 1.0),
-            "angular_velocity": rate,
-            "linear_acceleration": (0.0, 0.0, 9.81),
-        }
-        yield t_ns, encoded(store, IMU, values)
+        yield t_ns, _imu(store, k, t_ns, *rate)
+
+
+@cache
+def _imu(store, k, t_ns, *rate):
+    values = {
+        "header": {"seq": k, "stamp": t_ns, "frame_id": FRAME},
+        "orientation": (0.0, 0.0, 0.0, 1.0),
+        "angular_velocity": rate,
+        "linear_acceleration": (0.0, 0.0, 9.81),
+    }
+    return encoded(store, IMU, values)
 
 
 def ros_topic(series):

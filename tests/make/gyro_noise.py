@@ -66,13 +66,13 @@ SHARES = (
 )  # fmt: skip
 """Quantisation beside N at one sample; flicker and a random walk beside N at 1 s."""
 
-DENSITIES = (1e-5, 5e-5, 1.7e-4, 1e-3)
-"""Of tactical sensors, of good and of usual MEMS, and of toys, rad/s/sqrt(Hz)."""
+DENSITY = 1.7e-4
+"""Of usual MEMS, rad/s/sqrt(Hz); the fit of unit/sensor_noise/test_fit.py is the same at any."""
 
 
-def models(density):
+def models():
     """Return ten gyroscopes, whose terms a log of some minutes shows."""
     return [
-        Truth(Q=q * density / np.sqrt(HZ), N=density, B=b * density, K=k * density)
+        Truth(Q=q * DENSITY / np.sqrt(HZ), N=DENSITY, B=b * DENSITY, K=k * DENSITY)
         for q, b, k in SHARES
     ]

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 
 import pytest
 from make.batches import batch, entries, outputs_in, said, spin
@@ -12,8 +13,10 @@ from make.commands import INSTALLED, installed, refused, run
 from make.places import SAMPLE_LOGS
 
 from quatprop.batching.cluster import on_a_cluster
-from quatprop.batching.logs import BatchTask
+from quatprop.batching.logs import BatchTask, LogSearch
 from quatprop.batching.manifest import Manifest
+from quatprop.batching.planning import Shard
+from quatprop.batching.run import Batch
 from quatprop.batching.tasks import BatchSettings
 from quatprop.errors import UsageError
 from quatprop.pipeline.job import Job
@@ -139,7 +142,7 @@ def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
 
     At a SIGTERM, which schedulers send, it ended without a word.
     """
-    logs, out = logs_in(tmp_path / "in", 30), tmp_path / "out"
+    logs, out = logs_in(tmp_path / "in", 12), tmp_path / "out"
     command = [INSTALLED, "batch", logs, "-o", out, "-j", "2", "-q"]
     environment = {**os.environ, **hooked(tmp_path, HELD)}
     process = subprocess.Popen(command, stderr=subprocess.PIPE, env=environment)
@@ -156,21 +159,45 @@ def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
     before = len(entries(out))
     # What was complete an instant before it was recorded is done again.
     assert before <= len(outputs_in(out)) <= before + 2
-    assert before < 30
+    assert before < 12
     done = run("batch", logs, "-o", out, "-j", "1", "--skip-existing", code=0)
-    assert said(done).startswith(f"{30 - before} of {30 - before} logs done")
-    assert sorted(path.suffix for path in out.iterdir()) == ["", *[".parquet"] * 30]
+    assert said(done).startswith(f"{12 - before} of {12 - before} logs done")
+    assert sorted(path.suffix for path in out.iterdir()) == ["", *[".parquet"] * 12]
     again = tmp_path / "again"
     batch(logs, "-o", again, "-q", code=0)
     for name in outputs_in(out):
         assert (out / name).read_bytes() == (again / name).read_bytes()
 
 
+def planned(folder, count):
+    """Return a batch of so many listed logs."""
+    settings = BatchSettings.of(Job("LOG", OutputSettings("OUT", to="npy")), str(folder))
+    search = LogSearch("/data/fleet", str(folder), suffix=".npy")
+    for number in range(count):
+        search.add(f"/data/fleet/vehicle{number % 997:03d}/ride-{number:07d}.mcap")
+    made = Batch(search, settings, Manifest(str(folder)), Shard(0, 1), skip=True)
+    assert len(made.plan.tasks) == count
+    return search, made
+
+
+def test_a_million_names_fit_into_500_mb(tmp_path):
+    """The names of listed logs were held twice while logs were propagated: 630 MB."""
+    planned(tmp_path, 1)  # imports
+    count = 50_000
+    tracemalloc.start()
+    kept = planned(tmp_path, count)
+    left, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    del kept
+    assert left < 240 * count
+    assert most < 400 * count
+
+
 CLUSTER = """
 import subprocess, sys
 from distributed import LocalCluster
 if __name__ == "__main__":
-    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0") as cluster:
         command = [*sys.argv[1:], "--dask", cluster.scheduler_address]
         sys.exit(subprocess.run(command).returncode)
 """

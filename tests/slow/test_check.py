@@ -261,27 +261,28 @@ def overview(page):
     return dict(rows), re.search(r"</h1><p>(.*?)</p>", text)[1]
 
 
-@pytest.mark.parametrize("workers", [0, 1])
-def test_pytest_writes_the_overview_of_all_cases(folder, workers):
+def test_pytest_writes_the_overview_of_all_cases(folder):
     """Pages of failures stood alone; workers know a part of the cases only."""
     pinned(folder, TRUTH + stored() + stored("gone") + stored("b"))
     known = TRUTH.replace("coning]", "known]") + 'xfail = "drifts"\n'
     left = stored("left") + 'skip = "no log"\n'
     changed = stored("b") + 'mount = "x,-y,-z"\n'
     write_suite(folder, STRICT + stored() + known + left + changed)
-    options = ["--quatprop-suite=suite.toml", "--quatprop-artifacts=kept", "-p", "xdist"]
-    told = run_pytest(folder, *options, f"-n{workers}", code=1)
-    rows, heads = overview(folder / "kept" / "index.html")
+    shown = check(folder / "suite.toml", "--artifacts", folder / "by-command").stdout
+    rows, heads = overview(folder / "by-command" / "index.html")
     assert rows == {
         "b": "error", "coning": "fail", "gone": "deleted", "known": "error", "left": "skip",
         "spin": "pass",
     }  # fmt: skip
-    shown = check(folder / "suite.toml", "--artifacts", folder / "by-command").stdout
     assert heads == shown.splitlines()[-1]
-    assert overview(folder / "by-command" / "index.html") == (rows, heads)
-    assert 'href="coning/error.html"' in (folder / "kept" / "index.html").read_text()
-    # It is the suite that says why a case is skipped, not a line of the plugin.
-    assert "SKIPPED [1] suite.toml: no log" in told
+    options = ["--quatprop-suite=suite.toml", "-p", "xdist"]
+    for workers in "01":
+        kept = folder / workers
+        told = run_pytest(folder, *options, f"-n{workers}", f"--quatprop-artifacts={kept}", code=1)
+        assert overview(kept / "index.html") == (rows, heads)
+        assert 'href="coning/error.html"' in (kept / "index.html").read_text()
+        # It is the suite that says why a case is skipped, not a line of the plugin.
+        assert "SKIPPED [1] suite.toml: no log" in told
 
 
 def test_pytest_leaves_no_older_overview(folder):

@@ -175,7 +175,7 @@ def _load(source: FileSource, chunk: Chunk, budget: DecompressionBudget, *, chec
     is_torn = len(content) < size or chunk.start + chunk.length > source.size
     if is_torn:
         data = decompress_prefix(content, head.compression, head.size)[: head.size]
-        if len(data) < head.size or not head.crc:
+        if len(data) < head.size:
             return Loaded(data, TORN)
     else:
         data = decompress(content, head.compression, head.size or None)

@@ -129,7 +129,7 @@ def attachment_end(source: FileSource, position: int, ends: list[int]) -> int | 
         actual = 0
         for begin in range(position + RECORD.size, end - 4, WINDOW):
             actual = crc32(source.read(begin, min(WINDOW, end - 4 - begin)), actual)
-        if stored and stored == actual:
+        if stored == actual:
             return end
     return None
 

@@ -92,7 +92,7 @@ class CsvLog(TableLog):
         """Yield the cells of the first rows that fit the header."""
         whole = self._head
         if len(whole) == HEAD_BYTES:
-            whole = whole[: whole.rfind(b"\n") + 1]
+            whole = whole.rpartition(b"\n")[0]
         lines = whole[self._layout.body :].decode(errors="replace").splitlines()
         rows = (split_cells(line, self._layout.delimiter) for line in lines)
         width = len(self._layout.names)
@@ -114,10 +114,10 @@ class CsvLog(TableLog):
         rows = head.count(b"\n")
         if self._stream is not None or not rows or self._text.is_compressed:
             return None
-        return max(rows, round(self.path.stat().st_size / len(head) * rows))
+        return max(rows, round((self._text.size or 0) / len(head) * rows))
 
     def _stored_rows(self, columns: TimedColumns) -> Batches:
-        """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
+        """Yield timestamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         text = self._restart()
         rows = CsvRows(self, self._layout, columns)
         try:
@@ -182,7 +182,7 @@ class CsvLog(TableLog):
         if self._stream is None:
             if len(self._head) < HEAD_BYTES and not self._text.damage:  # that was all of it
                 return TextStream(BytesIO(self._head[self._layout.body :]), may_be_compressed=False)
-            rows = open_text(self.path)
+            rows = open_text(self.path, self._text.size)
             rows.read(self._layout.body)
             return rows
         if self._was_read:

@@ -21,7 +21,7 @@ def settings_in(folder):
 
 SETTINGS = settings_in("OUT")
 
-QUIET = {"processes": False, "dashboard_address": None}
+QUIET = {"processes": False, "dashboard_address": ":0"}
 
 
 def tasks_of(folder, *names):
@@ -105,6 +105,21 @@ def test_a_cluster_without_workers_or_scheduler(tmp_path, monkeypatch):
         results = on_a_cluster(tasks, settings_in(tmp_path), cluster.scheduler_address, manifest)
         with pytest.raises(QuatpropError, match="no longer answers; finished logs are recorded"):
             list(results)
+
+
+def test_a_cluster_that_loses_its_workers_is_not_waited_for_for_ever(tmp_path, monkeypatch):
+    """It was, without a word; what was done is recorded."""
+    distributed = pytest.importorskip("distributed")
+    for name, value in (("AHEAD", 1), ("IDLE_S", 0.1), ("AGAIN_S", 0.2)):
+        monkeypatch.setattr(f"quatprop.batching.cluster.{name}", value)
+    tasks, manifest = tasks_of(tmp_path, "a", "b", "c"), prepared(tmp_path)
+    with distributed.LocalCluster(n_workers=1, **QUIET) as cluster:
+        results = on_a_cluster(tasks, settings_in(tmp_path), cluster.scheduler_address, manifest)
+        next(results)
+        cluster.scale(0)
+        with pytest.raises(QuatpropError, match="has lost its workers; finished logs are recorded"):
+            list(results)
+    assert entries(tmp_path)["a.npy"]["state"] == "done"
 
 
 def test_a_worker_of_another_version_is_refused():

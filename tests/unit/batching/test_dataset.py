@@ -92,7 +92,7 @@ def test_a_dataset_is_the_same_bytes_however_it_is_made(made, logs, tmp_path, bu
             batch(logs, "-o", out, *DATASET, code=0)
     elif way == "dask":
         distributed = pytest.importorskip("distributed")
-        options = {"processes": False, "dashboard_address": None}
+        options = {"processes": False, "dashboard_address": ":0"}
         with distributed.LocalCluster(n_workers=1, threads_per_worker=1, **options) as cluster:
             run("batch", logs, "-o", out, *DATASET, "--dask", cluster.scheduler_address, code=0)
     elif way == "larger":

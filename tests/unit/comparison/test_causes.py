@@ -172,7 +172,7 @@ def test_the_layout_that_was_read_is_not_offered(layout):
 
 @pytest.mark.parametrize("ppm", [-1000, 1500])
 def test_a_clock_that_drifts_is_named_with_its_uncertainty(ppm):
-    """Within three standard deviations; the offset changes by 60 or 90 ms in a minute.
+    """Within three standard deviations; the offset changes by 50 or 75 ms in 50 s.
 
     What to add to timestamps counts from B's first, also where A begins ten seconds later.
     """
@@ -185,6 +185,10 @@ def test_a_clock_that_drifts_is_named_with_its_uncertainty(ppm):
     found, std = ppm_named(drift)
     assert std < 0.1 * abs(ppm)
     assert found == pytest.approx(ppm, abs=3 * std)
+    (pair,) = re.findall(r"changes by (\d+\.\d) ms in (\d+\.\d) s;", drift.sentence)
+    moved_ms, span_s = map(float, pair)
+    assert moved_ms == pytest.approx(1e-3 * abs(found) * span_s, abs=0.2)  # of rounded numbers
+    assert 48 < span_s <= 50  # a window may be missing
     first_ms, added = map(float, re.findall(r"([-.\d]+) (?:ms to|ppm of)", drift.remedy))
     stamps = drifting.t_ns + np.rint(first_ms * 1e6 + added * 1e-6 * T_NS).astype(np.int64)
     assert np.abs(stamps - T_NS).max() < 3e6
@@ -221,6 +225,33 @@ def test_a_dead_axis_is_a_finding_and_no_cause():
             "three: are rates missing?"
         )
     assert compare(attitudes(signs=(0, 0, 1)), about_z()[1]).remarks == ()
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
+@pytest.mark.parametrize("align", ["none", "first", "mean"])
+@pytest.mark.parametrize(("ppm", "wobble"), [(-1500, 0.0), (800, 0.03)])
+def test_a_clock_drift_on_a_steady_spin_is_named(ppm, align, wobble):
+    """A scale or a drift was named alone, which make the same error there."""
+    rng = np.random.default_rng(6)
+    rate = [0, 0, np.pi] + wobble * RATES[:2000]
+    t_ns = T_NS[:2000]
+    noise = exp(np.radians(0.02) * rng.normal(size=rate.shape))
+    truth = quatprop.propagate(GyroSeries(t_ns, rate), method="cubic").wxyz
+    moved = t_ns + np.round(ppm * 1e-6 * t_ns).astype(np.int64)
+    b = AttitudeSeries(moved, multiply(truth, noise))
+    measured = rate + 1e-3 * rng.normal(size=rate.shape)
+    a = quatprop.propagate(GyroSeries(t_ns, measured), method="cubic")
+    cause = compare(AttitudeSeries(t_ns, a.wxyz), b, align=align).likely_cause
+    if cause.name != "clock drift":
+        named = re.search(r"clocks that differ by (\d+) ppm", cause.sentence)
+        assert float(named[1]) == pytest.approx(abs(ppm), rel=0.05)
+
+
+def test_a_clock_drift_is_not_named_where_the_motion_tells_it_from_a_scale():
+    """Where the body turns to and fro, a factor is no drift of a clock."""
+    cause = compare(propagated(rates=1.002 * RATES), attitudes("mean"), align="first").likely_cause
+    assert cause.name == "scale"
+    assert "clocks" not in cause.sentence
 
 
 @pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import accumulate
 
 import numpy as np
 import pytest
@@ -53,10 +54,9 @@ TURN_RAD = float(TURN.magnitude())
 
 def multiplied(steps, *, left=False):
     """Multiply rotation vectors up one by one, on the right or on the left."""
-    result = [TRUE[0]]
-    for step in Rotation.from_rotvec(steps):
-        result.append(step * result[-1] if left else result[-1] * step)
-    return Rotation.concatenate(result)
+    each = [TRUE[0].as_matrix(), *Rotation.from_rotvec(steps).as_matrix()]
+    product = accumulate(each, (lambda all_, step: step @ all_) if left else np.matmul)
+    return Rotation.from_matrix(list(product))
 
 
 FIRST, LAST = TRUE.as_quat(scalar_first=True), TRUE.as_quat(scalar_first=False)

@@ -113,6 +113,28 @@ def test_rests_that_are_alike_are_not_said_to_differ():
         assert report.conditioning.rest.other is None
 
 
+def test_rests_that_differ_by_less_than_their_step_shows_are_not_said_to_differ():
+    """One rest at the edge of two levels was cut in two, of which the bias was said to change."""
+    for seed in range(60):
+        random = np.random.default_rng(seed)
+        resting = [0.3, 0.44, -0.2] + 0.1 * random.normal(size=(8 * HZ, 3))
+        _, remarks = found(series(np.rint(resting) * DEG, np.rint(60 * turning(seed)) * DEG))
+        assert any("the bias is known only to" in text for text in remarks)
+        assert not [text for text in remarks if "differs" in text], seed
+
+
+def test_one_noisy_axis_is_no_change_of_the_bias():
+    """Of a gyroscope with one axis, or one bad one, rests were cut and said to differ."""
+    for seed in range(20):
+        resting = noise(seed, 60, 0.6 * DEG) * [0, 0, 1] + [0, 0, 5e-3]
+        report, remarks = found(series(resting, turning(seed) * [0, 0, 1]))
+        assert not [text for text in remarks if "differs" in text], seed
+        assert report.conditioning.rest.samples > 40 * HZ
+        # White noise of 0.6 deg/s at 100 Hz; it was averaged over three axes.
+        density = report.uncertainty.errors.noise_density
+        assert density == pytest.approx(0.6 * DEG / math.sqrt(HZ), rel=0.06)
+
+
 # --- several rests
 
 

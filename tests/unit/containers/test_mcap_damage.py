@@ -108,10 +108,32 @@ def test_what_follows_a_damaged_chunk_is_read(tmp_path, compression, layout, har
     assert numbers == sorted(set(numbers))
     # Of head and content, one is enough to tell where a chunk ends, if an index does not.
     assert losses or numbers == ALL
+    if harm in {"length", "packed size"}:
+        assert numbers == ALL
     if harm == "hole":
         assert numbers == without(lost)
     if layout == "whole":
         assert sum(loss.messages or 0 for loss in losses) == MESSAGES - len(numbers)
+
+
+def test_what_is_lost_with_a_chunk_that_is_gone_is_counted_by_its_index(tmp_path):
+    """No statistics count the messages of a file whose last chunk was overwritten."""
+    intact = numbered(use_statistics=False)
+    begin, _ = chunks(intact)[-1]
+    content = intact[:begin] + bytes(200) + intact[begin + 200 :]
+    numbers, losses = read_numbers(tmp_path, content)
+    lost = numbers_of_chunks(intact)[-1]
+    assert numbers == without(lost)
+    reason = "no chunk of the indexed length begins there"
+    assert Loss(f"chunk at byte {begin}", reason, len(lost)) in losses
+
+
+@pytest.mark.parametrize("length", [0, 5000, 2**40])
+def test_a_damaged_length_of_the_header_costs_nothing(tmp_path, length):
+    """Its content says how long it is."""
+    content = bytearray(numbered())
+    content[9:17] = length.to_bytes(8, "little")
+    assert read_numbers(tmp_path, bytes(content)) == (ALL, [])
 
 
 def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path):

@@ -296,6 +296,16 @@ def test_a_definition_may_be_in_one_part_only(tmp_path):
     assert messages(path) == (expected, [])
 
 
+def test_messages_of_two_definitions_are_not_missed_in_each(tmp_path):
+    """The metadata count the messages of a topic, whatever their definitions."""
+    path, _ = split_bag(tmp_path / "bag")
+    with closing(sqlite3.connect(path / "bag_1.db3")) as database, database:
+        database.execute("UPDATE message_definitions SET encoded_message_definition = '# another'")
+    log = Rosbag2Log(path)
+    assert [channel.topic for channel in log.channels()] == ["/imu", "/imu", "/text", "/text"]
+    assert messages_of(log)[1] == []
+
+
 def test_a_damaged_part_loses_only_itself(tmp_path):
     """A part that cannot be opened is named with the reason; the others are read."""
     path, expected = split_bag(tmp_path / "bag", FORMS[3])

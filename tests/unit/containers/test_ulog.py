@@ -258,6 +258,14 @@ def test_a_message_that_is_too_short_is_lost_alone(tmp_path):
     assert losses == [Loss("topic sensor_gyro/0", reason, 1)]
 
 
+def test_a_log_that_ends_inside_the_head_of_a_record_is_cut(tmp_path):
+    """All messages are read; that another one followed is told."""
+    path = sensor(tmp_path / "a.ulg", *gyro(1, STAMPS), b"\x06\x00")
+    series, losses = read(path)
+    assert len(series) == 10
+    assert losses == [Loss(f"byte {path.stat().st_size - 2}", "the last record is cut off")]
+
+
 def test_dropouts_are_losses(tmp_path, shared_logs):
     """What the recorder could not write is as lost as what cannot be read."""
     dropouts = [record(b"O", milliseconds.to_bytes(2, "little")) for milliseconds in (20, 300)]
@@ -283,14 +291,27 @@ def test_dropouts_are_losses(tmp_path, shared_logs):
     ],
 )
 def test_a_message_of_no_known_id_or_kind_is_lost(tmp_path, damage, place, reason):
-    """A damaged bit of an id, or of a kind, cost the message without a word."""
+    """A damaged bit of an id, or of a kind, cost the message without a word, also at the end."""
+    for which in (4, 9):
+        messages = gyro(1, STAMPS)
+        messages[which] = damage(messages[which])
+        path = sensor(tmp_path / "log.ulg", *messages)
+        series, losses = read(path)
+        assert series.t_ns.tolist() == ns_without(STAMPS[which])
+        at = path.read_bytes().index(messages[which])
+        assert losses == [Loss(f"{place} {at}", reason, 1)]
+
+
+def test_a_message_whose_length_leads_behind_the_next_is_lost_alone(tmp_path):
+    """A damaged length can lead to a record: what it would pass over is looked at."""
     messages = gyro(1, STAMPS)
-    messages[4] = damage(messages[4])
+    messages[4] = struct.pack("<H", 2 * len(messages[4]) - 3) + messages[4][2:]
     path = sensor(tmp_path / "log.ulg", *messages)
     series, losses = read(path)
     assert series.t_ns.tolist() == ns_without(40)
     at = path.read_bytes().index(messages[4])
-    assert losses == [Loss(f"{place} {at}", reason, 1)]
+    reason = f"its records cannot be followed for {len(messages[4])} bytes"
+    assert losses == [Loss(f"byte {at}", reason)]
 
 
 def test_a_format_that_is_defined_again_is_refused(tmp_path):

@@ -45,6 +45,8 @@ def test_a_topic_of_the_log_gives_the_times(tmp_path, suffix, kind, late):
     other = [("/other", kind, t + late, one) for t, one in zip(frames, values, strict=True)]
     log = write_messages(tmp_path / f"log{suffix}", sorted([*imu, *other], key=lambda one: one[2]))
     assert quatprop.propagate(log, at="/other").t_ns.tolist() == frames
+    logged = quatprop.propagate(log, at="/other", clock="log").t_ns.tolist()
+    assert logged == [t + late for t in frames]
     out, report = tmp_path / "a.csv", tmp_path / "report.json"
     run("propagate", log, "-o", out, "--at", "/other", "--report", report)
     assert quatprop.read_attitudes(out).t_ns.tolist() == frames

@@ -68,9 +68,10 @@ def test_a_bias_that_jumps_a_little(motion, way, jump):
 @pytest.mark.parametrize("spread", [0, 0.05, 0.1, 0.2, 0.3, 0.5])
 def test_quantised_rates(motion, spread):
     """Integer deg/s after a rest: at noise 0.05 of the step the error was 295 times the stated."""
-    errors, sigmas = quantised(motion, spread, runs=8)
+    errors, sigmas = quantised(motion, spread, runs=24)
     if (motion, spread) == ("rest", 0):
         assert not len(errors), "no step is known of a log of one value"
         return
-    assert len(errors) == 8
+    # A log that is all rest may show one value.
+    assert len(errors) == 24 or (motion == "rest" and len(errors) > 8)
     assert (np.sqrt((errors**2).mean(axis=0)) <= 1.5 * np.sqrt((sigmas**2).mean(axis=0))).all()

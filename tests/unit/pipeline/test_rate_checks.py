@@ -164,9 +164,19 @@ def test_saturation(size):
     assert remarks(np.clip(swinging(1000), [-9, -9, -9], [9, limit, 9]), size=size) == [
         (
             "axis +y stays at its extreme of 4.36332 rad/s for 3 samples or more: saturated, so "
-            "larger rates are missing"
+            "larger rates are missing, unless the body turns steadily there"
         )
     ]
+
+
+@pytest.mark.parametrize("step", [1e-6, 1.0])
+def test_short_steady_turns_look_like_saturation(step):
+    """Of a robot's joint, whose noise is below the step, larger rates were said to be missing."""
+    t_s = np.arange(6000) * 0.01
+    turns = 200 * np.clip(3 * np.sin(2 * np.pi * t_s / 3), -1, 1)
+    said = remarks(np.radians(np.rint(turns / step) * step)[:, None] * [1, 0, 0])
+    assert len(said) == 2
+    assert all(one.endswith(", unless the body turns steadily there") for one in said)
 
 
 @pytest.mark.parametrize("at", [0, 16_380, 16_383, 16_384, 39_997])

@@ -31,6 +31,12 @@ def test_the_wrong_unit_is_named_and_the_right_one_is_not(tmp_path, true, taken)
     assert REMARK not in remarks_on(tmp_path, step, true)
 
 
+def test_a_step_of_few_digits_is_known(tmp_path):
+    """As a data sheet gives it: 0.0153 deg/s is 500/32768 to three digits, but not to four."""
+    assert REMARK in remarks_on(tmp_path, 0.01526, "rad/s")
+    assert REMARK not in remarks_on(tmp_path, 0.0153, "rad/s")
+
+
 @pytest.mark.parametrize("sensitivity", SENSITIVITIES)
 def test_every_known_step_is_silent_in_its_own_unit(tmp_path, sensitivity):
     """No sensitivity in one unit is that of another gyroscope in the other."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from make.gyro_noise import HZ, Truth, rates
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from quatprop.sensor_noise.allan import OVERLAP, AllanSums
 from quatprop.sensor_noise.covariance import covariances
@@ -88,7 +88,7 @@ def test_deviations_have_their_closed_forms(runs):
     truth, m, variances, _ = runs
     error = variances.std(axis=0) / np.sqrt(len(variances))
     apart = (variances.mean(axis=0) - truth.deviation(m / HZ) ** 2) / error
-    assert np.abs(apart).max() < norm.isf(CONFIDENCE / 2 / len(m) / len(TRUTHS))
+    assert np.abs(apart).max() < -ndtri(CONFIDENCE / 2 / len(m) / len(TRUTHS))
 
 
 def test_their_scatter_is_what_the_covariance_says(runs):
@@ -101,12 +101,10 @@ def test_their_scatter_is_what_the_covariance_says(runs):
     single = variances.var(axis=0, ddof=1) / covariance.diagonal()
     # A variance of few degrees of freedom scatters in its own scatter: by the kurtosis of its run.
     kurtosis = 3 + 12 / (2 * (found.laws @ terms) ** 2 / covariance.diagonal())
-    band = norm.isf(CONFIDENCE / 2 / len(m) / len(TRUTHS)) * np.sqrt(
-        (kurtosis - 1) / len(variances)
-    )
+    band = -ndtri(CONFIDENCE / 2 / len(m) / len(TRUTHS)) * np.sqrt((kurtosis - 1) / len(variances))
     assert (np.abs(single - 1) < band).all()
     scales = np.sqrt(covariance.diagonal())
     seen = np.corrcoef(variances.T)
     expected = covariance / np.outer(scales, scales)
-    room = norm.isf(CONFIDENCE / 2 / len(m) ** 2 / len(TRUTHS)) * 1.6 / np.sqrt(len(variances))
+    room = -ndtri(CONFIDENCE / 2 / len(m) ** 2 / len(TRUTHS)) * 1.6 / np.sqrt(len(variances))
     assert np.abs(seen - expected).max() < room

@@ -1,5 +1,6 @@
 """Text tables: exact times, dialects, and what stands above and between the rows."""
 
+import gzip
 import io
 import lzma
 import math
@@ -24,6 +25,9 @@ from quatprop.errors import (
     UnsupportedLogError,
     UsageError,
 )
+from quatprop.logs.open_log import open_log
+from quatprop.logs.signals.rates import choose_rates
+from quatprop.settings.selection import RateSelection
 from quatprop.tables import text_stream, timestamps
 from quatprop.tables.arrow import ParquetLog
 from quatprop.tables.csv.log import CsvLog
@@ -338,6 +342,25 @@ def test_a_unit_of_time_of_attitudes_that_the_header_contradicts_is_told(tmp_pat
 
 
 # What is no table, or several
+
+
+MANY = 20_000
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz"])
+def test_rows_that_are_appended_to_a_large_table_are_not_read(tmp_path, name):
+    """Of a small one they were not, and of one beyond 256 KiB they were."""
+    rows = "".join(f"{k}000000,0.1,0.2,0.3\n" for k in range(MANY))
+    data = f"t_ns,wx,wy,wz\n{rows}".encode()
+    log, is_packed = tmp_path / name, name.endswith(".gz")
+    log.write_bytes(gzip.compress(data) if is_packed else data)
+    with open_log(log) as opened:
+        with log.open("ab") as file:
+            more = f"{MANY}000000,0,0,0\n".encode()
+            file.write(gzip.compress(more) if is_packed else more)
+        batches = choose_rates(opened, RateSelection()).batches()
+        assert sum(map(len, batches)) == MANY
+        assert not opened.losses
 
 
 @pytest.mark.parametrize("kind", [CsvLog, ParquetLog])

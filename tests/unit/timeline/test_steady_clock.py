@@ -80,6 +80,36 @@ def test_late_arrivals_are_found_and_repaired():
         propagate(series)
 
 
+def together(size):
+    """Return stamps of samples that arrive so many at a time, 0.1 ms apart."""
+    last = np.minimum(np.arange(COUNT) // size * size + size, COUNT) - 1
+    return TRUE[last] + LATE[last] // 5 + (np.arange(COUNT) % size - size + 1) * MS // 10
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+@pytest.mark.parametrize("size", [2, 3, 5, 8])
+def test_samples_that_arrive_together_are_found_and_repaired(size):
+    """Bursts cost up to a degree: nothing was said of their clock, and the repair was refused."""
+    series, _ = tumbling(TRUE, together(size))
+    clock, said = observed(series)
+    assert len(said) == 1
+    assert clock.rate_hz == pytest.approx(200, rel=1e-5)
+    by_clock, _ = replaced(series)
+    assert np.abs(by_clock - TRUE).max() < MS // 10
+    assert rms_deg(series) > 0.02
+    assert rms_deg(series, regular_time=True) < 0.003
+
+
+@pytest.mark.parametrize(("size", "lost"), [(3, 1), (5, 5), (8, 8)])
+def test_bursts_of_which_samples_are_lost_are_left_alone(size, lost):
+    """Where each ends is then unknown, and the times of all that follow could be wrong."""
+    kept = np.delete(np.arange(COUNT), range(2000, 2000 + lost))
+    series, _ = tumbling(TRUE[kept], together(size)[kept])
+    assert observed(series) == (None, [])
+    with pytest.raises(TimelineError, match="do not jitter about a steady clock"):
+        replaced(series)
+
+
 @pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 def test_what_jitter_costs_is_what_the_attitudes_are_off():
     """The estimate is within a tenth of the true RMS error, with the first attitude known."""

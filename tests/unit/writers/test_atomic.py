@@ -88,6 +88,22 @@ def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path):
     assert stat.S_IMODE((tmp_path / "a.csv").stat().st_mode) == 0o640
 
 
+def test_a_new_file_is_private_from_its_creation(tmp_path, monkeypatch):
+    """It had the mode of any file for an instant, in which others could open what came later."""
+    created, opened = {}, os.open
+
+    def watched(path, flags, *arguments, **options):
+        file = opened(path, flags, *arguments, **options)
+        if flags & os.O_CREAT:
+            status = os.fstat(file)
+            created[status.st_ino] = stat.S_IMODE(status.st_mode)
+        return file
+
+    monkeypatch.setattr(os, "open", watched)
+    write(tmp_path / "a.csv")
+    assert created[(tmp_path / "a.csv").stat().st_ino] == 0o600
+
+
 def test_small_files_are_replaced_whole(tmp_path):
     """A block of writes replaces a file at its end; a block that fails leaves it as it was."""
     target = tmp_path / "report.json"
