@@ -19,7 +19,7 @@ help:
 	@echo 'make test         run the tests'
 	@echo 'make lowest       run the tests with the lowest versions that pyproject.toml allows'
 	@echo 'make dist         build wheel and sdist, and run the tests of the sdist'
-	@echo 'make fuzz         random properties, damaged logs, command lines, regressions, planted mistakes: report what goes wrong'
+	@echo 'make fuzz         random properties, damaged logs, command lines, stores that fail, batches that are killed, regressions, planted mistakes: report what goes wrong'
 	@echo 'make lint         ruff and mypy'
 	@echo 'make format       let ruff format the code'
 	@echo 'make documents    update the documents: what commands print, tables, pictures, references'
@@ -79,6 +79,7 @@ fuzz: $(READY)
 	cd tests && ../$(BIN)/python -m fuzz.command_lines
 	cd tests && ../$(BIN)/python -m fuzz.causes
 	cd tests && ../$(BIN)/python -m fuzz.calibrations
+	cd tests && ../$(BIN)/python -m fuzz.stores
 	cd tests && ../$(BIN)/python -m fuzz.fleets
 	cd tests && ../$(BIN)/python -m fuzz.regressions
 	cd tests && ../$(BIN)/python -m fuzz.remarks

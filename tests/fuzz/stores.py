@@ -1,14 +1,15 @@
 """Batches over a store that refuses, resets, hangs, delays and swaps; every output is held.
 
-    PYTHONPATH=tests python -m fuzz.stores [LOGS]
+    cd tests && python -m fuzz.stores [LOGS]
 
-For each kind of fault one batch with ``--retries 3`` over so many logs: how many are done, that
-each of them is right, to the byte, and that what is not done is named.
+``make fuzz`` runs it. For each kind of fault one batch with ``--retries 3`` over so many logs: how
+many are done, that each of them is right, to the byte, and that what is not done is named.
 """
 
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import random
 import sys
@@ -93,6 +94,7 @@ def batch_with(server, kind, rate, logs):
 
 def main(logs=200):
     """Run a batch for each kind of fault."""
+    logging.getLogger("werkzeug").setLevel(logging.ERROR)  # else a line for each request
     os.environ.pop("AWS_MAX_ATTEMPTS", None)
     server = StoreServer()
     os.environ.pop("AWS_MAX_ATTEMPTS")
