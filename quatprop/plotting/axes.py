@@ -139,7 +139,7 @@ def _set_value_axis(axes: Axes, panel: Panel) -> None:
         axes.text(0.5, 0.5, "no values", transform=axes.transAxes, ha="center", va="center")
         return
     low, high = float(values.min()), float(values.max())
-    if panel.quantity is NORM_ERROR:
+    if panel.quantity == NORM_ERROR:
         low, high = min(low, 0.0), max(high, 0.0)
         if high > low:
             axes.set_ylim(low - 0.08 * (high - low), high + 0.08 * (high - low))

@@ -305,10 +305,8 @@ def test_a_norm_that_is_off_is_drawn_as_it_is(tmp_path):
     wxyz[400] *= 1.25
     wxyz[600:610] = 0
     path = write_attitudes(tmp_path / "a.csv", t_ns, wxyz)
-    axes = axes_of(path)
-    norm = lines(axes)[3]
+    norm = lines(axes_of(path))[3]
     assert np.nanmax(norm) == pytest.approx(0.25)
-    assert axes[3].get_ylim() == pytest.approx((-0.02, 0.27))  # from 0 on, and 8 % on both sides
     assert np.isnan(norm).any()
     assert view_file(str(path), View()).facts[-1] == ("norm error", "at most 0.25")
     assert run("plot", path, "-o", tmp_path / "a.png", code=0).stderr.splitlines()[1] == (
@@ -326,6 +324,15 @@ def test_one_sample_is_a_point_and_a_constant_is_no_noise(tmp_path):
     still[::2, 3] += 1e-16
     low, high = axes_of(write_attitudes(tmp_path / "still.csv", t_ns, still))[0].get_ylim()
     assert high - low > 1
+
+
+@pytest.mark.parametrize("components", [False, True])
+@pytest.mark.parametrize(("length", "limits"), [(1.25, (-0.02, 0.27)), (0.75, (-0.27, 0.02))])
+def test_norm_errors_are_drawn_from_zero(tmp_path, length, limits, components):
+    """With 8 % beyond; beside angles, one that was the same everywhere filled the picture."""
+    t_ns, wxyz = spin(100)
+    path = write_attitudes(tmp_path / "a.csv", t_ns, length * wxyz)
+    assert axes_of(path, components=components)[-1].get_ylim() == pytest.approx(limits)
 
 
 def test_files_are_laid_over_one_another_in_colours_that_all_can_tell(turning, tmp_path):
