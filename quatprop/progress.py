@@ -1,7 +1,4 @@
-"""How far the reading of a log has come, for an interface that shows it.
-
-An interface sets :data:`SHOW` for the time of a run; without it, nothing happens here.
-"""
+"""Progress of reading a log, for an interface that sets :data:`SHOW`."""
 
 from __future__ import annotations
 
@@ -15,15 +12,15 @@ Size: TypeAlias = Callable[[Any], int]
 """Returns the number of samples in a batch."""
 
 Show: TypeAlias = Callable[[Iterator[Any], int | None, Size], Iterator[Any]]
-"""Yields the batches of an iterator as they are, and shows how many of a total have passed."""
+"""Yields the batches of an iterator unchanged, and shows progress relative to a total."""
 
 SHOW: ContextVar[Show | None] = ContextVar("SHOW", default=None)
 
 
 def with_progress(batches: Iterator[Batch], total: int | None, size: Size = len) -> Iterator[Batch]:
-    """Return the batches, whose progress is shown where an interface does so.
+    """Return batches unchanged, with their progress shown by the interface, if it does.
 
-    `total`: how many samples there are, at least roughly; None if that is not known
+    `total`: approximate number of samples; None: unknown
     """
     show = SHOW.get()
     return batches if show is None else show(batches, total, size)

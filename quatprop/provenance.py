@@ -1,7 +1,7 @@
-"""How a file came about, kept inside it: the key under which it stands, and how it is read.
+"""Provenance of files: how it is stored and read; digests of sources.
 
-The content is JSON: convention, layout, method, q0, source, policies, counts, versions. Files of
-Arrow keep it in their metadata, text in a comment if that was requested.
+It is JSON with convention, layout, method, q0, source, policies, counts and versions. Arrow files
+have it in their metadata, text optionally in a comment.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from quatprop.settings.guarded_text import ContentError, read_json
 from quatprop.text import MARK, in_python
 
 JsonObject: TypeAlias = dict[str, Any]
-"""An object of JSON, as it is read or about to be written."""
+"""A JSON object."""
 
 Entry = TypeVar("Entry")
 
@@ -31,20 +31,18 @@ _BLOCK_BYTES = 1 << 20
 _PLAIN = (bool, int, float, str)
 
 METADATA_KEY = b"quatprop"
-"""Key of a file's metadata that holds the provenance, as JSON."""
-
+"""Metadata key of the provenance."""
 
 COMMENT = b"# quatprop "
-"""How the first line of a text begins that holds the provenance."""
+"""Start of the first line of a text with the provenance."""
 
 
 def as_json(value: Any, spell: Callable[[str], str] = in_python) -> Any:
-    """Return a value as JSON has it: the one place where reports and results become JSON.
+    """Convert a report or a result to JSON types.
 
-    Dataclasses and named tuples become objects with their fields as keys (those of a digest among
-    them) but for what ``repr`` leaves out, arrays and other sequences become lists, paths and
-    strings; settings in sentences are spelled as in Python, or by `spell`. Numbers that are not
-    finite become null.
+    Dataclasses and named tuples become objects with their fields as keys, except fields without
+    ``repr``; a digest is merged into the object around it. Arrays and other sequences become lists,
+    and paths strings. Settings in sentences are spelled by `spell`. Non-finite numbers become null.
     """
     if isinstance(value, float) and not math.isfinite(value):
         value = None  # JSON has no infinities.
@@ -54,7 +52,7 @@ def as_json(value: Any, spell: Callable[[str], str] = in_python) -> Any:
         return value.as_json()
     if (names := _names(value.__class__)) is not None:
         items = {name: as_json(getattr(value, name), spell) for name in names}
-        # A digest says more about the same thing.
+        # A digest is merged into the object that it describes.
         digest = items.pop("digest", {})
         return {**items, **digest}
     if isinstance(value, list | tuple | set | frozenset):
@@ -68,14 +66,14 @@ def as_json(value: Any, spell: Callable[[str], str] = in_python) -> Any:
 
 @cache
 def _names(record: type) -> tuple[str, ...] | None:
-    """Return the fields of a dataclass that are shown, or of a named tuple; None of others."""
+    """Return the fields of a dataclass with ``repr``, or of a named tuple; None for other types."""
     if is_dataclass(record):
         return tuple(field.name for field in fields(record) if field.repr)
     return getattr(record, "_fields", None)
 
 
 def provenance_in(text: bytes | str | None, path: Path | str) -> JsonObject:
-    """Return the provenance that a file keeps; empty if there is none.
+    """Return the provenance in a file; empty if there is none.
 
     `text`: the JSON; None if there is none
     """
@@ -93,26 +91,26 @@ def provenance_in(text: bytes | str | None, path: Path | str) -> JsonObject:
 
 
 def entry_of(provenance: Mapping[str, Any], name: str, kind: type[Entry]) -> Entry:
-    """Return an entry of a provenance, empty where it has not the type that this package writes."""
+    """Return an entry of a provenance; empty if it is missing or of another type."""
     entry = provenance.get(name)
     return entry if isinstance(entry, kind) else kind()
 
 
 def of_all_topics(custom: Mapping[str, str]) -> dict[str, str]:
-    """Return the provenance of each topic, as JSON; under ``""`` that of all others."""
+    """Return the provenance by topic, as JSON; under ``""`` that of all other topics."""
     named = {name.partition(" ")[::2]: text for name, text in custom.items()}
     return {topic: text for (key, topic), text in named.items() if key == METADATA_KEY.decode()}
 
 
 class Digest(NamedTuple):
-    """By what a source is recognised.
+    """Identity of a source.
 
-    `bytes`: its size; None if there is nothing that could be read again
-    `sha256`: of its content; of a folder, of what ``sha256sum *`` prints for its files. None where
-        it was not computed
-    `files`: the files of a folder, by name; None for a file
-    `etag`: by what an object store recognises its content; None for a file of this machine
-    `changed`: when an object was written, as its store says it; not part of reports
+    `bytes`: size; None: it cannot be read again
+    `sha256`: SHA-256 of its content, for a folder of the output of ``sha256sum *``; None: not
+        computed
+    `files`: files of a folder by name; None for a file
+    `etag`: ETag in an object store; None for a local file
+    `changed`: modification time of an object, as text from the store; not in reports
     """
 
     bytes: int | None = None
@@ -122,7 +120,7 @@ class Digest(NamedTuple):
     changed: str | None = None
 
     def as_json(self) -> JsonObject:
-        """Return the digest as it stands in reports."""
+        """Return the digest for reports."""
         digest: JsonObject = {"bytes": self.bytes, "sha256": self.sha256}
         if self.etag is not None:
             digest["etag"] = self.etag
@@ -132,20 +130,20 @@ class Digest(NamedTuple):
 
 
 def digest_of(path: Path | str) -> Digest:
-    """Return the digest of a file or a folder; pipes and ``"-"`` cannot be read again."""
+    """Return the digest of a file or a folder; empty for pipes and ``"-"``."""
     return deque(_digest_at_end(Path(path), hashed=True), maxlen=1)[0] or Digest()
 
 
 @contextmanager
-def digest_ahead(path: Path | str, *, hashed: bool = True) -> Iterator[Callable[[], Digest]]:
-    """Compute the digest of a source while others read it; yield what waits for it."""
+def background_digest(path: Path | str, *, hashed: bool = True) -> Iterator[Callable[[], Digest]]:
+    """Compute the digest of a source in the background; yield a function that waits for it."""
     with closing(in_background(_digest_at_end(Path(path), hashed), ahead=None)) as steps:
         next(steps)  # starts it
         yield lambda: deque(steps, maxlen=1)[0] or Digest()
 
 
 def _digest_at_end(path: Path, hashed: bool) -> Iterator[Digest | None]:
-    """Yield None for whatever has been read, so that reading can be stopped, and the digest."""
+    """Yield None after each block, so that reading can be stopped, and finally the digest."""
     yield None
     try:
         if path.is_file():
@@ -169,7 +167,7 @@ def _of_file(file: Path, hashed: bool) -> Generator[None, None, Digest]:
         if not hashed:
             return Digest(size)
         stream.seek(0)
-        # Memory costs time: a small file gets little.
+        # Allocating memory takes time, so small files get a small buffer.
         block = memoryview(bytearray(max(1, min(size, _BLOCK_BYTES))))
         size = 0
         while count := stream.readinto(block):

@@ -1,7 +1,7 @@
 """The cases of ``quatprop check`` as pytest tests: ``pytest --quatprop-suite SUITE.toml``.
 
-Each case is an item, so pytest's own ``-k``, ``-x``, ``--junit-xml`` and plugins apply. The command
-updates references: ``quatprop check SUITE.toml --update``.
+Each case is an item, so pytest's own ``-k``, ``-x``, ``--junit-xml`` and plugins apply. To update
+references, use ``quatprop check SUITE.toml --update``.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ ARTIFACTS = "--quatprop-artifacts"
 
 
 class RegressionError(Exception):
-    """A case that does not pass; its text is the reason."""
+    """A case does not pass, for the reason in the message."""
 
 
-class ExpectedFailure(RegressionError):  # noqa: N818  # its name is what pytest shows
-    """A case that fails as it is known to."""
+class ExpectedFailure(RegressionError):  # noqa: N818  # pytest shows the name
+    """A case fails as expected."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -61,9 +61,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Add the suites that pytest would not find to the paths that it collects.
+    """Add suites outside the collected paths to the arguments of pytest.
 
-    pytest 8 leaves out the rest of a folder of which a file is named too.
+    Others are not added: pytest 8 would ignore the rest of their folder.
     """
     config.addinivalue_line("markers", "quatprop: a case of a quatprop check suite.")
     if config.getoption(ARTIFACTS) and not hasattr(config, "workerinput"):
@@ -83,7 +83,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _suites(config: pytest.Config) -> list[Path]:
-    """Return the suites, relative to the current folder, else to the one of the configuration."""
+    """Return the suites, relative to the current folder, else to the root folder of pytest."""
     current, root = config.invocation_params.dir, config.rootpath
     paths: list[str] = config.getoption(OPTION)
     return [current / path if (current / path).exists() else root / path for path in paths]
@@ -101,7 +101,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> SuiteFile 
 def pytest_collection_modifyitems(
     session: pytest.Session, config: pytest.Config, items: list[pytest.Item]
 ) -> Iterable[None]:
-    """Add an error for each suite of which no case was found; see which were all deselected."""
+    """Add a failing item for each suite without cases; note suites with all cases deselected."""
     found = {item.path.resolve() for item in items if isinstance(item, CaseItem)}
     yield
     left = {item.path.resolve() for item in items if isinstance(item, CaseItem)}
@@ -109,14 +109,14 @@ def pytest_collection_modifyitems(
     if hasattr(config, "workeroutput"):
         config.workeroutput["quatprop"] = config.stash[DESELECTED]
     known = {*found, *config.stash.get(BROKEN, ())}
-    # What was not run for --lf did not fail before.
+    # With --lf, suites without failures are not collected.
     suites = [] if config.getoption("lf", default=False) else _suites(config)
-    # A worker of pytest-xdist must not raise; an item fails there, too, and in JUnit.
+    # An item instead of an error, since workers of pytest-xdist must not raise; JUnit also has it.
     items += [_uncollected(session, suite) for suite in suites if suite.resolve() not in known]
 
 
 def _uncollected(session: pytest.Session, suite: Path) -> Any:
-    """Return an item in place of the cases of a suite, which fails."""
+    """Return a failing item in place of the cases of a suite."""
     from quatprop.check.case import CaseNotRun
 
     reason = "none of its cases was collected; is it ignored by an option or a conftest.py?"
@@ -127,20 +127,20 @@ def _uncollected(session: pytest.Session, suite: Path) -> Any:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: Any) -> None:
-    """Take from a worker of pytest-xdist, each of which collects all, what was deselected."""
+    """Get the deselected suites from a worker of pytest-xdist."""
     node.config.stash[DESELECTED] = getattr(node, "workeroutput", {}).get("quatprop", [])
 
 
 def pytest_terminal_summary(
     terminalreporter: pytest.TerminalReporter, config: pytest.Config
 ) -> None:
-    """Name the suites of which every case was deselected."""
+    """List the suites with all cases deselected."""
     for suite in config.stash.get(DESELECTED, []):
         terminalreporter.write_line(f"quatprop: every case of {plain(suite)} was deselected")
 
 
 def _artifacts(config: pytest.Config, suite: Path) -> Path:
-    """Return the folder for the evidence of a suite: of several, names of cases may be the same."""
+    """Return the folder for the evidence of a suite, one for each suite if there are several."""
     folder, root = Path(config.getoption(ARTIFACTS)), config.rootpath.resolve()
     suite = suite.resolve()
     if {path.resolve() for path in _suites(config)} == {suite}:
@@ -151,7 +151,7 @@ def _artifacts(config: pytest.Config, suite: Path) -> Path:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
-    """Let the report of a case have its result, as text: it may come from another process."""
+    """Attach the result of a case to its report, as text, for other processes."""
     report = yield
     if isinstance(item, CaseItem) and (report.when == "call" or not report.passed):
         from quatprop.provenance import as_json
@@ -164,22 +164,22 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
 
 
 SHOWN = ("verdict", "reason", "summary", "error_rad", "notes", "trace", "evidence")
-"""Fields of a result that an overview shows."""
+"""Fields of a result in an overview."""
 
 
 class Overviews:
-    """Writes an overview of the cases of each suite, where the reports of all processes come."""
+    """Writes an overview of the cases of each suite, in the main process."""
 
     def __init__(self, config: pytest.Config) -> None:
         self.config = config
         self.results: dict[Path, dict[str, CaseResult]] = {}
         for suite in _suites(config):
             self.results[suite.resolve()] = {}
-            with suppress(OSError):  # That of the last run must not stand for this one.
+            with suppress(OSError):  # the overview of an earlier run
                 (_artifacts(config, suite) / "index.html").unlink(missing_ok=True)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Take the result of a case, with the verdict that pytest has made of it."""
+        """Store the result of a case, with the verdict of pytest."""
         from quatprop.settings.guarded_text import read_json
 
         told = getattr(report, "quatprop", None)
@@ -196,7 +196,7 @@ class Overviews:
         self._add(report.nodeid, {**fields, "verdict": verdict})
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
-        """Take the error of a suite that cannot be read."""
+        """Store the error of a suite that cannot be read."""
         if report.failed:
             name = Path(report.nodeid).name
             fields = {"name": name, "verdict": "error", "reason": report.longreprtext}
@@ -230,13 +230,13 @@ class SuiteFile(pytest.File):
     """A suite."""
 
     def collect(self) -> Iterable[CaseItem]:
-        """Return its cases, and those that only its lock has."""
+        """Return its cases, and deleted cases that are still in its lock."""
         from quatprop.check.cases import deleted_cases, load_cases
         from quatprop.check.lock import read_lock
         from quatprop.errors import QuatpropError
         from quatprop.settings.spelling import in_keys
 
-        # A sentence is spelled when it is shown.
+        # Settings are spelled when errors are formatted.
         with spelling(in_keys):
             try:
                 suite, cases = load_cases(self.path)
@@ -261,11 +261,11 @@ class CaseItem(pytest.Item):
             self.add_marker(pytest.mark.xfail(reason=reason, raises=ExpectedFailure))
         verdict = getattr(case, "verdict", "")
         if verdict == "skip" or (verdict == "deleted" and not self.strict):
-            # A mark is shown with the line of the suite.
+            # With a mark, pytest shows the line in the suite.
             self.add_marker(pytest.mark.skip(reason=getattr(case, "reason", "")))
 
     def runtest(self) -> None:
-        """Judge the case; what is said of one that passes though it may fail is left to pytest."""
+        """Run the case; an unexpected pass is reported by pytest."""
         from quatprop.check.runner import CheckOptions, run_case
 
         place = self.config.getoption(ARTIFACTS) and _artifacts(self.config, self.path)
@@ -278,18 +278,18 @@ class CaseItem(pytest.Item):
         self.add_report_section("call", "quatprop", "\n".join(notes))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """Return the reason; other errors are shown with their traceback."""
+        """Return the reason; other errors have a traceback."""
         if isinstance(excinfo.value, RegressionError):
             return str(excinfo.value)
         return super().repr_failure(excinfo, style)
 
     def reportinfo(self) -> tuple[Path, int, str]:
-        """Return where the case is written."""
+        """Return the position of the case in the suite."""
         return self.path, self.case.line - 1, f"case {self.name}"
 
 
 def _table(result: CaseResult) -> list[str]:
-    """Return what was obtained and what was expected, as lines."""
+    """Return a table of obtained and expected values, as lines."""
     if not result.limits:
         return [result.summary] if result.summary else []
     rows = [("", "obtained", "expected"), *((x.label, x.value, x.limit) for x in result.limits)]

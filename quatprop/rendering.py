@@ -1,4 +1,4 @@
-"""Facts as text: angles, quaternions, counts, times, names; for summaries, pages and pictures."""
+"""Render angles, quaternions, counts, times and names as text, for summaries and plots."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ if TYPE_CHECKING:
 
 
 Row = tuple[str, str]
-"""A label and the text of its value; an empty label continues the row before."""
+"""A label and the text of its value; an empty label continues the previous row."""
 
 MAX_LOSSES = 20
-"""Losses that are shown one by one."""
+"""Maximum number of losses that are listed."""
 
 _UNUSUAL = 1.25
-"""An average rate is not the usual one where that is so many times as high."""
+"""The usual rate is shown if it is this many times the average."""
 
 GPS_EPOCH_NS = 315_964_800_000_000_000
-"""1980-01-06: earlier stamps are of a clock that counts from boot."""
+"""1980-01-06; earlier timestamps are from a clock that starts at boot."""
 
 
 def lines_of(rows: Iterable[Row], width: int = 9) -> list[str]:
-    """Return rows as lines, their values aligned."""
+    """Return rows as lines with aligned values."""
     return [f"{label:<{width}} {value}".rstrip() for label, value in rows]
 
 
 def degrees_text(angle: float, digits: int = 6) -> str:
-    """Return an angle, given in rad, in degrees."""
+    """Return an angle, rad, as text in degrees."""
     return f"{math.degrees(angle):.{digits}g} deg"
 
 
 def angle_text(angle: float) -> str:
-    """Return an angle, given in rad, in both units."""
+    """Return an angle, rad, as text in rad and degrees."""
     return f"{angle:.6g} rad ({degrees_text(angle)})"
 
 
 def quaternion_text(wxyz: Iterable[float]) -> str:
-    """Return a quaternion, its components named."""
+    """Return a quaternion with named components."""
     return "w {:+.9f}  x {:+.9f}  y {:+.9f}  z {:+.9f}".format(*wxyz)
 
 
@@ -55,7 +55,7 @@ def count_text(count: int, noun: str) -> str:
 
 
 def instant_text(t_ns: int) -> str:
-    """Return a stamp as UTC, or in seconds where its clock does not count from 1970."""
+    """Return a timestamp as UTC, or in seconds if its clock does not start in 1970."""
     seconds, rest = divmod(abs(t_ns), NS_PER_UNIT["s"])
     fraction = f".{rest:09d}".rstrip("0").rstrip(".")
     if t_ns < GPS_EPOCH_NS:
@@ -65,7 +65,7 @@ def instant_text(t_ns: int) -> str:
 
 
 def rate_text(samples: int, span_ns: int, median_dt_ns: int | None = None) -> str:
-    """Return the sample rate; where pauses make it another one than is usual, both."""
+    """Return the average sample rate, and the usual one if pauses make it differ."""
     rate_hz = (samples - 1) / (span_ns * 1e-9)
     usual_hz = 1e9 / median_dt_ns if median_dt_ns else rate_hz
     text = f"{rate_hz:.6g} Hz"
@@ -74,7 +74,7 @@ def rate_text(samples: int, span_ns: int, median_dt_ns: int | None = None) -> st
 
 
 def samples_text(samples: int, span_ns: int, median_dt_ns: int | None = None) -> str:
-    """Return how many samples there are, over which time and at which rate."""
+    """Return the number of samples, their time span and rate."""
     text = count_text(samples, "sample")
     if span_ns <= 0:
         return text
@@ -82,14 +82,14 @@ def samples_text(samples: int, span_ns: int, median_dt_ns: int | None = None) ->
 
 
 def source_text(name: str, type_name: str) -> str:
-    """Return a topic and its type, or columns and their dialect."""
+    """Return a topic and its type, or columns and the program that wrote them."""
     return " ".join(plain(text) for text in (name, type_name) if text)
 
 
 def file_names(files: Iterable[tuple[str, str]]) -> list[str]:
-    """Return the names of files, from their paths and the topics that are read of them.
+    """Return short unique names for files and topics.
 
-    Their paths where the names are the same, and the topics of one file.
+    Files of equal names are shown by path, and several topics of one file by topic.
     """
     files = list(files)
     paths = [path for path, _ in files]
@@ -103,7 +103,7 @@ def file_names(files: Iterable[tuple[str, str]]) -> list[str]:
 
 
 def loss_lines(losses: Sequence[Loss]) -> list[str]:
-    """Return a line for each thing lost of a damaged log, or for the first of many."""
+    """Return a line for each loss, at most :data:`MAX_LOSSES`."""
     lines = [f"lost: {plain(loss.place)}: {spelled(loss.reason)}" for loss in losses[:MAX_LOSSES]]
     if len(losses) > MAX_LOSSES:
         more = len(losses) - MAX_LOSSES

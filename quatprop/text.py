@@ -1,8 +1,7 @@
-"""Sentences for users: settings that each interface spells in its own way, and safe quoting.
+"""Sentences for users: settings spelled for each interface, and safe quoting.
 
-A sentence is plain text. A setting in it is a mark, which is spelled where the text leaves the
-program: ``clock='log'`` in Python, ``--clock log`` on the command line, ``clock = "log"`` in a
-suite.
+A sentence is plain text with marks for settings, which are replaced on output: ``clock='log'`` in
+Python, ``--clock log`` on the command line, ``clock = "log"`` in a suite.
 """
 
 from __future__ import annotations
@@ -16,42 +15,41 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     Spelling = Callable[[str, str], str]
-    """Returns a sentence as an interface spells it, and what the second argument says: of which of
-    several inputs its settings are."""
+    """Returns a sentence with settings spelled for an interface; the second argument is the input
+    to which they apply, if there are several."""
 
 MAX_LISTED = 12
-"""Names listed one by one before "and N more"."""
+"""Maximum number of names that are listed before "and N more"."""
 
 MAX_SHOWN = 60
-"""Characters of a value that are shown as they are."""
+"""Maximum length of a value that is shown."""
 
 MARK = "\ue000"
-"""How the mark of a setting begins."""
+"""First character of the mark of a setting."""
 
 _MARK = re.compile("\ue000([^\ue000-\ue002]*)\ue002([^\ue000-\ue002]*)\ue002(\\w*)\ue001")
-"""A setting in a sentence: :func:`quoted` and :func:`plain` let no such characters pass."""
+"""A setting in a sentence; :func:`quoted` and :func:`plain` escape its marks in other text."""
 
 
 def Setting(name: str, value: str = "", side: str = "") -> str:  # noqa: N802  # the mark's name
-    """Return the mark of a setting, to be mentioned in a sentence.
+    """Return the mark of a setting for a sentence.
 
-    `name`: the parameter of the library, such as ``"on_backwards"``
-    `value`: what it could be set to, such as ``"log"``; alternatives with ``|`` between them. Empty
-        where only the choice is mentioned
-    `side`: of which input, where a command has two: ``"a"`` or ``"b"``
+    `name`: parameter of the library, such as ``"on_backwards"``
+    `value`: suggested value, such as ``"log"``, or alternatives separated by ``|``; may be empty
+    `side`: input to which it applies, if a command has two: ``"a"`` or ``"b"``
     """
     return f"\ue000{name}\ue002{value}\ue002{side}\ue001"
 
 
 def with_settings(text: str, spell: Callable[[str, str, str], str]) -> str:
-    """Return a sentence whose marks a function has replaced by name, value and side."""
+    """Return a sentence with marks replaced by a function of name, value and side."""
     return _MARK.sub(lambda mark: spell(*mark.groups()), text)
 
 
 class Remark(str):
-    """A sentence about a log or a result that a reader should know.
+    """A remark on a log or a result.
 
-    `code`: names what it says; it stays when the sentence changes
+    `code`: identifies the kind of remark, stable when the sentence changes
     """
 
     __slots__ = ("code",)
@@ -59,39 +57,39 @@ class Remark(str):
     code: str
 
     def __new__(cls, code: str, text: str) -> Self:
-        """Return a sentence with its code."""
+        """Return a remark."""
         remark = super().__new__(cls, text)
         remark.code = code
         return remark
 
     def __getnewargs__(self) -> tuple[str, str]:  # type: ignore[override]
-        """Return what a copy in another process is made of."""
+        """Return the arguments for unpickling."""
         return self.code, str(self)
 
     def spelled(self, spell: Callable[[str], str]) -> Remark:
-        """Return the remark as an interface spells it."""
+        """Return the remark with settings spelled for an interface."""
         return Remark(self.code, spell(self))
 
 
 _ELSEWHERE = {"a": " of read_attitudes", "b": " of read_attitudes"} | dict.fromkeys(
     ("at", "q0"), " of convert"
 )
-"""Functions with the settings of inputs that a function of the library only names."""
+"""Input -> the function with its settings, if the called function only takes its name."""
 
 
 def in_python(text: str, side: str = "") -> str:
-    """Return a sentence as the library spells settings; whose they are is said after the last."""
+    """Return a sentence with settings spelled as in Python; their function is named once, last."""
     elsewhere = _ELSEWHERE.get(side, "")
 
     def spell(name: str, value: str, _own: str) -> str:
         values = " or ".join(map(repr, filter(None, value.split("|"))))
         return name + "=" * bool(value) + values + elsewhere * (name != "start")
 
-    return said_once(with_settings(text, spell), elsewhere)
+    return only_last(with_settings(text, spell), elsewhere)
 
 
-def said_once(text: str, phrase: str) -> str:
-    """Return a sentence that has a phrase only where it had it last."""
+def only_last(text: str, phrase: str) -> str:
+    """Return a sentence with all but the last occurrence of a phrase removed."""
     if not phrase:
         return text
     before, last, after = text.rpartition(phrase)
@@ -103,7 +101,7 @@ _SPELLING: ContextVar[Spelling] = ContextVar("SPELLING", default=in_python)
 
 @contextmanager
 def spelling(interface: Spelling) -> Iterator[None]:
-    """Spell sentences as an interface does in this block, or in a function that this decorates."""
+    """Spell settings for an interface in this block, or as a decorator in a function."""
     token = _SPELLING.set(interface)
     try:
         yield
@@ -112,17 +110,17 @@ def spelling(interface: Spelling) -> Iterator[None]:
 
 
 def spelled(text: str, side: str = "") -> str:
-    """Return a sentence on one line, as the interface spells it that runs."""
+    """Return a sentence on one line, with settings spelled for the current interface."""
     return plain(_SPELLING.get()(text, side))
 
 
 def quoted(text: object) -> str:
-    """Return `text` in quotes, with everything unprintable escaped."""
+    """Return text in quotes, with unprintable characters escaped."""
     return "'" + plain(text) + "'"
 
 
 def plain(text: object) -> str:
-    """Return `text` on one line with everything unprintable escaped, without quotes."""
+    """Return text on one line, with unprintable characters escaped."""
     return "".join(
         character if character.isprintable() else character.encode("unicode_escape").decode()
         for character in str(text)
@@ -130,7 +128,7 @@ def plain(text: object) -> str:
 
 
 def shown(value: object) -> str:
-    """Return a value that was given, quoted; of what is large or unusual, its type alone."""
+    """Return an argument as quoted text; for large or unusual values, only the type."""
     if isinstance(value, list | tuple) and len(value) <= MAX_LISTED:
         return quoted(",".join(map(str, value)))
     if value is None or isinstance(value, str | bytes | int | float):
@@ -141,7 +139,7 @@ def shown(value: object) -> str:
 
 
 def nearest(name: str, names: Iterable[str]) -> str | None:
-    """Return the name that was probably meant, whatever its case; None if none is like it."""
+    """Return the most similar name, ignoring case; None if none is similar."""
     from difflib import get_close_matches
 
     lower = {other.lower().strip("-"): other for other in names}
@@ -153,14 +151,14 @@ def nearest(name: str, names: Iterable[str]) -> str | None:
 
 
 def did_you_mean(name: str, names: Iterable[str], otherwise: str = "") -> str:
-    """Return the end of a sentence: which name was probably meant, or `otherwise`."""
+    """Return the end of a sentence that suggests a similar name, or `otherwise`."""
     near = nearest(name, names)
     way_out = otherwise if near is None else f"did you mean {quoted(near)}?"
     return f"; {way_out}" if way_out else ""
 
 
 def listed(names: Iterable[object]) -> str:
-    """Return names quoted and separated by commas, cut after :data:`MAX_LISTED`."""
+    """Return names, quoted and separated by commas, at most :data:`MAX_LISTED`."""
     every = [quoted(name) for name in names]
     if len(every) <= MAX_LISTED:
         return ", ".join(every)

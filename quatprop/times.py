@@ -1,6 +1,6 @@
-"""Instants and durations as users write them, to and from integer nanoseconds.
+"""Convert instants and durations between text and integer nanoseconds.
 
-Everything goes through integers and decimals: a float second at epoch 1.7e9 is off by 238 ns.
+Only integers and decimals are used: at 1.7e9 s, the resolution of a float is 238 ns.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ NS_PER_S = 1_000_000_000
 """Nanoseconds in a second."""
 
 LATEST = 2**63 - 1
-"""The last nanosecond that fits int64, in the year 2262."""
+"""The last time that fits in int64 ns, in the year 2262."""
 
 NS_PER_UNIT = {
     "ns": 1,
@@ -54,7 +54,7 @@ def duration_ns(text: str) -> int:
 
 
 def duration_text(ns: int) -> str:
-    """Return a duration in the unit that reads best, to six digits."""
+    """Return a duration with a suitable unit, to six digits."""
     for unit in ("s", "ms", "us"):
         if abs(ns) >= NS_PER_UNIT[unit]:
             return f"{ns / NS_PER_UNIT[unit]:.6g} {unit}"
@@ -68,11 +68,10 @@ def utc_text(ns: int) -> str:
 
 
 def regular_stamps(start: int, stop: int, rate: Fraction) -> NDArray[np.int64]:
-    """Return the stamps of regular samples, without drift.
+    """Return the timestamps of regular samples, without drift.
 
-    `rate`: samples a second, Hz
-    `Returns`: sample number / rate rounded to the nearest ns, halves to even; shape ``(stop -
-        start,)``, int64, ns
+    `rate`: sample rate, Hz
+    `Returns`: sample number / rate, rounded half to even; shape ``(stop - start,)``, int64, ns
     """
     import numpy as np
 
@@ -80,7 +79,7 @@ def regular_stamps(start: int, stop: int, rate: Fraction) -> NDArray[np.int64]:
 
 
 def numbered_stamps(numbers: NDArray[np.int64], rate: Fraction) -> NDArray[np.int64]:
-    """Return the stamps of some samples that :func:`regular_stamps` counts, shape ``(N,)``."""
+    """Return the timestamps of samples by number, as :func:`regular_stamps`, shape ``(N,)``."""
     import numpy as np
 
     if not len(numbers):
@@ -91,7 +90,7 @@ def numbered_stamps(numbers: NDArray[np.int64], rate: Fraction) -> NDArray[np.in
         raise UsageError(
             f"at {float(rate):.6g} Hz the times of {high + 1} samples do not fit in int64 ns"
         )
-    # The first in unbounded integers, the others relative to it, in 64 bits where they fit.
+    # The first in unbounded integers, the others relative to it, in 64 bits if they fit.
     whole, rest = divmod(start * period, divisor)
     small = (high - low + 1) * period + 2 * divisor <= LATEST
     relative = (numbers - start).astype(np.int64 if small else object) * period + rest
@@ -102,11 +101,11 @@ def numbered_stamps(numbers: NDArray[np.int64], rate: Fraction) -> NDArray[np.in
 
 
 def regular_count(elapsed_ns: int, rate: Fraction) -> int:
-    """Return how many regular samples have stamps from 0 to `elapsed_ns`, both included."""
-    # Sample k is rounded to `elapsed_ns` or less where k / rate <= elapsed_ns + 1/2 ns.
+    """Return the number of regular samples from 0 to `elapsed_ns`, both included."""
+    # Sample k is rounded to at most `elapsed_ns` if k / rate <= elapsed_ns + 1/2 ns.
     last, rest = divmod((2 * elapsed_ns + 1) * rate.numerator, 2 * NS_PER_S * rate.denominator)
     if rest == 0 and elapsed_ns % 2:
-        last -= 1  # a half is rounded to even, and so beyond
+        last -= 1  # a half is rounded up to even
     return max(0, last + 1)
 
 
@@ -117,16 +116,15 @@ _LONGEST_LOG_NS = 10 * 366 * NS_PER_UNIT["h"] * 24
 class Instant(NamedTuple):
     """A point in time, absolute or relative to an end of the log.
 
-    `ns`: nanoseconds: since the epoch of the log's clock, or the distance from `origin`
-    `origin`: ``"clock"`` for absolute, ``"first"`` and ``"last"`` for relative to the first and
-        last sample
+    `ns`: time of the log's clock, or relative to `origin`, ns
+    `origin`: ``"clock"`` (absolute), ``"first"`` or ``"last"`` (sample)
     """
 
     ns: int
     origin: Literal["clock", "first", "last"]
 
     def __str__(self) -> str:
-        """Return it as :func:`instant` reads it."""
+        """Return the instant as text for :func:`instant`."""
         if self.origin == "clock":
             return str(self.ns)
         return f"{'+' if self.origin == 'first' else '-'}{abs(self.ns)}ns"
@@ -157,7 +155,7 @@ def instant(text: str) -> Instant:
 
 
 def absolute_ns(text: str) -> int | None:
-    """Return a time in ns from RFC 3339 or integer ns; None where the text is neither."""
+    """Return a time, ns, from RFC 3339 or integer ns; None for other text."""
     if text.isdecimal():
         return int(text)
     if (match := re.fullmatch(_RFC3339, text)) is None:

@@ -35,13 +35,13 @@ ANSWER_S = 10
 """Timeout of the scheduler, s."""
 
 PATIENCE_S, LOOK_S = 10.0, 0.5
-"""Seconds for which outputs of workers are waited for in all, and between two looks."""
+"""Total time to wait for outputs of workers to become visible, and time between checks, s."""
 
 WORKERS_S, AGAIN_S = 30, 600
-"""Seconds in which a cluster must have a worker, and one that has lost them must have another."""
+"""Timeout for the first worker, and for a new one after all were lost, s."""
 
 IDLE_S, WAKE_S = 60.0, 0.01
-"""Seconds without a result after which it is asked for workers, and between two looks for one."""
+"""Time without results after which workers are checked, and time between checks, s."""
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 """Parameters of mallopt in the C library."""
@@ -102,7 +102,7 @@ def on_a_cluster(
 def _ended(
     completed: as_completed, client: Client, scheduler: str
 ) -> Iterator[Future[BatchResult]]:
-    """Yield futures as they end; a cluster that loses its workers may get others for a while."""
+    """Yield futures as they complete; a cluster without workers has some time to get new ones."""
     while not completed.is_empty():  # type: ignore[no-untyped-call]
         last = time.monotonic()
         while not completed.has_ready():  # type: ignore[no-untyped-call]
@@ -131,7 +131,7 @@ class _Call:
 
 
 def _state_of(output: str) -> tuple[int, ...] | None:
-    """Return by what an output of this machine is told from one that takes its place."""
+    """Return the identity of a local output, to detect that it was replaced; else None."""
     if is_address(output):
         return None
     try:
@@ -142,13 +142,13 @@ def _state_of(output: str) -> tuple[int, ...] | None:
 
 
 class _Looks:
-    """Looks for outputs that workers have written; those of another machine may come late."""
+    """Waits for outputs of workers, which on a shared file system may become visible late."""
 
     def __init__(self) -> None:
         self._left_s = PATIENCE_S
 
     def why_not_seen(self, output: str, entry: ManifestEntry, before: object) -> str:
-        """Return why the output of a result cannot be seen as it was written; empty if it can."""
+        """Return why the output of a result is not visible as written; empty if it is."""
         if entry.state not in COMPLETE:
             return ""
         while True:
@@ -181,7 +181,7 @@ def _client(scheduler: str) -> Client:
 
 
 def _has_workers(client: Client, patience_s: float) -> bool:
-    """Wait for a worker: a cluster may start them when there is something to do."""
+    """Wait for a worker, which a cluster may start on demand; return whether there is one."""
     try:
         client.wait_for_workers(1, timeout=patience_s)
     except TimeoutError:
@@ -218,7 +218,7 @@ def propagate_on_worker(task: BatchTask, settings: BatchSettings, version: str) 
 
 @contextmanager
 def _freed_memory_kept() -> Iterator[None]:
-    """Let freed memory be used again in this block, which Dask's nanny turns off by a variable.
+    """Keep freed memory in this block, which Dask's nanny turns off by an environment variable.
 
     Where the system clears every page anew, propagation takes up to three times as long.
     """

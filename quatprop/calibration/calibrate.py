@@ -19,6 +19,7 @@ from quatprop.errors import ComparisonError, UsageError
 from quatprop.kinematics.interpolation import interpolate
 from quatprop.kinematics.propagate import Propagation
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, from_matrix, geodesic_angle
+from quatprop.kinematics.resample import every
 from quatprop.rendering import count_text
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.series.blocks import rms
@@ -50,6 +51,9 @@ NEAR_NS: Final = 100_000_000
 
 NEAR_RAD: Final = 0.2
 """The same for the mounting."""
+
+MAX_PROPAGATED: Final = 2_000_000
+"""Approximate number of propagated attitudes from which clock and mounting are estimated first."""
 
 MAX_PAIRS: Final = 20_000
 """Approximate number of attitudes from which the first mounting is estimated."""
@@ -93,17 +97,20 @@ def calibrate(
 
 def _rising(name: str, series: AnySeries, remarks: list[Remark]) -> AnySeries:
     """Return the finite samples of a series in order of time; add a remark on omitted ones."""
-    (finite,) = np.nonzero(np.isfinite(np.asarray(series)).all(axis=1))
-    t_ns, first = np.unique(series.t_ns[finite], return_index=True)
-    if left_out := len(series) - len(t_ns):
-        text = f"{left_out} samples of the {name} were omitted: not finite, or of the same time"
-        remarks.append(Remark("omitted", text))
-    if len(t_ns) < MIN_WINDOWS:
+    finite = np.isfinite(np.asarray(series)).all(axis=1)
+    if not (finite.all() and (np.diff(series.t_ns) > 0).all()):
+        before, series = len(series), series[finite]
+        _, first = np.unique(series.t_ns, return_index=True)
+        series = series[first]
+        if left_out := before - len(series):
+            text = f"{left_out} samples of the {name} were omitted: not finite, or of the same time"
+            remarks.append(Remark("omitted", text))
+    if len(series) < MIN_WINDOWS:
         raise ComparisonError(
-            f"the {name} has {count_text(len(t_ns), 'sample')}; a calibration needs at least "
+            f"the {name} has {count_text(len(series), 'sample')}; a calibration needs at least "
             f"{MIN_WINDOWS}: record for longer"
         )
-    return series[finite[first]]
+    return series
 
 
 def _beginnings(
@@ -123,13 +130,15 @@ def _beginnings(
         added_ns=0 if is_unknown else added_ns,
         middle_ns=(int(reference.t_ns[0]) + int(reference.t_ns[-1])) // 2,
     )
-    propagated = AttitudeSeries(rates.t_ns, Propagation(IDENTITY, METHOD, "body").advance(rates))
+    attitudes = (q for _, q in Propagation(IDENTITY, METHOD, "body").run([rates]))
+    step = max(len(rates) // MAX_PROPAGATED, 1)
+    propagated = AttitudeSeries.joined([*every(attitudes, step)])
     if is_unknown:
         with suppress(ComparisonError):
             added_ns, _ = coarse_offset(propagated, reference)
             begin = begin._replace(added_ns=added_ns if abs(added_ns) > NEAR_NS else 0)
     t_ns = begin.times_of(reference.t_ns)
-    (common,) = np.nonzero((t_ns >= rates.t_ns[0]) & (t_ns <= rates.t_ns[-1]))
+    (common,) = np.nonzero((t_ns >= rates.t_ns[0]) & (t_ns <= propagated.t_ns[-1]))
     if not len(common):
         raise ComparisonError(
             f"the log, {rates.t_ns[0]} to {rates.t_ns[-1]} ns, and the reference, "
@@ -157,13 +166,13 @@ def _best(
 ) -> tuple[RotationWindows, int, Estimate]:
     """Return the windows with the smallest uncertainty, their length, and the estimate."""
     lengths_ns = [length_ns] if length_ns else LENGTHS_NS
-    every = {each: windows_of(rates, reference, begin, each) for each in lengths_ns}
-    enough = {each: windows for each, windows in every.items() if len(windows) >= MIN_WINDOWS}
+    candidates = {each: windows_of(rates, reference, begin, each) for each in lengths_ns}
+    enough = {each: windows for each, windows in candidates.items() if len(windows) >= MIN_WINDOWS}
     if not enough:
         raise ComparisonError(
-            f"the log and the reference have {max(map(len, every.values()))} windows in common, "
-            f"and a calibration needs {MIN_WINDOWS}; record for longer, or choose a shorter "
-            f"{Setting('window')}"
+            f"the log and the reference have {max(map(len, candidates.values()))} windows in "
+            f"common, and a calibration needs {MIN_WINDOWS}; record for longer, or choose a "
+            f"shorter {Setting('window')}"
         )
 
     def fitted(length_ns: int) -> Estimate:

@@ -39,6 +39,9 @@ METHOD: Final = "cubic"
 LONGEST: Final = 1.5
 """Windows longer than this many times the nominal length, because of gaps, are omitted."""
 
+MAX_WINDOWS: Final = 200_000
+"""Of more windows every second one is used, or fewer, which bounds memory."""
+
 SPARE_NS: Final = 200_000_000
 """Margin around each window for a clock offset that is still unknown."""
 
@@ -76,7 +79,8 @@ def windows_of(
     # A window has no gap if as many gaps begin before its end as end before its beginning.
     begun, ended = (np.searchsorted(rates.t_ns[at], need_ns) for at in (gaps, gaps + 1))
     inside = (need_ns[:, 0] >= rates.t_ns[0]) & (need_ns[:, 1] <= rates.t_ns[-1])
-    begin, end = rows[usual & inside & (begun[:, 1] == ended[:, 0])].T
+    rows = rows[usual & inside & (begun[:, 1] == ended[:, 0])]
+    begin, end = rows[:: len(rows) // MAX_WINDOWS + 1].T
     turn = multiply(conjugate(reference.wxyz[begin]), reference.wxyz[end])
     return RotationWindows(np.stack([t_ns[begin], t_ns[end]], axis=1), turn)
 

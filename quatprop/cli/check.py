@@ -114,17 +114,17 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
     from quatprop.check.lock import read_lock
     from quatprop.check.update import find_orphans
     from quatprop.cli.check_results import (
+        errors_reported_to_ci,
         json_report,
         report_deleted,
         report_new,
         run_and_show,
-        told_to_ci,
     )
     from quatprop.writers.targets import refuse_outside
 
     updating = options["update"] or options["init"]
     with ExitStack() as stack:
-        stack.enter_context(told_to_ci(Path(suite), options))
+        stack.enter_context(errors_reported_to_ci(Path(suite), options))
         _refuse_contradictions(logs, options)
         if options["init"]:
             stack.enter_context(_new_suite(suite, logs, options["reference_log"]))

@@ -166,7 +166,7 @@ def json_report(suite: Suite, results: list[CaseResult], *, passed: bool) -> Any
 
 
 @contextmanager
-def told_to_ci(suite: Path, options: Mapping[str, Any]) -> Iterator[None]:
+def errors_reported_to_ci(suite: Path, options: Mapping[str, Any]) -> Iterator[None]:
     """Also report an error that ends the run to CI, where reports of an earlier run may remain."""
     from quatprop.check.case import CaseResult
 

@@ -1,11 +1,10 @@
-"""Work side by side: in threads of this process, and in processes of this machine."""
+"""Threads and processes."""
 
 
 def keep_freed_memory() -> None:
-    """Let the C library keep freed memory, up to 64 MB: for processes of this package's own.
+    """Let the C library keep up to 64 MB of freed memory, for quatprop's own processes.
 
-    To give chunks of logs back to the system, and to have their pages cleared again, would cost as
-    much as decompressing them. glibc keeps twice the largest block that was ever freed; this one is
-    never touched.
+    Returning the memory of chunks to the system, which clears its pages again, would take as long
+    as decompressing them. glibc keeps twice the size of the largest block ever freed: this one.
     """
     bytes((1 << 25) - (1 << 13))

@@ -1,4 +1,4 @@
-"""Interruptions that come inside a destructor, where Python drops every exception."""
+"""Interruptions within destructors, where Python drops all exceptions."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ _AGAIN_S = 0.01
 
 
 def raise_interruptions_of_destructors() -> None:
-    """Raise them again a moment later, in the main thread; not on Windows, which has no timer."""
+    """Raise them again shortly after, in the main thread; not on Windows, which has no timer."""
     if hasattr(signal, "setitimer"):
         sys.unraisablehook = _raise_again
 
 
 def _raise_again(unraisable: sys.UnraisableHookArgs) -> None:
-    """Raise an interruption again that a destructor has dropped."""
+    """Raise an interruption again that was dropped in a destructor."""
     error = unraisable.exc_value
     if not isinstance(error, KeyboardInterrupt | SystemExit):
         sys.__unraisablehook__(unraisable)

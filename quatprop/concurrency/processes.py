@@ -1,7 +1,7 @@
-"""Do the same work on many items, in processes of this machine.
+"""Map a function over items in processes.
 
-Own code rather than a ``ProcessPoolExecutor``: that one fails every item when one process dies,
-and cannot tell whose item killed it.
+``ProcessPoolExecutor`` is not used, since it fails all items when one process dies, and cannot tell
+which item killed it.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ KILLED = (
     "the process that ran it was killed; is there enough memory? Run fewer at a time, or on a "
     "machine with more memory"
 )
-"""The error of an item whose process died."""
+"""Error for an item whose process died."""
 
 MAX_ON_WINDOWS = 61
-"""Windows waits for at most 63 handles at a time, and two are taken."""
+"""Maximum number of processes on Windows, which can wait for 63 handles, two of them in use."""
 
 GRACE_S = 10.0
-"""Time in which an interrupted process removes what is half-written before it is killed, s."""
+"""Time for an interrupted process to clean up before it is killed, s."""
 
 AGAIN_S = 1.0
-"""After which it is interrupted again, s."""
+"""Time after which it is interrupted again, s."""
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 _CONTEXT = multiprocessing.get_context("spawn")
-"""Processes start afresh, as everywhere but on Linux they must: no lock is copied half-taken."""
+"""Processes are spawned, not forked, so that no locks are copied."""
 
 
 def worker_count(wanted: int, items: int) -> int:
@@ -67,7 +67,13 @@ def map_processes(  # noqa: PLR0913  # keywords, each with a default
     isolated: bool = False,
     retries: int = 0,
 ) -> Generator[tuple[int, Result]]:
-    """Yield the index and the result of each item as soon as it is done."""
+    """Yield the index and the result of each item as soon as it is done.
+
+    `on_killed`: returns the result of an item whose process died
+    `record`: called with each result, even if the caller stops early
+    `isolated`: use a child process even if there is only one
+    `retries`: number of retries of an item whose process died
+    """
     if len(items) <= 1 or (processes == 1 and not isolated):
         for index, item in enumerate(items):
             result = work(item)
@@ -97,7 +103,7 @@ def _results(
     on_killed: Callable[[Item], Result],
     retries: int,
 ) -> Iterator[tuple[int, Result]]:
-    """Yield results, and give each worker that is done the next item; end those without one."""
+    """Yield results, and give each idle worker the next item, or end it."""
     waiting, deaths = iter(range(len(workers), len(items))), Counter[int]()
     while workers:
         ready = wait([worker.connection for worker in workers])
@@ -112,7 +118,7 @@ def _results(
                     worker.start(index, items[index])
                     continue
                 result = on_killed(items[index])
-            # The worker goes on before anybody looks at the result.
+            # The worker continues before the result is used.
             if (following := next(waiting, None)) is None:
                 workers.remove(worker)
                 worker.end()
@@ -122,7 +128,7 @@ def _results(
 
 
 def in_order(results: Iterable[tuple[int, Result]]) -> Iterator[Result]:
-    """Yield results in the order of their indices, each as soon as those before are there."""
+    """Yield results in order of their indices."""
     early: dict[int, Result] = {}
     turn = 0
     for index, result in results:
@@ -135,7 +141,7 @@ def in_order(results: Iterable[tuple[int, Result]]) -> Iterator[Result]:
 class _Worker(Generic[Item, Result]):
     """A process that works on one item at a time.
 
-    `connection`: readable when a result is there, or the process has died
+    `connection`: readable when there is a result, or the process has died
     """
 
     def __init__(self, work: Callable[[Item], Result]) -> None:
@@ -152,12 +158,12 @@ class _Worker(Generic[Item, Result]):
         theirs.close()
 
     def restart(self) -> None:
-        """Start a process in place of one that has died."""
+        """Replace a process that has died."""
         self.end()
         self._spawn()
 
     def start(self, index: int, item: Item) -> None:
-        """Give the process an item; if it has died, the result will not come."""
+        """Send an item to the process; if it has died, :meth:`result` raises an error."""
         self.index = index
         with contextlib.suppress(OSError):
             self.connection.send(item)
@@ -169,7 +175,7 @@ class _Worker(Generic[Item, Result]):
             waited += AGAIN_S
             if waited >= GRACE_S:
                 raise EOFError
-            # A signal that comes just before a system call does not end its waiting.
+            # A signal just before a blocking system call does not interrupt it.
             self.interrupt()
         result, error = self.connection.recv()
         if error is not None:
@@ -177,7 +183,7 @@ class _Worker(Generic[Item, Result]):
         return result  # type: ignore[no-any-return]
 
     def interrupt(self) -> None:
-        """Let the process stop its work, and remove what is half-written."""
+        """Ask the process to stop its work and clean up."""
         self._running = False
         if self._process.pid is not None and self._process.is_alive():
             if sys.platform == "win32":
@@ -186,7 +192,7 @@ class _Worker(Generic[Item, Result]):
                 os.kill(self._process.pid, signal.SIGTERM)
 
     def end(self) -> None:
-        """Wait for the end of the process, which comes when there are no more items."""
+        """Close the connection, and wait for the end of the process."""
         self.connection.close()
         self._process.join(GRACE_S)
         if self._process.is_alive():
@@ -207,16 +213,16 @@ def _serve(connection: Connection, work: Callable[[Item], Result]) -> None:
             answer: tuple[Result | None, str | None]
             try:
                 answer = work(item), None
-            except Exception:  # noqa: BLE001  # a bug, to be shown by the other process
+            except Exception:  # noqa: BLE001  # a bug, which the other process raises
                 answer = None, traceback.format_exc()
             interruption.busy = False
             connection.send(answer)
 
 
 class _Interruption:
-    """Interrupts the work of this process, once: tidying up is not interrupted.
+    """Interrupts the work of this process once, so that cleanup is not interrupted.
 
-    Ctrl-C reaches all processes of a terminal; one that is idle ends with its connection.
+    Ctrl-C reaches all processes of a terminal; an idle one ends with its connection.
     """
 
     def __init__(self) -> None:
@@ -232,14 +238,14 @@ class _Interruption:
 
 
 def _watch_parent() -> None:
-    """End this process when its parent has died, however it died."""
+    """End this process when its parent has died."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
         if sys.platform == "win32":
             _thread.interrupt_main(signal.SIGTERM)
         else:
-            # A signal to the thread itself ends its waiting, too.
+            # A signal to the thread itself also interrupts a blocking call.
             signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
         time.sleep(GRACE_S)
         os._exit(1)

@@ -1,7 +1,7 @@
-"""Stages of a run that overlap in threads: NumPy, Arrow and the decompressors release the GIL.
+"""Overlap the stages of a run in threads; NumPy, Arrow and decompressors release the GIL.
 
-However many threads there are, results come in the order of their input, so that the output is the
-same to the byte.
+Results are in the order of their input for any number of threads, so the output is the same to the
+byte.
 """
 
 from __future__ import annotations
@@ -25,32 +25,32 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 MOST = 8
-"""Threads that do the same work: reading and writing files are no faster with more."""
+"""Maximum number of threads for the same work: more are not faster with files."""
 
 AHEAD = 4
-"""Results that wait for their consumer at most: memory stays flat."""
+"""Maximum number of results computed ahead, so that memory is bounded."""
 
 _STAGES = 3
-"""From so many threads on, some are left for unpacking beside those of the stages."""
+"""Minimum number of threads for decompression in parallel, beside those of the stages."""
 
 _wanted: ContextVar[int | None] = ContextVar("threads", default=None)
 
 
 def available_cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores available to this process."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def thread_count() -> int:
-    """Return how many threads may compute at a time: as set, or as many as there are cores."""
+    """Return the number of threads for computation: as set, or the number of cores."""
     return _wanted.get() or available_cores()
 
 
 @contextmanager
 def use_threads(count: int | None) -> Iterator[None]:
-    """Set the number of threads in this block; None leaves it as it is."""
+    """Set the number of threads in this block; None: unchanged."""
     token = _wanted.set(count or _wanted.get())
     try:
         yield
@@ -63,7 +63,7 @@ def prefetch(
 ) -> Generator[Result, None, None]:
     """Yield ``function(item)`` for each item, in order, computed a few items ahead.
 
-    Close the iterator to stop early: calls that have begun are waited for, others are dropped.
+    Close the iterator to stop early: running calls are waited for, others are cancelled.
     """
     workers = min(MOST, thread_count() - 1)
     rest = iter(items)
@@ -87,11 +87,11 @@ def prefetch(
 
 
 def in_background(items: Iterable[Item], ahead: int | None = AHEAD) -> Generator[Item, None, None]:
-    """Yield items that another thread computes a few ahead; with one thread, as they are asked for.
+    """Yield items computed ahead in another thread; with one thread, on demand.
 
     Close the iterator to stop early; `items` are closed in the thread that computed them.
 
-    `ahead`: how many are computed before they are asked for; None: all of them
+    `ahead`: maximum number computed ahead; None: unlimited
     """
     if thread_count() == 1:
         yield from items
@@ -118,8 +118,8 @@ def in_background(items: Iterable[Item], ahead: int | None = AHEAD) -> Generator
 
     thread = threading.Thread(target=copy_context().run, args=(compute,), daemon=True)
     try:
-        # Whoever is interrupted has to know that it runs. It keeps holding signals back, so that
-        # they reach the main thread.
+        # An interruption must not separate the start of the thread from its cleanup. The thread
+        # inherits the mask, so that signals reach the main thread.
         with signals_blocked(signal.valid_signals()):
             thread.start()
         while isinstance(result := results.get(), tuple):
@@ -136,7 +136,7 @@ def in_background(items: Iterable[Item], ahead: int | None = AHEAD) -> Generator
 
 @contextmanager
 def signals_blocked(signals: Iterable[int], *, block: bool = True) -> Iterator[None]:
-    """Hold signals back in this thread, as while another starts; or let them through again."""
+    """Block signals in this thread within a block, or unblock them."""
     if sys.platform == "win32":
         yield
         return
@@ -149,9 +149,9 @@ def signals_blocked(signals: Iterable[int], *, block: bool = True) -> Iterator[N
 
 
 class OrderedThreadPool(Generic[Result]):
-    """Threads whose results are written in the order in which the work was submitted.
+    """Threads whose results are written in the order of submission.
 
-    `write`: takes the results, one after the other, in the caller's thread
+    `write`: called with each result, in the caller's thread
     """
 
     def __init__(self, work: Callable[..., Result], write: Callable[[Result], None]) -> None:
@@ -165,7 +165,7 @@ class OrderedThreadPool(Generic[Result]):
         self._results: deque[Future[Result]] = deque()
 
     def submit(self, *piece: object) -> None:
-        """Submit a piece of work; where too many are under way, wait for the oldest."""
+        """Submit a piece of work; if too many are pending, wait for the oldest."""
         if self._threads is None:
             self._write(self._work(*piece))
             return
@@ -174,12 +174,12 @@ class OrderedThreadPool(Generic[Result]):
             self._write(self._results.popleft().result())
 
     def drain(self) -> None:
-        """Wait for every piece of work and write its result."""
+        """Wait for all pending work, and write the results."""
         while self._results:
             self._write(self._results.popleft().result())
 
     def shutdown(self) -> None:
-        """End the threads and drop what is under way; may be called twice."""
+        """End the threads and drop pending work; may be called twice."""
         if self._threads is not None:
             self._threads.shutdown(cancel_futures=True)
         self._results.clear()

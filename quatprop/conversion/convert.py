@@ -21,7 +21,7 @@ from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.logs.signals.quaternion_check import QuaternionCheck
 from quatprop.pipeline.job import with_format
 from quatprop.pipeline.report import ReportFile
-from quatprop.provenance import digest_ahead
+from quatprop.provenance import background_digest
 from quatprop.stores.log_names import split_topic
 from quatprop.stores.objects import without_secret
 from quatprop.text import Remark, Setting, listed, quoted
@@ -82,7 +82,7 @@ def _written(
         logged=job.output.into,
     )
     write: Callable[[Any], None] = target.write
-    with digest_ahead(wanted.path, hashed=job.output.keeps_report) as digest:
+    with background_digest(wanted.path, hashed=job.output.keeps_report) as digest:
         attitudes: Iterable[AttitudeSeries] = order.counted(check.apply(rows))
         if relative is not None:
             attitudes = relative.applied(attitudes)

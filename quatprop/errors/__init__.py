@@ -1,12 +1,12 @@
-"""Every error quatprop raises on purpose, in one hierarchy.
+"""The hierarchy of all errors that quatprop raises on purpose.
 
 ::
 
     QuatpropError                      exit code 2: wrong usage or unreadable input
     ├── UsageError                     the options contradict each other or the log
     │   └── SuiteError                 a suite of regressions that cannot be used as written
-    ├── SeriesError                    arrays that are not the series they claim to be
-    ├── LogError                       a log that cannot be used as asked
+    ├── SeriesError                    arrays that are not a valid series
+    ├── LogError                       a log that cannot be used as requested
     │   ├── UnreadableLogError         missing, empty, not permitted, not a file
     │   ├── UnknownFormatError         no reader recognises the content
     │   ├── UnsupportedLogError        recognised, but a feature of it is not
@@ -16,20 +16,20 @@
     │   ├── NoRatesError               nothing in the log carries body rates
     │   ├── NoAttitudesError           nothing in the log carries attitudes
     │   ├── NothingToDrawError         nothing in the log carries either
-    │   ├── NotRotationsError          rows that should be attitudes are no rotations
-    │   ├── NoSamplesError             the chosen source, or the chosen part of it, is empty
-    │   ├── NoSuchTopicError           the topic asked for is not there, or has no rates
+    │   ├── NotRotationsError          attitudes that are not rotations
+    │   ├── NoSamplesError             the selected source, or the selected part, is empty
+    │   ├── NoSuchTopicError           the requested topic is missing, or has no rates
     │   ├── AmbiguousTopicError        several topics carry rates and none was chosen
-    │   ├── UndeclaredError            unit, column or time that only the user can know
-    │   └── TimelineError              stamps or rates that the chosen policy refuses
-    ├── StoreError                     an object store does not give what is asked of it
-    │   └── ReplacedError              a log that is another one after it was read
-    ├── ComparisonError                two attitude series that cannot be compared as asked
-    └── OutputError                    the result cannot be written where it was requested
+    │   ├── UndeclaredError            an undeclared unit, column or time
+    │   └── TimelineError              timestamps or rates that a policy refuses
+    ├── StoreError                     an object store cannot be used
+    │   └── ReplacedError              a log was replaced while it was read
+    ├── ComparisonError                two series cannot be compared as requested
+    └── OutputError                    the output cannot be written
 
-Each is a sentence: where, what, and the way out. A choice of the user's that settles the matter is
-a mark in it (:func:`quatprop.text.Setting`), which each interface spells in its own way. Text that
-comes from a file goes through :func:`quatprop.text.quoted`, so that it cannot command the terminal.
+Each is a sentence with the place, the problem, and the way out. Settings in it are marks
+(:func:`quatprop.text.Setting`), which each interface spells in its own way. Text from files is
+escaped by :func:`quatprop.text.quoted`, so that it cannot control the terminal.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 
 class QuatpropWarning(UserWarning):
-    """Base of the warnings that the library's functions issue."""
+    """Base class of the library's warnings."""
 
 
 class DataLossWarning(QuatpropWarning):
@@ -54,7 +54,7 @@ class DataLossWarning(QuatpropWarning):
     Attributes
     ----------
     messages
-        How many messages or rows are lost, if known.
+        Number of lost messages or rows; None: unknown.
     """
 
     messages: int | None = None
@@ -66,25 +66,25 @@ class RemarkWarning(QuatpropWarning):
     Attributes
     ----------
     code
-        Names what is said, such as ``"saturated"``; it stays when the sentence changes.
+        Kind of remark, such as ``"saturated"``; stable when the sentence changes.
     """
 
     code = ""
 
 
 class QuatpropError(Exception):
-    """Base of every error that is meant for the user: one sentence, no traceback.
+    """Base class of all errors for the user: one sentence, no traceback.
 
     Parameters
     ----------
     reason
-        What is wrong and, after a semicolon, the way out; may mention settings.
+        The problem and, after a semicolon, the way out; may contain marks of settings.
 
     Attributes
     ----------
     side
-        Which of several inputs it is about, where there are several with the same settings: ``"a"``
-        or ``"b"`` of a comparison, ``"q0"`` or ``"at"`` of a propagation; empty otherwise.
+        The input that it is about, if several have the same settings: ``"a"`` or ``"b"`` of a
+        comparison, ``"q0"`` or ``"at"`` of a propagation; empty otherwise.
     """
 
     side = ""
@@ -94,7 +94,7 @@ class QuatpropError(Exception):
 
     @property
     def text(self) -> str:
-        """The sentence, in which settings are marks; ``str`` spells them."""
+        """The sentence with marks of settings, which ``str`` spells."""
         return self.reason
 
     def __str__(self) -> str:
@@ -104,7 +104,7 @@ class QuatpropError(Exception):
         return f"{type(self).__name__}({str(self)!r})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what a copy in another process has: what is known, however it was given."""
+        """Return the state for unpickling, independent of the arguments of ``__init__``."""
         return __newobj__, (type(self),), self.__dict__
 
 
@@ -115,8 +115,8 @@ class UsageError(QuatpropError):
 class SuiteError(UsageError):
     """A suite of regressions that cannot be used as written.
 
-    `reason`: what is wrong and, after a semicolon, the way out
-    `case`, `key`: where in it, if it is not about all of it
+    `reason`: the problem and, after a semicolon, the way out
+    `case`, `key`: the place in the suite, if any
     """
 
     def __init__(
@@ -129,19 +129,19 @@ class SuiteError(UsageError):
 
 
 class SeriesError(QuatpropError, ValueError):
-    """Arrays that are not the series they claim to be (shape, dtype, length)."""
+    """Arrays are not a valid series (shape, dtype, length)."""
 
 
 class StoreError(QuatpropError):
-    """An object store does not give what is asked of it: the log is not damaged."""
+    """An object store cannot be used; the log is not damaged."""
 
 
 class ReplacedError(StoreError):
-    """A log was replaced while it was read, so that what was read may be of two logs."""
+    """A log was replaced while it was read, so the data may be a mixture of two logs."""
 
 
 class LogError(QuatpropError):
-    """A log that cannot be used as asked."""
+    """A log cannot be used as requested."""
 
     def __init__(self, path: Path | str, reason: str) -> None:
         super().__init__(reason)
@@ -149,7 +149,7 @@ class LogError(QuatpropError):
 
     @property
     def text(self) -> str:
-        """The sentence, with the file that the user knows."""
+        """The sentence with the path of the log."""
         return f"{plain(self.path)}: {self.reason}"
 
 
@@ -166,17 +166,17 @@ class UnsupportedLogError(LogError):
 
 
 class DamagedLogError(LogError):
-    """The log is recognised, but damaged so that nothing can be saved."""
+    """The log is recognised, but so damaged that nothing can be read."""
 
 
 class SchemaError(LogError):
-    """A message definition cannot be used to find the wanted fields."""
+    """A message definition cannot be used to find the requested fields."""
 
 
 class MessageError(LogError):
     """A message does not fit its definition.
 
-    `positions`: which messages of the block, so that a caller can go on without them
+    `positions`: indices of the messages in the block, so that the caller can omit them
     """
 
     def __init__(self, path: Path | str, reason: str, positions: Iterable[int] = ()) -> None:
@@ -185,9 +185,9 @@ class MessageError(LogError):
 
 
 class _NothingFoundError(LogError):
-    """Nothing in the log carries what is wanted.
+    """The log has no signal of the requested kind.
 
-    `seen`: what it holds instead: topics with their types, or columns
+    `seen`: topics with their types, or columns, in the log
     `what`: ``"topics"`` or ``"columns"``
     """
 
@@ -206,40 +206,41 @@ class _NothingFoundError(LogError):
 
 
 class NoRatesError(_NothingFoundError):
-    """Nothing in the log carries body rates."""
+    """The log has no body rates."""
 
     wanted, field = "body rates", Setting("rate_field")
     columns = f"{Setting('rate_cols')} and {Setting('time_col')}"
 
 
 class NoAttitudesError(_NothingFoundError):
-    """Nothing in the log carries attitudes."""
+    """The log has no attitudes."""
 
     wanted, field = "attitudes", Setting("quat_field")
     columns = f"{Setting('quat_cols')}, {Setting('from_layout')} and {Setting('time_col')}"
 
 
 class NothingToDrawError(_NothingFoundError):
-    """Nothing in the log carries body rates or attitudes."""
+    """The log has neither body rates nor attitudes."""
 
     wanted, field = "body rates or attitudes", f"{NoRatesError.field} or {NoAttitudesError.field}"
     columns = f"{Setting('rate_cols')} or {Setting('quat_cols')} and {Setting('time_col')}"
 
 
 class NotRotationsError(LogError):
-    """Rows that should be attitudes are no rotations: zero, not of unit length, not numbers."""
+    """Attitudes are not rotations: zero, not of unit length, not numbers."""
 
 
 class NoSamplesError(LogError):
-    """The chosen source holds no samples, or none in the chosen part of the log.
+    """The selected source has no samples, or none in the selected part of the log.
 
-    `source`: the topic or the columns
-    `outside`, `dropped`: samples left out: before and after the chosen part, and as not finite
+    `source`: topic or columns
+    `outside`: number of samples before and after the part
+    `dropped`: number of non-finite samples
     `losses`: places that could not be read, and why
-    `length`: how long the log is, where the part is given in units
+    `length`: length of the log, if the part is relative to its ends
     """
 
-    def __init__(  # noqa: PLR0913  # all that may explain it
+    def __init__(  # noqa: PLR0913  # possible reasons
         self,
         path: Path | str,
         source: str,
@@ -262,18 +263,18 @@ class NoSamplesError(LogError):
 
 
 class NoSuchTopicError(LogError):
-    """The topic asked for is not in the log, or carries nothing of what is wanted."""
+    """The requested topic is not in the log, or has no signal of the requested kind."""
 
 
 class AmbiguousTopicError(LogError):
-    """Several topics carry what is wanted and none was chosen."""
+    """Several topics have a signal of the requested kind, and none was selected."""
 
 
 class UndeclaredError(LogError):
-    """Something that only the user can know is not said anywhere.
+    """A fact that only the user knows is not declared.
 
-    `unknown`: what is not declared, such as "the unit of the rates in columns 'gx', 'gy', 'gz'"
-    `way_out`: what declares it, such as ``Setting("rate_unit", "rad/s|deg/s")``
+    `unknown`: the fact, such as "the unit of the rates in columns 'gx', 'gy', 'gz'"
+    `way_out`: the setting that declares it, such as ``Setting("rate_unit", "rad/s|deg/s")``
     """
 
     def __init__(
@@ -284,15 +285,15 @@ class UndeclaredError(LogError):
 
 
 class TimelineError(LogError):
-    """Stamps or rates that the chosen policy refuses."""
+    """Timestamps or rates are refused by a policy."""
 
 
 class ComparisonError(QuatpropError):
-    """Two attitude series that cannot be compared as asked."""
+    """Two attitude series cannot be compared as requested."""
 
 
 class OutputError(QuatpropError):
-    """The result cannot be written where it was requested; `reason` as for :class:`LogError`."""
+    """The output cannot be written; `reason` as for :class:`LogError`."""
 
     def __init__(self, path: Path | str, reason: str) -> None:
         super().__init__(f"{plain(path)}: {reason}")
@@ -300,7 +301,7 @@ class OutputError(QuatpropError):
 
 
 def os_reason(error: OSError) -> str:
-    """Return why a file cannot be read, as the end of a sentence about it."""
+    """Return why a file cannot be read, as the end of a sentence."""
     match error:
         case FileNotFoundError():
             return "no such file or folder; check the path"

@@ -1,8 +1,8 @@
-"""Translate the errors of other packages and of the system into sentences, all in one place.
+"""Convert errors of other packages and of the system to sentences.
 
-Readers and writers catch the errors that they expect, where they know the record or the column. All
-others are looked up here: where a log is open (:func:`as_errors_of`), and at the top of a run
-(:func:`as_user_error`). An error that is in no table is a bug in quatprop, and is reported as one.
+Readers and writers catch errors that they expect, where they know the record or the column. All
+others are converted here: while a log is open (:func:`as_errors_of`), and at the top of a run
+(:func:`as_user_error`). An error that is in no table is reported as a bug in quatprop.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 TRACEBACK = "QUATPROP_TRACEBACK"
-"""Environment variable: if it is set, bugs in quatprop are shown with their traceback."""
+"""Environment variable: if set, bugs in quatprop are shown with their traceback."""
 
 READING = {
     "apsw.Error": "its database cannot be used",
@@ -49,7 +49,7 @@ READING = {
     "zipfile.BadZipFile": "its archive cannot be used",
     "zlib.error": "its compressed data cannot be used",
 }
-"""Errors that only reading a log raises: full name of the class or of a base class -> reason."""
+"""Errors that only reading raises: full name of the class or a base class -> reason."""
 
 ANYWHERE = {
     "builtins.MemoryError": "there is not enough memory",
@@ -58,7 +58,7 @@ ANYWHERE = {
     "rosbags.rosbag1.writer.WriterError": "a bag cannot be written",
     "rosbags.rosbag2.errors.WriterError": "a bag cannot be written",
 }
-"""Errors that reading or writing raises."""
+"""The same for errors that reading or writing raises."""
 
 MEMORY_HINT = "; choose fewer columns or topics, or a machine with more memory"
 
@@ -76,7 +76,7 @@ def _reason(error: BaseException, table: dict[str, str]) -> str | None:
 
 @contextmanager
 def as_errors_of(path: Path | str) -> Iterator[None]:
-    """Turn errors that only reading raises into a :class:`LogError` that names the log."""
+    """Convert errors that only reading raises to a :class:`LogError` that names the log."""
     try:
         yield
     except QuatpropError:
@@ -95,7 +95,7 @@ def as_errors_of(path: Path | str) -> Iterator[None]:
 
 
 def as_user_error(error: Exception) -> QuatpropError | None:
-    """Return an error as one sentence."""
+    """Return an error with one sentence; None: raise the bug with its traceback."""
     if isinstance(error, QuatpropError):
         return error
     reason = _reason(error, READING | ANYWHERE)

@@ -19,7 +19,7 @@ from quatprop.logs.signals.rates import choose_rates
 from quatprop.pipeline.attitude_stream import AttitudeStream
 from quatprop.pipeline.report import ReportFile, RunReport, digests_of_inputs
 from quatprop.pipeline.settings import OutputSettings, PropagationSettings
-from quatprop.provenance import digest_ahead
+from quatprop.provenance import background_digest
 from quatprop.series import AttitudeSeries
 from quatprop.text import Setting
 from quatprop.writers import open_writer
@@ -133,7 +133,7 @@ def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log)
     output = job.output
     inputs = {**job.settings.inputs, **({path: path for path in job.paths} if job.more else {})}
     with (
-        digest_ahead(
+        background_digest(
             job.log, hashed=output.keeps_report and stream.reads_all and not job.more
         ) as digest,
         closing(in_background(stream)) as attitudes,

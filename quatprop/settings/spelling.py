@@ -9,7 +9,7 @@ from __future__ import annotations
 from quatprop.settings import PROPAGATE
 from quatprop.settings.parsers import flag
 from quatprop.settings.reading import ONE_SERIES, OPTION_NAMES, READ_ATTITUDES, READ_RATES
-from quatprop.text import said_once, with_settings
+from quatprop.text import only_last, with_settings
 
 LOOKUPS = {"at": {"start"}, "q0": {"start"}, "info": READ_RATES.keys()}
 """Sides whose attitudes are only looked up, and the settings that the command itself has for them;
@@ -46,7 +46,7 @@ def in_options(text: str, side: str = "") -> str:
             return f"{option(name)} {value}".rstrip() + elsewhere
         return f"{option(name, about)} {value}".rstrip()
 
-    return said_once(with_settings(text, spell), _ELSEWHERE)
+    return only_last(with_settings(text, spell), _ELSEWHERE)
 
 
 def in_keys(text: str, side: str = "") -> str:
@@ -63,4 +63,4 @@ def in_keys(text: str, side: str = "") -> str:
         on = " = true" if name in FLAGS else ""
         return suite_key(name, about) + (f" = {values}" if values else on)
 
-    return said_once(with_settings(text, spell), _ELSEWHERE)
+    return only_last(with_settings(text, spell), _ELSEWHERE)

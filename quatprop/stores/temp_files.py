@@ -28,7 +28,7 @@ MANY_FILES = 50
 """Maximum number of files in a folder that is listed for each output."""
 
 RELIST_S = 60.0
-"""For how long the listing of such a folder is used, s."""
+"""Time for which the listing of a larger folder is cached, s."""
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
 
@@ -100,7 +100,7 @@ def temp_file(place: Path) -> LockedTemp[NewFile]:
 
 
 def _usual_mode(path: Path) -> int:
-    """Return the mode of a new file: what umask and folder make of one can only be tried."""
+    """Return the mode of a new file, by creating one: it depends on the umask and the folder."""
     file = os.open(path, _NEW, 0o666)
     try:
         return os.fstat(file).st_mode

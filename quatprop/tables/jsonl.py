@@ -101,7 +101,7 @@ class JsonLinesLog(TypedTable):
                 )
 
     def _stored_rows(self, columns: TimedColumns) -> Batches:
-        """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
+        """Yield timestamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         self._refuse_text(columns)
         rows = JsonRows(self, columns, {k: self._leaves[k] for k in columns.used})
         with closing(open_text(self.path, self._size)) as text:

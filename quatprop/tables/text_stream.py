@@ -46,7 +46,7 @@ class TextStream:
 
     `file`: an open binary file, plain or compressed with gzip, zstd, bz2 or lz4
     `may_be_compressed`: whether to look for compression
-    `size`: bytes of the file that are read; None if that is not known
+    `size`: bytes of the file to read; None: unknown
     `damage`: why the text ends early; ``""``: no damage so far
     """
 

@@ -92,7 +92,7 @@ class TypedTable(TableLog):
         return list(zip(*cells, strict=True))
 
     def _stored_rows(self, columns: TimedColumns) -> Batches:
-        """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
+        """Yield timestamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         self._refuse_text(columns)
         first = 0
         for group in self._row_groups(columns):

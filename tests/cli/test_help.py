@@ -4,6 +4,7 @@ import re
 
 import pytest
 from click.testing import CliRunner
+from make.commands import run
 
 from quatprop.cli.commands import COMMANDS, cli
 from quatprop.cli.help import GROUPS
@@ -34,6 +35,12 @@ def test_help_lists_the_commands_there_are():
     """Each with its words."""
     listed = shown("--help")
     assert all(name in listed and words[:30] in listed for name, words in COMMANDS.items())
+
+
+@pytest.mark.parametrize("name", sorted({*COMMANDS} - {"simulate"}))
+def test_a_command_alone_shows_its_help(name):
+    """All need a log, or a word, but one."""
+    assert run(name, code=2).stderr == run(name, "--help", code=0).stdout
 
 
 @pytest.mark.parametrize("name", COMMANDS)

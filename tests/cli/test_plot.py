@@ -306,6 +306,7 @@ def test_a_norm_that_is_off_is_drawn_as_it_is(tmp_path):
     assert np.nanmax(norm) == pytest.approx(0.25)
     assert axes[3].get_ylim() == pytest.approx((-0.02, 0.27))  # from 0 on, and 8 % on both sides
     assert np.isnan(norm).any()
+    assert view_file(str(path), View()).facts[-1] == ("norm error", "at most 0.25")
     assert run("plot", path, "-o", tmp_path / "a.png", code=0).stderr.splitlines()[1] == (
         "warning: 10 invalid quaternions (zero, absent or not finite): not drawn"
     )
@@ -511,6 +512,8 @@ def test_the_first_sample_above_the_tolerance_is_marked_beside_the_worst(off, tm
     axes, said = drawn(*words, "0.5deg")
     first = "first above the tolerance at 2.51 s"
     assert legend(axes) == ["tolerance 0.5 deg", first, "worst: 5 deg at 3 s"]
+    faces = {line.get_marker(): line.get_markerfacecolor() for line in axes[0].get_lines()}
+    assert (faces["o"], faces["v"]) == ("none", palette.ALARM)
     summary = "new.csv: max 5 deg, RMS 1.166 deg; above the tolerance of 0.5 deg"
     assert said.splitlines()[0] == summary
     axes, _ = drawn(*words, "1e-6deg")

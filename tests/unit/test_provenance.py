@@ -16,7 +16,7 @@ from mcap.writer import Writer as McapWriter
 from quatprop import GyroSeries, propagate, read_rates
 from quatprop.errors import DamagedLogError, UsageError
 from quatprop.logs.open_log import open_log
-from quatprop.provenance import Digest, as_json, digest_ahead, digest_of
+from quatprop.provenance import Digest, as_json, background_digest, digest_of
 from quatprop.series import AttitudeSeries
 from quatprop.text import Setting
 from quatprop.times import Instant
@@ -196,16 +196,16 @@ def test_a_source_is_not_read_twice_for_nothing(tmp_path, rates, monkeypatch):
 
     def begin(path, *, hashed=True):
         began.append(hashed)
-        return digest_ahead(path, hashed=hashed)
+        return background_digest(path, hashed=hashed)
 
     for module in ("quatprop.pipeline.job", "quatprop.conversion.convert"):
-        monkeypatch.setattr(f"{module}.digest_ahead", begin)
+        monkeypatch.setattr(f"{module}.background_digest", begin)
     out = tmp_path / "out.csv"
     for options in ([], ["--header-comment"], ["--report", tmp_path / "report.json"]):
         run("propagate", rates, "-o", out, *options, code=0)
         run("convert", out, tmp_path / "converted.csv", *options, code=0)
     assert began == [False, False, True, True, True, True]
-    with digest_ahead(rates, hashed=False) as digest:
+    with background_digest(rates, hashed=False) as digest:
         assert digest() == Digest(rates.stat().st_size)
     assert not keeps_provenance("a.csv")
     assert keeps_provenance("a.csv", comment=True)
@@ -245,7 +245,7 @@ def test_a_run_that_fails_leaves_no_thread_behind(tmp_path, rates):
     """A large source is not read to its end for a result that there will not be."""
     read_rates(rates)  # the parser of CSV keeps the thread that it works in
     threads = set(threading.enumerate())
-    with digest_ahead(rates):
+    with background_digest(rates):
         pass
     assert not set(threading.enumerate()) - threads
     (tmp_path / "bad.csv").write_text("t_ns,wx,wy,wz\n5,0,0,1\n1,0,0,1\n")

@@ -189,7 +189,7 @@ def _counted(
 
 
 def _counter(matcher: ColumnMatcher, numbers: Group) -> Group:
-    """Return the first column that counts samples; none where there is none."""
+    """Return the first column that counts samples, or nothing."""
     counters = _countings(matcher, clocks.COUNTER, numbers)
     return tuple(k for k, counting in counters.items() if counting.is_by_one)[:1]
 

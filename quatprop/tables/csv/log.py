@@ -117,7 +117,7 @@ class CsvLog(TableLog):
         return max(rows, round((self._text.size or 0) / len(head) * rows))
 
     def _stored_rows(self, columns: TimedColumns) -> Batches:
-        """Yield stamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
+        """Yield timestamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
         text = self._restart()
         rows = CsvRows(self, self._layout, columns)
         try:

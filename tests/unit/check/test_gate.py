@@ -26,7 +26,7 @@ def largest(result):
     return max(map(float, re.findall(r"attitudes: max ([\d.]+) deg", result.stdout)))
 
 
-@pytest.mark.parametrize("place", ["refs/s2", "other/spin"])
+@pytest.mark.parametrize("place", ["refs/s2", "other/new/spin"])
 def test_a_reference_of_another_name_is_compared_with_the_old_one(folder, place):
     """A change of 180 deg was accepted with a SHA-256 where the key `reference` had changed."""
     suite = pinned(folder, stored())

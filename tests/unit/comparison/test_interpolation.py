@@ -92,6 +92,18 @@ def test_few_samples_are_slerp(count):
     assert (found.floor_rad == 0) == (count == 2)  # of two samples nothing is known
 
 
+def test_what_a_constant_rate_leaves_of_a_steady_acceleration_is_known():
+    """The angle is ``a t^2 / 2``; after a quarter of the interval h it is off by ``3/32 a h^2``."""
+    t_ns = stamps(10, 1)[:5]
+    wxyz = exp(np.array([0, 0, 0.7 / 2]) * (t_ns[:, None] / 1e9) ** 2)
+    wanted = t_ns[:-1] + 25_000_000
+    found = interpolate(AttitudeSeries(t_ns, wxyz), wanted)
+    truth = exp(np.array([0, 0, 0.7 / 2]) * (wanted[:, None] / 1e9) ** 2)
+    expected = 3 / 32 * 0.7 * 0.1**2
+    assert geodesic_angle(found.wxyz, truth) == pytest.approx([expected] * len(wanted))
+    assert found.floor_rad == pytest.approx(expected)
+
+
 def test_a_jump_is_not_smoothed():
     """Beside it the rate is held constant, as of motion that no polynomial follows."""
     t_ns = stamps(100, 1)

@@ -128,6 +128,14 @@ def test_what_is_lost_with_a_chunk_that_is_gone_is_counted_by_its_index(tmp_path
     assert Loss(f"chunk at byte {begin}", reason, len(lost)) in losses
 
 
+@pytest.mark.parametrize("length", [0, 5000, 2**40])
+def test_a_damaged_length_of_the_header_costs_nothing(tmp_path, length):
+    """Its content says how long it is."""
+    content = bytearray(numbered())
+    content[9:17] = length.to_bytes(8, "little")
+    assert read_numbers(tmp_path, bytes(content)) == (ALL, [])
+
+
 def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path):
     """The records inside a chunk that is not compressed can be followed by themselves."""
     content = bytearray(unclosed(numbered(**PLAIN)))

@@ -87,6 +87,14 @@ def test_one_of_the_series_that_take_turns_is_read(tmp_path, name, suffix):
             ]
 
 
+@pytest.mark.parametrize(("labels", "wanted"), [("acc gyro", "GYRO"), ("gyro Gyro", "Gyro")])
+def test_the_case_of_a_label_counts_only_where_two_differ_in_it(tmp_path, labels, wanted):
+    """By itself, and behind the name of its column."""
+    path = table(tmp_path / "log.csv", "sensor", labels.split() * ROWS)
+    for series in (wanted, f"sensor={wanted}"):
+        assert {*table_rates(path, series=series).rate[:, 0].tolist()} == {1}
+
+
 def test_the_message_says_the_choices_and_each_of_them_works(tmp_path):
     """Following the former advice, 2,002 rows were read instead of 1,001."""
     path = tmp_path / "log.csv"

@@ -9,6 +9,7 @@ from make.ros import ROS1, imu_messages, write_messages
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop.errors import TimelineError
+from quatprop.logs.matching import first_batch
 
 STORE = get_typestore(Stores.LATEST)
 NAME = "pkg/msg/Motion"
@@ -55,6 +56,13 @@ def test_the_stamp_of_the_message_around_stands_in_for_one_that_is_zero(path):
     assert stamps_of(write(path, later, GOOD)) == (later, ())
     # A recording may begin at 0.
     assert stamps_of(write(path, [0])) == ([0], ())
+
+
+def test_stamps_are_not_all_zero_if_those_of_a_later_chunk_are_set(path, monkeypatch):
+    """They are looked for behind the rows that are held for other questions, too."""
+    monkeypatch.setattr(first_batch, "ENOUGH_ROWS", 1)
+    later = [0] * 30 + GOOD[30:]
+    assert stamps_of(write(path, later, GOOD)) == (later, ())
 
 
 @pytest.mark.parametrize("outer", [None, ZERO])

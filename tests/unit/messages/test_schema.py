@@ -21,6 +21,7 @@ from quatprop.messages.schema import (
     key_path_of,
     numeric_layout,
 )
+from quatprop.messages.transforms import TransformDecoder
 
 RULE = "=" * 80
 IMU = Channel("/imu", "sensor_msgs/msg/Imu", "cdr")
@@ -231,3 +232,10 @@ def test_arrays_of_more_than_64_numbers_are_no_columns():
     """Each would be a thousand columns that nobody asked for."""
     columns = flattened(message_type(defined("int8[64] a\nint8[65] b\nint8 c\n"), "log")).columns
     assert [column.text for column in columns] == [*(f"a[{k}]" for k in range(64)), "c"]
+
+
+@pytest.mark.parametrize("definition", ["string data", "string[] data"])
+def test_another_definition_is_no_list_of_transforms(definition):
+    """The name of the type does not say what the messages hold."""
+    with pytest.raises(SchemaError, match="does not describe a list of transforms"):
+        TransformDecoder(defined(definition, name="tf2_msgs/msg/TFMessage"), "log")

@@ -4,6 +4,7 @@ import io
 import struct
 import sys
 import zlib
+from functools import reduce
 
 import numpy as np
 import pytest
@@ -45,11 +46,13 @@ def test_fields_of_structs_are_columns(path):
     """With the path that MATLAB itself has for them."""
     stamps = np.arange(COUNT, dtype=np.int64) * 10_000_000
     sensor = {"gyr": RATES.astype("f4"), "t_ns": stamps[:, None], "name": "imu"}
-    savemat(path, {"log": {"imu": sensor, "list": [{"a": 1}, {"a": 2}]}})
+    deep = reduce(lambda inner, _: {"a": inner}, range(8), SECONDS)
+    savemat(path, {"log": {"imu": sensor, "list": [{"a": 1}, {"a": 2}]}, "x": deep})
     found = table_rates(path, rate_unit="rad/s")
     assert (found.rate.tolist(), found.t_ns) == (RATES.astype("f4").tolist(), stamps.tolist())
     with MatlabLog(path) as log:
-        assert sorted(log.names) == [*(f"log.imu.gyr[{k}]" for k in range(3)), "log.imu.t_ns"]
+        names = [*(f"log.imu.gyr[{k}]" for k in range(3)), "log.imu.t_ns", "x" + 8 * ".a"]
+        assert sorted(log.names) == names
 
 
 @pytest.mark.parametrize("form", FORMS[:2], ids=str)
