@@ -89,6 +89,7 @@ class Batch:
                 yield from on_this_machine(
                     self.plan.tasks, settings, count, manifest, isolated=isolated
                 )
+            self.plan.tasks.clear()  # to merge entries takes memory, too
             manifest.collect()
         if settings.files:
             merge_parts(settings.folder, self._part.has_file, count)

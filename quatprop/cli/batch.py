@@ -133,9 +133,9 @@ def command(
     skip, verify = chosen["skip_existing"], chosen["verify"]
     batch = Batch(search, settings, manifest, part, skip=skip, verify=verify)
     _warn_of_unused(manifest)
-    planned, tasks = batch.plan, batch.plan.tasks
+    planned, tasks, count = batch.plan, batch.plan.tasks, len(batch.plan.tasks)
     with closing(batch.results(chosen["processes"], chosen["dask"])) as results:
-        meter = bar(len(tasks), "log", disable=not on_terminal(quiet=quiet))
+        meter = bar(count, "log", disable=not on_terminal(quiet=quiet))
         shown = ShownResults(tasks, settings, meter, quiet=quiet, keeps=as_json)
         with meter:
             for index, result in results:
@@ -149,7 +149,7 @@ def command(
     }
     if not quiet:
         shown.finish(planned, counts, len(batch.gone))
-    only_tables = tasks and len(tasks) == shown.states["no rates"] and not planned.skipped
+    only_tables = count and count == shown.states["no rates"] and not planned.skipped
     if only_tables and not chosen["shard"]:
         raise click.UsageError(f"there are no logs: {counted(counts)}; name the logs themselves")
     return 2 if shown.states["failed"] else 3 if shown.states["data lost"] or planned.lost else 0

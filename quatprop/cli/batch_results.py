@@ -36,6 +36,7 @@ class ShownResults:
         self._errors: list[str] = []
         self._samples = 0
         self._tasks, self._settings, self._quiet, self._keeps = tasks, settings, quiet, keeps
+        self._count = len(tasks)
         self._width = max((len(plain(task.shown)) for task in tasks), default=0)
         self._meter = meter
 
@@ -61,7 +62,7 @@ class ShownResults:
 
     def finish(self, planned: Plan, ignored: Mapping[str, int], gone: int) -> None:
         """Show the errors again, and the totals."""
-        if self._errors and len(self._tasks) > 1:
+        if self._errors and self._count > 1:
             click.echo(f"{len(self._errors)} failed:", err=True)
             for error in self._errors:
                 click.echo(f"  {error}", err=True)
@@ -69,11 +70,11 @@ class ShownResults:
         before = f"; data was lost in {lost} of them" * bool(lost)
         what = f"{gone} log{'s are' if gone > 1 else ' is'} no longer there"
         before += f"; {what}, and noted as deleted" * bool(gone)
-        if not self._tasks and skipped:
+        if not self._count and skipped:
             what = "its output is" if skipped == 1 else f"all {skipped} outputs are"
             click.echo(f"nothing to do: {what} up to date{before}", err=True)
             return
-        logs = len(self._tasks) - self.states["no rates"]
+        logs = self._count - self.states["no rates"]
         text = f"{logs - self.states['failed']} of {logs} logs done, {self._samples:,} samples"
         text += f"; {skipped} skipped, as their outputs are up to date" * bool(skipped) + before
         click.echo(f"{text}; {counted(ignored)}".removesuffix("; "), err=True)

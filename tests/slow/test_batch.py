@@ -190,7 +190,7 @@ def test_a_million_names_fit_into_500_mb(tmp_path):
     tracemalloc.stop()
     del kept
     assert left < 240 * count
-    assert most < 400 * count
+    assert most < 330 * count
 
 
 CLUSTER = """
