@@ -10,6 +10,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
+from contextlib import suppress
 from importlib import import_module
 from typing import NoReturn
 
@@ -60,6 +61,8 @@ def run() -> None:
         import_module("quatprop.cli.bash_completion")  # in place of click's
     try:
         cli(prog_name="quatprop")
-    except OSError:
-        # stderr cannot be written to; all other errors are reported by the group.
+    except OSError as error:
+        # Of --help and --version, or of stderr itself; all others are reported by the group.
+        with suppress(OSError):
+            print(f"Error: standard output cannot be written: {error.strerror}", file=sys.stderr)
         sys.exit(FAILED)

@@ -171,13 +171,16 @@ def test_a_reader_that_has_gone_is_no_error(logs):
 
 
 @needs_full
-@pytest.mark.parametrize("command", ["info", "propagate"])
-def test_a_full_disk_behind_stdout_is_a_sentence(logs, command):
-    """What cannot be written is told, with exit code 2."""
-    output = ("-o", "-") if command == "propagate" else ()
+@pytest.mark.parametrize(
+    "arguments",
+    [("info", "small.csv"), ("propagate", "small.csv", "-o", "-"), ("--help",), ("--version",)],
+)
+def test_a_full_disk_behind_stdout_is_a_sentence(logs, monkeypatch, arguments):
+    """What cannot be written is told, with exit code 2; of --help and --version nothing was said."""
+    monkeypatch.chdir(logs)
     options = {"capture_output": False, "stderr": subprocess.PIPE}
     with FULL.open("w") as full:
-        done = installed(command, logs / "small.csv", *output, stdout=full, **options)
+        done = installed(*arguments, stdout=full, **options)
     assert done.returncode == 2
     assert "No space left on device" in done.stderr
     assert done.stderr.count("Error: ") == 1
