@@ -64,5 +64,5 @@ def run() -> None:
     except OSError as error:
         # Of --help and --version, or of stderr itself; all others are reported by the group.
         with suppress(OSError):
-            print(f"Error: standard output cannot be written: {error.strerror}", file=sys.stderr)
+            sys.stderr.write(f"Error: standard output cannot be written: {error.strerror}\n")
         sys.exit(FAILED)

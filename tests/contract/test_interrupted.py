@@ -176,7 +176,7 @@ def test_a_reader_that_has_gone_is_no_error(logs):
     [("info", "small.csv"), ("propagate", "small.csv", "-o", "-"), ("--help",), ("--version",)],
 )
 def test_a_full_disk_behind_stdout_is_a_sentence(logs, monkeypatch, arguments):
-    """What cannot be written is told, with exit code 2; of --help and --version nothing was said."""
+    """What cannot be written is told, with exit code 2; of --help nothing was said."""
     monkeypatch.chdir(logs)
     options = {"capture_output": False, "stderr": subprocess.PIPE}
     with FULL.open("w") as full:
