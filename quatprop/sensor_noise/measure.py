@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -80,6 +80,75 @@ def measure(path: str, source: RateSignal, values: Mapping[str, Any], log: Log |
 
     `log`: the open log, which is read twice; None for rates in memory
     """
+    at_rest = _sums_at_rest(path, source, values, log)
+    counts, sums, ends = at_rest.counts, at_rest.sums, at_rest.ends
+    samples, pieces = sum(sums.lengths), len(sums.lengths)
+    m, variances = sums.variances()
+    if len(m) < FEWEST or not at_rest.span_ns:
+        raise UsageError(
+            f"{plain(path)}: {samples} samples at rest are too few to measure noise; record the "
+            "sensor at rest for a minute or longer"
+        )
+    if isinstance(log, JoinedLog) and counts.duplicates.count > COPIED * counts.used:
+        raise UsageError(
+            f"{plain(path)}: {counts.duplicates.count} of {counts.used} timestamps are repeated: "
+            "the files are copies of one recording; name one of them"
+        )
+    first_ns, last_ns = counts.first_ns or 0, counts.last_ns or 0
+    used = tuple(end for end in ends if end[1] >= first_ns and end[0] <= last_ns)
+    interval_s = at_rest.span_ns / (samples - pieces) / NS_PER_S
+    tau_s = np.asarray(m * interval_s)
+    found = covariances(m, sums.lengths)
+    fits = [fit(axis, found) if axis.all() else None for axis in variances.T]
+    remarks = (
+        *source.remarks,
+        *at_rest.remarks,
+        *_remarks(counts, interval_s, at_rest.rests, pieces - len(used)),
+        *_fit_remarks(fits, tau_s),
+        *(() if log is None else log.remarks),
+    )
+    unknown = np.full(len(m), np.nan)
+    freedoms = np.stack([unknown if one is None else one.freedoms for one in fits], axis=1)
+    deviation = np.sqrt(variances)
+    return Noise(
+        source=f"{without_secret(path)}: {source_text(source.name, source.type_name)}",
+        topic=source.name if source.name.startswith("/") else "",
+        samples=samples,
+        rests=used,
+        pieces=pieces,
+        interval_s=interval_s,
+        tau_s=tau_s,
+        deviation=deviation,
+        low=deviation * np.sqrt(freedoms / chi_square(freedoms, 1.0)),
+        high=deviation * np.sqrt(freedoms / chi_square(freedoms, -1.0)),
+        axes=tuple(terms_of([one], interval_s, tau_s) for one in fits),
+        combined=terms_of(fits, interval_s, tau_s),
+        dropped=counts.dropped,
+        remarks=tuple(one for one in remarks if getattr(one, "code", "") not in OF_ATTITUDE),
+        losses=() if log is None else tuple(log.losses),
+    )
+
+
+class SumsAtRest(NamedTuple):
+    """Sums over the samples at rest.
+
+    `ends`: first and last timestamp of each stationary period, ns
+    `span_ns`: total duration of the pieces, ns
+    `remarks`: on the timestamps and the part of the log
+    """
+
+    rests: Sequence[StaticPeriod]
+    ends: list[tuple[int, int]]
+    sums: AllanSums
+    span_ns: int
+    counts: Counts
+    remarks: tuple[Remark, ...]
+
+
+def _sums_at_rest(
+    path: str, source: RateSignal, values: Mapping[str, Any], log: Log | None
+) -> SumsAtRest:
+    """Find the stationary periods of a log, and read it again for their sums."""
     names = ("on_backwards", "on_nonfinite") & values.keys()
     policy = Policy(
         on_gap="split", max_gap_ns=values.get("max_gap"), **{name: values[name] for name in names}
@@ -113,52 +182,8 @@ def measure(path: str, source: RateSignal, values: Mapping[str, Any], log: Log |
     ends, sums = _joined(rests), AllanSums()
     segments = timeline.segments(timeline.measured(batches))
     span_ns = sum(_add(segment, ends, sums) for segment in segments)
-    counts, samples, pieces = timeline.counts, sum(sums.lengths), len(sums.lengths)
-    m, variances = sums.variances()
-    if len(m) < FEWEST or not span_ns:
-        raise UsageError(
-            f"{plain(path)}: {samples} samples at rest are too few to measure noise; record the "
-            "sensor at rest for a minute or longer"
-        )
-    if isinstance(log, JoinedLog) and counts.duplicates.count > COPIED * counts.used:
-        raise UsageError(
-            f"{plain(path)}: {counts.duplicates.count} of {counts.used} timestamps are repeated: "
-            "the files are copies of one recording; name one of them"
-        )
-    first_ns, last_ns = counts.first_ns or 0, counts.last_ns or 0
-    used = tuple(end for end in ends if end[1] >= first_ns and end[0] <= last_ns)
-    interval_s = span_ns / (samples - pieces) / NS_PER_S
-    tau_s = np.asarray(m * interval_s)
-    found = covariances(m, sums.lengths)
-    fits = [fit(axis, found) if axis.all() else None for axis in variances.T]
-    remarks = (
-        *source.remarks,
-        *timeline_remarks(counts, policy, chosen_by),
-        *clipping_remarks(part, done),
-        *_remarks(counts, interval_s, rests, pieces - len(used)),
-        *_fit_remarks(fits, tau_s),
-        *(() if log is None else log.remarks),
-    )
-    unknown = np.full(len(m), np.nan)
-    freedoms = np.stack([unknown if one is None else one.freedoms for one in fits], axis=1)
-    deviation = np.sqrt(variances)
-    return Noise(
-        source=f"{without_secret(path)}: {source_text(source.name, source.type_name)}",
-        topic=source.name if source.name.startswith("/") else "",
-        samples=samples,
-        rests=used,
-        pieces=pieces,
-        interval_s=interval_s,
-        tau_s=tau_s,
-        deviation=deviation,
-        low=deviation * np.sqrt(freedoms / chi_square(freedoms, 1.0)),
-        high=deviation * np.sqrt(freedoms / chi_square(freedoms, -1.0)),
-        axes=tuple(terms_of([one], interval_s, tau_s) for one in fits),
-        combined=terms_of(fits, interval_s, tau_s),
-        dropped=counts.dropped,
-        remarks=tuple(one for one in remarks if getattr(one, "code", "") not in OF_ATTITUDE),
-        losses=() if log is None else tuple(log.losses),
-    )
+    remarks = *timeline_remarks(timeline.counts, policy, chosen_by), *clipping_remarks(part, done)
+    return SumsAtRest(rests, ends, sums, span_ns, timeline.counts, remarks)
 
 
 def _joined(rests: Sequence[StaticPeriod]) -> list[tuple[int, int]]:
