@@ -48,6 +48,12 @@ MAX_LOOKED_AT: Final = 100_000
 SIGNIFICANT: Final = 3.0
 """Noise is not white if the blocks scatter by this many standard deviations more."""
 
+ALIKE: Final = 1e-4
+"""Minimum variance about an axis, relative to the largest: of exact data, one axis would decide."""
+
+TOGETHER: Final = 1e3
+"""Parameters cannot be separated if their variances differ by less than this factor."""
+
 ROUNDING: Final = 1e-12
 """Minimum noise, rad: rounding errors."""
 
@@ -92,6 +98,12 @@ def fit(rates: GyroSeries, windows: RotationWindows, begin: Model, free: Bool) -
     `free`: which to estimate
     """
     blind = _blind(rates, windows, begin)
+    found = solve(*errors_of(rates, windows, begin), free)
+    # What only noise of the rates shows would be estimated so that nothing is left of the rates.
+    power = found.blocks.sum(axis=(0, 1))[np.ix_(free, free)]
+    alone = 1 / np.linalg.inv(power + ROUNDING * np.trace(power) * np.eye(len(power))).diagonal()
+    free = free.copy()
+    free[free] = alone > blind[free] * (1 / found.noise).sum()
     while free.any():
         model = begin
         for _ in range(MAX_ROUNDS):
@@ -129,7 +141,7 @@ def solve(vectors: Float64, slope: Float64, free: Bool) -> Solution:
             noise = (np.median(np.abs(left), axis=0) / 0.6745) ** 2
         else:
             noise = (left[used] ** 2).sum(axis=0) / max(_degrees(used, free), 1.0)
-        noise = np.maximum(noise, ROUNDING**2)
+        noise = np.maximum(noise, max(ALIKE * noise.max(), ROUNDING**2))
         size = np.sqrt((left**2 / noise).sum(axis=1))
         used = size < REJECTED
         weight = HUBER / np.maximum(size, HUBER) if number < REWEIGHTED else used
@@ -145,16 +157,19 @@ def solve(vectors: Float64, slope: Float64, free: Bool) -> Solution:
 
 
 def _blind(rates: GyroSeries, windows: RotationWindows, model: Model) -> Float64:
-    """Return the spurious information on the clock that noise of the rates contributes, doubled.
+    """Return the spurious information that noise of the rates contributes, doubled.
 
-    A clock offset changes the rotation over a window by the rates at its ends, including their
-    noise.
+    The rates at the ends of a window tell of the clock, and their integral of all that multiplies
+    them; both contain noise.
     """
     changes = np.diff(rates.rate[:MAX_LOOKED_AT], n=2, axis=0)
     variance = (np.median(np.abs(changes)) / 0.6745) ** 2 / 6
     since = (windows.t_ns - model.middle_ns) / NS_PER_S
-    of_group = {"offset": 2 * variance * since.size, "drift": 2 * variance * (since**2).sum()}
-    return np.array([of_group.get(name, 0.0) for name in OF_GROUP] * LIMITS**2)
+    interval_s = np.median(np.diff(rates.t_ns)) / NS_PER_S
+    of_integrals = interval_s * float(np.diff(since).sum())
+    of_group = {"bias": 0.0, "offset": since.size, "drift": float((since**2).sum())}
+    blind = [2 * variance * of_group.get(name, of_integrals) for name in OF_GROUP]
+    return np.asarray(blind * LIMITS**2)
 
 
 def observable(information: Float64, free: Bool) -> Bool:
@@ -166,8 +181,8 @@ def observable(information: Float64, free: Bool) -> Bool:
         variance = (vectors**2 / np.maximum(values, ROUNDING)).sum(axis=1)
         if variance.max() <= 1:
             break
-        # Of those that are about equally uncertain.
-        worst = np.flatnonzero(free)[variance > variance.max() / 2]
+        # Of all that may stand for one another, whatever the units.
+        worst = np.flatnonzero(free)[variance > max(variance.max() / TOGETHER, 1.0)]
         free[worst[np.lexsort((worst, RANKS[worst]))[-1]]] = False
     return free
 

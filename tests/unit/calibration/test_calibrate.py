@@ -189,3 +189,18 @@ def test_a_fault_of_five_percent_is_noticed():
     few = ensemble(("bias",), 15, lambda found: found._replace(bias=1.05 * found.bias))
     assert not few.is_exact(1)
     assert MODELS[-1] == EVERYTHING
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")  # of the truth
+@pytest.mark.parametrize("turning", [0.0, np.pi], ids=["rest", "spin"])
+def test_what_noise_or_a_bias_may_stand_for_is_held(turning):
+    """With an exact reference, the scale was said to be -100 %: nothing of the rates was left."""
+    t_ns, true = np.arange(6000) * 10**7, np.tile([0.0, 0.0, turning], (6000, 1))
+    truth = quatprop.propagate(quatprop.GyroSeries(t_ns, true))
+    noise = 1e-3 * (not turning) * np.random.default_rng(2).normal(size=true.shape)
+    log = quatprop.GyroSeries(t_ns, true + np.array([0.01, 0.02, 0.0]) + noise)
+    found = quatprop.calibrate(log, truth)
+    shown = {(one.group, one.axis) for one in found.parameters if one.sigma is not None}
+    assert shown == {("bias", "x"), ("bias", "y"), ("bias", "z")}
+    sigmas = [one.sigma for one in found.parameters[:3]]
+    assert (np.abs(found.bias_rad_s - [0.01, 0.02, 0.0]) < 4 * np.array(sigmas) + 1e-9).all()
