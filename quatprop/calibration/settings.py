@@ -34,7 +34,7 @@ GROUPS = {
     "scale": ParameterGroup(("x", "y", "z"), 0.01, 4, 100.0, "%"),
     "misalignment": ParameterGroup(("xy", "xz", "yz"), 0.01, 5, 180 / math.pi, "deg"),
     "mount": ParameterGroup(("x", "y", "z"), 0.02, 2, 180 / math.pi, "deg"),
-    "offset": ParameterGroup(("",), 0.01, 1, 1e3, "ms, added to the timestamps of the reference"),
+    "offset": ParameterGroup(("",), 0.01, 1, 1e3, "ms, added in the middle of the reference"),
     "drift": ParameterGroup(("",), 1e-4, 3, 1e6, "ppm, by which that offset grows with time"),
 }
 """What can be estimated; the limits are above the errors of usual MEMS gyroscopes and crystals."""

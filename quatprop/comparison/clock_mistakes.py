@@ -88,7 +88,10 @@ def _offset(clock: ClockError, coarse_ns: int, given_ns: int, interval_ns: int) 
 def _clock_drift(clock: ClockError, coarse_ns: int, begin_ns: int, first_ns: int) -> Mistake:
     """`first_ns`: origin of the times of the clock error, ns."""
     at_first = np.array((begin_ns - first_ns + coarse_ns) / NS_PER_S)
-    first_ms = 1e3 * float(clock.at(at_first)) + coarse_ns / 1e6
+    # The error of the clock is a function of A's time, and what to add one of B's.
+    of_b = 1 / (1 - clock.ratio)
+    first_ms = 1e3 * of_b * float(clock.at(at_first)) + coarse_ns / 1e6
+    ratio = of_b * clock.ratio
     ppm, std = abs(clock.ratio) * 1e6, max(clock.std * 1e6, 0.01)
     digits = max(1 - math.floor(math.log10(std)), 0)
     pace = "slow" if clock.ratio > 0 else "fast"
@@ -98,7 +101,7 @@ def _clock_drift(clock: ClockError, coarse_ns: int, begin_ns: int, first_ns: int
     )
 
     def undo(sides: Sides) -> Sides:
-        added = np.rint(first_ms * 1e6 + clock.ratio * (sides.b.t_ns - begin_ns)).astype(np.int64)
+        added = np.rint(first_ms * 1e6 + ratio * (sides.b.t_ns - begin_ns)).astype(np.int64)
         return sides._replace(b=shifted(sides.b, added))
 
     return Mistake(
@@ -106,7 +109,7 @@ def _clock_drift(clock: ClockError, coarse_ns: int, begin_ns: int, first_ns: int
         f"clocks that differ by {float(f'{ppm:.3g}'):g} ppm",
         f"B's clock is {pace} by {ppm:.{digits}f} +- {std:.{digits}f} ppm against A's: the offset "
         f"between their timestamps changes by {moved} in {span}",
-        f"add {first_ms:.6g} ms to B's timestamps, and {clock.ratio * 1e6:.6g} ppm of the time "
+        f"add {first_ms:.6g} ms to B's timestamps, and {ratio * 1e6:.6g} ppm of the time "
         "since its first",
         undo,
     )

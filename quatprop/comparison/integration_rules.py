@@ -75,7 +75,8 @@ def integration_rules(sides: Sides) -> Mistake | None:
 
 def _described(likely: Sequence[tuple[str, str]], a: AttitudeSeries) -> Mistake:
     rule, other = likely[0]
-    sentence = f"the same rates lead to A with method {rule}, and to B with method {other}"
+    others = " or ".join(dict.fromkeys(pair[1] for pair in likely if pair[0] == rule))
+    sentence = f"the same rates lead to A with method {rule}, and to B with method {others}"
     if {rule, other} == {"start", "end"}:
         amount = duration_text(interval_ns(a))
         sentence += f", or their timestamps are one interval, {amount}, apart"

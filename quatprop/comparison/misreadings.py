@@ -128,11 +128,12 @@ def swapped_axes(sides: Sides) -> Iterator[Mistake]:
         mounts = _signed(matrix.T), _signed(matrix)
         if handed > 0:
             remedy = remedy_if_propagated("mount", *(mount.replace(" ", "") for mount in mounts))
+            remedy += ", after any other"
         else:
             sentence += ", which is left-handed: an axis is reversed, or two are swapped"
             remedy = (
                 f"if A was propagated, read its rates as {mounts[0]}; if B was, read its rates as "
-                f"{mounts[1]}"
+                f"{mounts[1]} (no option does that: the driver or the log is to be mended)"
             )
         undo, mount = rates_changed(matrix.T), matrix.T if handed > 0 else None
         yield Mistake("axes", "swapped or reversed axes", sentence, remedy, undo, mount=mount)

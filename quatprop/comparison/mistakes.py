@@ -95,6 +95,10 @@ LEVEL = 1e-3
 """Maximum share of a heading rotation that is about a level axis."""
 
 
+NEGLIGIBLE = 1e-9
+"""Angle, rad, by which frames differ only by rounding."""
+
+
 def frame_mistake(asked: Alignment, alignment: Alignment) -> Mistake:
     """Return the difference of frames that an alignment removes beside the one asked for."""
     apart = geodesic_angle(asked.reference_wxyz, alignment.reference_wxyz)
@@ -106,7 +110,8 @@ def frame_mistake(asked: Alignment, alignment: Alignment) -> Mistake:
         wanted = "yaw" if level and asked.name in {"none", "first"} else "mean"
     sentence = f"the reference frames differ by {reference}"
     if name == "mount":
-        others = f", and the reference frames by {reference}" if asked.name != "mean" else ""
+        also = asked.name != "mean" and float(apart) > NEGLIGIBLE
+        others = f", and the reference frames by {reference}" if also else ""
         sentence = f"the body frames differ by {body}{others}"
     return Mistake(
         "body frame" if name == "mount" else "reference frame",

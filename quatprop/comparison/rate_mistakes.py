@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from quatprop.comparison.alignment import Alignment
 
 RATES = (
-    *("", "rate bias", "scale", "biased scale and rate bias"),
+    *("", "rate bias", "nominal scale", "scale", "biased scale and rate bias"),
     *("drift in body", "drift in reference"),
 )
 """Mistakes in rates, beside the integration rule."""
@@ -42,7 +42,7 @@ def rate_mistake(
     if kind == "rate bias":
         return rate_bias(sides, alignment.mount_wxyz, sensor)
     if kind.endswith("scale"):
-        return scale(sides, alignment.mount_wxyz, biased=kind.startswith("biased"))
+        return scale(sides, alignment.mount_wxyz, kind.removesuffix("scale"))
     return drift(sides, alignment, kind.removeprefix("drift in "))
 
 
@@ -55,8 +55,9 @@ SCALES = {
 }
 """Ratio of rates -> its reason, and the setting."""
 
-SCALE_TOLERANCE = 0.03
-"""Relative tolerance of such a ratio: gyroscopes are not calibrated much better."""
+NEAR = 0.01, 0.1
+"""Relative tolerance of such a ratio: gyroscopes are not calibrated much better; and of one that is
+tried: fast rotations are more than half a turn between samples, which spoils the estimate."""
 
 MIN_WINDOWS = 100
 """Approximate number of windows over which rates are compared."""
@@ -68,8 +69,11 @@ MAX_UNSHOWN = 1.5
 """Maximum ratio of rates without this correlation."""
 
 
-def scale(sides: Sides, mount: Float64, *, biased: bool) -> Mistake | None:
-    """Return the ratio of rates; `biased`: apart from a constant rate."""
+def scale(sides: Sides, mount: Float64, kind: str) -> Mistake | None:
+    """Return the ratio of rates.
+
+    `kind`: ``"biased "``: apart from a constant rate; ``"nominal "``: one of :data:`SCALES`
+    """
     of_a, of_b, seconds = _steps(sides, mount)
     stride = max(len(of_a) // MIN_WINDOWS, 1)
     first = np.arange(0, len(of_a), stride)
@@ -78,7 +82,7 @@ def scale(sides: Sides, mount: Float64, *, biased: bool) -> Mistake | None:
     sizes = [float((each * each).sum()) for each in varying]
     common = float((varying[0] * varying[1]).sum())
     shows = common > MIN_CORRELATION * math.sqrt(math.prod(sizes))
-    if biased:
+    if kind == "biased ":
         y, x = varying
     # Regression on A's rates: B's noise may be large, and its power would bias the ratio.
     power, shared = float((y * y).sum()), float((x * y).sum())
@@ -87,10 +91,14 @@ def scale(sides: Sides, mount: Float64, *, biased: bool) -> Mistake | None:
     factor = float(f"{shared / power:.6g}")
     ratio = max(factor, 1 / factor)
     # The bias of a gyroscope at rest is no scaled motion.
-    if not shows and ratio > MAX_UNSHOWN:
+    if factor == 1 or (not shows and ratio > MAX_UNSHOWN):
         return None
-    near = (SCALES[named] for named in SCALES if abs(ratio / named - 1) < SCALE_TOLERANCE)
-    meaning, where = next(near, ("", ""))
+    near = [named for named in SCALES if abs(ratio / named - 1) < NEAR[kind == "nominal "]]
+    if kind == "nominal ":
+        if not near:
+            return None
+        ratio, factor = near[0], near[0] if factor > 1 else 1 / near[0]
+    meaning, where = SCALES[near[0]] if near else ("", "")
     return Mistake(
         "scale",
         f"rates that differ by a factor of {ratio:.6g}",

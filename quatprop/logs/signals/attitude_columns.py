@@ -124,7 +124,8 @@ def _in_order(
         what = f"the columns {matcher.names(stored)} are {own or 'in no layout'} by name"
         if is_by_definition:
             what = f"{quoted(found.field)} of {quoted(found.table.type)} is {own} by definition"
-        source, way = f"{Setting('from_layout')} says {given}", "omit it"
+        source = f"{Setting('from_layout')} says {given}"
+        way = "omit it" if is_by_definition else "omit it, or rename the columns if they are wrong"
         if given is None:
             source = f"the metadata say {recorded}"
             settled = Setting("from_layout", own) if own else Setting("quat_cols", "A,B,C,D")

@@ -94,7 +94,7 @@ NAMED = {
         lambda: (attitudes(axes=(1, 2, 0), signs=(1, -1, -1)), attitudes()),
         "axes",
         "^the body axes x, y, z of A are y, -z, -x of B;",
-        "with --mount -z,x,-y; if B was, with --mount y,-z,-x",
+        "with --mount -z,x,-y; if B was, with --mount y,-z,-x, after any other",
     ),
     "another method is no mounting": (
         lambda: (attitudes("start"), attitudes("coning")),
@@ -245,6 +245,35 @@ def test_a_clock_drift_on_a_steady_spin_is_named(ppm, align, wobble):
     if cause.name != "clock drift":
         named = re.search(r"clocks that differ by (\d+) ppm", cause.sentence)
         assert float(named[1]) == pytest.approx(abs(ppm), rel=0.05)
+
+
+def test_what_is_added_for_a_clock_drift_is_a_share_of_the_time_of_b():
+    """It was a share of A's time: 799.36 ppm, where 800 are right."""
+    b = AttitudeSeries(np.round(T_NS / 1.0008).astype(np.int64), attitudes("cubic").wxyz)
+    cause = compare(attitudes("cubic"), b, align="first").likely_cause
+    added = re.search(r"add ([-.e\d]+) ms to B's timestamps, and ([\d.]+) ppm", cause.remedy)
+    assert float(added[2]) == pytest.approx(800, abs=0.1)
+    since = np.round(float(added[1]) * 1e6 + float(added[2]) * 1e-6 * b.t_ns).astype(np.int64)
+    mended = AttitudeSeries(b.t_ns + since, b.wxyz)
+    left = compare(attitudes("cubic"), mended, align="first").error_rad.rms
+    assert left == pytest.approx(cause.rms_after, rel=0.1)
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
+def test_degrees_for_radians_is_a_factor_without_a_remainder():
+    """A factor that was fitted, 0.01741, left a bias of 2334 deg/h, which was named besides."""
+    rates = GyroSeries(T_NS, np.degrees(RATES))
+    a = quatprop.propagate(rates, method="mean")
+    cause = compare(AttitudeSeries(T_NS, a.wxyz), attitudes("mean"), align="first").likely_cause
+    assert "one of them took degrees for radians" in cause.sentence
+    assert "multiply its rates by 0.0174533" in cause.remedy
+    assert cause.also is None
+
+
+def test_every_rule_that_leads_to_b_is_named():
+    """B by cubic was said to be by quintic, which leads to about the same."""
+    cause = compare(attitudes("end"), attitudes("cubic"), align="first").likely_cause
+    assert re.search(r"to B with method [a-z ]*cubic", cause.sentence)
 
 
 def test_a_clock_drift_is_not_named_where_the_motion_tells_it_from_a_scale():

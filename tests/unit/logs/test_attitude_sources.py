@@ -220,7 +220,7 @@ def test_an_option_that_contradicts_the_names_is_refused(table):
     path = table("t_ns,qw,qx,qy,qz\n1,1,0,0,0\n2,1,0,0,0\n")
     sentence = (
         "from_layout says scalar-last, but the columns 'qw', 'qx', 'qy', 'qz' are "
-        "scalar-first by name; omit it"
+        "scalar-first by name; omit it, or rename the columns if they are wrong"
     )
     for named in ({}, {"quat_cols": ("qw", "qx", "qy", "qz")}):
         refused(UsageError, path, sentence, from_layout="xyzw", **named)
