@@ -46,7 +46,11 @@ def clock_mistakes(
     )
 
 
-def drift_by_errors(sides: Sides, alignment: Alignment) -> Mistake:
+MAX_DRIFT = 0.01
+"""Maximum drift of a clock: that of the worst crystal is far smaller."""
+
+
+def drift_by_errors(sides: Sides, alignment: Alignment) -> Mistake | None:
     """Return the drift of B's clock that fits the errors best, whether or not it is significant.
 
     `sides`: with equal timestamps
@@ -58,6 +62,8 @@ def drift_by_errors(sides: Sides, alignment: Alignment) -> Mistake:
     # A delay makes an error of rate times delay.
     design = np.stack([rate.ravel(), (rate * seconds[1:]).ravel()], axis=1)
     (offset, ratio), *_ = np.linalg.lstsq(design, error[1:].ravel(), rcond=None)
+    if abs(ratio) > MAX_DRIFT:
+        return None
     first_ns = int(a.t_ns[0])
     clock = ClockError(offset, ratio, 0.0, 0.0, 0.0, float(seconds[-1, 0]))
     return _clock_drift(clock, 0, first_ns, first_ns)

@@ -219,7 +219,8 @@ class Search(Fits):
             drift = drift_by_errors(pairs, self._aligned(hypothesis, pairs)[0])
             others = [each for each in self.best.mistakes if each.name not in LIKE_CLOCK_DRIFT]
             best, before = self.residual(self.best.mistakes), self.residual(())
-            if self.residual([drift, *others]) <= max(AS_GOOD * best, ENOUGH * before):
+            enough = max(AS_GOOD * best, ENOUGH * before)
+            if drift and self.residual([drift, *others]) <= enough:
                 labels[drift.name] = drift.label
         return sorted({text for name, text in labels.items() if name not in names})
 

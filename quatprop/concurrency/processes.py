@@ -205,18 +205,22 @@ def _serve(connection: Connection, work: Callable[[Item], Result]) -> None:
     keep_freed_memory()
     interruption = _Interruption()
     threading.Thread(target=_watch_parent, daemon=True).start()
-    ends = contextlib.suppress(KeyboardInterrupt, EOFError, OSError)
-    with ends, signals_blocked(_SIGNALS, block=False):
-        while True:
-            item = connection.recv()
-            interruption.busy = True
-            answer: tuple[Result | None, str | None]
-            try:
-                answer = work(item), None
-            except Exception:  # noqa: BLE001  # a bug, which the other process raises
-                answer = None, traceback.format_exc()
-            interruption.busy = False
-            connection.send(answer)
+    with contextlib.suppress(KeyboardInterrupt, EOFError, OSError):
+        try:
+            with signals_blocked(_SIGNALS, block=False):
+                while True:
+                    item = connection.recv()
+                    interruption.busy = True
+                    answer: tuple[Result | None, str | None]
+                    try:
+                        answer = work(item), None
+                    except Exception:  # noqa: BLE001  # a bug, which the other process raises
+                        answer = None, traceback.format_exc()
+                    interruption.busy = False
+                    connection.send(answer)
+        finally:
+            # A signal at the very end would raise outside of all this.
+            interruption.stop()
 
 
 class _Interruption:
@@ -230,6 +234,10 @@ class _Interruption:
         raise_interruptions_of_destructors()
         for number in _SIGNALS:
             signal.signal(number, self._handle)
+
+    def stop(self) -> None:
+        """Ignore signals from now on."""
+        self._interrupted = True
 
     def _handle(self, number: int, _frame: FrameType | None) -> None:
         if not self._interrupted and (self.busy or number == signal.SIGTERM):
