@@ -42,7 +42,7 @@ def rate_mistake(
     if kind == "rate bias":
         return rate_bias(sides, alignment.mount_wxyz, sensor)
     if kind.endswith("scale"):
-        return scale(sides, alignment.mount_wxyz, kind.removesuffix("scale"))
+        return scale(sides, alignment.mount_wxyz, kind)
     return drift(sides, alignment, kind.removeprefix("drift in "))
 
 
@@ -55,9 +55,11 @@ SCALES = {
 }
 """Ratio of rates -> its reason, and the setting."""
 
-NEAR = 0.01, 0.1
-"""Relative tolerance of such a ratio: gyroscopes are not calibrated much better; and of one that is
-tried: fast rotations are more than half a turn between samples, which spoils the estimate."""
+SCALE_TOLERANCE = 0.01
+"""Relative tolerance of such a ratio: gyroscopes are not calibrated much better."""
+
+NEAR_NOMINAL = 0.1
+"""The same for trying the exact ratio: if a body turns fast, the estimated one is poor."""
 
 MIN_WINDOWS = 100
 """Approximate number of windows over which rates are compared."""
@@ -72,7 +74,8 @@ MAX_UNSHOWN = 1.5
 def scale(sides: Sides, mount: Float64, kind: str) -> Mistake | None:
     """Return the ratio of rates.
 
-    `kind`: ``"biased "``: apart from a constant rate; ``"nominal "``: one of :data:`SCALES`
+    `kind`: ``"biased scale"``: apart from a constant rate; ``"nominal scale"``: one of
+        :data:`SCALES`; else ``"scale"``
     """
     of_a, of_b, seconds = _steps(sides, mount)
     stride = max(len(of_a) // MIN_WINDOWS, 1)
@@ -82,7 +85,7 @@ def scale(sides: Sides, mount: Float64, kind: str) -> Mistake | None:
     sizes = [float((each * each).sum()) for each in varying]
     common = float((varying[0] * varying[1]).sum())
     shows = common > MIN_CORRELATION * math.sqrt(math.prod(sizes))
-    if kind == "biased ":
+    if kind == "biased scale":
         y, x = varying
     # Regression on A's rates: B's noise may be large, and its power would bias the ratio.
     power, shared = float((y * y).sum()), float((x * y).sum())
@@ -93,8 +96,10 @@ def scale(sides: Sides, mount: Float64, kind: str) -> Mistake | None:
     # The bias of a gyroscope at rest is no scaled motion.
     if factor == 1 or (not shows and ratio > MAX_UNSHOWN):
         return None
-    near = [named for named in SCALES if abs(ratio / named - 1) < NEAR[kind == "nominal "]]
-    if kind == "nominal ":
+    is_nominal = kind == "nominal scale"
+    tolerance = NEAR_NOMINAL if is_nominal else SCALE_TOLERANCE
+    near = [named for named in SCALES if abs(ratio / named - 1) < tolerance]
+    if is_nominal:
         if not near:
             return None
         ratio, factor = near[0], near[0] if factor > 1 else 1 / near[0]
