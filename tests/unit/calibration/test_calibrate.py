@@ -5,16 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from make.calibrations import (
-    EVERYTHING,
-    LENGTH_NS,
-    MODELS,
-    begun,
-    ensemble,
-    error_of,
-    planted,
-    recorded,
-)
+from make.calibrations import EVERYTHING, LENGTH_NS, begun, ensemble, error_of, planted, recorded
 from make.commands import run
 from make.tables import write_attitudes, write_rates
 from scipy.optimize import least_squares
@@ -182,13 +173,6 @@ def test_refusals(options, said):
     rates, reference, _ = simulated()
     with pytest.raises(QuatpropError, match=said):
         quatprop.calibrate(rates, reference, **options)
-
-
-def test_a_fault_of_five_percent_is_noticed():
-    """In the bias that is found."""
-    few = ensemble(("bias",), 15, lambda found: found._replace(bias=1.05 * found.bias))
-    assert not few.is_exact(1)
-    assert MODELS[-1] == EVERYTHING
 
 
 @pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")  # of the truth

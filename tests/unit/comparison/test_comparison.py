@@ -13,7 +13,6 @@ from quatprop.comparison.settings import ComparisonSettings, comparison_settings
 from quatprop.errors import ComparisonError
 from quatprop.series import AttitudeSeries
 from quatprop.series.blocks import BLOCK
-from quatprop.text import in_python
 
 SAMPLES = 2000
 STEP_NS = 10_000_000
@@ -164,14 +163,6 @@ def test_a_time_shift_is_found(epoch):
     found = compare(A, late, ComparisonSettings(time_offset=-7_300_000 - epoch))
     assert found.association.match == "exact"
     assert found.error_rad.max < 1e-15
-
-
-def test_an_unknown_time_shift_is_named():
-    """A series that is late is said to be, with how much."""
-    cause = compare(A, AttitudeSeries(T_NS + 50_000_000, A.wxyz)).likely_cause
-    assert cause.name == "time offset"
-    assert cause.sentence.startswith("B is 50 ms late;")
-    assert in_python(cause.remedy) == "time_offset='-50ms' removes it"
 
 
 def test_the_offset_of_two_frames_and_rates_is_found():

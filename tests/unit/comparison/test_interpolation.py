@@ -89,6 +89,8 @@ def test_few_samples_are_slerp(count):
     found = interpolate(AttitudeSeries(t_ns, wxyz), t_ns[:-1] + 25_000_000)
     held = slerp(wxyz[:-1], wxyz[1:], [0.25] * (count - 1))
     assert geodesic_angle(found.wxyz, held).max() < 1e-15
+    at_samples = interpolate(AttitudeSeries(t_ns, wxyz), t_ns).wxyz
+    np.testing.assert_allclose(at_samples, wxyz, rtol=0, atol=4e-16)
     assert (found.floor_rad == 0) == (count == 2)  # of two samples nothing is known
 
 
