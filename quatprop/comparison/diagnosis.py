@@ -55,7 +55,7 @@ def likely_cause(
     `error`: the errors, rad, shape ``(N,)``, in rising order
     `added_ns`: time added to B's timestamps, ns
     """
-    if len(error) < MIN_PAIRS or rms(error) <= NO_ERROR:
+    if rms(error) <= NO_ERROR:
         return None
     if outliers := isolated_samples(error):
         return outliers

@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.comparison.alignment import align
+from quatprop.comparison.alignment import aligned_rms
 from quatprop.comparison.association import interval_ns
 from quatprop.comparison.cause import NO_ERROR
 from quatprop.comparison.mistakes import Mistake, Sides, recomposed
 from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.rates import rotation_vectors_between
-from quatprop.series.blocks import rms
 from quatprop.settings.choices import METHODS
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S, duration_text
@@ -56,7 +55,7 @@ def integration_rules(sides: Sides) -> Mistake | None:
     sums = np.add.reduceat(turns, np.arange(0, len(turns), SCREENED))
     begin = int(np.argmax(sums)) * SCREENED
     a, b = (series[begin : begin + SCREENED] for series in sides)
-    before = rms(geodesic_angle(a.wxyz, align("mean", a.wxyz, b.wxyz).apply(b.wxyz)))
+    before = aligned_rms("mean", a.wxyz, b.wxyz)
     residuals = {}
     for rule in METHODS:
         if (rates := recovered_rates(a, rule)) is None:
@@ -66,8 +65,7 @@ def integration_rules(sides: Sides) -> Mistake | None:
                 if rates.max_change(other) < MIN_SHARE * before:
                     continue
                 changed = rates.propagated(other)
-                aligned = align("mean", changed.wxyz, b.wxyz).apply(b.wxyz)
-                residuals[rule, other] = rms(geodesic_angle(changed.wxyz, aligned))
+                residuals[rule, other] = aligned_rms("mean", changed.wxyz, b.wxyz)
     most = AS_GOOD * min(residuals.values(), default=0.0) + NO_ERROR
     likely = sorted((left, rules) for rules, left in residuals.items() if left <= most)
     return _described([rules for _, rules in likely], a) if likely else None

@@ -11,10 +11,10 @@ from contextlib import suppress
 from itertools import product
 from typing import TYPE_CHECKING
 
-from quatprop.comparison.alignment import mean_rotation
+from quatprop.comparison.alignment import mean_rotation, rms_between
 from quatprop.comparison.cause import NO_ERROR
 from quatprop.comparison.clock_mistakes import drift_by_errors
-from quatprop.comparison.fits import Fits, rms_between
+from quatprop.comparison.fits import Fits
 from quatprop.comparison.hypotheses import (
     CLOCKS,
     INDISTINCT,
