@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from quatprop.comparison import association
 from quatprop.comparison.association import shifted
 from quatprop.comparison.settings import ComparisonSettings
+from quatprop.comparison.windows import over_gap
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.interpolation import interpolate
 from quatprop.kinematics.quaternion import geodesic_angle
@@ -85,6 +86,14 @@ def test_nothing_is_interpolated_across_a_gap():
     assert len(associate(spin(t_ns), b, match="interpolate", max_dt=400_000_000)) == 99
 
 
+def test_a_gap_is_longer_than_ten_intervals():
+    """Spans of time that end where it begins, or begin where it ends, contain none of it."""
+    t_ns = np.array([0, 1, 2, 12, 13, 24, 25, 26])
+    begin = np.array([2, 11, 12, 13, 23, 24])
+    assert over_gap(t_ns, begin, begin + 1).tolist() == [False, False, False, True, True, False]
+    assert not over_gap(t_ns, np.array([0]), np.array([13])).any()
+
+
 def test_the_nearest_sample_is_near_enough_or_none():
     """Each sample of the sparser series finds the nearest one within --max-dt."""
     a = random_series([0, 100, 200, 300, 400])
@@ -98,7 +107,7 @@ def test_the_nearest_sample_is_near_enough_or_none():
     pairs = associate(
         random_series(range(0, 1000, 100)), random_series(range(2, 1002, 100)), max_dt=9
     )
-    assert (pairs.match, len(pairs), pairs.candidates) == ("nearest", 10, 10)
+    assert (pairs.match, pairs.at, len(pairs), pairs.candidates) == ("nearest", "A", 10, 10)
 
 
 def test_too_few_pairs_are_refused_with_both_spans():
@@ -133,6 +142,10 @@ def test_one_pair_is_too_few():
     with pytest.raises(ComparisonError, match=r"^only 1 of 1 samples in the common time have a"):
         associate(one, more, match="exact", min_matched=0)
     assert associate(one, one).t_ns.tolist() == [5]
+    with pytest.raises(ComparisonError, match=r"^only 1 of 1 samples"):
+        associate(one, one, align="first")
+    with pytest.raises(ComparisonError, match=r"^A and B have no time in common"):
+        associate(one, random_series([6]), match="nearest")
 
 
 def test_series_that_overlap_without_samples_are_not_said_to_be_apart():

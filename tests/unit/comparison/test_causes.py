@@ -114,6 +114,12 @@ NAMED = {
         "^B is 30 ms late;",
         "--time-offset -30ms removes it",
     ),
+    "half an interval may be another rule": (
+        lambda: (attitudes("cubic"), delayed(attitudes("cubic"), 5)),
+        "time offset",
+        r"^B is 5 ms late \(half a sampling interval of A: a clock offset, or another integrat",
+        "--time-offset -5ms removes it",
+    ),
     "motion about one axis leaves alternatives": (
         about_z,
         "conjugate",

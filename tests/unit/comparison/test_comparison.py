@@ -65,6 +65,28 @@ CONJUGATE = np.array([-1, -1, -1, 1])
 STEPS = (TRUE[:-1].inv() * TRUE[1:]).as_rotvec()
 
 
+@pytest.mark.parametrize("count", [41, 20_002])
+def test_statistics_are_those_of_numpy(count):
+    """Of errors in any order at any times, an odd and an even number of them."""
+    random = np.random.default_rng(7)
+    t_ns = FIRST_NS + np.cumsum(random.integers(1, 10**9, count))
+    errors = random.permutation(np.linspace(0.01, 0.4, count))
+    other = series(Rotation.from_rotvec(errors[:, None] * [0.6, 0, 0.8]), t_ns)
+    found = compare(series(Rotation.identity(count), t_ns), other, ComparisonSettings(tol=1.0))
+    expected = {
+        "max": 0.4,
+        "rms": np.sqrt(np.mean(errors**2)),
+        "mean": errors.mean(),
+        "median": np.median(errors),
+        "p95": np.percentile(errors, 95),
+        "final": errors[-1],
+    }
+    assert found.error_rad._asdict() == pytest.approx(expected, rel=1e-12)
+    slope, _ = np.polyfit((t_ns - FIRST_NS) / 3.6e12, np.degrees(errors), 1)
+    assert found.drift_deg_h == pytest.approx(slope, rel=1e-6)
+    assert (found.worst.index, found.worst.at) == (np.argmax(errors), "A")
+
+
 @pytest.mark.parametrize("align", ["none", "first"])
 def test_error_vectors_are_about_the_body_axes(align):
     """They turn B, once aligned, into A; q and -q are the same attitude."""
@@ -136,6 +158,17 @@ def test_signs_are_no_error():
     assert found.passed
     (remark,) = found.remarks
     assert remark.startswith("B has the opposite sign in 667 of 2000 samples: q and -q are the")
+
+
+@pytest.mark.parametrize(
+    ("count", "wrong", "is_named"), [(2000, 20, True), (2000, 21, False), (20, 1, True)]
+)
+def test_a_hundredth_of_the_samples_may_be_isolated(count, wrong, is_named):
+    """One in any case; more are no exceptions."""
+    wxyz = A.wxyz[:count].copy()
+    wxyz[5 : 5 + wrong] = (TRUE[5 : 5 + wrong] * TURN).as_quat(scalar_first=True)
+    cause = compare(A[:count], AttitudeSeries(T_NS[:count], wxyz)).likely_cause
+    assert (cause is not None and cause.name == "isolated samples") == is_named
 
 
 def test_one_bad_sample_is_found():
@@ -224,6 +257,10 @@ def test_only_errors_with_a_pattern_that_matter_are_explained():
     assert compare(A, series(TRUE * noise)).likely_cause is None
     found = compare(A, series(TURN * TRUE), ComparisonSettings(tol=1.0))
     assert (found.passed, found.likely_cause) == (True, None)
+    # Fewer than ten attitudes are explained by almost anything.
+    for count in (9, 10):
+        few = compare(A[:count], series(TURN * TRUE)[:count])
+        assert (few.likely_cause is not None) == (count == 10)
 
 
 def test_windows_see_neither_frames_nor_drift_before_them():
