@@ -207,7 +207,6 @@ def test_a_positive_sign_decides_half_turns_too():
             "up",
             "no direction 'up'; choose one of 'body-to-ref', 'ref-t",
         ),
-        (Signs, "any", "no sign 'any'; choose one of 'keep', 'continuous', 'po"),
     ],
 )
 def test_unknown_words_are_refused(make, word, sentence):
