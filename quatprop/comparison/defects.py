@@ -5,7 +5,6 @@ Lost motion is only reported if replacing it by that of the other series removes
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +14,6 @@ from quatprop.comparison.association import associate
 from quatprop.comparison.cause import NO_ERROR
 from quatprop.comparison.mistakes import recomposed
 from quatprop.comparison.windows import body_angle, common_beginning, over_gap
-from quatprop.errors import ComparisonError
 from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.rendering import degrees_text
 from quatprop.series import AttitudeSeries
@@ -57,11 +55,9 @@ def defects(
     a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings
 ) -> tuple[Remark, ...]:
     """Return remarks on defects that no setting can correct."""
-    with suppress(ComparisonError):
-        dead = tuple(dead_axes(a, b))
-        # Gaps between the time ranges to judge are not gaps of the series.
-        return dead if dead or settings.judge else tuple(_lost_motion(a, b, settings))
-    return ()
+    dead = tuple(dead_axes(a, b))
+    # Gaps between the time ranges to judge are not gaps of the series.
+    return dead if dead or settings.judge else tuple(_lost_motion(a, b, settings))
 
 
 def _lost_motion(

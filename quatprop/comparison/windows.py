@@ -91,8 +91,6 @@ def window_grids(a: Float64, b: Float64) -> Iterator[tuple[float, Float64]]:
     lengths = sorted({max(min(length, longest), 2 * interval) for length in LENGTHS_S})
     for length in lengths:
         last = end - length - edge
-        if last <= begin + edge:
-            return
         spacing = max(length / PER_WINDOW, (last - begin - edge) / MAX_WINDOWS)
         starts = np.arange(begin + edge, last, spacing)
         for times in (a, b):

@@ -114,6 +114,12 @@ NAMED = {
         "^B is 30 ms late;",
         "--time-offset -30ms removes it",
     ),
+    "rates of the opposite sign are no conjugate": (
+        lambda: (propagated(rates=-RATES), attitudes("mean")),
+        "rate sign",
+        "^the rates of A and B have opposite signs; undoing",
+        "if A was propagated, multiply its rates by -1; if B was, multiply its rates by -1",
+    ),
     "half an interval may be another rule": (
         lambda: (attitudes("cubic"), delayed(attitudes("cubic"), 5)),
         "time offset",

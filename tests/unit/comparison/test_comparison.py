@@ -1,11 +1,14 @@
 """Errors that are put into a series come out as themselves, and so do their causes."""
 
 import json
+import re
 from dataclasses import replace
 from itertools import accumulate
 
 import numpy as np
 import pytest
+from make.commands import run
+from make.tables import write_attitudes
 from scipy.spatial.transform import Rotation
 
 from quatprop.comparison.compare import compare
@@ -208,6 +211,37 @@ def test_the_offset_of_two_frames_and_rates_is_found():
     assert found.time_offset.added_to_b_ns == pytest.approx(4_000_000, abs=100_000)
     assert (rotations(found.alignment.mount_wxyz) * TURN).magnitude() < 1e-4
     assert found.error_rad.max < 2e-3
+
+
+def test_the_summary_shows_how_certain_an_estimate_is(tmp_path):
+    """Of the offset and of the mounting, with the axes about which the body turns."""
+    other = motion(SECONDS[::3] + 0.004) * TURN
+    a = write_attitudes(tmp_path / "a.csv", T_NS, A.wxyz)
+    b = write_attitudes(tmp_path / "b.csv", T_NS[::3], other.as_quat(scalar_first=True))
+    shown = run("compare", a, b, "--align", "mount", "--time-offset", "auto", code=0).stdout
+    offset = r"offset    (4|3.9+|4.0+\d*) ms added to B's timestamps \+- [\d.]+ [nu]s, estimated "
+    assert re.search(
+        f"{offset}from angular speeds: correlation 1.0000, next best elsewhere 0.", shown
+    )
+    assert re.search(r"rotations, [\d.]+ deg RMS; axes excited as 1 : 0\.\d+ : 0\.\d+; \+- ", shown)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "sentence"),
+    [
+        (A[:16], A[:16], "can be estimated from 16 intervals or more, and one of the series is"),
+        (A[:20], A[:20], "A and B have too few windows of common motion to estimate a time offset"),
+        (A, series(motion(100 + 1.3 * SECONDS)), r"correlate at no time offset \(at best 0\.\d+\)"),
+        (series(Rotation.identity(SAMPLES)), A, "A turns at a constant speed, which shows no"),
+        (series(motion(SECONDS % 5)), series(motion(SECONDS % 5)), "the motion repeats itself: "),
+    ],
+)
+def test_offsets_that_the_motion_does_not_show_are_refused(a, b, sentence):
+    """With the way out: to give it."""
+    with pytest.raises(
+        ComparisonError, match=f"{sentence}.*give the offset with time_offset='DUR'"
+    ):
+        compare(a, b, ComparisonSettings(time_offset="auto"))
 
 
 BIAS = np.radians([36, 72, 0]) / 3600 * 0.01

@@ -154,6 +154,8 @@ def test_unknown_covariances_are_left_out(tmp_path, suffix):
     np.testing.assert_allclose(again.covariance, covariance, rtol=1e-12)
     sigmas = compare(again, turned([[0.02, 0, 0], [1, 0, 0], [0.01, 0, 0]])).sigmas
     assert (sigmas.max, sigmas.final) == pytest.approx((2, 1), rel=1e-9)
+    unknown = turned(np.zeros((3, 3)), np.full((3, 3, 3), np.nan))
+    assert compare(unknown, turned(np.zeros((3, 3)))).sigmas is None
 
 
 # --- on the command line
@@ -180,6 +182,7 @@ def test_limits_of_the_command_line(series):
         told = run("compare", known, off, *option, code=1).stdout
         assert "sigma     the final error is 4.36 sigma" in told
         assert failed in told
+    assert refused("compare", known, bare, "--max-sigma", "0").endswith("not a number above 0")
     for option in (("--max-sigma", "2"), ("--tol", "3sigma")):
         assert refused("compare", bare, bare, *option) == (
             f"Error: neither series has standard deviations, which "
