@@ -110,6 +110,15 @@ def test_the_nearest_sample_is_near_enough_or_none():
     assert (pairs.match, pairs.at, len(pairs), pairs.candidates) == ("nearest", "A", 10, 10)
 
 
+def test_without_a_limit_half_an_interval_of_the_denser_series_is_near():
+    """Its median interval; one of two samples is enough."""
+    a, b = random_series([0, 35, 66, 100]), random_series([0, 10, 20, 30, 60, 100, 110])
+    assert associate(a, b, match="nearest").t_ns.tolist() == [0, 35, 100]
+    a, b = random_series([0, 10]), random_series([1, 11])
+    assert associate(a, b, match="nearest").t_ns.tolist() == [0, 10]
+    assert associate(a, a, match="interpolate").t_ns.tolist() == [0, 10]
+
+
 def test_too_few_pairs_are_refused_with_both_spans():
     """The error says how many there are, how many must be, and where both series lie."""
     a, b = random_series(range(0, 1000, 10)), random_series(range(5, 1005, 10))

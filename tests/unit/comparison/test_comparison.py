@@ -311,6 +311,14 @@ def test_windows_see_neither_frames_nor_drift_before_them():
     assert found.window.worst_ns == T_NS[np.argmax(errors)]
 
 
+def test_windows_that_end_in_a_gap_are_left_out():
+    """Those that end late by more than an interval; by one, as in a gap of one sample, they do."""
+    kept = np.delete(np.arange(SAMPLES), [*range(500, 530), 700])
+    found = compare(A[kept], A[kept], ComparisonSettings(window=1_000_000_000))
+    late = [kept[kept >= row + 100].min(initial=2 * SAMPLES) - row - 100 for row in kept]
+    assert found.window.begins_ns.tolist() == T_NS[kept[np.array(late) <= 1]].tolist()
+
+
 def test_the_report_is_json():
     """The report of everything goes into JSON and back without a change."""
     settings = ComparisonSettings(

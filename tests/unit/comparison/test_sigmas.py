@@ -39,6 +39,10 @@ def test_an_error_is_given_in_standard_deviations():
     assert compare(b, b).sigmas is None
     both = compare(a, turned(errors, covariance)).sigmas
     assert both.rms == pytest.approx(sigmas.rms / math.sqrt(2), rel=1e-9)
+    # Errors of 1 to 40 sigma: 95 % of them are up to 38.
+    exact = turned(np.zeros((40, 3)), np.tile(1e-4 * np.eye(3), (40, 1, 1)))
+    many = compare(exact, turned(np.outer(np.arange(1, 41), [0.01, 0, 0])), tol=9.0)
+    assert many.sigmas.p95 == pytest.approx(38)
     assert not compare(a, b, max_sigma=2.99).passed
     assert compare(a, b, max_sigma=3.01).passed
     # The same limits on each statistic, as tolerances: 0 for the exact first attitude is left out.
