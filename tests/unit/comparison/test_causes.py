@@ -135,7 +135,7 @@ NAMED = {
     "a bias explains the error, and a delay most of what is left": (
         lambda: noisy_with(lambda b: delayed(b, 30)),
         "time offset",
-        "",
+        r"^B is (29|30)\.\d{1,2} ms \+- \d\d0? us late; undoing",
         "",
     ),
 }
@@ -195,6 +195,8 @@ def test_a_clock_that_drifts_is_named_with_its_uncertainty(ppm):
     cause = compare(later, drifting, align="mean").likely_cause
     drift = next(one for one in (cause, cause.also) if one and one.name == "clock drift")
     found, std = ppm_named(drift)
+    digits = re.search(r"\+- ([\d.]+) ppm", drift.sentence)[1]
+    assert len(digits.replace(".", "").lstrip("0")) == 2
     assert std < 0.1 * abs(ppm)
     assert found == pytest.approx(ppm, abs=3 * std)
     (pair,) = re.findall(r"changes by (\d+\.\d) ms in (\d+\.\d) s;", drift.sentence)
