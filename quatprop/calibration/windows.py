@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from quatprop.calibration.model import OF_GROUP, Model
+from quatprop.comparison.windows import over_gap
 from quatprop.conditioning import conditioned
 from quatprop.kinematics.elements import rotation_elements
 from quatprop.kinematics.propagate import Propagation
@@ -25,7 +26,6 @@ from quatprop.kinematics.quaternion import (
 from quatprop.kinematics.resample import Listed, at_times
 from quatprop.series import AttitudeSeries, GyroSeries
 from quatprop.series.blocks import reblock
-from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -73,13 +73,9 @@ def windows_of(
     rows = np.stack([edges[:-1], edges[1:] - 1], axis=1)
     span_ns = np.diff(t_ns[rows])[:, 0]
     usual = (span_ns > 0) & (span_ns <= LONGEST * length_ns) & (2 * span_ns >= length_ns)
-    steps = np.diff(rates.t_ns)
-    gaps = np.flatnonzero(steps > GAP_FACTOR * np.median(steps))
     need_ns = model.times_of(t_ns[rows]) + np.array([-SPARE_NS, SPARE_NS])
-    # A window has no gap if as many gaps begin before its end as end before its beginning.
-    begun, ended = (np.searchsorted(rates.t_ns[at], need_ns) for at in (gaps, gaps + 1))
     inside = (need_ns[:, 0] >= rates.t_ns[0]) & (need_ns[:, 1] <= rates.t_ns[-1])
-    rows = rows[usual & inside & (begun[:, 1] == ended[:, 0])]
+    rows = rows[usual & inside & ~over_gap(rates.t_ns, *need_ns.T)]
     begin, end = rows[:: len(rows) // MAX_WINDOWS + 1].T
     turn = multiply(conjugate(reference.wxyz[begin]), reference.wxyz[end])
     return RotationWindows(np.stack([t_ns[begin], t_ns[end]], axis=1), turn)

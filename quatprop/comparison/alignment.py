@@ -107,6 +107,16 @@ def align(name: str, a: Float64, b: Float64) -> Alignment:
     return Alignment(name, reference, mount, fit)
 
 
+def aligned_rms(name: str, a: Float64, b: Float64) -> float:
+    """Return the RMS angle between attitudes, rad, once B is aligned."""
+    return rms_between(a, align(name, a, b).apply(b))
+
+
+def rms_between(a: Float64, b: Float64) -> float:
+    """Return the RMS angle between attitudes, rad."""
+    return rms(geodesic_angle(a, b))
+
+
 def mean_rotation(q: Float64) -> Float64:
     """Return the mean of rotations in the chordal sense.
 

@@ -75,8 +75,8 @@ class Matching(NamedTuple):
     max_dt_ns: int
     matched: int
     candidates: int
-    first_ns: int = 0
-    last_ns: int = 0
+    first_ns: int
+    last_ns: int
     rate_hz: float | None = None
 
     @classmethod

@@ -9,6 +9,7 @@ import numpy as np
 from quatprop.comparison.alignment import kabsch
 from quatprop.comparison.association import shifted
 from quatprop.comparison.windows import (
+    MAX_EDGE_S,
     PER_WINDOW,
     BodyAngle,
     body_angle,
@@ -22,9 +23,6 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64, Intp
     from quatprop.series import AttitudeSeries
 
-
-MAX_OFFSET_S = 0.5
-"""Maximum time offset, s, of the search: larger ones could match another motion."""
 
 GRID_WINDOWS = 200
 """Approximate number of windows of the initial grid search."""
@@ -156,7 +154,7 @@ def clock_error(  # noqa: PLR0913  # two angles, and windows of them
 def _on_grid(a: BodyAngle, b: BodyAngle, length: float, starts: Float64, turned: bool) -> float:
     """Return the offset, s, of a grid with the smallest residual."""
     few = starts[:: max(len(starts) // GRID_WINDOWS, 1)]
-    reach = min(MAX_OFFSET_S, float(few[0] - max(a.seconds[0], b.seconds[0])))
+    reach = min(MAX_EDGE_S, float(few[0] - max(a.seconds[0], b.seconds[0])))
     y = a.over(few, length)
     grid = np.linspace(-reach, reach, 2 * int(np.ceil(reach / (length / 4))) + 1)
 

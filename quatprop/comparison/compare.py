@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -151,11 +152,13 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all facts of a comparison
         a, b = part.part_of(a), part.part_of(b)
     cause = None
     if not passed and len(rising) >= MIN_PAIRS:
-        # A defect without a remedy would make other mistakes look like the cause.
-        found = defects(a, b, settings)
-        notes += found
-        if not found:
-            cause = likely_cause(a, b, settings, rising, time_offset.added_to_b_ns)
+        # Of long files, the beginning alone may have too few pairs.
+        with suppress(ComparisonError):
+            # A defect without a remedy would make other mistakes look like the cause.
+            found = defects(a, b, settings)
+            notes += found
+            if not found:
+                cause = likely_cause(a, b, settings, rising, time_offset.added_to_b_ns)
     return replace(comparison, criteria=criteria, passed=passed, likely_cause=cause, remarks=notes)
 
 

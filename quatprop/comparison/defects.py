@@ -5,30 +5,25 @@ Lost motion is only reported if replacing it by that of the other series removes
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.alignment import align
+from quatprop.comparison.alignment import align, aligned_rms, rms_between
 from quatprop.comparison.association import associate
 from quatprop.comparison.cause import NO_ERROR
 from quatprop.comparison.mistakes import recomposed
-from quatprop.comparison.windows import body_angle, common_beginning
-from quatprop.errors import ComparisonError
-from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.comparison.windows import body_angle, common_beginning, over_gap
 from quatprop.kinematics.rates import rotation_vectors_between
 from quatprop.rendering import degrees_text
 from quatprop.series import AttitudeSeries
-from quatprop.series.blocks import rms
 from quatprop.text import Remark
-from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.arrays import Bool, Float64, Int64
+    from quatprop.arrays import Bool, Float64
     from quatprop.comparison.settings import ComparisonSettings
 
 WINDOWS = 100
@@ -60,11 +55,9 @@ def defects(
     a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings
 ) -> tuple[Remark, ...]:
     """Return remarks on defects that no setting can correct."""
-    with suppress(ComparisonError):
-        dead = tuple(dead_axes(a, b))
-        # Gaps between the time ranges to judge are not gaps of the series.
-        return dead if dead or settings.judge else tuple(_lost_motion(a, b, settings))
-    return ()
+    dead = tuple(dead_axes(a, b))
+    # Gaps between the time ranges to judge are not gaps of the series.
+    return dead if dead or settings.judge else tuple(_lost_motion(a, b, settings))
 
 
 def _lost_motion(
@@ -74,21 +67,23 @@ def _lost_motion(
     pairs = associate(a, b, settings)
     name = "mount" if settings.align == "mount" else "mean"
     ours, theirs = pairs.a, align(name, pairs.a, pairs.b).apply(pairs.b)
-    before = rms(geodesic_angle(ours, theirs))
-    asked = align(settings.align, pairs.a, pairs.b).apply(pairs.b)
-    if before <= max(NO_ERROR, MAX_SHARE * rms(geodesic_angle(pairs.a, asked))):
+    before = rms_between(ours, theirs)
+    if before <= max(NO_ERROR, MAX_SHARE * aligned_rms(settings.align, pairs.a, pairs.b)):
         return  # most of the error comes from different frames
     seconds = np.diff(pairs.t_ns)[:, None] / NS_PER_S
     for of, series, own, other in (("A", a, ours, theirs), ("B", b, theirs, ours)):
         steps, true_steps = rotation_vectors_between(own), rotation_vectors_between(other)
         for lost, where in (
-            (_in_gaps(series.t_ns, pairs.t_ns), "in gaps of its timestamps"),
+            (
+                over_gap(series.t_ns, pairs.t_ns[:-1], pairs.t_ns[1:])[:, None],
+                "in gaps of its timestamps",
+            ),
             (_at_limit(steps / seconds), "while its rates are at a limit"),
         ):
             mended = recomposed(
                 AttitudeSeries(pairs.t_ns, own), np.where(lost, true_steps, steps)
             ).wxyz
-            left = rms(geodesic_angle(mended, align("mean", mended, other).apply(other)))
+            left = aligned_rms("mean", mended, other)
             # Even an error that occurs all the time falls by the share of steps that is replaced.
             if left <= MAX_SHARE * before * (1 - float(lost.mean(axis=0).max())):
                 share = f"{float(lost.any(axis=1).mean()):.2%}"
@@ -98,15 +93,6 @@ def _lost_motion(
                     f"other there, the RMS error is {degrees_text(left, 4)} in place of "
                     f"{degrees_text(before, 4)}",
                 )
-
-
-def _in_gaps(t_ns: Int64, pairs_ns: Int64) -> Bool:
-    """Return which steps between pairs span a gap between timestamps, shape ``(N - 1, 1)``."""
-    intervals = np.diff(t_ns)
-    after = np.flatnonzero(intervals > GAP_FACTOR * np.median(intervals)) + 1
-    begun = t_ns[after - 1].searchsorted(pairs_ns[1:], side="left")
-    ended = t_ns[after].searchsorted(pairs_ns[:-1], side="right")
-    return np.asarray(begun > ended)[:, None]
 
 
 def _at_limit(rate: Float64) -> Bool:

@@ -33,9 +33,6 @@ LITTLE = 0.1
 MAX_CLAIMS = 3
 """Maximum number of causes, each of the residual of those before it."""
 
-AXES, RATES = {"axes", "rate sign", "side"}, {"rate bias", "scale"}
-"""Mistakes in the axes of rates, and in the components about them."""
-
 FRAMES = {"reference frame", "body frame"}
 """Mistakes that may hide all others, whatever their share of the error."""
 
@@ -55,7 +52,7 @@ def likely_cause(
     `error`: the errors, rad, shape ``(N,)``, in rising order
     `added_ns`: time added to B's timestamps, ns
     """
-    if len(error) < MIN_PAIRS or rms(error) <= NO_ERROR:
+    if rms(error) <= NO_ERROR:
         return None
     if outliers := isolated_samples(error):
         return outliers
@@ -98,19 +95,11 @@ def _claims(
 
 
 def _fewest(search: Search, before: float) -> tuple[tuple[Mistake, ...], float]:
-    """Return the smallest subset of the best hypothesis that removes most of an error.
-
-    Rates are only corrected together with their axes.
-    """
+    """Return the smallest subset of the best hypothesis that removes most of an error."""
     best = search.best.mistakes
-    axes = [each for each in best if each.name in AXES]
     for size in range(1, len(best) + 1):
-        tried = {
-            search.residual(some): some
-            for some in combinations(best, size)
-            if not {each.name for each in some} & RATES or all(each in some for each in axes)
-        }
-        if tried and min(tried) <= MAX_SHARE * before:
+        tried = {search.residual(some): some for some in combinations(best, size)}
+        if min(tried) <= MAX_SHARE * before:
             return tried[min(tried)], min(tried)
     return (), before
 

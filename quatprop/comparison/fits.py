@@ -8,8 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.comparison.alignment import Alignment, align, find_mounting, kabsch
-from quatprop.comparison.association import associate
+from quatprop.comparison.alignment import (
+    Alignment,
+    align,
+    aligned_rms,
+    find_mounting,
+    kabsch,
+    rms_between,
+)
+from quatprop.comparison.association import associate, is_mostly_exact
 from quatprop.comparison.clock_mistakes import clock_mistakes
 from quatprop.comparison.clocks import coarse_offset
 from quatprop.comparison.hypotheses import (
@@ -69,7 +76,7 @@ class Fits:
             sides, self._align = mistake.undo(sides), mistake.align or self._align
         self._whole = sides
         same = np.isin(sides.a.t_ns, sides.b.t_ns)
-        self._same_stamps = 2 * int(same.sum()) > len(same)
+        self._same_stamps = is_mostly_exact(int(same.sum()), len(same))
         self._sides = Sides(*common_beginning(*sides))
         pairs = associate(*self._sides, settings)
         self._all_pairs = Sides(*(AttitudeSeries(pairs.t_ns, q) for q in (pairs.a, pairs.b)))
@@ -97,7 +104,7 @@ class Fits:
             sides, name = mistake.undo(sides), mistake.align or name
         with suppress(ComparisonError):
             pairs = associate(*sides, self._settings)
-            return rms_between(pairs.a, align(name, pairs.a, pairs.b).apply(pairs.b))
+            return aligned_rms(name, pairs.a, pairs.b)
         return math.inf
 
     def _pairs_of(self, hypothesis: Hypothesis) -> Sides:
@@ -212,8 +219,3 @@ def paired(sides: Sides, settings: ComparisonSettings) -> Sides:
     """Return both series at the timestamps at which they are compared."""
     pairs = associate(*sides, settings)
     return Sides(*(AttitudeSeries(pairs.t_ns, wxyz) for wxyz in (pairs.a, pairs.b)))
-
-
-def rms_between(a: Float64, b: Float64) -> float:
-    """Return the RMS angle between attitudes, rad."""
-    return rms(geodesic_angle(a, b))

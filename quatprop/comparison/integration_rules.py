@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.comparison.alignment import align
+from quatprop.comparison.alignment import aligned_rms
 from quatprop.comparison.association import interval_ns
 from quatprop.comparison.cause import NO_ERROR
 from quatprop.comparison.mistakes import Mistake, Sides, recomposed
 from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.rates import rotation_vectors_between
-from quatprop.series.blocks import rms
 from quatprop.settings.choices import METHODS
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S, duration_text
@@ -30,20 +29,11 @@ RULE_ROUNDS = 6
 MIN_SAMPLES = 20
 """Minimum number of samples that show an integration rule."""
 
-ROUGH = 40.0
-"""Maximum ratio of the squared changes of rates to those of their means over intervals.
-
-For white noise it is 4; for a wrong rule it grows without bound.
-"""
-
 SAME = 2e-3
 """Maximum difference, rad, between A's rotations and those that the rates give back."""
 
 SCREENED = 1_500
 """Number of samples on which rules are tested: those with the most motion."""
-
-MIN_SHARE = 0.5
-"""A rule is tested if it can cause at least this share of the error."""
 
 AS_GOOD = 2.0
 """Pairs of rules with a residual within this factor of the best are not ruled out: several pairs
@@ -56,18 +46,14 @@ def integration_rules(sides: Sides) -> Mistake | None:
     sums = np.add.reduceat(turns, np.arange(0, len(turns), SCREENED))
     begin = int(np.argmax(sums)) * SCREENED
     a, b = (series[begin : begin + SCREENED] for series in sides)
-    before = rms(geodesic_angle(a.wxyz, align("mean", a.wxyz, b.wxyz).apply(b.wxyz)))
     residuals = {}
     for rule in METHODS:
         if (rates := recovered_rates(a, rule)) is None:
             continue
         for other in METHODS:
             if other != rule:
-                if rates.max_change(other) < MIN_SHARE * before:
-                    continue
                 changed = rates.propagated(other)
-                aligned = align("mean", changed.wxyz, b.wxyz).apply(b.wxyz)
-                residuals[rule, other] = rms(geodesic_angle(changed.wxyz, aligned))
+                residuals[rule, other] = aligned_rms("mean", changed.wxyz, b.wxyz)
     most = AS_GOOD * min(residuals.values(), default=0.0) + NO_ERROR
     likely = sorted((left, rules) for rules, left in residuals.items() if left <= most)
     return _described([rules for _, rules in likely], a) if likely else None
@@ -104,12 +90,6 @@ class RecoveredRates(NamedTuple):
     rate: Float64
     remainder: Float64
 
-    def max_change(self, rule: str) -> float:
-        """Return the maximum angle, rad, by which another rule can change the attitudes."""
-        steps = rotation_vectors(self.attitudes.t_ns, self.rate, rule)
-        change = self.remainder + steps - rotation_vectors_between(self.attitudes.wxyz)
-        return float(np.linalg.norm(change, axis=1).sum())
-
     @np.errstate(over="ignore", invalid="ignore")  # of rates that grow without bound
     def propagated(self, rule: str) -> AttitudeSeries:
         """Return the attitudes propagated by another rule."""
@@ -123,11 +103,9 @@ def recovered_rates(a: AttitudeSeries, rule: str) -> RecoveredRates | None:
     if len(a) < MIN_SAMPLES:
         return None
     steps = rotation_vectors_between(a.wxyz)
-    mean = steps / (np.diff(a.t_ns)[:, None] / NS_PER_S)
     rate = _inverted(a.t_ns, steps, rule)
-    rough, smooth = (float(np.square(np.diff(one, axis=0)).sum()) for one in (rate, mean))
     remainder = steps - rotation_vectors(a.t_ns, rate, rule)
-    if not (rough <= ROUGH * smooth and np.abs(remainder).max() <= SAME):
+    if not np.abs(remainder).max() <= SAME:
         return None
     return RecoveredRates(a, rate, remainder)
 

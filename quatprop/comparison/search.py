@@ -11,10 +11,10 @@ from contextlib import suppress
 from itertools import product
 from typing import TYPE_CHECKING
 
-from quatprop.comparison.alignment import mean_rotation
+from quatprop.comparison.alignment import mean_rotation, rms_between
 from quatprop.comparison.cause import NO_ERROR
 from quatprop.comparison.clock_mistakes import drift_by_errors
-from quatprop.comparison.fits import Fits, rms_between
+from quatprop.comparison.fits import Fits
 from quatprop.comparison.hypotheses import (
     CLOCKS,
     INDISTINCT,
@@ -59,9 +59,6 @@ CLEAR_FACTOR = 3.0
 PLAUSIBLE = 4.0
 """A reading within this factor of the best is tried with all alignments."""
 
-ROUNDS = 2
-"""Number of times that every kind of mistake is varied, with the others fixed."""
-
 
 class Search(Fits):
     """The search for the hypothesis that explains the errors of two series.
@@ -80,33 +77,31 @@ class Search(Fits):
         residuals = {key: self._window_residual(key) for key in ("", *self._readings)}
         most = PLAUSIBLE * min(residuals.values())
         self._plausible = [key for key in residuals if not key or residuals[key] <= most]
-        hypothesis = self._best(
-            Hypothesis(rates="rate bias", frames=frame) for frame in self._frames
+        hypothesis = self._best_reading(
+            self._best(Hypothesis(rates="rate bias", frames=frame) for frame in self._frames)
         )
-        for _ in range(ROUNDS):
-            hypothesis = last = self._best_reading(hypothesis)
-            self.is_partial = self._fit(hypothesis).rms <= ENOUGH * before
-            if self.is_partial and not hypothesis.rates and hypothesis.frames != "mount":
-                break
-            pairs = self._pairs_of(last._replace(clock="", rates="method"))
-            self._rule = integration_rules(pairs)
-            rules = self._variants(
-                [last], clock=[""], rates=["method"] if self._rule else [], frames=self._frames
-            )
-            with_rule = self._best([last, *rules])
-            rates = dict.fromkeys(("", last.rates, "rate bias"))
-            with_clock = self._variants([last], clock=CLOCKS, rates=rates, frames=self._frames)
-            hypothesis = self._best([with_rule, *with_clock])
-            # With equal timestamps, a rule is more likely than an offset of one interval or half.
-            most = max(AS_GOOD * self._fit(hypothesis).rms, ENOUGH * before)
-            if self._same_stamps and with_rule != last and self._fit(with_rule).rms <= most:
-                hypothesis = with_rule
-            if hypothesis == last:
-                break
+        self.is_partial = self._fit(hypothesis).rms <= ENOUGH * before
+        if not self.is_partial or hypothesis.rates or hypothesis.frames == "mount":
+            hypothesis = self._with_rule_or_clock(hypothesis, before)
         chosen = self._with_b_misread(hypothesis)
         if chosen and self._explains_most(chosen, before):
             self.best = self._fit(self._with_usable_remedy(chosen))
             self.others = self._alternatives(chosen)
+
+    def _with_rule_or_clock(self, hypothesis: Hypothesis, before: float) -> Hypothesis:
+        """Return a hypothesis with an integration rule or a clock error, if one fits better."""
+        self._rule = integration_rules(self._pairs_of(hypothesis._replace(rates="method")))
+        rules = self._variants(
+            [hypothesis], rates=["method"] if self._rule else [], frames=self._frames
+        )
+        with_rule = self._best([hypothesis, *rules])
+        rates = dict.fromkeys(("", hypothesis.rates, "rate bias"))
+        with_clock = self._variants([hypothesis], clock=CLOCKS, rates=rates, frames=self._frames)
+        best = self._best([with_rule, *with_clock])
+        # With equal timestamps, a rule is more likely than an offset of one interval or half.
+        most = max(AS_GOOD * self._fit(best).rms, ENOUGH * before)
+        is_rule = with_rule != hypothesis and self._fit(with_rule).rms <= most
+        return with_rule if self._same_stamps and is_rule else best
 
     def _with_usable_remedy(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return a hypothesis that does not change A's rates if A may have been misread."""

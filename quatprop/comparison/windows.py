@@ -18,8 +18,10 @@ from quatprop.times import NS_PER_S
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.arrays import Bool, Float64
+    from quatprop.arrays import Bool, Float64, Int64
     from quatprop.series import AttitudeSeries
+
+    Times = Float64 | Int64
 
 
 LENGTHS_S = (0.1, 0.2, 0.5, 1.0, 2.0)
@@ -44,7 +46,7 @@ EDGE = 0.2
 """Maximum share of the common time left free at each end for time offsets."""
 
 MAX_EDGE_S = 0.5
-"""Maximum time left free at each end, s."""
+"""Maximum time left free at each end, s: larger offsets could match another motion."""
 
 
 class BodyAngle(NamedTuple):
@@ -89,24 +91,22 @@ def window_grids(a: Float64, b: Float64) -> Iterator[tuple[float, Float64]]:
     lengths = sorted({max(min(length, longest), 2 * interval) for length in LENGTHS_S})
     for length in lengths:
         last = end - length - edge
-        if last <= begin + edge:
-            return
         spacing = max(length / PER_WINDOW, (last - begin - edge) / MAX_WINDOWS)
         starts = np.arange(begin + edge, last, spacing)
         for times in (a, b):
-            starts = starts[_without_gap(times, starts, length, interval)]
+            starts = starts[~over_gap(times, starts, starts + length)]
         if len(starts) < MIN_WINDOWS:
             return
         yield length, starts
 
 
-def _without_gap(times: Float64, starts: Float64, length: float, interval: float) -> Bool:
-    """Return which windows contain no gap of a series."""
-    gaps = np.diff(times) > GAP_FACTOR * interval
-    passed = np.concatenate([[0], np.cumsum(gaps)])
-    before = np.maximum(np.searchsorted(times, starts, side="right") - 1, 0)
-    after = np.minimum(np.searchsorted(times, starts + length), len(times) - 1)
-    return np.asarray(passed[after] == passed[before])
+def over_gap(times: Times, begin: Times, end: Times) -> Bool:
+    """Return which spans of time contain a part of a gap between the times of a series."""
+    intervals = np.diff(times)
+    after = np.flatnonzero(intervals > GAP_FACTOR * np.median(intervals)) + 1
+    # Without one, as many gaps begin before the end as end before the beginning.
+    begun = np.searchsorted(times[after - 1], end)
+    return np.asarray(begun > np.searchsorted(times[after], begin, side="right"))
 
 
 def centred(values: Float64) -> Float64:

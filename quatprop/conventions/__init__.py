@@ -32,7 +32,7 @@ import numpy as np
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate
-from quatprop.settings.choices import CONVENTIONS, DIRECTIONS, SIGNS
+from quatprop.settings.choices import CONVENTIONS, DIRECTIONS
 from quatprop.text import listed, quoted
 
 if TYPE_CHECKING:
@@ -93,8 +93,6 @@ class Signs:
     """
 
     def __init__(self, sign: str) -> None:
-        if sign not in SIGNS:
-            raise UsageError(f"no sign {quoted(sign)}; choose one of {listed(SIGNS)}")
         self._sign = sign
         self._last: Float64 | None = None
         self._flip = 1.0

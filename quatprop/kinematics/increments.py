@@ -80,13 +80,6 @@ def is_inertial(rates: str) -> bool:
     return rates == "inertial"
 
 
-def integration_rule(method: str) -> Rule:
-    """Return the integration rule of a method."""
-    if method not in RULES:
-        raise UsageError(f"there is no method {quoted(method)}; choose one of {listed(RULES)}")
-    return RULES[method]
-
-
 def rotation_vectors(
     t_ns: Int64,
     rate: Float64,
@@ -124,11 +117,10 @@ def rotation_vectors(
     ----------
     Eq. 7; a constant rate over the interval as in eqs. 32 to 36.
     """
-    rule = integration_rule(method)
     if integration_time_ns is not None or (is_interval_average and method not in {"start", "mean"}):
         return _integrated(t_ns, rate.T, method, integration_time_ns).T
     dt = (t_ns[1:] - t_ns[:-1]) / NS_PER_S
-    rotvec = rule(rate[:-1].T, rate[1:].T, dt)
+    rotvec = RULES[method](rate[:-1].T, rate[1:].T, dt)
     if method in LOOK_AHEAD:
         rotvec += curvature(t_ns, rate.T).rotation(dt)
     if method == "quintic":

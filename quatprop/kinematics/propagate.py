@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from quatprop.errors import SeriesError
-from quatprop.kinematics.increments import integration_rule, is_inertial, rotation_vectors
+from quatprop.kinematics.increments import is_inertial, rotation_vectors
 from quatprop.kinematics.product import (
     LEVELS,
     compose_pairs,
@@ -72,7 +72,6 @@ class _Composition:
 
     def __init__(self, q0: ArrayLike, method: str, rates: str) -> None:
         self._inertial = is_inertial(rates)
-        integration_rule(method)
         self._method = method
         q0 = unit_q0(q0)
         self._attitude: Wxyz = tuple((conjugate(q0) if self._inertial else q0).tolist())

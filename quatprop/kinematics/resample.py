@@ -12,7 +12,7 @@ import numpy as np
 
 from quatprop.errors import UsageError
 from quatprop.kinematics.cubic import Curvature, curvature, curvature_of_averages
-from quatprop.kinematics.increments import integration_rule
+from quatprop.kinematics.increments import RULES
 from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotate
 from quatprop.kinematics.quintic import AFTER, BEFORE, Quintic, quintic, quintic_of_averages
 from quatprop.kinematics.uncertainty import reference_covariance
@@ -249,7 +249,7 @@ def _between(
         # The integration time of an increment may differ from the interval between timestamps.
         if gyro.integration_time_ns is not None:
             elapsed = fraction * (gyro.integration_time_ns[after] / NS_PER_S)
-        rotvec = integration_rule("end")(first, second, elapsed)
+        rotvec = RULES["end"](first, second, elapsed)
         if curvature is not None:
             rotvec += curvature.rotation_of_averages(second, elapsed)
     else:
@@ -258,7 +258,7 @@ def _between(
             second = first + fraction * (second - first)
         if curvature is not None:
             second += curvature.rate(elapsed)
-        rotvec = integration_rule(method)(first, second, elapsed)
+        rotvec = RULES[method](first, second, elapsed)
         if curvature is not None:
             rotvec += curvature.rotation(elapsed)
     if polynomials.quintic is not None:

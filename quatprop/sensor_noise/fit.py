@@ -118,8 +118,6 @@ def _solved(
     scales = y * np.sqrt(covariances.m[first:])
     terms, (solved, sigmas) = np.zeros(covariances.laws.shape[1]), np.full((2, 5), np.nan)
     terms[chosen] = np.maximum(np.linalg.lstsq(laws / scales[:, None], y / scales)[0], 0.0)
-    if not terms.any():
-        terms[1] = y[0] * covariances.m[first]
     for _ in range(ROUNDS):
         solved[chosen], sigmas[chosen], residual = _weighted(
             y, laws, covariances.of(terms)[first:, first:]

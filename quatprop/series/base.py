@@ -103,9 +103,10 @@ class Series:
         """Export the table of :meth:`to_arrow` to pandas, polars, DuckDB and others."""
         return self.to_arrow().__arrow_c_stream__(requested_schema)
 
-    def to_arrow(self) -> pa.Table:
-        """Return a table of the timestamps and the columns."""
-        raise NotImplementedError
+    if TYPE_CHECKING:
+
+        def to_arrow(self) -> pa.Table:
+            """Return a table of the timestamps and the columns."""
 
     def _repr_html_(self) -> str:
         """Return the first and the last rows, for notebooks."""

@@ -51,15 +51,11 @@ class Gyroscope:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.sample_rate <= 0 or self.samples < 1:
-            raise UsageError("a log needs at least one sample, at a rate above zero")
         if BATCH * NS_PER_S * self.sample_rate.denominator > np.iinfo(np.int64).max:
             raise UsageError(
                 f"a sample rate of {float(self.sample_rate)} Hz has too many digits to keep its "
                 "timestamps exact; give it to three decimals"
             )
-        if not np.isfinite([self.noise, *self.bias]).all() or self.noise < 0:
-            raise UsageError("noise and bias must be finite, and the noise not negative")
 
     @property
     def deviation(self) -> float:

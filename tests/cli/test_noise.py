@@ -47,6 +47,9 @@ def test_it_states_the_terms_of_each_axis(log):
     assert rows["quantisation"].count("<") == rows["bias instability"].count("<") == 4
     assert "angle random walk 0.5" in rows["data sheet"]
     assert "rate random walk" in rows["data sheet"]
+    deviation = noise(log).deviation
+    *lowest, _ = rows["lowest deviation"].split("  rad/s")
+    assert " ".join(lowest).split() == [f"{least:.3e}" for least in deviation.min(axis=0)]
 
 
 def test_json_is_what_python_returns(log):
@@ -192,6 +195,8 @@ def test_other_refusals(log, tmp_path):
     other = shutil.copy(log, tmp_path / "log.yaml")
     assert "this is an input of the run" in refused("noise", other, "-o", other)
     assert "ends in neither .yaml nor .yml" in refused("noise", log, "-o", tmp_path / "x.txt")
+    flat = write(tmp_path / "flat.parquet", np.zeros((3000, 3)))
+    assert "shows no angle random walk" in refused("noise", flat, "-o", tmp_path / "imu.yaml")
     with pytest.raises(UsageError, match="rate_unit is for logs"):
         noise(GyroSeries([0, 1], np.zeros((2, 3))), rate_unit="deg/s")
 

@@ -6,7 +6,7 @@ from fuzz.planted import pair
 
 pytestmark = pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 
-SIMULATED = {3: "right", 6: "right", 16: "right", 18: "right", 21: "named", 35: "right"}
+SIMULATED = dict.fromkeys((3, 6, 16, 18, 35, 37, 41), "right") | {21: "named"}
 RECORDED = {5: "right", 10: "right", 32: "right", 62: "right"}
 AMBIGUOUS = {
     56: "right",  # of a conjugate, other rates lead elsewhere than the same steps reversed

@@ -95,8 +95,8 @@ class Ensemble(NamedTuple):
         return bool(low < self.squares / fault**2 < high)
 
 
-def ensemble(names, runs, change=lambda found: found):
-    """Return an ensemble of estimates; `change`: spoils what is found."""
+def ensemble(names, runs):
+    """Return an ensemble of estimates."""
     random, squares, count = np.random.default_rng([32, *map(len, names)]), 0.0, 0
     for _ in range(runs):
         truth = planted(random, names)
@@ -104,7 +104,7 @@ def ensemble(names, runs, change=lambda found: found):
         windows, begin = begun(rates, reference)
         found = fit(rates, windows, begin, np.isin(OF_GROUP, names))
         assert found.free.sum() == np.isin(OF_GROUP, names).sum()
-        error = error_of(change(found.model), truth)[found.free]
+        error = error_of(found.model, truth)[found.free]
         squares += error @ np.linalg.solve(found.covariance, error)
         count += len(error)
     return Ensemble(squares, count)

@@ -98,12 +98,6 @@ def delayed(series, offset_ms):
     return AttitudeSeries(series.t_ns + offset_ms * 1_000_000, series.wxyz)
 
 
-def named_causes(a, b):
-    """Return the causes that a comparison names."""
-    cause = quatprop.compare(a, b, align="mean").likely_cause
-    return [each for each in (cause, cause.also) if each] if cause else []
-
-
 def ppm_named(cause):
     """Return the drift of B's clock and its standard deviation as a sentence has them, ppm."""
     found = re.match(r"B's clock is (slow|fast) by ([\d.]+) \+- ([\d.]+) ppm", cause.sentence)

@@ -5,26 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from make.calibrations import (
-    EVERYTHING,
-    LENGTH_NS,
-    MODELS,
-    begun,
-    ensemble,
-    error_of,
-    planted,
-    recorded,
-)
+from make.calibrations import EVERYTHING, LENGTH_NS, begun, ensemble, error_of, planted, recorded
 from make.commands import run
 from make.tables import write_attitudes, write_rates
 from scipy.optimize import least_squares
 
 import quatprop
+from quatprop import AttitudeSeries, GyroSeries
 from quatprop.calibration.estimate import fit
 from quatprop.calibration.model import OF_GROUP, Model
-from quatprop.calibration.windows import errors_of
+from quatprop.calibration.windows import errors_of, windows_of
 from quatprop.errors import QuatpropError
 from quatprop.kinematics.quaternion import exp, multiply
+from quatprop.series.blocks import BLOCK
 
 
 def simulated(seed=1, names=EVERYTHING, **options):
@@ -170,25 +163,37 @@ def test_what_is_printed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "count", "said"),
     [
-        ({"estimate": "bias,scael"}, "did you mean 'scale'"),
-        ({"window": "1m"}, "windows in common"),
-        ({"estimate": "bias", "time_offset": "1h"}, "no time in common"),
+        ({"estimate": "bias,scael"}, None, "did you mean 'scale'"),
+        ({"window": "1m"}, None, "windows in common"),
+        ({"estimate": "bias", "time_offset": "1h"}, None, "no time in common"),
+        ({"estimate": "bias", "time_offset": "auto"}, None, "add offset to estimate, or give a"),
+        ({"estimate": "scale"}, None, "the log shows nothing of what was to be estimated"),
+        ({}, 59, "the log has 59 samples; a calibration needs at least 60: record for longer"),
+        ({}, 60, "have no time in common; add"),
     ],
 )
-def test_refusals(options, said):
+def test_refusals(options, count, said):
     """In one sentence, with the way out."""
-    rates, reference, _ = simulated()
+    axes = (0, 0, 0) if options.get("estimate") == "scale" else (1, 1, 1)
+    rates, reference, _ = simulated(axes=axes)
     with pytest.raises(QuatpropError, match=said):
-        quatprop.calibrate(rates, reference, **options)
+        quatprop.calibrate(rates[:count], reference, **options)
 
 
-def test_a_fault_of_five_percent_is_noticed():
-    """In the bias that is found."""
-    few = ensemble(("bias",), 15, lambda found: found._replace(bias=1.05 * found.bias))
-    assert not few.is_exact(1)
-    assert MODELS[-1] == EVERYTHING
+def test_windows_over_the_end_of_a_block_are_as_others():
+    """The interval between two blocks belongs to the later one."""
+    t_ns = np.arange(BLOCK + 1000) * 1_000_000
+    rates = GyroSeries(t_ns, np.sin(np.outer(t_ns * 1e-9, [7, 3, 5])))
+    late = rates[BLOCK - 1000 :]
+    reference = AttitudeSeries(late.t_ns, quatprop.propagate(late, method="cubic").wxyz)
+    windows = windows_of(late, reference, Model(), 300_000_000)
+    assert len(windows) > 3
+    for whole, part in zip(
+        *(errors_of(each, windows, Model()) for each in (rates, late)), strict=True
+    ):
+        np.testing.assert_allclose(whole, part, rtol=0, atol=1e-9)
 
 
 @pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")  # of the truth

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from quatprop.comparison import association
 from quatprop.comparison.association import shifted
 from quatprop.comparison.settings import ComparisonSettings
+from quatprop.comparison.windows import over_gap
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.interpolation import interpolate
 from quatprop.kinematics.quaternion import geodesic_angle
@@ -33,19 +32,6 @@ def spin(t_ns):
     t_ns = np.asarray(t_ns, np.int64)
     vectors = ((t_ns - EPOCH_NS) * 1e-9)[:, None] * [[0, 0, 1.0]]
     return AttitudeSeries(t_ns, Rotation.from_rotvec(vectors).as_quat(scalar_first=True))
-
-
-@given(st.integers(0, 1000), st.integers(0, 2**32))
-def test_slerp_agrees_with_scipy(place, seed):
-    """Between samples the shorter way is gone at a constant rate; at samples nothing is changed."""
-    series = random_series([0, 300, 1000], seed)
-    rotations = Rotation.from_quat(series.wxyz, scalar_first=True)
-    expected = Slerp(series.t_ns, rotations)(place).as_quat(scalar_first=True)
-    found = interpolate(series, np.array([place])).wxyz[0]
-    assert geodesic_angle(found, expected) < 1e-7 or geodesic_angle(*series.wxyz[:2]) > 3.1415
-    np.testing.assert_allclose(
-        interpolate(series, series.t_ns).wxyz, series.wxyz, rtol=0, atol=4e-16
-    )
 
 
 def test_slerp_keeps_nanoseconds():
@@ -100,6 +86,14 @@ def test_nothing_is_interpolated_across_a_gap():
     assert len(associate(spin(t_ns), b, match="interpolate", max_dt=400_000_000)) == 99
 
 
+def test_a_gap_is_longer_than_ten_intervals():
+    """Spans of time that end where it begins, or begin where it ends, contain none of it."""
+    t_ns = np.array([0, 1, 2, 12, 13, 24, 25, 26])
+    begin = np.array([2, 11, 12, 13, 23, 24])
+    assert over_gap(t_ns, begin, begin + 1).tolist() == [False, False, False, True, True, False]
+    assert not over_gap(t_ns, np.array([0]), np.array([13])).any()
+
+
 def test_the_nearest_sample_is_near_enough_or_none():
     """Each sample of the sparser series finds the nearest one within --max-dt."""
     a = random_series([0, 100, 200, 300, 400])
@@ -113,7 +107,16 @@ def test_the_nearest_sample_is_near_enough_or_none():
     pairs = associate(
         random_series(range(0, 1000, 100)), random_series(range(2, 1002, 100)), max_dt=9
     )
-    assert (pairs.match, len(pairs), pairs.candidates) == ("nearest", 10, 10)
+    assert (pairs.match, pairs.at, len(pairs), pairs.candidates) == ("nearest", "A", 10, 10)
+
+
+def test_without_a_limit_half_an_interval_of_the_denser_series_is_near():
+    """Its median interval; one of two samples is enough."""
+    a, b = random_series([0, 35, 66, 100]), random_series([0, 10, 20, 30, 60, 100, 110])
+    assert associate(a, b, match="nearest").t_ns.tolist() == [0, 35, 100]
+    a, b = random_series([0, 10]), random_series([1, 11])
+    assert associate(a, b, match="nearest").t_ns.tolist() == [0, 10]
+    assert associate(a, a, match="interpolate").t_ns.tolist() == [0, 10]
 
 
 def test_too_few_pairs_are_refused_with_both_spans():
@@ -148,6 +151,11 @@ def test_one_pair_is_too_few():
     with pytest.raises(ComparisonError, match=r"^only 1 of 1 samples in the common time have a"):
         associate(one, more, match="exact", min_matched=0)
     assert associate(one, one).t_ns.tolist() == [5]
+    with pytest.raises(ComparisonError, match=r"^only 1 of 1 samples"):
+        associate(one, one, align="first")
+    for match, other_ns in (("nearest", 6), ("interpolate", 5)):
+        with pytest.raises(ComparisonError, match=r"^(A and B have no time|only 0 of 1 samples)"):
+            associate(one, random_series([other_ns]), match=match)
 
 
 def test_series_that_overlap_without_samples_are_not_said_to_be_apart():

@@ -40,9 +40,10 @@ def written(tmp_path_factory):
     """Return what writes a series to a file of its own."""
     folder, numbers = tmp_path_factory.mktemp("series"), count()
 
-    def write(t_ns, seed=0, length=1.0):
+    def write(t_ns, seed=0, length=1.0, turn=Rotation.identity()):  # noqa: B008  # immutable
         steps = np.random.default_rng(seed).normal(scale=0.05, size=(len(t_ns), 3))
-        wxyz = length * Rotation.from_rotvec(np.cumsum(steps, axis=0)).as_quat(scalar_first=True)
+        rotations = turn * Rotation.from_rotvec(np.cumsum(steps, axis=0))
+        wxyz = length * rotations.as_quat(scalar_first=True)
         path = folder / f"{next(numbers)}.parquet"
         names = ("t_ns", "qw", "qx", "qy", "qz")
         pq.write_table(pa.table(dict(zip(names, (np.int64(t_ns), *wxyz.T), strict=True))), path)
@@ -112,6 +113,21 @@ def test_what_cannot_be_streamed_is_done_in_memory(t_a, t_b, options, written):
     """Interpolation, windows, stamps out of order and refusals are the same, too."""
     streamed, in_memory = both(written(t_a), written(t_b, seed=1), **options)
     assert streamed == in_memory
+
+
+@pytest.mark.parametrize(("matched_from", "part_ns"), [(0, 790_000_000), (120, None)])
+def test_causes_are_searched_for_in_the_beginning(matched_from, part_ns, written, monkeypatch):
+    """A comparison was refused where only its beginning had too few equal timestamps."""
+    monkeypatch.setattr(files, "MAX_SAMPLES", 50)
+    stamps = STAMPS + 3 * (np.arange(len(STAMPS)) < matched_from)
+    turned = Rotation.from_rotvec([0.1, 0.2, -0.05])
+    pair = written(STAMPS), written(stamps, turn=turned)
+    settings = comparison_settings(match="exact", min_matched=10)
+    found = files.compare_files(*pair, settings, keep=False)[2]
+    assert found.error_rad.rms == pytest.approx(turned.magnitude(), rel=1e-12)
+    assert (found.likely_cause and found.likely_cause.part_ns) == part_ns
+    # Errors are not kept.
+    assert found.error_vectors.shape == (0, 3)
 
 
 @pytest.mark.parametrize("seed", range(15))

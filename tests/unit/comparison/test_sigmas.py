@@ -39,6 +39,10 @@ def test_an_error_is_given_in_standard_deviations():
     assert compare(b, b).sigmas is None
     both = compare(a, turned(errors, covariance)).sigmas
     assert both.rms == pytest.approx(sigmas.rms / math.sqrt(2), rel=1e-9)
+    # Errors of 1 to 40 sigma: 95 % of them are up to 38.
+    exact = turned(np.zeros((40, 3)), np.tile(1e-4 * np.eye(3), (40, 1, 1)))
+    many = compare(exact, turned(np.outer(np.arange(1, 41), [0.01, 0, 0])), tol=9.0)
+    assert many.sigmas.p95 == pytest.approx(38)
     assert not compare(a, b, max_sigma=2.99).passed
     assert compare(a, b, max_sigma=3.01).passed
     # The same limits on each statistic, as tolerances: 0 for the exact first attitude is left out.
@@ -154,6 +158,8 @@ def test_unknown_covariances_are_left_out(tmp_path, suffix):
     np.testing.assert_allclose(again.covariance, covariance, rtol=1e-12)
     sigmas = compare(again, turned([[0.02, 0, 0], [1, 0, 0], [0.01, 0, 0]])).sigmas
     assert (sigmas.max, sigmas.final) == pytest.approx((2, 1), rel=1e-9)
+    unknown = turned(np.zeros((3, 3)), np.full((3, 3, 3), np.nan))
+    assert compare(unknown, turned(np.zeros((3, 3)))).sigmas is None
 
 
 # --- on the command line
@@ -180,6 +186,7 @@ def test_limits_of_the_command_line(series):
         told = run("compare", known, off, *option, code=1).stdout
         assert "sigma     the final error is 4.36 sigma" in told
         assert failed in told
+    assert refused("compare", known, bare, "--max-sigma", "0").endswith("not a number above 0")
     for option in (("--max-sigma", "2"), ("--tol", "3sigma")):
         assert refused("compare", bare, bare, *option) == (
             f"Error: neither series has standard deviations, which "

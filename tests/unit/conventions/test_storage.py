@@ -18,7 +18,7 @@ from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
 from quatprop.conventions import AttitudeConvention, Signs
-from quatprop.conventions.representations import REPRESENTATIONS, euler_angles, from_euler
+from quatprop.conventions.representations import euler_angles
 from quatprop.errors import UsageError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.settings.choices import EULER_SEQUENCES
@@ -131,24 +131,6 @@ def unit(rows):
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-@given(st.sampled_from(EULER_SEQUENCES), st.lists(quaternions, min_size=1, max_size=20))
-def test_angles_are_those_of_scipy(sequence, rows):
-    """They compose to the same rotation as scipy's intrinsic ones, within the stated ranges."""
-    wxyz = unit(rows)
-    angles = euler_angles(sequence, wxyz)
-    assert np.abs(angles[:, [0, 2]]).max() <= np.pi
-    middle = np.pi / 2 if sequence[0] == sequence[2] else 0
-    assert np.abs(angles[:, 1] - middle).max() <= np.pi / 2
-    back = Rotation.from_euler(sequence.upper(), angles)
-    assert geodesic_angle(back.as_quat(scalar_first=True), wxyz).max() < 1e-14
-    again = from_euler(sequence, angles)
-    assert geodesic_angle(again, wxyz).max() < 1e-14
-    away = np.abs(np.sin(angles[:, 1] - middle)) < 0.999999
-    expected = Rotation.from_quat(wxyz[away], scalar_first=True).as_euler(sequence.upper())
-    off = np.abs(angles[away] - expected)
-    assert np.minimum(off, 2 * np.pi - off).max(initial=0) < 1e-9
-
-
 @pytest.mark.parametrize("sequence", EULER_SEQUENCES)
 @pytest.mark.parametrize("first", [-3.0, 0.0, 0.4])
 @pytest.mark.parametrize("off", [0.0, 1e-12, 1e-9, 1e-6])
@@ -159,6 +141,8 @@ def test_angles_keep_the_attitude_in_gimbal_lock(sequence, first, off):
     wanted = np.array([(first, lock, 0.3) for lock in np.array(locks) + inside])
     q = Rotation.from_euler(sequence.upper(), wanted)
     angles = euler_angles(sequence, q.as_quat(scalar_first=True))
+    assert np.abs(angles[:, [0, 2]]).max() <= np.pi
+    assert np.abs(angles[:, 1] - sum(locks) / 2).max() <= np.pi / 2
     back = Rotation.from_euler(sequence.upper(), angles).as_quat(scalar_first=True)
     assert geodesic_angle(back, q.as_quat(scalar_first=True)).max() < 1e-15 * 4
 
@@ -171,16 +155,6 @@ def test_a_rotation_about_the_first_axis_is_shared_equally(sequence):
         wxyz = np.full((1, 4), sign)
         wxyz[0, [0, 1 + axis]] = np.cos(0.2), np.sin(0.2)
         np.testing.assert_allclose(euler_angles(sequence, wxyz), [[0.2, 0, 0.2]], atol=1e-15)
-
-
-@given(st.lists(quaternions, min_size=1, max_size=20))
-def test_rotation_vectors_are_those_of_scipy(rows):
-    """They are no longer than half a turn, and scipy makes the same rotations of them."""
-    wxyz = Signs("positive").applied(unit(rows))
-    vectors = REPRESENTATIONS["rotvec"].values(wxyz)
-    assert np.linalg.norm(vectors, axis=1).max() <= np.pi * (1 + 1e-15)
-    back = Rotation.from_rotvec(vectors).as_quat(scalar_first=True)
-    assert geodesic_angle(back, wxyz).max() < 1e-14
 
 
 def test_a_sign_that_either_choice_would_continue_does_not_depend_on_batches():
@@ -233,7 +207,6 @@ def test_a_positive_sign_decides_half_turns_too():
             "up",
             "no direction 'up'; choose one of 'body-to-ref', 'ref-t",
         ),
-        (Signs, "any", "no sign 'any'; choose one of 'keep', 'continuous', 'po"),
     ],
 )
 def test_unknown_words_are_refused(make, word, sentence):

@@ -5,8 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from make.motion import RATES_HZ, SECOND, orders, rotor, stamps
-from make.streams import IDENTITY, segmented
-from scipy.integrate import solve_ivp
+from make.streams import segmented
 
 from quatprop.kinematics.cubic import curvature, curvature_of_averages
 from quatprop.kinematics.increments import rotation_vectors
@@ -25,33 +24,6 @@ def rotor_error(t_ns, method="cubic"):
 
 
 # --- accuracy
-
-
-def test_band_limited_motion():
-    """Rates of 0.2 to 5 Hz about all axes, against an integrator of order 8."""
-    random = np.random.default_rng(1)
-    frequency = random.uniform(0.2, 5.0, (12, 3))
-    phase = random.uniform(0, 2 * np.pi, (12, 3))
-    amplitude = random.normal(0, 1 / np.sqrt(6), (12, 3))
-
-    def rate(t_s):
-        angle = 2 * np.pi * frequency * np.asarray(t_s)[..., None, None] + phase
-        return (amplitude * np.sin(angle)).sum(axis=-2)
-
-    def derivative(t_s, q):
-        return multiply(q, [0, *rate(t_s) / 2])
-
-    t_s = stamps(50, 10) / 1e9
-    solution = solve_ivp(
-        derivative, (0, 10), IDENTITY, "DOP853", t_s, rtol=2.3e-14, atol=1e-15, max_step=0.02
-    )
-    errors = []
-    for hz in RATES_HZ:
-        t_ns = stamps(hz, 10)
-        wxyz = attitudes(t_ns, rate(t_ns / 1e9), method="cubic")[:: hz // 50]
-        errors.append(geodesic_angle(wxyz, solution.y.T).max())
-    assert (np.array(errors) <= 1.2 * np.array([2.7e-4, 1.7e-5, 1.1e-6, 6.8e-8])).all()
-    assert orders(errors).min() > 3.8
 
 
 def test_the_formula_is_the_integral_of_the_cubic():

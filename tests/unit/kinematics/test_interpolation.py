@@ -9,7 +9,7 @@ from make.motion import stamps
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from quatprop import AttitudeSeries, compare
-from quatprop.kinematics.interpolation import MAX_DEVIATION, interpolate
+from quatprop.kinematics.interpolation import interpolate
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, slerp
 from quatprop.simulation.motion import Shape, motion_named
@@ -89,6 +89,8 @@ def test_few_samples_are_slerp(count):
     found = interpolate(AttitudeSeries(t_ns, wxyz), t_ns[:-1] + 25_000_000)
     held = slerp(wxyz[:-1], wxyz[1:], [0.25] * (count - 1))
     assert geodesic_angle(found.wxyz, held).max() < 1e-15
+    at_samples = interpolate(AttitudeSeries(t_ns, wxyz), t_ns).wxyz
+    np.testing.assert_allclose(at_samples, wxyz, rtol=0, atol=4e-16)
     assert (found.floor_rad == 0) == (count == 2)  # of two samples nothing is known
 
 
@@ -104,11 +106,26 @@ def test_what_a_constant_rate_leaves_of_a_steady_acceleration_is_known():
     assert found.floor_rad == pytest.approx(expected)
 
 
+@pytest.mark.parametrize(("deviation", "follows"), [(0.95, True), (1.05, False)])
+def test_what_deviates_by_more_than_a_radian_is_held(deviation, follows):
+    """The third sample beside an interval is off by six times the change of the rate in it."""
+    t_ns = stamps(10, 1)[:7]
+
+    def turned(t_ns):
+        return exp(np.array([0, 0, 1]) * np.polyval([deviation / 0.06, 3, 0], t_ns[:, None] / 1e9))
+
+    middle = t_ns[2:4] + 50_000_000
+    found = interpolate(AttitudeSeries(t_ns, turned(t_ns)), middle)
+    error = geodesic_angle(found.wxyz, turned(middle)).max()
+    assert (error < 1e-12) == follows
+    assert (found.floor_rad > error / 2) != follows
+
+
 def test_a_jump_is_not_smoothed():
     """Beside it the rate is held constant, as of motion that no polynomial follows."""
     t_ns = stamps(100, 1)
     wxyz = np.tile(exp([0.1, 0.2, 0.3]), (len(t_ns), 1))
-    wxyz[50:] = multiply(wxyz[50:], exp([0, 0, 1.1 * MAX_DEVIATION]))
+    wxyz[50:] = multiply(wxyz[50:], exp([0, 0, 1.1]))
     found = interpolate(AttitudeSeries(t_ns, wxyz), t_ns[:-1] + 5_000_000).wxyz
     held = slerp(wxyz[:-1], wxyz[1:], [0.5] * 100)
     assert geodesic_angle(found, held).max() < 1e-15

@@ -13,7 +13,7 @@ from make import oracle
 from make.motion import SECOND
 from make.streams import propagated
 
-from quatprop.errors import SeriesError, UsageError
+from quatprop.errors import SeriesError
 from quatprop.kinematics.product import PADDING
 from quatprop.kinematics.propagate import TILE, FinalAttitude, Propagation, attitudes
 from quatprop.kinematics.quaternion import geodesic_angle, rotate
@@ -257,15 +257,6 @@ def test_bad_q0_is_refused_at_once(q0, message):
     """What is no quaternion is refused before any sample is asked for."""
     with pytest.raises(SeriesError, match=message):
         Propagation(q0, "start", "body")
-
-
-def test_unknown_method_and_frame_are_refused_at_once():
-    """A misspelt option is refused before any sample is asked for."""
-    choices = ", ".join(map(repr, METHODS))
-    with pytest.raises(UsageError, match=f"^there is no method 'Start'; choose one of {choices}$"):
-        Propagation([1, 0, 0, 0], "Start", "body")
-    with pytest.raises(UsageError, match=r"^there is no frame 'world'; choose one of 'body', "):
-        FinalAttitude([1, 0, 0, 0], "start", "world")
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])

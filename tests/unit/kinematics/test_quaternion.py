@@ -169,15 +169,6 @@ def test_rotate_is_the_sandwich_product():
     assert close(np.einsum("nij,nj->ni", rotation_matrix(q), v), sandwich, 4e-15)
 
 
-def test_rotation_matrix_is_a_rotation():
-    """R is orthogonal with determinant 1, and R(p q) = R(p) R(q)."""
-    p, q = some_quaternions(9), some_quaternions(10)
-    R = rotation_matrix(p)
-    assert close(R @ np.swapaxes(R, -1, -2), np.broadcast_to(np.eye(3), R.shape), 2e-15)
-    assert close(np.linalg.det(R), 1, 2e-15)
-    assert close(rotation_matrix(multiply(p, q)), R @ rotation_matrix(q), 2e-15)
-
-
 @given(SEEDS)
 def test_matrices_become_the_quaternions_that_scipy_gives(seed):
     """From scipy's own matrices, of any leading shape, with w never below zero."""

@@ -1,7 +1,5 @@
 """The method quintic: sixth order on smooth motion, at ends, at gaps and between samples too."""
 
-from fractions import Fraction
-
 import numpy as np
 import pytest
 from make.motion import SECOND, orders, rotor, stamps
@@ -9,12 +7,11 @@ from make.streams import IDENTITY, segmented
 
 from quatprop.kinematics.cubic import MAX_RATIO
 from quatprop.kinematics.increments import rotation_vectors
-from quatprop.kinematics.propagate import TILE, attitudes
+from quatprop.kinematics.propagate import TILE
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply
 from quatprop.kinematics.quintic import quintic, quintic_of_averages
 from quatprop.kinematics.resample import Listed
 from quatprop.series import GyroSeries
-from quatprop.simulation.motion import Shape, motion_named
 
 RATES_HZ = (16, 32, 64, 125)
 
@@ -24,18 +21,6 @@ def propagated(series, times=None, q0=IDENTITY, rates="body", batch=None):
     size = batch or len(series)
     batches = [series[k : k + size] for k in range(0, len(series), size)]
     return segmented(batches, times, q0=q0, method="quintic", rates=rates)[1:]
-
-
-@pytest.mark.parametrize(
-    ("motion", "hz", "shape", "limit"),
-    [("coning", 200, Shape(Fraction(2)), 1.7e-9), ("tumbling", 100, Shape(), 9.1e-12)],
-)
-def test_simulated_motion(motion, hz, shape, limit):
-    """Coning at 2 Hz costs cubic 2.9e-6 rad in the same 20 s."""
-    t_ns = np.arange(20 * hz + 1) * (SECOND // hz)
-    rate, wxyz = motion_named(motion, shape)(t_ns)
-    found = attitudes(t_ns, rate, q0=wxyz[0], method="quintic")
-    assert geodesic_angle(found, wxyz).max() < limit
 
 
 def test_ends_and_gaps_are_of_full_order():
@@ -62,14 +47,6 @@ def test_a_polynomial_of_fifth_degree_is_exact():
     rotvec = rotation_vectors(t_ns, polynomial(t_ns)[:, None] * axis, "quintic")
     integral = np.diff(polynomial.integ()(t_ns)) / 1e9
     np.testing.assert_allclose(rotvec, integral[:, None] * axis, rtol=1e-11, atol=1e-15)
-
-
-def test_a_constant_rate_is_exact():
-    """Nothing of the polynomial is left: each rotation vector is the rate times the interval."""
-    t_ns = np.cumsum(np.random.default_rng(6).integers(8_000_000, 14_000_000, 50))
-    rate = np.tile([0.3, -1.7, 2.2], (50, 1))
-    expected = rate[1:] * (np.diff(t_ns) / 1e9)[:, None]
-    assert np.array_equal(rotation_vectors(t_ns, rate, "quintic"), expected)
 
 
 @pytest.mark.parametrize("count", [2, 3, 5])

@@ -10,7 +10,7 @@ import quatprop
 from quatprop import AttitudeSeries
 from quatprop.errors import NoRatesError, SeriesError, UsageError
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply
+from quatprop.kinematics.quaternion import geodesic_angle, multiply
 from quatprop.kinematics.rates import (
     omega_matrix,
     quaternion_rate,
@@ -46,13 +46,6 @@ def test_the_matrices_are_products_of_quaternions(rates):
     on_rate = np.einsum("nij,nj->ni", rate_matrix(Q, rates=rates), RATE)
     for found in (quaternion_rate(Q, RATE, rates=rates), on_q, on_rate):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
-
-
-def test_the_rate_is_the_derivative():
-    """Central differences of a rotation at a constant rate agree with q'."""
-    step = 1e-5
-    ahead, behind = multiply(Q, exp(RATE * step)), multiply(Q, exp(-RATE * step))
-    np.testing.assert_allclose((ahead - behind) / (2 * step), quaternion_rate(Q, RATE), atol=1e-8)
 
 
 def test_arguments_that_make_no_sense_are_refused():

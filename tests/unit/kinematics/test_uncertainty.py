@@ -35,29 +35,6 @@ def covariances(t_ns, rate, errors, rates="body", size=None):
 # --- closed forms
 
 
-@pytest.mark.parametrize(
-    ("errors", "closed"),
-    [
-        (SensorErrors(noise_density=N), lambda t: N * np.sqrt(t)),
-        (SensorErrors(bias_sigma=B), lambda t: B * t),
-        (SensorErrors(random_walk=K), lambda t: K * np.sqrt(t**3 / 3)),
-        (SensorErrors(scale_sigma=S), lambda t: 0 * t),
-        (SensorErrors(N, B, K, S), lambda t: np.sqrt(N**2 * t + B**2 * t**2 + K**2 * t**3 / 3)),
-    ],
-)
-@pytest.mark.parametrize("rates", ["body", "inertial"])
-def test_at_rest(errors, closed, rates):
-    """N sqrt(t), b t, K sqrt(t^3/3), nothing, and the root of the sum of their squares."""
-    t_ns = 7 * SECOND + stamps(100, 200, jitter=0.3)
-    found, _ = covariances(t_ns, np.zeros((len(t_ns), 3)), errors, rates)
-    sigma = closed((t_ns - t_ns[0]) / 1e9)
-    np.testing.assert_allclose(
-        np.sqrt(np.diagonal(found, axis1=1, axis2=2)), np.tile(sigma[:, None], 3), rtol=1e-9
-    )
-    across = found[:, [0, 0, 1], [1, 2, 2]]
-    assert np.abs(across).max() <= 1e-15 * np.abs(found).max()
-
-
 def test_a_scale_error_is_a_share_of_the_angle_about_a_fixed_axis():
     """Whatever the rate does: 400 ppm of the angle turned, about that axis alone."""
     t_ns = stamps(100, 20)

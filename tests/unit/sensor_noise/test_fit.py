@@ -7,7 +7,8 @@ from scipy.special import chdtri, ndtr, ndtri
 
 from quatprop.sensor_noise.allan import AllanSums
 from quatprop.sensor_noise.covariance import covariances
-from quatprop.sensor_noise.fit import chi_square, fit
+from quatprop.sensor_noise.fit import TermFit, chi_square, fit
+from quatprop.sensor_noise.result import terms_of
 
 M = 1 << np.arange(14)
 SAMPLES = 3 << 13
@@ -40,12 +41,42 @@ def test_exact_variances_give_their_terms(known, name, scale):
     assert shown.tolist() == [term > 0 for term in TERMS[name]]
 
 
+def test_standard_deviations_are_those_of_generalised_least_squares(known):
+    """Of what is not shown, those that it would have if it were as large as its bound."""
+    terms = np.array(TERMS["quantised"], float)
+    found = fit(known.laws @ terms, known)
+    for term, (size, sigma) in enumerate(zip(terms, found.sigmas, strict=True)):
+        at = terms + (size == 0) * ndtri(0.95) * sigma * np.eye(5)[term]
+        information = known.laws.T @ np.linalg.solve(known.of(at), known.laws)
+        assert sigma**2 == pytest.approx(np.linalg.inv(information)[term, term], rel=0.1)
+
+
 @pytest.mark.parametrize(("freedoms", "share"), [(1, 0.3), (2, 0.05), (5, 0.01), (50, 1e-3)])
 def test_quantiles_are_those_of_scipy(freedoms, share):
     """About one standard deviation to either side; of one degree of freedom roughly."""
     for deviations in (-1.0, 0.0, 1.0, 2.33):
         exact = chdtri(freedoms, ndtr(-deviations))
         assert chi_square(freedoms, deviations) == pytest.approx(exact, rel=share)
+
+
+@pytest.mark.parametrize("square", [1.01, 0.99, -1.0])
+def test_a_term_is_shown_unless_one_in_a_hundred_cases_is_as_large(square):
+    """Else it has a bound with 95 %; both in the units of data sheets, for samples 4 s apart."""
+    sigma = 1 / ndtri(0.99)
+    one = TermFit(np.full(5, square), np.full(5, sigma), 1, above=False, freedoms=np.ones(3))
+    for fits in ([one, None], [one, one]):
+        of_all = sigma / np.sqrt(2 if fits[1] else 1)
+        *terms, from_s = terms_of(fits, 4.0, np.array([4.0, 8.0, 16.0]))
+        assert from_s == 8.0
+        for term, unit in zip(terms, (4.0, 2.0, 1.0, 0.5), strict=True):
+            if square > ndtri(0.99) * of_all:
+                assert term.value == pytest.approx(unit * np.sqrt(square))
+                assert term.relative == pytest.approx(of_all / square / 2)
+                assert term.at_most is None
+            else:
+                bound = unit * np.sqrt(max(square, 0) + ndtri(0.95) * of_all)
+                assert term[:2] == (None, None)
+                assert term.at_most == pytest.approx(bound, rel=1e-3)
 
 
 def variances_of(rate):

@@ -145,6 +145,15 @@ def test_a_notebook_shows_the_first_and_the_last_rows():
     assert "no samples" in W[:0]._repr_html_()
 
 
+def test_stamps_beyond_64_bits_are_refused():
+    """Of unsigned integers, too; the last that fits is one less."""
+    rate = np.zeros((2, 3))
+    for t_ns in ([-1, 2**63], np.array([0, 2**63], np.uint64)):
+        with pytest.raises(SeriesError, match="`t_ns` has values that do not fit 64 bits"):
+            GyroSeries(t_ns, rate)
+    assert GyroSeries(np.array([0, 2**63 - 1], np.uint64), rate).t_ns[1] == 2**63 - 1
+
+
 # Columns between NumPy and Arrow.
 
 CODES = ["f8", "f4", "f2", "i8", "u8", "i4", "u4", "i2", "u2", "i1", "u1", "?"]

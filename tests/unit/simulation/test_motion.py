@@ -11,7 +11,6 @@ from quatprop.errors import UsageError
 from quatprop.simulation import gyroscope, phase
 from quatprop.simulation.gyroscope import Gyroscope, record
 from quatprop.simulation.motion import MOTIONS, Shape, motion_named, precession, spin
-from quatprop.times import regular_stamps
 
 CLOSED_FORMS = ["rest", "spin", "coning", "tumbling"]
 SHAPE = Shape(
@@ -94,27 +93,6 @@ def test_coning_keeps_the_body_axis_on_its_cone():
     np.testing.assert_allclose(wxyz[20:], wxyz[:-20], rtol=0, atol=1e-15)
 
 
-def test_coning_drifts_as_the_textbook_says():
-    """Rate integrals without a coning term drift by (W n^2 / 2) (1 - sin WT / WT) a second."""
-    n, W, T = np.radians(1), 2 * np.pi * 10, 0.01
-    motion = motion_named("coning", Shape(angle=Fraction(1), frequency=Fraction(10)))
-    t_ns = np.arange(1001) * 10_000_000
-    rate, wxyz = motion(t_ns)
-    # The rate is a sinusoid, so its exact integral is its value in the middle times sin(x)/x.
-    middle, _ = motion(t_ns[:-1] + 5_000_000)
-    shrink = np.sin(W * T / 2) / (W * T / 2)
-    increments = np.column_stack((middle[:, :2] * shrink, middle[:, 2])) * T
-    total = Rotation.identity()
-    for increment in increments:
-        total = total * Rotation.from_rotvec(increment)
-    drift = (rotation(wxyz[-1]).inv() * total).as_rotvec() / (t_ns[-1] * 1e-9)
-    expected = W * n**2 / 2 * (1 - np.sin(W * T) / (W * T))
-    assert abs(drift[2]) == pytest.approx(expected, rel=1e-3)
-    # The drift is about the middle of the cone, from which the body's z axis leans by n.
-    assert np.abs(drift[:2]).max() == pytest.approx(n * expected, rel=0.01)
-    assert rate[0, 2] == pytest.approx(-W * (1 - np.cos(n)), rel=1e-12)
-
-
 def test_a_random_walk_is_the_product_of_its_own_rates():
     """Each sample's rate rules until the next, on the right."""
     motion = motion_named("random-walk", Shape(walk=2.0, seed=11))
@@ -130,17 +108,6 @@ def test_a_random_walk_is_the_product_of_its_own_rates():
 
 
 # The gyroscope
-
-
-def test_stamps_are_exact_for_rates_that_divide_no_second():
-    """30 Hz has thirds of seconds to the nearest ns, also after a million years of samples."""
-    np.testing.assert_array_equal(
-        regular_stamps(0, 5, Fraction(30)), [0, 33333333, 66666667, 10**8, 133333333]
-    )
-    late = 27 * 10**10 + 1
-    np.testing.assert_array_equal(
-        regular_stamps(late, late + 2, Fraction(30)), [9 * 10**18 + 33333333, 9 * 10**18 + 66666667]
-    )
 
 
 def test_noise_and_bias_are_as_told():
@@ -191,24 +158,12 @@ def test_the_first_attitude_turns_the_whole_truth():
     assert gap.magnitude().max() < 1e-15
 
 
-def told(**values):
-    """Return a gyroscope of which some values are told."""
-    return Gyroscope(**{"sample_rate": Fraction(100), "samples": 10, **values})
-
-
 @pytest.mark.parametrize(
     ("use", "sentence"),
     [
-        (lambda: told(sample_rate=Fraction(0)), "needs at least one sample, at a rate above zero"),
-        (lambda: told(samples=0), "a log needs at least one sample, at a rate above zero"),
-        (lambda: told(noise=-1.0), "noise and bias must be finite, and the noise not negative"),
-        (lambda: told(bias=(np.nan, 0.0, 0.0)), "noise and bias must be finite"),
+        (lambda: Gyroscope(Fraction(1, 10**6), 10), "too many digits to keep its timestamps exact"),
         (
-            lambda: told(sample_rate=Fraction(1, 10**6)),
-            "too many digits to keep its timestamps exact",
-        ),
-        (
-            lambda: next(record(motion_named("rest", SHAPE), told(), (0, 0, 0, 0))),
+            lambda: next(record(motion_named("rest", SHAPE), Gyroscope(1, 10), (0, 0, 0, 0))),
             "^q0 must be four finite numbers W,X,Y,Z, not all zero$",
         ),
         (
