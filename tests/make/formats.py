@@ -114,22 +114,22 @@ def _bag(compression=None):
         writer.chunk_threshold = 20_000
         if compression:
             writer.set_compression(BagWriter.CompressionFormat[compression])
-        with writer:
-            for topic, series in zip(TOPICS, several, strict=False):
-                connection = writer.add_connection(topic, IMU, typestore=ROS1)
-                for t_ns, data in imus(ROS1, series):
-                    writer.write(connection, t_ns, data)
+        _fill(writer, ROS1, several)
 
     return write
 
 
+def _fill(writer, store, several):
+    with writer:
+        for topic, series in zip(TOPICS, several, strict=False):
+            connection = writer.add_connection(topic, IMU, typestore=store)
+            for t_ns, data in imus(store, series):
+                writer.write(connection, t_ns, data)
+
+
 def _folder(storage):
     def write(path, *several):
-        with FolderWriter(path, version=9, storage_plugin=storage) as writer:
-            for topic, series in zip(TOPICS, several, strict=False):
-                connection = writer.add_connection(topic, IMU, typestore=ROS2)
-                for t_ns, data in imus(ROS2, series):
-                    writer.write(connection, t_ns, data)
+        _fill(FolderWriter(path, version=9, storage_plugin=storage), ROS2, several)
 
     return write
 

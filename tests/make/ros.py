@@ -38,7 +38,8 @@ def _value(store, form, given):
     (part, kind), count = detail
     if part == Nodetype.NAME:
         return [message(store, kind, one) for one in given or ()]
-    return np.zeros(count, kind[0]) if given is None else np.asarray(given, kind[0])
+    array = np.asarray(() if given is None else given, kind[0])
+    return np.pad(array, (0, max(count - len(array), 0)))
 
 
 def encoded(store, kind, values=()):
