@@ -42,11 +42,11 @@ def _value(store, form, given):
     return np.pad(array, (0, max(count - len(array), 0)))
 
 
-def encoded(store, kind, values=()):
+def encoded(store, kind, values=(), **options):
     """Return the bytes of a message, in the encoding of the types: that of ROS 1 or of ROS 2."""
     is_ros1 = store.fielddefs["std_msgs/msg/Header"][1][0][0] == "seq"
     serialize = store.serialize_ros1 if is_ros1 else store.serialize_cdr
-    return bytes(serialize(message(store, kind, values), kind))
+    return bytes(serialize(message(store, kind, values), kind, **options))
 
 
 def write_messages(path, messages, types=(ROS1, ROS2), published_ns=0):
