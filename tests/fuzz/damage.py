@@ -127,14 +127,7 @@ def _interrupt(_number, _frame):
 def problem(log, folder, seed):
     """Return what is wrong with how a log is read, None where nothing is, and the exit codes.
 
-    Parameters
-    ----------
-    log
-        The log.
-    folder
-        Where results and unpacked copies may go.
-    seed
-        Its seed, which decides about one of the commands.
+    `folder`: where results may go; `seed`: decides about one of the commands
     """
     from click.testing import CliRunner
 
@@ -191,17 +184,7 @@ def _wrong(result, left, outputs):
 
 
 def fuzz(seeds, workers, tell):
-    """Read the damaged logs of some seeds.
-
-    Parameters
-    ----------
-    seeds
-        Which.
-    workers
-        How many processes.
-    tell
-        Called with each seed and what was found.
-    """
+    """Read the damaged logs of some seeds; `tell` is called with each seed and what was found."""
     from make.damaged_logs import write_logs
 
     seeds = iter(seeds)
