@@ -1,6 +1,6 @@
 """Likely causes of planted mistakes: wrong names, and remedies that do not deliver.
 
-``python -m fuzz.causes [--first NUMBER] [--count N]`` (in ``tests/``): for each pair, the remedy that
+``python -m fuzz.causes [--first SEED] [--count N]`` (in ``tests/``): for each pair, the remedy that
 is printed is applied, by the option that it names; the error is measured before and after.
 """
 
