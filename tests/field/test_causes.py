@@ -4,7 +4,7 @@ import pytest
 from fuzz.causes import judge
 from fuzz.planted import pair
 
-pytestmark = pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 
 SIMULATED = {3: "right", 6: "right", 16: "right", 18: "right", 21: "named", 35: "right"}
 RECORDED = {5: "right", 10: "right", 32: "right", 62: "right"}
