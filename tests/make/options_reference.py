@@ -17,22 +17,13 @@ AXES = {"x": 0, "y": 1, "z": 2}
 
 
 def propagated(raw, options):
-    """Return the stamps and the rotations that options lead to.
+    """Return the stamps and the rotations body -> reference that options lead to.
 
-    Parameters
-    ----------
-    raw : dict
-        Of every row in the order of the log: ``t`` in int ns, ``w`` in rad/s, ``f``, the specific
-        force, and ``q``, the orientation of the sensor as a Rotation.
-    options : dict
-        As `quatprop.propagate` takes them; those that say where the numbers are in the file are
-        passed over. ``bias`` is in rad/s. Series in files are given as ``(t, Rotation)``, a
-        calibration as matrix and bias.
-
-    Returns
-    -------
-    tuple of ndarray and Rotation
-        Stamps and attitudes body -> reference.
+    `raw`: of every row in the order of the log ``t`` in int ns, ``w`` in rad/s, ``f``, the specific
+        force, and ``q``, the orientation of the sensor as a Rotation
+    `options`: as `quatprop.propagate` takes them; those that say where the numbers are in the file
+        are passed over; ``bias`` in rad/s, series in files as ``(t, Rotation)``, a calibration as
+        matrix and bias
     """
     mount = mounting(options.get("mount"))
     matrix, own_bias = options.get("calibration", (np.eye(3), (0, 0, 0)))
