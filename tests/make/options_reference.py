@@ -249,16 +249,13 @@ def segment(t, rate, q, at, options):
     body = options.get("rates", "body") == "body"
     how = options.get("method", "start"), 1 if body else -1
     whole = matrices([rotation_vector(t, rate, k, ns, *how) for k, ns in enumerate(np.diff(t))])
-    if "rate" in options or "at" in options:
-        before = np.searchsorted(t, at, side="right") - 1
-        part = matrices(
-            [
-                rotation_vector(t, rate, k, ns - t[k], *how) if ns > t[k] else np.zeros(3)
-                for k, ns in zip(before, at, strict=True)
-            ]
-        )
-    else:
-        before, part = np.arange(len(t)), np.tile(np.eye(3), (len(t), 1, 1))
+    before = np.searchsorted(t, at, side="right") - 1
+    part = matrices(
+        [
+            rotation_vector(t, rate, k, ns - t[k], *how) if ns > t[k] else np.zeros(3)
+            for k, ns in zip(before, at, strict=True)
+        ]
+    )
     attitudes = [q]
     for step in whole:
         attitudes.append(attitudes[-1] @ step if body else step @ attitudes[-1])
