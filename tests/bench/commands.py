@@ -6,11 +6,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from table import Table, command
+from table import PYTHON, QUATPROP, compared
 
 HERE = Path(__file__).parent
-PYTHON = [sys.executable, "-c"]
-QUATPROP = [sys.executable, "-m", "quatprop"]
 
 READ = """
 import sys
@@ -72,15 +70,12 @@ def measure(folder: Path, samples: int) -> None:
             "import click": [*PYTHON, "import click"],
         }
         for title, rows in tables.items():
-            table = Table(f"{title}, {samples:,} samples")
-            for name, words in rows.items():
-                seconds, megabytes = command(1 if "script" in name else repeats, words)
-                table.row(name, seconds, samples, megabytes)
+            compared(f"{title}, {samples:,} samples", rows, samples, repeats)
 
 
 def _measure_small_logs() -> None:
     """Print the CPU time of a batch, per log."""
-    table = Table(f"batch of {SMALL_LOGS:,} logs of {SMALL_SAMPLES} samples, CPU time per log")
+    title = f"batch of {SMALL_LOGS:,} logs of {SMALL_SAMPLES} samples, CPU time per log"
     for kind in ("csv", "mcap"):
         with tempfile.TemporaryDirectory() as scratch:
             one, logs = Path(scratch, f"one.{kind}"), Path(scratch, "logs")
@@ -90,5 +85,4 @@ def _measure_small_logs() -> None:
             for number in range(SMALL_LOGS):
                 shutil.copy(one, logs / f"{number}.{kind}")
             words = [*QUATPROP, "batch", logs, "-o", Path(scratch, "out"), "-j", "1", "-q"]
-            seconds, megabytes = command(1, words, is_cpu=True)
-            table.row(f"quatprop, {kind}", seconds, SMALL_LOGS, megabytes)
+            compared(f"{title}, {kind}", {"quatprop": words}, SMALL_LOGS, 1, is_cpu=True)

@@ -16,14 +16,13 @@ SLOW_SAMPLES = 20_000
 """Loops of microseconds a sample are timed on so many."""
 
 
-@numba.njit
-def fused_loop(t_ns, rate, out):
-    """Multiply step by step in one compiled loop."""
+def loop(t_ns, rate, out):
+    """Multiply step by step, with arrays or with lists."""
     w, x, y, z = 1.0, 0.0, 0.0, 0.0
     out[0] = (w, x, y, z)
     for k in range(len(t_ns) - 1):
-        dt = (t_ns[k + 1] - t_ns[k]) * 1e-9
-        a, b, c = rate[k, 0] * dt / 2, rate[k, 1] * dt / 2, rate[k, 2] * dt / 2
+        half_dt = (t_ns[k + 1] - t_ns[k]) * 0.5e-9
+        a, b, c = rate[k][0] * half_dt, rate[k][1] * half_dt, rate[k][2] * half_dt
         half = math.sqrt(a * a + b * b + c * c)
         sinc = math.sin(half) / half if half > 0 else 1.0
         d, a, b, c = math.cos(half), a * sinc, b * sinc, c * sinc
@@ -38,42 +37,23 @@ def fused_loop(t_ns, rate, out):
         out[k + 1] = (w, x, y, z)
 
 
-def python_loop(t_ns, rate):
-    """Multiply step by step in floats."""
-    times, rates = t_ns.tolist(), rate.tolist()
-    w, x, y, z = 1.0, 0.0, 0.0, 0.0
-    out = [(w, x, y, z)]
-    for k in range(len(times) - 1):
-        scale = (times[k + 1] - times[k]) * 0.5e-9
-        a, b, c = rates[k][0] * scale, rates[k][1] * scale, rates[k][2] * scale
-        half = math.sqrt(a * a + b * b + c * c)
-        sinc = math.sin(half) / half if half else 1.0
-        d, a, b, c = math.cos(half), a * sinc, b * sinc, c * sinc
-        w, x, y, z = (
-            w * d - x * a - y * b - z * c,
-            w * a + x * d + y * c - z * b,
-            w * b - x * c + y * d + z * a,
-            w * c + x * b - y * a + z * d,
-        )
-        out.append((w, x, y, z))
-    return out
-
-
 def measure(_folder: Path, samples: int) -> None:
     """Print one table of products."""
     t_ns = np.arange(samples, dtype=np.int64) * 1_000_000
     rate = np.random.default_rng(1).normal(0.0, 1.0, (samples, 3))
     out = np.empty((samples, 4))
-    fused_loop(t_ns[:2], rate[:2], out)
+    compiled = numba.njit(loop)
+    compiled(t_ns[:2], rate[:2], out)
     table = Table(f"increments and product of {samples:,} samples, one thread")
     for method in ("start", "coning", "cubic", "quintic"):
         seconds = best_of(5, lambda method=method: attitudes(t_ns, rate, method=method))
         table.row(f"quatprop, {method}", seconds, samples)
-    table.row("numba serial loop", best_of(5, lambda: fused_loop(t_ns, rate, out)), samples)
+    table.row("numba serial loop", best_of(5, lambda: compiled(t_ns, rate, out)), samples)
     few = t_ns[:SLOW_SAMPLES], rate[:SLOW_SAMPLES]
-    for name, loop in {
-        "plain Python loop": lambda: python_loop(*few),
+    lists = [*(one.tolist() for one in few), [()] * SLOW_SAMPLES]
+    for name, work in {
+        "plain Python loop": lambda: loop(*lists),
         "scipy Rotation loop": lambda: scipy_loop(*few, IDENTITY, "start"),
         "ahrs AngularRate": lambda: AngularRate(gyr=few[1], frequency=1000.0),
     }.items():
-        table.row(name, best_of(2, loop), len(few[0]))
+        table.row(name, best_of(2, work), len(few[0]))

@@ -28,6 +28,8 @@ def _times(repeats: int, work: Callable[[], object], clock: Callable[[], float])
     return seconds
 
 
+PYTHON, QUATPROP = [sys.executable, "-c"], [sys.executable, "-m", "quatprop"]
+
 LAUNCH = """
 import os, subprocess, sys, time
 began = time.perf_counter()
@@ -67,3 +69,11 @@ class Table:
         self.reference = self.reference or ns
         memory = "" if megabytes is None else f"{megabytes:.0f}"
         print(f"  {name:42s} {ns:10.1f} {ns / self.reference:10.2f}x {memory:>9s}", flush=True)
+
+
+def compared(title: str, rows: dict[str, list[object]], samples: int, repeats: int, **how) -> None:
+    """Print a table of commands on a log of so many samples."""
+    table = Table(title)
+    for name, words in rows.items():
+        seconds, megabytes = command(1 if "script" in name else repeats, words, **how)
+        table.row(name, seconds, samples, megabytes)

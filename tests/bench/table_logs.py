@@ -1,7 +1,6 @@
 """Logs that are tables: reading them, and whole commands, in CPU time of all threads."""
 
 import json
-import sys
 import tempfile
 import time
 from functools import partial
@@ -14,10 +13,7 @@ import pyarrow.csv
 import pyarrow.feather
 import pyarrow.parquet
 from decode import ours
-from table import Table, best_of, command
-
-PYTHON = [sys.executable, "-c"]
-QUATPROP = [sys.executable, "-m", "quatprop"]
+from table import PYTHON, QUATPROP, Table, best_of, compared
 
 READ_CSV = "import sys, pyarrow.csv as c; c.read_csv(sys.argv[1])"
 READ_PARQUET = "import sys, pyarrow.parquet as p; [p.read_table(name) for name in sys.argv[1:]]"
@@ -56,25 +52,19 @@ def as_array(read, path: Path) -> object:
     return np.column_stack([table[name].to_numpy() for name in ("wx", "wy", "wz")])
 
 
+AS_ARRAY = "the same, and an array (N, 3)"
+PARQUET, FEATHER = pyarrow.parquet.read_table, pyarrow.feather.read_table
 READERS = {
     "imu.csv": (7, {"pyarrow.csv.read_csv": pyarrow.csv.read_csv}),
     "imu.parquet": (
-        50,
-        {
-            "pyarrow.parquet.read_table": pyarrow.parquet.read_table,
-            "the same, and an array (N, 3)": partial(as_array, pyarrow.parquet.read_table),
-        },
+        50, {"pyarrow.parquet.read_table": PARQUET, AS_ARRAY: partial(as_array, PARQUET)},
     ),
     "imu.feather": (
-        50,
-        {
-            "pyarrow.feather.read_table": pyarrow.feather.read_table,
-            "the same, and an array (N, 3)": partial(as_array, pyarrow.feather.read_table),
-        },
+        50, {"pyarrow.feather.read_table": FEATHER, AS_ARRAY: partial(as_array, FEATHER)},
     ),
     "imu.jsonl": (3, {"polars.read_ndjson": pl.read_ndjson, "json.loads": with_json}),
     "imu.h5": (50, {"h5py": with_h5py}),
-}
+}  # fmt: skip
 """Log -> how often it is read, and what others read it with."""
 
 
@@ -87,10 +77,7 @@ def measure(folder: Path, samples: int) -> None:
             table.row(reader, seconds, samples)
     with tempfile.TemporaryDirectory() as scratch:
         for title, rows in _commands(folder, Path(scratch)).items():
-            table = Table(f"{title}, {samples:,} samples, CPU time")
-            for name, words in rows.items():
-                seconds, megabytes = command(5, words, is_cpu=True)
-                table.row(name, seconds, samples, megabytes)
+            compared(f"{title}, {samples:,} samples, CPU time", rows, samples, 5, is_cpu=True)
 
 
 def _commands(folder: Path, out: Path) -> dict[str, dict[str, list[object]]]:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from make.commands import run
 from make.formats import FORMATS, SAMPLES, samples
 from make.walks import part_ends
 
@@ -86,24 +85,6 @@ def test_a_cut_log_gives_the_samples_before_the_cut_and_says_that_it_is_cut(logs
         ):
             wrong.append((size, count, least, lost))
     assert wrong == []
-
-
-@pytest.mark.parametrize("name", ["zstd.mcap", "none.bag", "gyro.ulg", "commas.csv",
-                                  "rows.jsonl", "sqlite.db3", "zstd.feather"])  # fmt: skip
-def test_the_attitudes_of_a_cut_log_are_a_prefix_of_those_of_the_whole(logs, tmp_path, name):
-    """As a CSV to the byte."""
-    data, outputs = (logs / name).read_bytes(), []
-    log, out = tmp_path / name, tmp_path / "out.csv"
-    for tenth in (10, 9, 7, 5):
-        size = len(data) * tenth // 10
-        # A last line that may have lost digits is a sample of its own.
-        is_text = name.endswith(TEXT)
-        log.write_bytes(data[: data.rfind(b"\n", 0, size) + 1] if is_text else data[:size])
-        code = run("propagate", log, "-o", out).exit_code
-        assert code in ({0} if tenth == 10 else {0, 3})
-        outputs.append(out.read_bytes())
-    assert all(outputs[0].startswith(part) for part in outputs[1:])
-    assert 1000 < len(outputs[-1]) < len(outputs[0])
 
 
 @pytest.mark.parametrize("name", [name for name in DAMAGED if FORMATS[name].checked])

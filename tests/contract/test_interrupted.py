@@ -61,6 +61,11 @@ def signals_are_heard():
     signal.signal(signal.SIGINT, interrupt)
 
 
+def in_shell(command):
+    """Run a line of the shell."""
+    return subprocess.run([SHELL, "-c", command], check=False, capture_output=True, text=True)
+
+
 def never_done(log, out, **environment):
     """Start a run that does not end by itself; it prints a line once it handles signals."""
     return subprocess.Popen(  # -B: what it compiled would be renamed too
@@ -150,7 +155,7 @@ def test_a_closed_stdout_is_a_sentence(logs, tmp_path):
     out = tmp_path / "out.csv"
     for target, expected in (("-", 2), (out, 0)):
         command = f"'{INSTALLED}' propagate '{logs / 'small.csv'}' -o '{target}' -q >&-"
-        result = subprocess.run([SHELL, "-c", command], check=False, capture_output=True, text=True)
+        result = in_shell(command)
         assert result.returncode == expected
         assert result.stderr == (
             "Error: -: standard output is closed; name a file\n" if expected else ""
@@ -200,7 +205,7 @@ def test_without_stderr_a_run_does_its_work(logs, tmp_path):
     """Daemons close what they do not need."""
     out = tmp_path / "out.csv"
     command = f"'{INSTALLED}' propagate '{logs / 'small.csv'}' -o '{out}' 2>&-"
-    assert subprocess.run([SHELL, "-c", command], check=False).returncode == 0
+    assert in_shell(command).returncode == 0
     assert out.read_text().count("\n") == 201
 
 
@@ -210,7 +215,7 @@ def test_a_disk_that_fills_up_leaves_the_old_result(logs, tmp_path, suffix):
     out = tmp_path / f"out.{suffix}"
     out.write_text("old")
     command = f"ulimit -f 400; exec '{INSTALLED}' propagate '{logs / 'long.mcap'}' -o '{out}' -q"
-    result = subprocess.run([SHELL, "-c", command], check=False, capture_output=True, text=True)
+    result = in_shell(command)
     assert (result.returncode, result.stdout) == (2, "")
     assert result.stderr == f"Error: {out}: cannot be written: File too large\n"
     assert out.read_text() == "old"

@@ -1,6 +1,6 @@
 """Every option of propagate, alone and together, against an independent computation.
 
-The reference (``make/options_reference.py``) is written from the documentation with SciPy alone.
+The reference (``make/options_reference.py``) is written from the documentation, without quatprop.
 Random logs and command lines are those of ``fuzz/command_lines.py``; what it cannot say is here.
 """
 

@@ -24,17 +24,15 @@ from quatprop.logs.open_log import open_log
 from quatprop.logs.signals import range_readers
 from quatprop.logs.signals.rates import choose_rates
 from quatprop.pipeline import plausibility
-from quatprop.pipeline.job import Job, run
-from quatprop.pipeline.settings import OutputSettings, PropagationSettings
 from quatprop.series import GyroSeries
 from quatprop.settings.selection import RateSelection
 from quatprop.simulation.gyroscope import Gyroscope
 from quatprop.simulation.motion import Shape
 from quatprop.simulation.simulate import simulate
-from quatprop.timeline.counts import Policy
-from quatprop.times import NS_PER_S, instant
+from quatprop.times import NS_PER_S
 from quatprop.writers.rosbag1 import file as rosbag1_file
 
+pytestmark = pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 SECONDS = 2000
 RATE = 10
 T0_NS = 1000 * NS_PER_S
@@ -75,29 +73,20 @@ def rewrite(source, target, logged=lambda log_ns: log_ns):
     write_topics(target, topics, profile="ros2", **options)
 
 
-def attitudes(log, folder, start, end, **settings):
-    """Return the report of a run over a range, and its attitudes."""
-    part = GyroCorrection(start=start and instant(start), end=end and instant(end))
-    target = folder / "out.parquet"
-    chosen = PropagationSettings(conditioning=part, **settings)
-    report = run(Job(str(log), OutputSettings(str(target)), chosen))
-    return report, pyarrow.parquet.read_table(target)
-
-
-def whole(log, folder, start, end):
-    """Return the same as :func:`attitudes`, with the whole log read."""
+def whole(log, start, end):
+    """Return the attitudes of a range, with the whole log read."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(range_readers, "SHARE", 10**6)
-        report, table = attitudes(log, folder, start, end)
-    assert report.conditioning.part is None
-    return report, table
+        series = propagate(log, start=start, end=end)
+    assert series.report.conditioning.part is None
+    return series
 
 
 @pytest.mark.parametrize(
     ("name", "reading"),
     [("log.mcap", (loading, "load")), ("log.bag", (rosbag1, "read_chunk"))],
 )
-def test_little_of_the_log_is_read(logs, tmp_path, monkeypatch, name, reading):
+def test_little_of_the_log_is_read(logs, monkeypatch, name, reading):
     """Only chunks around the range and at the ends of the log."""
     places = set()
     original = getattr(*reading)
@@ -107,9 +96,9 @@ def test_little_of_the_log_is_read(logs, tmp_path, monkeypatch, name, reading):
         return original(file, chunk, *others, **options)
 
     monkeypatch.setattr(*reading, noting)
-    attitudes(logs / name, tmp_path, "+900s", "+905s")
+    propagate(logs / name, start="+900s", end="+905s")
     few = len(places)
-    whole(logs / name, tmp_path, "+900s", "+905s")
+    whole(logs / name, "+900s", "+905s")
     assert few < len(places) / 4
 
 
@@ -118,9 +107,9 @@ def test_log_times_of_another_recording_lead_to_the_stamps(logs, tmp_path, offse
     """A log that was recorded again has stamps far from its log times, and always as far."""
     log, offset = tmp_path / "again.mcap", int(offset_s * NS_PER_S)
     rewrite(logs / "log.mcap", log, lambda log_ns: log_ns + offset)
-    report, table = attitudes(log, tmp_path, "+700s", "+705s")
-    assert report.conditioning.part is not None
-    assert table.equals(whole(log, tmp_path, "+700s", "+705s")[1])
+    series = propagate(log, start="+700s", end="+705s")
+    assert series.report.conditioning.part is not None
+    assert series == whole(log, "+700s", "+705s")
 
 
 BEGIN, END = T0_NS + 700 * NS_PER_S, T0_NS + 720 * NS_PER_S
@@ -137,22 +126,21 @@ def test_delays_that_differ_let_the_whole_log_be_read(logs, tmp_path, logged):
     """Where a recorder hung for half the margin, or its clock was not set, no sample is missed."""
     log = tmp_path / "hung.mcap"
     rewrite(logs / "log.mcap", log, logged)
-    report, table = attitudes(log, tmp_path, "+700s", "+705s")
-    assert report.conditioning.part is None
-    assert table.num_rows == 5 * RATE + 1
+    series = propagate(log, start="+700s", end="+705s")
+    assert series.report.conditioning.part is None
+    assert len(series) == 5 * RATE + 1
 
 
-def test_a_range_without_samples_is_refused_as_ever(logs, tmp_path):
+def test_a_range_without_samples_is_refused_as_ever(logs):
     """The error counts the samples on both sides, of the whole log."""
     middle = T0_NS + 700 * NS_PER_S + 1
-    settings = (str(middle), str(middle + 1))
     with pytest.raises(NoSamplesError, match="7001 are before, 12999 after"):
-        attitudes(logs / "log.mcap", tmp_path, *settings)
+        propagate(logs / "log.mcap", start=middle, end=middle + 1)
 
 
-def test_the_report_says_what_was_not_read(logs, tmp_path):
+def test_the_report_says_what_was_not_read(logs):
     """Which part was read, and that nothing is known of the rest."""
-    report, _ = attitudes(logs / "log.mcap", tmp_path, "-30s", None)
+    report = propagate(logs / "log.mcap", start="-30s").report
     part = report.conditioning.part
     last_ns = T0_NS + (SECONDS * RATE - 1) * NS_PER_S // RATE
     # The recorder is late by some milliseconds.
@@ -175,30 +163,28 @@ def test_damage_elsewhere_is_not_looked_for_and_damage_there_is(logs, tmp_path):
     content[place : place + 4] = bytes(4)
     log = tmp_path / "damaged.mcap"
     log.write_bytes(content)
-    report, _ = attitudes(log, tmp_path, "+300s", "+310s")
+    report = propagate(log, start="+300s", end="+310s").report
     assert report.conditioning.part is not None
     assert not report.losses
     second = (damaged.message_start_time - T0_NS) // NS_PER_S
-    report, _ = attitudes(log, tmp_path, f"+{second - 20}s", f"+{second + 20}s")
+    report = propagate(log, start=f"+{second - 20}s", end=f"+{second + 20}s").report
     assert report.conditioning.part is not None
     (loss,) = report.losses
     assert loss.place == f"chunk at byte {damaged.chunk_start_offset}"
 
 
-def test_what_is_sorted_is_read_whole(logs, tmp_path):
+def test_what_is_sorted_is_read_whole(logs):
     """Samples far out of order may belong to the range."""
-    log, by_time = logs / "log.mcap", Policy(on_backwards="sort")
-    report, _ = attitudes(log, tmp_path, "-30s", None, policy=by_time)
-    assert report.conditioning.part is None
+    series = propagate(logs / "log.mcap", start="-30s", on_backwards="sort")
+    assert series.report.conditioning.part is None
 
 
-def test_a_start_before_the_log_is_remarked_on(logs, tmp_path):
+def test_a_start_before_the_log_is_remarked_on(logs):
     """It may be a slip of the unit, however little is read."""
-    start, end = str(T0_NS // 2), str(T0_NS + 5 * NS_PER_S)
-    report, table = attitudes(logs / "log.mcap", tmp_path, start, end)
-    assert np.array_equal(table["t_ns"], T0_NS + np.arange(5 * RATE + 1) * NS_PER_S // RATE)
-    assert report.conditioning.part is not None
-    assert any("excludes nothing" in str(remark) for remark in report.remarks)
+    series = propagate(logs / "log.mcap", start=T0_NS // 2, end=T0_NS + 5 * NS_PER_S)
+    assert np.array_equal(series.t_ns, T0_NS + np.arange(5 * RATE + 1) * NS_PER_S // RATE)
+    assert series.report.conditioning.part is not None
+    assert any("excludes nothing" in str(remark) for remark in series.report.remarks)
 
 
 def table(tmp_path, t, **options):
@@ -340,12 +326,9 @@ def test_relative_times_do_not_count_from_an_outlier(kind, place, option, tmp_pa
     stamps = list(TEN_S)
     stamps[place] = 1_000_000
     name, _, value = option.partition("=")
-    first = 1 if place == 0 else 0
-    expected = {
-        "end=-3s": TEN_S[:70],
-        "start=-2s": TEN_S[79:],
-        "start=+1s": TEN_S[10 + first :],
-    }[option]
+    later = slice(10 + (place == 0), None)
+    rows = {"end=-3s": slice(70), "start=-2s": slice(79, None), "start=+1s": later}
+    expected = TEN_S[rows[option]]
     for on_backwards in ("drop", "sort"):
         used, _ = relative(tmp_path, stamps, kind, on_backwards=on_backwards, **{name: value})
         assert used == [stamp for stamp in expected if stamp != TEN_S[place]]
@@ -428,10 +411,10 @@ def test_an_outlier_in_the_last_minute_is_no_anchor(logs, tmp_path):
     log, series = tmp_path / "log.parquet", read_rates(logs / "one.mcap")
     stamps = series.t_ns.copy()
     stamps[-5] += 1000 * NS_PER_S
-    table = GyroSeries(stamps, series.rate).to_arrow()
-    pyarrow.parquet.write_table(table, log, row_group_size=500)
+    moved = GyroSeries(stamps, series.rate).to_arrow()
+    pyarrow.parquet.write_table(moved, log, row_group_size=500)
     with pytest.raises(TimelineError, match=r"is an outlier, 1000.1 s ahead"):
-        attitudes(log, tmp_path, "-30s", None)
-    report, table = attitudes(log, tmp_path, "-30s", None, policy=Policy(on_backwards="drop"))
-    assert report.conditioning.start_ns == series.t_ns[-1] - 30 * NS_PER_S
-    assert table.num_rows == 30 * RATE
+        propagate(log, start="-30s")
+    found = propagate(log, start="-30s", on_backwards="drop")
+    assert found.report.conditioning.start_ns == series.t_ns[-1] - 30 * NS_PER_S
+    assert len(found) == 30 * RATE

@@ -27,7 +27,8 @@ def ros_student(out: Path) -> None:
     """Look at a bag, propagate it, compare it with the truth, and draw both."""
     found = quatprop.info(BAG)
     assert found.sources[0].source == "/imu"
-    rates = quatprop.read_rates(BAG, topic="/imu")
+    topic: str | None = found.sources[0].source
+    rates = quatprop.read_rates(BAG, topic=topic)
     assert len(rates) == found.sources[0].samples
     print(rates, rates[0], rates.t_ns[0], rates.rate[-1])
     attitudes = quatprop.propagate(BAG, topic="/imu", method="coning")
@@ -44,6 +45,8 @@ def ros_student(out: Path) -> None:
     x, y, z, w = again.as_quat(scalar_first=False)[-1]
     assert abs(np.linalg.norm([x, y, z, w]) - 1) < 1e-12
     quatprop.convert(out / "attitude.csv", out / "enu.csv", left="ned-to-enu", right="frd-to-flu")
+    half = Rotation.from_euler("z", 180, degrees=True)
+    quatprop.convert(out / "attitude.csv", out / "half.csv", right=half, sign="positive")
     report = quatprop.convert(out / "attitude.csv", out / "xyzw.csv", layout="scalar-last")
     print(report)
     ax = quatprop.plot(attitudes, TRUTH, ax=Figure().subplots())
@@ -57,7 +60,7 @@ def drone_engineer(out: Path) -> None:
         motion="coning", rate=200, duration="5s", noise=1e-4, bias=(0.01, 0, -0.02), seed=7
     )
     first = truth[0]
-    plain = quatprop.propagate(rates, q0=first)
+    plain = quatprop.propagate(rates, q0=first, bias=[0, 0, 0], mount=(1, 0, 0, 0))
     fixed = quatprop.propagate(rates, q0=first, bias=(0.01, 0, -0.02))
     assert fixed.relative_to(truth).as_rotvec()[-1] @ [1, 1, 1] < 0.01
     assert plain.between("+1s", "+2s").t_ns[0] == rates.t_ns[0] + 10**9
@@ -77,8 +80,10 @@ def drone_engineer(out: Path) -> None:
     assert bars.sigma.shape == (1000, 3)
     frames = rates.t_ns[0] + 33_000_000 * np.arange(100)
     at_frames = quatprop.propagate(rates, at=frames, mount=np.eye(3), threads=1)
-    assert len(at_frames) == 100
-    slow = quatprop.propagate(rates, rate=50, mount=Rotation.from_euler("z", 90, degrees=True))
+    turned = Rotation.from_euler("z", 90, degrees=True)
+    same = quatprop.propagate(rates, at=frames.tolist(), q0=turned)
+    assert len(at_frames) == len(same) == 100
+    slow = quatprop.propagate(rates, rate=50, mount=turned)
     fast = quatprop.propagate(rates, method="quintic", every=2)
     assert len(slow) < len(fast)
     try:
@@ -142,6 +147,10 @@ def biomechanist(out: Path) -> None:
     split = quatprop.propagate(thigh, max_gap=timedelta(seconds=1), on_gap="split")
     assert split.report.counts.gaps.count == 0
     own = quatprop.AttitudeSeries.from_seconds([0, 0.01], [[1, 0, 0, 0], [1, 0, 0, 0]])
+    short = quatprop.GyroSeries([0, 10_000_000], [[0, 0, 1], [0, 0, 2]])
+    reference = quatprop.AttitudeSeries(np.arange(2) * 10_000_000, np.eye(4)[[0, 0]].tolist())
+    spans = np.array([[0, 10_000_000]])
+    print(quatprop.compare(quatprop.propagate(short), reference, tol=None, judge=spans))
     quatprop.write(own, out / "own.csv", layout="scalar-last")
     judged = quatprop.compare(knee, knee, judge="+1s..+2s", align="mean", window="500ms")
     assert judged.error_rad.max < 1e-7
@@ -151,6 +160,14 @@ def biomechanist(out: Path) -> None:
         quatprop.read_rates(out / "missing.csv", rate_unit="deg/s")
     except quatprop.QuatpropError as error:
         print(error)
+
+
+def mistakes() -> None:
+    """Each is found by type checkers, for which a comment that nothing needs is an error."""
+    quatprop.propagate("log.mcap", method="rk4")  # type: ignore[arg-type]
+    quatprop.propagate("log.mcap", on_gap="stop")  # type: ignore[arg-type]
+    quatprop.compare("a.csv", "b.csv", align="best")  # type: ignore[arg-type]
+    quatprop.read_rates("log.mcap", rate_units="deg/s")  # type: ignore[call-arg]
 
 
 USERS = ros_student, drone_engineer, data_scientist, biomechanist

@@ -1,40 +1,29 @@
 """Recordings with a reference: the error over windows that were not used does not grow."""
 
-import h5py
 import numpy as np
 import pytest
 from make.commands import run
 from make.mistakes import RECORDINGS, Recording
 
-from quatprop import AttitudeSeries, GyroSeries, calibrate
+from quatprop import GyroSeries, calibrate
 
 pytestmark = pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 
-BROAD = (
-    "05_undisturbed_slow_rotation_with_breaks_B",
-    "18_undisturbed_fast_translation_with_breaks_B",
-)
+BROAD = ("broad05", "broad18")
 
 
-def broad(folder, name):
-    """Return the rates and the reference of a trial."""
-    with h5py.File(folder / "broad" / f"{name}.hdf5") as file:
-        rate, truth, hz = file["imu_gyr"][:], file["opt_quat"][:], file.attrs["sampling_rate"]
-    t_ns = np.rint(np.arange(len(rate)) / hz * 1e9).astype(np.int64)
-    return GyroSeries(t_ns, rate), AttitudeSeries(t_ns, truth)
+def recorded(folder, name):
+    """Return rates and reference of a recording."""
+    recording = Recording(folder, name)
+    averages = recording.method == "end"
+    rates = GyroSeries(recording.t_ns, recording.rate, is_interval_average=averages)
+    return rates, recording.reference
 
 
-@pytest.mark.parametrize("name", [*RECORDINGS, *BROAD])
+@pytest.mark.parametrize("name", RECORDINGS)
 def test_no_recording_is_worse_by_more_than_its_sigma(shared_logs, name):
     """Those of BROAD and EuRoC, whose references were not made from the rates, are better."""
-    if name in BROAD:
-        rates, reference = broad(shared_logs, name)
-    else:
-        recording = Recording(shared_logs, name)
-        averages = recording.method == "end"
-        rates = GyroSeries(recording.t_ns, recording.rate, is_interval_average=averages)
-        reference = recording.reference
-    found = calibrate(rates, reference)
+    found = calibrate(*recorded(shared_logs, name))
     assert found.after_rad - found.before_rad <= max(found.gain_sigma_rad, 1e-7)
     if name in {*BROAD, "euroc", "px4"}:
         assert found.is_better
@@ -51,9 +40,8 @@ def test_the_bias_is_that_of_the_ground_truth(shared_logs):
 
 def test_what_is_shown_is_shown_in_the_final_fit(shared_logs):
     """Half of its windows were left out, and a scale was stated as 40 % +- 33 %."""
-    recording = Recording(shared_logs, "px4")
-    rates = GyroSeries(recording.t_ns, recording.rate)[:3000]
-    for one in calibrate(rates, recording.reference).parameters:
+    rates, reference = recorded(shared_logs, "px4")
+    for one in calibrate(rates[:3000], reference).parameters:
         assert one.sigma is None or one.sigma <= {"mount": 0.02}.get(one.group, 0.01)
 
 
@@ -61,7 +49,7 @@ def test_two_trials_of_one_sensor_have_the_same_bias(shared_logs):
     """Within four of their standard deviations, on each axis."""
     biases = []
     for name in BROAD:
-        found = calibrate(*broad(shared_logs, name))
+        found = calibrate(*recorded(shared_logs, name))
         sigma = [one.sigma for one in found.parameters if one.group == "bias"]
         biases.append((found.bias_rad_s, np.array(sigma)))
     (first, s), (second, t) = biases

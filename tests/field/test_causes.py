@@ -4,7 +4,7 @@ import pytest
 from fuzz.causes import judge
 from fuzz.planted import pair
 
-pytestmark = pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 
 SIMULATED = dict.fromkeys((3, 6, 16, 18, 35, 37, 41), "right") | {21: "named"}
 RECORDED = {5: "right", 10: "right", 32: "right", 62: "right"}

@@ -1,9 +1,9 @@
 """Real recordings, message for message against other people's readers."""
 
-import struct
 import tarfile
 
 import pytest
+from make.bag_doctor import unclosed
 from make.container_messages import messages_of, rosbags_messages
 from make.mcap import read, saved, truth
 
@@ -50,12 +50,7 @@ def test_every_message_is_as_rosbags_reads_it(shared_logs, name):
                                   "broken/cruise_example-unsorted-chunks.bag"])  # fmt: skip
 def test_a_bag_whose_index_was_never_written_has_every_message(shared_logs, tmp_path, name):
     """It is rebuilt from the chunks."""
-    bag = bytearray((shared_logs / name).read_bytes())
-    at = bag.index(b"index_pos=") + 10
-    (index_pos,) = struct.unpack_from("<Q", bag, at)
-    bag[at : at + 8] = bytes(8)
-    path = tmp_path / "log.bag.active"
-    path.write_bytes(bag[:index_pos])
+    path = saved(tmp_path, unclosed((shared_logs / name).read_bytes()), "log.bag.active")
     expected = {name: rows for name, rows in rosbags_messages(shared_logs / name).items() if rows}
     assert messages_of(Rosbag1Log(path)) == (expected, [])
 

@@ -1,18 +1,15 @@
 """Likely causes of planted mistakes: wrong names, and remedies that do not deliver.
 
-``python -m fuzz.causes [LOGS]`` (in ``tests/``): for each of 600 pairs the remedy that is printed
-is applied, by the option that it names, and the error is measured before and after.
+``python -m fuzz.causes [--first SEED] [--count N]`` (in ``tests/``): for each pair, the remedy that
+is printed is applied, by the option that it names; the error is measured before and after.
 """
 
 import math
 import re
-import sys
-import warnings
-from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
+from fuzz import seeds
 from fuzz.planted import FINDINGS, KINDS, Pair, Source, pair
 from make.places import SHARED_LOGS
 
@@ -191,29 +188,17 @@ def _undelivered(one: Pair, cause, before: float):
         one, before = ways[0], measured[0]
 
 
-def main(folder: Path, numbers: range) -> None:
-    """Print the verdict on every pair, and the sums."""
-    warnings.simplefilter("ignore")
-    total, kinds, undelivered = Counter(), {}, 0
-    for number in numbers:
-        one = pair(number, folder if folder.is_dir() else None)
-        verdict, faults, cause = judge(one)
-        total[verdict] += 1
-        kinds.setdefault(KINDS[number % len(KINDS)], Counter())[verdict] += 1
-        undelivered += bool(faults and cause)
-        if verdict == "wrong" or faults or "-v" in sys.argv:
-            sentence = cause and f"{cause.name}: {cause.sentence[:110]}"
-            print(f"{verdict:8}{one.title}\n        {sentence}")
-            for fault in faults:
-                print(f"        ! {fault}")
-    for kind, verdicts in kinds.items():
-        print(f"{kind:20}{dict(verdicts)}{' (finding)' * (kind in FINDINGS)}")
-    print(dict(total), f"remedies that do not deliver: {undelivered}")
+def judged(number):
+    """Return what is planted and the verdict on it; what is wrong, or does not deliver."""
+    one = pair(number, SHARED_LOGS if SHARED_LOGS.is_dir() else None)
+    verdict, faults, cause = judge(one)
+    kind = KINDS[number % len(KINDS)]
+    counted = f"{kind}{' (finding)' * (kind in FINDINGS)}: {verdict}"
+    if verdict != "wrong" and not faults:
+        return counted, None
+    sentence = cause and f"{cause.name}: {cause.sentence[:110]}"
+    return counted, "\n        ! ".join([f"{verdict:8}{one.title}\n        {sentence}", *faults])
 
 
 if __name__ == "__main__":
-    given = [argument for argument in sys.argv[1:] if argument != "-v"]
-    main(
-        Path(given[0]) if given else SHARED_LOGS,
-        range(*map(int, given[1:])) if given[1:] else range(PAIRS),
-    )
+    seeds.main(__doc__, judged, PAIRS)

@@ -6,12 +6,9 @@ exit code, the attitudes, and the log times of those that are added to a copy ar
 :mod:`options_reference`, which knows the documents alone.
 """
 
-import argparse
 import json
 import sys
 import tempfile
-import warnings
-from collections import Counter
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -19,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 from click.testing import CliRunner
+from fuzz import seeds
 from make.options_reference import NS, Refused, ordered, part, propagated, recorded, used
 from make.ros import imu_messages, write_messages
 from make.tables import write_attitudes, write_rates
@@ -306,24 +304,11 @@ def attitudes(path, *, into):
     return t, Rotation.from_quat(wxyz, scalar_first=True), log_ns
 
 
-def main():
-    """Run command lines, and print what differs."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--count", type=int, default=2000)
-    chosen = parser.parse_args()
-    warnings.simplefilter("ignore")
-    failed, codes = 0, Counter()
-    for seed in range(chosen.first, chosen.first + chosen.count):
-        with tempfile.TemporaryDirectory() as folder:
-            code, told = difference(seed, Path(folder))
-            codes[code] += 1
-            if told:
-                failed += 1
-                print(f"seed {seed}: {told}", flush=True)
-    print(f"{chosen.count} command lines, {failed} differences, exit codes {dict(codes)}")
-    sys.exit(bool(failed))
+def judged(seed):
+    """Return the exit code of a command line, and how it differs from the documents."""
+    with tempfile.TemporaryDirectory() as folder:
+        return difference(seed, Path(folder))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(bool(seeds.main(__doc__, judged)))

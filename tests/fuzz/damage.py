@@ -17,7 +17,6 @@ import shutil
 import signal
 import sys
 import tempfile
-import threading
 import time
 import traceback
 import warnings
@@ -56,68 +55,32 @@ class Found(NamedTuple):
     memory: int = 0
 
 
-class Worker:
-    """A process that reads damaged logs, with bounds; the next one is begun where it dies."""
-
-    def __init__(self, intact):
-        self.intact = intact
-        self.process = None
-
-    def found(self, seed):
-        """Return what comes of reading a damaged log."""
-        if self.process is None:
-            context = multiprocessing.get_context("spawn")
-            self.pipe, other = context.Pipe()
-            self.process = context.Process(target=_serve, args=(other, self.intact), daemon=True)
-            self.process.start()
-            other.close()
-        self.pipe.send(seed)
-        try:
-            if self.pipe.poll(WAIT):
-                return self.pipe.recv()
-        except (EOFError, ConnectionError):
-            self.process.join()
-            died = self.process.exitcode
-            self.process = None
-            return Found(f"the process dies ({died})")
-        self.close()
-        return Found("the process hangs")
-
-    def close(self):
-        """End the process."""
-        if self.process is not None:
-            self.process.kill()
-            self.process.join()
-            self.process = None
-
-
-def _serve(pipe, intact):
-    """Read damaged logs as seeds come in."""
-    from fuzz.losses import unexplained_loss
-    from make.damaged_logs import write_damaged
-
+def _bounded():
+    """Begin a process that reads damaged logs."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     os.environ["QUATPROP_TRACEBACK"] = "1"
     signal.signal(signal.SIGPROF, _interrupt)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.simplefilter("error")
     warnings.simplefilter("ignore", ResourceWarning)
-    with tempfile.TemporaryDirectory() as room:
-        while True:
-            try:
-                seed = pipe.recv()
-            except EOFError:
-                return
-            # Says where it hangs, should the alarm not get through.
-            faulthandler.dump_traceback_later(WAIT - SECONDS)
-            with tempfile.TemporaryDirectory(dir=room) as folder:
-                log = write_damaged(seed, intact, Path(folder))
-                began = time.perf_counter()
-                found, codes = problem(log.path, Path(folder), seed)
-                found = found or unexplained_loss(log, intact, codes)
-                seconds = time.perf_counter() - began
-                memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
-                pipe.send(Found(found, codes, seconds, memory))
+
+
+def _found(intact, seed):
+    """Return what comes of reading the damaged log of a seed."""
+    from fuzz.losses import unexplained_loss
+    from make.damaged_logs import write_damaged
+
+    # Says where it hangs, should the alarm not get through.
+    faulthandler.dump_traceback_later(WAIT - SECONDS)
+    with tempfile.TemporaryDirectory() as folder:
+        log = write_damaged(seed, intact, Path(folder))
+        began = time.perf_counter()
+        found, codes = problem(log.path, Path(folder), seed)
+        found = found or unexplained_loss(log, intact, codes)
+        seconds = time.perf_counter() - began
+    faulthandler.cancel_dump_traceback_later()
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
+    return Found(found, codes, seconds, memory)
 
 
 def _interrupt(_number, _frame):
@@ -127,14 +90,7 @@ def _interrupt(_number, _frame):
 def problem(log, folder, seed):
     """Return what is wrong with how a log is read, None where nothing is, and the exit codes.
 
-    Parameters
-    ----------
-    log
-        The log.
-    folder
-        Where results and unpacked copies may go.
-    seed
-        Its seed, which decides about one of the commands.
+    `folder`: where results may go; `seed`: decides about one of the commands
     """
     from click.testing import CliRunner
 
@@ -191,43 +147,20 @@ def _wrong(result, left, outputs):
 
 
 def fuzz(seeds, workers, tell):
-    """Read the damaged logs of some seeds.
-
-    Parameters
-    ----------
-    seeds
-        Which.
-    workers
-        How many processes.
-    tell
-        Called with each seed and what was found.
-    """
+    """Read the damaged logs of some seeds; `tell` is called with each seed and what was found."""
     from make.damaged_logs import write_logs
-
-    seeds = iter(seeds)
-    lock = threading.Lock()
-
-    def work(intact):
-        worker = Worker(intact)
-        for number in count(1):
-            if number % LOGS_A_PROCESS == 0:
-                worker.close()
-            with lock:
-                seed = next(seeds, None)
-            if seed is None:
-                break
-            found = worker.found(seed)
-            with lock:
-                tell(seed, found)
-        worker.close()
 
     with tempfile.TemporaryDirectory() as folder:
         write_logs(Path(folder))
-        threads = [threading.Thread(target=work, args=(Path(folder),)) for _ in range(workers)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        spawn = multiprocessing.get_context("spawn")
+        with spawn.Pool(workers, _bounded, maxtasksperchild=LOGS_A_PROCESS) as pool:
+            asked = [(seed, pool.apply_async(_found, (Path(folder), seed))) for seed in seeds]
+            for seed, result in asked:
+                try:
+                    found = result.get(WAIT)
+                except multiprocessing.TimeoutError:
+                    found = Found("the process dies or hangs")
+                tell(seed, found)
 
 
 def main():

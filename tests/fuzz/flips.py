@@ -100,20 +100,10 @@ def read(path, options):
 def verdict(found, intact, is_counted):
     """Return what a flip did to a log.
 
-    Parameters
-    ----------
-    found, intact
-        What is read of the flipped log, and of the intact one.
-    is_counted
-        Whether the file states how many samples there are, so that a loss can say it.
-
-    Returns
-    -------
-    str
-        ``harmless``: all samples are there; ``detected``: the missing ones are lost by a warning,
-        or stamps step back, which every propagation refuses; ``refused`` in one sentence; and what
-        must not be: ``wrong`` samples, ``silent`` loss, ``count`` of a loss that is wrong or could
-        be known, ``crash``.
+    ``harmless``: all samples are there; ``detected``: the missing ones are lost by a warning, or
+    stamps step back, which every propagation refuses; ``refused`` in one sentence; and what must
+    not be: ``wrong`` samples, ``silent`` loss, ``crash``, or a ``count`` of a loss that is wrong
+    or, where the file states how many samples there are (`is_counted`), could be known.
     """
     if found.is_crash or "\n" in found.error:
         return "crash"

@@ -77,11 +77,8 @@ def heads(data):
         names.update({at + k: f"{page}: {parts[k]}" for k in range(head)})
         places = struct.unpack_from(f">{count}H", data, at + head)
         for k in {0, 1, count - 1} & {*range(count)}:
-            names.update(
-                dict.fromkeys(
-                    range(at + head + 2 * k, at + head + 2 * k + 2), f"{page}: place of a cell"
-                )
-            )
+            place = at + head + 2 * k
+            names.update(dict.fromkeys(range(place, place + 2), f"{page}: place of a cell"))
             names.update(_cell(data, begin + places[k], data[at], page))
     return names
 

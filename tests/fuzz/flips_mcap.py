@@ -6,10 +6,10 @@ Written here byte by byte, since no library writes a file without statistics, or
 import struct
 import zlib
 
-import lz4.frame
 import numpy as np
-import zstandard
+from make.formats import PACK
 from make.mcap import MAGIC, records
+from make.ros import IMU, ROS2
 
 COUNT, MOST, CHUNKS = 200, 6000, 4
 T_NS = 1_700_000_000 * 10**9 + 10_000_000 * np.arange(MOST)
@@ -23,38 +23,7 @@ NAMES = {
     11: "statistics", 15: "data end",
 }  # fmt: skip
 """Of records, by opcode."""
-_IMU = b"""std_msgs/Header header
-geometry_msgs/Quaternion orientation
-float64[9] orientation_covariance
-geometry_msgs/Vector3 angular_velocity
-float64[9] angular_velocity_covariance
-geometry_msgs/Vector3 linear_acceleration
-float64[9] linear_acceleration_covariance
-================================================================================
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w
-================================================================================
-MSG: geometry_msgs/Vector3
-float64 x
-float64 y
-float64 z
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-"""
-_COMPRESS = {
-    "": bytes,
-    "lz4": lz4.frame.compress,
-    "zstd": zstandard.ZstdCompressor().compress,
-}
+_COMPRESS = {"": bytes, "lz4": PACK["lz4"], "zstd": PACK["zst"]}
 
 
 def text(content):
@@ -74,27 +43,20 @@ def message(channel, number, t_ns, data):
 
 
 def imu(t_ns, rate):
-    """Return an Imu in CDR."""
+    """Return an Imu in CDR; to encode thousands of them takes a second."""
     head = struct.pack("<iI", *divmod(t_ns, 10**9)) + text(b"imu\0")
-    head += bytes(-len(head) % 8)
-    orientation = struct.pack("<13d", 0, 0, 0, 1, -1, *[0] * 8)
-    return b"\0\1\0\0" + head + orientation + struct.pack("<24d", *rate, *[0] * 21)
+    head += bytes(-len(head) % 8) + struct.pack("<13d", 0, 0, 0, 1, -1, *[0] * 8)
+    return b"\0\1\0\0" + head + struct.pack("<24d", *rate, *[0] * 21)
 
 
 def definitions():
     """Return the schemas and channels of the files."""
-    schemas = record(
-        3, struct.pack("<H", 1) + text("sensor_msgs/msg/Imu") + text("ros2msg") + text(_IMU)
-    )
-    schemas += record(
-        3,
-        struct.pack("<H", 2) + text("std_msgs/msg/String") + text("ros2msg") + text("string data"),
-    )
-    channels = ((1, "/imu"), (2, "/note"))
-    return schemas + b"".join(
-        record(4, struct.pack("<HH", id_, id_) + text(topic) + text("cdr") + text(b""))
-        for id_, topic in channels
-    )
+    out = b""
+    for id_, topic, kind in ((1, "/imu", IMU), (2, "/note", "std_msgs/msg/String")):
+        content, _ = ROS2.generate_msgdef(kind, ros_version=2)
+        out += record(3, struct.pack("<H", id_) + text(kind) + text("ros2msg") + text(content))
+        out += record(4, struct.pack("<HH", id_, id_) + text(topic) + text("cdr") + text(b""))
+    return out
 
 
 def messages(begin, end, scale=1.0):
@@ -106,7 +68,7 @@ def messages(begin, end, scale=1.0):
             yield 2, t_ns, message(2, k, t_ns, b"\0\1\0\0" + text(b"abc\0"))
 
 
-def chunk(some, compression, *, has_crc=True):
+def chunk(some, compression):
     """Return a chunk record, and the entries of the index of each channel."""
     body, entries = bytearray(), {}
     for channel, t_ns, content in some:
@@ -114,8 +76,8 @@ def chunk(some, compression, *, has_crc=True):
         body += content
     times = [t_ns for rows in entries.values() for t_ns, _ in rows]
     data = _COMPRESS[compression](bytes(body))
-    crc = zlib.crc32(body) if has_crc else 0
-    head = struct.pack("<QQQI", min(times), max(times), len(body), crc) + text(compression)
+    head = struct.pack("<QQQI", min(times), max(times), len(body), zlib.crc32(body))
+    head += text(compression)
     return record(6, head + struct.pack("<Q", len(data)) + data), entries, len(body), len(data)
 
 
@@ -133,32 +95,13 @@ def mcap(  # noqa: PLR0913  # each part of a file can be missing
     summary=True,
     statistics=True,
     chunk_indexes=True,
-    message_indexes=True,
     chunked=True,
-    checksums=True,
     has_data_crc=False,
     attached=b"",
 ):
-    """Return a file of samples in four chunks.
+    """Return a file of samples in four chunks, with some of what it could have.
 
-    Parameters
-    ----------
-    compression
-        Of its chunks.
-    count
-        How many samples it has.
-    closed
-        Whether it has data end, summary and footer.
-    summary, statistics, chunk_indexes, message_indexes
-        What it has of these.
-    chunked
-        Whether its messages are in chunks.
-    checksums
-        Whether chunks have checksums.
-    has_data_crc
-        Whether the data end has one.
-    attached
-        An attachment behind the second chunk.
+    `closed`: with data end, summary and footer; `attached`: what comes behind the second chunk
     """
     out = bytearray(MAGIC + record(1, text("ros2") + text("quatprop")))
     out += definitions()
@@ -172,32 +115,24 @@ def mcap(  # noqa: PLR0913  # each part of a file can be missing
         if not chunked:
             out += b"".join(content for _, _, content in some)
             continue
-        content, entries, size, packed = chunk(some, compression, has_crc=checksums)
+        content, entries, size, packed = chunk(some, compression)
         out += content
         length, places = len(content), {}
-        for channel, rows in sorted(entries.items(), reverse=True) if message_indexes else ():
+        for channel, rows in sorted(entries.items(), reverse=True):
             places[channel] = len(out)
             out += message_index(channel, rows)
-        indexes.append(
-            record(
-                8,
-                struct.pack("<QQQQ", some[0][1], some[-1][1], start, length)
-                + text(b"".join(struct.pack("<HQ", *each) for each in places.items()))
-                + struct.pack("<Q", len(out) - start - length)
-                + text(compression)
-                + struct.pack("<QQ", packed, size),
-            )
-        )
+        index = struct.pack("<QQQQ", some[0][1], some[-1][1], start, length)
+        index += text(b"".join(struct.pack("<HQ", *each) for each in places.items()))
+        index += struct.pack("<Q", len(out) - start - length) + text(compression)
+        indexes.append(record(8, index + struct.pack("<QQ", packed, size)))
         if attached and number == 1:
             named = text("other.mcap") + text("application/octet-stream")
             body = struct.pack("<QQ", *[int(T_NS[0])] * 2) + named
             body += struct.pack("<Q", len(attached)) + attached
             place = len(out)
             out += record(ATTACHMENT, body + struct.pack("<I", zlib.crc32(body)))
-            where = struct.pack(
-                "<QQQQQ", place, len(out) - place, *[int(T_NS[0])] * 2, len(attached)
-            )
-            attachment_index = record(10, where + named)
+            where = place, len(out) - place, *[int(T_NS[0])] * 2, len(attached)
+            attachment_index = record(10, struct.pack("<QQQQQ", *where) + named)
     if not closed:
         return bytes(out)
     out += record(15, struct.pack("<I", zlib.crc32(out) if has_data_crc else 0))
@@ -244,9 +179,7 @@ def layouts():
 def heads(data):
     """Return what the bytes are, by position: a file's magic bytes, and the heads of its records.
 
-    Of an attachment, all that precedes its data and its checksum; of a chunk, all that precedes its
-    data, and of each other record the first 64 bytes. Of messages outside chunks, that look alike,
-    the first five are enough.
+    Of messages outside chunks, that look alike, the first five are enough.
     """
     places = dict.fromkeys(range(len(MAGIC)), "magic bytes")
     loose = 0

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fuzz.flips import series
+from make.bag_doctor import unclosed
 from make.formats import IMU, ROS1, imus
 from rosbags.rosbag1 import Writer
 
@@ -24,7 +25,7 @@ def layouts():
         "lz4": _bag("LZ4"),
         "bz2": _bag("BZ2"),
         "one topic": _bag(None, notes=False),
-        "no index": _unclosed(plain),
+        "no index": unclosed(plain),
     }
 
 
@@ -57,13 +58,6 @@ def _bag(compression, *, notes=True):
                 if notes and k % 10 == 0:
                     writer.write(note, t_ns, b"\0")
         return path.read_bytes()
-
-
-def _unclosed(bag):
-    """Return a bag that its recorder did not close."""
-    at = bag.index(b"index_pos=") + 10
-    (index_pos,) = struct.unpack_from("<Q", bag, at)
-    return bag[:at] + bytes(8) + bag[at + 8 : index_pos]
 
 
 def heads(data):

@@ -24,14 +24,7 @@ UNCOUNTED = (".csv", ".tsv", ".tum", ".jsonl", ".ulg", "bare.mcap")
 def unexplained_loss(log, intact, codes):
     """Return which samples of a damaged log are lost without a word; None where none are.
 
-    Parameters
-    ----------
-    log
-        The damaged log.
-    intact
-        The folder with the logs that it was made of.
-    codes
-        Exit codes of the commands that it met.
+    `intact`: folder with the logs that it was made of; `codes`: of the commands that it met
     """
     read = _read(log.path)
     if read is None:

@@ -16,7 +16,7 @@ from pyarrow import parquet
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
-from quatprop.kinematics.quaternion import exp, multiply, normalize
+from quatprop.kinematics.quaternion import exp, multiply
 
 ALIGNMENTS = ("none", "first", "yaw", "mean", "mount")
 LONGEST = 3000
@@ -91,24 +91,10 @@ def random_rotation(rng, degrees):
 @cache
 def recorded(folder, name):
     """Return rates, a reference and a method of a recording."""
-    if name.startswith("broad"):
-        return _broad(folder, name)
     found = Recording(folder, name)
-    return GyroSeries(found.t_ns, found.rate)[:LONGEST], found.reference, found.method
-
-
-def _broad(folder, name):
-    import h5py
-
-    (path,) = (folder / "broad").glob(f"{name[5:]}_*.hdf5")
-    with h5py.File(path) as file:
-        rows = slice(2000, 2000 + 2 * LONGEST, 2)
-        rate, wxyz = np.asarray(file["imu_gyr"][rows]), np.asarray(file["opt_quat"][rows])
-        interval = 2e9 / float(file.attrs["sampling_rate"])
-    t_ns = np.round(np.arange(len(rate)) * interval).astype(np.int64)
-    valid = np.isfinite(wxyz).all(axis=1)
-    reference = AttitudeSeries(t_ns[valid], normalize(wxyz[valid]))
-    return GyroSeries(t_ns, rate), reference, "mean"
+    # Those of BROAD begin with a rest.
+    part = slice(2000, 2000 + 2 * LONGEST, 2) if name.startswith("broad") else slice(LONGEST)
+    return GyroSeries(found.t_ns, found.rate)[part], found.reference, found.method
 
 
 def simulated(rng, name, bias):
@@ -156,7 +142,7 @@ def pair(number: int, folder: Path | None) -> Pair:
     """
     rng = np.random.default_rng([27, number])
     kind = KINDS[number % len(KINDS)]
-    names = [*MOTIONS, *([*RECORDINGS, "broad05", "broad18"] if folder else ())]
+    names = [*MOTIONS, *(RECORDINGS if folder else ())]
     name = str(rng.choice(names))
     align = ALIGNMENTS[number // len(KINDS) % len(ALIGNMENTS)]
     is_true = set()

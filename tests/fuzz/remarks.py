@@ -5,11 +5,11 @@ motion, a sample rate from 10 to 8,000 Hz, a step of the rates from 1e-5 to 1 de
 to ten steps, stored in single or double precision. What is said of it is printed.
 """
 
-import argparse
 import sys
 import warnings
 
 import numpy as np
+from fuzz import seeds
 
 from quatprop import GyroSeries, propagate
 
@@ -78,21 +78,11 @@ def false_remarks(seed):
     return [one for one in said if not (is_constant and one.code in EVERY_RATE_EQUAL)], how
 
 
-def main():
-    """Print every such remark; the exit code is 1 if there are any."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--count", type=int, default=2000)
-    chosen = parser.parse_args()
-    wrong = 0
-    for seed in range(chosen.first, chosen.first + chosen.count):
-        said, how = false_remarks(seed)
-        wrong += bool(said)
-        for remark in said:
-            print(f"{seed}: {how}: {remark}")
-    print(f"{wrong} of {chosen.count} logs have remarks")
-    sys.exit(bool(wrong))
+def judged(seed):
+    """Return the motion of a log, and the remarks on it that are not true."""
+    said, how = false_remarks(seed)
+    return how.partition(" at ")[0], "".join(f"{how}: {remark}; " for remark in said)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(bool(seeds.main(__doc__, judged)))

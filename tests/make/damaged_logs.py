@@ -1,6 +1,7 @@
 """Logs of every format, and ways to damage them; all told by seeds."""
 
 import random
+import re
 import shutil
 from pathlib import Path
 from typing import NamedTuple
@@ -45,12 +46,18 @@ def write_logs(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
+DAMAGES = (
+    "flip", "randomise", "truncate", "number", "number", "length", "length", "token", "token",
+    "remove", "repeat", "move", "zero",
+)  # fmt: skip
+
+
 def damaged(data, rng):
     """Return bytes with one to four damages."""
     data = bytearray(data)
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
         if data:
-            rng.choice(DAMAGES)(data, rng)
+            _damage(data, rng, rng.choice(DAMAGES))
     return bytes(data)
 
 
@@ -61,79 +68,46 @@ def _place(data, rng):
     return offset if rng.random() < 0.6 else len(data) - 1 - offset
 
 
-def _flip(data, rng):
-    for _ in range(rng.choice((1, 1, 8))):
-        data[_place(data, rng)] ^= 1 << rng.randrange(8)
-
-
-def _randomise(data, rng):
-    at = _place(data, rng)
-    size = min(rng.choice((1, 4, 64, 600)), len(data) - at)
-    data[at : at + size] = rng.randbytes(size)
-
-
-def _truncate(data, rng):
-    # Also where blocks of a file system, pages and batches end.
-    step = rng.choice((1, 1, 8, 64, 512, 4096))
-    del data[_place(data, rng) // step * step :]
-
-
-def _overwrite(data, rng):
-    at, value = _place(data, rng), rng.choice(EXTREMES)
-    data[at : at + len(value)] = value
-
-
-def _overwrite_length(data, rng):
-    """Overwrite what is most likely a length: a number that fits into the rest of the file."""
-    size = rng.choice((4, 8))
-    first = _place(data, rng)
-    for at in range(first, min(first + 200, len(data) - size)):
-        if 0 < int.from_bytes(data[at : at + size], "little") <= len(data) - at:
-            values = [value for value in EXTREMES if len(value) == size]
-            near = int.from_bytes(data[at : at + size], "little") + rng.choice((-1, 1))
-            data[at : at + size] = rng.choice([*values, near.to_bytes(size, "little")])
-            return
-
-
-def _write_token(data, rng):
-    at, token = _place(data, rng), rng.choice(TOKENS)
-    data[at : at + (len(token) if rng.random() < 0.6 else 0)] = token
-
-
-def _block(data, rng):
-    at = _place(data, rng)
-    return at, at + rng.choice((1, 8, 100, 4096, 20_000))
-
-
-def _remove(data, rng):
-    begin, end = _block(data, rng)
-    del data[begin:end]
-
-
-def _repeat(data, rng):
-    begin, end = _block(data, rng)
-    at = rng.choice((end, _place(data, rng)))
-    data[at:at] = data[begin:end] * rng.choice((1, 1, 20))
-
-
-def _exchange(data, rng):
-    begin, end = _block(data, rng)
-    block = data[begin:end]
-    del data[begin:end]
-    at = rng.randrange(len(data) + 1)
-    data[at:at] = block
-
-
-def _zero(data, rng):
-    begin, end = _block(data, rng)
-    end = min(end, len(data))
-    data[begin:end] = bytes(end - begin)
-
-
-DAMAGES = (
-    _flip, _randomise, _truncate, _overwrite, _overwrite, _overwrite_length, _overwrite_length,
-    _write_token, _write_token, _remove, _repeat, _exchange, _zero,
-)  # fmt: skip
+def _damage(data, rng, kind):  # noqa: PLR0912  # one damage after another
+    begin = _place(data, rng)
+    end = begin + rng.choice((1, 8, 100, 4096, 20_000))
+    match kind:
+        case "flip":
+            for _ in range(rng.choice((1, 1, 8))):
+                data[_place(data, rng)] ^= 1 << rng.randrange(8)
+        case "randomise":
+            size = min(rng.choice((1, 4, 64, 600)), len(data) - begin)
+            data[begin : begin + size] = rng.randbytes(size)
+        case "truncate":  # also where blocks of a file system, pages and batches end
+            step = rng.choice((1, 1, 8, 64, 512, 4096))
+            del data[begin // step * step :]
+        case "number":
+            value = rng.choice(EXTREMES)
+            data[begin : begin + len(value)] = value
+        case "length":  # most likely: a number that fits into the rest of the file
+            size = rng.choice((4, 8))
+            for at in range(begin, min(begin + 200, len(data) - size)):
+                number = int.from_bytes(data[at : at + size], "little")
+                if 0 < number <= len(data) - at:
+                    values = [value for value in EXTREMES if len(value) == size]
+                    near = (number + rng.choice((-1, 1))).to_bytes(size, "little")
+                    data[at : at + size] = rng.choice([*values, near])
+                    break
+        case "token":
+            token = rng.choice(TOKENS)
+            data[begin : begin + (len(token) if rng.random() < 0.6 else 0)] = token
+        case "remove":
+            del data[begin:end]
+        case "repeat":
+            at = rng.choice((end, _place(data, rng)))
+            data[at:at] = data[begin:end] * rng.choice((1, 1, 20))
+        case "move":
+            block = data[begin:end]
+            del data[begin:end]
+            at = rng.randrange(len(data) + 1)
+            data[at:at] = block
+        case "zero":
+            data[begin:end] = bytes(len(data[begin:end]))
 
 
 PAGE = 4096
@@ -146,56 +120,42 @@ def damaged_pages(data, rng):
     head, step = (0, PAGE) if data.startswith(b"SQLite") else (32, 24 + PAGE)
     for _ in range(rng.choice((1, 1, 2, 4))):
         begin = head + step * rng.randrange(max(1, (len(data) - head) // step))
-        rng.choice(PAGE_DAMAGES)(data, rng, begin, step)
+        _damage_page(data, rng, begin, step)
     return bytes(data)
 
 
-def _edit_page_head(data, rng, begin, step):
-    """Change the kind of a page, its number of cells, or where they are."""
-    at = begin + step - PAGE + (100 if begin == 0 else 0)
-    place, size = rng.choice(((0, 1), (1, 2), (3, 2), (5, 2), (7, 1), (8, 4), (8, 2), (10, 2)))
-    before = int.from_bytes(data[at + place : at + place + size], "big")
-    value = rng.choice((0, 1, before + 1, max(0, before - 1), rng.randrange(1 << 8 * size)))
-    data[at + place : at + place + size] = (value % (1 << 8 * size)).to_bytes(size, "big")
+WORDS = (b"messages", b"timestamp", b"topic_id", b"topics", b"INTEGER", b"TABLE", b"INDEX",
+         b"PRIMARY KEY", b"BLOB", b"NOT NULL", b"id", b"data")  # fmt: skip
 
 
-def _edit_frame(data, rng, begin, _step):
-    """Change the head of the file or of a frame."""
-    begin = rng.choice((0, begin))
-    at = begin + 4 * rng.randrange(25)
-    data[at : at + 4] = rng.choice([value for value in EXTREMES if len(value) == 4])
-
-
-def _remove_page(data, _rng, begin, step):
-    del data[begin : begin + step]
-
-
-def _exchange_pages(data, rng, begin, step):
-    other = rng.randrange(max(1, len(data) // step)) * step + begin % step
-    first, second = data[begin : begin + step], data[other : other + step]
-    if len(first) == len(second):
-        data[begin : begin + step], data[other : other + step] = second, first
-
-
-def _truncate_pages(data, _rng, begin, _step):
-    del data[begin:]
-
-
-def _edit_schema(data, rng, _begin, _step):
-    """Change a word of the schema, whose length stays."""
-    words = (b"messages", b"timestamp", b"topic_id", b"topics", b"INTEGER", b"TABLE", b"INDEX",
-             b"PRIMARY KEY", b"BLOB", b"NOT NULL", b"id", b"data")  # fmt: skip
-    word = rng.choice(words)
-    places = [at for at in range(len(data)) if data[at : at + len(word)] == word]
-    if places:
-        at = rng.choice(places)
-        data[at : at + len(word)] = rng.choice(words)[: len(word)].ljust(len(word))
-
-
-PAGE_DAMAGES = (
-    _edit_page_head, _edit_page_head, _edit_frame, _remove_page, _exchange_pages,
-    _truncate_pages, _edit_schema,
-)  # fmt: skip
+def _damage_page(data, rng, begin, step):
+    match rng.choice(("page", "page", "frame", "remove", "exchange", "truncate", "schema")):
+        case "page":  # its kind, its number of cells, or where they are
+            head = begin + step - PAGE + (100 if begin == 0 else 0)
+            sizes = ((0, 1), (1, 2), (3, 2), (5, 2), (7, 1), (8, 4), (8, 2), (10, 2))
+            place, size = rng.choice(sizes)
+            part = slice(head + place, head + place + size)
+            before = int.from_bytes(data[part], "big")
+            value = rng.choice((0, 1, before + 1, max(0, before - 1), rng.randrange(1 << 8 * size)))
+            data[part] = (value % (1 << 8 * size)).to_bytes(size, "big")
+        case "frame":  # its head, or that of the file
+            at = rng.choice((0, begin)) + 4 * rng.randrange(25)
+            data[at : at + 4] = rng.choice([value for value in EXTREMES if len(value) == 4])
+        case "remove":
+            del data[begin : begin + step]
+        case "exchange":
+            other = rng.randrange(max(1, len(data) // step)) * step + begin % step
+            first, second = data[begin : begin + step], data[other : other + step]
+            if len(first) == len(second):
+                data[begin : begin + step], data[other : other + step] = second, first
+        case "truncate":
+            del data[begin:]
+        case "schema":  # a word of it, whose length stays
+            word = rng.choice(WORDS)
+            places = [found.start() for found in re.finditer(word, data)]
+            if places:
+                at = rng.choice(places)
+                data[at : at + len(word)] = rng.choice(WORDS)[: len(word)].ljust(len(word))
 
 
 def _damaged_file(file, rng):

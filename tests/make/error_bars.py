@@ -137,29 +137,34 @@ def ensemble(motion, way, *, runs, jump=0.0, rotated=False, **sigmas):
     return Ensemble(2 * apart[1:] * np.sign(apart[0]), result.covariance[-1])
 
 
-def quantised(motion, spread, *, runs):
-    """Return errors ``(runs, 3)`` and stated standard deviations of logs with quantised rates.
+def errors_of(true, measured, way, **settings):
+    """Return errors ``(runs, 3)`` and stated standard deviations of logs of one motion.
 
     Those whose rest shows one value, and whose rates no step, are left out: their sigma is unknown.
-
-    `spread`: of the noise, in steps of 1 deg/s
     """
-    step = math.radians(1)
-    _, true = true_rates(motion)
-    random = np.random.default_rng([31, *map(ord, motion), int(100 * spread)])
     truth = stated(true, (0, 0, 0), noise_density=NOISE).wxyz[-1]
     errors, sigmas = [], []
-    for bias in random.uniform(-2, 2, (runs, 3)):
-        rate = np.rint(true / step + bias + spread * random.normal(size=true.shape)) * step
+    for rate in measured:
         with suppress(UsageError):
-            result = stated(rate, WAYS[0])
+            result = stated(rate, way, **settings)
             errors.append(log(multiply(conjugate(truth), result.wxyz[-1])))
             sigmas.append(result.sigma[-1])
     return np.array(errors), np.array(sigmas)
 
 
+def quantised(motion, spread, *, runs):
+    """Return errors and sigmas of logs with rates in whole deg/s, and noise of `spread` deg/s."""
+    step = math.radians(1)
+    _, true = true_rates(motion)
+    random = np.random.default_rng([31, *map(ord, motion), int(100 * spread)])
+    biases = random.uniform(-2, 2, (runs, 3))
+    noise = (spread * random.normal(size=true.shape) for _ in range(runs))
+    measured = (np.rint(true / step + b + n) * step for b, n in zip(biases, noise, strict=True))
+    return errors_of(true, measured, WAYS[0])
+
+
 def jumping(motion, way, jump, *, runs):
-    """Return errors ``(runs, 3)`` and stated standard deviations of logs whose bias jumps twice.
+    """Return errors and sigmas of logs whose bias jumps twice.
 
     `jump`: in standard deviations of what the means of two rests differ by
     """
@@ -167,14 +172,11 @@ def jumping(motion, way, jump, *, runs):
     random = np.random.default_rng([32, int(10 * jump)])
     size = jump * NOISE * math.sqrt(2 / REST_S)
     begins = np.array([REST_S, 2 * REST_S + MOTION_S]) * HZ
-    truth = stated(true, (0, 0, 0), noise_density=NOISE).wxyz[-1]
-    errors, sigmas = [], []
-    for _ in range(runs):
+
+    def measured():
         rate = true + NOISE * math.sqrt(HZ) * random.normal(size=true.shape)
         when = begins + MOTION_S * HZ * random.uniform(size=(3, 2))
         after = np.arange(len(true))[:, None, None] > when
-        rate += size * (random.choice([-1, 1], size=(3, 2)) * after).sum(axis=2)
-        result = stated(rate, way, noise_density=NOISE)
-        errors.append(log(multiply(conjugate(truth), result.wxyz[-1])))
-        sigmas.append(result.sigma[-1])
-    return np.array(errors), np.array(sigmas)
+        return rate + size * (random.choice([-1, 1], size=(3, 2)) * after).sum(axis=2)
+
+    return errors_of(true, (measured() for _ in range(runs)), way, noise_density=NOISE)

@@ -114,22 +114,22 @@ def _bag(compression=None):
         writer.chunk_threshold = 20_000
         if compression:
             writer.set_compression(BagWriter.CompressionFormat[compression])
-        with writer:
-            for topic, series in zip(TOPICS, several, strict=False):
-                connection = writer.add_connection(topic, IMU, typestore=ROS1)
-                for t_ns, data in imus(ROS1, series):
-                    writer.write(connection, t_ns, data)
+        _fill(writer, ROS1, several)
 
     return write
 
 
+def _fill(writer, store, several):
+    with writer:
+        for topic, series in zip(TOPICS, several, strict=False):
+            connection = writer.add_connection(topic, IMU, typestore=store)
+            for t_ns, data in imus(store, series):
+                writer.write(connection, t_ns, data)
+
+
 def _folder(storage):
     def write(path, *several):
-        with FolderWriter(path, version=9, storage_plugin=storage) as writer:
-            for topic, series in zip(TOPICS, several, strict=False):
-                connection = writer.add_connection(topic, IMU, typestore=ROS2)
-                for t_ns, data in imus(ROS2, series):
-                    writer.write(connection, t_ns, data)
+        _fill(FolderWriter(path, version=9, storage_plugin=storage), ROS2, several)
 
     return write
 
@@ -192,19 +192,12 @@ def _columns(series):
     return {"t_ns": series.t_ns, **dict(zip(("wx", "wy", "wz"), series.rate.T, strict=True))}
 
 
-SEMICOLONS = "# rates;of;a;gyroscope\ntime [s];gyro_x [rad/s];gyro_y [rad/s];gyro_z [rad/s]\n"
-
-
 def _lines(head, line):
     def write(path, series):
         rows = zip(series.t_ns.tolist(), *series.rate.T.tolist(), strict=True)
         path.write_bytes((head + "".join(f"{line(*row)}\n" for row in rows)).encode())
 
     return write
-
-
-def _comma_line(*numbers):
-    return ",".join(map(str, numbers))
 
 
 def _semicolon_line(t_ns, *rate):
@@ -221,26 +214,21 @@ def _json_line(t_ns, *rate):
     return json.dumps({"header": {"stamp": stamp}, "note": 'a "b" \\', "angular_velocity": gyro})
 
 
+def _saved(save):
+    return lambda path, series: save(path, _columns(series))
+
+
 def _arrow(write, **options):
-    return lambda path, series: write(pa.table(_columns(series)), path, **options)
+    return _saved(lambda path, columns: write(pa.table(columns), path, **options))
 
 
-def _parquet(**options):
-    return _arrow(parquet.write_table, **options)
-
-
-def _records(path, series):
-    columns = _columns(series)
+def _records(path, columns):
     np.save(path, np.asarray(np.rec.fromarrays(list(columns.values()), names=list(columns))))
 
 
-def _archive(save):
-    return lambda path, series: save(path, **_columns(series))
-
-
-def _plain_hdf5(path, series):
+def _plain_hdf5(path, columns):
     with h5py.File(path, "w") as file:
-        file.update(_columns(series))
+        file.update(columns)
 
 
 def _packed_hdf5(path, series):
@@ -252,10 +240,6 @@ def _packed_hdf5(path, series):
             "imu/gyr", data=series.rate, chunks=(50, 3), maxshape=(None, 3), **options
         )
         gyro.attrs["columns"] = np.array([f"{axis} [rad/s]".encode() for axis in "xyz"])
-
-
-def _matlab(*, is_packed):
-    return lambda path, series: savemat(path, _columns(series), do_compression=is_packed)
 
 
 class Format(NamedTuple):
@@ -284,9 +268,11 @@ class Format(NamedTuple):
         return GyroSeries(series.t_ns // 1000 * 1000, np.float32(series.rate).astype(float))
 
 
+SEMICOLONS = "# rates;of;a;gyroscope\ntime [s];gyro_x [rad/s];gyro_y [rad/s];gyro_z [rad/s]\n"
 _ros = partial(Format, topics=TOPICS)
 _indexed = partial(_ros, indexed=True)
 _feather = partial(_arrow, feather.write_feather, chunksize=50)
+_parquet = partial(_arrow, parquet.write_table)
 _sqlite, _folder_mcap = StoragePlugin.SQLITE3, StoragePlugin.MCAP
 FORMATS = {
     "none.mcap": _ros(_mcap(compression=CompressionType.NONE)),
@@ -306,7 +292,7 @@ FORMATS = {
     "split_ros2": _indexed(_split),
     "wal_ros2": _indexed(_wal),
     "gyro.ulg": Format(_ulog, ("sensor_gyro/0", "sensor_gyro/1"), "lost", single=True),
-    "commas.csv": Format(_lines("t_ns,wx,wy,wz\n", _comma_line)),
+    "commas.csv": Format(_lines("t_ns,wx,wy,wz\n", lambda *row: ",".join(map(str, row)))),
     "semicolons.csv": Format(_lines(SEMICOLONS, _semicolon_line)),
     "quoted.tsv": Format(_lines('"t_ns"\t"note"\t"wx"\t"wy"\t"wz"\n', _quoted_line)),
     "rows.jsonl": Format(_lines("", _json_line)),
@@ -315,13 +301,20 @@ FORMATS = {
     "uncompressed.feather": Format(_feather(compression="uncompressed"), (), "refused"),
     "lz4.feather": Format(_feather(compression="lz4"), (), "refused"),
     "zstd.feather": Format(_feather(compression="zstd"), (), "refused"),
-    "records.npy": Format(_records, (), "lost"),
-    "stored.npz": Format(_archive(np.savez), (), "refused", checked=True),
-    "packed.npz": Format(_archive(np.savez_compressed), (), "refused", checked=True),
-    "plain.h5": Format(_plain_hdf5, (), "lost"),
+    "records.npy": Format(_saved(_records), (), "lost"),
+    "stored.npz": Format(
+        _saved(lambda path, columns: np.savez(path, **columns)), (), "refused", checked=True
+    ),
+    "packed.npz": Format(
+        _saved(lambda path, columns: np.savez_compressed(path, **columns)),
+        (),
+        "refused",
+        checked=True,
+    ),
+    "plain.h5": Format(_saved(_plain_hdf5), (), "lost"),
     "packed.h5": Format(_packed_hdf5, (), "lost", checked=True),
-    "plain.mat": Format(_matlab(is_packed=False), (), "lost"),
-    "packed.mat": Format(_matlab(is_packed=True), (), "lost", checked=True),
+    "plain.mat": Format(_saved(savemat), (), "lost"),
+    "packed.mat": Format(_saved(partial(savemat, do_compression=True)), (), "lost", checked=True),
 }
 
 

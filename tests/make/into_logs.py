@@ -24,11 +24,6 @@ def imu_message(store, stamp):
     return encoded(store, IMU, values)
 
 
-def shutter_message(store, k):
-    """Return an encoded header, of a camera's shutter."""
-    return encoded(store, HEADER, {"seq": k, "stamp": k, "frame_id": "x" * 50})
-
-
 def moments(count, start=0):
     """Return stamps and log times: 100 Hz, each logged a little later than it was measured."""
     for k in range(start, start + count):
@@ -41,9 +36,9 @@ def write_mcap(path, count=300, profile="ros2", start=0, times=None, **options):
     Stamps and log times are those of `times`, or of :func:`moments`. Every other option is that of
     the library's writer.
     """
-    store = ROS1 if profile == "ros1" else ROS2
     ros1 = profile == "ros1"
-    definition, _ = store.generate_msgdef(IMU, ros_version=1 if ros1 else 2)
+    store = ROS1 if ros1 else ROS2
+    definition, _ = store.generate_msgdef(IMU, ros_version=2 - ros1)
     kind = (IMU.replace("/msg/", "/"), "ros1msg", "ros1") if ros1 else (IMU, "ros2msg", "cdr")
     imu = Topic(kind[0], (), definition.encode(), *kind[1:])
     topics = [("/imu", imu), ("/camera", Topic("", encoding="jpeg", metadata=[("lens", "wide")]))]
@@ -66,31 +61,29 @@ def write_mcap(path, count=300, profile="ros2", start=0, times=None, **options):
 
 def write_bag(path, count=300, compression=None, chunk_size=4000, times=None):
     """Write a ROS 1 bag of rates and of a camera's shutter."""
-    store = ROS1
     writer = Rosbag1Writer(path)
     writer.chunk_threshold = chunk_size
     if compression is not None:
         writer.set_compression(compression)
+    camera = {"callerid": "/camera", "latching": 1}
+    return _written(path, writer, ROS1, times or moments(count), **camera)
+
+
+def _written(path, writer, store, times, **camera):
     with writer:
         imu = writer.add_connection("/imu", IMU, typestore=store)
-        camera = {"callerid": "/camera", "latching": 1}
         shutter = writer.add_connection("/shutter", HEADER, typestore=store, **camera)
-        for k, (stamp, logged) in enumerate(times or moments(count)):
+        for k, (stamp, logged) in enumerate(times):
             writer.write(imu, logged, imu_message(store, stamp))
             if k % 10 == 0:
-                writer.write(shutter, logged, shutter_message(store, k))
+                values = {"seq": k, "stamp": k, "frame_id": "x" * 50}
+                writer.write(shutter, logged, encoded(store, HEADER, values))
     return path
 
 
 def write_rosbag2(path, storage, count=300, version=9):
     """Write a ROS 2 bag of rates and of a camera's shutter, with a note beside its files."""
-    store = ROS2
-    with Rosbag2Writer(path, version=version, storage_plugin=storage) as writer:
-        imu = writer.add_connection("/imu", IMU, typestore=store)
-        shutter = writer.add_connection("/shutter", HEADER, typestore=store)
-        for k, (stamp, logged) in enumerate(moments(count)):
-            writer.write(imu, logged, imu_message(store, stamp))
-            if k % 10 == 0:
-                writer.write(shutter, logged, shutter_message(store, k))
+    writer = Rosbag2Writer(path, version=version, storage_plugin=storage)
+    _written(path, writer, ROS2, moments(count))
     (path / "note.txt").write_text("first flight")
     return path

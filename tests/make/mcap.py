@@ -38,16 +38,15 @@ class Topic(NamedTuple):
     metadata: tuple = ()
 
 
-def build(topics, events, *, profile="", **options):
-    """Return a file.
+def write(stream, topics, events, *, profile="", **options):
+    """Write a file.
 
     `topics`: pairs of a name, which may come again, and a topic, whose messages do not count
     `events`: messages in order: the place of the topic, the log time in ns, the bytes, and when it
         was published if at another time; or something else that is done with the writer
     `options`: of the writer
     """
-    buffer = io.BytesIO()
-    writer = Writer(buffer, **options)
+    writer = Writer(stream, **options)
     writer.start(profile, "a recorder")
     schemas, channels, numbers = {}, [], count()
     for name, topic in topics:
@@ -66,6 +65,12 @@ def build(topics, events, *, profile="", **options):
             published_ns = published[0] if published else log_ns
             writer.add_message(channels[place], log_ns, data, published_ns, next(numbers))
     writer.finish()
+
+
+def build(topics, events, **options):
+    """Return a file, as :func:`write` writes it."""
+    buffer = io.BytesIO()
+    write(buffer, topics, events, **options)
     return buffer.getvalue()
 
 

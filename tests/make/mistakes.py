@@ -47,6 +47,17 @@ RECORDINGS = {
     "xio3": {"log": "csv/xio3/Inertial.csv", "reference": "csv/xio3/Quaternion.csv"},
     "xsens-txt": {"log": "csv/data_xsens.txt", "rates": {"rate_unit": "rad/s"}},
     "rostopic": {"log": "csv/rostopic_echo.csv"},
+    **{
+        name: {
+            "log": f"broad/{trial}_with_breaks_B.hdf5",
+            "attitudes": {"on_invalid": "drop"},
+            "method": "mean",
+        }
+        for name, trial in (
+            ("broad05", "05_undisturbed_slow_rotation"),
+            ("broad18", "18_undisturbed_fast_translation"),
+        )
+    },
 }
 """Recordings with a reference; without another one, it is the orientation beside the rates."""
 

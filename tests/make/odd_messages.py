@@ -4,16 +4,17 @@ import shutil
 import sqlite3
 import struct
 
-import numpy as np
-from make.ros import ROS1, ROS2
+from make.bag_doctor import walk
+from make.mcap import MAGIC, Topic, records, write
+from make.ros import IMU, ROS1, ROS2
+from make.ros import encoded as encoded_message
 from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, IndexType
-from mcap.writer import Writer as McapWriter
 from rosbags import rosbag1, rosbag2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from ruamel.yaml import YAML
 
-IMU, TEXT = "sensor_msgs/msg/Imu", "std_msgs/msg/String"
+TEXT = "std_msgs/msg/String"
 T0 = 1_700_000_000_000_000_000
 
 
@@ -39,25 +40,15 @@ def times(rng):
 
 def encoded(rng, stamp, *, ros1=False):
     """Return an encoded message."""
-    store = ROS1 if ros1 else ROS2
-    types = store.types
-    vector = types["geometry_msgs/msg/Vector3"]
-    message = types[IMU](
-        types["std_msgs/msg/Header"](
-            stamp=types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9)),
-            frame_id="f" * rng.choice((0, 1, 2, 3, 4, 9)),
-            **({"seq": 7} if ros1 else {}),
-        ),
-        types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.6, 0.8),
-        np.zeros(9),
-        vector(rng.gauss(0, 1), rng.gauss(0, 1), rng.gauss(0, 1)),
-        np.zeros(9),
-        vector(0.0, 0.0, 9.81),
-        np.zeros(9),
-    )
+    values = {
+        "header": {"seq": 7, "stamp": stamp, "frame_id": "f" * rng.choice((0, 1, 2, 3, 4, 9))},
+        "orientation": (0.0, 0.0, 0.6, 0.8),
+        "angular_velocity": [rng.gauss(0, 1) for _ in "xyz"],
+        "linear_acceleration": (0.0, 0.0, 9.81),
+    }
     if ros1:
-        return bytes(ROS1.serialize_ros1(message, IMU))
-    return bytes(ROS2.serialize_cdr(message, IMU, little_endian=rng.random() < 0.6))
+        return encoded_message(ROS1, IMU, values)
+    return encoded_message(ROS2, IMU, values, little_endian=rng.random() < 0.6)
 
 
 def sample(data, *, ros1=False):
@@ -78,43 +69,38 @@ def mcap_log(rng, folder):
     """Write an MCAP file, edit its records, and read it with the library, from front to back."""
     path = folder / "log.mcap"
     ros1 = rng.random() < 0.3
-    store, suffix = (ROS1, "ros1msg") if ros1 else (ROS2, "ros2msg")
-    definition, _ = store.generate_msgdef(IMU, ros_version=1 if ros1 else 2)
-    with path.open("wb") as stream:
-        writer = McapWriter(
-            stream,
-            chunk_size=rng.choice((1, 500, 3000, 10**6)),
-            compression=rng.choice(list(CompressionType)),
-            index_types=rng.choice((IndexType.ALL, IndexType.NONE, IndexType.CHUNK)),
-            use_chunking=rng.random() < 0.8,
-            use_statistics=rng.random() < 0.7,
-            repeat_channels=rng.random() < 0.7,
-            repeat_schemas=rng.random() < 0.7,
-            use_summary_offsets=rng.random() < 0.7,
-            enable_crcs=rng.random() < 0.5,
-        )
-        writer.start(rng.choice(("", "ros1", "ros2", "other")), "a writer")
-        name = IMU.replace("/msg/", "/") if ros1 else IMU
-        imu = [
-            writer.register_channel(
-                "/imu",
-                "ros1" if ros1 else "cdr",
-                writer.register_schema(name, suffix, b"# note\n" * k + definition.encode()),
-                {"publisher": str(k)},
-            )
-            for k in range(rng.choice((1, 1, 3)))
-        ]
-        bare = writer.register_channel("/bare", "json", 0)
-        writer.register_channel("/silent", "cdr", writer.register_schema("a/msg/B", suffix, b""))
+    store, suffix, encoding = (ROS1, "ros1msg", "ros1") if ros1 else (ROS2, "ros2msg", "cdr")
+    text, _ = store.generate_msgdef(IMU, ros_version=2 - ros1)
+    imu = Topic(IMU.replace("/msg/", "/") if ros1 else IMU, (), b"", suffix, encoding)
+    count = rng.choice((1, 1, 3))
+    topics = [
+        ("/imu", imu._replace(definition=b"# note\n" * k + text.encode(), metadata=[("k", str(k))]))
+        for k in range(count)
+    ]
+    topics += [("/bare", Topic("")), ("/silent", Topic("a/msg/B", (), b"", suffix, "cdr"))]
+
+    def events():
         for log_ns, stamp in times(rng):
             data = encoded(rng, stamp, ros1=ros1)
             for _ in range(rng.choice((1, 1, 1, 2))):
-                writer.add_message(rng.choice(imu), log_ns, data, stamp)
+                yield rng.randrange(count), log_ns, data, stamp
             if rng.random() < 0.1:
-                writer.add_message(bare, log_ns - 5, b"{}", 0)
-                writer.add_metadata("note", {"k": "v"})
-                writer.add_attachment(1, 1, "a", "text/plain", b"\x89MCAP0\r\n")
-        writer.finish()
+                yield count, log_ns - 5, b"{}", 0
+                yield lambda writer: writer.add_metadata("note", {"k": "v"})
+                yield lambda writer: writer.add_attachment(1, 1, "a", "text/plain", MAGIC)
+
+    options = {
+        name: rng.random() < 0.7
+        for name in ("use_chunking", "use_statistics", "use_summary_offsets", "enable_crcs",
+                     "repeat_channels", "repeat_schemas")
+    } | {
+        "chunk_size": rng.choice((1, 500, 3000, 10**6)),
+        "compression": rng.choice(list(CompressionType)),
+        "index_types": rng.choice((IndexType.ALL, IndexType.NONE, IndexType.CHUNK)),
+        "profile": rng.choice(("", "ros1", "ros2", "other")),
+    }  # fmt: skip
+    with path.open("wb") as stream:
+        write(stream, topics, events(), **options)
     if rng.random() < 0.5:
         path.write_bytes(edited_mcap(rng, path.read_bytes()))
     with path.open("rb") as stream:
@@ -125,12 +111,9 @@ def mcap_log(rng, folder):
 
 def edited_mcap(rng, data):
     """Return an MCAP file without summary, its records repeated, exchanged and mixed."""
-    at, records = 8, []
-    while data[at] != 0x0F:  # data end
-        end = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
-        records.append(data[at:end])
-        at = end
-    first, rest = records[0], [record for record in records[1:] if record[0] not in (7, 8)]
+    every = [data[begin:end] for _, begin, end in records(data)]
+    every = every[: [record[0] for record in every].index(15)]
+    first, rest = every[0], [record for record in every[1:] if record[0] not in (7, 8)]
     parts = [record for record in rest if record[0] in (5, 6)]
     definitions = [record for record in rest if record[0] in (3, 4)]
     if rng.random() < 0.5 and all(record[0] == 5 for record in parts) and definitions:
@@ -171,26 +154,23 @@ def ros1_bag(rng, folder):
     if rng.random() < 0.5:
         content = path.read_bytes()
         path.write_bytes(content[:13] + turned_fields(content[13:]))
-    with rosbag1.Reader(path) as reader:
+    return path, {}, *in_time(read_by(rosbag1.Reader(path)), ros1=True)
+
+
+def read_by(reader):
+    """Return log times and bytes of the messages of /imu."""
+    with reader:
         imu = [connection for connection in reader.connections if connection.topic == "/imu"]
-        messages = [(ns, bytes(data)) for _, ns, data in reader.messages(imu)]
-    return path, {}, *in_time(messages, ros1=True)
+        return [(ns, bytes(data)) for _, ns, data in reader.messages(imu)]
 
 
 def turned_fields(data):
     """Return ROS 1 records with the fields of every header in the opposite order."""
-    at, out = 0, []
-    while at < len(data):
-        size = int.from_bytes(data[at : at + 4], "little")
-        header, fields, inside = data[at + 4 : at + 4 + size], [], 0
-        while inside < size:
-            end = inside + 4 + int.from_bytes(header[inside : inside + 4], "little")
-            fields.append(header[inside:end])
-            inside = end
-        length = int.from_bytes(data[at + 4 + size : at + 8 + size], "little")
-        content = data[at + 8 + size : at + 8 + size + length]
-        out += [data[at : at + 4], *reversed(fields), data[at + 4 + size : at + 8 + size], content]
-        at += 8 + size + length
+    out = []
+    for _, fields, content in walk(data):
+        parts = [name.encode() + b"=" + value for name, value in reversed(fields.items())]
+        header = b"".join(struct.pack("<I", len(part)) + part for part in parts)
+        out += [struct.pack("<I", len(header)), header, struct.pack("<I", len(content)), content]
     return b"".join(out)
 
 
@@ -216,10 +196,7 @@ def ros2_bag(rng, folder):
                 if rng.random() < 0.2:
                     writer.write(text, log_ns, b"\0\1\0\0\1\0\0\0\0")
     joined_ros2(rng, folder, path, len(parts))
-    with rosbag2.Reader(path) as reader:
-        imu = [connection for connection in reader.connections if connection.topic == "/imu"]
-        messages = [(ns, bytes(data)) for _, ns, data in reader.messages(imu)]
-    return path, {}, *in_time(messages)
+    return path, {}, *in_time(read_by(rosbag2.Reader(path)))
 
 
 def joined_ros2(rng, folder, path, count):

@@ -1,7 +1,7 @@
 """What every option of propagate means, computed again in the plainest way: for tests.
 
-Written from the documentation, with SciPy's rotations, sample by sample. Nothing of quatprop is
-used.
+Written from the documentation, with SciPy's rotations and the oracle's rotation vectors, sample by
+sample. Nothing of quatprop is used.
 """
 
 from bisect import bisect_left
@@ -10,29 +10,20 @@ from itertools import pairwise
 from math import radians
 
 import numpy as np
+from make.oracle import NS, rotation_vector
 from scipy.spatial.transform import Rotation, Slerp
 
-NS = 1_000_000_000
 AXES = {"x": 0, "y": 1, "z": 2}
 
 
 def propagated(raw, options):
-    """Return the stamps and the rotations that options lead to.
+    """Return the stamps and the rotations body -> reference that options lead to.
 
-    Parameters
-    ----------
-    raw : dict
-        Of every row in the order of the log: ``t`` in int ns, ``w`` in rad/s, ``f``, the specific
-        force, and ``q``, the orientation of the sensor as a Rotation.
-    options : dict
-        As `quatprop.propagate` takes them; those that say where the numbers are in the file are
-        passed over. ``bias`` is in rad/s. Series in files are given as ``(t, Rotation)``, a
-        calibration as matrix and bias.
-
-    Returns
-    -------
-    tuple of ndarray and Rotation
-        Stamps and attitudes body -> reference.
+    `raw`: of every row in the order of the log ``t`` in int ns, ``w`` in rad/s, ``f``, the specific
+        force, and ``q``, the orientation of the sensor as a Rotation
+    `options`: as `quatprop.propagate` takes them; those that say where the numbers are in the file
+        are passed over; ``bias`` in rad/s, series in files as ``(t, Rotation)``, a calibration as
+        matrix and bias
     """
     mount = mounting(options.get("mount"))
     matrix, own_bias = options.get("calibration", (np.eye(3), (0, 0, 0)))
@@ -256,19 +247,15 @@ def times(t, options):
 def segment(t, rate, q, at, options):
     """Return the attitudes at some stamps within samples without gaps, and the last attitude."""
     body = options.get("rates", "body") == "body"
-    whole = matrices(
-        [rotation(t, rate, k, (t[k + 1] - t[k]) / NS, options) for k in range(len(t) - 1)]
+    how = options.get("method", "start"), 1 if body else -1
+    whole = matrices([rotation_vector(t, rate, k, ns, *how) for k, ns in enumerate(np.diff(t))])
+    before = np.searchsorted(t, at, side="right") - 1
+    part = matrices(
+        [
+            rotation_vector(t, rate, k, ns - t[k], *how) if ns > t[k] else np.zeros(3)
+            for k, ns in zip(before, at, strict=True)
+        ]
     )
-    if "rate" in options or "at" in options:
-        before = np.searchsorted(t, at, side="right") - 1
-        part = matrices(
-            [
-                rotation(t, rate, k, (stamp - t[k]) / NS, options) if stamp > t[k] else np.zeros(3)
-                for k, stamp in zip(before, at, strict=True)
-            ]
-        )
-    else:
-        before, part = np.arange(len(t)), np.tile(np.eye(3), (len(t), 1, 1))
     attitudes = [q]
     for step in whole:
         attitudes.append(attitudes[-1] @ step if body else step @ attitudes[-1])
@@ -281,79 +268,5 @@ def segment(t, rate, q, at, options):
 
 def matrices(rotvecs):
     """Return rotation matrices of rotation vectors."""
-    return Rotation.from_rotvec(np.reshape(rotvecs, (-1, 3))).as_matrix() if len(rotvecs) else []
-
-
-def rotation(t, rate, k, s, options):
-    """Return the rotation vector from sample k over s seconds, at most to the next sample."""
-    u, v = rate[k], rate[k + 1]
-    method = options.get("method", "start")
-    if method in {"start", "end", "mean"}:
-        # Of a rate that is linear in time, the mean is that of its ends.
-        mean = u + (v - u) / 2 * (s / ((t[k + 1] - t[k]) / NS) if s else 0)
-        return {"start": u, "end": v, "mean": mean}[method] * s
-    six = six_around(t, k) if method == "quintic" else None
-    if six is not None:
-        at = s / 2 * (1 + np.polynomial.legendre.leggauss(3)[0])
-        return sixth_order(polynomial(t, rate, k, six, at), s, options)
-    # Exact for a polynomial of third degree.
-    at = np.append(s / 2 * (1 + GAUSS[0]), s)
-    rates = rates_after(t, rate, k, at, cubic=method in {"cubic", "quintic"})
-    integral = GAUSS[1] @ rates[:-1] * s / 2
-    # The commutator of rotations that multiply on the left has the other sign.
-    sign = 1 if options.get("rates", "body") == "body" else -1
-    return integral + sign * s**2 / 12 * np.cross(u, rates[-1])
-
-
-GAUSS = np.polynomial.legendre.leggauss(4)
-
-
-def rates_after(t, rate, k, at, *, cubic):
-    """Return rates at times after sample k, s, on the polynomial through two to four samples."""
-    step = np.diff(t)
-
-    def ratio(j):
-        """Return by what factor the intervals around a sample differ."""
-        if not 0 < j < len(t) - 1 or 0 in step[j - 1 : j + 1]:
-            return np.inf
-        return max(step[j - 1 : j + 1]) / min(step[j - 1 : j + 1])
-
-    left, right = ratio(k), ratio(k + 1)
-    through = [k, k + 1]
-    if cubic and max(left, right) <= 4:
-        through = [k - 1, k, k + 1, k + 2]
-    elif cubic and min(left, right) <= 2:
-        through = [k - 1, k, k + 1] if left <= right else [k, k + 1, k + 2]
-    if step[k] == 0:
-        return np.tile(rate[k], (len(at), 1))
-    return polynomial(t, rate, k, through, at)
-
-
-def six_around(t, k):
-    """Return six samples of similar spacing around an interval, or None."""
-    for start in (k - 2, k - 3, k - 1, k - 4, k):
-        step = np.diff(t[start : start + 6]) if start >= 0 else np.zeros(0)
-        if len(step) == 5 and 0 < step.max() <= (4 if start == k - 2 else 2) * step.min():
-            return range(start, start + 6)
-    return None
-
-
-def sixth_order(rates, s, options):
-    """Return the rotation vector by Magnus' series, of the rates at three Gauss nodes."""
-    left = 1 if options.get("rates", "body") == "inertial" else -1
-    first, middle, last = left * rates
-    a1, a2 = s * middle, s * np.sqrt(15) / 3 * (last - first)
-    a3 = 10 * s / 3 * (last - 2 * middle + first)
-    c1 = np.cross(a1, a2)
-    c2 = -np.cross(a1, 2 * a3 + c1) / 60
-    return left * (a1 + a3 / 12 + np.cross(-20 * a1 - a3 + c1, a2 + c2) / 240)
-
-
-def polynomial(t, rate, k, through, at):
-    """Return rates at times after sample k, s, on the polynomial through samples."""
-    nodes, rates = (t[list(through)] - t[k]) / NS, np.zeros((len(at), 3))
-    for j, node in enumerate(nodes):
-        others = np.delete(nodes, j)
-        share = np.prod((at[:, None] - others) / (node - others), axis=1)
-        rates += share[:, None] * rate[through[j]]
-    return rates
+    rows = np.reshape(rotvecs, (-1, 3)).astype(float)
+    return Rotation.from_rotvec(rows).as_matrix() if len(rows) else []

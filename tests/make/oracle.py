@@ -6,13 +6,10 @@ samples, and is itself checked against the serial one. Products and increments a
 of what they are given.
 """
 
-from itertools import pairwise
-
 import numpy as np
 
-from quatprop.kinematics.cubic import MAX_RATIO, MAX_RATIO_ONE_SIDED
-
 L = np.longdouble
+NS = 1_000_000_000
 RUN = 1000
 
 # Without 80-bit extended precision (64-bit mantissa) there is nothing to compare with.
@@ -31,70 +28,67 @@ def product(p, q):
     )
 
 
-def rotation_vectors(t_ns, rate, method="start"):
-    """Return rotation vectors ``(N - 1, 3)`` in 80 bits, by the formula of the method."""
-    dt = (np.diff(t_ns).astype(L) / L(10) ** 9)[:, None]
-    u, v = rate[:-1].astype(L), rate[1:].astype(L)
-    mean = (u + v) / 2 * dt
-    return {
-        "start": lambda: u * dt,
-        "end": lambda: v * dt,
-        "mean": lambda: mean,
-        "coning": lambda: mean + dt**2 / 12 * np.cross(u, v),
-        "cubic": lambda: mean + dt**2 / 12 * np.cross(u, v) - dt**3 / 6 * curvature(dt, u, v),
-    }[method]()
+def rotation_vector(t_ns, rate, k, after_ns, method="start", sign=1):  # noqa: PLR0913, PLR0917
+    """Return the rotation vector from sample k over some time, at most to the next sample.
 
-
-def curvature(dt, u, v):
-    """Return the weighted second divided differences of the rate, sample by sample."""
-    dt = dt[:, 0]
-    slope = (v - u) / dt[:, None]
-    # By sample: the second difference and the ratio of the intervals.
-    none = (np.zeros(3, L), np.inf)
-    samples = [
-        ((slope[k] - slope[k - 1]) / (a + b), max(a, b) / min(a, b))
-        for k, (a, b) in enumerate(pairwise(dt), 1)
-    ]
-    rows = []
-    for k, ((left, p), (right, q)) in enumerate(pairwise([none, *samples, none])):
-        if max(p, q) <= MAX_RATIO:
-            weight = (dt[k - 1] + dt[k] / 2) / dt[k - 1 : k + 2].sum()
-            rows.append((1 - weight) * left + weight * right)
-        elif min(p, q) <= MAX_RATIO_ONE_SIDED:
-            rows.append(left if p < q else right)
-        else:
-            rows.append(np.zeros(3, L))
-    return np.array(rows, L)
-
-
-def quintic(t_ns, rate):
-    """Return rotation vectors ``(N - 1, 3)`` for products on the left, interval by interval.
-
-    Six samples are weighted by Lagrange's formula at the three nodes; intervals are not too unlike.
+    `sign`: -1 for rates whose rotations multiply on the left; their commutators have the other sign
     """
-    t, w = (t_ns - t_ns[0]).astype(L) / L(10) ** 9, rate.astype(L)
-    return np.array([_quintic_step(t, w, k) for k in range(len(t) - 1)], L)
+    u, v, s = *rate[k : k + 2].astype(L), L(after_ns) / NS
+    if method in {"start", "end", "mean"}:
+        # Of a rate that is linear in time, the mean is that of its ends.
+        mean = u + (v - u) / 2 * L(after_ns) / max(t_ns[k + 1] - t_ns[k], 1)
+        return {"start": u, "end": v, "mean": mean}[method] * s
+    six = _six_around(t_ns, k) if method == "quintic" else None
+    if six is not None:
+        # Magnus' series, of the rates at three Gauss nodes.
+        at = s / 2 * (1 + np.sqrt(L(15)) / 5 * np.arange(-1, 2))
+        first, middle, last = -sign * _polynomial(t_ns, rate, k, six, at)
+        a1, a2 = s * middle, s * np.sqrt(L(15)) / 3 * (last - first)
+        a3 = 10 * s / 3 * (last - 2 * middle + first)
+        c1 = np.cross(a1, a2)
+        c2 = -np.cross(a1, 2 * a3 + c1) / 60
+        return -sign * (a1 + a3 / 12 + np.cross(-20 * a1 - a3 + c1, a2 + c2) / 240)
+    # Exact for a polynomial of third degree.
+    through = _samples_around(t_ns, k) if method in {"cubic", "quintic"} else [k, k + 1]
+    middle, end = _polynomial(t_ns, rate, k, through, np.array([s / 2, s]))
+    return (u + 4 * middle + end) * s / 6 + sign * s**2 / 12 * np.cross(u, end)
 
 
-def _quintic_step(t, w, k):
-    six = next(
-        range(start, start + 6)
-        for start in (k - 2, k - 3, k - 1, k - 4, k)
-        if 0 <= start <= len(t) - 6 and np.ptp(np.log(np.diff(t[start : start + 6]))) <= np.log(2)
-    )
-    h = t[k + 1] - t[k]
-    first, middle, last = (
-        sum(
-            w[i] * np.prod([(t[k] + c * h - t[j]) / (t[i] - t[j]) for j in six if j != i])
-            for i in six
-        )
-        for c in (L(1) / 2 - np.sqrt(L(15)) / 10, L(1) / 2, L(1) / 2 + np.sqrt(L(15)) / 10)
-    )
-    a1, a2 = h * middle, h * np.sqrt(L(15)) / 3 * (last - first)
-    a3 = 10 * h / 3 * (last - 2 * middle + first)
-    c1 = np.cross(a1, a2)
-    c2 = -np.cross(a1, 2 * a3 + c1) / 60
-    return a1 + a3 / 12 + np.cross(-20 * a1 - a3 + c1, a2 + c2) / 240
+def _six_around(t_ns, k):
+    """Return six samples of similar spacing around an interval, or None."""
+    for start in (k - 2, k - 3, k - 1, k - 4, k):
+        step = np.diff(t_ns[start : start + 6]) if start >= 0 else np.zeros(0)
+        if len(step) == 5 and 0 < step.max() <= (4 if start == k - 2 else 2) * step.min():
+            return range(start, start + 6)
+    return None
+
+
+def _samples_around(t_ns, k):
+    """Return two to four samples around an interval."""
+
+    def ratio(j):
+        """Return by what factor the intervals around a sample differ."""
+        step = np.diff(t_ns[max(j - 1, 0) : j + 2])
+        return max(step) / min(step) if len(step) == 2 and min(step) else np.inf
+
+    left, right = ratio(k), ratio(k + 1)
+    if max(left, right) <= 4:
+        return [k - 1, k, k + 1, k + 2]
+    if min(left, right) <= 2:
+        return [k - 1, k, k + 1] if left <= right else [k, k + 1, k + 2]
+    return [k, k + 1]
+
+
+def _polynomial(t_ns, rate, k, through, at):
+    """Return rates at times after sample k, s, on the polynomial through samples."""
+    if t_ns[k + 1] == t_ns[k]:
+        return np.tile(rate[k].astype(L), (len(at), 1))
+    nodes, rates = (t_ns[list(through)] - t_ns[k]).astype(L) / NS, np.zeros((len(at), 3), L)
+    for j, node in enumerate(nodes):
+        others = np.delete(nodes, j)
+        share = np.prod((at[:, None] - others) / (node - others), axis=1)
+        rates += share[:, None] * rate[through[j]]
+    return rates
 
 
 def increments(rotvec):
@@ -112,15 +106,12 @@ def unit(q):
 
 def serial(t_ns, rate, q0=(1, 0, 0, 0), method="start", rates="body"):
     """Return attitudes ``(N, 4)``, one step after the other."""
-    if method == "quintic":
-        rotvec = quintic(t_ns, rate) if rates == "inertial" else -quintic(t_ns, -rate)
-    else:
-        rotvec = rotation_vectors(t_ns, rate, method)
-    if rates == "inertial" and method in {"coning", "cubic"}:
-        # Left multiplication takes the commutator, which is the coning term, with the other sign.
-        mean, coning = (rotation_vectors(t_ns, rate, each) for each in ("mean", "coning"))
-        rotvec = rotvec + 2 * (mean - coning)
-    steps = increments(rotvec)
+    sign, interval_ns = 1 if rates == "body" else -1, np.diff(t_ns)
+    rotvecs = [
+        rotation_vector(t_ns, rate, k, after_ns, method, sign)
+        for k, after_ns in enumerate(interval_ns)
+    ]
+    steps = increments(np.array(rotvecs))
     q = unit(tuple(L(number) for number in q0))
     rows = [q]
     for k in range(len(t_ns) - 1):
@@ -132,7 +123,7 @@ def serial(t_ns, rate, q0=(1, 0, 0, 0), method="start", rates="body"):
 
 def blocked(t_ns, rate):
     """Return attitudes ``(N, 4)`` from the identity, runs of RUN samples side by side."""
-    steps = increments(rotation_vectors(t_ns, rate))
+    steps = increments(rate[:-1].astype(L) * (np.diff(t_ns).astype(L) / NS)[:, None])
     count = len(steps[0])
     runs = -(-count // RUN)
     padded = np.zeros((4, runs * RUN), L)

@@ -1,7 +1,7 @@
 """Definitions of PX4 messages, as far as they matter here, and logs of them."""
 
-import numpy as np
 from make.mcap import Topic, write_topics
+from make.ros import encoded
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 DEFINITIONS = {
@@ -37,33 +37,11 @@ DEFINITIONS = {
 }
 
 
-def zeros(kind):
-    """Return a message with every field zero, as a dictionary."""
-    message = {}
-    for line in DEFINITIONS[kind].splitlines():
-        if "=" in line:
-            continue
-        type_name, name = line.split()
-        number, _, length = type_name.rstrip("]").partition("[")
-        message[name] = np.zeros(int(length), number) if length else np.zeros((), number)[()]
-    return message
-
-
 def write_mcap(path, kind, messages, definition=True):
     """Write messages, dictionaries of the fields that are not zero, as a ROS 2 MCAP file."""
-    store = get_typestore(Stores.LATEST)
-    name = f"px4_msgs/msg/{kind}"
+    store, name = get_typestore(Stores.LATEST), f"px4_msgs/msg/{kind}"
     store.register(get_types_from_msg(DEFINITIONS[kind], name))
-    written = []
-    for message in messages:
-        filled = zeros(kind)
-        for field, value in message.items():
-            if isinstance(filled[field], np.ndarray):
-                filled[field][: len(value)] = value
-            else:
-                filled[field] = type(filled[field])(value)
-        data = bytes(store.serialize_cdr(store.types[name](**filled), name))
-        written.append((int(filled["timestamp"]) * 1000 + 77, data))
+    written = [(int(one["timestamp"]) * 1000 + 77, encoded(store, name, one)) for one in messages]
     text = DEFINITIONS[kind].encode() if definition else b""
     topic = Topic(name, written, text, "ros2msg", "cdr")
     return write_topics(path, {f"/fmu/out/{kind}": topic}, profile="ros2")

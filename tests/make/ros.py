@@ -38,14 +38,15 @@ def _value(store, form, given):
     (part, kind), count = detail
     if part == Nodetype.NAME:
         return [message(store, kind, one) for one in given or ()]
-    return np.zeros(count, kind[0]) if given is None else np.asarray(given, kind[0])
+    array = np.asarray(() if given is None else given, kind[0])
+    return np.pad(array, (0, max(count - len(array), 0)))
 
 
-def encoded(store, kind, values=()):
+def encoded(store, kind, values=(), **options):
     """Return the bytes of a message, in the encoding of the types: that of ROS 1 or of ROS 2."""
     is_ros1 = store.fielddefs["std_msgs/msg/Header"][1][0][0] == "seq"
     serialize = store.serialize_ros1 if is_ros1 else store.serialize_cdr
-    return bytes(serialize(message(store, kind, values), kind))
+    return bytes(serialize(message(store, kind, values), kind, **options))
 
 
 def write_messages(path, messages, types=(ROS1, ROS2), published_ns=0):
