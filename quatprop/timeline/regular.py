@@ -160,10 +160,10 @@ def _clocks(block: GyroSeries) -> Iterator[tuple[GyroSeries, slice, FittedClock 
     """Yield the stretches of a block with their clocks; None for too few samples."""
     intervals = np.diff(block.t_ns)
     if (intervals < 0).any():
-        yield block, slice(None), FittedClock(0.0, block.t_ns, why_not="they step back")
+        yield block, slice(None), FittedClock(block.t_ns, why_not="they step back")
         return
     if is_regular(intervals):
-        yield block, slice(None), FittedClock(0.0, block.t_ns, jitters=False)
+        yield block, slice(None), FittedClock(block.t_ns, jitters=False)
         return
     for part in stretches(block.t_ns):
         samples = block[part]
