@@ -146,7 +146,7 @@ def _clock_of_bursts(t_ns: Int64) -> FittedClock | None:
     pattern = max(patterns, key=lambda each: float(np.var(each)))
     count, last = len(pattern), int(np.argmax(pattern))
     ends = t_ns[last::count]
-    if len(ends) < SHORTEST:
+    if len(ends) < SHORTEST or np.var(pattern) <= _REPEATED * np.var(steps):
         return None
     clock = _best_clock(ends, _periods(ends))
     if clock.why_not or clock.missing:

@@ -32,7 +32,6 @@ LATE = np.abs(RANDOM.normal(0, MS, COUNT)).astype(np.int64)
 
 TRUE = 1_700_000_000_000_000_000 + np.arange(COUNT) * 5 * MS
 """Stamps at 200 Hz, ns."""
-SLOWLY = np.arange(COUNT) / COUNT * 4 * np.pi
 
 
 def tumbling(t_ns, stamps=None):
@@ -102,12 +101,29 @@ def test_samples_that_arrive_together_are_found_and_repaired(size):
     assert rms_deg(series, regular_time=True) < 0.003
 
 
-@pytest.mark.parametrize(("size", "lost", "drift"), [(3, 1, 0), (5, 5, 0), (8, 8, 0), (4, 0, MS)])
-def test_bursts_of_which_samples_are_lost_or_a_clock_drifts_are_left_alone(size, lost, drift):
+def hung(share):
+    """Return deviations, ns, of which each has a share of the one before."""
+    deviations = np.random.default_rng(4).normal(0, MS / 2, COUNT)
+    for k in range(1, COUNT):
+        deviations[k] += share * deviations[k - 1]
+    return deviations.astype(np.int64)
+
+
+LOST = [np.delete(np.arange(COUNT), range(2000, 2000 + lost)) for lost in (1, 5, 8)]
+DRIFT = (20 * MS * np.sin(np.arange(COUNT) / COUNT * 4 * np.pi)).astype(np.int64)
+UNKNOWN = {
+    "3, of which 1 is lost": (TRUE[LOST[0]], together(3)[LOST[0]]),
+    "5, of which 5 are lost": (TRUE[LOST[1]], together(5)[LOST[1]]),
+    "8, of which 8 are lost": (TRUE[LOST[2]], together(8)[LOST[2]]),
+    "4 of a clock that drifts": (TRUE + DRIFT, together(4) + DRIFT),
+    "none, each deviation like the one before": (TRUE, TRUE + hung(0.9)),
+}
+
+
+@pytest.mark.parametrize("bursts", UNKNOWN)
+def test_bursts_of_an_unknown_clock_are_left_alone(bursts):
     """Where each ends is then unknown, and the times of all that follow could be wrong."""
-    kept = np.delete(np.arange(COUNT), range(2000, 2000 + lost))
-    slow = (20 * drift * np.sin(SLOWLY)).astype(np.int64)
-    series, _ = tumbling((TRUE + slow)[kept], (together(size) + slow)[kept])
+    series, _ = tumbling(*UNKNOWN[bursts])
     assert observed(series) == (None, [])
     with pytest.raises(TimelineError, match="do not jitter about a steady clock"):
         replaced(series)
@@ -183,13 +199,10 @@ def test_a_pause_may_set_the_clock_anew():
     assert clock.residual_max_ns == pytest.approx(LATE[kept][~few].max(), rel=0.005)
 
 
-HUNG = RANDOM.normal(0, MS, COUNT)
-for _k in range(1, COUNT):
-    HUNG[_k] += 0.75 * HUNG[_k - 1]
 MIDDLES = {
     "normal": (RANDOM.normal(0, MS, COUNT), 0),
     "delays of which few are short": (RANDOM.rayleigh(MS, COUNT), np.sqrt(np.pi / 2) * MS),
-    "each like the one before": (HUNG, 0),
+    "each like the one before": (hung(0.75), 0),
 }
 """Deviations without a sharp lower edge, and their mean, ns."""
 
@@ -254,7 +267,7 @@ IRREGULAR = {
     "eight in turn": (TRUE + np.tile(RANDOM.integers(0, 3 * MS, 8), COUNT // 8), REPEATS),
     "two in turn and noise": (TRUE + LATE + np.arange(COUNT) % 2 * MS * 6 // 5, REPEATS),
     "a wave": (TRUE + (MS * np.sin(np.arange(COUNT) * 1.2)).astype(np.int64), REPEATS),
-    "a slow wave": (TRUE + (MS * np.sin(SLOWLY) + 0.9 * LATE).astype(np.int64), DRIFTS),
+    "a slow wave": (TRUE + DRIFT // 20 + LATE * 9 // 10, DRIFTS),
     "whole seconds": (TRUE // 10**9 * 10**9, UNCLEAR),
     "many missing": (TRUE[RANDOM.random(COUNT) > 0.2], MISSING),
     "more than one of twenty missing": ((TRUE + LATE // 20)[RANDOM.random(COUNT) > 0.06], MISSING),
