@@ -278,6 +278,32 @@ def test_labels_that_alternate_are_a_series_and_decimals_never(seed):
     assert labels_of([f"{k + 25}.{k}" for k in order]).kinds == ()
 
 
+@pytest.mark.parametrize(
+    ("name", "length", "labels", "are_series"),
+    [
+        ("mode", 32, "ab", True),
+        ("mode", 33, "ab", False),
+        ("0", 4, "01", True),
+        ("0", 5, "01", False),
+        ("imu", 9, ("0", "15"), True),
+        ("imu", 9, ("0", "16"), False),
+        ("imu", 9, ("-1", "0"), False),
+        ("imu", 9, ("0", "nan"), False),
+    ],
+)
+def test_a_turn_that_lasts_is_a_state_and_a_large_number_is_one(name, length, labels, are_series):
+    """Sensors take turns of a few rows, and are numbered from 0."""
+    turns = [label for label in labels for _ in range(length)] * 3
+    assert take_turns(name, turns) == (tuple(labels) if are_series else ())
+
+
+@pytest.mark.parametrize(("count", "length", "are_labels"), [(16, 60, 1), (17, 60, 0), (2, 61, 0)])
+def test_labels_are_few_and_short(count, length, are_labels):
+    """As many different texts as rows are no names of sensors."""
+    texts = [f"{k:s>{length}}" for k in range(count)]
+    assert len(labels_of(texts * 3).kinds) == count * are_labels
+
+
 def test_messages_of_one_series_leave_nothing_to_choose(tmp_path):
     """The option is refused, and not ignored."""
     path = tmp_path / "log.mcap"

@@ -337,6 +337,9 @@ def test_jitter_that_costs_next_to_nothing_is_not_remarked_on():
     clock, said = observed(rest)
     assert clock.error_rad < 1e-4
     assert said == []
+    for hundredths, count in ((0.99, 0), (1.2, 1)):
+        share = np.radians(hundredths / 100) / clock.error_rad
+        assert len(observed(rest.with_rate(share * rest.rate))[1]) == count
     lengths = np.full(COUNT, 5 * MS)
     assert observed(GyroSeries(series.t_ns, series.rate, lengths)) == (None, [])
 

@@ -82,6 +82,7 @@ NONFINITE = "the rate of sample 5 (t = 20000000 ns) is absent or not finite; cho
 WAYS = "choose on_backwards='drop' or 'sort', or another clock"
 STEP = f"time steps back by 5 ms at sample 2 (t = 5000000 ns); {WAYS}"
 LONG = f"time steps back by 1e+06 s at sample 3 (t = -5000000 ns); {WAYS}"
+LATER = f"time steps back by 4294.87 s at sample 2 (t = 93000000 ns); {WAYS}"
 NONE_BEFORE = (
     "the rate of sample 0 (t = 0 ns) is not finite and there is none before it to hold; "
     "choose on_nonfinite='drop', or begin later with start"
@@ -100,6 +101,7 @@ REFUSE = {"on_gap": "error", "max_gap_ns": 20 * MS}
         ({}, "0 10 | 5 20", STEP),
         # Of a step after a long interval, no counter is the cause.
         ({}, "0 10 1000000000 -5", LONG),
+        ({}, "4294950 4294960 93 103", LATER),
         ({}, "-20 -10 0 | 0 10 20=nan", f"{NONFINITE}'drop' or 'hold'"),
         ({}, "-20 -10 0 | 0 10 20=inf", f"{NONFINITE}'drop' or 'hold'"),
         ({}, "-20 -10 0 | 0 10 20=-inf", f"{NONFINITE}'drop' or 'hold'"),
@@ -148,6 +150,9 @@ def test_samples_are_dropped_sorted_and_held(policy, text, expected, counted):
 CAUSES = [
     ([4_294_950, 4_294_960, 3, 13], "as if a counter of 32 bits in us had wrapped around"),
     ([-20 + 2**31, -10 + 2**31, -(2**31), 10 - 2**31], "as if a counter of 32 bits in ms had "),
+    ([4_290, 4_293, 1, 4], "as if a counter of 32 bits in ns had wrapped around"),
+    # Ten intervals later at most.
+    ([4_294_950, 4_294_960, 92, 102], "as if a counter of 32 bits in us had wrapped around"),
 ]
 
 
@@ -427,11 +432,16 @@ WHOLE = "whole seconds"
     [
         # Seconds read as milliseconds, or the other way round; 0.5 Hz to 50 kHz are no reason.
         (10_000 * np.arange(50), "100,000 samples per second are beyond any gyroscope"),
-        (10 * np.arange(50), "100,000,000 samples per second are beyond any gyroscope"),
+        (19_990 * np.arange(20), "50,025 samples per second are beyond any gyroscope"),
         (20_000 * np.arange(50), None),
         (10_000 * np.arange(19), None),
         (2 * 10**9 * np.arange(50), None),
+        (2_000_000_001 * np.arange(50), "0.5 samples per second are few for a gyroscope"),
         (10**10 * np.arange(50), f"{FEW} gyroscope; if the timestamps are in another unit, use "),
+        # Microseconds of 2001 to 2033 as nanoseconds are those of days 12 to 23.
+        (10**15 + 199_980 * np.arange(50), "5,001 samples per second that begin on 1970-01-12"),
+        (10**15 + 200_000 * np.arange(50), None),
+        (10**15 - 1 + 199_980 * np.arange(50), None),
         (10**10 * np.arange(19), None),
         # Equal stamps turn nothing; a stamp alone is no such thing.
         (np.zeros(1, int), None),
