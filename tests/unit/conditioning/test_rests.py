@@ -104,6 +104,22 @@ def test_a_rest_of_zeros_is_a_rest():
     np.testing.assert_allclose(report.conditioning.bias_rad_s, later.mean(axis=0), atol=1e-5)
 
 
+def test_a_rest_ends_where_its_mean_has_drifted():
+    """Each window is like the one before it; as far as the first half of a degree in all."""
+    drift = np.arange(60 * HZ)[:, None] / HZ * [0, 0, 5e-4]
+    report, _ = found(series(noise(1, 60, 1e-5) + drift))
+    # Of a ramp of s, a window at t is s t / 2 off the mean before it: 3 mrad/s after 12 s.
+    assert report.conditioning.rest.samples == pytest.approx(12 * HZ, abs=HZ)
+
+
+def test_one_sample_is_no_rest():
+    """It has no scatter."""
+    with pytest.raises(UsageError, match="holds fewer than 2 samples; info shows"):
+        found(two_rests([0, 0, 0]), bias="static@+1s..+1s")
+    report, _ = found(two_rests([0, 0, 0]), bias="static@+1s..+1010ms")
+    assert report.conditioning.rest.samples == 2
+
+
 def test_rests_that_are_alike_are_not_said_to_differ():
     """Of a hundred logs whose rests differ by noise alone."""
     for seed in range(100):

@@ -176,6 +176,15 @@ def test_the_accelerometer_shows_a_drive(tmp_path):
     assert (told["rest"]["first_ns"], told["rest"]["samples"]) == (20_000_000_000, 1000)
 
 
+@pytest.mark.parametrize(("share", "is_rest"), [(0.7, False), (0.4, True)])
+def test_an_orientation_that_turns_about_as_the_rates_shows_a_turn(tmp_path, share, is_rest):
+    """An estimator may lag behind; where it turns by less than half, it drifts."""
+    motion = Motion((3, [0, 0, 0.08]))
+    motion.attitude = Rotation.from_rotvec(np.arange(300)[:, None] / HZ * [0, 0, 0.08 * share])
+    log = motion.write(tmp_path, orientation=motion.wxyz)
+    assert ("orientation turns by 3.2" in run(*options(log)).stderr) == (not is_rest)
+
+
 @pytest.mark.parametrize("frame", ["body", "inertial"])
 @pytest.mark.parametrize("tilt", [0.0, 2.0])
 def test_the_orientation_shows_a_turn_in_the_axes_of_the_rates(tmp_path, frame, tilt):
