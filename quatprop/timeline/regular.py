@@ -161,15 +161,14 @@ def _clocks(block: GyroSeries) -> Iterator[tuple[GyroSeries, slice, FittedClock 
     intervals = np.diff(block.t_ns)
     if (intervals < 0).any():
         yield block, slice(None), FittedClock(block.t_ns, why_not="they step back")
-        return
-    if is_regular(intervals):
+    elif is_regular(intervals):
         yield block, slice(None), FittedClock(block.t_ns, jitters=False)
-        return
-    for part in stretches(block.t_ns):
-        samples = block[part]
-        enough = len(samples) >= SHORTEST
-        rate = _without_damaged(samples.rate)
-        yield samples, part, clock_of(samples.t_ns, rate) if enough else None
+    else:
+        for part in stretches(block.t_ns):
+            samples = block[part]
+            enough = len(samples) >= SHORTEST
+            rate = _without_damaged(samples.rate)
+            yield samples, part, clock_of(samples.t_ns, rate) if enough else None
 
 
 def _without_damaged(rate: Float64) -> Float64:

@@ -50,8 +50,6 @@ def choose_attitudes(log: Log, selection: AttitudeSelection) -> AttitudeSignal:
 
 
 def _is_placeholder(candidate: Candidate[AttitudeSignal]) -> bool:
-    if candidate.field == "transforms":
-        return False
     try:
         signal = candidate.signal()
         present = (np.isfinite(wxyz) for _, wxyz in signal.first())

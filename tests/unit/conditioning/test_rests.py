@@ -114,6 +114,8 @@ def test_a_rest_ends_where_its_mean_has_drifted():
 
 def test_one_sample_is_no_rest():
     """It has no scatter."""
+    with pytest.raises(UsageError, match="no stationary period: too few samples; give bias"):
+        found(GyroSeries(np.arange(20) * 10**9, np.zeros((20, 3))))
     with pytest.raises(UsageError, match="holds fewer than 2 samples; info shows"):
         found(two_rests([0, 0, 0]), bias="static@+1s..+1s")
     report, _ = found(two_rests([0, 0, 0]), bias="static@+1s..+1010ms")

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from quatprop import propagate
 from quatprop.conditioning import window_sums
+from quatprop.errors import UsageError
 
 G = 9.80665
 BIAS = np.array([0.01, -0.02, 0.005])
@@ -210,6 +211,13 @@ def test_an_orientation_that_settles_or_changes_its_sign_does_not_hide_rest(tmp_
         _, told = static(log)
         assert told["bias_rad_s"] == pytest.approx(BIAS.tolist(), abs=3e-4)
     assert told["rest"]["samples"] == 1000
+
+
+def test_an_accelerometer_that_is_named_has_to_be_there(tmp_path):
+    """Without its name, whatever is wrong with it, rest is found by the rates."""
+    log = Motion((5, REST)).write(tmp_path)
+    with pytest.raises(UsageError, match="accel_cols asks for column 'a'"):
+        propagate(log, bias="static", accel_cols="a,b,c")
 
 
 @pytest.mark.parametrize("force", [",,", "nan,nan,nan", "0,0,0", "none,none,none"])

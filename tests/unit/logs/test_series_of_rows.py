@@ -193,6 +193,25 @@ def test_a_series_of_two_columns_is_chosen_with_a_comma(tmp_path):
     assert found.remarks[0].endswith(others)
 
 
+def test_a_label_in_two_columns_is_that_of_the_one_that_takes_turns(tmp_path):
+    """Of both, the column has to be named."""
+    rows = [(k, "lr"[k % 2], "l", "lr"[k // 2 % 2], k % 2, 1, 1) for k in range(ROWS)]
+    path = write_rates(tmp_path / "log.csv", rows, "t_ns,sensor,car,rack,wx,wy,wz")
+    assert "is in several columns, 'sensor', 'car', 'rack'; name one with series='COLUMN=l'" in (
+        refusal(path, UsageError, series="l")
+    )
+    path = write_rates(path, [(*row[:3], "x", *row[4:]) for row in rows], path.read_text()[:33])
+    assert {*table_rates(path, series="l").rate[:, 0].tolist()} == {0}
+
+
+def test_a_series_may_be_told_apart_by_decimals_where_the_user_says_so(tmp_path):
+    """They are no labels otherwise."""
+    frame = pd.DataFrame({"t_ns": range(ROWS), "height": [0.5, 1.5] * (ROWS // 2)})
+    frame[AXES] = np.tile([[1.0] * 3, [2.0] * 3], (ROWS // 2, 1))
+    found = table_rates(save(frame, tmp_path / "log.parquet"), series="height=1.5")
+    assert found.rate.tolist() == [[2, 2, 2]] * (ROWS // 2)
+
+
 MISSING = {
     "mag": "no column has the series 'mag' in the first rows; there are 'acc', 'gyro' in column "
     "'sensor'; to read one that begins later, name its column with series='COLUMN=mag'",

@@ -244,6 +244,7 @@ REFUSED = {
             {"rate_cols": ("0", "2", "1")},
             "'t_ns' cannot be both the time and one of rate",
         ),
+        (QUATPROP, {"rate_cols": ("wx", "1", "wz")}, "rate_cols names a column twice"),
         ("t,a,y,z", XYZ, "rate_cols asks for column 'x'; the columns are 't', 'a'"),
         ("t,x,{xyz}", XYZ, "2 columns are called 'x'; choose one by its number"),
         ("t_s,wx_rad_s,wy_rad_s,wz_deg_s", {}, MIXED),

@@ -8,13 +8,15 @@ from make.reading import attitudes, rates
 from make.ros import ROS1, imu_messages, write_messages
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from quatprop.errors import TimelineError
+from quatprop.errors import TimelineError, UsageError
 from quatprop.logs.matching import first_batch
 
 STORE = get_typestore(Stores.LATEST)
 NAME = "pkg/msg/Motion"
 TEXT = "std_msgs/Header header\nsensor_msgs/Imu imu\n"
 STORE.register(get_types_from_msg(TEXT, NAME))
+PAIR = "pkg/msg/Pair"
+STORE.register(get_types_from_msg("sensor_msgs/Imu left\nsensor_msgs/Imu right\n", PAIR))
 T0 = 1_700_000_000_000_000_000
 GOOD = [T0 + k * 10_000_000 for k in range(40)]
 ZERO = [0] * 40
@@ -73,6 +75,29 @@ def test_stamps_that_are_all_zero_are_refused(path, outer):
         with pytest.raises(TimelineError, match=REFUSED + "clock='log'"):
             read(path, **options)
     assert stamps_of(path, clock="log") == (RECORDED, ())
+
+
+def test_messages_without_stamps_have_the_time_of_recording(path):
+    """A header is refused with that way out."""
+    vectors = [("/w", "geometry_msgs/msg/Vector3", t, {"x": 0.5}) for t in GOOD]
+    options = {"rate_field": "x,y,z", "rate_unit": "rad/s"}
+    write_messages(path, vectors)
+    assert rates(path, **options)[1].t_ns.tolist() == GOOD
+    with pytest.raises(UsageError, match="have no header timestamp; choose clock='log' or"):
+        rates(path, clock="header", **options)
+
+
+def test_of_two_rates_in_a_message_one_is_named(path):
+    """Each has a stamp of its own."""
+    pairs = [
+        ("/pair", PAIR, t, dict.fromkeys(("left", "right"), imu))
+        for t, (_, _, _, imu) in zip(GOOD, imu_messages(GOOD, [(0.5, 0, 0)] * 40), strict=True)
+    ]
+    write_messages(path, pairs, types=(ROS1, STORE))
+    both = "'left.angular_velocity', 'right.angular_velocity'; choose one with rate_field"
+    with pytest.raises(UsageError, match=f"messages of topic '/pair' carry several .*: {both}"):
+        rates(path)
+    assert rates(path, rate_field="left.angular_velocity")[1].t_ns.tolist() == GOOD
 
 
 def test_every_command_says_so(path, tmp_path):

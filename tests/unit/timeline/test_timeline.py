@@ -197,6 +197,7 @@ OUTLIERS = {
         range(100, 132),
     ),
     "before a late one": (regular(s50=10**6, s51=10_420), [50]),
+    "of a clock that stands": ([10_000] * 50 + [10**6] + [10_000] * 49, [50]),
 }
 """Stamps in ms, and which of them the next ones contradict."""
 
