@@ -272,6 +272,10 @@ def test_sums_of_windows_do_not_depend_on_how_rows_arrive(monkeypatch, block):
     values = rng.normal(size=(3000, 3))
     values[rng.random(3000) < 0.01] = np.nan
     whole = window_sums.window_sums([(t_ns, values)], 50_000_000)
+    finite = values[np.isfinite(values).all(axis=1)]
+    assert whole["count"].sum() == len(finite)
+    np.testing.assert_allclose(whole["total"].sum(axis=0), finite.sum(axis=0), atol=1e-12)
+    np.testing.assert_allclose(whole["squares"].sum(axis=0), (finite**2).sum(axis=0), rtol=1e-12)
     for cuts in ([], [1], [999, 1000, 1001], sorted(rng.integers(0, 3000, 40))):
         rows = zip(np.split(t_ns, cuts), np.split(values, cuts), strict=True)
         parts = window_sums.window_sums(rows, 50_000_000)
