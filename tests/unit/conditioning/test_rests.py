@@ -294,10 +294,22 @@ def test_an_axis_of_few_values_has_the_step_of_the_others():
         assert shared_step(np.array(values) * DEG) == pytest.approx(DEG)
     for values in ([0.0, 0.0, 1.0], [0.5, 1.0, 1.5], [math.pi, 1.0, math.e, math.sqrt(2)]):
         assert shared_step(np.array(values)) == 0
+    # Few values, or very many, or a largest one that is far off, fit some step by chance.
+    for values in ([1, 8], [1, 100_000], range(100)):
+        assert shared_step(np.array(values, float)) == 1
+    for values in ([], [9], [1, 7], [1, 100_001], range(101)):
+        assert shared_step(np.array(values, float)) == 0
     planar = np.zeros((1000, 3))
     planar[300:, 2] = np.rint(np.linspace(0, 40, 700))
     report, _ = found(series(planar * DEG), bias="static@+0s..+2s")
     assert len(report.conditioning.rest.levels) == 3
+
+
+@pytest.mark.parametrize(("sigma", "axes"), [(1.05, 3), (1.25, 0)])
+def test_noise_of_two_steps_hides_them(sigma, axes):
+    """Over the three axes, with that of rounding: 1.89 and 2.22 steps."""
+    samples = series(np.rint(noise(1, 20, sigma)) * DEG, np.rint(60 * turning(2)) * DEG)
+    assert len(found(samples)[0].conditioning.rest.levels) == axes
 
 
 @pytest.mark.parametrize("damaged", [np.nan, np.inf, -1e308, 1e300])
@@ -310,6 +322,11 @@ def test_damaged_numbers_hide_no_step(damaged):
 def test_rates_that_are_not_quantised_have_no_step():
     """Whatever their number; nor have two values, nor those that differ by rounding alone."""
     assert step_of(0.1 + np.spacing(0.1) * np.array([0, 1, 2, 3, 5])) == 0
+    # Differences are whole steps to 2 %, of which most are at most 50 steps.
+    assert step_of(np.array([0, 1, 2.015])) == pytest.approx(1, rel=0.01)
+    assert step_of(np.array([0, 1, 2.025])) == 0
+    assert step_of(np.array([0, 1, 51, 101])) == 1
+    assert step_of(np.array([0, 1, 52, 103])) == 0
     random = np.random.default_rng(2)
     for count in (2, 10, 1000):
         assert step_of(np.unique(random.normal(size=count))) == 0
