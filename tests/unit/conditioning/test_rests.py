@@ -132,6 +132,8 @@ def test_one_sample_is_no_rest():
     """It has no scatter."""
     with pytest.raises(UsageError, match="no stationary period: too few samples; give bias"):
         found(GyroSeries(np.arange(20) * 10**9, np.zeros((20, 3))))
+    quarters = GyroSeries(np.arange(20) * 250_000_000, noise(1, 1)[:20])
+    assert found(quarters)[0].conditioning.rest.samples == 20
     with pytest.raises(UsageError, match="holds fewer than 2 samples; info shows"):
         found(two_rests([0, 0, 0]), bias="static@+1s..+1s")
     report, _ = found(two_rests([0, 0, 0]), bias="static@+1s..+1010ms")
