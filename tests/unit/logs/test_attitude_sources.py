@@ -263,6 +263,15 @@ def test_several_quaternions_are_refused(table, names, sentence):
     assert attitudes(path, quat_cols=("5", "6", "7", "8"))[2][0].tolist() == [0, 1, 0, 0]
 
 
+def test_a_quaternion_of_a_millionth_is_none(table):
+    """Whatever is longer can be scaled."""
+    path = table("t_ns,qw,qx,qy,qz\n1,9e-7,0,0,0\n2,1.2e-6,0,0,0\n3,1,0,0,0\n")
+    t_ns, wxyz, counts = checked(path, normalize=True, drop=True)
+    assert (t_ns, wxyz) == ([2, 3], [[1, 0, 0, 0]] * 2)
+    assert (counts.zero, counts.normalized, counts.not_unit) == (1, 1, 0)
+    assert checked(path, drop=True)[2].not_unit == 1
+
+
 # Messages made up
 
 

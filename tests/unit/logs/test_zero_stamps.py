@@ -100,6 +100,16 @@ def test_of_two_rates_in_a_message_one_is_named(path):
     assert rates(path, rate_field="left.angular_velocity")[1].t_ns.tolist() == GOOD
 
 
+def test_an_orientation_that_is_first_set_after_very_many_messages_is_a_placeholder(path):
+    """It is looked for in as many, and not in all of a log of hours."""
+    stamps, wxyz = range(1, 4001), [(1.0, 0.0, 0.0, 0.0)] * 3999 + [(0.0, 1.0, 0.0, 0.0)]
+    write_messages(path, imu_messages(stamps, [(0.5, 0.0, 0.0)] * 4000, wxyz))
+    for limit in (4000, 1000):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("quatprop.logs.signals.attitudes.CONSTANT_MESSAGES", limit)
+            assert attitudes(path)[0].placeholder == (limit == 1000)
+
+
 def test_every_command_says_so(path, tmp_path):
     """Exit code 2, and no output; info shows the source all the same."""
     good, out = write(tmp_path / "good.mcap", GOOD), tmp_path / "out.csv"

@@ -227,6 +227,8 @@ def test_a_jump_ahead_that_the_next_stamps_contradict_is_an_outlier(case, size):
     kept, _, counts = applied(Policy("drop"), *batches)
     assert counts.outliers.count == len(wrong)
     assert counts.outliers.first_index == (wrong[0] if wrong else None)
+    ahead = Timeline(Policy("drop"), "log.csv").looked_ahead(batches, lambda _: None)
+    assert [t_ns // MS for batch in ahead for t_ns in batch.t_ns.tolist()] == kept
     if wrong:
         late = [k for k, stamp in enumerate(stamps) if stamp == 10_420 and k == 51]
         assert kept == [stamps[k] for k in range(len(stamps)) if k not in {*wrong, *late}]
@@ -284,6 +286,11 @@ def test_what_sorts_into_a_steady_clock_has_no_outliers(order):
         kept, _, counts = applied(policy, gyro(written[:30]), gyro(written[30:]))
         assert kept == stamps.tolist()
         assert (counts.outliers.count, counts.dropped) == (0, 0)
+        back = np.flatnonzero(written < np.maximum.accumulate(written))
+        assert (counts.backwards.count, counts.backwards.first_index) == (
+            len(back),
+            next(iter(back), None),
+        )
         finder = EndsFinder(earliest=True)
         list(Timeline(policy, "log.csv").looked_ahead([gyro(written)], finder.add))
         ends = finder.ends()
