@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 from make.mcap import Topic, write_topics
-from make.ros import IMU, ROS1, ROS2, imu_messages, message, write_messages
+from make.ros import IMU, ROS2, imu_messages, message, write_messages
 from make.tables import write_attitudes, write_rates
 from rosbags.typesys import get_types_from_msg, get_typestore
 from rosbags.typesys.stores import Stores
@@ -275,21 +275,33 @@ def with_sigmas(count, diagonal, odd):
     return made
 
 
-def outer_stamps(first):
-    """Read messages that hold an Imu, whose own stamps are these at first and then good."""
+def of_own_type(definition, values, name="log.mcap", edit=bytes, **options):
+    """Read messages of a type of its own, which have a header and these values."""
 
     def made(folder):
-        store = get_typestore(Stores.ROS2_HUMBLE)
-        store.register(
-            get_types_from_msg("std_msgs/Header header\nsensor_msgs/Imu imu\n", "p/msg/Motion")
-        )
-        messages, inner = [], with_value(stamps(20), slice(0, first), 0).tolist()
-        for at, own, rate in zip(stamps(20).tolist(), inner, TWENTY, strict=True):
-            imu = {"header": {"stamp": own}, "angular_velocity": rate}
-            messages.append(("/imu", "p/msg/Motion", at, {"header": {"stamp": at}, "imu": imu}))
-        return rates_of(write_messages(folder / "log.mcap", messages, types=(ROS1, store)))
+        stores = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
+        for store in stores:
+            text = f"std_msgs/Header header\n{definition}\n"
+            store.register(get_types_from_msg(text, "p/msg/Own"))
+        messages = [
+            ("/imu", "p/msg/Own", at, {"header": {"stamp": at}, **values(k, rate)})
+            for k, (at, rate) in enumerate(zip(stamps(20).tolist(), TWENTY, strict=True))
+        ]
+        path = write_messages(folder / name, messages, types=stores)
+        path.write_bytes(edit(path.read_bytes()))
+        return rates_of(path, **options)
 
     return made
+
+
+def outer_stamps(first):
+    """Read messages that hold an Imu, whose own stamps are zero at first and then good."""
+    inner = with_value(stamps(20), slice(0, first), 0).tolist()
+
+    def values(k, rate):
+        return {"imu": {"header": {"stamp": inner[k]}, "angular_velocity": rate}}
+
+    return of_own_type("sensor_msgs/Imu imu", values)
 
 
 def of_two(second, topic="/imu"):
@@ -348,23 +360,9 @@ def other_definition(data):
 
 def own_type(edit):
     """Read a ROS 1 bag of a type of its own."""
-
-    def made(folder):
-        store = get_typestore(Stores.ROS1_NOETIC)
-        store.register(
-            get_types_from_msg(
-                "Header header\ngeometry_msgs/Vector3 angular_velocity\n", "p/msg/Own"
-            )
-        )
-        messages = [
-            ("/imu", "p/msg/Own", t, {"header": {"stamp": t}, "angular_velocity": w})
-            for t, w in zip(stamps(20).tolist(), TWENTY, strict=True)
-        ]
-        path = write_messages(folder / "log.bag", messages, types=(store, ROS2))
-        path.write_bytes(edit(path.read_bytes()))
-        return rates_of(path, rate_field="angular_velocity", rate_unit="rad/s")
-
-    return made
+    options = {"rate_field": "w", "rate_unit": "rad/s"}
+    definition = "geometry_msgs/Vector3 w"
+    return of_own_type(definition, lambda _, rate: {"w": rate}, "log.bag", edit, **options)
 
 
 def of_survey(folder, wxyz):

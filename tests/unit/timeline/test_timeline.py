@@ -71,12 +71,6 @@ def test_an_empty_log_counts_nothing():
     assert Counts().span_ns == 0
 
 
-def test_defaults_refuse_what_is_irregular_and_hold_across_gaps():
-    """A policy that nobody chose changes no sample."""
-    assert Policy() == Policy("error", "error", "hold", None)
-    assert Policy("keep", "keep", "hold", None) == OBSERVE
-
-
 GAP = "longer than 20 ms; choose on_gap='hold' or 'zero' or 'split' or a longer max_gap"
 NONFINITE = "the rate of sample 5 (t = 20000000 ns) is absent or not finite; choose on_nonfinite="
 WAYS = "choose on_backwards='drop' or 'sort', or another clock"
