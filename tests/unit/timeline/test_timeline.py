@@ -17,6 +17,7 @@ from quatprop.timeline import Timeline
 from quatprop.timeline.counts import OBSERVE, Counts, Policy, remarks
 from quatprop.timeline.outliers import LOOK_AHEAD, marked
 from quatprop.timeline.stamps import LONGEST_NS, StampChecks
+from quatprop.times import duration_text
 
 MS = 1_000_000
 NAN = np.nan
@@ -183,6 +184,7 @@ OUTLIERS = {
     "ahead within the log": (regular(s50=10_700), [50]),
     "first": (regular(s0=10**6), [0]),
     "second": (regular(s1=10**6), [1]),
+    "the first three": (regular(s0=10**5, s1=10**6, s2=10**7), [0, 1, 2]),
     "last but one": (regular(s98=10**6), [98]),
     "in a row": (regular(s50=10**5, s51=10**7, s52=10**6), [50, 51, 52]),
     "apart": (regular(s20=10**6, s22=10**6, s70=10**7), [20, 22, 70]),
@@ -190,6 +192,7 @@ OUTLIERS = {
         [*regular(), *range(90_000, 90_032), *range(11_000, 12_000, 10)],
         range(100, 132),
     ),
+    "a burst at first": ([*range(90_000, 90_032), *regular()], range(32)),
     "before a late one": (regular(s50=10**6, s51=10_420), [50]),
     "of a clock that stands": ([10_000] * 50 + [10**6] + [10_000] * 49, [50]),
 }
@@ -226,13 +229,15 @@ def test_a_jump_ahead_that_the_next_stamps_contradict_is_an_outlier(case, size):
     if wrong:
         late = [k for k, stamp in enumerate(stamps) if stamp == 10_420 and k == 51]
         assert kept == [stamps[k] for k in range(len(stamps)) if k not in {*wrong, *late}]
-        with pytest.raises(
-            TimelineError,
-            match=rf"^log\.csv: the timestamp of sample {wrong[0]} \(t = "
-            rf"{stamps[wrong[0]] * MS} ns\) is an outlier, [\d.e+]+ m?s ahead of those around "
-            "it; choose on_backwards='drop' or 'sort', or another clock$",
-        ):
+        # Before the first there is none: it is compared with the middle of the next eight.
+        around = stamps[wrong[0] - 1] if wrong[0] else stamps[len(wrong) + 3]
+        ahead = duration_text((stamps[wrong[0]] - around) * MS)
+        with pytest.raises(TimelineError) as refused:
             applied(Policy(), *batches)
+        assert in_python(str(refused.value)) == (
+            f"log.csv: the timestamp of sample {wrong[0]} (t = {stamps[wrong[0]] * MS} ns) is an "
+            f"outlier, {ahead} ahead of those around it; {WAYS}"
+        )
     in_order, _, counts = applied(Policy("sort"), *batches)
     assert in_order == sorted(stamps[k] for k in range(len(stamps)) if k not in wrong)
     assert (counts.outliers.count, counts.dropped) == (len(wrong), len(wrong))
