@@ -301,6 +301,7 @@ def test_irregular_stamps_are_left_alone(name, moves):
 STEADY = {
     "regular": TRUE,
     "dropped samples": TRUE[np.arange(COUNT) % 50 > 0],
+    "deviations of a few us": (TRUE + LATE // 1000)[np.arange(COUNT) % 50 > 0],
     "a slow drift": _walk(np.linspace(5, 5.05, COUNT)),
     "another rate": _walk(np.where(HALF, 5, 10)),
     "whole milliseconds": TRUE // MS * MS,
