@@ -50,6 +50,9 @@ def choose_attitudes(log: Log, selection: AttitudeSelection) -> AttitudeSignal:
 
 
 def _is_placeholder(candidate: Candidate[AttitudeSignal]) -> bool:
+    # To choose among transforms reads the whole topic.
+    if candidate.field == "transforms":
+        return False
     try:
         signal = candidate.signal()
         present = (np.isfinite(wxyz) for _, wxyz in signal.first())
