@@ -272,6 +272,15 @@ def test_a_quaternion_of_a_millionth_is_none(table):
     assert checked(path, drop=True)[2].not_unit == 1
 
 
+def test_the_first_invalid_row_is_counted_over_batches():
+    """Those before it are valid."""
+    check = QuaternionCheck("log", drop=True)
+    t_ns, valid = np.arange(3), np.eye(4)[[0, 1, 2]]
+    kept = list(check.apply([(t_ns, valid), (t_ns + 3, valid * [[1], [0], [1]])]))
+    assert [series.t_ns.tolist() for series in kept] == [[0, 1, 2], [3, 5]]
+    assert (check.counts.first, check.counts.first_ns, check.counts.invalid) == (4, 4, 1)
+
+
 # Messages made up
 
 

@@ -334,17 +334,6 @@ def test_other_units_of_rates_are_multiplied_and_remarked_on(unit, read_as, scal
     assert f"are in {unit}; read in rad/s, as requested" in remark
 
 
-def test_a_sample_rate_stands_in_for_a_time_column():
-    """Rows are counted as asked, and the stamps beside them are not passed over in silence."""
-    rows = "1,1,2,3\n2,4,5,6\n"
-    options = {"sample_rate": 200.0, "rate_unit": "rad/s"}
-    found = table_rates(f"time,wx,wy,wz\n{rows}", **options)
-    assert found.t_ns == [0, 5_000_000]
-    said = "sample_rate='200' counts the rows; the timestamps in 'time' are not used"
-    assert found.remarks == [said]
-    assert table_rates(f"note,wx,wy,wz\n{rows}", **options).remarks == []
-
-
 @pytest.mark.parametrize(("clock", "column"), [("log", 0), ("header", 2)])
 def test_the_log_clock_of_rostopic_is_its_first_column(clock, column):
     """With clock='log' the time of recording is taken instead of the message's stamp."""
