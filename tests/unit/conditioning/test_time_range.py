@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from make.tables import write_rates
 
 from quatprop import GyroSeries, propagate
-from quatprop.errors import UsageError
+from quatprop.errors import QuatpropError, UsageError
 
 pytestmark = pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 MS = 1_000_000
@@ -61,3 +62,11 @@ def test_a_range_may_be_of_one_sample_and_no_less():
     assert used(t_ns, start="+20ns", end="+20ns")[0] == [20]
     with pytest.raises(UsageError, match="start is 1 ns after end; swap them, or check units"):
         used(t_ns, start="+21ns", end="+20ns")
+
+
+@pytest.mark.parametrize("options", [{"start": "+1s"}, {"end": "-1s"}, {"bias": "static"}])
+def test_an_empty_log_has_no_ends_and_no_rest(tmp_path, options):
+    """It is said to be empty."""
+    path = write_rates(tmp_path / "log.csv", [])
+    with pytest.raises(QuatpropError, match=r"no samples in|no stationary period: too few samples"):
+        propagate(path, rate_unit="rad/s", **options)
