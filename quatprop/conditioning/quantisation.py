@@ -97,8 +97,8 @@ class StepFinder:
 
         `scatters`: RMS deviation of the rates in each period, over all three axes, rad/s
         """
-        known = [values for values in self._values if values is not None]
-        shared = shared_step(np.concatenate(known)) if known else 0.0
+        known = (values for values in self._values if values is not None)
+        shared = shared_step(np.concatenate([np.empty(0), *known]))
         steps = [
             0.0 if values is None else (shared if len(values) <= FEW else step_of(values))
             for values in self._values

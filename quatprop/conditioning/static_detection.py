@@ -69,7 +69,7 @@ class NoRestError(UsageError):
 
 
 def find_static_periods(
-    rates: WindowSums, inputs: GyroCorrectionInputs, static: StaticBias, frame: str = "body"
+    rates: WindowSums, inputs: GyroCorrectionInputs, static: StaticBias, frame: str
 ) -> list[StaticPeriod]:
     """Return the stationary period for the bias, or all periods for a bias over time.
 

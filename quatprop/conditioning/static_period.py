@@ -67,8 +67,8 @@ class StaticPeriod(NamedTuple):
     steady: tuple[str, ...]
     searched_first_ns: int
     searched_last_ns: int
-    other: OtherRest | None = None
-    spread_rad_s: float = 0.0
+    other: OtherRest | None
+    spread_rad_s: float
     levels: tuple[Levels, ...] = ()
 
     @property

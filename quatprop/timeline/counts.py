@@ -70,7 +70,7 @@ OBSERVE = Policy(on_backwards="keep", on_nonfinite="keep")
 """Change nothing, count everything."""
 
 
-@dataclass(slots=True)
+@dataclass
 class Event:
     """The number of occurrences of an irregularity, and the first of them.
 
@@ -121,7 +121,7 @@ class SteadyClock(NamedTuple):
     error_rad: float
 
 
-@dataclass(slots=True)
+@dataclass
 class Counts:
     """Counts and statistics of timestamps and rates; complete after the last batch.
 
@@ -225,7 +225,12 @@ def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterato
             handled = HANDLED[setting, chosen]
             if event is counts.backwards and event.cause and chosen == "keep":
                 handled = "refused"  # neither drop nor sort corrects the clock
-            longest = _longest(counts) if event is counts.gaps else ""
+            longest = ""
+            # A wrong timestamp at an end may be the cause of the longest gap.
+            if event is counts.gaps and counts.longest_gap is not None:
+                before, after = counts.longest_gap
+                which = "; the longest, of " if event.count > 1 else ", "
+                longest = f"{which}{duration_text(after - before)} after {before} ns"
             yield Remark(
                 code,
                 f"{event.count} {noun.format(s='s' if event.count > 1 else '')} ({handled}), first "
@@ -242,15 +247,6 @@ def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterato
             f"attitude error is {math.degrees(clock.error_rad):.2g} deg RMS; "
             f"{Setting('regular_time')} uses the times of that clock",
         )
-
-
-def _longest(counts: Counts) -> str:
-    """Return the position of the longest gap, since a wrong timestamp at an end may cause it."""
-    if counts.longest_gap is None:
-        return ""
-    before, after = counts.longest_gap
-    which = "; the longest, of " if counts.gaps.count > 1 else ", "
-    return f"{which}{duration_text(after - before)} after {before} ns"
 
 
 def _time_remarks(counts: Counts, chosen_by: str) -> Iterator[Remark]:

@@ -31,7 +31,7 @@ _FASTEST = 1e4
 """rad/s: larger rates are damaged, and are excluded."""
 
 
-@dataclass(slots=True)
+@dataclass
 class _Sums:
     """Sums over the stretches of a log so far; stretches are the parts between pauses.
 
@@ -160,16 +160,15 @@ def _clocks(block: GyroSeries) -> Iterator[tuple[GyroSeries, slice, FittedClock 
     """Yield the stretches of a block with their clocks; None for too few samples."""
     intervals = np.diff(block.t_ns)
     if (intervals < 0).any():
-        yield block, slice(None), FittedClock(0.0, block.t_ns, why_not="they step back")
-        return
-    if is_regular(intervals):
-        yield block, slice(None), FittedClock(0.0, block.t_ns, jitters=False)
-        return
-    for part in stretches(block.t_ns):
-        samples = block[part]
-        enough = len(samples) >= SHORTEST
-        rate = _without_damaged(samples.rate)
-        yield samples, part, clock_of(samples.t_ns, rate) if enough else None
+        yield block, slice(None), FittedClock(block.t_ns, why_not="they step back")
+    elif is_regular(intervals):
+        yield block, slice(None), FittedClock(block.t_ns, jitters=False)
+    else:
+        for part in stretches(block.t_ns):
+            samples = block[part]
+            enough = len(samples) >= SHORTEST
+            rate = _without_damaged(samples.rate)
+            yield samples, part, clock_of(samples.t_ns, rate) if enough else None
 
 
 def _without_damaged(rate: Float64) -> Float64:

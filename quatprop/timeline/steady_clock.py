@@ -84,23 +84,23 @@ FOLLOWED: Final = (
 class FittedClock(NamedTuple):
     """The clock that is fitted to the timestamps of a stretch.
 
-    `period_ns`: interval of the clock, ns
     `t_ns`: clock times of the samples, shape ``(N,)``, int64
+    `period_ns`: interval of the clock, ns
     `missing`: number of its times without a sample
     `why_not`: the reason why there is no steady clock; ``""`` if there is one
     `jitters`: whether the timestamps are irregular
     """
 
-    period_ns: float
     t_ns: Int64
+    period_ns: float = np.nan
     missing: int = 0
     why_not: str = ""
     jitters: bool = True
 
 
 def is_regular(intervals: Int64) -> bool:
-    """Return whether all intervals are about equal."""
-    return not len(intervals) or bool(np.ptp(intervals) <= _STEADY * intervals.min())
+    """Return whether neighbouring intervals are about equal."""
+    return bool((np.abs(np.diff(intervals)) <= _STEADY * intervals[1:]).all())
 
 
 def stretches(t_ns: Int64) -> Iterator[slice]:
@@ -119,9 +119,9 @@ def clock_of(t_ns: Int64, rate: Float64) -> FittedClock:
     """
     periods = _periods(t_ns)
     if not periods:
-        return FittedClock(0.0, t_ns, why_not=UNCLEAR)
+        return FittedClock(t_ns, why_not=UNCLEAR)
     if np.quantile(np.abs(np.diff(t_ns, 2)), 0.9) <= _STEADY * periods[0]:
-        return FittedClock(periods[0], t_ns, jitters=False)
+        return FittedClock(t_ns, jitters=False)
     clock = _best_clock(t_ns, periods)
     if not clock.why_not:
         return clock._replace(why_not=FOLLOWED) if _follows(rate, t_ns, clock.t_ns) else clock
@@ -153,13 +153,12 @@ def _clock_of_bursts(t_ns: Int64) -> FittedClock | None:
         return None
     period = clock.period_ns / count
     times = clock.t_ns[0] + np.rint(period * (np.arange(len(t_ns)) - last)).astype(np.int64)
-    return FittedClock(period, times)
+    return FittedClock(times, period)
 
 
 def _periods(t_ns: Int64) -> list[float]:
     """Return estimates of the interval: without missing samples, and without bursts."""
-    lag = min(64, len(t_ns) - 1)
-    usual = [float(np.median(t_ns[n:] - t_ns[:-n])) / n for n in (1, lag) if n > 0]
+    usual = [float(np.median(t_ns[n:] - t_ns[:-n])) / n for n in (1, 64) if n < len(t_ns)]
     return [period for period in dict.fromkeys(usual) if period > 0]
 
 
@@ -167,12 +166,12 @@ def _clock(t_ns: Int64, period: float) -> FittedClock:
     t = (t_ns - t_ns[0]).astype(np.float64)
     missing = _missing(t, period)
     if isinstance(missing, str):
-        return FittedClock(period, t_ns, why_not=missing)
+        return FittedClock(t_ns, why_not=missing)
     number = np.arange(len(t)) + missing
     slope, offset = _line(number, t)
     regular = t_ns[0] + np.rint(slope * number + offset).astype(np.int64)
-    why_not = _fault_of(t - slope * number, float(np.gcd.reduce(t_ns - t_ns[0])))
-    return FittedClock(slope, regular, int(missing[-1]), why_not)
+    why_not = _fault_of(t - slope * number, float(np.gcd.reduce(np.diff(t_ns))))
+    return FittedClock(regular, slope, int(missing[-1]), why_not)
 
 
 def _missing(t: Float64, period: float) -> Int64 | str:
@@ -196,22 +195,20 @@ def _missing(t: Float64, period: float) -> Int64 | str:
         return UNCLEAR
     if before[-1] > MOST_MISSING * len(t):
         return MISSING
-    starts = np.concatenate([[0], np.arange(len(middles)) * _WINDOW, [len(t) - _ENDS]])
-    stops = np.concatenate([[_ENDS], starts[1:-1] + _WINDOW, [len(t)]])
+    whole_windows = np.arange(len(middles)) * _WINDOW
+    starts, stops = np.append(0, whole_windows), np.append(whole_windows + _WINDOW, len(t))
     gains = np.zeros(len(t), np.int64)
     for k in np.flatnonzero(np.diff(before)):
-        part = slice(int(starts[k]), int(stops[k + 1]))
-        part_phase = phase[part] - levels[k]
+        part_phase = phase[starts[k] : stops[k]] - levels[k]
         for one in range(int(before[k + 1] - before[k])):
-            gains[part.start + _change_point(part_phase - one)] += 1
+            gains[starts[k] + _change_point(part_phase - one)] += 1
     return np.cumsum(gains)
 
 
 def _change_point(phase: Float64) -> int:
     """Return the index from which on phases are nearer to 1 than to 0."""
-    late = np.concatenate([[0.0], np.cumsum(np.clip(phase, 0, 1))])
-    early = np.concatenate([[0.0], np.cumsum(np.clip(1 - phase, 0, 1))])
-    return min(int(np.argmin(late - early)), len(phase) - 1)
+    nearer = np.clip(2 * phase - 1, -1, 1)
+    return int(np.argmin(np.cumsum(nearer) - nearer))
 
 
 def _line(number: Int64, t: Float64) -> tuple[float, float]:
@@ -225,7 +222,7 @@ def _line(number: Int64, t: Float64) -> tuple[float, float]:
     rest = t - slope * number
     low, middle, high = np.quantile(rest, (0.1, 0.5, 0.9))
     usual = np.abs(rest - middle) <= 3 * (high - low)
-    tilt = np.polyfit(number[usual] - number.mean(), rest[usual], 1)[0]
+    tilt = np.polyfit(number[usual], rest[usual], 1)[0]
     rest -= tilt * number
     slope += float(tilt)
     lowest, low, middle, high, highest = np.quantile(rest, (0.005, 0.1, 0.5, 0.9, 0.995))
@@ -245,7 +242,7 @@ def _lower_edge(number: Int64, rest: Float64) -> tuple[float, float]:
     starts = np.arange(0, len(rest), size)
     lowest = [start + int(np.argmin(rest[start : start + size])) for start in starts]
     hull: list[tuple[float, float]] = []
-    for x, y in zip(number[lowest].tolist(), rest[lowest].tolist(), strict=True):
+    for x, y in np.stack([number[lowest], rest[lowest]], axis=1).tolist():
         while len(hull) > 1 and (hull[-1][1] - hull[-2][1]) * (x - hull[-1][0]) >= (
             y - hull[-1][1]
         ) * (hull[-1][0] - hull[-2][0]):

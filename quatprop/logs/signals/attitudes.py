@@ -50,6 +50,7 @@ def choose_attitudes(log: Log, selection: AttitudeSelection) -> AttitudeSignal:
 
 
 def _is_placeholder(candidate: Candidate[AttitudeSignal]) -> bool:
+    # To choose among transforms reads the whole topic.
     if candidate.field == "transforms":
         return False
     try:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -40,8 +40,7 @@ SHARE = 4
 is not reported."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Zone:
+class _Zone(NamedTuple):
     """Extremes of the timestamps and of the delays in a part of the log, ns."""
 
     first_ns: int
@@ -65,8 +64,7 @@ def _latest(spans: Iterable[Span]) -> int:
     return max(span.last_ns for span in spans)
 
 
-@dataclass(frozen=True, slots=True)
-class TableRangeReader:
+class TableRangeReader(NamedTuple):
     """Reads time ranges of a table with an index of the timestamps in its parts.
 
     `spans`: the timestamps of the parts, at least one

@@ -73,6 +73,8 @@ def test_the_file_of_kalibr(path):
     raw = np.array([m @ c_gyro_i @ w for w in TRUE])
     assert rotated(raw, calibration=path) == pytest.approx(rotated(TRUE), abs=1e-13)
     assert read_calibration(path).remarks == ()
+    path.write_text("gyroscopes: {M: [[1000, 0, 0], [0, 1, 0], [0, 0, 1]]}")
+    assert read_calibration(path)[:2] == (pytest.approx(np.diag([1e-3, 1, 1])), None)
     # What kalibr calls A needs the acceleration of every sample.
     path.write_text(KALIBR.replace("A: [[0, 0, 0], [0, 0,", "A: [[0, 0, 0], [0, 0.001,"))
     assert read_calibration(path).remarks == (
@@ -97,6 +99,7 @@ def test_one_imu_of_several_is_chosen_by_its_topic(path):
     [
         ("matrix: [[1, 2, 3], [2, 4, 6], [0, 0, 1]]", "matrix is singular (condition number"),
         ("matrix: [[0, 0, 0], [0, 0, 0], [0, 0, 0]]", "matrix is singular (condition number inf)"),
+        ("matrix: [[1001, 0, 0], [0, 1, 0], [0, 0, 1]]", "matrix is singular (condition number 1"),
         ("matrix: [[1, 0, 0], [0, 1, 0]]", "matrix is not three rows of three numbers"),
         ("matrix: [[1, 0, 0], [0, 1, 0], [0, 0, .nan]]", "matrix is not three rows"),
         ("matrix: [[1, 0, 0], [0, 1], [0, 0, 1]]", "matrix is not three rows of three numbers"),

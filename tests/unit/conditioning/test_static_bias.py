@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from quatprop import propagate
 from quatprop.conditioning import window_sums
+from quatprop.errors import UsageError
 
 G = 9.80665
 BIAS = np.array([0.01, -0.02, 0.005])
@@ -176,6 +177,15 @@ def test_the_accelerometer_shows_a_drive(tmp_path):
     assert (told["rest"]["first_ns"], told["rest"]["samples"]) == (20_000_000_000, 1000)
 
 
+@pytest.mark.parametrize(("share", "is_rest"), [(0.7, False), (0.4, True)])
+def test_an_orientation_that_turns_about_as_the_rates_shows_a_turn(tmp_path, share, is_rest):
+    """An estimator may lag behind; where it turns by less than half, it drifts."""
+    motion = Motion((3, [0, 0, 0.08]))
+    motion.attitude = Rotation.from_rotvec(np.arange(300)[:, None] / HZ * [0, 0, 0.08 * share])
+    log = motion.write(tmp_path, orientation=motion.wxyz)
+    assert ("orientation turns by 3.2" in run(*options(log)).stderr) == (not is_rest)
+
+
 @pytest.mark.parametrize("frame", ["body", "inertial"])
 @pytest.mark.parametrize("tilt", [0.0, 2.0])
 def test_the_orientation_shows_a_turn_in_the_axes_of_the_rates(tmp_path, frame, tilt):
@@ -201,6 +211,13 @@ def test_an_orientation_that_settles_or_changes_its_sign_does_not_hide_rest(tmp_
         _, told = static(log)
         assert told["bias_rad_s"] == pytest.approx(BIAS.tolist(), abs=3e-4)
     assert told["rest"]["samples"] == 1000
+
+
+def test_an_accelerometer_that_is_named_has_to_be_there(tmp_path):
+    """Without its name, whatever is wrong with it, rest is found by the rates."""
+    log = Motion((5, REST)).write(tmp_path)
+    with pytest.raises(UsageError, match="accel_cols asks for column 'a'"):
+        propagate(log, bias="static", accel_cols="a,b,c")
 
 
 @pytest.mark.parametrize("force", [",,", "nan,nan,nan", "0,0,0", "none,none,none"])
@@ -255,6 +272,10 @@ def test_sums_of_windows_do_not_depend_on_how_rows_arrive(monkeypatch, block):
     values = rng.normal(size=(3000, 3))
     values[rng.random(3000) < 0.01] = np.nan
     whole = window_sums.window_sums([(t_ns, values)], 50_000_000)
+    finite = values[np.isfinite(values).all(axis=1)]
+    assert whole["count"].sum() == len(finite)
+    np.testing.assert_allclose(whole["total"].sum(axis=0), finite.sum(axis=0), atol=1e-12)
+    np.testing.assert_allclose(whole["squares"].sum(axis=0), (finite**2).sum(axis=0), rtol=1e-12)
     for cuts in ([], [1], [999, 1000, 1001], sorted(rng.integers(0, 3000, 40))):
         rows = zip(np.split(t_ns, cuts), np.split(values, cuts), strict=True)
         parts = window_sums.window_sums(rows, 50_000_000)

@@ -11,6 +11,7 @@ from make.mcap import Topic, write_topics
 from make.reading import attitudes
 from make.ros import TF, write_messages
 
+from quatprop import convert, read_attitudes
 from quatprop.errors import (
     AmbiguousTopicError,
     LogError,
@@ -18,6 +19,7 @@ from quatprop.errors import (
     NoSamplesError,
     NoSuchTopicError,
     NotRotationsError,
+    SchemaError,
     TimelineError,
     UndeclaredError,
     UnsupportedLogError,
@@ -197,6 +199,25 @@ def test_a_tum_trajectory_of_another_name_is_read_as_one_where_the_user_says_so(
         open_log(path, "tum").__enter__()
 
 
+def test_a_bag_is_a_folder_and_cannot_come_from_stdin():
+    """Its files are needed by their names."""
+    with pytest.raises(UnsupportedLogError, match="-: a ROS 2 bag is a folder; name it"):
+        open_log("-", "rosbag2").__enter__()
+
+
+def test_a_range_without_attitudes_is_refused(table):
+    """Also where they are interpolated; a stretch that is shorter than an interval has none."""
+    stamps = [*range(11), *range(53, 57), *range(80, 91)]
+    path = table("t_ms,qw,qx,qy,qz\n" + "".join(f"{t}00,1,0,0,0\n" for t in stamps))
+    for options in ({}, {"rate": 1}):
+        with pytest.raises(NoSamplesError, match="no samples in"):
+            convert(path, path.with_name("out.csv"), start="+10s", **options)
+    with pytest.raises(NoSamplesError, match="no samples in"):
+        read_attitudes(path, start="+10s")
+    convert(path, path.with_name("out.csv"), rate=1)
+    assert (read_attitudes(path.with_name("out.csv")).t_ns // 10**9).tolist() == [0, 1, 8, 9]
+
+
 def test_numbered_columns_need_columns_and_a_layout(table):
     """Without a header nothing is guessed, one question after the other."""
     path = table("10,0.6,0,0,0.8\n20,0.6,0,0,0.8\n")
@@ -240,6 +261,24 @@ def test_several_quaternions_are_refused(table, names, sentence):
     refused(UndeclaredError, path, "which quaternion to use")
     refused(UndeclaredError, path, sentence)
     assert attitudes(path, quat_cols=("5", "6", "7", "8"))[2][0].tolist() == [0, 1, 0, 0]
+
+
+def test_a_quaternion_of_a_millionth_is_none(table):
+    """Whatever is longer can be scaled."""
+    path = table("t_ns,qw,qx,qy,qz\n1,9e-7,0,0,0\n2,1.2e-6,0,0,0\n3,1,0,0,0\n")
+    t_ns, wxyz, counts = checked(path, normalize=True, drop=True)
+    assert (t_ns, wxyz) == ([2, 3], [[1, 0, 0, 0]] * 2)
+    assert (counts.zero, counts.normalized, counts.not_unit) == (1, 1, 0)
+    assert checked(path, drop=True)[2].not_unit == 1
+
+
+def test_the_first_invalid_row_is_counted_over_batches():
+    """Those before it are valid."""
+    check = QuaternionCheck("log", drop=True)
+    t_ns, valid = np.arange(3), np.eye(4)[[0, 1, 2]]
+    kept = list(check.apply([(t_ns, valid), (t_ns + 3, valid * [[1], [0], [1]])]))
+    assert [series.t_ns.tolist() for series in kept] == [[0, 1, 2], [3, 5]]
+    assert (check.counts.first, check.counts.first_ns, check.counts.invalid) == (4, 4, 1)
 
 
 # Messages made up
@@ -328,6 +367,8 @@ def test_a_field_of_an_unknown_type_can_be_named(tmp_path):
     refused(NoAttitudesError, log, "no attitudes found; its topics are '/pose (my_m")
     assert attitudes(log, quat_field="o")[2].tolist() == [[0.8, 0.6, 0, 0]]
     refused(UndeclaredError, log, "which of the columns 'q[0]', ", quat_field="q")
+    for field in ("t", "q[0]"):
+        refused(SchemaError, log, f"field '{field}' of 'my_msgs/msg/Pose' is n", quat_field=field)
     _, t_ns, wxyz, _ = attitudes(log, quat_field="q", time_field="t", from_layout="scalar-last")
     assert (t_ns.tolist(), wxyz.tolist()) == ([3], [[0.8, 0, 0.6, 0]])
 

@@ -13,6 +13,7 @@ from make.table_rates import refusal, told
 
 from quatprop import propagate
 from quatprop.errors import TimelineError, UndeclaredError
+from quatprop.logs.clocks.clocks import difference
 from quatprop.tables.counters import counted
 
 E0 = 1_700_000_000
@@ -151,7 +152,40 @@ def test_a_stated_utc_offset_of_local_text_is_honoured(tmp_path, offset, seconds
     local = {f"time ({offset})": [date(E0 + t + seconds) for t in TIMES]}
     path = table(tmp_path / f"log.{suffix}", local)
     assert told(path) == (SINCE_1970, [])
+    # A cell that is no date does not count where it is compared.
+    local[f"time ({offset})"][0] = "?"
     assert told(table(path, {**EPOCH, **local, "elapsed (s)": TIMES})) == (SINCE_1970, [])
+
+
+HOUR = 3600
+SINCE_2023 = E0 * 1e9 + np.arange(9) * 1e7
+
+
+@pytest.mark.parametrize(
+    ("used", "seconds", "found"),
+    [
+        (SINCE_2023, HOUR, (HOUR, 0)),
+        (SINCE_2023, -900, (-900, 0)),
+        (SINCE_2023, HOUR + 1, (HOUR, 0)),
+        (SINCE_2023, HOUR - 1, (HOUR, 0)),
+        (SINCE_2023, HOUR + 1.5, None),
+        (SINCE_2023, 420, None),
+        (SINCE_2023, 0, None),
+        (SINCE_2023, 14 * HOUR, (14 * HOUR, 0)),
+        (SINCE_2023, 14 * HOUR + 900, None),
+        # Before 2000 neither is a date.
+        (SINCE_2023 - SINCE_2023[0], HOUR, None),
+        # A deviation of a step is rounding.
+        (SINCE_2023, np.where(np.arange(9) == 4, 0.01, 0), None),
+        (SINCE_2023, np.where(np.arange(9) == 4, 0.02, 0), (0, 0.02)),
+        (SINCE_2023, np.where(np.arange(9) < 7, np.nan, HOUR), (HOUR, 0)),
+        (SINCE_2023, np.where(np.arange(9) < 8, np.nan, HOUR), None),
+    ],
+)
+def test_clocks_differ_by_a_utc_offset_or_by_more_than_their_steps(used, seconds, found):
+    """Offsets are whole quarters of an hour up to 14 hours, to a second."""
+    differ = difference(used, used + np.multiply(seconds, 1e9))
+    assert (differ and tuple(np.divide(differ, 1e9).tolist())) == found
 
 
 SOURCES = {
@@ -280,6 +314,8 @@ WHOLE = [k // 50 for k in range(150)]
         # And so are parts that go on beyond a second.
         (WHOLE, "msec", [20 * k for k in range(150)]),
         (WHOLE, "nsec", [20_000_000 * k for k in range(150)]),
+        (WHOLE, "msec", [20 * (k % 51) for k in range(150)]),
+        (WHOLE, "nsec", [40_000_000 * (k % 51) for k in range(150)]),
     ],
 )
 def test_a_whole_stamp_beside_another_is_no_fraction_of_it(tmp_path, seconds, unit, fraction):

@@ -125,10 +125,12 @@ def test_bursts_of_PX4_are_read_from_its_tables(tmp_path):
     frame = frame.assign(dt=250.0, scale=0.001, samples=[4, 4, 4, 9, 4, 4])
     frame.to_csv(path, index=False)
     with (
+        pytest.warns(RemarkWarning, match="rate_unit says deg/s"),
         pytest.warns(RemarkWarning, match="several samples per message"),
         pytest.warns(DataLossWarning, match="counts 9 samples"),
     ):
-        rates = read_rates(path)
+        rates, overruled = read_rates(path), read_rates(path, rate_unit="deg/s")
     kept = stored[[0, 1, 2, 4, 5]].reshape(5, 3, 4).swapaxes(1, 2).reshape(-1, 3)
     np.testing.assert_array_equal(rates.rate, kept * 0.001)
+    np.testing.assert_allclose(overruled.rate, np.radians(rates.rate), rtol=1e-15)
     assert rates.t_ns[:4].tolist() == [250_000, 500_000, 750_000, 1_000_000]

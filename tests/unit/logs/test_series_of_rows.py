@@ -193,6 +193,25 @@ def test_a_series_of_two_columns_is_chosen_with_a_comma(tmp_path):
     assert found.remarks[0].endswith(others)
 
 
+def test_a_label_in_two_columns_is_that_of_the_one_that_takes_turns(tmp_path):
+    """Of both, the column has to be named."""
+    rows = [(k, "lr"[k % 2], "l", "lr"[k // 2 % 2], k % 2, 1, 1) for k in range(ROWS)]
+    path = write_rates(tmp_path / "log.csv", rows, "t_ns,sensor,car,rack,wx,wy,wz")
+    assert "is in several columns, 'sensor', 'car', 'rack'; name one with series='COLUMN=l'" in (
+        refusal(path, UsageError, series="l")
+    )
+    path = write_rates(path, [(*row[:3], "x", *row[4:]) for row in rows], path.read_text()[:33])
+    assert {*table_rates(path, series="l").rate[:, 0].tolist()} == {0}
+
+
+def test_a_series_may_be_told_apart_by_decimals_where_the_user_says_so(tmp_path):
+    """They are no labels otherwise."""
+    frame = pd.DataFrame({"t_ns": range(ROWS), "height": [0.5, 1.5] * (ROWS // 2)})
+    frame[AXES] = np.tile([[1.0] * 3, [2.0] * 3], (ROWS // 2, 1))
+    found = table_rates(save(frame, tmp_path / "log.parquet"), series="height=1.5")
+    assert found.rate.tolist() == [[2, 2, 2]] * (ROWS // 2)
+
+
 MISSING = {
     "mag": "no column has the series 'mag' in the first rows; there are 'acc', 'gyro' in column "
     "'sensor'; to read one that begins later, name its column with series='COLUMN=mag'",
@@ -276,6 +295,32 @@ def test_labels_that_alternate_are_a_series_and_decimals_never(seed):
     texts = [f"s{k}" for k in range(count)]
     assert take_turns(name, [texts[k] for k in order]) == tuple(texts)
     assert labels_of([f"{k + 25}.{k}" for k in order]).kinds == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "length", "labels", "are_series"),
+    [
+        ("mode", 32, "ab", True),
+        ("mode", 33, "ab", False),
+        ("0", 4, "01", True),
+        ("0", 5, "01", False),
+        ("imu", 9, ("0", "15"), True),
+        ("imu", 9, ("0", "16"), False),
+        ("imu", 9, ("-1", "0"), False),
+        ("imu", 9, ("0", "nan"), False),
+    ],
+)
+def test_a_turn_that_lasts_is_a_state_and_a_large_number_is_one(name, length, labels, are_series):
+    """Sensors take turns of a few rows, and are numbered from 0."""
+    turns = [label for label in labels for _ in range(length)] * 3
+    assert take_turns(name, turns) == (tuple(labels) if are_series else ())
+
+
+@pytest.mark.parametrize(("count", "length", "are_labels"), [(16, 60, 1), (17, 60, 0), (2, 61, 0)])
+def test_labels_are_few_and_short(count, length, are_labels):
+    """As many different texts as rows are no names of sensors."""
+    texts = [f"{k:s>{length}}" for k in range(count)]
+    assert len(labels_of(texts * 3).kinds) == count * are_labels
 
 
 def test_messages_of_one_series_leave_nothing_to_choose(tmp_path):

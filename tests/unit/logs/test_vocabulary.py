@@ -244,6 +244,7 @@ REFUSED = {
             {"rate_cols": ("0", "2", "1")},
             "'t_ns' cannot be both the time and one of rate",
         ),
+        (QUATPROP, {"rate_cols": ("wx", "1", "wz")}, "rate_cols names a column twice"),
         ("t,a,y,z", XYZ, "rate_cols asks for column 'x'; the columns are 't', 'a'"),
         ("t,x,{xyz}", XYZ, "2 columns are called 'x'; choose one by its number"),
         ("t_s,wx_rad_s,wy_rad_s,wz_deg_s", {}, MIXED),
@@ -331,17 +332,6 @@ def test_other_units_of_rates_are_multiplied_and_remarked_on(unit, read_as, scal
     assert found.remarks == [f"the rates are in {unit}, which is read as {scale:.4g} {read_as}"]
     (remark,) = table_rates(text, rate_unit="rad/s").remarks
     assert f"are in {unit}; read in rad/s, as requested" in remark
-
-
-def test_a_sample_rate_stands_in_for_a_time_column():
-    """Rows are counted as asked, and the stamps beside them are not passed over in silence."""
-    rows = "1,1,2,3\n2,4,5,6\n"
-    options = {"sample_rate": 200.0, "rate_unit": "rad/s"}
-    found = table_rates(f"time,wx,wy,wz\n{rows}", **options)
-    assert found.t_ns == [0, 5_000_000]
-    said = "sample_rate='200' counts the rows; the timestamps in 'time' are not used"
-    assert found.remarks == [said]
-    assert table_rates(f"note,wx,wy,wz\n{rows}", **options).remarks == []
 
 
 @pytest.mark.parametrize(("clock", "column"), [("log", 0), ("header", 2)])

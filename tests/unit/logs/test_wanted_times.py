@@ -90,3 +90,5 @@ def test_a_topic_of_another_log(tmp_path):
         assert sentence in done.stderr, done.stderr
     found = quatprop.propagate(BAG, at=f"{log}:/other_bias")
     assert found.t_ns.tolist() == same.t_ns.tolist()
+    found = quatprop.propagate(BAG, at=BAG.as_uri())
+    assert found.t_ns.tolist() == quatprop.read_rates(BAG).t_ns.tolist()

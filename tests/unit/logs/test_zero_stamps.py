@@ -8,13 +8,15 @@ from make.reading import attitudes, rates
 from make.ros import ROS1, imu_messages, write_messages
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from quatprop.errors import TimelineError
+from quatprop.errors import TimelineError, UsageError
 from quatprop.logs.matching import first_batch
 
 STORE = get_typestore(Stores.LATEST)
 NAME = "pkg/msg/Motion"
 TEXT = "std_msgs/Header header\nsensor_msgs/Imu imu\n"
 STORE.register(get_types_from_msg(TEXT, NAME))
+PAIR = "pkg/msg/Pair"
+STORE.register(get_types_from_msg("sensor_msgs/Imu left\nsensor_msgs/Imu right\n", PAIR))
 T0 = 1_700_000_000_000_000_000
 GOOD = [T0 + k * 10_000_000 for k in range(40)]
 ZERO = [0] * 40
@@ -75,6 +77,39 @@ def test_stamps_that_are_all_zero_are_refused(path, outer):
     assert stamps_of(path, clock="log") == (RECORDED, ())
 
 
+def test_messages_without_stamps_have_the_time_of_recording(path):
+    """A header is refused with that way out."""
+    vectors = [("/w", "geometry_msgs/msg/Vector3", t, {"x": 0.5}) for t in GOOD]
+    options = {"rate_field": "x,y,z", "rate_unit": "rad/s"}
+    write_messages(path, vectors)
+    assert rates(path, **options)[1].t_ns.tolist() == GOOD
+    with pytest.raises(UsageError, match="have no header timestamp; choose clock='log' or"):
+        rates(path, clock="header", **options)
+
+
+def test_of_two_rates_in_a_message_one_is_named(path):
+    """Each has a stamp of its own."""
+    pairs = [
+        ("/pair", PAIR, t, dict.fromkeys(("left", "right"), imu))
+        for t, (_, _, _, imu) in zip(GOOD, imu_messages(GOOD, [(0.5, 0, 0)] * 40), strict=True)
+    ]
+    write_messages(path, pairs, types=(ROS1, STORE))
+    both = "'left.angular_velocity', 'right.angular_velocity'; choose one with rate_field"
+    with pytest.raises(UsageError, match=f"messages of topic '/pair' carry several .*: {both}"):
+        rates(path)
+    assert rates(path, rate_field="left.angular_velocity")[1].t_ns.tolist() == GOOD
+
+
+def test_an_orientation_that_is_first_set_after_very_many_messages_is_a_placeholder(path):
+    """It is looked for in as many, and not in all of a log of hours."""
+    stamps, wxyz = range(1, 4001), [(1.0, 0.0, 0.0, 0.0)] * 3999 + [(0.0, 1.0, 0.0, 0.0)]
+    write_messages(path, imu_messages(stamps, [(0.5, 0.0, 0.0)] * 4000, wxyz))
+    for limit in (4000, 1000):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("quatprop.logs.signals.attitudes.CONSTANT_MESSAGES", limit)
+            assert attitudes(path)[0].placeholder == (limit == 1000)
+
+
 def test_every_command_says_so(path, tmp_path):
     """Exit code 2, and no output; info shows the source all the same."""
     good, out = write(tmp_path / "good.mcap", GOOD), tmp_path / "out.csv"
@@ -92,10 +127,11 @@ def test_every_command_says_so(path, tmp_path):
         assert facts[kind][0]["missing"] == REFUSED + "clock='log'"
 
 
-def test_a_comparison_counts_stamps_of_zero(path, tmp_path):
+@pytest.mark.parametrize(("count", "said"), [(1, []), (2, ["2 of 40 header timestamps are zero"])])
+def test_a_comparison_counts_stamps_of_zero(path, tmp_path, count, said):
     """Some stamps of a series were never set: they match nothing, and that has a reason."""
-    write(path, [0, 0, 0, *GOOD[3:]])
+    write(path, [0] * count + GOOD[count:])
     good = write(tmp_path / "good.mcap", GOOD)
     report = json.loads(run("compare", good, path, "--json").stdout)
     assert report["a"]["remarks"] == []
-    assert report["b"]["remarks"] == ["3 of 40 header timestamps are zero"]
+    assert report["b"]["remarks"] == said

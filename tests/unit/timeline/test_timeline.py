@@ -17,6 +17,7 @@ from quatprop.timeline import Timeline
 from quatprop.timeline.counts import OBSERVE, Counts, Policy, remarks
 from quatprop.timeline.outliers import LOOK_AHEAD, marked
 from quatprop.timeline.stamps import LONGEST_NS, StampChecks
+from quatprop.times import duration_text
 
 MS = 1_000_000
 NAN = np.nan
@@ -71,17 +72,12 @@ def test_an_empty_log_counts_nothing():
     assert Counts().span_ns == 0
 
 
-def test_defaults_refuse_what_is_irregular_and_hold_across_gaps():
-    """A policy that nobody chose changes no sample."""
-    assert Policy() == Policy("error", "error", "hold", None)
-    assert Policy("keep", "keep", "hold", None) == OBSERVE
-
-
 GAP = "longer than 20 ms; choose on_gap='hold' or 'zero' or 'split' or a longer max_gap"
 NONFINITE = "the rate of sample 5 (t = 20000000 ns) is absent or not finite; choose on_nonfinite="
 WAYS = "choose on_backwards='drop' or 'sort', or another clock"
 STEP = f"time steps back by 5 ms at sample 2 (t = 5000000 ns); {WAYS}"
 LONG = f"time steps back by 1e+06 s at sample 3 (t = -5000000 ns); {WAYS}"
+LATER = f"time steps back by 4294.87 s at sample 2 (t = 93000000 ns); {WAYS}"
 NONE_BEFORE = (
     "the rate of sample 0 (t = 0 ns) is not finite and there is none before it to hold; "
     "choose on_nonfinite='drop', or begin later with start"
@@ -100,6 +96,7 @@ REFUSE = {"on_gap": "error", "max_gap_ns": 20 * MS}
         ({}, "0 10 | 5 20", STEP),
         # Of a step after a long interval, no counter is the cause.
         ({}, "0 10 1000000000 -5", LONG),
+        ({}, "4294950 4294960 93 103", LATER),
         ({}, "-20 -10 0 | 0 10 20=nan", f"{NONFINITE}'drop' or 'hold'"),
         ({}, "-20 -10 0 | 0 10 20=inf", f"{NONFINITE}'drop' or 'hold'"),
         ({}, "-20 -10 0 | 0 10 20=-inf", f"{NONFINITE}'drop' or 'hold'"),
@@ -148,6 +145,9 @@ def test_samples_are_dropped_sorted_and_held(policy, text, expected, counted):
 CAUSES = [
     ([4_294_950, 4_294_960, 3, 13], "as if a counter of 32 bits in us had wrapped around"),
     ([-20 + 2**31, -10 + 2**31, -(2**31), 10 - 2**31], "as if a counter of 32 bits in ms had "),
+    ([4_290, 4_293, 1, 4], "as if a counter of 32 bits in ns had wrapped around"),
+    # Ten intervals later at most.
+    ([4_294_950, 4_294_960, 92, 102], "as if a counter of 32 bits in us had wrapped around"),
 ]
 
 
@@ -184,6 +184,7 @@ OUTLIERS = {
     "ahead within the log": (regular(s50=10_700), [50]),
     "first": (regular(s0=10**6), [0]),
     "second": (regular(s1=10**6), [1]),
+    "the first three": (regular(s0=10**5, s1=10**6, s2=10**7), [0, 1, 2]),
     "last but one": (regular(s98=10**6), [98]),
     "in a row": (regular(s50=10**5, s51=10**7, s52=10**6), [50, 51, 52]),
     "apart": (regular(s20=10**6, s22=10**6, s70=10**7), [20, 22, 70]),
@@ -191,7 +192,9 @@ OUTLIERS = {
         [*regular(), *range(90_000, 90_032), *range(11_000, 12_000, 10)],
         range(100, 132),
     ),
+    "a burst at first": ([*range(90_000, 90_032), *regular()], range(32)),
     "before a late one": (regular(s50=10**6, s51=10_420), [50]),
+    "of a clock that stands": ([10_000] * 50 + [10**6] + [10_000] * 49, [50]),
 }
 """Stamps in ms, and which of them the next ones contradict."""
 
@@ -221,16 +224,20 @@ def test_a_jump_ahead_that_the_next_stamps_contradict_is_an_outlier(case, size):
     kept, _, counts = applied(Policy("drop"), *batches)
     assert counts.outliers.count == len(wrong)
     assert counts.outliers.first_index == (wrong[0] if wrong else None)
+    ahead = Timeline(Policy("drop"), "log.csv").looked_ahead(batches, lambda _: None)
+    assert [t_ns // MS for batch in ahead for t_ns in batch.t_ns.tolist()] == kept
     if wrong:
         late = [k for k, stamp in enumerate(stamps) if stamp == 10_420 and k == 51]
         assert kept == [stamps[k] for k in range(len(stamps)) if k not in {*wrong, *late}]
-        with pytest.raises(
-            TimelineError,
-            match=rf"^log\.csv: the timestamp of sample {wrong[0]} \(t = "
-            rf"{stamps[wrong[0]] * MS} ns\) is an outlier, [\d.e+]+ m?s ahead of those around "
-            "it; choose on_backwards='drop' or 'sort', or another clock$",
-        ):
+        # Before the first there is none: it is compared with the middle of the next eight.
+        around = stamps[wrong[0] - 1] if wrong[0] else stamps[len(wrong) + 3]
+        ahead = duration_text((stamps[wrong[0]] - around) * MS)
+        with pytest.raises(TimelineError) as refused:
             applied(Policy(), *batches)
+        assert in_python(str(refused.value)) == (
+            f"log.csv: the timestamp of sample {wrong[0]} (t = {stamps[wrong[0]] * MS} ns) is an "
+            f"outlier, {ahead} ahead of those around it; {WAYS}"
+        )
     in_order, _, counts = applied(Policy("sort"), *batches)
     assert in_order == sorted(stamps[k] for k in range(len(stamps)) if k not in wrong)
     assert (counts.outliers.count, counts.dropped) == (len(wrong), len(wrong))
@@ -278,6 +285,11 @@ def test_what_sorts_into_a_steady_clock_has_no_outliers(order):
         kept, _, counts = applied(policy, gyro(written[:30]), gyro(written[30:]))
         assert kept == stamps.tolist()
         assert (counts.outliers.count, counts.dropped) == (0, 0)
+        back = np.flatnonzero(written < np.maximum.accumulate(written))
+        assert (counts.backwards.count, counts.backwards.first_index) == (
+            len(back),
+            next(iter(back), None),
+        )
         finder = EndsFinder(earliest=True)
         list(Timeline(policy, "log.csv").looked_ahead([gyro(written)], finder.add))
         ends = finder.ends()
@@ -427,11 +439,16 @@ WHOLE = "whole seconds"
     [
         # Seconds read as milliseconds, or the other way round; 0.5 Hz to 50 kHz are no reason.
         (10_000 * np.arange(50), "100,000 samples per second are beyond any gyroscope"),
-        (10 * np.arange(50), "100,000,000 samples per second are beyond any gyroscope"),
+        (19_990 * np.arange(20), "50,025 samples per second are beyond any gyroscope"),
         (20_000 * np.arange(50), None),
         (10_000 * np.arange(19), None),
         (2 * 10**9 * np.arange(50), None),
+        (2_000_000_001 * np.arange(50), "0.5 samples per second are few for a gyroscope"),
         (10**10 * np.arange(50), f"{FEW} gyroscope; if the timestamps are in another unit, use "),
+        # Microseconds of 2001 to 2033 as nanoseconds are those of days 12 to 23.
+        (10**15 + 199_980 * np.arange(50), "5,001 samples per second that begin on 1970-01-12"),
+        (10**15 + 200_000 * np.arange(50), None),
+        (10**15 - 1 + 199_980 * np.arange(50), None),
         (10**10 * np.arange(19), None),
         # Equal stamps turn nothing; a stamp alone is no such thing.
         (np.zeros(1, int), None),

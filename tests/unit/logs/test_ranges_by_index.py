@@ -1,0 +1,38 @@
+"""Parts of logs that are read by their index, and logs that have to be read as a whole."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from make.ros import imu_messages, write_messages
+
+from quatprop import propagate
+from quatprop.errors import NoSamplesError, TimelineError
+
+pytestmark = pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+HZ1 = np.arange(1000) * 10**9 + 1_700_000_000 * 10**9
+
+
+@pytest.mark.parametrize(("seconds", "is_part"), [(100, True), (187, True), (193, False)])
+def test_up_to_a_quarter_of_a_log_is_read_alone(tmp_path, seconds, is_part):
+    """Of 999 s, with a minute before it; the rest would be read twice."""
+    log = write_messages(tmp_path / "log.mcap", imu_messages(HZ1, np.ones((1000, 3)) / 1000))
+    found = propagate(log, start=f"-{seconds}s")
+    assert found.t_ns.tolist() == HZ1[-seconds - 1 :].tolist()
+    assert (found.report.conditioning.part is not None) == is_part
+    with pytest.raises(NoSamplesError, match="1000 are before, 0 after"):
+        propagate(log, start="+2000s")
+
+
+def test_a_part_of_a_table_is_not_read_alone_where_time_steps_back_before_it(tmp_path):
+    """The policy is that of the whole log."""
+    t_ns = 10**9 * np.r_[10_000:10_100, :9900]
+    frame = pd.DataFrame({"t_ns": t_ns, "wx": 1e-6, "wy": 0.0, "wz": 0.0})
+    for rows, is_refused in ((frame, True), (frame[100:], False)):
+        rows.to_parquet(tmp_path / "log.parquet", row_group_size=100, index=False)
+        if is_refused:
+            with pytest.raises(TimelineError, match="time steps back by"):
+                propagate(tmp_path / "log.parquet", start=10**12, end=1_099 * 10**9)
+        else:
+            found = propagate(tmp_path / "log.parquet", start=10**12, end=1_099 * 10**9)
+            assert (found.t_ns // 10**9).tolist() == [*range(1000, 1100)]
+            assert found.report.conditioning.part.leaves_out == (True, True)
